@@ -1,0 +1,49 @@
+# make setup | sweep [ARGS=..] | test | test-fast | lint | lock
+#
+#   make sweep ARGS="--preset smoke --out results/try"
+
+PYTHON ?= python3
+VENV   := .venv
+BIN    := $(VENV)/bin
+STAMP  := $(VENV)/.installed
+# Simulators and learner use one thread each; parallel work is done by processes.
+export OMP_NUM_THREADS ?= 1
+
+.PHONY: setup sweep test test-fast lint lock clean
+
+setup: $(STAMP)
+
+# The stamp is written last, so an interrupted installation is done again.
+# (editable_mode=compat: a plain path entry, so that modules added later are found without installing again.)
+$(STAMP): pyproject.toml requirements.lock
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
+	  { echo "Python 3.11 or newer is needed; name one with: make $(MAKECMDGOALS) PYTHON=/path/to/python3" >&2; exit 1; }
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --disable-pip-version-check --quiet -c requirements.lock \
+	  --config-settings editable_mode=compat -e '.[study,reference,networks,dev]'
+	@touch $@
+
+sweep: setup
+	$(BIN)/python experiments/sweep.py $(ARGS)
+
+# Everything, on two processes.
+test: setup
+	$(BIN)/python -m pytest -n 2 $(ARGS)
+
+# Under a minute: what to run while writing code.
+test-fast: setup
+	$(BIN)/python -m pytest -n 2 -m "not slow" $(ARGS)
+
+lint: setup
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+
+# The installed versions as the new constraint file; the head of the old file is kept.
+lock: setup
+	@sed -n '/^#/p' requirements.lock > requirements.lock.new
+	@$(BIN)/python -m pip list --disable-pip-version-check --format=freeze --exclude-editable \
+	  | grep -viE '^(pip|wheel)==' | sed 's/+cpu$$//' | sort -f >> requirements.lock.new
+	@mv requirements.lock.new requirements.lock
+
+clean:
+	rm -rf .mypy_cache .ruff_cache .pytest_cache build *.egg-info

@@ -1,0 +1,270 @@
+"""The roads of the five tasks, lane for lane those of highway-env 1.12.1.
+
+A lane is named by highway-env's index (from node, to node, lane id); id 0 is the left lane of a road.
+`Road` answers geometric questions; it holds no vehicles. Where each number comes from: `_make_road` of
+highway_env/envs/{highway,two_way,roundabout,intersection,u_turn}_env.py. The same roads in SUMO: `networks.catalogue`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from types import MappingProxyType
+
+from networks.lanes import WIDTH, CircularLane, Lane, Point, SineLane, StraightLane
+
+LaneIndex = tuple[str, str, int]
+
+
+class Road:
+    """An immutable set of named lanes and the graph that they form.
+
+    `lanes` keeps the order in which highway-env stores them, which decides ties in `closest_lane`.
+    """
+
+    __slots__ = ("_counts", "_items", "lanes", "name", "successors")
+
+    def __init__(self, name: str, lanes: Mapping[LaneIndex, Lane]) -> None:
+        self.name = name
+        self.lanes: Mapping[LaneIndex, Lane] = MappingProxyType(dict(_graph_order(lanes)))
+        self._items = tuple(self.lanes.items())
+        self._counts: dict[tuple[str, str], int] = {}
+        successors: dict[str, list[str]] = {}
+        for start, end, _ in self.lanes:
+            self._counts[start, end] = self._counts.get((start, end), 0) + 1
+            if end not in successors.setdefault(start, []):
+                successors[start].append(end)
+        self.successors: Mapping[str, tuple[str, ...]] = MappingProxyType(
+            {node: tuple(ends) for node, ends in successors.items()}
+        )
+
+    def __repr__(self) -> str:
+        return f"Road({self.name!r}, {len(self.lanes)} lanes)"
+
+    def __reduce__(self) -> tuple[type[Road], tuple[str, dict[LaneIndex, Lane]]]:
+        return Road, (self.name, dict(self.lanes))  # a MappingProxyType cannot be pickled
+
+    def lane(self, index: LaneIndex) -> Lane:
+        """The lane of this index; KeyError if the road has none."""
+        return self.lanes[index]
+
+    def count(self, start: str, end: str) -> int:
+        """Number of parallel lanes from node `start` to node `end`; KeyError if they are not joined."""
+        return self._counts[start, end]
+
+    def side_lanes(self, index: LaneIndex) -> tuple[LaneIndex, ...]:
+        """The lanes next to this one on the same road, left one first."""
+        start, end, i = index
+        return tuple((start, end, j) for j in (i - 1, i + 1) if 0 <= j < self._counts[start, end])
+
+    def route(self, start: str, goal: str) -> tuple[str, ...]:
+        """Nodes of the shortest path, both ends included; alphabetical among equals; () if there is none."""
+        queue = deque([(start,)])
+        while queue:
+            path = queue.popleft()
+            for node in sorted(self.successors.get(path[-1], ())):
+                if node in path:
+                    continue
+                if node == goal:
+                    return (*path, node)
+                queue.append((*path, node))
+        return ()
+
+    def next_lane(
+        self, index: LaneIndex, route: Sequence[str] = (), x: float | None = None, y: float | None = None
+    ) -> LaneIndex:
+        """The lane that follows `index` on the way along the nodes of `route`.
+
+        Onto a road with as many lanes the lane id is kept; otherwise the lane closest to the vehicle's projection on
+        the current lane is taken (of the vehicle at (x, y) [m]; of the lane's end when no position is given).
+        Where the route does not continue past the lane's end, all successors compete; without any, `index` stays.
+        """
+        start, node, i = index
+        lane = self.lanes[index]
+        s = lane.length if x is None or y is None else lane.local_coordinates(x, y)[0]
+        projected = lane.position(s, 0.0)
+
+        def onto(end: str) -> tuple[float, LaneIndex]:
+            if self._counts[start, node] == self._counts[node, end]:
+                candidates: list[LaneIndex] = [(node, end, i)]
+            else:
+                candidates = [(node, end, j) for j in range(self._counts[node, end])]
+            return min(((self.lanes[c].distance(*projected), c) for c in candidates), key=_first)
+
+        if node in route[:-1]:
+            return onto(route[route.index(node) + 1])[1]
+        ends = self.successors.get(node, ())
+        return min(map(onto, ends), key=_first)[1] if ends else index
+
+    def closest_lane(self, x: float, y: float, heading: float | None = None) -> LaneIndex:
+        """Index of the lane with the least `distance_with_heading` (1 m for each radian); the first one of equals."""
+        best, best_distance = self._items[0][0], math.inf
+        for index, lane in self._items:
+            distance = lane.distance_with_heading(x, y, heading)
+            if distance < best_distance:
+                best, best_distance = index, distance
+        return best
+
+
+def _first(pair: tuple[float, LaneIndex]) -> float:
+    return pair[0]
+
+
+def _graph_order(lanes: Mapping[LaneIndex, Lane]) -> list[tuple[LaneIndex, Lane]]:
+    """Sort as a dict of dicts of lists does that is filled in this order: by first use of start, then of end."""
+    starts: dict[str, int] = {}
+    ends: dict[tuple[str, str], int] = {}
+    for start, end, _ in lanes:
+        starts.setdefault(start, len(starts))
+        ends.setdefault((start, end), len(ends))
+    return sorted(lanes.items(), key=lambda item: (starts[item[0][0]], ends[item[0][:2]], item[0][2]))
+
+
+def highway(lanes_count: int = 4) -> Road:
+    """Parallel lanes to the east, 10 km, 30 m/s, lane i at y = 4 i."""
+    if lanes_count < 1:
+        raise ValueError(f"lanes_count must be at least 1, got {lanes_count}")
+    return Road(
+        "highway",
+        {
+            ("0", "1", i): StraightLane((0.0, WIDTH * i), (10_000.0, WIDTH * i), speed_limit=30.0)
+            for i in range(lanes_count)
+        },
+    )
+
+
+def two_way(length: float = 800.0) -> Road:
+    """One lane each way: own lane at y = 4, and at y = 0 one strip that carries two lanes, ("a","b",0) and ("b","a",0).
+
+    `length` [m] is where highway-env's road ends; vehicles drive on beyond it.
+    """
+    if length <= 0:
+        raise ValueError(f"the road's length must be positive, got {length} m")
+    return Road(
+        "two-way",
+        {
+            ("a", "b", 0): StraightLane((0.0, 0.0), (length, 0.0)),
+            ("a", "b", 1): StraightLane((0.0, WIDTH), (length, WIDTH)),
+            ("b", "a", 0): StraightLane((length, 0.0), (0.0, 0.0)),
+        },
+    )
+
+
+RING = ("se", "ex", "ee", "nx", "ne", "wx", "we", "sx")  # the ring's nodes in driving order
+ARMS = ("s", "e", "n", "w")  # arms of the roundabout, likewise
+
+
+def _turned(point: Point, quarters: int) -> Point:
+    """`point` after `quarters` quarter turns about the origin, clockwise on the screen; exact, no sine involved."""
+    x, y = point
+    for _ in range(quarters % 4):
+        x, y = -y, x
+    return x, y
+
+
+def roundabout() -> Road:
+    """A two-lane ring of radii 20 and 24 m, driven counter-clockwise on the screen, with four arms 170 m long.
+
+    Entries and exits are sines that end 5.6 m short of the ring (highway-env's geometry is not continuous there).
+    """
+    lanes: dict[LaneIndex, Lane] = {}
+    phase = 90.0 - 24.0  # [deg] of node "se"; then arcs of 48 and 42 degrees in turn, against growing phases
+    for k, node in enumerate(RING):
+        end_phase = phase - (42.0 if k % 2 == 0 else 48.0)
+        # highway-env starts anew at +156 degrees with "we"; phases matter because headings are not wrapped
+        first, last = (phase + 360.0, end_phase + 360.0) if node in ("we", "sx") else (phase, end_phase)
+        for i, radius in enumerate((20.0, 24.0)):
+            lanes[node, RING[(k + 1) % 8], i] = CircularLane(
+                (0.0, 0.0), radius, math.radians(first), math.radians(last), clockwise=False
+            )
+        phase = end_phase
+
+    access, period, amplitude = 170.0, 85.0, 5.0  # [m]
+    sine = 0.2 * period  # [m], length of an entry or exit
+    pulsation = 2 * math.pi / period
+    leave = -math.pi / 2 + pulsation * (period - sine)  # phase at which an exit's sine begins
+    for arm, name in enumerate(ARMS):  # the southern arm's coordinates, turned
+
+        def at(x: float, y: float, quarters: int = -arm) -> Point:
+            return _turned((x, y), quarters)
+
+        road_in, sine_in, ring_in = name + "er", name + "es", name + "e"
+        ring_out, sine_out, road_out = name + "x", name + "xs", name + "xr"
+        lanes[road_in, sine_in, 0] = StraightLane(at(2, access), at(2, period / 2))
+        lanes[sine_in, ring_in, 0] = SineLane(
+            at(2 + amplitude, period / 2),
+            at(2 + amplitude, period / 2 - sine),
+            amplitude=amplitude, pulsation=pulsation, phase=-math.pi / 2,
+        )  # fmt: skip
+        lanes[ring_out, sine_out, 0] = SineLane(
+            at(-2 - amplitude, period / 2 - sine),
+            at(-2 - amplitude, period / 2),
+            amplitude=amplitude, pulsation=pulsation, phase=leave,
+        )  # fmt: skip
+        lanes[sine_out, road_out, 0] = StraightLane(at(-2, period / 2), at(-2, access))
+    return Road("roundabout", lanes)
+
+
+def intersection() -> Road:
+    """Four arms of one lane each way that meet in a square of +-11 m; corner 0 is south, then west, north, east.
+
+    The east-west road has priority 3 (its left turns 2), the north-south road 1 (left turns 0).
+    """
+    turn, half = 9.0, 11.0  # [m], radius of a right turn; half the square
+    access = 100.0  # [m]
+    lanes: dict[LaneIndex, Lane] = {}
+    for corner in range(4):
+
+        def at(x: float, y: float, quarters: int = corner) -> Point:
+            return _turned((x, y), quarters)
+
+        angle = math.radians(90 * corner)
+        priority = 3 if corner % 2 else 1
+        entry, right, left, ahead = (
+            f"ir{corner}", f"il{(corner - 1) % 4}", f"il{(corner + 1) % 4}", f"il{(corner + 2) % 4}",
+        )  # fmt: skip
+        lanes[f"o{corner}", entry, 0] = StraightLane(
+            at(2, access + half), at(2, half), priority=priority, speed_limit=10.0
+        )
+        lanes[entry, right, 0] = CircularLane(
+            at(half, half), turn, angle + math.pi, angle + math.radians(270),
+            priority=priority, speed_limit=10.0,
+        )  # fmt: skip
+        lanes[entry, left, 0] = CircularLane(
+            at(-half, half), turn + WIDTH, angle, angle - math.pi / 2, clockwise=False,
+            priority=priority - 1, speed_limit=10.0,
+        )  # fmt: skip
+        lanes[entry, ahead, 0] = StraightLane(at(2, half), at(2, -half), priority=priority, speed_limit=10.0)
+        # An exit belongs to the corner right of it and carries that corner's priority (highway-env's own quirk).
+        lanes[right, f"o{(corner - 1) % 4}", 0] = StraightLane(
+            at(half, 2), at(access + half, 2), priority=priority, speed_limit=10.0
+        )
+    return Road("intersection", lanes)
+
+
+def u_turn() -> Road:
+    """Two lanes 128 m to the east, a half circle to the left (radii 20 and 24 m), and back to the west."""
+    length, radius = 128.0, 20.0
+    lanes: dict[LaneIndex, Lane] = {}
+    for i, y in enumerate((WIDTH, 0.0)):
+        lanes["c", "d", i] = StraightLane((length, y), (0.0, y))
+    for i in range(2):
+        lanes["b", "c", i] = CircularLane(
+            (length, WIDTH + radius), radius + WIDTH * i, math.pi / 2, -math.pi / 2, clockwise=False
+        )
+    for i in range(2):
+        y = 2 * radius + WIDTH * (1 + i)
+        lanes["a", "b", i] = StraightLane((0.0, y), (length, y))
+    return Road("u-turn", lanes)
+
+
+ROADS: Mapping[str, Callable[[], Road]] = MappingProxyType(
+    {
+        "highway": highway,
+        "two-way": two_way,
+        "roundabout": roundabout,
+        "intersection": intersection,
+        "u-turn": u_turn,
+    }
+)

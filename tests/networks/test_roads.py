@@ -1,0 +1,139 @@
+"""Every lane of every task against highway-env's own objects."""
+
+from __future__ import annotations
+
+import pickle
+from types import SimpleNamespace
+
+import highway_env.envs as envs
+import numpy as np
+import pytest
+
+from networks import roads
+
+
+def _reference(task: str):
+    """highway-env's RoadNetwork of a task, built by its own `_make_road` without constructing the environment."""
+    cls, arguments, config = {
+        "highway": (envs.HighwayEnv, {}, {"lanes_count": 4}),
+        "highway-2": (envs.HighwayEnv, {}, {"lanes_count": 2}),
+        "two-way": (envs.TwoWayEnv, {}, {}),
+        "two-way-533": (envs.TwoWayEnv, {"length": 1600 / 3}, {}),
+        "roundabout": (envs.RoundaboutEnv, {}, {}),
+        "intersection": (envs.IntersectionEnv, {}, {}),
+        "u-turn": (envs.UTurnEnv, {}, {}),
+    }[task]
+    config |= {"show_trajectories": False, "neighbour_vehicles_connected_lanes": False, "speed_limit": 30}
+    maker = "_create_road" if task.startswith("highway") else "_make_road"
+    env = SimpleNamespace(config=config, np_random=np.random.default_rng(0))
+    getattr(cls, maker)(env, **arguments)
+    return env.road.network
+
+
+OURS = {
+    "highway": roads.highway,
+    "highway-2": lambda: roads.highway(2),
+    "two-way": roads.two_way,
+    "two-way-533": lambda: roads.two_way(1600 / 3),
+    "roundabout": roads.roundabout,
+    "intersection": roads.intersection,
+    "u-turn": roads.u_turn,
+}
+
+
+@pytest.fixture(params=OURS)
+def pair(request):
+    return OURS[request.param](), _reference(request.param)
+
+
+def _poses(network, rng, n):
+    """Random poses around the lanes, also beyond their ends."""
+    lanes = list(network.lanes_dict().values())
+    for k in range(n):
+        lane = lanes[k % len(lanes)]
+        s = rng.uniform(-20, min(lane.length, 1000) + 20)
+        x, y = lane.position(s, rng.normal(0, 4))
+        yield float(x), float(y), float(lane.heading_at(s) + rng.normal(0, 1))
+
+
+def test_same_lanes_in_the_same_order(pair):
+    ours, theirs = pair
+    assert list(ours.lanes) == list(theirs.lanes_dict())
+    for index, lane in theirs.lanes_dict().items():
+        mine = ours.lane(index)
+        assert mine.length == pytest.approx(lane.length, abs=1e-9)
+        assert (mine.speed_limit, mine.priority, mine.width) == (lane.speed_limit, lane.priority, lane.width)
+
+
+def test_same_curves(pair):
+    ours, theirs = pair
+    rng = np.random.default_rng(1)
+    for index, lane in theirs.lanes_dict().items():
+        mine = ours.lane(index)
+        for s in np.concatenate([np.linspace(-30, lane.length + 30, 23), rng.uniform(0, lane.length, 10)]):
+            assert mine.heading_at(float(s)) == pytest.approx(lane.heading_at(s), abs=1e-9)
+            for lat in (-5.0, 0.0, 3.0):
+                assert mine.position(float(s), lat) == pytest.approx(lane.position(s, lat), abs=1e-9)
+
+
+def test_same_local_coordinates_and_lane_membership(pair):
+    ours, theirs = pair
+    lanes = theirs.lanes_dict()
+    for x, y, heading in _poses(theirs, np.random.default_rng(2), 60):
+        position = np.array([x, y])
+        for index, lane in lanes.items():
+            mine = ours.lane(index)
+            assert mine.local_coordinates(x, y) == pytest.approx(lane.local_coordinates(position), abs=1e-9)
+            assert mine.on_lane(x, y) == lane.on_lane(position)
+            assert mine.on_lane(x, y, margin=1.0) == lane.on_lane(position, margin=1.0)
+            assert mine.is_reachable_from(x, y) == lane.is_reachable_from(position)
+            assert mine.after_end(x, y) == lane.after_end(position)
+            assert mine.distance(x, y) == pytest.approx(lane.distance(position), abs=1e-9)
+            assert mine.distance_with_heading(x, y, heading) == pytest.approx(
+                lane.distance_with_heading(position, heading), abs=1e-9
+            )
+
+
+def test_same_closest_lane(pair):
+    ours, theirs = pair
+    for x, y, heading in _poses(theirs, np.random.default_rng(3), 300):
+        position = np.array([x, y])
+        assert ours.closest_lane(x, y, heading) == theirs.get_closest_lane_index(position, heading)
+        assert ours.closest_lane(x, y) == theirs.get_closest_lane_index(position, None)
+
+
+def test_same_graph(pair):
+    ours, theirs = pair
+    nodes = sorted(set(theirs.graph) | {end for ends in theirs.graph.values() for end in ends})
+    for start in theirs.graph:
+        for goal in nodes:
+            assert ours.route(start, goal) == tuple(theirs.shortest_path(start, goal))
+    for index in ours.lanes:
+        assert list(ours.side_lanes(index)) == theirs.side_lanes(index)
+        assert ours.count(*index[:2]) == len(theirs.all_side_lanes(index))
+
+
+def test_same_next_lane(pair):
+    """As ControlledVehicle.follow_road asks for it: with a planned route, near the lane's end, off its centre."""
+    ours, theirs = pair
+    rng = np.random.default_rng(4)
+    goals = [node for node in {end for ends in theirs.graph.values() for end in ends}]
+    for index, lane in theirs.lanes_dict().items():
+        for goal in [None, *goals]:
+            path = theirs.shortest_path(index[1], goal) if goal else []
+            plan = [index, *((a, b, None) for a, b in zip(path, path[1:], strict=False))]
+            x, y = map(float, lane.position(lane.length + rng.uniform(-2.5, 2.0), rng.normal(0, 2)))
+            expected = theirs.next_lane(index, plan if goal else None, np.array([x, y]))
+            assert ours.next_lane(index, (index[0], *path), x, y) == expected
+
+
+def test_a_road_survives_pickling():
+    road = pickle.loads(pickle.dumps(roads.roundabout()))
+    assert road.lanes == roads.roundabout().lanes
+    assert road.route("ser", "nxr") == ("ser", "ses", "se", "ex", "ee", "nx", "nxs", "nxr")
+
+
+@pytest.mark.parametrize("wrong", [lambda: roads.highway(0), lambda: roads.two_way(-1.0)])
+def test_impossible_roads_are_refused(wrong):
+    with pytest.raises(ValueError):
+        wrong()

@@ -1,0 +1,90 @@
+"""Build SUMO's networks: `python -m networks.build` rewrites them, `--check` tells whether they are up to date.
+
+Of each plan in `networks.plans` the plain XML is written and given to netconvert (of the `eclipse-sumo` wheel, which
+only this module needs). In what netconvert returns all lane speeds are then overwritten, those inside junctions
+included: it limits bends to 8-10 m/s by a comfort rule, while highway-env's cars take them at any speed. The header,
+which carries a date and paths of the machine, is dropped, so that building twice gives the same bytes.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+
+from networks import plans
+
+HERE = Path(__file__).resolve().parent
+SUFFIXES = (".nod.xml", ".edg.xml", ".con.xml", ".net.xml")
+OPTIONS = (
+    "--offset.disable-normalization", "true",  # x stays highway-env's x, y its -y
+    "--no-turnarounds", "true",
+    "--roundabouts.guess", "false",  # the ring is named in the plan
+    "--junctions.join", "false",
+    "--precision", "4",
+)  # fmt: skip
+
+
+def netconvert() -> Path:
+    """The netconvert of the installed eclipse-sumo wheel; RuntimeError if there is none."""
+    try:
+        import sumo
+    except ImportError as error:
+        raise RuntimeError("building networks needs netconvert: pip install eclipse-sumo==1.28.0") from error
+    return Path(sumo.SUMO_HOME) / "bin" / "netconvert"
+
+
+def build(plan: plans.Plan, folder: Path) -> Path:
+    """Write the plain XML and the network of `plan` below `folder`; returns the path of the network.
+
+    Raises RuntimeError with netconvert's own words when it fails or warns: a warning means that the network
+    deviates from the plan.
+    """
+    nodes, edges, connections = plan.write(folder)
+    net = folder / f"{plan.name}.net.xml"
+    command = [netconvert(), "-n", nodes, "-e", edges, "-x", connections, "-o", net, *OPTIONS]
+    done = subprocess.run([str(part) for part in command], capture_output=True, text=True)
+    if done.returncode or "Warning" in done.stderr:
+        raise RuntimeError(f"netconvert on {plan.name}: {done.stderr.strip() or done.stdout.strip()}")
+    text = re.sub(r"<!--.*?-->\s*", "", net.read_text(encoding="utf-8"), count=1, flags=re.DOTALL)
+    net.write_text(_with_speed(text, plan.edges[0].speed), encoding="utf-8")
+    return net
+
+
+def _with_speed(net: str, speed: float) -> str:
+    """The network with `speed` [m/s] as the limit of every lane, internal ones included."""
+    return re.sub(r'(<lane [^>]*\bspeed=")[^"]*', rf"\g<1>{speed:.4f}", net)
+
+
+def stale(folder: Path = HERE) -> list[str]:
+    """Names of files below `folder` that differ from what their plan gives now, or are missing."""
+    differing = []
+    with tempfile.TemporaryDirectory() as scratch:
+        for plan in plans.all_plans():
+            build(plan, Path(scratch))
+            for suffix in SUFFIXES:
+                name = plan.name + suffix
+                stored = folder / name
+                if not stored.exists() or stored.read_bytes() != (Path(scratch) / name).read_bytes():
+                    differing.append(name)
+    return differing
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """The command line; returns the exit status, 1 when `--check` finds a difference."""
+    parser = argparse.ArgumentParser(prog="python -m networks.build", description=__doc__.split("\n")[0])
+    parser.add_argument("--check", action="store_true", help="compare with a fresh build, write nothing")
+    if parser.parse_args(arguments).check:
+        differing = stale()
+        print("\n".join(f"differs: {name}" for name in differing) or "networks are up to date")
+        return 1 if differing else 0
+    for plan in plans.all_plans():
+        print(build(plan, HERE).relative_to(HERE))
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,339 @@
+"""What netconvert is told to build: nodes, edges and connections of each task, derived from `networks.roads`.
+
+Everything here is in highway-env's coordinates (y down); `Plan.write` turns y over. Straight ends are longer than
+highway-env's, where vehicles keep driving along the extrapolated lane: here they need a lane to do so.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+from xml.etree import ElementTree
+
+from networks import roads
+from networks.lanes import WIDTH, CircularLane, Lane, Point, SineLane
+from networks.roads import LaneIndex, Road
+
+Line = tuple[Point, ...]
+
+GAP = 0.4  # [m] that a plain junction takes out of the road: short, because SUMO changes no lanes inside it
+ARC_STEP = math.radians(1.0)  # chords of 1 degree stay within 1 mm of a circle of 24 m
+SINE_STEP = 0.5  # [m]
+LANES_COUNTS = (1, 2, 3, 4, 5, 6)  # highways that are built
+
+
+@dataclass(frozen=True)
+class Node:
+    """A junction at (x, y) [m]; `shape` is its outline, netconvert's own without one."""
+
+    id: str
+    x: float
+    y: float
+    type: str = "priority"
+    shape: Line = ()
+
+
+@dataclass(frozen=True)
+class Edge:
+    """A road of `lanes` parallel lanes whose middle is `shape`; `neigh` names the opposite lane beside it."""
+
+    id: str
+    start: str
+    end: str
+    lanes: int
+    shape: Line
+    speed: float  # [m/s]
+    priority: int = 1
+    neigh: str = ""
+
+
+@dataclass(frozen=True)
+class Connection:
+    """From a lane of an edge onto a lane of the next one (SUMO's lane numbers, 0 is the right lane)."""
+
+    start: str
+    end: str
+    from_lane: int
+    to_lane: int
+    shape: Line
+
+
+@dataclass(frozen=True)
+class Plan:
+    """One SUMO network before it is built. `roundabout` lists the edges of the ring."""
+
+    name: str  # folder/stem of its files
+    road: Road
+    nodes: tuple[Node, ...]
+    edges: tuple[Edge, ...]
+    connections: tuple[Connection, ...] = ()
+    roundabout: tuple[str, ...] = ()
+
+    def write(self, folder: Path) -> list[Path]:
+        """Write <name>.nod.xml, .edg.xml and .con.xml below `folder`; returns their paths in this order."""
+        nodes = ElementTree.Element("nodes")
+        for n in self.nodes:
+            outline = {"shape": _text(n.shape)} if n.shape else {}
+            ElementTree.SubElement(
+                nodes, "node", id=n.id, x=_number(n.x), y=_number(-n.y), type=n.type, **outline
+            )
+        edges = ElementTree.Element("edges")
+        for e in self.edges:
+            item = ElementTree.SubElement(
+                edges, "edge", {"from": e.start, "to": e.end}, id=e.id, numLanes=str(e.lanes),
+                width=_number(WIDTH), speed=_number(e.speed), priority=str(e.priority),
+                spreadType="center", shape=_text(e.shape),
+            )  # fmt: skip
+            if e.neigh:
+                lane = ElementTree.SubElement(item, "lane", index="0")
+                ElementTree.SubElement(lane, "neigh", lane=e.neigh)
+        if self.roundabout:
+            ring = [e.split("-")[0] for e in self.roundabout]
+            ElementTree.SubElement(
+                edges, "roundabout", nodes=" ".join(ring), edges=" ".join(self.roundabout)
+            )
+        connections = ElementTree.Element("connections")
+        for c in self.connections:
+            ElementTree.SubElement(
+                connections, "connection", {"from": c.start, "to": c.end},
+                fromLane=str(c.from_lane), toLane=str(c.to_lane), shape=_text(c.shape),
+                # no internal junction: it would split a left turn in two, and SUMO misses contacts between the parts
+                contPos="0",
+            )  # fmt: skip
+        paths = []
+        for suffix, tree in (("nod", nodes), ("edg", edges), ("con", connections)):
+            path = folder / f"{self.name}.{suffix}.xml"
+            path.parent.mkdir(parents=True, exist_ok=True)
+            ElementTree.indent(tree)
+            path.write_bytes(ElementTree.tostring(tree) + b"\n")
+            paths.append(path)
+        return paths
+
+
+def _number(value: float) -> str:
+    return f"{round(value, 4) + 0.0:.4f}"  # + 0.0 makes 0.0 of -0.0
+
+
+def _text(line: Line) -> str:
+    return " ".join(f"{_number(x)},{_number(-y)}" for x, y in line)
+
+
+def sample(lane: Lane, start: float, end: float, lat: float = 0.0) -> Line:
+    """Points of the line `lat` [m] right of the centre, from s = `start` to s = `end` [m], within 1 mm of the curve."""
+    if isinstance(lane, CircularLane):
+        n = math.ceil((end - start) / lane.radius / ARC_STEP)
+    elif isinstance(lane, SineLane):
+        n = math.ceil((end - start) / SINE_STEP)
+    else:
+        n = 1
+    return tuple(lane.position(start + (end - start) * k / n, lat) for k in range(n + 1))
+
+
+def edge_id(index: LaneIndex) -> str:
+    """The SUMO edge of a lane, "<from>-<to>" (for lanes inside the intersection: of the way through it)."""
+    return f"{index[0]}-{index[1]}"
+
+
+def _edge(road: Road, start: str, end: str, before: float, after: float, priority: int = 1) -> Edge:
+    """highway-env's road from `start` to `end`, longer by `before` and `after` [m] at its ends (or shorter: < 0)."""
+    n = road.count(start, end)
+    left = road.lane((start, end, 0))
+    middle = WIDTH * (n - 1) / 2
+    if isinstance(left, CircularLane):
+        # trim by angle, and equally for both lanes; the middle runs outside the left (inner) lane
+        radius = left.radius + middle
+        before, after = before * left.radius / radius, after * left.radius / radius
+    shape = sample(left, -before, left.length + after, middle)
+    return Edge(f"{start}-{end}", start, end, n, shape, left.speed_limit, priority)
+
+
+def _bow(start: Point, direction: float, end: Point, end_direction: float) -> Line:
+    """A smooth curve (cubic Bezier) between two points with given headings [rad]."""
+    reach = math.dist(start, end) / 3
+    if reach < GAP:
+        return start, end
+    p1 = (start[0] + reach * math.cos(direction), start[1] + reach * math.sin(direction))
+    p2 = (end[0] - reach * math.cos(end_direction), end[1] - reach * math.sin(end_direction))
+    points = []
+    for k in range(17):
+        t = k / 16
+        a, b, c, d = (1 - t) ** 3, 3 * t * (1 - t) ** 2, 3 * t * t * (1 - t), t**3
+        points.append(
+            (
+                a * start[0] + b * p1[0] + c * p2[0] + d * end[0],
+                a * start[1] + b * p1[1] + c * p2[1] + d * end[1],
+            )
+        )
+    return tuple(points)
+
+
+def _join(road: Road, first: LaneIndex, second: LaneIndex, trim: tuple[float, float]) -> Connection:
+    """From the end of lane `first` (less `trim[0]` m) onto the start of lane `second` (plus `trim[1]` m)."""
+    a, b = road.lane(first), road.lane(second)
+    s_a, s_b = a.length - trim[0], trim[1]
+    shape = _bow(a.position(s_a, 0.0), a.heading_at(s_a), b.position(s_b, 0.0), b.heading_at(s_b))
+    n_a, n_b = road.count(*first[:2]), road.count(*second[:2])
+    return Connection(edge_id(first), edge_id(second), n_a - 1 - first[2], n_b - 1 - second[2], shape)
+
+
+def highway(lanes_count: int = 4) -> Plan:
+    """Lanes from x = -500 m to 11 km."""
+    road = roads.highway(lanes_count)
+    y = WIDTH * (lanes_count - 1) / 2
+    return Plan(
+        f"highway/highway-{lanes_count}",
+        road,
+        (Node("0", -500.0, y, "dead_end"), Node("1", 11_000.0, y, "dead_end")),
+        (_edge(road, "0", "1", 500.0, 1000.0),),
+    )
+
+
+def two_way() -> Plan:
+    """Two edges from x = -700 to 1500 m, each beside the other (`neigh`), so that overtaking works; any road length.
+
+    highway-env's third lane, ("a","b",0), is the oncoming one driven the wrong way: in SUMO the edge "b-a".
+    """
+    road = roads.two_way(800.0)
+    nodes = (Node("a", -700.0, WIDTH / 2, "dead_end"), Node("b", 1500.0, WIDTH / 2, "dead_end"))
+    shape = ((-700.0, WIDTH), (1500.0, WIDTH))
+    oncoming = ((1500.0, 0.0), (-700.0, 0.0))
+    return Plan(
+        "two_way/two_way",
+        road,
+        nodes,
+        (
+            Edge("a-b", "a", "b", 1, shape, 20.0, neigh="b-a_0"),
+            Edge("b-a", "b", "a", 1, oncoming, 20.0, neigh="a-b_0"),
+        ),
+    )
+
+
+def _across(road: Road, start: str, end: str, s: float) -> tuple[Point, Point]:
+    """Left and right border of a road at `s` [m along its middle]."""
+    n = road.count(start, end)
+    left = road.lane((start, end, 0))
+    if isinstance(left, CircularLane):
+        s *= left.radius / (left.radius + WIDTH * (n - 1) / 2)
+    return left.position(s, -WIDTH / 2), left.position(s, WIDTH * (n - 1) + WIDTH / 2)
+
+
+def _node(road: Road, before: tuple[str, str], branch: tuple[str, str] | None = None) -> Node:
+    """A short junction across the road at the end of `before`, which goes on with as many lanes.
+
+    A `branch` is a road right of it that ends (or starts) a few metres off: the outline gets a spur that reaches it.
+    Edges end where they meet the outline, and netconvert would stretch one that does not meet it.
+    """
+    name = before[1]
+    lane = road.lane((*before, 0))
+    offset = WIDTH * (road.count(*before) - 1) / 2
+    length = lane.length
+    if isinstance(lane, CircularLane):
+        length *= (lane.radius + offset) / lane.radius
+    left_in, right_in = _across(road, *before, length - GAP / 2)
+    left_out, right_out = _across(road, *before, length + GAP / 2)
+    spur: Line = ()
+    if branch is not None:
+        touch = 0.01  # [m] of overlap, so that rounding cannot part them
+        if branch[1] == name:
+            left, right = _across(road, *branch, road.lane((*branch, 0)).length - touch)
+            spur = (right, left)
+        else:
+            left, right = _across(road, *branch, touch)
+            spur = (left, right)
+    x, y = lane.position(lane.length, offset)
+    return Node(name, x, y, shape=(left_in, left_out, right_out, *spur, right_in))
+
+
+def u_turn() -> Plan:
+    """One way of three edges, from 100 m before highway-env's start to 400 m beyond its end."""
+    road = roads.u_turn()
+    g = GAP / 2
+    edges = (
+        _edge(road, "a", "b", 100.0, -g),
+        _edge(road, "b", "c", -g, -g),
+        _edge(road, "c", "d", -g, 400.0),
+    )
+    nodes = (
+        Node("a", *edges[0].shape[0], "dead_end"),
+        _node(road, ("a", "b")),
+        _node(road, ("b", "c")),
+        Node("d", *edges[2].shape[-1], "dead_end"),
+    )
+    joints = tuple(
+        _join(road, (a, b, i), (b, c, i), (g, g)) for a, b, c in ("abc", "bcd") for i in range(2)
+    )
+    return Plan("u_turn/u_turn", road, nodes, edges, joints)
+
+
+def roundabout() -> Plan:
+    """The ring and its arms. Where highway-env's lanes jump (5.6 m), a bow inside the junction leads across."""
+    road = roads.roundabout()
+    g = GAP / 2
+    ring = tuple(pairwise((*roads.RING, roads.RING[0])))
+    edges = [_edge(road, a, b, -g, -g, priority=2) for a, b in ring]
+    nodes, joints = [], []
+    for k, (a, b) in enumerate(ring):
+        c = ring[(k + 1) % len(ring)][1]
+        branch = (b[0] + "es", b) if b[1] == "e" else (b, b[0] + "xs")
+        nodes.append(_node(road, (a, b), branch))
+        joints += [_join(road, (a, b, i), (b, c, i), (g, g)) for i in range(2)]
+    for arm in roads.ARMS:
+        road_in, sine_in, ring_in = arm + "er", arm + "es", arm + "e"
+        ring_out, sine_out, road_out = arm + "x", arm + "xs", arm + "xr"
+        before = road_in, sine_in, 0
+        edges += [
+            _edge(road, road_in, sine_in, 100.0, -g),
+            _edge(road, sine_in, ring_in, -g, 0.0),
+            _edge(road, ring_out, sine_out, 0.0, -g),
+            _edge(road, sine_out, road_out, -g, 400.0),
+        ]
+        nodes += [
+            Node(road_in, *edges[-4].shape[0], "dead_end"),
+            _node(road, (road_in, sine_in)),
+            _node(road, (ring_out, sine_out)),
+            Node(road_out, *edges[-1].shape[-1], "dead_end"),
+        ]
+        after = roads.RING[roads.RING.index(ring_in) + 1]
+        last = roads.RING[roads.RING.index(ring_out) - 1]
+        joints += [
+            _join(road, before, (sine_in, ring_in, 0), (g, g)),
+            _join(road, (sine_in, ring_in, 0), (ring_in, after, 1), (0.0, g)),
+            _join(road, (last, ring_out, 1), (ring_out, sine_out, 0), (g, 0.0)),
+            # highway-env's cars steer from the inner lane straight to the exit, across the outer one
+            _join(road, (last, ring_out, 0), (ring_out, sine_out, 0), (g, 0.0)),
+            _join(road, (ring_out, sine_out, 0), (sine_out, road_out, 0), (g, g)),
+        ]
+    return Plan(
+        "roundabout/roundabout", road, tuple(nodes), tuple(edges), tuple(joints),
+        tuple(f"{a}-{b}" for a, b in ring),
+    )  # fmt: skip
+
+
+def intersection() -> Plan:
+    """Four arms and the square of +-11 m, in which SUMO's internal lanes are highway-env's lanes."""
+    road = roads.intersection()
+    square = ((-11.0, -11.0), (11.0, -11.0), (11.0, 11.0), (-11.0, 11.0))
+    nodes = [Node("x", 0.0, 0.0, "priority", square)]
+    edges, joints = [], []
+    for k in range(4):
+        priority = 10 if k % 2 else 1
+        entry = _edge(road, f"o{k}", f"ir{k}", 50.0, 0.0, priority)
+        leave = _edge(road, f"il{k}", f"o{k}", 0.0, 400.0, priority)
+        start, end = f"start{k}", f"end{k}"
+        nodes += [Node(start, *entry.shape[0], "dead_end"), Node(end, *leave.shape[-1], "dead_end")]
+        edges += [replace(entry, start=start, end="x"), replace(leave, start="x", end=end)]
+        for j in range(4):
+            if j != k:
+                lane = road.lane((f"ir{k}", f"il{j}", 0))
+                joints.append(
+                    Connection(f"o{k}-ir{k}", f"il{j}-o{j}", 0, 0, sample(lane, 0.0, lane.length))
+                )
+    return Plan("intersection/intersection", road, tuple(nodes), tuple(edges), tuple(joints))
+
+
+def all_plans() -> tuple[Plan, ...]:
+    """Every network that is shipped; the highway once for each number of lanes."""
+    return (*map(highway, LANES_COUNTS), two_way(), roundabout(), intersection(), u_turn())

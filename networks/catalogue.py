@@ -1,0 +1,236 @@
+"""The built networks, and the way from highway-env's lanes to SUMO's edges, lanes, positions and routes.
+
+`network(task)` is all that a simulator needs. SUMO's names follow highway-env's: edge "se-ex" leads from node se to
+node ex; within an edge SUMO counts lanes from the right, highway-env from the left. Highway-env's lanes inside the
+intersection ("ir0" -> "il1") are SUMO's internal lanes; all other internal lanes are short joints without a
+counterpart. The two-way road's ("a","b",0) is the oncoming lane driven the wrong way: SUMO's "b-a_0".
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import pairwise
+from pathlib import Path
+from types import MappingProxyType
+from xml.etree import ElementTree
+
+from networks import plans, roads
+from networks.lanes import VEHICLE_LENGTH
+from networks.roads import LaneIndex, Road
+
+FOLDER = Path(__file__).resolve().parent
+TASKS = tuple(roads.ROADS)
+ROAD_LENGTHS = (100.0, 1500.0)  # [m], two-way roads that fit the built network, which ends at x = 1500 m
+
+
+ENDS: Mapping[str, tuple[str, ...]] = MappingProxyType(
+    {
+        "highway": ("1",),
+        "two-way": ("a", "b"),
+        "roundabout": ("sxr", "exr", "nxr", "wxr"),
+        "intersection": ("o0", "o1", "o2", "o3"),
+        "u-turn": ("d",),
+    }
+)  # nodes at which vehicles leave a road
+
+
+@dataclass(frozen=True, slots=True)
+class SumoLane:
+    """A lane of the built network.
+
+    SUMO gives all lanes of an edge one `length`; in bends it differs from the `drawn` length of the lane's shape. A
+    vehicle commanded to v covers v * drawn / length metres of ground a second (`Network.stretch`).
+    """
+
+    id: str
+    length: float  # [m], in which SUMO counts positions
+    drawn: float  # [m], along the shape
+    start: tuple[float, float]  # first and last point of the shape, highway-env's coordinates
+    end: tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Network:
+    """A task's road in both worlds.
+
+    routes: "<from>-<to>><end>" -> SUMO edges; for a vehicle on the road <from> -> <to> bound for <end>. They begin one
+        edge before the vehicle's own where there is one, because SUMO shifts a vehicle by metres that is placed on a
+        joint, or with its tail on one, when its route does not contain the edge before.
+    lanes: highway-env's lane -> SUMO's. indices: SUMO lane id -> highway-env's lane; a joint's is the lane it leads to.
+    following, preceding: SUMO lane id -> ids of the lanes that may come next, or came before.
+    """
+
+    task: str
+    road: Road
+    net_file: Path
+    routes: Mapping[str, tuple[str, ...]]
+    lanes: Mapping[LaneIndex, SumoLane]
+    indices: Mapping[str, LaneIndex]
+    following: Mapping[str, tuple[str, ...]]
+    preceding: Mapping[str, tuple[str, ...]]
+    _sumo_lanes: Mapping[str, SumoLane]
+
+    def sumo_lane(self, index: LaneIndex) -> str:
+        """Id of the SUMO lane that is highway-env's lane `index`."""
+        return self.lanes[index].id
+
+    def stretch(self, sumo_lane: str) -> float:
+        """SUMO's length of a lane over its drawn length: multiply a commanded speed by it to get it on the ground."""
+        lane = self._sumo_lanes[sumo_lane]
+        return lane.length / lane.drawn
+
+    def sumo_route(self, index: LaneIndex, destination: str | None = None) -> str:
+        """Key in `routes` for a vehicle on lane `index` bound for node `destination`.
+
+        A node short of an end ("nxs") stands for the end that follows it; None for the only end there is.
+        Raises ValueError, naming the choices, if no route leads there.
+        """
+        start = f"{index[0]}-{index[1]}>"
+        if destination is None:
+            ends = [key for key in self.routes if key.startswith(start)]
+            if len(ends) == 1:
+                return ends[0]
+        else:
+            end = destination
+            while end not in ENDS[self.task] and len(self.road.successors.get(end, ())) == 1:
+                (end,) = self.road.successors[end]
+            if start + end in self.routes:
+                return start + end
+        choices = ", ".join(key.split(">")[1] for key in self.routes if key.startswith(start))
+        raise ValueError(f"no route from {index} to {destination!r} on {self.task}; ends: {choices or 'none'}")
+
+    def place(self, index: LaneIndex, s: float, destination: str | None = None) -> tuple[str, str, float]:
+        """Where SUMO has to put a vehicle whose centre highway-env has `s` [m] along lane `index`.
+
+        Returns (key of its route, SUMO lane id, position of its front bumper [m] for `vehicle.moveTo`). The bumper is
+        half a vehicle ahead of the centre, possibly past a joint; `s` outside the lane is followed along the route.
+        Raises ValueError for a lane that SUMO drives the wrong way, and beyond the ends of the network.
+        """
+        if self.task == "two-way" and index == ("a", "b", 0):
+            raise ValueError('place on ("a", "b", 1) and change lane: SUMO has no eastbound lane at y = 0')
+        key = self.sumo_route(index, destination)
+        edges = self.routes[key]
+        lane = self.lanes[index]
+        # Inside the intersection there is no edge: count from the entry, the first edge of the route.
+        edge = 0 if lane.id.startswith(":") else edges.index(_edge(lane.id))
+        ahead = s + VEHICLE_LENGTH / 2 - self.road.lane(index).local_coordinates(*lane.start)[0]
+        while not 0 <= ahead <= lane.drawn:
+            step = 1 if ahead > 0 else -1
+            beside = self._beside(lane.id, edges, edge, step)
+            if beside is None:
+                raise ValueError(f"s = {s} m on lane {index} is not on route {key} of {self.task}")
+            if step > 0:
+                ahead -= lane.drawn
+                edge += lane.id.startswith(":")
+                lane = self._sumo_lanes[beside]
+            else:
+                edge -= not lane.id.startswith(":")
+                lane = self._sumo_lanes[beside]
+                ahead += lane.drawn
+        return key, lane.id, ahead * lane.length / lane.drawn
+
+    def _beside(self, lane: str, edges: tuple[str, ...], edge: int, step: int) -> str | None:
+        """The lane or joint after (step 1) or before (-1) a SUMO lane on a route; the rightmost of several."""
+        near = self.following if step > 0 else self.preceding
+        if lane.startswith(":"):
+            return min(near[lane], default=None)
+        if not 0 <= edge + step < len(edges):
+            return None
+        wanted = edges[edge + step]
+        return min((joint for joint in near[lane] if _edge(near[joint][0]) == wanted), default=None)
+
+
+def _edge(lane: str) -> str:
+    """The edge of a SUMO lane."""
+    return lane.rsplit("_", 1)[0]
+
+
+@lru_cache(maxsize=16)
+def network(task: str, lanes_count: int = 4, road_length: float = 800.0) -> Network:
+    """The network of a task: highway (any `lanes_count` from 1 to 6), two-way, roundabout, intersection, u-turn.
+
+    `road_length` [m] is that of the two-way road; it moves highway-env's lane ends, not SUMO's.
+    Raises ValueError for what has not been built.
+    """
+    if task not in TASKS:
+        raise ValueError(f"unknown task {task!r}; choose from {', '.join(TASKS)}")
+    road = roads.ROADS[task]()
+    name = task.replace("-", "_")
+    stem = name
+    if task == "highway":
+        if lanes_count not in plans.LANES_COUNTS:
+            raise ValueError(f"lanes_count must be one of {plans.LANES_COUNTS}, got {lanes_count}")
+        road, stem = roads.highway(lanes_count), f"highway-{lanes_count}"
+    elif task == "two-way":
+        if not ROAD_LENGTHS[0] <= road_length <= ROAD_LENGTHS[1]:
+            raise ValueError(f"road_length must be within {ROAD_LENGTHS} m, got {road_length}")
+        road = roads.two_way(road_length)
+    net_file = FOLDER / name / f"{stem}.net.xml"
+    sumo_lanes, following = _read(net_file)
+    lanes = {index: sumo_lanes[_sumo_lane_id(road, index, following)] for index in road.lanes}
+    indices = {lane.id: index for index, lane in lanes.items()}
+    if task == "two-way":
+        indices["b-a_0"] = ("b", "a", 0)
+    for joint, ends in following.items():
+        if joint.startswith(":"):
+            indices.setdefault(joint, indices[ends[0]])
+    preceding = {lane: tuple(one for one, after in following.items() if lane in after) for lane in following}
+    return Network(
+        task, road, net_file, MappingProxyType(_routes(road, sumo_lanes)), MappingProxyType(lanes),
+        MappingProxyType(indices), MappingProxyType(following), MappingProxyType(preceding),
+        MappingProxyType(sumo_lanes),
+    )  # fmt: skip
+
+
+def _read(net_file: Path) -> tuple[dict[str, SumoLane], dict[str, tuple[str, ...]]]:
+    """All lanes of a built network, and the lanes that follow each."""
+    root = ElementTree.parse(net_file).getroot()
+    lanes: dict[str, SumoLane] = {}
+    for item in root.iter("lane"):
+        shape = [
+            (float(x), -float(y)) for x, y in (point.split(",") for point in item.attrib["shape"].split())
+        ]
+        drawn = sum(math.dist(a, b) for a, b in pairwise(shape))
+        lane = SumoLane(item.attrib["id"], float(item.attrib["length"]), drawn, shape[0], shape[-1])
+        lanes[lane.id] = lane
+    following: dict[str, tuple[str, ...]] = {lane: () for lane in lanes}
+    for item in root.iter("connection"):
+        start = f"{item.attrib['from']}_{item.attrib['fromLane']}"
+        end = item.attrib.get("via", f"{item.attrib['to']}_{item.attrib['toLane']}")
+        following[start] = (*following[start], end)
+    return lanes, following
+
+
+def _sumo_lane_id(road: Road, index: LaneIndex, following: Mapping[str, tuple[str, ...]]) -> str:
+    start, end, i = index
+    if road.name == "two-way":
+        return "a-b_0" if index == ("a", "b", 1) else "b-a_0"
+    if start.startswith("ir"):  # inside the intersection
+        (inside,) = (
+            lane
+            for lane in following[f"o{start[2:]}-{start}_0"]
+            if following[lane] == (f"{end}-o{end[2:]}_0",)
+        )
+        return inside
+    return f"{start}-{end}_{road.count(start, end) - 1 - i}"
+
+
+def _routes(road: Road, sumo_lanes: Mapping[str, SumoLane]) -> dict[str, tuple[str, ...]]:
+    edges = {_edge(lane) for lane in sumo_lanes if not lane.startswith(":")}
+    pairs = list(dict.fromkeys((start, end) for start, end, _ in road.lanes))
+    ends = ENDS[road.name]
+    routes: dict[str, tuple[str, ...]] = {}
+    for start, end in pairs:
+        # the ring before the arm that enters it; inside the intersection the one way in; nothing before an end,
+        # where highway-env's graph turns back
+        before = sorted((p for p in pairs if p[1] == start), key=lambda p: -road.count(*p))
+        earlier = [] if start in ends else before[:1]
+        for goal in ends:
+            path = (start, end) if goal == end else (start, *road.route(end, goal))
+            if path[-1] == goal and not any(node in ends for node in path[1:-1]):
+                steps = [f"{a}-{b}" for a, b in (*earlier, *pairwise(path))]
+                routes[f"{start}-{end}>{goal}"] = tuple(step for step in steps if step in edges)
+    return routes

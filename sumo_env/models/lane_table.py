@@ -1,0 +1,155 @@
+"""Lanes as arrays of numbers, and compiled functions of them.
+
+A lane is a row of `geometry` (columns below) and is called by its number; `successors` lists the lanes that
+begin where it ends. A vehicle's way is a row of `routes`: the numbers of the lanes it drives along, -1 after
+the last, and `stage` says on which of them its centre is. Points are given in highway-env's coordinates (x
+east, y down); a lane's own coordinates (s, lat) are metres along its centre line and to the right of it.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from networks.lanes import VEHICLE_LENGTH, CircularLane, Lane, SineLane, StraightLane
+from sumo_env.compiled import compiled
+
+LaneIndex = tuple[str, str, int]
+Floats = NDArray[np.float64]
+Integers = NDArray[np.int64]
+
+# Columns of `geometry`.
+KIND, LENGTH, LIMIT, PRIORITY = 0, 1, 2, 3  # one of the kinds below; [m]; [m/s]; the larger has right of way
+X, Y = 4, 5  # start of a straight or sine lane, centre of a circular one [m]
+COS, SIN, HEADING = 6, 7, 8  # of the axis of a straight or sine lane [rad]
+AMPLITUDE, PULSATION, PHASE = 9, 10, 11  # of a sine lane [m, rad/m, rad]
+RADIUS, START_PHASE, TURN = 6, 7, 8  # of a circular lane [m, rad], +1 clockwise (to the right) or -1
+COLUMNS = 12
+
+STRAIGHT, SINE, CIRCULAR = 0.0, 1.0, 2.0
+
+
+class LaneTable(NamedTuple):
+    """The lanes of a road.
+
+    Attributes:
+        index: number of each lane, by highway-env's name of it.
+        geometry: one row a lane, shape (lanes, COLUMNS).
+        successors: numbers of the lanes that follow each lane, shape (lanes, most successors), padded with
+            -1.
+    """
+
+    index: dict[LaneIndex, int]
+    geometry: Floats
+    successors: Integers
+
+    def route(self, lanes: Iterable[LaneIndex], size: int = 3) -> Integers:
+        """A row of `routes`: the numbers of these lanes, shape (size,), padded with -1."""
+        numbers = [self.index[lane] for lane in lanes]
+        if not 0 < len(numbers) <= size:
+            raise ValueError(f"a route has 1 to {size} lanes here, got {len(numbers)}")
+        return np.array(numbers + [-1] * (size - len(numbers)), dtype=np.int64)
+
+
+def lane_table(lanes: Mapping[LaneIndex, Lane]) -> LaneTable:
+    """Tabulate the lanes of a road, in their order (for example ``networks.roads.intersection().lanes``).
+
+    Onto each road that begins at its end, a lane is followed by the lane of the same id, or by lane 0 where
+    there is none (``Road.neighbour_vehicles`` of highway-env, with connected lanes).
+    """
+    index = {name: number for number, name in enumerate(lanes)}
+    followers: list[list[int]] = []
+    for _, node, lane_id in lanes:
+        ends = dict.fromkeys(end for start, end, _ in lanes if start == node)
+        followers.append([index.get((node, end, lane_id), index[node, end, 0]) for end in ends])
+    width = max(1, *map(len, followers)) if followers else 1
+    return LaneTable(
+        index,
+        np.array([_row(lane) for lane in lanes.values()]),
+        np.array([row + [-1] * (width - len(row)) for row in followers], dtype=np.int64),
+    )
+
+
+def _row(lane: Lane) -> Floats:
+    row = np.zeros(COLUMNS)
+    row[[LENGTH, LIMIT, PRIORITY]] = lane.length, lane.speed_limit, lane.priority
+    if isinstance(lane, CircularLane):
+        row[[KIND, X, Y]] = CIRCULAR, *lane.center
+        row[[RADIUS, START_PHASE, TURN]] = lane.radius, lane.start_phase, 1.0 if lane.clockwise else -1.0
+    elif isinstance(lane, StraightLane):
+        row[[KIND, X, Y]] = STRAIGHT, *lane.start
+        row[[COS, SIN, HEADING]] = math.cos(lane.heading), math.sin(lane.heading), lane.heading
+        if isinstance(lane, SineLane):
+            row[KIND] = SINE
+            row[[AMPLITUDE, PULSATION, PHASE]] = lane.amplitude, lane.pulsation, lane.phase
+    else:
+        raise TypeError(f"no table columns for a {type(lane).__name__}")
+    return row
+
+
+@compiled
+def position(geometry: Floats, lane: int, s: float) -> tuple[float, float]:
+    """World position (x, y) [m] of the point `s` [m] along a lane's centre line."""
+    g = geometry[lane]
+    if g[KIND] == CIRCULAR:
+        phi = g[TURN] * s / g[RADIUS] + g[START_PHASE]
+        return g[X] + g[RADIUS] * math.cos(phi), g[Y] + g[RADIUS] * math.sin(phi)
+    lat = g[AMPLITUDE] * math.sin(g[PULSATION] * s + g[PHASE]) if g[KIND] == SINE else 0.0
+    return g[X] + s * g[COS] - lat * g[SIN], g[Y] + s * g[SIN] + lat * g[COS]
+
+
+@compiled
+def heading_at(geometry: Floats, lane: int, s: float) -> float:
+    """Heading [rad] of a lane's centre line at `s` [m]; not wrapped."""
+    g = geometry[lane]
+    if g[KIND] == CIRCULAR:
+        return g[TURN] * (s / g[RADIUS] + math.pi / 2) + g[START_PHASE]
+    if g[KIND] == SINE:
+        return g[HEADING] + math.atan(g[AMPLITUDE] * g[PULSATION] * math.cos(g[PULSATION] * s + g[PHASE]))
+    return g[HEADING]
+
+
+@compiled
+def local_coordinates(geometry: Floats, lane: int, x: float, y: float) -> tuple[float, float]:
+    """Coordinates (s, lat) [m] on a lane of the world position (x, y) [m]."""
+    g = geometry[lane]
+    dx, dy = x - g[X], y - g[Y]
+    if g[KIND] == CIRCULAR:
+        turned = (math.atan2(dy, dx) - g[START_PHASE] + math.pi) % (2.0 * math.pi) - math.pi
+        return g[TURN] * turned * g[RADIUS], g[TURN] * (g[RADIUS] - math.sqrt(dx * dx + dy * dy))
+    s, lat = dx * g[COS] + dy * g[SIN], dy * g[COS] - dx * g[SIN]
+    if g[KIND] == SINE:
+        lat -= g[AMPLITUDE] * math.sin(g[PULSATION] * s + g[PHASE])
+    return s, lat
+
+
+@compiled
+def advance(geometry: Floats, routes: Integers, stage: Integers, x: Floats, y: Floats) -> None:
+    """Move each vehicle's `stage`, in place, on to the lane of its route that its centre has reached.
+
+    Shapes: routes (n, lanes of a route), stage, x, y (n,). A vehicle beyond its route's last lane stays on
+    it.
+    """
+    for i in range(len(stage)):
+        while stage[i] + 1 < routes.shape[1] and routes[i, stage[i] + 1] >= 0:
+            lane = routes[i, stage[i]]
+            if local_coordinates(geometry, lane, x[i], y[i])[0] <= geometry[lane, LENGTH]:
+                break
+            stage[i] += 1
+
+
+@compiled
+def target_stage(geometry: Floats, routes: Integers, stage: Integers, i: int, s: float) -> int:
+    """Stage of the lane that vehicle `i`, at `s` [m] on its own, steers for: the next one 2.5 m early.
+
+    ``ControlledVehicle.follow_road`` of highway-env, with ``AbstractLane.after_end``.
+    """
+    following = stage[i] + 1
+    near_end = s > geometry[routes[i, stage[i]], LENGTH] - VEHICLE_LENGTH / 2
+    if near_end and following < routes.shape[1] and routes[i, following] >= 0:
+        return following
+    return stage[i]

@@ -113,7 +113,8 @@ def contacts(x: Floats, y: Floats, heading: Floats, active: NDArray[np.bool_]) -
                 continue
             if found == len(pairs):
                 longer = np.empty((2 * found, 2), dtype=np.int64)
-                longer[:found] = pairs
+                for k in range(found):
+                    longer[k, 0], longer[k, 1] = pairs[k, 0], pairs[k, 1]
                 pairs = longer
             pairs[found, 0], pairs[found, 1] = i, j
             found += 1

@@ -1,13 +1,15 @@
 """How the numerical kernels of this package are compiled: once for a machine, at their first call.
 
-The machine code is kept beside the sources or, where an installation is read-only, in the user's cache
-directory. A kernel that calls a kernel of *another* module is not compiled anew when only that other module
-changes: after editing one of them remove the caches (``__pycache__/*.nbi``), as `make test` does.
+The machine code is kept in ``__pycache__`` beside the sources or, where an installation is read-only, in the
+user's cache directory. numba compiles a function anew when its own file has changed, but not when a kernel of
+another file that it calls has; so machine code older than the newest file with kernels is dropped at import.
 """
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, TypeVar
 
 from numba import njit
@@ -26,4 +28,18 @@ def compiled(function: Function) -> Function:
     except RuntimeError as error:
         if "no locator available" not in str(error):
             raise
-        return njit(function)  # neither the package nor a home directory is writable: compile in each process
+        return njit(function)  # no directory is writable: compile in each process
+
+
+def drop_outdated(package: Path) -> int:
+    """Delete the indexes of machine code under `package` that precede a change of a kernel; returns how many."""
+    indexes = [path for path in package.rglob("__pycache__/*.nbi") if os.access(path.parent, os.W_OK)]
+    sources = {path.parent.parent / f"{path.name.split('.')[0]}.py" for path in indexes}
+    newest = max((source.stat().st_mtime for source in sources if source.exists()), default=0.0)
+    outdated = [path for path in indexes if path.stat().st_mtime < newest]
+    for path in outdated:
+        path.unlink(missing_ok=True)  # another worker may have been quicker
+    return len(outdated)
+
+
+drop_outdated(Path(__file__).parent)

@@ -69,7 +69,7 @@ def _pair_ttc(
 def time_to_collision(
     x: Floats, y: Floats, vx: Floats, vy: Floats, heading: Floats, ego: int, horizon: float
 ) -> Floats:
-    """Time [s] until `ego` touches each vehicle, shape (n,): 0 in contact, inf for itself or not in `horizon`.
+    """Time [s] until `ego` touches each vehicle, shape (n,): 0 in contact, inf if not within `horizon`.
 
     x, y [m], vx, vy [m/s], heading [rad]: shape (n,).
     """

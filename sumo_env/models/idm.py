@@ -139,11 +139,9 @@ def strip_accelerations(
 
     Args:
         x, y, speed, heading: shape (n,) [m, m, m/s, rad].
-        lane_y, target_y: centre line of the vehicle's lane and of the one it changes to (the same otherwise)
-            [m].
+        lane_y, target_y: centre line of the vehicle's lane and of the one it changes to, else the same [m].
             While changing, the smaller of the accelerations behind either lane's leader is taken.
-        direction: +1.0 on a lane to the east, -1.0 to the west. Lanes of both directions may share a centre
-            line.
+        direction: +1.0 on a lane to the east, -1.0 to the west. Lanes of both may share a centre line.
         target_speed: desired speeds, before the limit [m/s].
         drivers: shape (n, 6).
         length: of the road, which begins at x = 0 [m].
@@ -176,7 +174,7 @@ def _path_leader(
     s: Floats,
     lat: Floats,
 ) -> tuple[int, float, bool]:
-    """The leader of vehicle `i` on `lane`, its distance along the path [m], and whether it is beyond the lane.
+    """The leader of vehicle `i` on `lane`, its distance along the path [m], and whether it is beyond it.
 
     ``Road.neighbour_vehicles`` with connected lanes: a vehicle is looked for on the lane and then on *each*
     lane that follows it, not only on the one that is on the route; the first that it is on decides. `s`,

@@ -127,7 +127,7 @@ def desired_lanes(
 
     A driver with ``lane == target_lane`` decides by MOBIL if a decision is due. One that is changing only
     asks whether to give up, which means to go back to `lane`: if another vehicle that is not yet on the
-    target lane heads for it too, ahead and closer than the desired gap. (Both may; highway-env.)
+    target lane heads for it too, ahead and closer than the desired gap.
 
     Drivers are asked one after the other, as in highway-env. The order has no effect on MOBIL, which looks at
     positions and speeds alone, but it has on giving up: there a decision taken earlier in the same call is
@@ -136,14 +136,12 @@ def desired_lanes(
     Args:
         x, y, speed, heading: shape (n,) [m, m, m/s, rad]; all vehicles, in highway-env's order (ego first).
         lane, target_lane: number of the lane a vehicle is on and of the one it heads for, 0 the left one,
-            shape (n,).
-            Also of vehicles that take no decision here.
+            shape (n,); also of vehicles that take no decision here.
         target_speed: desired speeds before the limit, shape (n,) [m/s].
         drivers: shape (n, 6), the columns of `idm`.
         changes: who takes decisions here at all (neither the ego nor wrecks), shape (n,).
         due: whose time since the last decision exceeds DELAY, shape (n,). The caller resets it to 0 for those
-            with
-            ``changes & due & (lane == target_lane)``.
+            with ``changes & due & (lane == target_lane)``.
         lanes_count, lane_width: lane k is centred on y = lane_width * k [m].
         length, limit: of the road, which begins at x = 0 [m], and its speed limit [m/s].
     """

@@ -1,9 +1,10 @@
-"""Build SUMO's networks: `python -m networks.build` rewrites them, `--check` tells whether they are up to date.
+"""Build SUMO's networks: `python -m networks.build` rewrites them, `--check` compares.
 
-Of each plan in `networks.plans` the plain XML is written and given to netconvert (of the `eclipse-sumo` wheel, which
-only this module needs). In what netconvert returns all lane speeds are then overwritten, those inside junctions
-included: it limits bends to 8-10 m/s by a comfort rule, while highway-env's cars take them at any speed. The header,
-which carries a date and paths of the machine, is dropped, so that building twice gives the same bytes.
+Of each plan in `networks.plans` the plain XML is written and given to netconvert (of the `eclipse-sumo`
+wheel, which only this module needs). In what netconvert returns all lane speeds are then overwritten,
+those inside junctions included: it limits bends to 8-10 m/s by a comfort rule, while highway-env's cars
+take them at any speed. The header, which carries a date and paths of the machine, is dropped, so that
+building twice gives the same bytes.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ def netconvert() -> Path:
     try:
         import sumo
     except ImportError as error:
-        raise RuntimeError("building networks needs netconvert: pip install eclipse-sumo==1.28.0") from error
+        raise RuntimeError("building networks needs netconvert: install eclipse-sumo==1.28.0") from error
     return Path(sumo.SUMO_HOME) / "bin" / "netconvert"
 
 

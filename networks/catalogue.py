@@ -1,9 +1,10 @@
 """The built networks, and the way from highway-env's lanes to SUMO's edges, lanes, positions and routes.
 
-`network(task)` is all that a simulator needs. SUMO's names follow highway-env's: edge "se-ex" leads from node se to
-node ex; within an edge SUMO counts lanes from the right, highway-env from the left. Highway-env's lanes inside the
-intersection ("ir0" -> "il1") are SUMO's internal lanes; all other internal lanes are short joints without a
-counterpart. The two-way road's ("a","b",0) is the oncoming lane driven the wrong way: SUMO's "b-a_0".
+`network(task)` is all that a simulator needs. SUMO's names follow highway-env's: edge "se-ex" leads from
+node se to node ex; within an edge SUMO counts lanes from the right, highway-env from the left.
+Highway-env's lanes inside the intersection ("ir0" -> "il1") are SUMO's internal lanes; all other internal
+lanes are short joints without a counterpart. The two-way road's ("a","b",0) is the oncoming lane driven
+the wrong way: SUMO's "b-a_0".
 """
 
 from __future__ import annotations
@@ -41,8 +42,9 @@ ENDS: Mapping[str, tuple[str, ...]] = MappingProxyType(
 class SumoLane:
     """A lane of the built network.
 
-    SUMO gives all lanes of an edge one `length`; in bends it differs from the `drawn` length of the lane's shape. A
-    vehicle commanded to v covers v * drawn / length metres of ground a second (`Network.stretch`).
+    SUMO gives all lanes of an edge one `length`; in bends it differs from the `drawn` length of the
+    lane's shape. A vehicle commanded to v covers v * drawn / length metres of ground a second
+    (`Network.stretch`).
     """
 
     id: str
@@ -56,10 +58,11 @@ class SumoLane:
 class Network:
     """A task's road in both worlds.
 
-    routes: "<from>-<to>><end>" -> SUMO edges; for a vehicle on the road <from> -> <to> bound for <end>. They begin one
-        edge before the vehicle's own where there is one, because SUMO shifts a vehicle by metres that is placed on a
-        joint, or with its tail on one, when its route does not contain the edge before.
-    lanes: highway-env's lane -> SUMO's. indices: SUMO lane id -> highway-env's lane; a joint's is the lane it leads to.
+    routes: "<from>-<to>><end>" -> SUMO edges, for a vehicle on the road <from> -> <to> bound for
+        <end>. They begin one edge before the vehicle's own where there is one, because SUMO shifts a vehicle
+        by metres that is placed on a joint when its route lacks the edge before.
+    lanes: highway-env's lane -> SUMO's.
+    indices: SUMO lane id -> highway-env's lane; of a joint, the lane it leads to.
     following, preceding: SUMO lane id -> ids of the lanes that may come next, or came before.
     """
 
@@ -78,7 +81,7 @@ class Network:
         return self.lanes[index].id
 
     def stretch(self, sumo_lane: str) -> float:
-        """SUMO's length of a lane over its drawn length: multiply a commanded speed by it to get it on the ground."""
+        """SUMO's length of a lane over its drawn length: the factor for a commanded ground speed."""
         lane = self._sumo_lanes[sumo_lane]
         return lane.length / lane.drawn
 
@@ -100,14 +103,17 @@ class Network:
             if start + end in self.routes:
                 return start + end
         choices = ", ".join(key.split(">")[1] for key in self.routes if key.startswith(start))
-        raise ValueError(f"no route from {index} to {destination!r} on {self.task}; ends: {choices or 'none'}")
+        raise ValueError(
+            f"no route from {index} to {destination!r} on {self.task}; ends: {choices or 'none'}"
+        )
 
     def place(self, index: LaneIndex, s: float, destination: str | None = None) -> tuple[str, str, float]:
         """Where SUMO has to put a vehicle whose centre highway-env has `s` [m] along lane `index`.
 
-        Returns (key of its route, SUMO lane id, position of its front bumper [m] for `vehicle.moveTo`). The bumper is
-        half a vehicle ahead of the centre, possibly past a joint; `s` outside the lane is followed along the route.
-        Raises ValueError for a lane that SUMO drives the wrong way, and beyond the ends of the network.
+        Returns (key of its route, SUMO lane id, position of its front bumper [m] for `vehicle.moveTo`).
+        The bumper is half a vehicle ahead of the centre, possibly past a joint; `s` outside the lane is
+        followed along the route. Raises ValueError for a lane that SUMO drives the wrong way, and beyond
+        the ends of the network.
         """
         if self.task == "two-way" and index == ("a", "b", 0):
             raise ValueError('place on ("a", "b", 1) and change lane: SUMO has no eastbound lane at y = 0')
@@ -133,7 +139,7 @@ class Network:
         return key, lane.id, ahead * lane.length / lane.drawn
 
     def _beside(self, lane: str, edges: tuple[str, ...], edge: int, step: int) -> str | None:
-        """The lane or joint after (step 1) or before (-1) a SUMO lane on a route; the rightmost of several."""
+        """The lane or joint after (step 1) or before (-1) a SUMO lane on a route; the rightmost one."""
         near = self.following if step > 0 else self.preceding
         if lane.startswith(":"):
             return min(near[lane], default=None)
@@ -150,7 +156,7 @@ def _edge(lane: str) -> str:
 
 @lru_cache(maxsize=16)
 def network(task: str, lanes_count: int = 4, road_length: float = 800.0) -> Network:
-    """The network of a task: highway (any `lanes_count` from 1 to 6), two-way, roundabout, intersection, u-turn.
+    """The network of a task: highway (`lanes_count` 1 to 6), two-way, roundabout, intersection or u-turn.
 
     `road_length` [m] is that of the two-way road; it moves highway-env's lane ends, not SUMO's.
     Raises ValueError for what has not been built.
@@ -196,7 +202,7 @@ def _read(net_file: Path) -> tuple[dict[str, SumoLane], dict[str, tuple[str, ...
         drawn = sum(math.dist(a, b) for a, b in pairwise(shape))
         lane = SumoLane(item.attrib["id"], float(item.attrib["length"]), drawn, shape[0], shape[-1])
         lanes[lane.id] = lane
-    following: dict[str, tuple[str, ...]] = {lane: () for lane in lanes}
+    following: dict[str, tuple[str, ...]] = dict.fromkeys(lanes, ())
     for item in root.iter("connection"):
         start = f"{item.attrib['from']}_{item.attrib['fromLane']}"
         end = item.attrib.get("via", f"{item.attrib['to']}_{item.attrib['toLane']}")
@@ -224,8 +230,8 @@ def _routes(road: Road, sumo_lanes: Mapping[str, SumoLane]) -> dict[str, tuple[s
     ends = ENDS[road.name]
     routes: dict[str, tuple[str, ...]] = {}
     for start, end in pairs:
-        # the ring before the arm that enters it; inside the intersection the one way in; nothing before an end,
-        # where highway-env's graph turns back
+        # the ring before the arm that enters it; inside the intersection the one way in;
+        # nothing before an end, where highway-env's graph turns back
         before = sorted((p for p in pairs if p[1] == start), key=lambda p: -road.count(*p))
         earlier = [] if start in ends else before[:1]
         for goal in ends:

@@ -1,13 +1,13 @@
 """What netconvert is told to build: nodes, edges and connections of each task, derived from `networks.roads`.
 
-Everything here is in highway-env's coordinates (y down); `Plan.write` turns y over. Straight ends are longer than
-highway-env's, where vehicles keep driving along the extrapolated lane: here they need a lane to do so.
+Everything here is in highway-env's coordinates (y down); `Plan.write` turns y over. Straight ends are
+longer than highway-env's, where vehicles keep driving along the extrapolated lane: here they need a lane
+to do so.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -76,10 +76,11 @@ class Plan:
         """Write <name>.nod.xml, .edg.xml and .con.xml below `folder`; returns their paths in this order."""
         nodes = ElementTree.Element("nodes")
         for n in self.nodes:
-            outline = {"shape": _text(n.shape)} if n.shape else {}
-            ElementTree.SubElement(
-                nodes, "node", id=n.id, x=_number(n.x), y=_number(-n.y), type=n.type, **outline
+            item = ElementTree.SubElement(
+                nodes, "node", id=n.id, x=_number(n.x), y=_number(-n.y), type=n.type
             )
+            if n.shape:
+                item.set("shape", _text(n.shape))
         edges = ElementTree.Element("edges")
         for e in self.edges:
             item = ElementTree.SubElement(
@@ -92,15 +93,13 @@ class Plan:
                 ElementTree.SubElement(lane, "neigh", lane=e.neigh)
         if self.roundabout:
             ring = [e.split("-")[0] for e in self.roundabout]
-            ElementTree.SubElement(
-                edges, "roundabout", nodes=" ".join(ring), edges=" ".join(self.roundabout)
-            )
+            ElementTree.SubElement(edges, "roundabout", nodes=" ".join(ring), edges=" ".join(self.roundabout))
         connections = ElementTree.Element("connections")
         for c in self.connections:
             ElementTree.SubElement(
                 connections, "connection", {"from": c.start, "to": c.end},
                 fromLane=str(c.from_lane), toLane=str(c.to_lane), shape=_text(c.shape),
-                # no internal junction: it would split a left turn in two, and SUMO misses contacts between the parts
+                # no internal junction, which would split a left turn in two lanes with a stop between them
                 contPos="0",
             )  # fmt: skip
         paths = []
@@ -122,7 +121,7 @@ def _text(line: Line) -> str:
 
 
 def sample(lane: Lane, start: float, end: float, lat: float = 0.0) -> Line:
-    """Points of the line `lat` [m] right of the centre, from s = `start` to s = `end` [m], within 1 mm of the curve."""
+    """Points `lat` [m] right of the centre from s = `start` to `end` [m], chords within 1 mm of the curve."""
     if isinstance(lane, CircularLane):
         n = math.ceil((end - start) / lane.radius / ARC_STEP)
     elif isinstance(lane, SineLane):
@@ -138,7 +137,7 @@ def edge_id(index: LaneIndex) -> str:
 
 
 def _edge(road: Road, start: str, end: str, before: float, after: float, priority: int = 1) -> Edge:
-    """highway-env's road from `start` to `end`, longer by `before` and `after` [m] at its ends (or shorter: < 0)."""
+    """highway-env's road from `start` to `end`, longer by `before` and `after` [m] (shorter if negative)."""
     n = road.count(start, end)
     left = road.lane((start, end, 0))
     middle = WIDTH * (n - 1) / 2
@@ -192,7 +191,7 @@ def highway(lanes_count: int = 4) -> Plan:
 
 
 def two_way() -> Plan:
-    """Two edges from x = -700 to 1500 m, each beside the other (`neigh`), so that overtaking works; any road length.
+    """Two edges from x = -700 to 1500 m, each the other's `neigh`, so that overtaking works; any road length.
 
     highway-env's third lane, ("a","b",0), is the oncoming one driven the wrong way: in SUMO the edge "b-a".
     """
@@ -223,8 +222,9 @@ def _across(road: Road, start: str, end: str, s: float) -> tuple[Point, Point]:
 def _node(road: Road, before: tuple[str, str], branch: tuple[str, str] | None = None) -> Node:
     """A short junction across the road at the end of `before`, which goes on with as many lanes.
 
-    A `branch` is a road right of it that ends (or starts) a few metres off: the outline gets a spur that reaches it.
-    Edges end where they meet the outline, and netconvert would stretch one that does not meet it.
+    A `branch` is a road right of it that ends (or starts) a few metres off: the outline gets a spur that
+    reaches it. Edges end where they meet the outline, and netconvert would stretch one that does not meet
+    it.
     """
     name = before[1]
     lane = road.lane((*before, 0))
@@ -262,14 +262,12 @@ def u_turn() -> Plan:
         _node(road, ("b", "c")),
         Node("d", *edges[2].shape[-1], "dead_end"),
     )
-    joints = tuple(
-        _join(road, (a, b, i), (b, c, i), (g, g)) for a, b, c in ("abc", "bcd") for i in range(2)
-    )
+    joints = tuple(_join(road, (a, b, i), (b, c, i), (g, g)) for a, b, c in ("abc", "bcd") for i in range(2))
     return Plan("u_turn/u_turn", road, nodes, edges, joints)
 
 
 def roundabout() -> Plan:
-    """The ring and its arms. Where highway-env's lanes jump (5.6 m), a bow inside the junction leads across."""
+    """The ring and its arms. Where highway-env's lanes jump by 5.6 m, a bow in the junction leads across."""
     road = roads.roundabout()
     g = GAP / 2
     ring = tuple(pairwise((*roads.RING, roads.RING[0])))
@@ -328,9 +326,8 @@ def intersection() -> Plan:
         for j in range(4):
             if j != k:
                 lane = road.lane((f"ir{k}", f"il{j}", 0))
-                joints.append(
-                    Connection(f"o{k}-ir{k}", f"il{j}-o{j}", 0, 0, sample(lane, 0.0, lane.length))
-                )
+                turn = sample(lane, 0.0, lane.length)
+                joints.append(Connection(f"o{k}-ir{k}", f"il{j}-o{j}", 0, 0, turn))
     return Plan("intersection/intersection", road, tuple(nodes), tuple(edges), tuple(joints))
 
 

@@ -2,7 +2,7 @@
 
 A lane is named by highway-env's index (from node, to node, lane id); id 0 is the left lane of a road.
 `Road` answers geometric questions; it holds no vehicles. Where each number comes from: `_make_road` of
-highway_env/envs/{highway,two_way,roundabout,intersection,u_turn}_env.py. The same roads in SUMO: `networks.catalogue`.
+highway_env/envs/{highway,two_way,roundabout,intersection,u_turn}_env.py. In SUMO: `networks.catalogue`.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ class Road:
 
     def route(self, start: str, goal: str) -> tuple[str, ...]:
         """Nodes of the shortest path, both ends included; alphabetical among equals; () if there is none."""
-        queue = deque([(start,)])
+        queue: deque[tuple[str, ...]] = deque([(start,)])
         while queue:
             path = queue.popleft()
             for node in sorted(self.successors.get(path[-1], ())):
@@ -76,9 +76,10 @@ class Road:
     ) -> LaneIndex:
         """The lane that follows `index` on the way along the nodes of `route`.
 
-        Onto a road with as many lanes the lane id is kept; otherwise the lane closest to the vehicle's projection on
-        the current lane is taken (of the vehicle at (x, y) [m]; of the lane's end when no position is given).
-        Where the route does not continue past the lane's end, all successors compete; without any, `index` stays.
+        Onto a road with as many lanes the lane id is kept; otherwise the lane is taken that is closest to
+        the current lane's centre beside the vehicle at (x, y) [m] (without a position: to that lane's
+        end). Where the route does not go on past the lane's end all successors compete; without any,
+        `index` stays.
         """
         start, node, i = index
         lane = self.lanes[index]
@@ -98,7 +99,7 @@ class Road:
         return min(map(onto, ends), key=_first)[1] if ends else index
 
     def closest_lane(self, x: float, y: float, heading: float | None = None) -> LaneIndex:
-        """Index of the lane with the least `distance_with_heading` (1 m for each radian); the first one of equals."""
+        """Index of the lane with the least `distance_with_heading` (1 m a radian), first of equals."""
         best, best_distance = self._items[0][0], math.inf
         for index, lane in self._items:
             distance = lane.distance_with_heading(x, y, heading)
@@ -112,7 +113,7 @@ def _first(pair: tuple[float, LaneIndex]) -> float:
 
 
 def _graph_order(lanes: Mapping[LaneIndex, Lane]) -> list[tuple[LaneIndex, Lane]]:
-    """Sort as a dict of dicts of lists does that is filled in this order: by first use of start, then of end."""
+    """Sorted as in highway-env's dict of dicts of lists: by first use of the start, then of the end."""
     starts: dict[str, int] = {}
     ends: dict[tuple[str, str], int] = {}
     for start, end, _ in lanes:
@@ -135,7 +136,7 @@ def highway(lanes_count: int = 4) -> Road:
 
 
 def two_way(length: float = 800.0) -> Road:
-    """One lane each way: own lane at y = 4, and at y = 0 one strip that carries two lanes, ("a","b",0) and ("b","a",0).
+    """One lane each way: at y = 4 the own one, at y = 0 a strip with two, ("a","b",0) and ("b","a",0).
 
     `length` [m] is where highway-env's road ends; vehicles drive on beyond it.
     """
@@ -156,7 +157,7 @@ ARMS = ("s", "e", "n", "w")  # arms of the roundabout, likewise
 
 
 def _turned(point: Point, quarters: int) -> Point:
-    """`point` after `quarters` quarter turns about the origin, clockwise on the screen; exact, no sine involved."""
+    """`point` after `quarters` quarter turns about the origin, clockwise on the screen; exact."""
     x, y = point
     for _ in range(quarters % 4):
         x, y = -y, x
@@ -164,12 +165,12 @@ def _turned(point: Point, quarters: int) -> Point:
 
 
 def roundabout() -> Road:
-    """A two-lane ring of radii 20 and 24 m, driven counter-clockwise on the screen, with four arms 170 m long.
+    """A two-lane ring of radii 20 and 24 m, driven counter-clockwise on the screen, with four arms.
 
-    Entries and exits are sines that end 5.6 m short of the ring (highway-env's geometry is not continuous there).
+    Entries and exits are sines that end 5.6 m short of the ring: highway-env's geometry is not continuous.
     """
     lanes: dict[LaneIndex, Lane] = {}
-    phase = 90.0 - 24.0  # [deg] of node "se"; then arcs of 48 and 42 degrees in turn, against growing phases
+    phase = 90.0 - 24.0  # [deg] of node "se"; then arcs of 42 and 48 degrees in turn, toward falling phases
     for k, node in enumerate(RING):
         end_phase = phase - (42.0 if k % 2 == 0 else 48.0)
         # highway-env starts anew at +156 degrees with "we"; phases matter because headings are not wrapped
@@ -207,7 +208,7 @@ def roundabout() -> Road:
 
 
 def intersection() -> Road:
-    """Four arms of one lane each way that meet in a square of +-11 m; corner 0 is south, then west, north, east.
+    """Four arms of one lane each way that meet in a square of +-11 m; 0 is south, then west, north, east.
 
     The east-west road has priority 3 (its left turns 2), the north-south road 1 (left turns 0).
     """
@@ -236,7 +237,7 @@ def intersection() -> Road:
             priority=priority - 1, speed_limit=10.0,
         )  # fmt: skip
         lanes[entry, ahead, 0] = StraightLane(at(2, half), at(2, -half), priority=priority, speed_limit=10.0)
-        # An exit belongs to the corner right of it and carries that corner's priority (highway-env's own quirk).
+        # An exit carries the priority of the corner right of it, as in highway-env.
         lanes[right, f"o{(corner - 1) % 4}", 0] = StraightLane(
             at(half, 2), at(access + half, 2), priority=priority, speed_limit=10.0
         )

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pickle
+from itertools import pairwise
 from types import SimpleNamespace
 
 import highway_env.envs as envs
@@ -13,7 +14,7 @@ from networks import roads
 
 
 def _reference(task: str):
-    """highway-env's RoadNetwork of a task, built by its own `_make_road` without constructing the environment."""
+    """highway-env's RoadNetwork of a task, built by its own `_make_road` without an environment."""
     cls, arguments, config = {
         "highway": (envs.HighwayEnv, {}, {"lanes_count": 4}),
         "highway-2": (envs.HighwayEnv, {}, {"lanes_count": 2}),
@@ -114,14 +115,14 @@ def test_same_graph(pair):
 
 
 def test_same_next_lane(pair):
-    """As ControlledVehicle.follow_road asks for it: with a planned route, near the lane's end, off its centre."""
+    """As ControlledVehicle.follow_road asks for it: with a planned route, near the end, off the centre."""
     ours, theirs = pair
     rng = np.random.default_rng(4)
-    goals = [node for node in {end for ends in theirs.graph.values() for end in ends}]
+    goals = sorted({end for ends in theirs.graph.values() for end in ends})
     for index, lane in theirs.lanes_dict().items():
         for goal in [None, *goals]:
             path = theirs.shortest_path(index[1], goal) if goal else []
-            plan = [index, *((a, b, None) for a, b in zip(path, path[1:], strict=False))]
+            plan = [index, *((a, b, None) for a, b in pairwise(path))]
             x, y = map(float, lane.position(lane.length + rng.uniform(-2.5, 2.0), rng.normal(0, 2)))
             expected = theirs.next_lane(index, plan if goal else None, np.array([x, y]))
             assert ours.next_lane(index, (index[0], *path), x, y) == expected

@@ -32,7 +32,7 @@ def compiled(function: Function) -> Function:
 
 
 def drop_outdated(package: Path) -> int:
-    """Delete the indexes of machine code under `package` that precede a change of a kernel; returns how many."""
+    """Delete the indexes of machine code under `package` older than a file with kernels; returns how many."""
     indexes = [path for path in package.rglob("__pycache__/*.nbi") if os.access(path.parent, os.W_OK)]
     sources = {path.parent.parent / f"{path.name.split('.')[0]}.py" for path in indexes}
     newest = max((source.stat().st_mtime for source in sources if source.exists()), default=0.0)

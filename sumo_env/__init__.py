@@ -1,0 +1,24 @@
+"""highway-env's five driving tasks on the traffic simulator SUMO, as gymnasium environments.
+
+``import sumo_env`` registers ``sumo/highway-v0``, ``sumo/two-way-v0``, ``sumo/roundabout-v0``,
+``sumo/intersection-v0`` and ``sumo/u-turn-v0``; ``gym.make("sumo_env:sumo/highway-v0")`` needs no import.
+"""
+
+from __future__ import annotations
+
+import gymnasium as gym
+
+__version__ = "0.1.0"
+
+IDS = tuple(f"sumo/{task}-v0" for task in ("highway", "two-way", "roundabout", "intersection", "u-turn"))
+
+
+def register_envs() -> None:
+    """Register the five environments with gymnasium; again does nothing."""
+    for id in IDS:
+        if id not in gym.registry:
+            task = id.removeprefix("sumo/").removesuffix("-v0")
+            gym.register(id, entry_point="sumo_env.env:DrivingEnv", kwargs={"task": task})
+
+
+register_envs()

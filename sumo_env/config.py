@@ -1,0 +1,117 @@
+"""Configuration: highway-env's keys, checked. Every default stands once, in `COMMON` or in its task's file."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Mapping
+from typing import Any
+
+Config = dict[str, Any]
+
+COMMON: Config = {
+    "simulation_frequency": 10,  # [Hz] SUMO's step is its inverse (highway-env: 15)
+    "policy_frequency": 1,  # [Hz]
+    "traffic_model": "matched",  # or "sumo": SUMO's own lane changes and junction rules
+    "risk": 0.0,  # dose of risky traffic, 0 (regular) to 1
+    "screen_width": 600,  # [px]
+    "screen_height": 150,  # [px]
+    "scaling": 5.5,  # [px/m]
+    "centering_position": [0.3, 0.5],
+    "show_trajectories": False,
+}
+
+DISCRETE_META_ACTION: Config = {"type": "DiscreteMetaAction", "longitudinal": True, "lateral": True}
+ACTION_KEYS = {"type", "longitudinal", "lateral", "target_speeds"}
+OBSERVATION_KEYS: dict[str, set[str]] = {
+    "Kinematics": {
+        "type",
+        "features",
+        "vehicles_count",
+        "features_range",
+        "absolute",
+        "order",
+        "normalize",
+        "clip",
+        "see_behind",
+        "observe_intentions",
+        "include_obstacles",
+        "flatten",
+    },
+    "TimeToCollision": {"type", "horizon"},
+}
+# Keys of highway-env that have no meaning on SUMO; a config that sets them is told so instead of being ignored.
+WITHOUT_MEANING = {
+    "controlled_vehicles": "SUMO tasks have one ego",
+    "manual_control": "SUMO tasks have no window",
+    "real_time_rendering": "SUMO tasks have no window",
+    "offscreen_rendering": "pictures are always drawn without a display",
+    "render_agent": "the ego is always drawn",
+    "other_vehicles_type": "use 'risk' and 'traffic_model' to choose the traffic",
+    "neighbour_vehicles_connected_lanes": "cars always see across lane joins in SUMO",
+}
+
+
+class ConfigError(ValueError):
+    """The configuration cannot be used; the message says which key, why, and what would be right."""
+
+
+def nearest(word: str, choices: Mapping[str, Any] | set[str] | list[str]) -> str:
+    """The ending of an error message: the nearest known word, or all of them."""
+    known = sorted(map(str, choices))
+    match = difflib.get_close_matches(str(word), known, n=1, cutoff=0.5)
+    return f"did you mean {match[0]!r}?" if match else f"known: {', '.join(known)}"
+
+
+def resolve(task: str, defaults: Config, *overrides: Mapping[str, Any] | None) -> Config:
+    """`defaults` with the `overrides` laid over them, top-level keys replaced whole as in highway-env.
+
+    Raises:
+        ConfigError: unknown key, wrong type or value out of range.
+    """
+    config = {**COMMON, **defaults}
+    for override in overrides:
+        for key, value in (override or {}).items():
+            if key not in config:
+                if key in WITHOUT_MEANING:
+                    raise ConfigError(f"config key {key!r} has no meaning here: {WITHOUT_MEANING[key]}")
+                raise ConfigError(f"unknown config key {key!r} for task {task!r}: {nearest(key, config)}")
+            config[key] = value
+    _check(task, config, {**COMMON, **defaults})
+    return config
+
+
+def _check(task: str, config: Config, defaults: Config) -> None:
+    for key, value in config.items():
+        default = defaults[key]
+        is_number = isinstance(value, int | float) and not isinstance(value, bool)
+        if isinstance(default, bool) and not isinstance(value, bool | int):
+            raise ConfigError(f"config key {key!r} must be True or False, not {value!r}")
+        if isinstance(default, int | float) and not isinstance(default, bool) and not is_number:
+            raise ConfigError(f"config key {key!r} must be a number, not {value!r}")
+        if key.endswith("_count") and (value != int(value) or value < 0):
+            raise ConfigError(f"config key {key!r} must be a whole number of at least 0, not {value!r}")
+    if config["traffic_model"] not in ("matched", "sumo"):
+        raise ConfigError(f"config key 'traffic_model' must be 'matched' or 'sumo', not {config['traffic_model']!r}")
+    if not 0.0 <= config["risk"] <= 1.0:
+        raise ConfigError(f"config key 'risk' must lie in [0, 1], not {config['risk']!r}")
+    for key in ("duration", "policy_frequency", "simulation_frequency", "vehicles_density"):
+        if key in config and config[key] <= 0:
+            raise ConfigError(f"config key {key!r} must be positive, not {config[key]!r}")
+    if config["simulation_frequency"] % config["policy_frequency"]:
+        raise ConfigError(
+            f"'simulation_frequency' ({config['simulation_frequency']}) must be a multiple of 'policy_frequency' "
+            f"({config['policy_frequency']})"
+        )
+    if config["simulation_frequency"] < 5:
+        raise ConfigError("'simulation_frequency' below 5 Hz lets cars pass through each other; use at least 5")
+    kind = config["observation"].get("type")
+    if kind not in OBSERVATION_KEYS:
+        raise ConfigError(f"unknown observation type {kind!r}: {nearest(str(kind), OBSERVATION_KEYS)}")
+    for group, known in (("observation", OBSERVATION_KEYS[kind]), ("action", ACTION_KEYS)):
+        for key in config[group]:
+            if key not in known:
+                raise ConfigError(f"unknown key {key!r} in config[{group!r}]: {nearest(key, known)}")
+    if config["action"].get("type") != "DiscreteMetaAction":
+        raise ConfigError(
+            f"unknown action type {config['action'].get('type')!r}: the ego is driven by 'DiscreteMetaAction'"
+        )

@@ -1,0 +1,153 @@
+"""Who drives: the regular driver, and risky drivers by dose.
+
+The paper's law (section "Experiment Setup") draws each driver's parameter as
+``p = p_min + U(0, 1) * (p_max - p_min)``; the dose widens every range from the regular driver's point to the
+range of `RISKY`. Dose 0 therefore *is* regular traffic. Parameters alone make traffic tighter but hardly more
+dangerous, so a dose also brings seeded events: unsafe lane changes (they ignore MOBIL's safety and incentive
+criteria) and sudden braking; at junctions, drivers that do not give way.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Literal
+
+import numpy as np
+
+from sumo_env.streams import stream
+
+POOL = 64  # drivers of one dose; SUMO holds one vehicle type for each, so the pool is finite
+
+
+@dataclass(frozen=True, slots=True)
+class CarFollowing:
+    """The regular IDM driver of a task (Treiber et al. 2000; values of highway-env's IDMVehicle)."""
+
+    accel: float = 3.0  # COMFORT_ACC_MAX [m/s2]
+    decel: float = 5.0  # -COMFORT_ACC_MIN [m/s2]
+    tau: float = 1.5  # TIME_WANTED [s]
+    min_gap: float = 5.0  # DISTANCE_WANTED less one vehicle length [m]
+    emergency_decel: float = 6.0  # ACC_MAX [m/s2]
+
+
+@dataclass(frozen=True, slots=True)
+class Driver:
+    """One driver's parameters, SI units. `type` names the driver in the pool of its dose."""
+
+    type: str
+    delta: float
+    accel: float
+    decel: float
+    tau: float
+    min_gap: float
+    emergency_decel: float
+    assertive: float = 0.7  # lcAssertive: divides the gap that SUMO's LC2013 asks for
+    speed_gain: float = 2.0  # lcSpeedGain: eagerness of LC2013 to change for speed
+    gives_way: bool = True
+
+
+# At dose 1 a parameter is uniform between these bounds (docs/decisions.md, "risk").
+RISKY: dict[str, tuple[float, float]] = {
+    "accel": (3.0, 6.0),
+    "decel": (3.0, 7.0),
+    "tau": (0.2, 1.0),
+    "min_gap": (0.1, 2.0),
+    "emergency_decel": (7.0, 9.0),
+    "assertive": (1.0, 10.0),
+    "speed_gain": (2.0, 20.0),
+}
+RISKY_SHARE_NOT_GIVING_WAY = 0.5
+
+
+@lru_cache(maxsize=64)
+def driver_pool(base: CarFollowing, dose: float, fixed_delta: bool = False) -> tuple[Driver, ...]:
+    """The drivers of one dose; driver k of any two doses differs only by the dose.
+
+    `fixed_delta`: the IDM exponent is 4 for all, as where highway-env does not call ``randomize_behavior``;
+    otherwise U(3.5, 4.5) (``IDMVehicle.DELTA_RANGE``).
+    """
+    rng = stream(0, "driver pool")
+
+    def uniform() -> np.ndarray:
+        """A stratified uniform sample over the pool (one draw in each of POOL equal parts)."""
+        return (rng.permutation(POOL) + 0.5) / POOL
+
+    exponent = uniform()
+    draws = {name: uniform() for name in RISKY}
+    gives_way = uniform() >= RISKY_SHARE_NOT_GIVING_WAY * dose
+
+    def parameter(name: str, k: int) -> float:
+        regular = float(getattr(base, name, Driver.__dataclass_fields__[name].default))
+        low, high = (regular + dose * (bound - regular) for bound in RISKY[name])
+        return low + float(draws[name][k]) * (high - low)
+
+    kind = "f" if fixed_delta else "d"
+    return tuple(
+        Driver(
+            type=f"{kind}{k}@{dose:g}",
+            delta=4.0 if fixed_delta else 3.5 + float(exponent[k]),
+            gives_way=bool(gives_way[k]),
+            **{name: parameter(name, k) for name in RISKY},
+        )
+        for k in range(POOL)
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class RiskRates:
+    """What the drivers of a task do at dose 1, per vehicle and second (calibration: docs/decisions.md)."""
+
+    cut_in: float = 0.0  # unsafe lane changes [1/s]
+    brake: float = 0.0  # sudden braking [1/s]
+    brake_decel: float = 6.0  # [m/s2]
+    brake_duration: float = 1.0  # [s]
+
+
+@dataclass(frozen=True, slots=True)
+class RiskEvent:
+    """Something dangerous that a driver does at a time fixed in advance, whatever the ego does.
+
+    Attributes:
+        time: since the start of the episode [s].
+        vehicle: id of the driver's vehicle.
+        kind: ``cut-in`` (change to the neighbouring lane at once) or ``brake``.
+        direction: of a cut-in, -1 left or +1 right (the other one where there is no lane).
+        decel: of a brake [m/s2].
+        duration: of a brake [s].
+    """
+
+    time: float
+    vehicle: str
+    kind: Literal["cut-in", "brake"]
+    direction: int = 0
+    decel: float = 0.0
+    duration: float = 0.0
+
+
+def draw_events(
+    rates: RiskRates, dose: float, vehicles: tuple[tuple[str, float], ...], seed: int, duration: float
+) -> tuple[RiskEvent, ...]:
+    """Events of an episode, sorted by time; none at dose 0.
+
+    Poisson processes of the rates at dose 1, thinned by the dose: the events of a smaller dose are a subset
+    of those of a larger one. `vehicles`: (id, time from which it is on the road [s]).
+    """
+    if dose <= 0.0:
+        return ()
+    rng = stream(seed, "risk events")
+    events: list[RiskEvent] = []
+    for vehicle, start in vehicles:
+        for kind, rate in (("cut-in", rates.cut_in), ("brake", rates.brake)):
+            for _ in range(rng.poisson(rate * duration)):
+                time, keep, side = rng.random(3)
+                time *= duration
+                if keep >= dose or time < start:
+                    continue
+                if kind == "cut-in":
+                    events.append(RiskEvent(time, vehicle, "cut-in", direction=-1 if side < 0.5 else 1))
+                else:
+                    events.append(
+                        RiskEvent(time, vehicle, "brake", decel=rates.brake_decel, duration=rates.brake_duration)
+                    )
+    return tuple(sorted(events, key=lambda event: (event.time, event.vehicle, event.kind)))

@@ -1,0 +1,250 @@
+"""The gymnasium environment: highway-env's interface over an episode on SUMO (`world.World`)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from networks.catalogue import network
+from sumo_env import safety
+from sumo_env.config import Config, ConfigError, resolve
+from sumo_env.ego import Ego, action_names
+from sumo_env.observation import Kinematics, TimeToCollision
+from sumo_env.scenario import Scenario
+from sumo_env.scene import Scene
+from sumo_env.tasks import get_task
+from sumo_env.tasks.base import EgoState, Task
+from sumo_env.world import World
+
+Observation = NDArray[np.float32]
+
+
+class DrivingEnv(gym.Env[Observation, int]):
+    """One of the five driving tasks on SUMO.
+
+    Observations, actions, rewards, endings and `config` keys are highway-env's (see `tasks`); one policy step is
+    ``1 / policy_frequency`` s. libsumo holds one simulation a process: of several environments in one process,
+    the one that was reset last drives, and an earlier one that steps on raises `SimulationTaken`.
+
+    Args:
+        task: highway, two-way, roundabout, intersection or u-turn.
+        config: keys to change, see `config.COMMON` and the task's `defaults`.
+        render_mode: None or ``"rgb_array"``.
+
+    Raises:
+        ConfigError: unknown task or key, wrong value.
+    """
+
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 5}
+
+    def __init__(self, task: str, config: Mapping[str, Any] | None = None, render_mode: str | None = None) -> None:
+        if render_mode not in (None, *self.metadata["render_modes"]):
+            raise ValueError(f"render_mode must be None or 'rgb_array' (drawn without a display), not {render_mode!r}")
+        self.task: Task = get_task(task)
+        self.render_mode = render_mode
+        self._world: World | None = None
+        self._world_key: tuple[Any, ...] = ()
+        self._renderer: Any = None
+        self._video: Any = None
+        self.scenario: Scenario | None = None
+        self.configure(config)
+
+    # -- configuration -------------------------------------------------------------------------------------
+
+    def configure(self, config: Mapping[str, Any] | None) -> None:
+        """Lay `config` over the present configuration; takes effect at the next reset."""
+        self.config: Config = resolve(self.task.name, self.task.defaults, getattr(self, "config", None), config)
+        self._set_spaces()
+
+    def _set_spaces(self) -> None:
+        config = self.config
+        self.actions = action_names(config["action"])
+        self.target_speeds = tuple(float(v) for v in config["action"].get("target_speeds") or self.task.target_speeds)
+        if len(self.target_speeds) < 2 or list(self.target_speeds) != sorted(self.target_speeds):
+            raise ConfigError(f"'target_speeds' must be at least two rising speeds, not {list(self.target_speeds)}")
+        road = self.task.road(config)
+        first = next(iter(road.lanes))
+        self.observation_type: Kinematics | TimeToCollision
+        if config["observation"]["type"] == "Kinematics":
+            self.observation_type = Kinematics(config["observation"], road.count(*first[:2]))
+        else:
+            self.observation_type = TimeToCollision(config["observation"], config["policy_frequency"])
+        self.observation_space = self.observation_type.space
+        self.action_space = spaces.Discrete(len(self.actions))
+
+    # -- gymnasium -----------------------------------------------------------------------------------------
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Start an episode. ``options={"config": {...}}`` changes the configuration first, as in highway-env.
+
+        The traffic is a function of the seed alone (or of the environment's own generator when no seed is given),
+        never of earlier episodes or of the agent.
+        """
+        super().reset(seed=seed)
+        # also when no options are given: users of highway-env write to env.unwrapped.config directly
+        self.configure((options or {}).get("config"))
+        config = self.config
+        self.scenario = self.task.scenario(config, int(self.np_random.integers(2**31)))
+        world = self._open_world()
+        spec = self.scenario.ego
+        route = (spec.lane[0], spec.lane[1])
+        if spec.destination is not None and spec.destination != spec.lane[1]:
+            route = (spec.lane[0], *world.road.route(spec.lane[1], spec.destination))
+        self.ego = Ego(world.road, spec.lane, spec.speed, self.target_speeds, route)
+        if spec.target_speed != spec.speed:  # the intersection's ego enters above its ladder
+            self.ego.speed_index = len(self.target_speeds) - 1
+        self.steps = 0
+        self.scene: Scene = world.reset(self.scenario, self.ego)
+        world.min_ttc, world.distance = math.inf, 0.0
+        self.ego_state = self._ego_state(None)
+        observation = self._observe()
+        return observation, self._info(None, self.task.rewards(self.ego_state, config))
+
+    def step(self, action: int) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Drive one policy step.
+
+        Returns:
+            observation, reward, terminated (crash, arrival), truncated (time is up), info.
+            ``info`` holds speed [m/s], crashed, arrived, on_road, action, rewards (the raw terms), crash (None or a
+            `CrashRecord` as a dict), density (vehicles within 200 m), min_ttc [s], near_miss, distance [m] of this
+            step.
+
+        Raises:
+            SimulationTaken: another environment of this process was reset meanwhile.
+            ValueError: the action is not in the action space.
+        """
+        if self._world is None or self.scenario is None:
+            raise gym.error.ResetNeeded("call reset() before step()")
+        name = self.actions.get(int(action))
+        if name is None:
+            raise ValueError(f"action must be one of {self.actions}, not {action!r}")
+        world = self._world
+        self.ego.command(name, float(self.scene.x[0]), float(self.scene.y[0]))
+        self.scene = world.step()
+        self.steps += 1
+        self.ego_state = state = self._ego_state(int(action))
+        observation = self._observe()
+        rewards = self.task.rewards(state, self.config)
+        reward = float(self.task.reward(rewards, self.config))
+        terminated = bool(self.task.terminated(state, self.config))
+        truncated = bool(self.steps / self.config["policy_frequency"] >= self.config["duration"])
+        info = self._info(int(action), rewards)
+        world.come_and_go()
+        return observation, reward, terminated, truncated, info
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """The scene as a picture, uint8 of shape (screen_height, screen_width, 3); None without a render mode."""
+        if self.render_mode is None:
+            gym.logger.warn('render() needs gym.make(..., render_mode="rgb_array")')
+            return None
+        if self.scenario is None:
+            raise gym.error.ResetNeeded("call reset() before render()")
+        if self._renderer is None:
+            from sumo_env.rendering import Renderer
+
+            self._renderer = Renderer()
+        picture: NDArray[np.uint8] = self._renderer.draw(self.scene, self.task.road(self.config), self.config)
+        return picture
+
+    def close(self) -> None:
+        if self._world is not None:
+            self._world.sim.release(self._world)
+            self._world = None
+        super().close()
+
+    # -- parts ---------------------------------------------------------------------------------------------
+
+    def _open_world(self) -> World:
+        keys = ("simulation_frequency", "policy_frequency", "traffic_model", "lanes_count", "road_length")
+        key = tuple(self.config.get(name) for name in keys)
+        if self._world is None or key != self._world_key:
+            lanes, length = self.config.get("lanes_count", 4), self.config.get("road_length", 800.0)
+            try:
+                built = network(self.task.name, lanes_count=int(lanes), road_length=float(length))
+            except ValueError as error:
+                raise ConfigError(str(error)) from error
+            self._world = World(self.task, self.config, built)
+            self._world_key = key
+        self._world.config = self.config
+        return self._world
+
+    def _ego_state(self, action: int | None) -> EgoState:
+        assert self._world is not None
+        road, scene, ego = self._world.road, self.scene, self.ego
+        x, y, heading = float(scene.x[0]), float(scene.y[0]), float(scene.heading[0])
+        index = road.closest_lane(x, y, heading)
+        lane = road.lane(index)
+        s, lateral = lane.local_coordinates(x, y)
+        return EgoState(
+            lane=index,
+            s=s,
+            lateral=lateral,
+            speed=float(scene.speed[0]),
+            heading=heading,
+            target_lane=ego.target_lane,
+            speed_index=ego.speed_index,
+            speed_count=len(self.target_speeds),
+            action=action,
+            crashed=bool(scene.crashed[0]),
+            on_road=lane.covers(s, lateral),
+        )
+
+    def _observe(self) -> Observation:
+        assert self._world is not None
+        road = self._world.road
+        if isinstance(self.observation_type, TimeToCollision):
+            return self.observation_type.observe(
+                self.scene, road, self.ego_state, self.target_speeds, self.ego.route
+            )
+        return self.observation_type.observe(
+            self.scene, road, self.ego_state, self._directions(), self.np_random
+        )
+
+    def _directions(self) -> dict[str, tuple[float, float]]:
+        """Unit vectors from the vehicles to their destinations, for ``observe_intentions``."""
+        assert self._world is not None
+        if not self.config["observation"].get("observe_intentions"):
+            return {}
+        directions = {}
+        for row, spec in enumerate(self._world.specs):
+            goal = destination_point(self._world.road, spec.destination)
+            if goal is not None:
+                dx, dy = goal[0] - float(self.scene.x[row]), goal[1] - float(self.scene.y[row])
+                norm = math.hypot(dx, dy)
+                directions[spec.id] = (dx / norm, dy / norm) if norm > 0 else (0.0, 0.0)
+        return directions
+
+    def _info(self, action: int | None, rewards: dict[str, float]) -> dict[str, Any]:
+        assert self._world is not None
+        world, state, scene = self._world, self.ego_state, self.scene
+        ttc = float(world.min_ttc)
+        return {
+            "speed": state.speed,
+            "crashed": state.crashed,
+            "arrived": bool(self.task.arrived(state)),
+            "on_road": state.on_road,
+            "action": action,
+            "rewards": rewards,
+            "crash": None if world.crash is None else world.crash.as_dict(),
+            "density": int(safety.density(scene.x, scene.y, 0, 200.0)),
+            "min_ttc": ttc,
+            "near_miss": ttc < safety.NEAR_MISS_TTC and not state.crashed,
+            "distance": float(world.distance),
+        }
+
+
+def destination_point(road: Any, destination: str | None) -> tuple[float, float] | None:
+    """End of the road that leads to a node [m] (``Vehicle.destination``)."""
+    for index, lane in road.lanes.items():
+        if index[1] == destination:
+            point: tuple[float, float] = lane.position(lane.length, 0.0)
+            return point
+    return None

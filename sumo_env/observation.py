@@ -1,0 +1,225 @@
+"""What the agent sees: highway-env's Kinematics table and TimeToCollision grid, as functions of a scene."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from networks.roads import LaneIndex, Road
+from sumo_env.config import ConfigError, nearest
+from sumo_env.scene import VEHICLE_LENGTH, Scene
+from sumo_env.tasks.base import EgoState
+
+PERCEPTION_DISTANCE = 200.0  # [m] 5 * Vehicle.MAX_SPEED, AbstractEnv.PERCEPTION_DISTANCE
+MAX_SPEED = 40.0  # [m/s] Vehicle.MAX_SPEED
+
+Array = NDArray[np.float32]
+FEATURES = ("presence", "x", "y", "vx", "vy", "heading", "cos_h", "sin_h", "cos_d", "sin_d", "long_off",
+            "lat_off", "ang_off")  # fmt: skip
+
+
+class Kinematics:
+    """highway-env's `KinematicObservation`: one row a vehicle, the ego first, then the nearest ones ahead.
+
+    Attributes:
+        features: names of the columns.
+        ranges: feature -> (low, high), mapped to [-1, 1]; features without a range stay as they are.
+        absolute: whether the other rows are absolute; relative to the ego otherwise. The ego's row is always absolute.
+    """
+
+    def __init__(self, config: Mapping[str, Any], side_lanes: int) -> None:
+        """`side_lanes`: lanes of the ego's first road, which sets the default range of y.
+
+        Raises:
+            ConfigError: unknown feature, order or malformed range.
+        """
+        self.features: tuple[str, ...] = tuple(config.get("features") or ("presence", "x", "y", "vx", "vy"))
+        for feature in self.features:
+            if feature not in FEATURES:
+                raise ConfigError(f"unknown observation feature {feature!r}: {nearest(feature, list(FEATURES))}")
+        self.vehicles_count = int(config.get("vehicles_count", 5))
+        if self.vehicles_count < 1:
+            raise ConfigError("observation 'vehicles_count' must be at least 1 (the ego)")
+        default = {
+            "x": (-5.0 * MAX_SPEED, 5.0 * MAX_SPEED),
+            "y": (-4.0 * side_lanes, 4.0 * side_lanes),
+            "vx": (-2.0 * MAX_SPEED, 2.0 * MAX_SPEED),
+            "vy": (-2.0 * MAX_SPEED, 2.0 * MAX_SPEED),
+        }
+        ranges = config.get("features_range") or default
+        try:
+            self.ranges = {name: (float(low), float(high)) for name, (low, high) in ranges.items()}
+        except (TypeError, ValueError) as error:
+            raise ConfigError(f"observation 'features_range' must map features to [low, high]: {ranges!r}") from error
+        self.absolute = bool(config.get("absolute", False))
+        self.order = config.get("order", "sorted")
+        if self.order not in ("sorted", "shuffled"):
+            raise ConfigError(f"observation 'order' must be 'sorted' or 'shuffled', not {self.order!r}")
+        self.normalize = bool(config.get("normalize", True))
+        self.clip = bool(config.get("clip", True))
+        self.see_behind = bool(config.get("see_behind", False))
+        self.observe_intentions = bool(config.get("observe_intentions", False))
+        shape = (self.vehicles_count, len(self.features))
+        self.space = spaces.Box(-np.inf, np.inf, shape, np.float32)
+        # One affine map for the whole table: columns without a range keep their values.
+        self._scale = np.ones(len(self.features))
+        self._shift = np.zeros(len(self.features))
+        self._low = np.full(len(self.features), -np.inf)
+        self._high = np.full(len(self.features), np.inf)
+        if self.normalize:
+            for column, feature in enumerate(self.features):
+                if feature in self.ranges:
+                    low, high = self.ranges[feature]
+                    self._scale[column] = 2.0 / (high - low)
+                    self._shift[column] = -1.0 - low * 2.0 / (high - low)
+                    if self.clip:
+                        self._low[column], self._high[column] = -1.0, 1.0
+
+    def visible(self, scene: Scene, road: Road, lane: LaneIndex) -> list[int]:
+        """Rows of the scene that the ego sees, in the order of the table (without the ego).
+
+        Distances are differences of longitudinal coordinates on the ego's lane, as in highway-env: projections
+        on curved roads.
+        """
+        geometry = road.lane(lane)
+        x, y = scene.x, scene.y
+        here = geometry.local_coordinates(float(x[0]), float(y[0]))[0]
+        near = np.flatnonzero(np.hypot(x - x[0], y - y[0]) < PERCEPTION_DISTANCE)
+        rows: list[tuple[float, int]] = []
+        for row in near.tolist():
+            if row == 0:
+                continue
+            distance = geometry.local_coordinates(float(x[row]), float(y[row]))[0] - here
+            if self.see_behind or distance > -2.0 * VEHICLE_LENGTH:
+                rows.append((abs(distance), row))
+        if self.order == "sorted":
+            rows.sort(key=lambda pair: pair[0])
+        return [row for _, row in rows[: self.vehicles_count - 1]]
+
+    def observe(
+        self,
+        scene: Scene,
+        road: Road,
+        ego: EgoState,
+        destinations: Mapping[str, tuple[float, float]],
+        rng: np.random.Generator,
+    ) -> Array:
+        """The table, float32 of shape (vehicles_count, features), rows without a vehicle all zero."""
+        rows = [0, *self.visible(scene, road, ego.lane)]
+        columns: dict[str, NDArray[np.float64]] = {}
+        picked = np.array(rows)
+        heading = scene.heading[picked]
+        cos, sin = np.cos(heading), np.sin(heading)
+        speed = scene.speed[picked]
+        for name, values in (
+            ("x", scene.x[picked]),
+            ("y", scene.y[picked]),
+            ("vx", speed * cos),
+            ("vy", speed * sin),
+        ):
+            if not self.absolute:
+                values[1:] -= values[0]
+            columns[name] = values
+        columns["presence"] = np.ones(len(rows))
+        columns["heading"], columns["cos_h"], columns["sin_h"] = heading, cos, sin
+        if self.observe_intentions:
+            direction = np.array([destinations.get(scene.ids[row], (0.0, 0.0)) for row in rows])
+            columns["cos_d"], columns["sin_d"] = direction[:, 0], direction[:, 1]
+        if any(feature.endswith("_off") for feature in self.features):
+            offsets = np.array([self._offsets(scene, road, row) for row in rows])
+            columns["long_off"], columns["lat_off"], columns["ang_off"] = offsets.T
+        table = np.zeros((self.vehicles_count, len(self.features)), np.float32)
+        for column, feature in enumerate(self.features):
+            if feature in columns:  # cos_d and sin_d stay 0 unless intentions are observed
+                values = columns[feature] * self._scale[column] + self._shift[column]
+                table[: len(rows), column] = values.clip(self._low[column], self._high[column])
+        if self.order == "shuffled":
+            rng.shuffle(table[1:])
+        return table
+
+    @staticmethod
+    def _offsets(scene: Scene, road: Road, row: int) -> tuple[float, float, float]:
+        x, y, heading = float(scene.x[row]), float(scene.y[row]), float(scene.heading[row])
+        lane = road.lane(road.closest_lane(x, y, heading))
+        s, lateral = lane.local_coordinates(x, y)
+        angle = (heading - lane.heading_at(s) + math.pi) % (2.0 * math.pi) - math.pi
+        return s, lateral, angle
+
+
+class TimeToCollision:
+    """highway-env's `TimeToCollisionObservation`: predicted contact over ego speeds, lanes and time.
+
+    Shape (3, 3, horizon * policy_frequency): the ego's rung +-1, its lane +-1, time steps of one policy step.
+    1 at a predicted contact, 0.5 within a vehicle's length of it.
+    """
+
+    def __init__(self, config: Mapping[str, Any], policy_frequency: float) -> None:
+        self.horizon = float(config.get("horizon", 10))
+        self.quantum = 1.0 / policy_frequency
+        self.steps = int(self.horizon / self.quantum)
+        if self.steps < 1:
+            raise ConfigError(f"observation 'horizon' must be at least one policy step, not {self.horizon!r} s")
+        self.space = spaces.Box(0.0, 1.0, (3, 3, self.steps), np.float32)
+        self.features: tuple[str, ...] = ()
+        self.ranges: dict[str, tuple[float, float]] = {}
+        self.absolute = False
+
+    def observe(
+        self, scene: Scene, road: Road, ego: EgoState, target_speeds: tuple[float, ...], route: tuple[str, ...]
+    ) -> Array:
+        """The grid, float32 of shape (3, 3, steps)."""
+        lanes = road.count(*ego.lane[:2])
+        grid = np.zeros((len(target_speeds), lanes, self.steps))
+        geometry = road.lane(ego.lane)
+        here = geometry.local_coordinates(float(scene.x[0]), float(scene.y[0]))[0]
+        for row in range(1, len(scene)):
+            x, y, heading = float(scene.x[row]), float(scene.y[row]), float(scene.heading[row])
+            other_lane = road.closest_lane(x, y, heading)
+            if not _connected(road, ego.lane, other_lane, route, depth=3):
+                continue
+            same_width = road.count(*other_lane[:2]) == lanes
+            columns = [other_lane[2]] if same_width else list(range(lanes))
+            speed = float(scene.speed[row])
+            projected = speed * math.cos(heading - ego.heading)
+            distance = geometry.local_coordinates(x, y)[0] - here
+            for k, own in enumerate(target_speeds):
+                if own == speed:
+                    continue
+                closing = own - projected
+                if abs(closing) < 1e-2:  # highway_env.utils.not_zero
+                    closing = math.copysign(1e-2, closing)
+                for margin, cost in ((0.0, 1.0), (-VEHICLE_LENGTH, 0.5), (VEHICLE_LENGTH, 0.5)):
+                    time = (distance + margin) / closing
+                    if time < 0:
+                        continue
+                    for step in (int(time / self.quantum), math.ceil(time / self.quantum)):
+                        if step < self.steps:
+                            for column in columns:
+                                grid[k, column, step] = max(grid[k, column, step], cost)
+        return self._window(grid, ego.lane[2], ego.speed_index)
+
+    def _window(self, grid: NDArray[np.float64], lane: int, speed_index: int) -> Array:
+        """The 3 x 3 neighbourhood: beyond the last lane all is contact, beyond the last rung the rung repeats."""
+        wall = np.ones((grid.shape[0], 1, grid.shape[2]))
+        padded = np.concatenate([wall, grid, wall], axis=1)[:, lane : lane + 3, :]
+        rungs = np.clip(np.arange(speed_index - 1, speed_index + 2), 0, grid.shape[0] - 1)
+        return padded[rungs].astype(np.float32)
+
+
+def _connected(road: Road, start: LaneIndex, other: LaneIndex, route: tuple[str, ...], depth: int) -> bool:
+    """Whether `other` lies on the same road or within `depth` roads ahead (``RoadNetwork.is_connected_road``)."""
+    if start[:2] == other[:2] or start[1] == other[0]:
+        return True
+    if depth == 0:
+        return False
+    if start[1] in route[:-1]:
+        following = route[route.index(start[1]) + 1]
+        return _connected(road, (start[1], following, 0), other, route, depth - 1)
+    return any(
+        _connected(road, (start[1], end, 0), other, route, depth - 1) for end in road.successors.get(start[1], ())
+    )

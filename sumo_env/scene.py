@@ -1,0 +1,46 @@
+"""The state of the traffic at one instant: what every simulator produces and everything downstream reads."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+VEHICLE_LENGTH = 5.0  # [m] highway_env.vehicle.kinematics.Vehicle.LENGTH
+VEHICLE_WIDTH = 2.0  # [m] Vehicle.WIDTH
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Scene:
+    """Struct of arrays, one row a vehicle, row 0 the ego; highway-env's coordinates (x east, y *down*).
+
+    Attributes:
+        ids: names of the vehicles, ``"ego"`` first.
+        x, y: centres of the vehicles [m], shape (n,).
+        speed: along the heading [m/s], shape (n,).
+        heading: from +x towards +y [rad], shape (n,).
+        crashed: whether the vehicle is a wreck, shape (n,).
+        time: since the start of the episode [s].
+    """
+
+    ids: tuple[str, ...]
+    x: Floats
+    y: Floats
+    speed: Floats
+    heading: Floats
+    crashed: NDArray[np.bool_]
+    time: float
+
+    @property
+    def vx(self) -> Floats:
+        return self.speed * np.cos(self.heading)
+
+    @property
+    def vy(self) -> Floats:
+        return self.speed * np.sin(self.heading)
+
+    def __len__(self) -> int:
+        return len(self.ids)

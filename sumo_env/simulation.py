@@ -1,0 +1,277 @@
+"""The SUMO simulation of this process: the only module that imports libsumo.
+
+libsumo holds one simulation a process. Environments therefore share it: whoever resets last owns it, and an
+earlier owner that steps on is told so (`SimulationTaken`). Networks are swapped with ``load``; episodes start by
+removing all vehicles and placing new ones, ten times cheaper than a reload. SUMO's coordinates (y up, front bumper,
+degrees clockwise from north) end here: everything above speaks highway-env's (y down, centre, radians).
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+
+from sumo_env.drivers import Driver
+from sumo_env.scene import VEHICLE_LENGTH, VEHICLE_WIDTH, Floats
+
+
+try:
+    import libsumo
+except ImportError as error:
+    raise ImportError(
+        "SUMO is missing: libsumo cannot be imported. Install it with 'pip install libsumo==1.28.0' "
+        f"(the wheel brings SUMO along, no system SUMO is needed). Python says: {error}"
+    ) from error
+
+ALL_CHECKS_OFF = 32  # speed mode: drive the commanded speed whatever is ahead
+REGULAR = 31  # speed mode: SUMO's car following and right of way
+NO_RIGHT_OF_WAY = 55  # speed mode: car following, but nobody yields at junctions
+NO_LANE_CHANGES = 0  # lane-change mode: commanded changes only, and at once
+OWN_LANE_CHANGES = 1621  # lane-change mode: SUMO decides
+
+HALF = VEHICLE_LENGTH / 2
+
+
+class SimulationTaken(RuntimeError):
+    """Another environment of this process has taken over SUMO in the middle of an episode."""
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """What a network is loaded with; a change means a reload."""
+
+    net_file: Path
+    routes: tuple[tuple[str, tuple[str, ...]], ...]  # (id, edges)
+    step_length: float  # [s]
+    lane_change_duration: float  # [s]
+    drivers: tuple[Driver, ...]
+
+
+class Simulation:
+    """The session with libsumo. Use `simulation()`, there is one."""
+
+    def __init__(self) -> None:
+        self.settings: Settings | None = None
+        self.owner: object | None = None
+        self._folder = tempfile.TemporaryDirectory(prefix="sumo_env-")
+        self._episode = 0
+        self._types: set[str] = set()
+
+    def acquire(self, owner: object, settings: Settings) -> None:
+        """Make `owner` the one who drives, in the network of `settings`, with an empty road."""
+        self.owner = owner
+        if self.settings is None or _without_drivers(self.settings) != _without_drivers(settings):
+            self._load(settings)
+        elif not {driver.type for driver in settings.drivers} <= self._types:
+            known = {driver.type: driver for driver in (*self.settings.drivers, *settings.drivers)}
+            self._load(_with_drivers(settings, tuple(known.values())))
+        else:
+            for vehicle in libsumo.vehicle.getIDList():
+                libsumo.vehicle.remove(vehicle)
+        self._episode += 1
+
+    def check(self, owner: object) -> None:
+        """Raise `SimulationTaken` unless `owner` still drives."""
+        if self.owner is not owner:
+            raise SimulationTaken(
+                "another SUMO environment of this process was reset in the middle of this episode; libsumo runs one "
+                "simulation a process. Finish the episode or reset this environment first, or give each environment "
+                "its own process: gym.make_vec(id, num_envs=...), or Stable-Baselines3's SubprocVecEnv."
+            )
+
+    def release(self, owner: object) -> None:
+        """Forget the owner; the loaded network stays for the next one."""
+        if self.owner is owner:
+            self.owner = None
+
+    def _load(self, settings: Settings) -> None:
+        routes = Path(self._folder.name) / "drivers.rou.xml"
+        _write_routes(routes, settings)
+        options = [
+            "-n", str(settings.net_file),
+            "-r", str(routes),
+            "--step-length", f"{settings.step_length:.6g}",
+            "--lanechange.duration", f"{settings.lane_change_duration:g}",
+            "--collision.action", "warn",
+            "--collision.check-junctions", "true",
+            "--collision.mingap-factor", "0",
+            "--time-to-teleport", "-1",
+            "--max-depart-delay", "-1",
+            "--default.speeddev", "0",
+            "--xml-validation", "never",
+            "--xml-validation.net", "never",
+            "--no-step-log", "true",
+            "--no-warnings", "true",
+            "--duration-log.disable", "true",
+            "--seed", "42",
+        ]  # fmt: skip
+        if self.settings is None:
+            libsumo.start(["sumo", *options])
+        else:
+            libsumo.load(options)
+        self.settings = settings
+        self._types = {driver.type for driver in settings.drivers}
+
+    def add(
+        self,
+        name: str,
+        route: str,
+        driver: str,
+        lane: str,
+        position: float,
+        speed: float,
+        speed_mode: int,
+        lane_change_mode: int,
+        desired_speed: float,
+    ) -> None:
+        """Place a vehicle with its front bumper at `position` [m] of a lane; `desired_speed` [m/s] of its driver."""
+        vehicle = libsumo.vehicle
+        vehicle.add(name, route, driver, departSpeed="0")
+        vehicle.moveTo(name, lane, position)
+        vehicle.setPreviousSpeed(name, speed)  # the start speed; sound because action step = simulation step
+        vehicle.setSpeedMode(name, speed_mode)
+        vehicle.setLaneChangeMode(name, lane_change_mode)
+        self.set_desired_speed(name, lane, desired_speed)
+
+    def set_desired_speed(self, name: str, lane: str, speed: float) -> None:
+        # A factor on the lane's limit: unlike setMaxSpeed it does not copy the vehicle's type.
+        libsumo.vehicle.setSpeedFactor(name, max(speed, 0.01) / libsumo.lane.getMaxSpeed(lane))
+
+    def remove(self, name: str) -> None:
+        libsumo.vehicle.remove(name)
+
+    def present(self) -> tuple[str, ...]:
+        """Names of the vehicles on the road."""
+        return libsumo.vehicle.getIDList()
+
+    def step(self) -> None:
+        libsumo.simulationStep()
+
+    def read(self, names: Sequence[str]) -> tuple[Floats, Floats, Floats, Floats]:
+        """Centres x, y [m], speeds [m/s] and headings [rad] of the named vehicles, shape (n,) each."""
+        vehicle = libsumo.vehicle
+        front = np.array([vehicle.getPosition(name) for name in names]).reshape(-1, 2)
+        heading = np.radians(np.array([vehicle.getAngle(name) for name in names]) - 90.0)
+        speed = np.array([vehicle.getSpeed(name) for name in names])
+        x = front[:, 0] - HALF * np.cos(heading)
+        y = -front[:, 1] - HALF * np.sin(heading)
+        return x, y, speed, heading
+
+    def collisions(self) -> list[tuple[str, str]]:
+        """Pairs of vehicles that SUMO reports in contact after the last step."""
+        return [(contact.collider, contact.victim) for contact in libsumo.simulation.getCollisions()]
+
+    def lane_of(self, name: str) -> str:
+        """Id of the lane that the front bumper is on; internal lanes begin with a colon."""
+        return libsumo.vehicle.getLaneID(name)
+
+    def lateral_position(self, name: str) -> float:
+        """Distance from the middle of the current lane [m]."""
+        return libsumo.vehicle.getLateralLanePosition(name)
+
+    def set_speed(self, name: str, speed: float) -> None:
+        libsumo.vehicle.setSpeed(name, speed)
+
+    def set_speeds(self, names: Iterable[str], speeds: Iterable[float]) -> None:
+        set_speed = libsumo.vehicle.setSpeed
+        for name, speed in zip(names, speeds, strict=True):
+            set_speed(name, speed)
+
+    def change_lane(self, name: str, index: int) -> None:
+        """Change to the lane of this SUMO index (0 is the rightmost) now."""
+        libsumo.vehicle.changeLane(name, index, 0.0)
+
+    def change_lane_relative(self, name: str, step: int) -> None:
+        """Change by `step` lanes, +1 to the left; also onto the opposite lane of a two-way road."""
+        libsumo.vehicle.changeLaneRelative(name, step, 0.0)
+
+    def set_modes(self, name: str, speed_mode: int, lane_change_mode: int) -> None:
+        libsumo.vehicle.setSpeedMode(name, speed_mode)
+        libsumo.vehicle.setLaneChangeMode(name, lane_change_mode)
+
+    def speed_mode(self, name: str, mode: int) -> None:
+        libsumo.vehicle.setSpeedMode(name, mode)
+
+    def lane_change_mode(self, name: str, mode: int) -> None:
+        libsumo.vehicle.setLaneChangeMode(name, mode)
+
+    def version(self) -> str:
+        return str(libsumo.getVersion()[1])
+
+
+_SIMULATION: Simulation | None = None
+
+
+def simulation() -> Simulation:
+    """The simulation of this process."""
+    global _SIMULATION
+    if _SIMULATION is None:
+        _SIMULATION = Simulation()
+    return _SIMULATION
+
+
+def _without_drivers(settings: Settings) -> Settings:
+    return _with_drivers(settings, ())
+
+
+def _with_drivers(settings: Settings, drivers: tuple[Driver, ...]) -> Settings:
+    return Settings(
+        settings.net_file, settings.routes, settings.step_length, settings.lane_change_duration, drivers
+    )
+
+
+def _write_routes(path: Path, settings: Settings) -> None:
+    """A route file with one vehicle type for each driver, and every route."""
+    root = ElementTree.Element("routes")
+    for driver in settings.drivers:
+        ignores = "0" if driver.gives_way else "1"
+        # Probabilities are 0 or 1, drawn beforehand: SUMO would redraw fractional ones from its own generator.
+        ElementTree.SubElement(root, "vType", {
+            "id": driver.type,
+            "length": f"{VEHICLE_LENGTH:g}",
+            "width": f"{VEHICLE_WIDTH:g}",
+            "maxSpeed": "60",
+            "carFollowModel": "IDM",
+            "accel": f"{driver.accel:.6f}",
+            "decel": f"{driver.decel:.6f}",
+            "apparentDecel": f"{driver.decel:.6f}",
+            "emergencyDecel": f"{max(driver.emergency_decel, driver.decel):.6f}",
+            "tau": f"{driver.tau:.6f}",
+            "minGap": f"{driver.min_gap:.6f}",
+            "delta": f"{driver.delta:.6f}",
+            "sigma": "0",
+            "speedFactor": "1",
+            "speedDev": "0",
+            "laneChangeModel": "LC2013",
+            "lcKeepRight": "0",
+            "lcSpeedGainRight": "1",
+            "lcOvertakeRight": "1",
+            "lcCooperative": "0",
+            "lcStrategic": "1",
+            "lcSpeedGain": f"{driver.speed_gain:.6f}",
+            "lcAssertive": f"{driver.assertive:.6f}",
+            "jmIgnoreFoeProb": ignores,
+            "jmIgnoreJunctionFoeProb": ignores,
+            "jmIgnoreFoeSpeed": "100" if ignores == "1" else "0",
+        })  # fmt: skip
+    for name, edges in settings.routes:
+        ElementTree.SubElement(root, "route", {"id": name, "edges": " ".join(edges)})
+    ElementTree.ElementTree(root).write(path, encoding="unicode")
+
+
+__all__ = [
+    "ALL_CHECKS_OFF",
+    "NO_LANE_CHANGES",
+    "NO_RIGHT_OF_WAY",
+    "OWN_LANE_CHANGES",
+    "REGULAR",
+    "Settings",
+    "Simulation",
+    "SimulationTaken",
+    "simulation",
+]

@@ -1,0 +1,26 @@
+"""The five tasks by name."""
+
+from __future__ import annotations
+
+from sumo_env.config import ConfigError, nearest
+from sumo_env.tasks.base import Task
+from sumo_env.tasks.highway import Highway
+from sumo_env.tasks.intersection import Intersection
+from sumo_env.tasks.roundabout import Roundabout
+from sumo_env.tasks.two_way import TwoWay
+from sumo_env.tasks.u_turn import UTurn
+
+TASKS: dict[str, Task] = {
+    task.name: task for task in (Highway(), TwoWay(), Roundabout(), Intersection(), UTurn())
+}
+
+
+def get_task(name: str) -> Task:
+    """The task of this name.
+
+    Raises:
+        ConfigError: there is none; the message names the nearest one.
+    """
+    if name not in TASKS:
+        raise ConfigError(f"unknown task {name!r}: {nearest(name, list(TASKS))}")
+    return TASKS[name]

@@ -1,0 +1,203 @@
+"""What a task is: a road, a spawn law, a reward and an end. Each task is one short file beside this one."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+
+from networks.roads import LaneIndex, Road
+from sumo_env.config import Config
+from sumo_env.drivers import CarFollowing, Driver, RiskRates, draw_events, driver_pool
+from sumo_env.scenario import EGO, Scenario, Spawn, VehicleSpec
+from sumo_env.streams import stream
+
+
+@dataclass(frozen=True, slots=True)
+class EgoState:
+    """The ego as rewards and endings see it, after a policy step.
+
+    Attributes:
+        lane: lane that the ego is on (the closest one, highway-env's distance).
+        s, lateral: its coordinates on that lane [m].
+        speed: [m/s]; heading: [rad].
+        target_lane: lane that the driver steers for.
+        speed_index: commanded rung of the ladder.
+        speed_count: rungs of the ladder.
+        action: what was commanded in this step.
+        crashed, on_road: after the step.
+    """
+
+    lane: LaneIndex
+    s: float
+    lateral: float
+    speed: float
+    heading: float
+    target_lane: LaneIndex
+    speed_index: int
+    speed_count: int
+    action: int | None
+    crashed: bool
+    on_road: bool
+
+
+class Task:
+    """Base of the five tasks; highway-env's `AbstractEnv` split into its physics-free parts."""
+
+    name: ClassVar[str]
+    defaults: ClassVar[Config]
+    levels: ClassVar[dict[str, Config]]  # the paper's traffic levels, lowest first
+    car_following: ClassVar[CarFollowing] = CarFollowing()
+    risk_rates: ClassVar[RiskRates]
+    fixed_delta: ClassVar[bool] = False  # IDM exponent 4 for all (no randomize_behavior in highway-env)
+    target_speeds: ClassVar[tuple[float, ...]] = (20.0, 25.0, 30.0)  # MDPVehicle.DEFAULT_TARGET_SPEEDS [m/s]
+
+    def road(self, config: Config) -> Road:
+        """The road of this task in highway-env's geometry."""
+        raise NotImplementedError
+
+    def ego(self, config: Config, road: Road, rng: np.random.Generator) -> VehicleSpec:
+        """The ego at the start."""
+        raise NotImplementedError
+
+    def vehicles(
+        self, config: Config, road: Road, ego: VehicleSpec, rng: np.random.Generator, drivers: Drivers
+    ) -> list[VehicleSpec]:
+        """The other vehicles at the start."""
+        raise NotImplementedError
+
+    def spawns(self, config: Config, road: Road, seed: int, drivers: Drivers) -> list[Spawn]:
+        """Vehicles that come later (intersection only)."""
+        return []
+
+    def drivers(self, dose: float) -> tuple[Driver, ...]:
+        """Every driver that a scenario of this dose may hold, the ego's included."""
+        pools = {(0.0, True), (dose, True), (dose, False)}
+        return tuple(
+            driver for risk, fixed in sorted(pools) for driver in driver_pool(self.car_following, risk, fixed)
+        )
+
+    def rewards(self, ego: EgoState, config: Config) -> dict[str, float]:
+        """The raw terms of the reward, by highway-env's names."""
+        raise NotImplementedError
+
+    def reward(self, rewards: dict[str, float], config: Config) -> float:
+        """The scalar reward of a step from its terms."""
+        raise NotImplementedError
+
+    def arrived(self, ego: EgoState) -> bool:
+        """Whether the ego has reached the goal (intersection only)."""
+        return False
+
+    def terminated(self, ego: EgoState, config: Config) -> bool:
+        off_road = bool(config.get("offroad_terminal", False)) and not ego.on_road
+        return ego.crashed or off_road or self.arrived(ego)
+
+    def scenario(self, config: Config, seed: int) -> Scenario:
+        """Draw the scenario number `seed`: a pure function of its arguments."""
+        road = self.road(config)
+        rng = stream(seed, "scenario")
+        drivers = Drivers(self, config, seed)
+        ego = self.ego(config, road, rng)
+        vehicles = self.vehicles(config, road, ego, rng, drivers)
+        spawns = self.spawns(config, road, seed, drivers)
+        lifetimes = [(spec.id, 0.0) for spec in vehicles]
+        lifetimes += [(spawn.vehicle.id, spawn.step / config["policy_frequency"]) for spawn in spawns]
+        events = draw_events(self.risk_rates, config["risk"], tuple(lifetimes), seed, config["duration"])
+        return Scenario(self.name, seed, config["risk"], ego, tuple(vehicles), tuple(spawns), events)
+
+
+class Drivers:
+    """Hands out the drivers of one scenario, in the order in which the vehicles are made."""
+
+    def __init__(self, task: Task, config: Config, seed: int) -> None:
+        self._rng = stream(seed, "drivers")
+        self._fixed_delta = task.fixed_delta
+        self._pool = {
+            fixed: driver_pool(task.car_following, float(config["risk"]), fixed) for fixed in (True, False)
+        }
+
+    def next(self, fixed_delta: bool | None = None) -> Driver:
+        pool = self._pool[self._fixed_delta if fixed_delta is None else fixed_delta]
+        return pool[int(self._rng.integers(len(pool)))]
+
+
+def ego_driver(task: Task) -> Driver:
+    """The ego is driven by the agent; its type only fills the driver's place."""
+    return driver_pool(task.car_following, 0.0, True)[0]
+
+
+def make_on_lane(
+    road: Road,
+    id: str,
+    lane: LaneIndex,
+    s: float,
+    speed: float,
+    driver: Driver,
+    *,
+    destination: str | None = None,
+    target_speed: float | None = None,
+    changes_lanes: bool = True,
+) -> VehicleSpec:
+    """A vehicle in the middle of a lane, aligned with it (highway-env's ``Vehicle.make_on_lane``)."""
+    geometry = road.lane(lane)
+    x, y = geometry.position(s, 0.0)
+    heading = geometry.heading_at(s)
+    if not 0.0 <= s <= geometry.length:  # on another lane really, as highway-env finds out as well
+        lane = road.closest_lane(x, y, heading)
+        s = road.lane(lane).local_coordinates(x, y)[0]
+    return VehicleSpec(
+        id=id,
+        lane=lane,
+        s=s,
+        x=x,
+        y=y,
+        heading=heading,
+        speed=speed,
+        target_speed=speed if target_speed is None else target_speed,
+        destination=destination,
+        driver=driver,
+        changes_lanes=changes_lanes,
+        timer=((x + y) * math.pi) % 1.0,  # IDMVehicle.timer: spreads MOBIL's decisions over time
+    )
+
+
+def nearest_index(speed: float, ladder: Iterable[float]) -> int:
+    """Rung of the (uniform) ladder that is nearest to a speed (``MDPVehicle.speed_to_index``)."""
+    rungs = list(ladder)
+    if len(rungs) == 1:
+        return 0
+    position = (speed - rungs[0]) / (rungs[-1] - rungs[0])
+    return int(np.clip(np.round(position * (len(rungs) - 1)), 0, len(rungs) - 1))
+
+
+def lmap(value: float, source: tuple[float, float] | list[float], target: tuple[float, float]) -> float:
+    """Linear map of an interval onto another (``highway_env.utils.lmap``)."""
+    return target[0] + (value - source[0]) * (target[1] - target[0]) / (source[1] - source[0])
+
+
+def weighted(rewards: dict[str, float], config: Config) -> float:
+    """Sum of the terms times their weights in the config; a term without a weight counts nothing."""
+    return sum(config.get(name, 0) * value for name, value in rewards.items())
+
+
+def speed_term(speed: float, config: dict[str, Any]) -> float:
+    """Speed mapped from ``reward_speed_range`` to [0, 1] and clipped."""
+    return min(max(lmap(speed, config["reward_speed_range"], (0.0, 1.0)), 0.0), 1.0)
+
+
+__all__ = [
+    "EGO",
+    "Drivers",
+    "EgoState",
+    "Task",
+    "ego_driver",
+    "lmap",
+    "make_on_lane",
+    "nearest_index",
+    "speed_term",
+    "weighted",
+]

@@ -1,0 +1,87 @@
+"""Multi-lane highway: drive fast, keep right, avoid the slower traffic ahead (highway-env ``highway-v0``)."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from networks.roads import Road, highway
+from sumo_env.config import DISCRETE_META_ACTION, Config
+from sumo_env.drivers import RiskRates
+from sumo_env.scenario import EGO, VehicleSpec
+from sumo_env.tasks.base import Drivers, EgoState, Task, ego_driver, lmap, make_on_lane, speed_term, weighted
+
+
+class Highway(Task):
+    name = "highway"
+    defaults = {
+        "observation": {"type": "Kinematics"},
+        "action": DISCRETE_META_ACTION,
+        "lanes_count": 4,
+        "vehicles_count": 50,
+        "initial_lane_id": None,
+        "duration": 40,  # [s]
+        "ego_spacing": 2,
+        "vehicles_density": 1,
+        "collision_reward": -1,
+        "right_lane_reward": 0.1,
+        "high_speed_reward": 0.4,
+        "lane_change_reward": 0,  # accepted as in highway-env, where no such term is computed either
+        "reward_speed_range": [20, 30],  # [m/s]
+        "normalize_reward": True,
+        "offroad_terminal": False,
+    }
+    levels = {
+        "50": {"vehicles_count": 50, "vehicles_density": 1.0, "duration": 20},
+        "100": {"vehicles_count": 100, "vehicles_density": 1.5, "duration": 20},
+        "150": {"vehicles_count": 150, "vehicles_density": 2.0, "duration": 20},
+    }
+    risk_rates = RiskRates(cut_in=0.15, brake=0.05, brake_decel=5.0)
+
+    def road(self, config: Config) -> Road:
+        return highway(int(config["lanes_count"]))
+
+    def ego(self, config: Config, road: Road, rng: np.random.Generator) -> VehicleSpec:
+        lane = config["initial_lane_id"]
+        lane = int(rng.integers(config["lanes_count"])) if lane is None else int(lane)
+        spacing = _spacing(25.0, config["ego_spacing"], config)
+        s = spacing * (3.0 + rng.uniform(0.9, 1.1))
+        return make_on_lane(road, EGO, ("0", "1", lane), s, 25.0, ego_driver(self))
+
+    def vehicles(
+        self, config: Config, road: Road, ego: VehicleSpec, rng: np.random.Generator, drivers: Drivers
+    ) -> list[VehicleSpec]:
+        # Each vehicle stands ahead of all earlier ones, in a random lane (Vehicle.create_random).
+        count = int(config["vehicles_count"])
+        lanes = rng.integers(config["lanes_count"], size=count)
+        speeds = rng.uniform(21.0, 24.0, size=count)  # 0.7 to 0.8 of the speed limit
+        jitter = rng.uniform(0.9, 1.1, size=count)
+        vehicles = []
+        s = ego.s
+        for k in range(count):
+            speed = float(speeds[k])
+            s += _spacing(speed, 1.0 / config["vehicles_density"], config) * float(jitter[k])
+            lane = ("0", "1", int(lanes[k]))
+            vehicles.append(make_on_lane(road, f"v{k}", lane, s, speed, drivers.next()))
+        return vehicles
+
+    def rewards(self, ego: EgoState, config: Config) -> dict[str, float]:
+        return {
+            "collision_reward": float(ego.crashed),
+            "right_lane_reward": ego.target_lane[2] / max(config["lanes_count"] - 1, 1),
+            "high_speed_reward": speed_term(ego.speed * math.cos(ego.heading), config),
+            "on_road_reward": float(ego.on_road),
+        }
+
+    def reward(self, rewards: dict[str, float], config: Config) -> float:
+        reward = weighted(rewards, config)
+        if config["normalize_reward"]:
+            best = config["high_speed_reward"] + config["right_lane_reward"]
+            reward = lmap(reward, (config["collision_reward"], best), (0.0, 1.0))
+        return reward * rewards["on_road_reward"]
+
+
+def _spacing(speed: float, spacing: float, config: Config) -> float:
+    """Distance to the vehicle before, before jitter [m]; shrinks with the number of lanes."""
+    return spacing * (12.0 + 1.0 * speed) * math.exp(-5.0 / 40.0 * config["lanes_count"])

@@ -1,0 +1,123 @@
+"""Roundabout: merge into a two-lane ring and drive through it (highway-env ``roundabout-v1``)."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from networks.roads import LaneIndex, Road, roundabout
+from sumo_env.config import DISCRETE_META_ACTION, Config, ConfigError
+from sumo_env.drivers import RiskRates
+from sumo_env.scenario import EGO, VehicleSpec
+from sumo_env.tasks.base import Drivers, EgoState, Task, ego_driver, lmap, make_on_lane, weighted
+
+DESTINATIONS = ("exr", "sxr", "nxr")
+# Vehicles beyond highway-env's four stand anywhere on these (RoundaboutGenericEnv's law).
+EXTRA_ROADS = (
+    ("we", "sx", 2),
+    ("sx", "se", 2),
+    ("ee", "nx", 2),
+    ("nx", "ne", 2),
+    ("eer", "ees", 1),
+    ("ner", "nes", 1),
+    ("wer", "wes", 1),
+)
+MIN_SPACING = 7.0  # [m] between centres, RoundaboutGenericEnv
+
+
+class Roundabout(Task):
+    name = "roundabout"
+    defaults = {
+        "observation": {
+            "type": "Kinematics",
+            "absolute": True,
+            "features_range": {"x": [-100, 100], "y": [-100, 100], "vx": [-15, 15], "vy": [-15, 15]},
+        },
+        "action": {**DISCRETE_META_ACTION, "target_speeds": [0, 8, 16]},
+        "vehicles_count": 4,
+        "incoming_vehicle_destination": None,
+        "collision_reward": -1,
+        "high_speed_reward": 0.2,
+        "right_lane_reward": 0,  # accepted as in highway-env, where no such term is computed either
+        "lane_change_reward": -0.05,
+        "duration": 11,  # [s]
+        "normalize_reward": True,
+        "screen_width": 600,
+        "screen_height": 600,
+        "centering_position": [0.5, 0.6],
+    }
+    levels = {
+        "5": {"vehicles_count": 5},
+        "10": {"vehicles_count": 10},
+        "15": {"vehicles_count": 15},
+    }
+    risk_rates = RiskRates(cut_in=0.05, brake=0.05)
+    target_speeds = (0.0, 8.0, 16.0)
+
+    def road(self, config: Config) -> Road:
+        return roundabout()
+
+    def ego(self, config: Config, road: Road, rng: np.random.Generator) -> VehicleSpec:
+        return make_on_lane(
+            road, EGO, ("ser", "ses", 0), 125.0, 8.0, ego_driver(self), destination="nxs"
+        )
+
+    def vehicles(
+        self, config: Config, road: Road, ego: VehicleSpec, rng: np.random.Generator, drivers: Drivers
+    ) -> list[VehicleSpec]:
+        incoming = config["incoming_vehicle_destination"]
+        if incoming is not None and incoming not in range(len(DESTINATIONS)):
+            raise ConfigError(f"'incoming_vehicle_destination' must be None, 0, 1 or 2, not {incoming!r}")
+        slots: list[tuple[LaneIndex, float]] = [
+            (("we", "sx", 1), 5.0),
+            (("we", "sx", 0), 20.0),
+            (("we", "sx", 0), -20.0),
+            (("eer", "ees", 0), 50.0),
+        ]
+        vehicles: list[VehicleSpec] = []
+        for k in range(int(config["vehicles_count"])):
+            destination = DESTINATIONS[int(rng.integers(3))]
+            if k == 0 and incoming is not None:
+                destination = DESTINATIONS[incoming]
+            if k < len(slots):
+                lane, s = slots[k]
+                s += 2.0 * float(rng.normal())
+            else:
+                place = _free_place(road, [ego, *vehicles], rng)
+                if place is None:
+                    break
+                lane, s = place
+            speed = 16.0 + 2.0 * float(rng.normal())
+            vehicles.append(
+                make_on_lane(road, f"v{k}", lane, s, speed, drivers.next(), destination=destination)
+            )
+        return vehicles
+
+    def rewards(self, ego: EgoState, config: Config) -> dict[str, float]:
+        return {
+            "collision_reward": float(ego.crashed),
+            "high_speed_reward": ego.speed_index / (ego.speed_count - 1),
+            "lane_change_reward": float(ego.action in (0, 2)),
+            "on_road_reward": float(ego.on_road),
+        }
+
+    def reward(self, rewards: dict[str, float], config: Config) -> float:
+        reward = weighted(rewards, config)
+        if config["normalize_reward"]:
+            reward = lmap(reward, (config["collision_reward"], config["high_speed_reward"]), (0.0, 1.0))
+        return reward * rewards["on_road_reward"]
+
+
+def _free_place(
+    road: Road, vehicles: list[VehicleSpec], rng: np.random.Generator
+) -> tuple[LaneIndex, float] | None:
+    """A place at least `MIN_SPACING` from all vehicles; None where 100 tries found none."""
+    for _ in range(100):
+        start, end, lanes = EXTRA_ROADS[int(rng.integers(len(EXTRA_ROADS)))]
+        lane = (start, end, int(rng.integers(lanes)))
+        s = float(rng.uniform(5.0, max(5.0, road.lane(lane).length - 5.0)))
+        x, y = road.lane(lane).position(s, 0.0)
+        if all(math.hypot(x - other.x, y - other.y) >= MIN_SPACING for other in vehicles):
+            return lane, s
+    return None

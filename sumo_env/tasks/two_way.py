@@ -1,0 +1,88 @@
+"""Two-way road: overtake slower cars through the lane of the oncoming traffic (highway-env ``two-way-v0``).
+
+The reward has no crash term, as in highway-env: a crash only ends the episode. Return is not safety here.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from networks.roads import Road, two_way
+from sumo_env.config import DISCRETE_META_ACTION, Config
+from sumo_env.drivers import RiskRates
+from sumo_env.scenario import EGO, VehicleSpec
+from sumo_env.tasks.base import Drivers, EgoState, Task, ego_driver, make_on_lane, weighted
+
+OWN, ONCOMING = ("a", "b", 1), ("b", "a", 0)
+
+
+class TwoWay(Task):
+    name = "two-way"
+    defaults = {
+        "observation": {
+            "type": "Kinematics",
+            "features_range": {"x": [-200, 200], "y": [-8, 8], "vx": [-80, 80], "vy": [-80, 80]},
+        },
+        "action": DISCRETE_META_ACTION,
+        "vehicles_count": 3,  # in the ego's direction
+        "oncoming_vehicles_count": 2,
+        "road_length": 800.0,  # [m]
+        "duration": 15,  # [s]
+        "collision_reward": 0,  # accepted as in highway-env, where no such term is computed either
+        "left_lane_constraint": 1,  # likewise
+        "left_lane_reward": 0.2,
+        "high_speed_reward": 0.8,
+    }
+    levels = {
+        "5+2": {"vehicles_count": 5, "oncoming_vehicles_count": 2, "road_length": 800.0 * 2 / 3},
+        "10+4": {"vehicles_count": 10, "oncoming_vehicles_count": 4, "road_length": 800.0 * 2 / 3},
+        "15+6": {"vehicles_count": 15, "oncoming_vehicles_count": 6, "road_length": 800.0 * 2 / 3},
+    }
+    risk_rates = RiskRates(cut_in=0.02, brake=0.05, brake_decel=8.0, brake_duration=1.2)
+    fixed_delta = True
+
+    def road(self, config: Config) -> Road:
+        return two_way(float(config["road_length"]))
+
+    def ego(self, config: Config, road: Road, rng: np.random.Generator) -> VehicleSpec:
+        return make_on_lane(road, EGO, OWN, 30.0, 30.0, ego_driver(self))
+
+    def vehicles(
+        self, config: Config, road: Road, ego: VehicleSpec, rng: np.random.Generator, drivers: Drivers
+    ) -> list[VehicleSpec]:
+        length = float(config["road_length"])
+        # highway-env: x = 70 + 40 i, and 300, 200 m from the far end. More vehicles move closer together so
+        # that all of them are on the road and ahead of the ego.
+        own = _column(rng, int(config["vehicles_count"]), 70.0, 40.0, length - 90.0)
+        oncoming = _column(rng, int(config["oncoming_vehicles_count"]), 300.0, -100.0, 280.0)
+        vehicles = []
+        for s, deviation in zip(own, rng.normal(size=len(own)), strict=True):
+            vehicles.append((OWN, s, 24.0 + 2.0 * deviation))
+        for s, deviation in zip(oncoming, rng.normal(size=len(oncoming)), strict=True):
+            vehicles.append((ONCOMING, s, max(20.0 + 5.0 * deviation, 0.0)))
+        return [
+            make_on_lane(road, f"v{k}", lane, float(s), float(speed), drivers.next(), changes_lanes=False)
+            for k, (lane, s, speed) in enumerate(vehicles)
+        ]
+
+    def rewards(self, ego: EgoState, config: Config) -> dict[str, float]:
+        return {
+            "high_speed_reward": ego.speed_index / (ego.speed_count - 1),
+            "left_lane_reward": float(1 - ego.target_lane[2]),
+        }
+
+    def reward(self, rewards: dict[str, float], config: Config) -> float:
+        return weighted(rewards, config)
+
+
+def _column(
+    rng: np.random.Generator, count: int, start: float, spacing: float, available: float
+) -> list[float]:
+    """Places of a column of vehicles [m]: equal spacing with jitter, redrawn until no two cars overlap."""
+    step = min(abs(spacing), available / max(count - 1, 1))
+    direction = 1.0 if spacing > 0 else -1.0
+    while True:
+        jitter = rng.normal(size=count) * 10.0 * step / abs(spacing)
+        places = start + direction * step * np.arange(count) + jitter
+        if count < 2 or np.min(np.diff(np.sort(places))) > 6.0:
+            return [float(place) for place in places]

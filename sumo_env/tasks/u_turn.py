@@ -1,0 +1,101 @@
+"""U-turn: overtake in and around a 180-degree bend (highway-env ``u-turn-v1``, by the paper's author)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from networks.roads import LaneIndex, Road, u_turn
+from sumo_env.config import DISCRETE_META_ACTION, Config
+from sumo_env.drivers import RiskRates
+from sumo_env.scenario import EGO, VehicleSpec
+from sumo_env.tasks.base import Drivers, EgoState, Task, ego_driver, lmap, make_on_lane, speed_term, weighted
+
+# (lane, s [m], speed [m/s]); each with a deviation of 2 m and 2 m/s. The first six are highway-env's, the
+# others continue its pattern, so that the paper's levels of 9 and 12 exist.
+SLOTS: tuple[tuple[LaneIndex, float, float], ...] = (
+    (("a", "b", 0), 25.0, 13.5),
+    (("a", "b", 1), 56.0, 14.5),
+    (("b", "c", 1), 0.5, 4.5),
+    (("b", "c", 0), 17.5, 5.5),
+    (("c", "d", 0), 1.0, 3.5),
+    (("c", "d", 1), 30.0, 5.5),
+    (("a", "b", 0), 62.0, 13.5),
+    (("b", "c", 1), 38.0, 4.5),
+    (("c", "d", 0), 48.0, 4.5),
+    (("a", "b", 1), 96.0, 14.5),
+    (("b", "c", 0), 44.0, 5.5),
+    (("c", "d", 1), 72.0, 5.5),
+)
+
+
+class UTurn(Task):
+    name = "u-turn"
+    defaults = {
+        "observation": {
+            "type": "Kinematics",
+            # highway-env's default ranges saturate here (y of 48 m in a range of 8 m), hence explicit ones
+            "features_range": {"x": [-160, 160], "y": [-50, 50], "vx": [-24, 24], "vy": [-24, 24]},
+        },
+        "action": {**DISCRETE_META_ACTION, "target_speeds": [8, 16, 24]},
+        "vehicles_count": 6,
+        "duration": 10,  # [s]
+        "collision_reward": -1.0,
+        "left_lane_reward": 0.1,
+        "high_speed_reward": 0.4,
+        "reward_speed_range": [8, 24],  # [m/s]
+        "normalize_reward": True,
+        "offroad_terminal": False,  # accepted as in highway-env, where it is not read either
+        "screen_width": 789,
+        "screen_height": 289,
+        "centering_position": [0.5, 0.5],
+    }
+    levels = {str(count): {"vehicles_count": count} for count in (3, 6, 9, 12)}
+    risk_rates = RiskRates(cut_in=0.05, brake=0.05)
+    fixed_delta = True
+    target_speeds = (8.0, 16.0, 24.0)
+
+    def road(self, config: Config) -> Road:
+        return u_turn()
+
+    def ego(self, config: Config, road: Road, rng: np.random.Generator) -> VehicleSpec:
+        return make_on_lane(road, EGO, ("a", "b", 0), 0.0, 16.0, ego_driver(self), destination="d")
+
+    def vehicles(
+        self, config: Config, road: Road, ego: VehicleSpec, rng: np.random.Generator, drivers: Drivers
+    ) -> list[VehicleSpec]:
+        count = int(config["vehicles_count"])
+        if count > len(SLOTS):
+            raise ValueError(f"'vehicles_count' of the u-turn is at most {len(SLOTS)}, not {count}")
+        deviations = rng.normal(size=(len(SLOTS), 2)) * 2.0
+        return [
+            make_on_lane(
+                road,
+                f"v{k}",
+                lane,
+                s + float(deviations[k, 0]),
+                max(speed + float(deviations[k, 1]), 0.0),
+                # highway-env calls randomize_behavior on the first vehicle only
+                drivers.next(fixed_delta=k > 0),
+                destination="d",
+            )
+            for k, (lane, s, speed) in enumerate(SLOTS[:count])
+        ]
+
+    def rewards(self, ego: EgoState, config: Config) -> dict[str, float]:
+        return {
+            "collision_reward": float(ego.crashed),
+            # highway-env's name; lane 1, the one it pays for, is the outer (right) lane
+            "left_lane_reward": float(ego.lane[2]),
+            "high_speed_reward": speed_term(ego.speed, config),
+            "on_road_reward": float(ego.on_road),
+        }
+
+    def reward(self, rewards: dict[str, float], config: Config) -> float:
+        reward = weighted(rewards, config)
+        if config["normalize_reward"]:
+            best = config["high_speed_reward"] + config["left_lane_reward"]
+            reward = lmap(reward, (config["collision_reward"], best), (0.0, 1.0))
+        return reward * rewards["on_road_reward"]
+
+    def terminated(self, ego: EgoState, config: Config) -> bool:
+        return ego.crashed

@@ -1,0 +1,280 @@
+"""An episode on SUMO: a scenario in, one scene after every policy step out.
+
+The sub-step is always the same: the rule commands the traffic, the ego and the wrecks are commanded, SUMO steps,
+everybody's state is read, contacts are looked for by SUMO and by the separating-axis test, dangers are measured.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from networks.catalogue import Network
+from sumo_env.collision import CrashRecord, contacts, crash_record
+from sumo_env.config import Config
+from sumo_env.ego import REFERENCE_STEP, Ego
+from sumo_env.models.idm import driver_row
+from sumo_env.safety import HORIZON, min_ttc
+from sumo_env.scenario import EGO, Scenario, VehicleSpec
+from sumo_env.scene import Scene
+from sumo_env.simulation import ALL_CHECKS_OFF, NO_LANE_CHANGES, Settings, Simulation, simulation
+from sumo_env.tasks.base import Task
+from sumo_env.tasks.intersection import fits
+from sumo_env.traffic import CENTRED, rule_for
+
+LANE_CHANGE_DURATION = 1.0  # [s] the lane index flips half-way; highway-env's flips after 0.47 s
+
+
+class World:
+    """The state of an episode. Arrays have one row a vehicle, row 0 the ego, in highway-env's coordinates.
+
+    Attributes that rules read: ids, row (id -> row), specs, x, y, speed, heading, crashed, target_speed, yielding,
+    drivers (columns of `models.idm`), time, dt, ego, road, network, config, road_length, limit, sim.
+    """
+
+    def __init__(self, task: Task, config: Config, network: Network) -> None:
+        self.task = task
+        self.config = config
+        self.network = network
+        self.road = task.road(config)
+        self.dt = 1.0 / config["simulation_frequency"]
+        self.substeps = round(config["simulation_frequency"] / config["policy_frequency"])
+        self.lane_change_duration = LANE_CHANGE_DURATION
+        first = next(iter(self.road.lanes.values()))
+        self.road_length, self.limit = first.length, first.speed_limit
+        self.rule = rule_for(task.name, config["traffic_model"])
+        self.sim: Simulation = simulation()
+        self.time = 0.0
+
+    # -- start of an episode -------------------------------------------------------------------------------
+
+    def reset(self, scenario: Scenario, ego: Ego) -> Scene:
+        """Place a scenario; the first scene."""
+        self.scenario, self.ego = scenario, ego
+        self.sim.acquire(
+            self,
+            Settings(
+                self.network.net_file,
+                tuple(self.network.routes.items()),
+                self.dt,
+                self.lane_change_duration,
+                self.task.drivers(scenario.risk),
+            ),
+        )
+        self.time = 0.0
+        self.policy_step = 0
+        self.crash: CrashRecord | None = None
+        self._events = list(scenario.events)
+        self._brakes: dict[str, tuple[float, float]] = {}  # vehicle -> (end [s], deceleration [m/s2])
+        self._own_speed: dict[str, float] = {}
+        for spec in scenario.specs:
+            self._place(spec)
+        self._set_rows(list(scenario.specs))
+        return self.scene()
+
+    def _place(self, spec: VehicleSpec) -> None:
+        route, lane, position = self.network.place(spec.lane, spec.s, spec.destination)
+        is_ego = spec.id == EGO
+        self.sim.add(
+            spec.id, route, spec.driver.type, lane, position, spec.speed,
+            ALL_CHECKS_OFF if is_ego else self.rule.speed_mode,
+            NO_LANE_CHANGES if is_ego else self.rule.lane_change_mode,
+            self.limit if is_ego else min(spec.target_speed, self.limit),
+        )  # fmt: skip
+
+    def _set_rows(self, specs: list[VehicleSpec], keep: dict[str, int] | None = None) -> None:
+        """(Re)build the arrays for these vehicles; rows of `keep` (id -> old row) keep their state."""
+        keep = keep or {}
+        old = {name: getattr(self, name) for name in ("crashed", "target_speed", "yielding", "speed")} if keep else {}
+        self.specs = specs
+        self.ids = [spec.id for spec in specs]
+        self.row = {name: row for row, name in enumerate(self.ids)}
+        self.x, self.y, _, self.heading = self.sim.read(self.ids)
+        self.speed = np.array([spec.speed for spec in specs])
+        self.crashed = np.zeros(len(specs), np.bool_)
+        self.yielding = np.array([spec.yielding for spec in specs])
+        self.target_speed = np.array([spec.target_speed for spec in specs])
+        self.drivers = np.array([driver_row(spec.driver) for spec in specs])
+        for row, name in enumerate(self.ids):
+            if name in keep:
+                for field, values in old.items():
+                    getattr(self, field)[row] = values[keep[name]]
+        self.rule.start(self)
+
+    # -- a policy step -------------------------------------------------------------------------------------
+
+    def step(self) -> Scene:
+        """Drive for one policy step and return the scene at its end.
+
+        Also sets `min_ttc` [s], `distance` [m] and `lane_changes` of this step, and `crash` at the ego's first contact.
+        """
+        self.sim.check(self)
+        self.min_ttc = np.inf
+        self.distance = 0.0
+        for _ in range(self.substeps):
+            self._start_events()
+            self.rule.act(self)
+            self._coast()
+            self._drive_ego()
+            self.sim.step()
+            self.time += self.dt
+            self._read()
+            self._look_for_contacts()
+            if not self.crashed[0]:
+                ttc = min_ttc(
+                    self.x, self.y, self.speed * np.cos(self.heading), self.speed * np.sin(self.heading),
+                    self.heading, 0, HORIZON,
+                )  # fmt: skip
+                self.min_ttc = min(self.min_ttc, ttc)
+        self.policy_step += 1
+        return self.scene()
+
+    def come_and_go(self) -> None:
+        """Remove vehicles that have left the scene and let new ones in (intersection; after the observation)."""
+        spawns = [spawn.vehicle for spawn in self.scenario.spawns if spawn.step == self.policy_step]
+        staying = [row for row in range(len(self.ids)) if row == 0 or not self._has_left(row)]
+        coming = [
+            spec for spec in spawns if fits(spec, [(float(self.x[row]), float(self.y[row])) for row in staying])
+        ]
+        if not coming and len(staying) == len(self.ids):
+            return
+        keep = {self.ids[row]: row for row in staying}
+        for name in self.ids:
+            if name not in keep:
+                self.sim.remove(name)
+        for spec in coming:
+            self._place(spec)
+        self._set_rows([self.specs[row] for row in staying] + coming, keep)
+
+    def _has_left(self, row: int) -> bool:
+        if self.task.name != "intersection":
+            return False
+        index = self.network.indices[self.sim.lane_of(self.ids[row])]
+        lane = self.road.lane(index)
+        s = lane.local_coordinates(float(self.x[row]), float(self.y[row]))[0]
+        return index[0].startswith("il") and s >= lane.length - 20.0
+
+    def scene(self) -> Scene:
+        return Scene(
+            tuple(self.ids), self.x, self.y, self.speed, self.heading, self.crashed.copy(), round(self.time, 6)
+        )
+
+    # -- parts of a sub-step -------------------------------------------------------------------------------
+
+    def _start_events(self) -> None:
+        while self._events and self._events[0].time <= self.time + 1e-9:
+            event = self._events.pop(0)
+            row = self.row.get(event.vehicle)
+            if row is None or self.crashed[row]:
+                continue
+            if event.kind == "brake":
+                self._brakes[event.vehicle] = (self.time + event.duration, event.decel)
+            else:
+                self.rule.cut_in(self, row, event)
+
+    def _braking(self) -> list[tuple[int, float, bool]]:
+        """(row, deceleration [m/s2], ends now) of the vehicles that brake by a risk event."""
+        rows = []
+        for name, (end, decel) in list(self._brakes.items()):
+            row = self.row.get(name)
+            ended = self.time >= end - 1e-9
+            if ended or row is None or self.crashed[row]:
+                del self._brakes[name]
+            if row is not None and not self.crashed[row]:
+                rows.append((row, decel, ended))
+        return rows
+
+    def brake_by_event(self, speed_mode: int) -> None:
+        """Risk events' braking of vehicles that SUMO drives."""
+        for row, decel, ended in self._braking():
+            name = self.ids[row]
+            if ended:
+                self.sim.set_speed(name, -1.0)  # give the speed back to SUMO
+                self.sim.speed_mode(name, self.rule.speed_mode)
+            else:
+                self.sim.speed_mode(name, speed_mode)
+                self.sim.set_speed(name, max(float(self.speed[row]) - decel * self.dt, 0.0))
+
+    def brake(self, acceleration: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Risk events' braking of vehicles whose acceleration [m/s2] is computed."""
+        for row, decel, ended in self._braking():
+            if not ended:
+                acceleration[row] = min(acceleration[row], -decel)
+        return acceleration
+
+    def accelerate(self, acceleration: NDArray[np.float64]) -> None:
+        """Drive all vehicles but the ego and the wrecks by these accelerations [m/s2]."""
+        for row in range(1, len(self.ids)):
+            if not self.crashed[row]:
+                self._command(row, float(acceleration[row]))
+
+    def _command(self, row: int, acceleration: float) -> None:
+        """Move a vehicle as highway-env's explicit Euler at 15 Hz does, whatever our step.
+
+        SUMO moves by the *new* speed. The speed that we command makes the displacement right; the vehicle's speed
+        proper is kept in `speed`.
+        """
+        speed = float(self.speed[row])
+        moved = speed + acceleration * (self.dt - REFERENCE_STEP) / 2.0
+        name = self.ids[row]
+        self.sim.set_speed(name, max(moved, 0.0))
+        self._own_speed[name] = max(speed + acceleration * self.dt, 0.0)
+
+    def _coast(self) -> None:
+        """Wrecks decelerate with a = -v and stay where they stop, as in highway-env."""
+        for row in np.flatnonzero(self.crashed[1:]) + 1:
+            self._command(int(row), -float(self.speed[row]))
+
+    def _drive_ego(self) -> None:
+        ego = self.ego
+        ego.follow_road(float(self.x[0]), float(self.y[0]))
+        lane = self.sim.lane_of(EGO)
+        moved = ego.advance(self.dt)
+        self.distance += moved
+        # lanes of one edge share one length in SUMO, so that metres are not metres in bends
+        self.sim.set_speed(EGO, max(moved / self.dt, 0.0) * self.network.stretch(lane))
+        if ego.crashed or lane.startswith(":"):
+            return
+        here, target = self.network.indices[lane], ego.target_lane
+        if here[2] == target[2] or abs(self.sim.lateral_position(EGO)) >= CENTRED:
+            return
+        if self.task.name == "two-way":  # the strip at y = 0 is SUMO's opposite lane
+            self.sim.change_lane_relative(EGO, 1 if target[2] == 0 else -1)
+        elif self.road.count(*here[:2]) == self.road.count(*target[:2]):
+            self.sim.change_lane(EGO, self.road.count(*here[:2]) - 1 - target[2])
+
+    def _read(self) -> None:
+        self.x, self.y, self.speed, self.heading = self.sim.read(self.ids)
+        self.speed[0] = self.ego.speed
+        for name, speed in self._own_speed.items():
+            row = self.row.get(name)
+            if row is not None:
+                self.speed[row] = speed
+
+    def _look_for_contacts(self) -> None:
+        by_sumo = {
+            frozenset((self.row[a], self.row[b]))
+            for a, b in self.sim.collisions()
+            if a in self.row and b in self.row
+        }
+        by_geometry = {frozenset(pair) for pair in contacts(self.x, self.y, self.heading, ~self.crashed).tolist()}
+        if self.crash is not None and self.crash.detected_by != "both":
+            # SUMO may see a contact a step later than the geometry does, or the other way round
+            pair = frozenset((0, self.row.get(self.crash.other, -1)))
+            seen = by_sumo if self.crash.detected_by == "geometry" else by_geometry
+            if pair in seen:
+                self.crash = replace(self.crash, detected_by="both")
+        for pair in sorted(by_sumo | by_geometry, key=sorted):
+            i, j = sorted(pair)
+            if i == 0 and self.crash is None:
+                by = "both" if pair in by_sumo and pair in by_geometry else "sumo" if pair in by_sumo else "geometry"
+                self.crash = crash_record(self.scene(), j, by)
+                self.ego.crashed = True
+            for row in (i, j):
+                if row > 0 and not self.crashed[row]:
+                    self.sim.set_modes(self.ids[row], ALL_CHECKS_OFF, NO_LANE_CHANGES)
+                self.crashed[row] = True
+
+

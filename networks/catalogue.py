@@ -19,7 +19,7 @@ from types import MappingProxyType
 from xml.etree import ElementTree
 
 from networks import plans, roads
-from networks.lanes import VEHICLE_LENGTH
+from networks.lanes import VEHICLE_LENGTH, Lane, SineLane
 from networks.roads import LaneIndex, Road
 
 FOLDER = Path(__file__).resolve().parent
@@ -122,7 +122,8 @@ class Network:
         lane = self.lanes[index]
         # Inside the intersection there is no edge: count from the entry, the first edge of the route.
         edge = 0 if lane.id.startswith(":") else edges.index(_edge(lane.id))
-        ahead = s + VEHICLE_LENGTH / 2 - self.road.lane(index).local_coordinates(*lane.start)[0]
+        here = self.road.lane(index)
+        ahead = _travelled(here, here.local_coordinates(*lane.start)[0], s) + VEHICLE_LENGTH / 2
         while not 0 <= ahead <= lane.drawn:
             step = 1 if ahead > 0 else -1
             beside = self._beside(lane.id, edges, edge, step)
@@ -147,6 +148,14 @@ class Network:
             return None
         wanted = edges[edge + step]
         return min((joint for joint in near[lane] if _edge(near[joint][0]) == wanted), default=None)
+
+
+def _travelled(lane: Lane, start: float, end: float) -> float:
+    """Metres along the curve from s = `start` to s = `end` [m]; a sine lane counts s along its axis."""
+    if not isinstance(lane, SineLane) or start == end:
+        return end - start
+    points = plans.sample(lane, min(start, end), max(start, end))
+    return math.copysign(sum(math.dist(a, b) for a, b in pairwise(points)), end - start)
 
 
 def _edge(lane: str) -> str:

@@ -136,16 +136,21 @@ def edge_id(index: LaneIndex) -> str:
     return f"{index[0]}-{index[1]}"
 
 
+def _scale(road: Road, index: LaneIndex) -> float:
+    """Length of a lane over the length of the middle of its road."""
+    lane, left = road.lane(index), road.lane((*index[:2], 0))
+    if isinstance(lane, CircularLane) and isinstance(left, CircularLane):
+        return lane.radius / (left.radius + WIDTH * (road.count(*index[:2]) - 1) / 2)
+    return 1.0
+
+
 def _edge(road: Road, start: str, end: str, before: float, after: float, priority: int = 1) -> Edge:
     """highway-env's road from `start` to `end`, longer by `before` and `after` [m] (shorter if negative)."""
     n = road.count(start, end)
     left = road.lane((start, end, 0))
     middle = WIDTH * (n - 1) / 2
-    if isinstance(left, CircularLane):
-        # trim by angle, and equally for both lanes; the middle runs outside the left (inner) lane
-        radius = left.radius + middle
-        before, after = before * left.radius / radius, after * left.radius / radius
-    shape = sample(left, -before, left.length + after, middle)
+    scale = _scale(road, (start, end, 0))  # trimmed by angle, so that the lanes of a bend end side by side
+    shape = sample(left, -before * scale, left.length + after * scale, middle)
     return Edge(f"{start}-{end}", start, end, n, shape, left.speed_limit, priority)
 
 
@@ -172,7 +177,7 @@ def _bow(start: Point, direction: float, end: Point, end_direction: float) -> Li
 def _join(road: Road, first: LaneIndex, second: LaneIndex, trim: tuple[float, float]) -> Connection:
     """From the end of lane `first` (less `trim[0]` m) onto the start of lane `second` (plus `trim[1]` m)."""
     a, b = road.lane(first), road.lane(second)
-    s_a, s_b = a.length - trim[0], trim[1]
+    s_a, s_b = a.length - trim[0] * _scale(road, first), trim[1] * _scale(road, second)
     shape = _bow(a.position(s_a, 0.0), a.heading_at(s_a), b.position(s_b, 0.0), b.heading_at(s_b))
     n_a, n_b = road.count(*first[:2]), road.count(*second[:2])
     return Connection(edge_id(first), edge_id(second), n_a - 1 - first[2], n_b - 1 - second[2], shape)
@@ -214,8 +219,7 @@ def _across(road: Road, start: str, end: str, s: float) -> tuple[Point, Point]:
     """Left and right border of a road at `s` [m along its middle]."""
     n = road.count(start, end)
     left = road.lane((start, end, 0))
-    if isinstance(left, CircularLane):
-        s *= left.radius / (left.radius + WIDTH * (n - 1) / 2)
+    s *= _scale(road, (start, end, 0))
     return left.position(s, -WIDTH / 2), left.position(s, WIDTH * (n - 1) + WIDTH / 2)
 
 
@@ -229,9 +233,7 @@ def _node(road: Road, before: tuple[str, str], branch: tuple[str, str] | None = 
     name = before[1]
     lane = road.lane((*before, 0))
     offset = WIDTH * (road.count(*before) - 1) / 2
-    length = lane.length
-    if isinstance(lane, CircularLane):
-        length *= (lane.radius + offset) / lane.radius
+    length = lane.length / _scale(road, (*before, 0))
     left_in, right_in = _across(road, *before, length - GAP / 2)
     left_out, right_out = _across(road, *before, length + GAP / 2)
     spur: Line = ()

@@ -1,0 +1,145 @@
+"""SUMO's lanes lie on highway-env's, and everything that drives finds its lane, position and route."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+from xml.etree import ElementTree
+
+import pytest
+
+from networks import plans
+from networks.catalogue import TASKS, network
+
+
+def _shape(net, lane_id):
+    root = ElementTree.parse(net.net_file).getroot()
+    (lane,) = (item for item in root.iter("lane") if item.get("id") == lane_id)
+    return [(float(x), -float(y)) for x, y in (point.split(",") for point in lane.get("shape").split())]
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_sumo_lanes_lie_on_highway_env_lanes(task):
+    """Within 1 cm sideways, chords included; the ends within the length of a joint."""
+    net = network(task)
+    for index, sumo_lane in net.lanes.items():
+        lane = net.road.lane(index)
+        points = _shape(net, sumo_lane.id)
+        for (x0, y0), (x1, y1) in pairwise(points):
+            for k in (0.0, 0.25, 0.5, 0.75, 1.0):
+                assert abs(lane.local_coordinates(x0 + k * (x1 - x0), y0 + k * (y1 - y0))[1]) < 0.01
+        if (task, index) == ("two-way", ("a", "b", 0)):
+            continue  # driven the other way
+        assert lane.local_coordinates(*points[0])[0] < plans.GAP
+        assert lane.local_coordinates(*points[-1])[0] > lane.length - plans.GAP
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_nobody_drives_off_an_end(task):
+    """400 m beyond every exit, and room before every entry."""
+    net = network(task)
+    last = {edges[-1] for edges in net.routes.values()}
+    for index, sumo_lane in net.lanes.items():
+        lane = net.road.lane(index)
+        if f"{index[0]}-{index[1]}" in last and (task, index) != ("two-way", ("a", "b", 0)):
+            assert lane.local_coordinates(*sumo_lane.end)[0] >= lane.length + 399
+        if not net.preceding[sumo_lane.id] and (task, index) != ("two-way", ("a", "b", 0)):
+            assert lane.local_coordinates(*sumo_lane.start)[0] <= -50
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_routes_are_connected(task):
+    net = network(task)
+    root = ElementTree.parse(net.net_file).getroot()
+    joined = {(c.get("from"), c.get("to")) for c in root.iter("connection")}
+    edges = {e.get("id") for e in root.iter("edge")}
+    for steps in net.routes.values():
+        assert set(steps) <= edges and set(pairwise(steps)) <= joined
+
+
+@pytest.mark.parametrize("lanes_count", plans.LANES_COUNTS)
+def test_highways_of_any_width(lanes_count):
+    net = network("highway", lanes_count=lanes_count)
+    assert net.net_file.name == f"highway-{lanes_count}.net.xml"
+    for i in range(lanes_count):
+        assert net.sumo_lane(("0", "1", i)) == f"0-1_{lanes_count - 1 - i}"
+        assert net.lanes["0", "1", i].start[1] == pytest.approx(4 * i)
+
+
+def test_two_way_road_of_any_length_keeps_x():
+    for length in (800.0, 1600 / 3):
+        net = network("two-way", road_length=length)
+        assert net.place(("a", "b", 1), 30.0) == ("a-b>b", "a-b_0", pytest.approx(700 + 32.5))
+        # 200 m along the oncoming lane is x = length - 200; SUMO counts from x = 1500
+        expected = 1500 - (length - 200) + 2.5
+        assert net.place(("b", "a", 0), 200.0) == ("b-a>a", "b-a_0", pytest.approx(expected))
+    assert net.indices["b-a_0"] == ("b", "a", 0)
+
+
+def test_routes_in_the_ring_start_one_edge_earlier():
+    net = network("roundabout")
+    assert net.sumo_route(("we", "sx", 0), "exr") == "we-sx>exr"
+    assert net.routes["we-sx>exr"] == ("wx-we", "we-sx", "sx-se", "se-ex", "ex-exs", "exs-exr")
+    # the ego of the roundabout is bound for a node short of the end
+    ego = net.routes[net.sumo_route(("ser", "ses", 0), "nxs")]
+    assert ego == ("ser-ses", "ses-se", "se-ex", "ex-ee", "ee-nx", "nx-nxs", "nxs-nxr")
+    for index in net.lanes:
+        for end in ("sxr", "exr", "nxr", "wxr"):
+            if index[1][1:] not in ("xs", "xr") or index[1][0] == end[0]:
+                assert net.sumo_route(index, end) in net.routes
+
+
+def test_routes_across_the_intersection():
+    net = network("intersection")
+    assert net.routes[net.sumo_route(("o0", "ir0", 0), "o1")] == ("o0-ir0", "il1-o1")
+    assert net.routes[net.sumo_route(("ir0", "il1", 0), "o1")] == ("o0-ir0", "il1-o1")
+    assert net.routes[net.sumo_route(("il1", "o1", 0))] == ("il1-o1",)
+
+
+def test_u_turn_has_one_way_out():
+    net = network("u-turn")
+    assert net.routes[net.sumo_route(("a", "b", 1))] == ("a-b", "b-c", "c-d")
+    assert net.routes[net.sumo_route(("c", "d", 1), "d")] == ("b-c", "c-d")
+
+
+def test_lanes_inside_the_intersection_have_names():
+    net = network("intersection")
+    inside = {index for index in net.lanes if index[0].startswith("ir")}
+    assert len(inside) == 12
+    assert all(net.indices[net.sumo_lane(index)] == index for index in inside)
+
+
+def test_stretch_is_the_ratio_of_lengths():
+    net = network("u-turn")
+    inner, outer = net.sumo_lane(("b", "c", 0)), net.sumo_lane(("b", "c", 1))
+    assert net.stretch(inner) == pytest.approx(22 / 20, abs=1e-3)
+    assert net.stretch(outer) == pytest.approx(22 / 24, abs=1e-3)
+    assert net.stretch("a-b_0") == pytest.approx(1, abs=1e-3)
+
+
+def test_placing_follows_the_route_over_joints():
+    net = network("u-turn")
+    _, lane, position = net.place(("a", "b", 0), 127.0, "d")  # the bumper is 1.5 m into the arc
+    assert lane == "b-c_1" and 0 < position < 1.6
+    net = network("roundabout")
+    _, lane, position = net.place(("we", "sx", 0), -10.0, "exr")  # before its start, as highway-env may
+    assert lane == "wx-we_1"
+    travelled = 20 * math.radians(48) - 10.0 + 2.5  # of the inner arc from node wx, by the bumper
+    assert position / net.stretch(lane) + plans.GAP / 2 == pytest.approx(travelled, abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: network("motorway"), "choose from highway"),
+        (lambda: network("highway", lanes_count=7), "lanes_count"),
+        (lambda: network("two-way", road_length=5000.0), "road_length"),
+        (lambda: network("roundabout").sumo_route(("exs", "exr", 0), "nxr"), "ends: exr"),
+        (lambda: network("intersection").sumo_route(("o0", "ir0", 0)), "ends: o1, o2, o3"),
+        (lambda: network("two-way").place(("a", "b", 0), 10.0), "change lane"),
+        (lambda: network("roundabout").place(("we", "sx", 0), -60.0, "exr"), "not on route"),
+    ],
+)
+def test_what_cannot_be_is_refused_with_the_choices(call, message):
+    with pytest.raises(ValueError, match=message):
+        call()

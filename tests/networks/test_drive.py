@@ -1,0 +1,102 @@
+"""One car alone drives every route in SUMO: placed where highway-env has it, never slowed, to the right exit."""
+
+from __future__ import annotations
+
+import math
+import multiprocessing
+
+import pytest
+
+from networks.catalogue import TASKS, network
+
+pytest.importorskip("libsumo")
+SPEED = {"highway": 30.0, "two-way": 30.0, "roundabout": 20.0, "intersection": 9.0, "u-turn": 24.0}  # [m/s]
+STEP = 0.1  # [s]
+
+
+def _drive(task: str) -> list[dict]:
+    """Drive each route from each lane; runs in a process of its own, because libsumo holds one simulation."""
+    import libsumo
+
+    net = network(task)
+    options = ["--step-length", str(STEP), "--no-step-log", "--collision.check-junctions"]
+    libsumo.start(["sumo", "-n", str(net.net_file), *options])
+    for key, edges in net.routes.items():
+        libsumo.route.add(key, list(edges))
+
+    def centre(car: str) -> tuple[float, float]:
+        x, y = libsumo.vehicle.getPosition(car)
+        heading = math.radians(90 - libsumo.vehicle.getAngle(car))
+        return x - 2.5 * math.cos(heading), -(y - 2.5 * math.sin(heading))
+
+    records = []
+    for index, lane in net.road.lanes.items():
+        if (task, index) == ("two-way", ("a", "b", 0)):
+            continue
+        for key in [key for key in net.routes if key.startswith(f"{index[0]}-{index[1]}>")]:
+            car, destination, s = f"{index} {key}", key.split(">")[1], min(lane.length / 2, 60.0)
+            route, sumo_lane, position = net.place(index, s, destination)
+            libsumo.vehicle.add(car, route, departSpeed="5")
+            libsumo.vehicle.setSpeedMode(car, 32)
+            libsumo.vehicle.setLaneChangeMode(car, 0)
+            libsumo.vehicle.moveTo(car, sumo_lane, position)
+            libsumo.vehicle.setSpeed(car, SPEED[task])
+            record = {
+                "car": car,
+                "misplaced": math.dist(centre(car), lane.position(s, 0.0)),
+                "slowest": math.inf,
+                "aside": 0.0,
+                "last": net.routes[route][-1],
+            }
+            for _ in range(150):  # 15 s, the longest episode but the highway's
+                libsumo.simulationStep()
+                if car not in libsumo.vehicle.getIDList():
+                    record["vanished"] = True
+                    break
+                record["slowest"] = min(record["slowest"], libsumo.vehicle.getSpeed(car))
+                x, y = libsumo.vehicle.getPosition(car)
+                here = libsumo.vehicle.getLaneID(car)
+                if not (here.startswith(":") and task in ("roundabout", "u-turn")):
+                    aside = net.road.lane(net.indices[here]).local_coordinates(x, -y)[1]
+                    record["aside"] = max(record["aside"], abs(aside))
+            record["edge"] = libsumo.vehicle.getRoadID(car)
+            libsumo.vehicle.remove(car)
+            libsumo.simulationStep()
+            records.append(record)
+    libsumo.close()
+    return records
+
+
+@pytest.fixture(scope="module")
+def drives():
+    with multiprocessing.get_context("spawn").Pool(1, maxtasksperchild=1) as pool:
+        return dict(zip(TASKS, pool.map(_drive, TASKS, chunksize=1), strict=True))
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_every_route_is_driven_to_its_end(drives, task):
+    assert drives[task]
+    for record in drives[task]:
+        assert "vanished" not in record, record
+        if task != "roundabout" or record["edge"] != record["last"]:
+            assert record["edge"] == record["last"], record
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_nothing_slows_a_car_that_is_alone(drives, task):
+    for record in drives[task]:
+        assert record["slowest"] == pytest.approx(SPEED[task]), record
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_the_front_bumper_stays_on_highway_env_lane(drives, task):
+    for record in drives[task]:
+        assert record["aside"] < 0.02, record
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_placed_where_highway_env_has_it(drives, task):
+    """In bends the body is a chord of the lane, so its centre is inside the curve: 0.36 m at a radius of 9 m."""
+    limit = {"highway": 1e-6, "two-way": 1e-6, "roundabout": 0.2, "intersection": 0.37, "u-turn": 0.17}
+    for record in drives[task]:
+        assert record["misplaced"] < limit[task], record

@@ -15,7 +15,7 @@ from sumo_env.drivers import RiskEvent
 from sumo_env.models.give_way import PERIOD, regulate
 from sumo_env.models.idm import path_accelerations, strip_accelerations
 from sumo_env.models.lane_table import advance, lane_table
-from sumo_env.models.mobil import closest_lanes, desired_lanes
+from sumo_env.models.mobil import DELAY, closest_lanes, desired_lanes, without_conflicts
 from sumo_env.simulation import ALL_CHECKS_OFF, NO_LANE_CHANGES, NO_RIGHT_OF_WAY, OWN_LANE_CHANGES, REGULAR
 from sumo_env.tasks.intersection import REGULATION_INTERVAL, WARM_UP, WARM_UP_FREQUENCY, path
 
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 LANE_WIDTH = 4.0  # [m]
 CENTRED = 0.05  # [m] from the middle of a lane: no lane change is running
 KEEP_DECEL_FREE = REGULAR & ~4  # speed mode: car following, but harder braking than `decel` when commanded
-MOBIL_DELAY = 1.0  # [s] IDMVehicle.LANE_CHANGE_DELAY
 SWERVE_TIME = 3.0  # [s] that a cut-in on the two-way road stays in the oncoming lane
 
 
@@ -100,13 +99,17 @@ class Mobil:
         self._target[0] = world.ego.target_lane[2]
         self._forced &= lane != self._target
         decides = self._changes & ~world.crashed & ~self._forced
-        due = decides & (self._timer > MOBIL_DELAY)
+        due = decides & (self._timer > DELAY)
         wanted = desired_lanes(
             world.x, world.y, world.speed, world.heading, lane, self._target, world.target_speed, world.drivers,
             decides, due, self._lanes, LANE_WIDTH, world.road_length, world.limit,
         )  # fmt: skip
         self._timer[due & (lane == self._target)] = 0.0
         self._timer += world.dt
+        # highway-env's drivers turn back when two head for one lane; SUMO's cannot, so the later one does not begin
+        wanted = without_conflicts(
+            wanted, world.x, world.speed, world.heading, lane, self._target, world.drivers
+        )
         chosen = wanted >= 0
         self._target[chosen] = wanted[chosen]
         # SUMO cannot stop a change half-way: the target is commanded again as soon as the vehicle is in a lane.

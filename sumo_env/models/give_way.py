@@ -41,12 +41,13 @@ HALF_LENGTH, HALF_WIDTH = (
 def _reaches_into(dx: float, dy: float, h1: float, h2: float) -> bool:
     """Is one of nine points of rectangle 1 (corners, midpoints, centre) in rectangle 2, at (dx, dy) from it?
 
-    highway-env's test (``utils.has_corner_inside``), which two rectangles that cross like a plus sign can
-    pass unseen.
+    highway-env's test, with its two peculiarities: rectangles that cross like a plus sign can pass unseen
+    (``utils.has_corner_inside``), and points are turned into the frame of rectangle 2 by its heading the wrong
+    way round (``utils.point_in_rotated_rectangle``), which matters in bends.
     """
-    cos, sin = math.cos(h1 - h2), math.sin(h1 - h2)
-    x = -dx * math.cos(h2) - dy * math.sin(h2)  # centre of rectangle 1 in the frame of rectangle 2
-    y = dx * math.sin(h2) - dy * math.cos(h2)
+    cos, sin = math.cos(h1 + h2), math.sin(h1 + h2)
+    x = dy * math.sin(h2) - dx * math.cos(h2)  # centre of rectangle 1 in the frame of rectangle 2
+    y = -dx * math.sin(h2) - dy * math.cos(h2)
     for along in (-HALF_LENGTH, 0.0, HALF_LENGTH):
         for across in (-HALF_WIDTH, 0.0, HALF_WIDTH):
             inside_x = abs(x + along * cos - across * sin) <= HALF_LENGTH

@@ -31,15 +31,14 @@ PERIOD = 7 / 15  # [s] every int(15 / REGULATION_FREQUENCY) sub-steps of 1/15 s
 SAMPLES = 11  # predictions of each vehicle, at 0.25, 0.5 ... 2.75 s
 SAMPLE_STEP = 0.25  # [s]
 MEETING_DISTANCE = 5.0  # centres further apart than this do not meet [m]
-HALF_LENGTH, HALF_WIDTH = (
-    1.5 * 5.0 / 2,
-    0.9 * 2.0 / 2,
-)  # of the rectangles that stand for predicted vehicles [m]
+# Rectangles that stand for predicted vehicles: 7.5 m by 1.8 m.
+HALF_LENGTH = 1.5 * 5.0 / 2  # [m]
+HALF_WIDTH = 0.9 * 2.0 / 2  # [m]
 
 
 @compiled
 def _reaches_into(dx: float, dy: float, h1: float, h2: float) -> bool:
-    """Is one of nine points of rectangle 1 (corners, midpoints, centre) in rectangle 2, at (dx, dy) from it?
+    """Is one of nine points of rectangle 1 (corners, midpoints, centre) in rectangle 2, (dx, dy) away?
 
     highway-env's test, with its two peculiarities: rectangles that cross like a plus sign can pass unseen
     (``utils.has_corner_inside``), and points are turned into the frame of rectangle 2 by its heading the wrong

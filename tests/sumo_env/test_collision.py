@@ -1,0 +1,176 @@
+"""Contacts against shapely's polygons and highway-env's own test; the record of a crash."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+import shapely
+from highway_env import utils
+from numba import njit
+
+from sumo_env.collision import (
+    CrashRecord,
+    classify,
+    contact,
+    contacts,
+    crash_record,
+    distance,
+    first_contact_with,
+    separation,
+)
+from sumo_env.scene import Scene
+
+LENGTH, WIDTH = 5.0, 2.0
+
+
+def rectangles(x, y, heading) -> np.ndarray:
+    """Shapely polygons of vehicles; arrays of one shape."""
+    corners = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]]) * [LENGTH / 2, WIDTH / 2]
+    cos, sin = np.cos(heading)[..., None], np.sin(heading)[..., None]
+    along, across = corners[:, 0], corners[:, 1]
+    points = np.stack(
+        [x[..., None] + along * cos - across * sin, y[..., None] + along * sin + across * cos], axis=-1
+    )
+    return shapely.polygons(points)
+
+
+@njit
+def over_pairs(function, first, second):
+    result = np.empty(len(first))
+    for k in range(len(first)):
+        result[k] = function(
+            first[k, 0], first[k, 1], first[k, 2], second[k, 0], second[k, 1], second[k, 2], 5.0, 2.0
+        )
+    return result
+
+
+@pytest.fixture(scope="module")
+def pairs() -> tuple[np.ndarray, np.ndarray]:
+    """10^5 pairs of poses (x, y, heading); a fifth of them with equal or perpendicular headings."""
+    rng = np.random.default_rng(7)
+    n = 100_000
+    first = np.column_stack([rng.uniform(-50, 50, (n, 2)), rng.uniform(-7, 7, n)])
+    turn = rng.uniform(-math.pi, math.pi, n)
+    aligned = rng.random(n) < 0.2
+    turn[aligned] = rng.integers(-2, 3, aligned.sum()) * math.pi / 2
+    offset = rng.uniform(-7, 7, (n, 2))
+    return first, np.column_stack([first[:, :2] + offset, first[:, 2] + turn])
+
+
+def test_contact_and_distance_equal_shapely(pairs) -> None:
+    first, second = pairs
+    one, two = rectangles(*first.T), rectangles(*second.T)
+    expected = shapely.distance(one, two)
+    ours = over_pairs(distance, first, second)
+    apart = expected > 1e-9
+    assert 0.3 < apart.mean() < 0.8
+    np.testing.assert_allclose(ours[apart], expected[apart], atol=1e-9)
+    assert (ours[~apart] <= 1e-9).all()
+    inside = shapely.area(shapely.intersection(one, two)) > 1e-9
+    assert over_pairs(contact, first, second)[inside].all()
+
+
+def test_separation_never_exceeds_the_distance(pairs) -> None:
+    first, second = pairs
+    assert (over_pairs(separation, first, second) <= over_pairs(distance, first, second) + 1e-12).all()
+
+
+def test_penetration_is_the_shortest_way_out(pairs) -> None:
+    first, second = (poses[:3000] for poses in pairs)
+    depth = -over_pairs(distance, first, second)
+    deep = depth > 0.01
+    first, second, depth = first[deep], second[deep], depth[deep]
+    freed = np.zeros(len(depth), dtype=bool)
+    for axis in range(4):
+        heading = (first if axis < 2 else second)[:, 2] + (axis % 2) * math.pi / 2
+        direction = np.column_stack([np.cos(heading), np.sin(heading), np.zeros(len(depth))])
+        for sign in (-1, 1):
+            less = second + sign * (depth - 1e-6)[:, None] * direction
+            assert over_pairs(contact, first, less).all()  # no side of either offers a shorter way
+            more = second + sign * (depth + 1e-6)[:, None] * direction
+            freed |= over_pairs(contact, first, more) == 0
+    assert freed.all()
+
+
+def test_contact_equals_highway_env(pairs) -> None:
+    first, second = (poses[:4000] for poses in pairs)
+    ours = over_pairs(contact, first, second) > 0
+    for k in range(len(first)):
+        a, b = (
+            np.vstack([corners := utils.rect_corners(pose[:2], LENGTH, WIDTH, pose[2]), corners[:1]])
+            for pose in (first[k], second[k])
+        )
+        assert utils.are_polygons_intersecting(a, b, np.zeros(2), np.zeros(2))[0] == ours[k]
+
+
+def test_touching_is_contact() -> None:
+    assert contact(0.0, 0.0, 0.0, 5.0, 0.0, 0.0, 5.0, 2.0)
+    assert contact(0.0, 0.0, 0.0, 0.0, 2.0, math.pi, 5.0, 2.0)
+    assert not contact(0.0, 0.0, 0.0, 5.0 + 1e-9, 0.0, 0.0, 5.0, 2.0)
+
+
+def test_contacts_lists_every_pair_of_a_pile_up() -> None:
+    rng = np.random.default_rng(3)
+    x, y, heading = rng.uniform(0, 12, 30), rng.uniform(0, 12, 30), rng.uniform(-4, 4, 30)
+    shapes = rectangles(x, y, heading)
+    i, j = np.triu_indices(30, 1)
+    expected = np.column_stack([i, j])[shapely.intersects(shapes[i], shapes[j])]
+    assert len(expected) > 60  # more than there are vehicles
+    np.testing.assert_array_equal(contacts(x, y, heading, np.ones(30, dtype=bool)), expected)
+    active = rng.random(30) < 0.5
+    among = expected[active[expected].any(axis=1)]
+    np.testing.assert_array_equal(contacts(x, y, heading, active), among)
+
+
+def test_first_contact_is_the_deepest() -> None:
+    x, y, heading = np.array([0.0, 4.9, 0.5, 40.0]), np.array([0.0, 0.0, 1.2, 0.0]), np.zeros(4)
+    assert first_contact_with(0, x, y, heading) == 2
+    assert first_contact_with(1, x, y, heading) == 2
+    assert first_contact_with(3, x, y, heading) == -1
+    assert first_contact_with(0, np.array([0.0, 5.0]), np.zeros(2), np.zeros(2)) == 1  # touches
+
+
+def test_an_empty_road_has_no_contacts() -> None:
+    none = np.empty(0)
+    assert contacts(none, none, none, np.empty(0, dtype=bool)).shape == (0, 2)
+
+
+@pytest.mark.parametrize(
+    ("pose", "expected"),
+    [
+        ((4.9, 0.3, 0.1), "rear-end"),
+        ((-4.9, 0.3, -0.1), "rear-end"),
+        ((1.0, 1.9, 0.05), "side"),
+        ((3.0, -1.8, 2 * math.pi - 0.2), "side"),
+        ((4.8, 0.5, math.pi), "frontal"),
+        ((4.8, 0.5, -3.0), "frontal"),
+        ((3.4, 0.0, math.pi / 2), "junction"),
+        ((2.0, 2.0, -math.pi / 2), "junction"),
+    ],
+)
+def test_types_of_crash(pose, expected) -> None:
+    assert classify(*pose) == expected
+
+
+def test_record_is_in_the_frame_of_the_ego() -> None:
+    scene = Scene(
+        ids=("ego", "v3"),
+        x=np.array([10.0, 10.0]),
+        y=np.array([20.0, 16.0]),
+        speed=np.array([12.0, 5.0]),
+        heading=np.array([-math.pi / 2, math.pi]),
+        crashed=np.array([True, True]),
+        time=3.2,
+    )
+    record = crash_record(scene, 1, "both")
+    assert (record.other, record.time, record.x, record.y) == ("v3", 3.2, 10.0, 20.0)
+    assert (record.relative_x, record.relative_y) == pytest.approx((4.0, 0.0))
+    assert record.relative_heading == pytest.approx(-math.pi / 2)
+    assert record.closing_speed == pytest.approx(13.0)  # 12 m/s north against 5 m/s west
+    assert (record.type, record.detected_by) == ("junction", "both")
+    assert CrashRecord(**record.as_dict()) == record
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        record.time = 0.0  # type: ignore[misc]

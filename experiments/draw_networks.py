@@ -18,11 +18,12 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
 from networks.catalogue import TASKS, Network, network
-from networks.lanes import WIDTH
+from networks.lanes import WIDTH, Point
 
+Window = tuple[float, float, float, float]
 FOLDER = Path(__file__).resolve().parent.parent / "docs" / "img" / "networks"
 # task -> windows (x from, x to, y from, y to) [m], highway-env's coordinates; the second one is a close-up
-WINDOWS = {
+WINDOWS: dict[str, list[Window]] = {
     "highway": [(-60.0, 260.0, -12.0, 24.0)],
     "two-way": [(-60.0, 260.0, -14.0, 18.0)],
     "roundabout": [(-75.0, 75.0, -75.0, 75.0), (-4.0, 30.0, 4.0, 38.0)],
@@ -51,15 +52,15 @@ def band(line: np.ndarray, width: float = WIDTH) -> np.ndarray:
     return np.concatenate([line + aside, (line - aside)[::-1]])
 
 
-def draw(axes: Axes, net: Network, window: tuple[float, float, float, float]) -> None:
+def draw(axes: Axes, net: Network, window: Window) -> None:
     """One window of a network."""
     lines = shapes(net)
     inside = {lane.id for lane in net.lanes.values()}
-    for lane, line in lines.items():
-        joint = lane not in inside
+    for name, line in lines.items():
+        joint = name not in inside
         axes.fill(*band(line).T, color="#f3c89a" if joint else "#d9dde2", lw=0, zorder=1 + joint)
-    for lane, line in lines.items():
-        joint = lane not in inside
+    for name, line in lines.items():
+        joint = name not in inside
         axes.plot(*line.T, color="#c65d00" if joint else "#3c444c", lw=2.6, zorder=3 + joint)
     for index, lane in net.road.lanes.items():
         s = np.arange(0.0, lane.length + 0.25, 0.5).clip(max=lane.length)
@@ -70,9 +71,9 @@ def draw(axes: Axes, net: Network, window: tuple[float, float, float, float]) ->
     axes.set_aspect("equal")
 
 
-def nodes(axes: Axes, index: tuple[str, str, int], start: tuple, end: tuple, window: tuple) -> None:
+def nodes(axes: Axes, index: tuple[str, str, int], start: Point, end: Point, window: Window) -> None:
     """Mark where a lane starts and ends, with highway-env's names."""
-    for name, (x, y) in zip(index, (start, end), strict=False):
+    for name, (x, y) in zip(index[:2], (start, end), strict=True):
         axes.plot(x, y, ".", color="#1f6fd0", ms=4, zorder=7)
         if window[0] < x < window[1] and window[2] < y < window[3] and index[2] == 0:
             right, below = x > sum(window[:2]) / 2, y > sum(window[2:]) / 2

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
+from functools import lru_cache
 from types import MappingProxyType
 
 from networks.lanes import WIDTH, CircularLane, Lane, Point, SineLane, StraightLane
@@ -122,6 +123,7 @@ def _graph_order(lanes: Mapping[LaneIndex, Lane]) -> list[tuple[LaneIndex, Lane]
     return sorted(lanes.items(), key=lambda item: (starts[item[0][0]], ends[item[0][:2]], item[0][2]))
 
 
+@lru_cache(maxsize=8)
 def highway(lanes_count: int = 4) -> Road:
     """Parallel lanes to the east, 10 km, 30 m/s, lane i at y = 4 i."""
     if lanes_count < 1:
@@ -135,6 +137,7 @@ def highway(lanes_count: int = 4) -> Road:
     )
 
 
+@lru_cache(maxsize=8)
 def two_way(length: float = 800.0) -> Road:
     """One lane each way: at y = 4 the own one, at y = 0 a strip with two, ("a","b",0) and ("b","a",0).
 
@@ -164,6 +167,7 @@ def _turned(point: Point, quarters: int) -> Point:
     return x, y
 
 
+@lru_cache(maxsize=8)
 def roundabout() -> Road:
     """A two-lane ring of radii 20 and 24 m, driven counter-clockwise on the screen, with four arms.
 
@@ -207,6 +211,7 @@ def roundabout() -> Road:
     return Road("roundabout", lanes)
 
 
+@lru_cache(maxsize=8)
 def intersection() -> Road:
     """Four arms of one lane each way that meet in a square of +-11 m; 0 is south, then west, north, east.
 
@@ -244,6 +249,7 @@ def intersection() -> Road:
     return Road("intersection", lanes)
 
 
+@lru_cache(maxsize=8)
 def u_turn() -> Road:
     """Two lanes 128 m to the east, a half circle to the left (radii 20 and 24 m), and back to the west."""
     length, radius = 128.0, 20.0

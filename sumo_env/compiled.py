@@ -10,7 +10,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, TypeVar, cast
 
 from numba import njit
 
@@ -24,11 +24,11 @@ def compiled(function: Function) -> Function:
     otherwise the function is compiled a second time.
     """
     try:
-        return njit(cache=True)(function)
+        return cast(Function, njit(cache=True)(function))
     except RuntimeError as error:
         if "no locator available" not in str(error):
             raise
-        return njit(function)  # no directory is writable: compile in each process
+        return cast(Function, njit(function))  # no directory is writable: compile in each process
 
 
 def drop_outdated(package: Path) -> int:

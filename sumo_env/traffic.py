@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 from sumo_env.drivers import RiskEvent
 from sumo_env.models.give_way import PERIOD, regulate
 from sumo_env.models.idm import path_accelerations, strip_accelerations
-from sumo_env.models.lane_table import advance, lane_table
+from sumo_env.models.lane_table import advance
 from sumo_env.models.mobil import DELAY, closest_lanes, desired_lanes, without_conflicts
 from sumo_env.simulation import ALL_CHECKS_OFF, NO_LANE_CHANGES, NO_RIGHT_OF_WAY, OWN_LANE_CHANGES, REGULAR
-from sumo_env.tasks.intersection import REGULATION_INTERVAL, WARM_UP, WARM_UP_FREQUENCY, path
+from sumo_env.tasks.intersection import REGULATION_INTERVAL, WARM_UP, WARM_UP_FREQUENCY, compiled_lanes, path
 
 if TYPE_CHECKING:
     from sumo_env.world import World
@@ -179,7 +179,7 @@ class GiveWay(Computed):
     phase = ((int(WARM_UP * WARM_UP_FREQUENCY) % REGULATION_INTERVAL) - 1) / WARM_UP_FREQUENCY
 
     def start(self, world: World) -> None:
-        self._table = lane_table(world.road.lanes)
+        self._table = compiled_lanes(world.road)
         n = len(world.ids)
         routes = []
         for spec in world.specs:

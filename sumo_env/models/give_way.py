@@ -41,8 +41,8 @@ def _reaches_into(dx: float, dy: float, h1: float, h2: float) -> bool:
     """Is one of nine points of rectangle 1 (corners, midpoints, centre) in rectangle 2, (dx, dy) away?
 
     highway-env's test, with its two peculiarities: rectangles that cross like a plus sign can pass unseen
-    (``utils.has_corner_inside``), and points are turned into the frame of rectangle 2 by its heading the wrong
-    way round (``utils.point_in_rotated_rectangle``), which matters in bends.
+    (``utils.has_corner_inside``), and points are turned into the frame of rectangle 2 the wrong way round
+    (``utils.point_in_rotated_rectangle``), which matters in bends.
     """
     cos, sin = math.cos(h1 + h2), math.sin(h1 + h2)
     x = dy * math.sin(h2) - dx * math.cos(h2)  # centre of rectangle 1 in the frame of rectangle 2

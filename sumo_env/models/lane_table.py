@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,7 +33,8 @@ COLUMNS = 12
 STRAIGHT, SINE, CIRCULAR = 0.0, 1.0, 2.0
 
 
-class LaneTable(NamedTuple):
+@dataclass(frozen=True, slots=True)
+class LaneTable:
     """The lanes of a road.
 
     Attributes:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -12,7 +13,7 @@ from sumo_env.config import DISCRETE_META_ACTION, Config, ConfigError
 from sumo_env.drivers import CarFollowing, RiskRates
 from sumo_env.models.give_way import regulate
 from sumo_env.models.idm import driver_row, path_accelerations
-from sumo_env.models.lane_table import lane_table
+from sumo_env.models.lane_table import LaneTable, lane_table
 from sumo_env.scenario import EGO, Spawn, VehicleSpec
 from sumo_env.streams import stream
 from sumo_env.tasks.base import Drivers, EgoState, Task, ego_driver, lmap, make_on_lane, speed_term, weighted
@@ -123,6 +124,12 @@ class Intersection(Task):
         return ego.lane[0].startswith("il") and ego.lane[1].startswith("o") and ego.s >= 25.0
 
 
+@lru_cache(maxsize=4)
+def compiled_lanes(road: Road) -> LaneTable:
+    """The road for the compiled models."""
+    return lane_table(road.lanes)
+
+
 def path(start: LaneIndex, destination: str) -> list[LaneIndex]:
     """Lanes of the way from an arm's entry lane to the exit node `destination`."""
     entry, out = start[1], f"il{destination[1:]}"
@@ -170,7 +177,7 @@ def _warm_up(road: Road, vehicles: list[VehicleSpec]) -> list[VehicleSpec]:
     """
     if not vehicles:
         return []
-    table = lane_table(road.lanes)
+    table = compiled_lanes(road)
     n = len(vehicles)
     paths = [path(v.lane, v.destination or "") for v in vehicles]
     routes = np.array([table.route(lanes) for lanes in paths])

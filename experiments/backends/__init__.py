@@ -1,0 +1,50 @@
+"""The two simulators behind one function: SUMO (this package) and highway-env (the reference).
+
+Each is imported only when it is asked for: a SUMO sweep needs no highway-env, and a highway-env sweep no
+libsumo.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import gymnasium as gym
+
+from experiments.errors import UserError, unknown
+from experiments.grid import BACKENDS, choose_tasks
+
+__all__ = ["BACKENDS", "make_env"]
+
+
+def make_env(
+    backend: str, task: str, config: Mapping[str, Any] | None = None, render_mode: str | None = None
+) -> gym.Env[Any, Any]:
+    """One of the five driving tasks on one of the simulators.
+
+    Args:
+        backend: "sumo" or "highway-env".
+        task: "highway", "two-way", "roundabout", "intersection" or "u-turn".
+        config: highway-env's configuration keys and `risk`, laid over the task's defaults.
+        render_mode: None or "rgb_array".
+
+    Raises:
+        UserError: unknown backend or task, or the simulator is not installed.
+    """
+    if backend not in BACKENDS:
+        raise unknown("backend", backend, BACKENDS)
+    choose_tasks([task])
+    try:
+        if backend == "sumo":
+            import sumo_env  # noqa: F401  (registers the ids)
+
+            return gym.make(f"sumo/{task}-v0", config=dict(config or {}), render_mode=render_mode)
+        from experiments.backends import highway_env
+
+        return highway_env.make(task, config, render_mode)
+    except ModuleNotFoundError as error:
+        if error.name in ("libsumo", "highway_env"):
+            raise UserError(
+                f"{backend} needs the package {error.name}, which is not installed: run make setup"
+            ) from None
+        raise

@@ -1,0 +1,59 @@
+"""What a user can put right: said in one line, without a traceback, with exit status 2."""
+
+from __future__ import annotations
+
+import difflib
+import errno
+import sys
+from collections.abc import Callable, Iterable
+
+USAGE = 2  # exit status: the call or the directory has to be put right first
+INTERRUPTED = 130  # exit status after Ctrl-C, as a shell has it
+
+
+class UserError(Exception):
+    """Something the user can put right; the message is one line that says what to do."""
+
+
+def unknown(kind: str, word: object, known: Iterable[object]) -> UserError:
+    """The error for a name that does not exist, with the nearest known one.
+
+    Args:
+        kind: what was asked for ("task", "preset", ...).
+        word: what the user wrote.
+        known: all that could have been meant.
+    """
+    names = [str(name) for name in known]
+    match = difflib.get_close_matches(str(word).lower(), names, n=1, cutoff=0.4)
+    hint = f"did you mean {match[0]!r}? " if match else ""
+    return UserError(f"unknown {kind} {str(word)!r}: {hint}known are {', '.join(names)}")
+
+
+def disk_error(error: OSError, directory: object) -> UserError:
+    """A failed write in words: which place, why, and what to do."""
+    place = error.filename or directory
+    if error.errno == errno.ENOSPC:
+        return UserError(
+            f"no space left on the disk of {place}: make room and run the same command again, "
+            "nothing finished is lost"
+        )
+    reason = error.strerror or str(error)
+    return UserError(
+        f"cannot write to {place}: {reason}; choose another directory with --out or change its permissions"
+    )
+
+
+def run_command(main: Callable[[], int]) -> None:
+    """Run a command's `main` and leave the process with its exit status (0, 1, 2 or 130)."""
+    try:
+        status = main()
+    except UserError as error:
+        print(f"error: {error}", file=sys.stderr)
+        status = USAGE
+    except KeyboardInterrupt:
+        print("interrupted", file=sys.stderr)
+        status = INTERRUPTED
+    except BrokenPipeError:  # the reader of our output (head, less) has gone
+        sys.stderr.close()
+        status = 1
+    sys.exit(status)

@@ -1,0 +1,83 @@
+"""How long cells will take: from the stored cells of this kind of machine, else from rates stated here."""
+
+from __future__ import annotations
+
+import json
+from collections import defaultdict
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from statistics import median
+
+from experiments.grid import Cell
+from experiments.provenance import cpu
+
+# Seconds on one core of a common server, measured with both cores busy: (a training step with its update,
+# a test episode) at the lightest traffic.
+DEFAULT_RATES: dict[tuple[str, str], tuple[float, float]] = {
+    ("sumo", "highway"): (0.0060, 0.040),
+    ("sumo", "two-way"): (0.0045, 0.015),
+    ("sumo", "roundabout"): (0.0045, 0.015),
+    ("sumo", "intersection"): (0.0060, 0.025),
+    ("sumo", "u-turn"): (0.0045, 0.015),
+    ("highway-env", "highway"): (0.300, 4.000),
+    ("highway-env", "two-way"): (0.040, 0.300),
+    ("highway-env", "roundabout"): (0.040, 0.400),
+    ("highway-env", "intersection"): (0.080, 0.800),
+    ("highway-env", "u-turn"): (0.040, 0.300),
+}
+
+
+@dataclass(frozen=True)
+class Rates:
+    """Seconds for a training step with its update and for a test episode, by (backend, task, level).
+
+    measured: how many stored cells they come from (0: the default rates alone).
+    """
+
+    by_level: Mapping[tuple[str, str, int], tuple[float, float]]
+    measured: int
+
+    def seconds(self, cell: Cell) -> float:
+        """Expected time of a cell on one core [s]."""
+        default = DEFAULT_RATES[cell.backend, cell.task]
+        step, episode = self.by_level.get((cell.backend, cell.task, cell.level), default)
+        return cell.updates * step + 2 * cell.episodes * episode
+
+
+def rates(directory: Path) -> Rates:
+    """The rates measured on this kind of processor in a result directory (which need not exist).
+
+    Cells that cannot be read are passed over: an estimate is no place to complain about them.
+    """
+    steps, episodes = defaultdict(list), defaultdict(list)
+    count = 0
+    for key, timing in _timings(directory.glob("cells/*/cell.json")):
+        count += 1
+        where = (key["backend"], key["task"], key["level"])
+        if timing.get("timed_updates"):
+            steps[where].append(timing["train_seconds"] / timing["timed_updates"])
+        episodes[where].append(timing["test_seconds"] / (2 * key["eval"]["episodes"]))
+    by_level = {}
+    for where, values in episodes.items():
+        step, _ = DEFAULT_RATES[where[:2]]
+        by_level[where] = (median(steps[where]) if steps[where] else step, median(values))
+    return Rates(by_level, count)
+
+
+def _timings(files: Iterable[Path]) -> Iterable[tuple[dict, dict]]:
+    for file in files:
+        try:
+            record = json.loads(file.read_text())
+            if record["provenance"]["cpu"] == cpu():
+                yield record["key"], record["timing"]
+        except (OSError, ValueError, KeyError):
+            continue
+
+
+def duration(seconds: float) -> str:
+    """A time span as a person says it: "40 s", "12 min", "3 h 20 min"."""
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    minutes = round(seconds / 60)
+    return f"{minutes} min" if minutes < 90 else f"{minutes // 60} h {minutes % 60:02d} min"

@@ -1,0 +1,212 @@
+"""Run the experiment: train and test the agents of both arms and the baselines, then write the report.
+
+    python experiments/sweep.py                                   # the default preset, about 15 minutes on
+    two cores python experiments/sweep.py --preset smoke --out /tmp/smoke   # a minute python
+    experiments/sweep.py --preset paper --dry-run          # what would be computed, and how long it takes
+
+The same command run again goes on where it was stopped, whatever stopped it; finished cells are never
+computed twice. Several sweeps on one directory, also from several machines, share the work. Exit status: 0
+all done, 1 some cells failed (everything else is kept), 2 something has to be put right first, 130 stopped
+with Ctrl-C.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+if __package__ in (
+    None,
+    "",
+):  # run as a file: import from the project, not from this folder (it has a statistics.py)
+    sys.path[0] = str(Path(__file__).resolve().parents[1])
+
+from experiments.threads import limit_threads
+
+limit_threads()
+
+import os
+import shlex
+import signal
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated
+
+import tyro
+
+from experiments import grid
+from experiments.backends import make_env
+from experiments.engine import Engine
+from experiments.errors import INTERRUPTED, UserError, disk_error, run_command
+from experiments.estimate import duration, rates
+from experiments.grid import Cell
+from experiments.presets import PRESETS, get_preset
+from experiments.progress import display
+from experiments.store import Store, cell_directories, read_sweep
+from experiments.worker import MakeEnv
+
+
+def _cores() -> int:
+    """Cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@dataclass(frozen=True)
+class Options:
+    """Train and test the agents of both arms and the baselines, then write the report."""
+
+    backend: str = "sumo"
+    """Simulator: sumo or highway-env."""
+    preset: str = "quick"
+    """Size of the experiment: smoke (a minute), quick (15 minutes on two cores) or paper (many hours)."""
+    out: Path | None = None
+    """Directory for the results (default: results/BACKEND-PRESET)."""
+    tasks: Annotated[tuple[str, ...], tyro.conf.arg(metavar="TASK ...")] = ()
+    """Some of highway, two-way, roundabout, intersection, u-turn (default: all)."""
+    levels: Annotated[tuple[int, ...], tyro.conf.arg(metavar="LEVEL ...")] = ()
+    """Traffic levels by number, 1 is the lightest (default: the preset's)."""
+    seeds: int | None = None
+    """Training seeds in each arm (default: the preset's)."""
+    episodes: int | None = None
+    """Test episodes in each of the two traffics (default: the preset's)."""
+    updates: int | None = None
+    """Training budget of an agent in updates, for all tasks (default: the preset's)."""
+    gamma: float | None = None
+    """Discount factor (default: the preset's)."""
+    target_lag: int | None = None
+    """Updates between copies into the target network (default: the preset's)."""
+    workers: int | None = None
+    """Number of processes (default: the number of cores)."""
+    shard: str = "1/1"
+    """Compute only the part i/n of the cells, for job arrays."""
+    dry_run: bool = False
+    """Print the cells and an estimate of the time, and compute nothing."""
+
+    @property
+    def directory(self) -> Path:
+        """Where the results go."""
+        return self.out or Path("results") / f"{self.backend}-{self.preset}"
+
+
+def cells_of(options: Options) -> list[Cell]:
+    """All cells that the options ask for.
+
+    Raises:
+        UserError: something in the options does not exist or makes no sense.
+    """
+    preset = get_preset(options.preset)
+    tasks = grid.choose_tasks(options.tasks or tuple(grid.TASKS))
+    profiles = preset.profiles(updates=options.updates, gamma=options.gamma, target_lag=options.target_lag)
+    return grid.build(
+        options.backend,
+        grid.choose_levels(tasks, options.levels or preset.levels),
+        preset.seeds if options.seeds is None else options.seeds,
+        preset.episodes if options.episodes is None else options.episodes,
+        profiles,
+        preset.name,
+    )
+
+
+def sweep(options: Options, make_env: MakeEnv = make_env, arguments: Sequence[str] = ()) -> int:
+    """Do what the options ask for; returns the exit status.
+
+    Args:
+        make_env: makes an environment from (backend, task, config); importable in another process.
+        arguments: the command line, to say how to resume.
+
+    Raises:
+        UserError: something has to be put right first.
+    """
+    if options.workers is not None and options.workers < 1:
+        raise UserError(f"--workers must be at least 1, not {options.workers}")
+    workers = options.workers or _cores()
+    cells = cells_of(options)
+    mine = grid.shard(cells, options.shard)
+    directory = options.directory
+    if options.dry_run:
+        describe(options, mine, workers)
+        return 0
+    again = shlex.join(["python", "experiments/sweep.py", *arguments])
+    try:
+        store = Store(directory)
+        record = {"command": again, "backend": options.backend, "preset": options.preset}
+        record["cells"] = [cell.name for cell in cells]
+        names = {cell.name for cell in mine}
+        failed = {k: v for k, v in read_sweep(directory).get("failed", {}).items() if k not in names}
+        store.write_sweep({**record, "failed": failed})
+        engine = Engine(directory, mine, workers, make_env, rates(directory).seconds, display())
+        found = len(engine.finished)
+        print(f"{len(mine)} cells, {found} of them finished before; results go to {directory}", flush=True)
+        engine.run()
+        store.write_sweep({**record, "failed": {**failed, **engine.failed}})
+    except OSError as error:
+        raise disk_error(error, directory) from None
+    except KeyboardInterrupt:
+        done = sum(1 for _ in cell_directories(directory)) if (directory / "cells").is_dir() else 0
+        print(f"\nstopped; {done} cells are finished and kept. To go on: {again}", file=sys.stderr)
+        return INTERRUPTED
+    return _conclude(directory, engine, again)
+
+
+def _conclude(directory: Path, engine: Engine, again: str) -> int:
+    """Write the report and say how it went."""
+    if engine.finished:
+        from experiments.report import write_report
+
+        print(f"report: {write_report(directory)}", flush=True)
+    if engine.failed:
+        print(
+            f"{len(engine.failed)} of {len(engine.cells)} cells failed, all others are kept:", file=sys.stderr
+        )
+        for name, reason in engine.failed.items():
+            print(f"  {name}: {reason}", file=sys.stderr)
+        print(f"to try them again: {again}", file=sys.stderr)
+        return 1
+    return 0
+
+
+def describe(options: Options, cells: Sequence[Cell], workers: int) -> None:
+    """Print what would be computed and how long it would take."""
+    measured = rates(options.directory)
+    stored = options.directory / "cells"
+    finished = {path.name for path in stored.iterdir()} if stored.is_dir() else set()
+    print(f"preset {options.preset}: {PRESETS[options.preset].about}")
+    print(f"results go to {options.directory}")
+    header = ("task", "level", "agents", "updates", "baselines", "finished", "core time")
+    print("{:<14}{:>8}{:>8}{:>9}{:>11}{:>10}{:>13}".format(*header))
+    total = 0.0
+    for task, level in dict.fromkeys((cell.task, cell.level_name) for cell in cells):
+        group = [cell for cell in cells if (cell.task, cell.level_name) == (task, level)]
+        agents = [cell for cell in group if cell.kind == "agent"]
+        left = sum(measured.seconds(cell) for cell in group if cell.name not in finished)
+        done = sum(cell.name in finished for cell in group)
+        updates = agents[0].updates if agents else 0
+        row = (task, level, len(agents), updates, len(group) - len(agents), done, duration(left))
+        print("{:<14}{:>8}{:>8}{:>9}{:>11}{:>10}{:>13}".format(*row))
+        total += left
+    kinds = Counter(cell.kind for cell in cells)
+    source = f"measured on {measured.measured} stored cells" if measured.measured else "by default rates"
+    print(
+        f"{kinds['agent']} agents and {kinds['baseline']} baselines; about {duration(total / workers)} left "
+        f"with {workers} processes ({source})"
+    )
+
+
+def main() -> int:
+    """The command line."""
+    signal.signal(
+        signal.SIGTERM, signal.default_int_handler
+    )  # schedulers end jobs politely: stop as for Ctrl-C
+    arguments = [part for word in sys.argv[1:] for part in _split(word)]
+    options = tyro.cli(Options, args=arguments, description=__doc__)
+    return sweep(options, arguments=sys.argv[1:])
+
+
+def _split(word: str) -> list[str]:
+    """`--tasks highway,u-turn` as well as `--tasks highway u-turn`."""
+    return word.split(",") if "," in word and not word.startswith("-") and "/" not in word else [word]
+
+
+if __name__ == "__main__":
+    run_command(main)

@@ -1,0 +1,107 @@
+"""A small driving task with the environment's interface: one lane, one leader, a crash when the gap closes.
+
+Fast (20 us a step) and deterministic in its seed, so that the engine can be tested without a simulator.
+Environment variables make it misbehave, because the engine runs it in other processes:
+FAKE_KILL=<path>: kill this process with SIGKILL at a random-looking step, once for every line the file lacks;
+FAKE_RAISE=<task>: raise in every episode of that task.
+"""
+
+from __future__ import annotations
+
+import os
+import signal
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+FEATURES = ("presence", "x", "y", "vx", "vy")
+
+
+class FakeEnv(gym.Env):
+    metadata = {"render_modes": ["rgb_array"], "render_fps": 5}  # noqa: RUF012
+    target_speeds = (10.0, 20.0, 30.0)
+
+    def __init__(self, task: str, config: dict[str, Any], render_mode: str | None = None) -> None:
+        self.task = task
+        self.render_mode = render_mode
+        self.config = {"risk": 0.0, "duration": 10, **config}
+        self.actions = {0: "LANE_LEFT", 1: "IDLE", 2: "LANE_RIGHT", 3: "FASTER", 4: "SLOWER"}
+        self.action_space = gym.spaces.Discrete(5)
+        self.observation_space = gym.spaces.Box(-1, 1, (2, 5), np.float32)
+        self.observation_type = SimpleNamespace(
+            features=FEATURES,
+            absolute=False,
+            ranges={"x": (-200.0, 200.0), "y": (-8.0, 8.0), "vx": (-80.0, 80.0), "vy": (-80.0, 80.0)},
+        )
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
+        super().reset(seed=seed)
+        self.config.update((options or {}).get("config", {}))
+        if os.environ.get("FAKE_RAISE") == self.task:
+            raise RuntimeError("the fake environment was told to fail")
+        self.gap = float(self.np_random.uniform(20, 60))
+        self.rung, self.speed, self.time, self.crashed = 1, 20.0, 0, False
+        self._die()
+        return self._observe(), self._info(0.0, None)
+
+    def step(self, action: int):
+        self.rung = int(np.clip(self.rung + {3: 1, 4: -1}.get(int(action), 0), 0, 2))
+        self.speed += 0.6 * (self.target_speeds[self.rung] - self.speed)
+        leader = 15.0 + 10.0 * self.config["risk"] * float(self.np_random.normal())
+        self.gap += leader - self.speed
+        self.time += 1
+        self.crashed = self.gap < 5.0
+        crash = None
+        if self.crashed:
+            crash = {
+                "other": "v0", "time": float(self.time), "x": 0.0, "y": 0.0, "relative_x": self.gap,
+                "relative_y": 0.0, "relative_heading": 0.0, "closing_speed": self.speed - leader,
+                "type": "rear-end", "detected_by": "sumo",
+            }  # fmt: skip
+        reward = 0.0 if self.crashed else self.speed / 30.0
+        truncated = self.time >= self.config["duration"]
+        return self._observe(), reward, self.crashed, truncated, self._info(self.speed, crash)
+
+    def render(self):
+        picture = np.full((20, 60, 3), 200, np.uint8)
+        picture[8:12, min(59, int(max(self.gap, 0) / 4)) :] = 0
+        return picture
+
+    @property
+    def scene(self) -> SimpleNamespace:
+        return SimpleNamespace(
+            ids=("ego", "v0"), x=np.array([0.0, self.gap]), y=np.array([4.0, 4.0]),
+            speed=np.array([self.speed, 15.0]), heading=np.zeros(2), crashed=np.array([self.crashed] * 2),
+            time=float(self.time),
+        )  # fmt: skip
+
+    def _observe(self) -> np.ndarray:
+        rows = [[1, 0, 0, self.speed / 80, 0], [1, self.gap / 200, 0, (15 - self.speed) / 80, 0]]
+        return np.clip(np.array(rows, np.float32), -1, 1)
+
+    def _info(self, distance: float, crash: dict[str, Any] | None) -> dict[str, Any]:
+        closing = self.speed - 15.0
+        ttc = (self.gap - 5) / closing if closing > 0 else float("inf")
+        return {
+            "speed": self.speed, "crashed": self.crashed, "arrived": False, "rewards": {}, "on_road": True,
+            "crash": crash, "density": 1, "min_ttc": max(ttc, 0.0),
+            "near_miss": ttc < 1.5 and not self.crashed, "distance": distance,
+        }  # fmt: skip
+
+    def _die(self) -> None:
+        """Kill this process at the next point that FAKE_KILL names."""
+        plan = os.environ.get("FAKE_KILL")
+        if plan is None:
+            return
+        path = Path(plan)
+        left = int(path.read_text())
+        path.write_text(str(left - 1))
+        if left == 0:
+            os.kill(os.getpid(), signal.SIGKILL)
+
+
+def make_env(backend: str, task: str, config: Any = None, render_mode: str | None = None) -> gym.Env:
+    return FakeEnv(task, dict(config or {}), render_mode)

@@ -12,10 +12,9 @@ from numpy.typing import NDArray
 
 from networks.roads import LaneIndex, Road
 from sumo_env.config import ConfigError, nearest
-from sumo_env.scene import VEHICLE_LENGTH, Scene
+from sumo_env.scene import PERCEPTION_DISTANCE, VEHICLE_LENGTH, Scene
 from sumo_env.tasks.base import EgoState
 
-PERCEPTION_DISTANCE = 200.0  # [m] 5 * Vehicle.MAX_SPEED, AbstractEnv.PERCEPTION_DISTANCE
 MAX_SPEED = 40.0  # [m/s] Vehicle.MAX_SPEED
 
 Array = NDArray[np.float32]

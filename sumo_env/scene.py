@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 VEHICLE_LENGTH = 5.0  # [m] highway_env.vehicle.kinematics.Vehicle.LENGTH
 VEHICLE_WIDTH = 2.0  # [m] Vehicle.WIDTH
+PERCEPTION_DISTANCE = 200.0  # [m] 5 * Vehicle.MAX_SPEED, AbstractEnv.PERCEPTION_DISTANCE
 
 Floats = NDArray[np.float64]
 

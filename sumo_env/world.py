@@ -69,9 +69,11 @@ class World:
         self._events = list(scenario.events)
         self._brakes: dict[str, tuple[float, float]] = {}  # vehicle -> (end [s], deceleration [m/s2])
         self._own_speed: dict[str, float] = {}
-        for spec in scenario.specs:
+        specs = [scenario.ego]
+        specs += [spec for spec in scenario.vehicles if self.task.concerns_ego(spec, scenario.ego, self.config)]
+        for spec in specs:
             self._place(spec)
-        self._set_rows(list(scenario.specs))
+        self._set_rows(specs)
         return self.scene()
 
     def _place(self, spec: VehicleSpec) -> None:

@@ -73,6 +73,10 @@ class Task:
         """Vehicles that come later (intersection only)."""
         return []
 
+    def concerns_ego(self, vehicle: VehicleSpec, ego: VehicleSpec, config: Config) -> bool:
+        """Whether the ego can ever see the vehicle; SUMO need not simulate the others."""
+        return True
+
     def drivers(self, dose: float) -> tuple[Driver, ...]:
         """Every driver that a scenario of this dose may hold, the ego's included."""
         pools = {(0.0, True), (dose, True), (dose, False)}

@@ -1,0 +1,39 @@
+"""Random streams keyed by (seed, purpose).
+
+One stream a purpose, so that a draw more in one place (an extra exploration step, say) never shifts the draws
+of another: an agent that behaves differently still meets the same training scenarios.
+"""
+
+from __future__ import annotations
+
+import json
+import zlib
+
+import numpy as np
+
+
+def _sequence(seed: int, purpose: str, *numbers: int) -> np.random.SeedSequence:
+    return np.random.SeedSequence(entropy=seed, spawn_key=(zlib.crc32(purpose.encode()), *numbers))
+
+
+def stream(seed: int, purpose: str) -> np.random.Generator:
+    """The generator of one purpose, e.g. ``stream(3, "exploration")``. ValueError for a negative seed."""
+    return np.random.default_rng(_sequence(seed, purpose))
+
+
+def episode_seed(seed: int, episode: int) -> int:
+    """Seed of an agent's training episode, in [0, 2**32), a function of the two arguments alone.
+
+    Two arms trained with one seed therefore meet the same scenarios in the same order.
+    """
+    return int(_sequence(seed, "training episode", episode).generate_state(1)[0])
+
+
+def generator_state(generator: np.random.Generator) -> str:
+    """The complete state of a generator as JSON (its integers have 128 bits)."""
+    return json.dumps(generator.bit_generator.state)
+
+
+def restore_generator(generator: np.random.Generator, state: str) -> None:
+    """Put back a state from :func:`generator_state`. ValueError when it is of another kind of generator."""
+    generator.bit_generator.state = json.loads(state)

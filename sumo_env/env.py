@@ -99,8 +99,6 @@ class DrivingEnv(gym.Env[Observation, int]):
         if spec.destination is not None and spec.destination != spec.lane[1]:
             route = (spec.lane[0], *world.road.route(spec.lane[1], spec.destination))
         self.ego = Ego(world.road, spec.lane, spec.speed, self.target_speeds, route)
-        if spec.target_speed != spec.speed:  # the intersection's ego enters above its ladder
-            self.ego.speed_index = len(self.target_speeds) - 1
         self.steps = 0
         self.scene: Scene = world.reset(self.scenario, self.ego)
         world.min_ttc, world.distance = math.inf, 0.0

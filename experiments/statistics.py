@@ -12,7 +12,7 @@ never an exception.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -71,8 +71,15 @@ def is_constant(values: Values) -> bool:
     return bool(np.ptp(array) <= 1e-12 * max(1.0, float(np.abs(array).max())))
 
 
-def _no_interval(groups: Sequence[NDArray[np.float64]], estimate: float | None) -> Estimate | None:
-    """The Estimate without interval that these groups call for, or None where an interval can be computed."""
+def _no_interval(
+    groups: Sequence[NDArray[np.float64]],
+    estimate: float | None,
+    spread_in: Callable[[Iterable[bool]], bool] = all,
+) -> Estimate | None:
+    """The Estimate without interval that these groups call for, or None where an interval can be computed.
+
+    spread_in: whether `all` groups must have spread or `any`.
+    """
     n = tuple(len(group) for group in groups)
     if min(n) == 0:
         return Estimate(None, None, None, None, None, n, MISSING, "no trained agent in one of the arms")
@@ -80,7 +87,7 @@ def _no_interval(groups: Sequence[NDArray[np.float64]], estimate: float | None) 
         found = " and ".join(map(str, n))
         reason = f"an interval needs at least two training seeds in every arm, here {found}"
         return Estimate(estimate, None, None, None, None, n, ONE_SEED, reason)
-    if any(is_constant(group) for group in groups):
+    if not spread_in(not is_constant(group) for group in groups):
         reason = "the standard deviation between seeds is 0 in an arm, so no interval can be computed from it"
         return Estimate(estimate, None, None, None, None, n, DEGENERATE, reason)
     return None
@@ -128,14 +135,15 @@ def contrast(groups: Sequence[Values], weights: Sequence[float], confidence: flo
     """sum_k weights[k] * mean(groups[k]) of independent groups with unequal variances.
 
     Welch-Satterthwaite degrees of freedom; with two groups and weights (1, -1) it is Welch's t. Groups with
-    weight 0 are left out, so they may be empty.
+    weight 0 are left out, so they may be empty. A group without spread counts as known exactly, because
+    leaving it out (agents that never crash) would bias the sum; "degenerate" only if no group has any.
     """
     if len(groups) != len(weights):
         raise ValueError(f"{len(groups)} groups but {len(weights)} weights")
     used = [(_array(g), float(w)) for g, w in zip(groups, weights, strict=True) if w != 0]
     arrays = [array for array, _ in used]
     value = float(sum(w * a.mean() for a, w in used)) if all(len(a) for a in arrays) else None
-    if (none := _no_interval(arrays, value)) is not None:
+    if (none := _no_interval(arrays, value, any)) is not None:
         return none
     assert value is not None
     parts = np.array([w**2 * a.var(ddof=1) / len(a) for a, w in used])

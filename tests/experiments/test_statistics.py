@@ -160,6 +160,14 @@ class TestContrast:
         result = statistics.pooled([([1.0, 2.0], [0.0, 1.0]), ([4.0], [1.0, 2.0])])
         assert result.status == "no interval: one seed"
 
+    def test_arm_without_spread_is_kept(self) -> None:
+        """Agents that never crash belong to the mean; the interval comes from the others."""
+        never, seldom = [0.0, 0.0, 0.0], [0.10, 0.12, 0.08]
+        result = statistics.pooled([(never, seldom), (seldom, seldom)])
+        assert result.estimate == pytest.approx(-0.05)
+        assert result.low is not None
+        assert statistics.pooled([(never, never), (never, never)]).status == "degenerate"
+
     def test_nothing_to_pool(self) -> None:
         assert statistics.pooled([]).status == "missing"
 

@@ -130,8 +130,12 @@ def sweep(options: Options, make_env: MakeEnv = make_env, arguments: Sequence[st
     again = shlex.join(["python", "experiments/sweep.py", *arguments])
     try:
         store = Store(directory)
-        record = {"command": again, "backend": options.backend, "preset": options.preset}
-        record["cells"] = [cell.name for cell in cells]
+        record = {
+            "command": again,
+            "backend": options.backend,
+            "preset": options.preset,
+            "cells": [cell.name for cell in cells],
+        }
         names = {cell.name for cell in mine}
         failed = {k: v for k, v in read_sweep(directory).get("failed", {}).items() if k not in names}
         store.write_sweep({**record, "failed": failed})

@@ -16,7 +16,7 @@ PROFILE = {"updates": 100, "gamma": 0.95, "hidden": [8]}
 
 
 def cells(levels: dict | None = None, seeds: int = 2, preset: str = "smoke", **profile) -> list[grid.Cell]:
-    profiles = dict.fromkeys(TASKS, {**PROFILE, **profile})
+    profiles = {task: {**PROFILE, **profile} for task in TASKS}
     return grid.build("sumo", levels or {"highway": (1,)}, seeds, 5, profiles, preset)
 
 

@@ -37,7 +37,7 @@ TRAINING_TABLE = pd.DataFrame(
 
 @pytest.fixture(scope="module")
 def cells() -> list[grid.Cell]:
-    profiles = dict.fromkeys(TASKS, {"updates": 10, "gamma": 0.95})
+    profiles = {task: {"updates": 10, "gamma": 0.95} for task in TASKS}
     return grid.build("sumo", {"highway": (1,), "u-turn": (1,)}, 1, 3, profiles, "smoke")
 
 
@@ -147,7 +147,7 @@ def test_a_directory_without_results_is_told_from_an_empty_one(tmp_path):
         store.load(tmp_path / "new")
 
 
-# --- claims ---------------------------------------------------------------------------------------------------
+# --- claims ---
 
 
 def _claim_and_wait(directory, name, connection):

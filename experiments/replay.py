@@ -1,0 +1,204 @@
+"""Play one stored test episode again, check it against the stored one, and draw it or export it for sumo-gui.
+
+    python experiments/replay.py results/sumo-quick/cells/sumo-highway-50-control-s0-...
+    python experiments/replay.py results/sumo-quick/cells/sumo-highway-50-control-s0-...:risky:17
+    python experiments/replay.py CASE --gif       # an animation instead of a strip of pictures
+    python experiments/replay.py CASE --fcd       # positions, speeds and angles for sumo-gui
+
+Exit status: 0 the episode was reproduced, 1 it came out differently (the message says what, and which
+versions have changed since), 2 the case does not exist.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+if __package__ in (None, ""):  # run as a file: import from the project, not from this folder (statistics.py!)
+    sys.path[0] = str(Path(__file__).resolve().parents[1])
+
+from experiments.threads import limit_threads
+
+limit_threads()
+
+import math
+import re
+from dataclasses import dataclass
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import tyro
+from numpy.typing import NDArray
+
+from experiments import fcd, grid, store
+from experiments.backends import make_env
+from experiments.errors import UserError, disk_error, run_command
+from experiments.evaluate import Policy, play
+from experiments.worker import MakeEnv
+
+STRIP_FRAMES = 12  # pictures in a strip, spread over the episode
+
+
+@dataclass(frozen=True)
+class Options:
+    """Play one stored test episode again."""
+
+    case: tyro.conf.Positional[str]
+    """DIR/cells/CELL[:TRAFFIC:SCENARIO]; traffic regular or risky, scenarios from 0 (default: regular:0)."""
+    out: Path | None = None
+    """File to write (default: CELL-TRAFFIC-SCENARIO with a fitting ending, in the current directory)."""
+    gif: bool = False
+    """Write an animated GIF instead of a strip of pictures (PNG)."""
+    fcd: bool = False
+    """Write a floating-car-data file (XML) and a configuration with the road for SUMO's tools instead."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """A stored test episode."""
+
+    path: Path
+    traffic: str
+    scenario: int
+
+    @property
+    def name(self) -> str:
+        """What its files are called."""
+        return f"{self.path.name}-{self.traffic}-{self.scenario}"
+
+
+def parse_case(text: str) -> Case:
+    """Split a case into cell directory, traffic and scenario.
+
+    Raises:
+        UserError: not of that form, or the cell does not exist.
+    """
+    match = re.fullmatch(r"(?P<path>.+?)(:(?P<traffic>[a-z]+):(?P<scenario>\d+))?/?", text)
+    if match is None:
+        raise UserError(f"a case is DIR/cells/CELL[:TRAFFIC:SCENARIO], not {text!r}")
+    path = Path(match["path"])
+    traffic = match["traffic"] or "regular"
+    if traffic not in grid.TRAFFICS:
+        raise grid.unknown("traffic", traffic, grid.TRAFFICS)
+    if not path.is_dir():
+        near = sorted(p.name for p in path.parent.iterdir()) if path.parent.is_dir() else []
+        raise grid.unknown("cell", path.name, near) if near else UserError(f"there is no cell {path}")
+    return Case(path, traffic, int(match["scenario"] or 0))
+
+
+def stored_policy(path: Path, key: dict[str, Any], env: gym.Env[Any, Any]) -> Policy:
+    """The policy of a stored cell: its trained network, or its rule."""
+    if key["kind"] == "agent":
+        from agents.policy import GreedyPolicy
+
+        return GreedyPolicy.load(path / store.WEIGHTS)
+    from agents.rules import make_policy
+
+    return make_policy(key["policy"], env)
+
+
+def differences(stored: dict[str, Any], row: dict[str, Any]) -> list[str]:
+    """Columns in which a replayed episode is not the stored one, in words; empty if it is reproduced."""
+    found = []
+    for name, old in stored.items():
+        new = row[name]
+        missing = [value is None or (isinstance(value, float) and math.isnan(value)) for value in (old, new)]
+        if missing != [True, True] and old != new:
+            found.append(f"{name} {new} instead of {old}")
+    return found
+
+
+def replay(options: Options, make_env: MakeEnv = make_env) -> int:
+    """Do what the options ask for; returns the exit status.
+
+    Raises:
+        UserError: the case does not exist, its cell is damaged, or the file cannot be written.
+    """
+    case = parse_case(options.case)
+    record = store.read_cell(case.path)
+    key = record["key"]
+    table = store.read_episodes(case.path)
+    rows = table[(table["traffic"] == case.traffic) & (table["scenario"] == case.scenario)]
+    if rows.empty:
+        raise UserError(
+            f"{case.path.name} has {key['eval']['episodes']} scenarios, counted from 0: no {case.scenario}"
+        )
+    env = make_env(key["backend"], key["task"], key["env_config"], "rgb_array")
+    frames: list[NDArray[np.uint8]] = []
+    scenes: list[Any] = []
+
+    def record_step() -> None:
+        scenes.append(env.unwrapped.scene)  # type: ignore[attr-defined]
+        if not options.fcd:
+            frames.append(np.asarray(env.render()))
+
+    try:
+        policy = stored_policy(case.path, key, env)
+        row = play(env, policy, key["task"], key["level"], case.traffic, case.scenario, record_step)
+    finally:
+        env.close()
+    try:
+        files = _write(options, case, key, frames, scenes)
+    except OSError as error:
+        raise disk_error(error, options.out or Path.cwd()) from None
+    print(f"{case.name}: return {row['return']:.3f} in {row['length']} steps, " + _ending(row))
+    print("crashes in the stored test: " + _crashes(table))
+    print("written: " + ", ".join(map(str, files)))
+    wrong = differences(rows.iloc[0].to_dict(), row)
+    if wrong:
+        print(f"error: not reproduced: {'; '.join(wrong)}{_changed(record)}", file=sys.stderr)
+        return 1
+    print("reproduced: every stored number came out the same")
+    return 0
+
+
+def _ending(row: dict[str, Any]) -> str:
+    if row["crashed"]:
+        return f"{row['crash_type']} crash with {row['crash_other']} after {row['crash_time']:.1f} s"
+    return "arrived" if row["arrived"] else "time was up"
+
+
+def _crashes(table: Any) -> str:
+    """Scenarios with a crash, for the next call."""
+    parts = []
+    for traffic in grid.TRAFFICS:
+        numbers = table[(table["traffic"] == traffic) & table["crashed"]]["scenario"].tolist()
+        shown = " ".join(map(str, numbers[:12])) + (" ..." if len(numbers) > 12 else "")
+        parts.append(f"{traffic} {shown or 'none'}")
+    return "; ".join(parts)
+
+
+def _changed(record: dict[str, Any]) -> str:
+    """Versions that differ from those of the stored cell, in words."""
+    now = grid.versions(record["key"]["backend"], record["key"]["kind"])
+    changed = [
+        f"{name} {now.get(name)} (was {old})"
+        for name, old in record["versions"].items()
+        if now.get(name) != old
+    ]
+    return f"; since then changed: {', '.join(changed)}" if changed else "; the versions are the same"
+
+
+def _write(
+    options: Options, case: Case, key: dict[str, Any], frames: list[NDArray[np.uint8]], scenes: list[Any]
+) -> list[Path]:
+    ending = ".fcd.xml" if options.fcd else ".gif" if options.gif else ".png"
+    path = options.out or Path(case.name + ending)
+    if options.fcd:
+        return fcd.write(path, scenes, key["task"], key["env_config"])
+    from PIL import Image
+
+    if options.gif:
+        pictures = [Image.fromarray(frame) for frame in frames]
+        pictures[0].save(path, save_all=True, append_images=pictures[1:], duration=500, loop=0)
+    else:
+        chosen = np.unique(np.linspace(0, len(frames) - 1, STRIP_FRAMES).round().astype(int))
+        gap = np.full((4, frames[0].shape[1], 3), 255, np.uint8)
+        strip = [part for number in chosen for part in (frames[number], gap)][:-1]
+        Image.fromarray(np.concatenate(strip)).save(path)
+    return [path]
+
+
+if __name__ == "__main__":
+    run_command(lambda: replay(tyro.cli(Options, description=__doc__)))

@@ -91,7 +91,9 @@ def _check(task: str, config: Config, defaults: Config) -> None:
         if key.endswith("_count") and (value != int(value) or value < 0):
             raise ConfigError(f"config key {key!r} must be a whole number of at least 0, not {value!r}")
     if config["traffic_model"] not in ("matched", "sumo"):
-        raise ConfigError(f"config key 'traffic_model' must be 'matched' or 'sumo', not {config['traffic_model']!r}")
+        raise ConfigError(
+            f"config key 'traffic_model' must be 'matched' or 'sumo', not {config['traffic_model']!r}"
+        )
     if not 0.0 <= config["risk"] <= 1.0:
         raise ConfigError(f"config key 'risk' must lie in [0, 1], not {config['risk']!r}")
     for key in ("duration", "policy_frequency", "simulation_frequency", "vehicles_density"):
@@ -103,7 +105,9 @@ def _check(task: str, config: Config, defaults: Config) -> None:
             f"({config['policy_frequency']})"
         )
     if config["simulation_frequency"] < 5:
-        raise ConfigError("'simulation_frequency' below 5 Hz lets cars pass through each other; use at least 5")
+        raise ConfigError(
+            "'simulation_frequency' below 5 Hz lets cars pass through each other; use at least 5"
+        )
     kind = config["observation"].get("type")
     if kind not in OBSERVATION_KEYS:
         raise ConfigError(f"unknown observation type {kind!r}: {nearest(str(kind), OBSERVATION_KEYS)}")

@@ -41,7 +41,12 @@ class Ego:
     """
 
     def __init__(
-        self, road: Road, lane: LaneIndex, speed: float, target_speeds: tuple[float, ...], route: tuple[str, ...]
+        self,
+        road: Road,
+        lane: LaneIndex,
+        speed: float,
+        target_speeds: tuple[float, ...],
+        route: tuple[str, ...],
     ) -> None:
         self.road = road
         self.route = route
@@ -53,6 +58,7 @@ class Ego:
 
     @property
     def target_speed(self) -> float:
+        """The commanded rung [m/s]."""
         return self.target_speeds[self.speed_index]
 
     def command(self, action: str, x: float, y: float) -> None:
@@ -80,8 +86,20 @@ class Ego:
         highway-env integrates the lag v' = (target - v) / 0.6 s by explicit Euler at 15 Hz, and a wreck's v' = -v
         likewise; speed and distance are those, at any `dt`.
         """
-        tau, target = (1.0, 0.0) if self.crashed else (TAU, self.target_speed)
-        kept = (1.0 - REFERENCE_STEP / tau) ** (dt / REFERENCE_STEP)
-        difference = self.speed - target
-        self.speed = target + difference * kept
-        return target * dt + difference * tau * (1.0 - kept)
+        if self.crashed:
+            self.speed, distance = coast(self.speed, dt)
+        else:
+            self.speed, distance = approach(self.speed, self.target_speed, TAU, dt)
+        return distance
+
+
+def approach(speed: float, target: float, tau: float, dt: float) -> tuple[float, float]:
+    """Speed [m/s] after `dt` [s] of first-order lag `tau` [s], and the distance covered [m]."""
+    kept = (1.0 - REFERENCE_STEP / tau) ** (dt / REFERENCE_STEP)
+    difference = speed - target
+    return target + difference * kept, target * dt + difference * tau * (1.0 - kept)
+
+
+def coast(speed: float, dt: float) -> tuple[float, float]:
+    """Speed [m/s] of a wreck after `dt` [s], and the distance covered [m]: it decelerates with a = -v."""
+    return approach(speed, 0.0, 1.0, dt)

@@ -40,7 +40,9 @@ class Kinematics:
         self.features: tuple[str, ...] = tuple(config.get("features") or ("presence", "x", "y", "vx", "vy"))
         for feature in self.features:
             if feature not in FEATURES:
-                raise ConfigError(f"unknown observation feature {feature!r}: {nearest(feature, list(FEATURES))}")
+                raise ConfigError(
+                    f"unknown observation feature {feature!r}: {nearest(feature, list(FEATURES))}"
+                )
         self.vehicles_count = int(config.get("vehicles_count", 5))
         if self.vehicles_count < 1:
             raise ConfigError("observation 'vehicles_count' must be at least 1 (the ego)")
@@ -54,7 +56,9 @@ class Kinematics:
         try:
             self.ranges = {name: (float(low), float(high)) for name, (low, high) in ranges.items()}
         except (TypeError, ValueError) as error:
-            raise ConfigError(f"observation 'features_range' must map features to [low, high]: {ranges!r}") from error
+            raise ConfigError(
+                f"observation 'features_range' must map features to [low, high]: {ranges!r}"
+            ) from error
         self.absolute = bool(config.get("absolute", False))
         self.order = config.get("order", "sorted")
         if self.order not in ("sorted", "shuffled"):
@@ -162,14 +166,21 @@ class TimeToCollision:
         self.quantum = 1.0 / policy_frequency
         self.steps = int(self.horizon / self.quantum)
         if self.steps < 1:
-            raise ConfigError(f"observation 'horizon' must be at least one policy step, not {self.horizon!r} s")
+            raise ConfigError(
+                f"observation 'horizon' must be at least one policy step, not {self.horizon!r} s"
+            )
         self.space = spaces.Box(0.0, 1.0, (3, 3, self.steps), np.float32)
         self.features: tuple[str, ...] = ()
         self.ranges: dict[str, tuple[float, float]] = {}
         self.absolute = False
 
     def observe(
-        self, scene: Scene, road: Road, ego: EgoState, target_speeds: tuple[float, ...], route: tuple[str, ...]
+        self,
+        scene: Scene,
+        road: Road,
+        ego: EgoState,
+        target_speeds: tuple[float, ...],
+        route: tuple[str, ...],
     ) -> Array:
         """The grid, float32 of shape (3, 3, steps)."""
         lanes = road.count(*ego.lane[:2])
@@ -220,5 +231,6 @@ def _connected(road: Road, start: LaneIndex, other: LaneIndex, route: tuple[str,
         following = route[route.index(start[1]) + 1]
         return _connected(road, (start[1], following, 0), other, route, depth - 1)
     return any(
-        _connected(road, (start[1], end, 0), other, route, depth - 1) for end in road.successors.get(start[1], ())
+        _connected(road, (start[1], end, 0), other, route, depth - 1)
+        for end in road.successors.get(start[1], ())
     )

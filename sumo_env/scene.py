@@ -37,10 +37,12 @@ class Scene:
 
     @property
     def vx(self) -> Floats:
+        """Velocity to the east [m/s], shape (n,)."""
         return self.speed * np.cos(self.heading)
 
     @property
     def vy(self) -> Floats:
+        """Velocity to the south [m/s], shape (n,)."""
         return self.speed * np.sin(self.heading)
 
     def __len__(self) -> int:

@@ -9,7 +9,7 @@ degrees clockwise from north) end here: everything above speaks highway-env's (y
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
@@ -18,7 +18,6 @@ import numpy as np
 
 from sumo_env.drivers import Driver
 from sumo_env.scene import VEHICLE_LENGTH, VEHICLE_WIDTH, Floats
-
 
 try:
     import libsumo
@@ -145,10 +144,12 @@ class Simulation:
         self.set_desired_speed(name, lane, desired_speed)
 
     def set_desired_speed(self, name: str, lane: str, speed: float) -> None:
+        """What the driver would like to drive on a free road [m/s]."""
         # A factor on the lane's limit: unlike setMaxSpeed it does not copy the vehicle's type.
         libsumo.vehicle.setSpeedFactor(name, max(speed, 0.01) / libsumo.lane.getMaxSpeed(lane))
 
     def remove(self, name: str) -> None:
+        """Take a vehicle off the road."""
         libsumo.vehicle.remove(name)
 
     def present(self) -> tuple[str, ...]:
@@ -156,11 +157,14 @@ class Simulation:
         return libsumo.vehicle.getIDList()
 
     def step(self) -> None:
+        """Advance by one simulation step."""
         libsumo.simulationStep()
 
     def read(self, names: Sequence[str]) -> tuple[Floats, Floats, Floats, Floats]:
         """Centres x, y [m], speeds [m/s] and headings [rad] of the named vehicles, shape (n,) each."""
-        rows = np.array([(*_position(name, False), _angle(name), _speed(name)) for name in names]).reshape(-1, 4)
+        rows = np.array([(*_position(name, False), _angle(name), _speed(name)) for name in names]).reshape(
+            -1, 4
+        )
         heading = np.radians(rows[:, 2] - 90.0)
         x = rows[:, 0] - HALF * np.cos(heading)
         y = -rows[:, 1] - HALF * np.sin(heading)
@@ -179,11 +183,8 @@ class Simulation:
         return libsumo.vehicle.getLateralLanePosition(name)
 
     def set_speed(self, name: str, speed: float) -> None:
+        """Command a speed [m/s] from now on; a negative one gives it back to SUMO."""
         libsumo.vehicle.setSpeed(name, speed)
-
-    def set_speeds(self, names: Iterable[str], speeds: Iterable[float]) -> None:
-        for name, speed in zip(names, speeds, strict=True):
-            _set_speed(name, speed)
 
     def change_lane(self, name: str, index: int) -> None:
         """Change to the lane of this SUMO index (0 is the rightmost) now."""
@@ -194,16 +195,20 @@ class Simulation:
         libsumo.vehicle.changeLaneRelative(name, step, 0.0)
 
     def set_modes(self, name: str, speed_mode: int, lane_change_mode: int) -> None:
+        """Who checks what: the constants above."""
         libsumo.vehicle.setSpeedMode(name, speed_mode)
         libsumo.vehicle.setLaneChangeMode(name, lane_change_mode)
 
     def speed_mode(self, name: str, mode: int) -> None:
+        """Who checks a commanded speed."""
         libsumo.vehicle.setSpeedMode(name, mode)
 
     def lane_change_mode(self, name: str, mode: int) -> None:
+        """Who decides on lane changes."""
         libsumo.vehicle.setLaneChangeMode(name, mode)
 
     def version(self) -> str:
+        """SUMO's version, such as `SUMO 1.28.0`."""
         return str(libsumo.getVersion()[1])
 
 

@@ -192,7 +192,9 @@ class GiveWay(Computed):
         self._stage = np.zeros(n, np.int64)
         for _ in range(2):
             advance(self._table.geometry, self._routes, self._stage, world.x, world.y)
-        self._exempt = np.array([row == 0 or not spec.driver.gives_way for row, spec in enumerate(world.specs)])
+        self._exempt = np.array(
+            [row == 0 or not spec.driver.gives_way for row, spec in enumerate(world.specs)]
+        )
         if world.time == 0.0:
             self._clock = self.phase
 
@@ -228,5 +230,3 @@ def rule_for(task: str, traffic_model: str) -> Rule:
     if task == "intersection":
         return GiveWay() if traffic_model == "matched" else Native(REGULAR, NO_LANE_CHANGES)
     return Native(REGULAR, OWN_LANE_CHANGES)
-
-

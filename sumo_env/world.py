@@ -6,15 +6,16 @@ everybody's state is read, contacts are looked for by SUMO and by the separating
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from networks.catalogue import Network
-from sumo_env.collision import CrashRecord, contacts, crash_record
+from sumo_env.collision import CrashRecord, Detector, contacts, crash_record
 from sumo_env.config import Config
-from sumo_env.ego import REFERENCE_STEP, Ego
+from sumo_env.ego import REFERENCE_STEP, Ego, coast
 from sumo_env.models.idm import driver_row
 from sumo_env.safety import HORIZON, min_ttc
 from sumo_env.scenario import EGO, Scenario, VehicleSpec
@@ -70,7 +71,9 @@ class World:
         self._brakes: dict[str, tuple[float, float]] = {}  # vehicle -> (end [s], deceleration [m/s2])
         self._own_speed: dict[str, float] = {}
         specs = [scenario.ego]
-        specs += [spec for spec in scenario.vehicles if self.task.concerns_ego(spec, scenario.ego, self.config)]
+        specs += [
+            spec for spec in scenario.vehicles if self.task.concerns_ego(spec, scenario.ego, self.config)
+        ]
         for spec in specs:
             self._place(spec)
         self._set_rows(specs)
@@ -89,7 +92,11 @@ class World:
     def _set_rows(self, specs: list[VehicleSpec], keep: dict[str, int] | None = None) -> None:
         """(Re)build the arrays for these vehicles; rows of `keep` (id -> old row) keep their state."""
         keep = keep or {}
-        old = {name: getattr(self, name) for name in ("crashed", "target_speed", "yielding", "speed")} if keep else {}
+        old = (
+            {name: getattr(self, name) for name in ("crashed", "target_speed", "yielding", "speed")}
+            if keep
+            else {}
+        )
         self.specs = specs
         self.ids = [spec.id for spec in specs]
         self.row = {name: row for row, name in enumerate(self.ids)}
@@ -107,15 +114,16 @@ class World:
 
     # -- a policy step -------------------------------------------------------------------------------------
 
-    def step(self) -> Scene:
+    def step(self, on_substep: Callable[[Scene], None] | None = None) -> Scene:
         """Drive for one policy step and return the scene at its end.
 
+        `on_substep` is called with the scene after every sub-step but the last (for films).
         Also sets `min_ttc` [s], `distance` [m] and `lane_changes` of this step, and `crash` at the ego's first contact.
         """
         self.sim.check(self)
         self.min_ttc = np.inf
         self.distance = 0.0
-        for _ in range(self.substeps):
+        for substep in range(1, self.substeps + 1):
             self._start_events()
             self.rule.act(self)
             self._coast()
@@ -130,6 +138,8 @@ class World:
                     self.heading, 0, HORIZON,
                 )  # fmt: skip
                 self.min_ttc = min(self.min_ttc, ttc)
+            if on_substep is not None and substep < self.substeps:
+                on_substep(self.scene())
         self.policy_step += 1
         return self.scene()
 
@@ -138,7 +148,9 @@ class World:
         spawns = [spawn.vehicle for spawn in self.scenario.spawns if spawn.step == self.policy_step]
         staying = [row for row in range(len(self.ids)) if row == 0 or not self._has_left(row)]
         coming = [
-            spec for spec in spawns if fits(spec, [(float(self.x[row]), float(self.y[row])) for row in staying])
+            spec
+            for spec in spawns
+            if fits(spec, [(float(self.x[row]), float(self.y[row])) for row in staying])
         ]
         if not coming and len(staying) == len(self.ids):
             return
@@ -159,8 +171,15 @@ class World:
         return index[0].startswith("il") and s >= lane.length - 20.0
 
     def scene(self) -> Scene:
+        """The present state as a value."""
         return Scene(
-            tuple(self.ids), self.x, self.y, self.speed, self.heading, self.crashed.copy(), round(self.time, 6)
+            tuple(self.ids),
+            self.x,
+            self.y,
+            self.speed,
+            self.heading,
+            self.crashed.copy(),
+            round(self.time, 6),
         )
 
     # -- parts of a sub-step -------------------------------------------------------------------------------
@@ -208,26 +227,26 @@ class World:
 
     def accelerate(self, acceleration: NDArray[np.float64]) -> None:
         """Drive all vehicles but the ego and the wrecks by these accelerations [m/s2]."""
+        # highway-env moves by explicit Euler at 15 Hz; constant acceleration over our step moves as far as that
+        lead = (self.dt - REFERENCE_STEP) / 2.0
         for row in range(1, len(self.ids)):
             if not self.crashed[row]:
-                self._command(row, float(acceleration[row]))
+                speed, a = float(self.speed[row]), float(acceleration[row])
+                self._drive(row, max(speed + a * self.dt, 0.0), max(speed + a * lead, 0.0) * self.dt)
 
-    def _command(self, row: int, acceleration: float) -> None:
-        """Move a vehicle as highway-env's explicit Euler at 15 Hz does, whatever our step.
+    def _drive(self, row: int, speed: float, distance: float) -> None:
+        """Move a vehicle by `distance` [m] in the next step, after which its speed is `speed` [m/s].
 
-        SUMO moves by the *new* speed. The speed that we command makes the displacement right; the vehicle's speed
-        proper is kept in `speed`.
+        SUMO knows one number for both: it is told the distance, and the speed proper is kept by us.
         """
-        speed = float(self.speed[row])
-        moved = speed + acceleration * (self.dt - REFERENCE_STEP) / 2.0
         name = self.ids[row]
-        self.sim.set_speed(name, max(moved, 0.0))
-        self._own_speed[name] = max(speed + acceleration * self.dt, 0.0)
+        self.sim.set_speed(name, distance / self.dt)
+        self._own_speed[name] = speed
 
     def _coast(self) -> None:
         """Wrecks decelerate with a = -v and stay where they stop, as in highway-env."""
         for row in np.flatnonzero(self.crashed[1:]) + 1:
-            self._command(int(row), -float(self.speed[row]))
+            self._drive(int(row), *coast(float(self.speed[row]), self.dt))
 
     def _drive_ego(self) -> None:
         ego = self.ego
@@ -261,7 +280,9 @@ class World:
             for a, b in self.sim.collisions()
             if a in self.row and b in self.row
         }
-        by_geometry = {frozenset(pair) for pair in contacts(self.x, self.y, self.heading, ~self.crashed).tolist()}
+        by_geometry = {
+            frozenset(pair) for pair in contacts(self.x, self.y, self.heading, ~self.crashed).tolist()
+        }
         if self.crash is not None and self.crash.detected_by != "both":
             # SUMO may see a contact a step later than the geometry does, or the other way round
             pair = frozenset((0, self.row.get(self.crash.other, -1)))
@@ -271,12 +292,11 @@ class World:
         for pair in sorted(by_sumo | by_geometry, key=sorted):
             i, j = sorted(pair)
             if i == 0 and self.crash is None:
-                by = "both" if pair in by_sumo and pair in by_geometry else "sumo" if pair in by_sumo else "geometry"
+                both = pair in by_sumo and pair in by_geometry
+                by: Detector = "both" if both else "sumo" if pair in by_sumo else "geometry"
                 self.crash = crash_record(self.scene(), j, by)
                 self.ego.crashed = True
             for row in (i, j):
                 if row > 0 and not self.crashed[row]:
                     self.sim.set_modes(self.ids[row], ALL_CHECKS_OFF, NO_LANE_CHANGES)
                 self.crashed[row] = True
-
-

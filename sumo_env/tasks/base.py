@@ -97,6 +97,7 @@ class Task:
         return False
 
     def terminated(self, ego: EgoState, config: Config) -> bool:
+        """Whether the episode is over, apart from its time."""
         off_road = bool(config.get("offroad_terminal", False)) and not ego.on_road
         return ego.crashed or off_road or self.arrived(ego)
 
@@ -125,6 +126,7 @@ class Drivers:
         }
 
     def next(self, fixed_delta: bool | None = None) -> Driver:
+        """The driver of the next vehicle; `fixed_delta` overrides the task's own choice."""
         pool = self._pool[self._fixed_delta if fixed_delta is None else fixed_delta]
         return pool[int(self._rng.integers(len(pool)))]
 

@@ -15,6 +15,8 @@ from sumo_env.tasks.base import Drivers, EgoState, Task, ego_driver, lmap, make_
 
 
 class Highway(Task):
+    """Four lanes, all traffic ahead of the ego and slower than it."""
+
     name = "highway"
     defaults = {
         "observation": {"type": "Kinematics"},

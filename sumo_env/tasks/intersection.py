@@ -26,6 +26,8 @@ INITIAL_SPAWN_PROBABILITY = 0.6  # hard-coded in highway-env, whatever the confi
 
 
 class Intersection(Task):
+    """Left turn at an unsignalised crossing; the ego is never given way on purpose."""
+
     name = "intersection"
     defaults = {
         "observation": {
@@ -186,7 +188,8 @@ def _warm_up(road: Road, vehicles: list[VehicleSpec]) -> list[VehicleSpec]:
     stage = np.zeros(n, np.int64)
     s = np.array([v.s for v in vehicles])
     x, y, heading, speed, target_speed = (
-        np.array([getattr(v, name) for v in vehicles]) for name in ("x", "y", "heading", "speed", "target_speed")
+        np.array([getattr(v, name) for v in vehicles])
+        for name in ("x", "y", "heading", "speed", "target_speed")
     )
     yielding = np.zeros(n, np.bool_)
     dt = 1.0 / WARM_UP_FREQUENCY
@@ -222,6 +225,3 @@ def _warm_up(road: Road, vehicles: list[VehicleSpec]) -> list[VehicleSpec]:
         # those that have left, as highway-env removes them after the first step
         if not (stage[i] == 2 and s[i] >= road.lane(paths[i][2]).length - 20.0)
     ]
-
-
-

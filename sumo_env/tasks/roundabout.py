@@ -27,6 +27,8 @@ MIN_SPACING = 7.0  # [m] between centres, RoundaboutGenericEnv
 
 
 class Roundabout(Task):
+    """Straight through a ring without right of way."""
+
     name = "roundabout"
     defaults = {
         "observation": {
@@ -59,9 +61,7 @@ class Roundabout(Task):
         return roundabout()
 
     def ego(self, config: Config, road: Road, rng: np.random.Generator) -> VehicleSpec:
-        return make_on_lane(
-            road, EGO, ("ser", "ses", 0), 125.0, 8.0, ego_driver(self), destination="nxs"
-        )
+        return make_on_lane(road, EGO, ("ser", "ses", 0), 125.0, 8.0, ego_driver(self), destination="nxs")
 
     def vehicles(
         self, config: Config, road: Road, ego: VehicleSpec, rng: np.random.Generator, drivers: Drivers

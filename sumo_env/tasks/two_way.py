@@ -17,6 +17,8 @@ OWN, ONCOMING = ("a", "b", 1), ("b", "a", 0)
 
 
 class TwoWay(Task):
+    """One lane each way; cars ahead that are slower, and oncoming ones."""
+
     name = "two-way"
     defaults = {
         "observation": {

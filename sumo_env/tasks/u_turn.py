@@ -29,6 +29,8 @@ SLOTS: tuple[tuple[LaneIndex, float, float], ...] = (
 
 
 class UTurn(Task):
+    """Two lanes around a half circle, with slow cars in the bend."""
+
     name = "u-turn"
     defaults = {
         "observation": {

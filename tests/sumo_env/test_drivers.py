@@ -40,7 +40,9 @@ def test_the_range_widens_with_the_dose(name: str) -> None:
 
 
 def test_half_of_the_drivers_do_not_give_way_at_dose_one_and_the_dose_only_adds_to_them() -> None:
-    careless = [{k for k, d in enumerate(driver_pool(BASE, dose)) if not d.gives_way} for dose in (0.0, 0.5, 1.0)]
+    careless = [
+        {k for k, d in enumerate(driver_pool(BASE, dose)) if not d.gives_way} for dose in (0.0, 0.5, 1.0)
+    ]
     assert [len(group) for group in careless] == [0, POOL // 4, POOL // 2]
     assert careless[1] <= careless[2]
 

@@ -17,7 +17,7 @@ def ego(speed: float = 25.0, lane: int = 1) -> Ego:
 
 @pytest.mark.parametrize("dt", [1 / 15, 0.1, 0.2])
 @pytest.mark.parametrize(("start", "action", "after"), [(25.0, "FASTER", 29.15), (25.0, "SLOWER", 20.85)])
-def test_speed_after_one_second_is_highway_env_s_at_any_step(dt: float, start: float, action: str, after: float) -> None:
+def test_speed_after_one_second_at_any_step(dt: float, start: float, action: str, after: float) -> None:
     driver = ego(start)
     driver.command(action, 0.0, 4.0)
     distance = sum(driver.advance(dt) for _ in range(round(1 / dt)))

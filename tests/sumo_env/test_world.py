@@ -1,0 +1,291 @@
+"""Episodes on SUMO: the ego's motion, contacts, wrecks, risk events, vehicles that come, go or do not matter."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sumo_env.drivers import RiskEvent
+from sumo_env.env import DrivingEnv
+from sumo_env.scenario import Scenario, VehicleSpec
+from sumo_env.scene import Scene
+from sumo_env.tasks import TASKS
+from sumo_env.world import World
+
+
+@pytest.fixture
+def make() -> Iterator[Any]:
+    """Environments that start from a scenario changed by the test."""
+    made: list[DrivingEnv] = []
+
+    def build(task: str, change: Any = lambda scenario: scenario, seed: int = 0, **config: Any) -> DrivingEnv:
+        env = DrivingEnv(task, config)
+        draw = env.task.scenario
+        the_task = type(env.task)()
+        the_task.scenario = lambda config, seed: change(draw(config, seed))  # type: ignore[method-assign]
+        env.task = the_task
+        env.reset(seed=seed)
+        made.append(env)
+        return env
+
+    yield build
+    for env in made:
+        env.close()
+
+
+def alone(scenario: Scenario) -> Scenario:
+    return replace(scenario, vehicles=(), spawns=(), events=())
+
+
+def with_leader(distance: float, speed: float) -> Any:
+    """One vehicle ahead of the ego in its lane."""
+
+    def change(scenario: Scenario) -> Scenario:
+        ego, other = scenario.ego, scenario.vehicles[0]
+        leader = replace(
+            other,
+            lane=ego.lane,
+            s=ego.s + distance,
+            x=ego.x + distance,
+            y=ego.y,
+            speed=speed,
+            target_speed=speed,
+        )
+        return replace(scenario, vehicles=(leader,), events=())
+
+    return change
+
+
+def substeps(env: DrivingEnv, action: int) -> list[Scene]:
+    """Scenes after every simulation step of one policy step."""
+    scenes: list[Scene] = []
+    look = World._look_for_contacts
+    World._look_for_contacts = lambda self: (look(self), scenes.append(self.scene()))[0]  # type: ignore
+    try:
+        env.step(action)
+    finally:
+        World._look_for_contacts = look  # type: ignore[method-assign]
+    return scenes
+
+
+def test_idle_ego_keeps_speed_and_lane(make: Any) -> None:
+    env = make("highway", alone)
+    x = env.scene.x[0]
+    for _ in range(5):
+        env.step(1)
+    assert env.scene.x[0] - x == pytest.approx(125.0, abs=0.01)
+    assert env.scene.speed[0] == 25.0
+
+
+def test_lane_change_flips_after_half_a_second_and_is_done_after_one(make: Any) -> None:
+    env = make("highway", alone, initial_lane_id=2)
+    y = np.array([scene.y[0] for scene in substeps(env, 0)])
+    flip = np.argmax(y < 6.0) + 1
+    assert flip in (5, 6)  # tenths of a second; highway-env's flips after 0.47 s
+    assert y[-1] == pytest.approx(4.0, abs=0.5)
+    env.step(1)
+    assert env.scene.y[0] == pytest.approx(4.0, abs=0.01)
+
+
+def test_two_lane_changes_in_a_row_are_both_made(make: Any) -> None:
+    env = make("highway", alone, initial_lane_id=3)
+    env.step(0)
+    env.step(0)
+    for _ in range(2):
+        env.step(1)
+    assert env.scene.y[0] == pytest.approx(4.0, abs=0.01)
+
+
+def test_the_ego_is_not_slowed_by_bends_or_junctions(make: Any) -> None:
+    for task, faster, seconds, speed in (
+        ("u-turn", 3, 10, 24.0),
+        ("roundabout", 3, 9, 16.0),
+        ("intersection", 2, 9, 9.0),
+    ):
+        env = make(task, alone)
+        driven = 0.0
+        for _ in range(seconds):
+            before = env.scene
+            _, _, terminated, truncated, info = env.step(faster)
+            driven = info["distance"]
+            chord = np.hypot(env.scene.x[0] - before.x[0], env.scene.y[0] - before.y[0])
+            assert chord <= driven + 0.3
+            if terminated or truncated:
+                break
+        assert driven == pytest.approx(speed, rel=0.02)
+        assert info["on_road"]
+
+
+def test_empty_intersection_takes_nine_steps(make: Any) -> None:
+    env = make("intersection", alone)
+    rewards = []
+    for _ in range(13):
+        _, reward, terminated, _, info = env.step(1)
+        rewards.append(reward)
+        if terminated:
+            break
+    assert info["arrived"] and not info["crashed"]
+    assert len(rewards) in (8, 9, 10) and sum(rewards) == pytest.approx(len(rewards))
+
+
+def test_empty_two_way_road_pays_15_for_driving_left(make: Any) -> None:
+    env = make("two-way", alone)
+    total = env.step(0)[1]
+    truncated = False
+    while not truncated:
+        _, reward, terminated, truncated, _ = env.step(1)
+        assert not terminated
+        total += reward
+    assert total == pytest.approx(15.0)
+    assert env.scene.y[0] == pytest.approx(0.0, abs=0.01)
+    assert env.scene.x[0] == pytest.approx(480.0, abs=1.0)
+
+
+def test_the_two_way_ego_returns_to_its_lane(make: Any) -> None:
+    env = make("two-way", alone)
+    env.step(0)
+    env.step(2)
+    env.step(1)
+    assert env.scene.y[0] == pytest.approx(4.0, abs=0.01)
+    assert env.ego_state.lane == ("a", "b", 1)
+
+
+def test_rear_end_crash_is_recorded_and_ends_the_episode(make: Any) -> None:
+    env = make("highway", with_leader(20.0, 15.0))
+    terminated = False
+    while not terminated:
+        _, _, terminated, _, info = env.step(1)
+    crash = info["crash"]
+    assert info["crashed"] and crash["type"] == "rear-end" and crash["other"] == env.scene.ids[1]
+    assert crash["closing_speed"] == pytest.approx(10.0, abs=1.5)
+    assert crash["relative_x"] == pytest.approx(5.0, abs=1.0) and abs(crash["relative_y"]) < 0.2
+    assert crash["detected_by"] in ("both", "sumo", "geometry")
+    assert env.scene.crashed.all()
+    assert info["min_ttc"] < 1.0 and not info["near_miss"]
+
+
+def test_wrecks_coast_and_stay(make: Any) -> None:
+    env = make("highway", with_leader(12.0, 10.0))
+    env.step(1)
+    assert env.scene.crashed.all()
+    speed = env.scene.speed.copy()
+    env.step(1)
+    assert env.scene.speed == pytest.approx(speed * (14 / 15) ** 15, rel=1e-6)  # explicit Euler at 15 Hz
+    for _ in range(6):
+        env.step(1)
+    place = env.scene.x.copy()
+    env.step(1)
+    assert env.scene.x == pytest.approx(place, abs=0.1)
+
+
+def test_frontal_crash_on_the_two_way_road(make: Any) -> None:
+    def change(scenario: Scenario) -> Scenario:
+        return replace(scenario, vehicles=tuple(v for v in scenario.vehicles if v.lane == ("b", "a", 0)))
+
+    env = make("two-way", change)
+    action, terminated = 0, False
+    while not terminated:
+        _, _, terminated, truncated, info = env.step(action)
+        action = 1
+        assert not truncated
+    assert info["crash"]["type"] == "frontal"
+    assert info["crash"]["closing_speed"] > 30.0
+
+
+def test_a_follower_brakes_for_the_ego(make: Any) -> None:
+    def change(scenario: Scenario) -> Scenario:
+        ego, other = scenario.ego, scenario.vehicles[0]
+        follower = replace(
+            other,
+            lane=ego.lane,
+            s=ego.s - 40,
+            x=ego.x - 40,
+            y=ego.y,
+            speed=24.0,
+            target_speed=28.0,
+            changes_lanes=False,
+        )
+        return replace(scenario, vehicles=(follower,))
+
+    env = make("highway", change)
+    for _ in range(12):
+        _, _, terminated, _, _ = env.step(4)
+        assert not terminated
+    assert env.scene.speed[1] == pytest.approx(env.scene.speed[0], abs=0.5)
+
+
+@pytest.mark.parametrize("traffic_model", ["matched", "sumo"])
+def test_a_brake_event_brakes_and_ends(make: Any, traffic_model: str) -> None:
+    def change(scenario: Scenario) -> Scenario:
+        other: VehicleSpec = scenario.vehicles[0]
+        event = RiskEvent(1.0, other.id, "brake", decel=5.0, duration=1.0)
+        return replace(scenario, vehicles=(other,), events=(event,), spawns=())
+
+    for task in ("highway", "two-way"):
+        env = make(task, change, traffic_model=traffic_model, duration=8)
+        env.step(4)
+        before = env.scene.speed[1]
+        env.step(4)
+        after = env.scene.speed[1]
+        assert before - after > 3.5
+        env.step(4)
+        assert env.scene.speed[1] > after
+
+
+@pytest.mark.parametrize("traffic_model", ["matched", "sumo"])
+def test_a_cut_in_ignores_who_is_there(make: Any, traffic_model: str) -> None:
+    def change(scenario: Scenario) -> Scenario:
+        ego, other = scenario.ego, scenario.vehicles[0]
+        lane = ("0", "1", 1)
+        beside = replace(other, lane=lane, s=ego.s + 1.0, x=ego.x + 1.0, y=4.0, speed=25.0, target_speed=25.0)
+        return replace(
+            scenario, vehicles=(beside,), events=(RiskEvent(0.5, beside.id, "cut-in", direction=-1),)
+        )
+
+    env = make("highway", change, traffic_model=traffic_model, initial_lane_id=0)
+    env.step(1)
+    _, _, terminated, _, info = env.step(1)
+    assert terminated and info["crash"]["type"] == "side"
+
+
+def test_intersection_traffic_comes_and_goes() -> None:
+    env = DrivingEnv("intersection", {"duration": 40, "spawn_probability": 1.0})
+    env.reset(seed=1)
+    seen: set[str] = set(env.scene.ids)
+    gone = False
+    for _ in range(25):
+        env.step(0)  # the ego waits
+        gone = gone or not seen <= set(env.scene.ids)
+        seen |= set(env.scene.ids)
+    assert gone and any(name.startswith("s") for name in seen)
+    env.close()
+
+
+def test_vehicles_out_of_reach_make_no_difference(monkeypatch: pytest.MonkeyPatch) -> None:
+    config = {**TASKS["highway"].levels["100"], "vehicles_count": 80}
+    runs = []
+    for leave_out in (True, False):
+        if not leave_out:
+            monkeypatch.setattr(type(TASKS["highway"]), "concerns_ego", lambda *arguments: True)
+        env = DrivingEnv("highway", config)
+        episodes = []
+        for seed in range(4):
+            rng = np.random.default_rng(seed)
+            observation, _ = env.reset(seed=seed)
+            trace = [observation]
+            done = False
+            while not done:
+                observation, _, terminated, truncated, _ = env.step(int(rng.integers(5)))
+                trace.append(observation)
+                done = terminated or truncated
+            episodes.append(np.array(trace))
+        runs.append((episodes, len(env.scene)))
+        env.close()
+    assert runs[0][1] < runs[1][1] == 81
+    for short, whole in zip(runs[0][0], runs[1][0], strict=True):
+        assert short.shape == whole.shape
+        assert np.abs(short - whole).max() < 1e-4

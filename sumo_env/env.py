@@ -4,28 +4,33 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
 import numpy as np
-from gymnasium import spaces
 from numpy.typing import NDArray
 
 from networks.catalogue import network
 from sumo_env import safety
 from sumo_env.config import Config, ConfigError, resolve
-from sumo_env.ego import Ego, action_names
-from sumo_env.observation import Kinematics, TimeToCollision
+from sumo_env.ego import Ego
+from sumo_env.interface import interface
+from sumo_env.observation import TimeToCollision
 from sumo_env.scenario import Scenario
 from sumo_env.scene import Scene
 from sumo_env.tasks import get_task
 from sumo_env.tasks.base import EgoState, Task
 from sumo_env.world import World
 
+if TYPE_CHECKING:
+    from gymnasium.wrappers import RecordVideo
+
+    from sumo_env.rendering import Renderer
+
 Observation = NDArray[np.float32]
 
 
-class DrivingEnv(gym.Env[Observation, int]):
+class DrivingEnv(gym.Env[Observation, Any]):
     """One of the five driving tasks on SUMO.
 
     Observations, actions, rewards, endings and `config` keys are highway-env's (see `tasks`); one policy step is
@@ -41,7 +46,7 @@ class DrivingEnv(gym.Env[Observation, int]):
         ConfigError: unknown task or key, wrong value.
     """
 
-    metadata = {"render_modes": ["rgb_array"], "render_fps": 5}
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 5}  # noqa: RUF012 (gymnasium's way)
 
     def __init__(self, task: str, config: Mapping[str, Any] | None = None, render_mode: str | None = None) -> None:
         if render_mode not in (None, *self.metadata["render_modes"]):
@@ -50,8 +55,8 @@ class DrivingEnv(gym.Env[Observation, int]):
         self.render_mode = render_mode
         self._world: World | None = None
         self._world_key: tuple[Any, ...] = ()
-        self._renderer: Any = None
-        self._video: Any = None
+        self._renderer: Renderer | None = None
+        self._video: RecordVideo[Any, Any] | None = None
         self.scenario: Scenario | None = None
         self.configure(config)
 
@@ -60,23 +65,10 @@ class DrivingEnv(gym.Env[Observation, int]):
     def configure(self, config: Mapping[str, Any] | None) -> None:
         """Lay `config` over the present configuration; takes effect at the next reset."""
         self.config: Config = resolve(self.task.name, self.task.defaults, getattr(self, "config", None), config)
-        self._set_spaces()
-
-    def _set_spaces(self) -> None:
-        config = self.config
-        self.actions = action_names(config["action"])
-        self.target_speeds = tuple(float(v) for v in config["action"].get("target_speeds") or self.task.target_speeds)
-        if len(self.target_speeds) < 2 or list(self.target_speeds) != sorted(self.target_speeds):
-            raise ConfigError(f"'target_speeds' must be at least two rising speeds, not {list(self.target_speeds)}")
-        road = self.task.road(config)
-        first = next(iter(road.lanes))
-        self.observation_type: Kinematics | TimeToCollision
-        if config["observation"]["type"] == "Kinematics":
-            self.observation_type = Kinematics(config["observation"], road.count(*first[:2]))
-        else:
-            self.observation_type = TimeToCollision(config["observation"], config["policy_frequency"])
-        self.observation_space = self.observation_type.space
-        self.action_space = spaces.Discrete(len(self.actions))
+        offered = interface(self.task, self.config)
+        self.actions, self.target_speeds = offered.actions, offered.target_speeds
+        self.observation_type = offered.observation_type
+        self.observation_space, self.action_space = offered.observation_space, offered.action_space
 
     # -- gymnasium -----------------------------------------------------------------------------------------
 
@@ -95,7 +87,7 @@ class DrivingEnv(gym.Env[Observation, int]):
         self.scenario = self.task.scenario(config, int(self.np_random.integers(2**31)))
         world = self._open_world()
         spec = self.scenario.ego
-        route = (spec.lane[0], spec.lane[1])
+        route: tuple[str, ...] = (spec.lane[0], spec.lane[1])
         if spec.destination is not None and spec.destination != spec.lane[1]:
             route = (spec.lane[0], *world.road.route(spec.lane[1], spec.destination))
         self.ego = Ego(world.road, spec.lane, spec.speed, self.target_speeds, route)
@@ -111,9 +103,9 @@ class DrivingEnv(gym.Env[Observation, int]):
 
         Returns:
             observation, reward, terminated (crash, arrival), truncated (time is up), info.
-            ``info`` holds speed [m/s], crashed, arrived, on_road, action, rewards (the raw terms), crash (None or a
-            `CrashRecord` as a dict), density (vehicles within 200 m), min_ttc [s], near_miss, distance [m] of this
-            step.
+            ``info`` holds speed [m/s], crashed, arrived, on_road, action, rewards (the raw terms), crash (a
+            `CrashRecord` as a dict, empty without a crash), density (vehicles within 200 m), min_ttc [s], near_miss,
+            distance [m] of this step.
 
         Raises:
             SimulationTaken: another environment of this process was reset meanwhile.
@@ -126,7 +118,7 @@ class DrivingEnv(gym.Env[Observation, int]):
             raise ValueError(f"action must be one of {self.actions}, not {action!r}")
         world = self._world
         self.ego.command(name, float(self.scene.x[0]), float(self.scene.y[0]))
-        self.scene = world.step()
+        self.scene = world.step(self._on_substep if self._video or self._shows_trajectories() else None)
         self.steps += 1
         self.ego_state = state = self._ego_state(int(action))
         observation = self._observe()
@@ -145,14 +137,40 @@ class DrivingEnv(gym.Env[Observation, int]):
             return None
         if self.scenario is None:
             raise gym.error.ResetNeeded("call reset() before render()")
+        return self._camera().draw(self.scene, self.task.road(self.config), self.config)
+
+    def set_record_video_wrapper(self, wrapper: RecordVideo[Any, Any]) -> None:
+        """Let a `gymnasium.wrappers.RecordVideo` film every simulation sub-step, in real time, as in highway-env.
+
+        >>> env = RecordVideo(gym.make("sumo/highway-v0", render_mode="rgb_array"), "videos")
+        >>> env.unwrapped.set_record_video_wrapper(env)
+
+        Without this call a film has one frame a policy step. ``config["simulation_frequency"]`` is the frame rate.
+        """
+        self._video = wrapper
+        self.metadata = {**self.metadata, "render_fps": self.config["simulation_frequency"]}
+        wrapper.frames_per_sec = self.metadata["render_fps"]
+
+    def _on_substep(self, scene: Scene) -> None:
+        """Between two policy steps: a frame for the film, points for the trajectories."""
+        if self._shows_trajectories():
+            self._camera().remember(scene)
+        if self._video is not None and self._video.recording:
+            self.scene = scene
+            self._video._capture_frame()
+
+    def _shows_trajectories(self) -> bool:
+        return self.render_mode is not None and bool(self.config["show_trajectories"])
+
+    def _camera(self) -> Renderer:
         if self._renderer is None:
-            from sumo_env.rendering import Renderer
+            from sumo_env.rendering import Renderer  # Pillow is loaded by those only who look
 
             self._renderer = Renderer()
-        picture: NDArray[np.uint8] = self._renderer.draw(self.scene, self.task.road(self.config), self.config)
-        return picture
+        return self._renderer
 
     def close(self) -> None:
+        """Give SUMO back; the environment can be reset again all the same."""
         if self._world is not None:
             self._world.sim.release(self._world)
             self._world = None
@@ -231,7 +249,8 @@ class DrivingEnv(gym.Env[Observation, int]):
             "on_road": state.on_road,
             "action": action,
             "rewards": rewards,
-            "crash": None if world.crash is None else world.crash.as_dict(),
+            # always a dict: vector environments cannot merge None with a dict
+            "crash": {} if world.crash is None else world.crash.as_dict(),
             "density": int(safety.density(scene.x, scene.y, 0, 200.0)),
             "min_ttc": ttc,
             "near_miss": ttc < safety.NEAR_MISS_TTC and not state.crashed,

@@ -1,0 +1,156 @@
+"""What is painted of a road: its surface, its edges and its dashed lines, as polygons in metres.
+
+Derived from the lanes alone. Edge lines need no rule for junctions: every strip of surface is drawn wider in
+white first and all surfaces over that, as maps draw streets: white remains at the rim of their union only.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from networks.lanes import Lane, StraightLane, wrap_to_pi
+from networks.roads import LaneIndex, Road
+
+Points = NDArray[np.float64]  # shape (k, 2) [m]
+
+LINE_WIDTH = 0.3  # [m] LaneGraphics.STRIPE_WIDTH
+DASH_LENGTH = 3.0  # [m] LaneGraphics.STRIPE_LENGTH
+DASH_SPACING = 4.33  # [m] LaneGraphics.STRIPE_SPACING
+RUN_OUT = 300.0  # [m] that roads are drawn beyond their ends, where vehicles come from and go to
+STEP = 1.0  # [m] between the points of a curve
+NEAR = 0.5  # [m] lanes whose ends are closer than this are joined
+
+
+@dataclass(frozen=True)
+class Markings:
+    """Polygons to fill: `rims` white, then `surfaces` grey, then `dashes` white; arrays (k, 2) [m]."""
+
+    rims: tuple[Points, ...]
+    surfaces: tuple[Points, ...]
+    dashes: tuple[Points, ...]
+
+
+def markings(road: Road) -> Markings:
+    """The markings of a road."""
+    strips = [_strip(lane, *_extent(road, index, lane)) for index, lane in road.lanes.items()]
+    strips += [_bend(*joint) for joint in _open_joints(road)]
+    half = next(iter(road.lanes.values())).width / 2
+    return Markings(
+        rims=tuple(_outline(strip, half + LINE_WIDTH) for strip in strips),
+        surfaces=tuple(_outline(strip, half) for strip in strips),
+        dashes=tuple(dash for divider in _dividers(road) for dash in _dashes(*divider)),
+    )
+
+
+def _strip(lane: Lane, first: float, last: float) -> Points:
+    """Centre line from s = first to last [m]; columns x, y, heading."""
+    count = 2 if type(lane) is StraightLane else max(math.ceil((last - first) / STEP), 2)
+    places = np.linspace(first, last, count).tolist()
+    return np.array([(*lane.position(s, 0.0), lane.heading_at(s)) for s in places])
+
+
+def _bend(before: Lane, after: Lane) -> Points:
+    """A smooth centre line from the end of one lane to the start of another."""
+    (x0, y0), h0 = before.position(before.length, 0.0), before.heading_at(before.length)
+    (x3, y3), h3 = after.position(0.0, 0.0), after.heading_at(0.0)
+    reach = math.hypot(x3 - x0, y3 - y0) / 2.5
+    controls = np.array([
+        (x0, y0),
+        (x0 + reach * math.cos(h0), y0 + reach * math.sin(h0)),
+        (x3 - reach * math.cos(h3), y3 - reach * math.sin(h3)),
+        (x3, y3),
+    ])
+    t = np.linspace(0.0, 1.0, 12)[:, None]
+    p0, p1, p2, p3 = controls
+    points = (1 - t) ** 3 * p0 + 3 * (1 - t) ** 2 * t * p1 + 3 * (1 - t) * t**2 * p2 + t**3 * p3
+    slopes = (1 - t) ** 2 * (p1 - p0) + 2 * (1 - t) * t * (p2 - p1) + t**2 * (p3 - p2)
+    return np.column_stack([points, np.arctan2(slopes[:, 1], slopes[:, 0])])
+
+
+def _outline(strip: Points, half_width: float) -> Points:
+    """The polygon around a centre line."""
+    x, y, heading = strip.T
+    across = half_width * np.column_stack([-np.sin(heading), np.cos(heading)])
+    centre = np.column_stack([x, y])
+    return np.concatenate([centre + across, (centre - across)[::-1]])
+
+
+def _continues(before: Lane, after: Lane) -> bool:
+    """Whether `after` leads on in the direction in which `before` ends."""
+    return abs(wrap_to_pi(after.heading_at(0.0) - before.heading_at(before.length))) < math.pi / 2
+
+
+def _gap(before: Lane, after: Lane) -> float:
+    """Distance [m] from the end of one lane to the start of another."""
+    return math.dist(before.position(before.length, 0.0), after.position(0.0, 0.0))
+
+
+def _extent(road: Road, index: LaneIndex, lane: Lane) -> tuple[float, float]:
+    """From where to where a lane is drawn [m]; straight ones run on where no other lane joins them."""
+    if type(lane) is not StraightLane:
+        return 0.0, lane.length
+    start, end, _ = index
+    joined_before = any(b == start and _continues(other, lane) for (_, b, _), other in road.lanes.items())
+    joined_after = any(a == end and _continues(lane, other) for (a, _, _), other in road.lanes.items())
+    return (0.0 if joined_before else -RUN_OUT), lane.length + (0.0 if joined_after else RUN_OUT)
+
+
+def _open_joints(road: Road) -> Iterator[tuple[Lane, Lane]]:
+    """Successive lanes with a gap between them: the roundabout's entries and exits end off the ring."""
+    for start, node in dict.fromkeys(index[:2] for index in road.lanes):
+        for end in road.successors.get(node, ()):
+            pairs = [
+                (_gap(road.lanes[start, node, i], road.lanes[node, end, j]), i, j)
+                for i in range(road.count(start, node))
+                for j in range(road.count(node, end))
+                if _continues(road.lanes[start, node, i], road.lanes[node, end, j])
+            ]
+            if pairs and min(pairs)[0] > NEAR:
+                _, i, j = min(pairs)
+                yield road.lanes[start, node, i], road.lanes[node, end, j]
+
+
+def _dividers(road: Road) -> Iterator[tuple[Lane, float, float]]:
+    """Lanes with a dashed line on their left side, and its extent [m]."""
+    for index, lane in road.lanes.items():
+        if index[2] > 0 or _has_oncoming_neighbour(road, index, lane):
+            yield lane, *_extent(road, index, lane)
+
+
+def _has_oncoming_neighbour(road: Road, index: LaneIndex, lane: Lane) -> bool:
+    """Whether a later lane runs beside this one, on its left, the other way (not inside a junction)."""
+    if type(lane) is not StraightLane or len(road.successors[index[0]]) > 1 or road.count(*index[:2]) > 1:
+        return False
+    earlier = True
+    for other_index, other in road.lanes.items():
+        if other_index == index:
+            earlier = False
+        if earlier or type(other) is not StraightLane or road.count(*other_index[:2]) > 1:
+            continue
+        s, lateral = lane.local_coordinates(*other.position(other.length / 2, 0.0))
+        opposite = abs(wrap_to_pi(other.heading - lane.heading)) > math.pi - 0.01
+        if opposite and abs(lateral + lane.width) < 0.1 and 0.0 < s < lane.length:
+            return True
+    return False
+
+
+def _dashes(lane: Lane, first: float, last: float) -> Iterator[Points]:
+    """The dashes on the left side of a lane."""
+    starts = np.arange(math.ceil(first / DASH_SPACING), last / DASH_SPACING) * DASH_SPACING
+    half, edge = LINE_WIDTH / 2, -lane.width / 2
+    if type(lane) is StraightLane:  # a highway has thousands
+        along = np.array([math.cos(lane.heading), math.sin(lane.heading)])
+        across = np.array([-along[1], along[0]])
+        corners = np.array([(0.0, -half), (DASH_LENGTH, -half), (DASH_LENGTH, half), (0.0, half)])
+        dash = np.array(lane.position(0.0, edge)) + corners[:, :1] * along + corners[:, 1:] * across
+        yield from dash + starts[:, None, None] * along
+        return
+    for s in starts.tolist():
+        x, y, heading = _strip(lane, s, min(s + DASH_LENGTH, last)).T
+        middle = np.column_stack([x - edge * np.sin(heading), y + edge * np.cos(heading), heading])
+        yield _outline(middle, half)

@@ -1,0 +1,210 @@
+"""Pictures of a scene, drawn with Pillow: no display, no window, the same pixels on every machine.
+
+The look is highway-env's (colours, markings, the camera that follows the ego) with three differences: the road
+has a surface, edges are smooth, and time and speed are written in the corner.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import OrderedDict, deque
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont
+
+from networks.roads import Road
+from sumo_env.markings import Points, markings
+from sumo_env.scene import VEHICLE_LENGTH, VEHICLE_WIDTH, Scene
+
+Colour = tuple[int, int, int]
+
+GROUND: Colour = (134, 144, 124)
+ASPHALT: Colour = (100, 100, 100)  # highway_env WorldSurface.GREY
+WHITE: Colour = (255, 255, 255)
+OUTLINE: Colour = (60, 60, 60)  # VehicleGraphics.BLACK
+EGO: Colour = (50, 200, 0)  # VehicleGraphics.GREEN
+OTHER: Colour = (100, 200, 255)  # VehicleGraphics.BLUE
+WRECK: Colour = (255, 100, 100)  # VehicleGraphics.RED
+GLASS: Colour = (70, 80, 90)
+HEADLIGHT: Colour = (255, 250, 200)
+
+SUPERSAMPLING = 2  # drawn this much larger, then averaged
+TILE = 256  # [drawn px] edge of a piece of the road's picture
+TILES = 160  # pieces that are kept, 30 MB
+TRAJECTORY = 4.0  # [s] of the past that trajectories show
+
+_HALF = VEHICLE_LENGTH / 2, VEHICLE_WIDTH / 2
+# Parts of a car in its own frame (x ahead, y right) [m].
+_BODY = np.array([(-_HALF[0], -_HALF[1]), (_HALF[0], -_HALF[1]), (_HALF[0], _HALF[1]), (-_HALF[0], _HALF[1])])
+_WINDSCREEN = np.array([(0.45, -0.68), (1.25, -0.85), (1.25, 0.85), (0.45, 0.68)])
+_REAR_WINDOW = np.array([(-1.9, -0.75), (-1.5, -0.65), (-1.5, 0.65), (-1.9, 0.75)])
+_HEADLIGHTS = tuple(
+    np.array([(2.05, side - 0.25), (2.5, side - 0.25), (2.5, side + 0.25), (2.05, side + 0.25)])
+    for side in (-0.65, 0.65)
+)
+
+
+class Renderer:
+    """Draws scenes; keeps the road's picture between calls, so use one for an environment.
+
+    Size, zoom and camera are highway-env's config keys: ``screen_width``, ``screen_height`` [px], ``scaling``
+    [px/m], ``centering_position`` (the ego's place as a share of the picture), ``show_trajectories``.
+    """
+
+    def __init__(self) -> None:
+        self._road: Road | None = None
+        self._scale = 0.0
+        self._layers: tuple[_Layer, ...] = ()
+        self._tiles: OrderedDict[tuple[int, int], Image.Image] = OrderedDict()
+        self._past: dict[str, deque[tuple[float, float, float]]] = {}
+        self._time = math.inf
+        self._font = ImageFont.load_default(size=13)
+
+    def draw(self, scene: Scene, road: Road, config: Mapping[str, Any]) -> NDArray[np.uint8]:
+        """The picture of a scene, shape (screen_height, screen_width, 3).
+
+        Trajectories run through the scenes of the last 4 s that were drawn or noted by `remember`.
+        """
+        width, height = int(config["screen_width"]), int(config["screen_height"])
+        scale = float(config["scaling"]) * SUPERSAMPLING
+        self._prepare(road, scale)
+        self.remember(scene)
+        # The camera moves by whole drawn pixels, so that the road's picture can be pasted.
+        across, down = config["centering_position"]
+        left = round(float(scene.x[0]) * scale - across * width * SUPERSAMPLING)
+        top = round(float(scene.y[0]) * scale - down * height * SUPERSAMPLING)
+        size = width * SUPERSAMPLING, height * SUPERSAMPLING
+        canvas = self._ground(left, top, *size)
+        pen = ImageDraw.Draw(canvas)
+        if config["show_trajectories"]:
+            self._draw_trajectories(pen, scene, scale, left, top)
+        reach = VEHICLE_LENGTH * scale
+        for row in range(len(scene) - 1, -1, -1):  # the ego last, on top of the others
+            x, y = float(scene.x[row]) * scale - left, float(scene.y[row]) * scale - top
+            if -reach < x < size[0] + reach and -reach < y < size[1] + reach:
+                _draw_vehicle(pen, x, y, float(scene.heading[row]), scale, row == 0, bool(scene.crashed[row]))
+        picture = canvas.reduce(SUPERSAMPLING)
+        self._write(picture, scene)
+        return np.array(picture)
+
+    # -- the road ------------------------------------------------------------------------------------------
+
+    def _prepare(self, road: Road, scale: float) -> None:
+        if self._road is not road:
+            self._road, paint = road, markings(road)
+            self._layers = (
+                _Layer(paint.rims, WHITE), _Layer(paint.surfaces, ASPHALT), _Layer(paint.dashes, WHITE)
+            )  # fmt: skip
+            self._tiles.clear()
+        if self._scale != scale:
+            self._scale = scale
+            self._tiles.clear()
+
+    def _ground(self, left: int, top: int, width: int, height: int) -> Image.Image:
+        canvas = Image.new("RGB", (width, height))
+        for column in range(left // TILE, (left + width - 1) // TILE + 1):
+            for row in range(top // TILE, (top + height - 1) // TILE + 1):
+                canvas.paste(self._tile(column, row), (column * TILE - left, row * TILE - top))
+        return canvas
+
+    def _tile(self, column: int, row: int) -> Image.Image:
+        tile = self._tiles.get((column, row))
+        if tile is None:
+            tile = self._tiles[column, row] = self._draw_tile(column, row)
+            if len(self._tiles) > TILES:
+                self._tiles.popitem(last=False)
+        self._tiles.move_to_end((column, row))
+        return tile
+
+    def _draw_tile(self, column: int, row: int) -> Image.Image:
+        tile = Image.new("RGB", (TILE, TILE), GROUND)
+        pen = ImageDraw.Draw(tile)
+        corner = np.array([column, row]) * TILE
+        for layer in self._layers:
+            for polygon in layer.within(corner / self._scale, (corner + TILE) / self._scale):
+                pen.polygon(_pixels(polygon * self._scale - corner), fill=layer.colour)
+        return tile
+
+    # -- what moves ----------------------------------------------------------------------------------------
+
+    def remember(self, scene: Scene) -> None:
+        """Note where the vehicles are, for their trajectories."""
+        if scene.time < self._time:  # a new episode
+            self._past.clear()
+        self._time = scene.time
+        for name, x, y in zip(scene.ids, scene.x.tolist(), scene.y.tolist(), strict=True):
+            past = self._past.setdefault(name, deque())
+            past.append((scene.time, x, y))
+            while past[0][0] < scene.time - TRAJECTORY:
+                past.popleft()
+
+    def _draw_trajectories(
+        self, pen: ImageDraw.ImageDraw, scene: Scene, scale: float, left: int, top: int
+    ) -> None:
+        for row, name in enumerate(scene.ids):
+            past = self._past[name]
+            if len(past) > 1:
+                points = [(round(x * scale - left), round(y * scale - top)) for _, x, y in past]
+                colour = _blend(_colour(row == 0, bool(scene.crashed[row])), ASPHALT)
+                pen.line(points, fill=colour, width=max(round(0.4 * scale), 1), joint="curve")
+
+    def _write(self, picture: Image.Image, scene: Scene) -> None:
+        text = f"{scene.time:.1f} s    {float(scene.speed[0]):.1f} m/s"
+        if scene.crashed[0]:
+            text += "    crash"
+        pen = ImageDraw.Draw(picture)
+        pen.text((8, 5), text, fill=WHITE, font=self._font, stroke_width=1, stroke_fill=OUTLINE)
+
+
+class _Layer:
+    """Polygons of one colour, found by place."""
+
+    def __init__(self, polygons: tuple[Points, ...], colour: Colour) -> None:
+        self.polygons, self.colour = polygons, colour
+        self._low = np.array([polygon.min(axis=0) for polygon in polygons]).reshape(-1, 2)
+        self._high = np.array([polygon.max(axis=0) for polygon in polygons]).reshape(-1, 2)
+
+    def within(self, low: Points, high: Points) -> list[Points]:
+        """Those whose bounding box meets the box from `low` to `high` [m]."""
+        meet = (self._low <= high).all(axis=1) & (self._high >= low).all(axis=1)
+        return [self.polygons[k] for k in np.flatnonzero(meet)]
+
+
+def _draw_vehicle(
+    pen: ImageDraw.ImageDraw, x: float, y: float, heading: float, scale: float, is_ego: bool, crashed: bool
+) -> None:
+    """A car around (x, y) [drawn px]."""
+    cos, sin = math.cos(heading) * scale, math.sin(heading) * scale
+    turn = np.array([(cos, sin), (-sin, cos)])
+    colour = _colour(is_ego, crashed)
+
+    def place(part: Points) -> list[tuple[int, int]]:
+        return _pixels(part @ turn + (x, y))
+
+    pen.polygon(place(_BODY), fill=colour)
+    if scale >= 4.0:  # smaller cars have no room for details
+        pen.polygon(place(_WINDSCREEN), fill=GLASS)
+        pen.polygon(place(_REAR_WINDOW), fill=_blend(GLASS, colour))
+        for light in _HEADLIGHTS:
+            pen.polygon(place(light), fill=HEADLIGHT)
+    # a wrecked ego keeps its green as an outline
+    edge = EGO if is_ego and crashed else OUTLINE
+    pen.polygon(place(_BODY), outline=edge, width=max(round(scale * 0.15), 1))
+
+
+def _colour(is_ego: bool, crashed: bool) -> Colour:
+    return WRECK if crashed else EGO if is_ego else OTHER
+
+
+def _blend(one: Colour, other: Colour) -> Colour:
+    red, green, blue = ((a + b) // 2 for a, b in zip(one, other, strict=True))
+    return red, green, blue
+
+
+def _pixels(points: Points) -> list[tuple[int, int]]:
+    """Corners rounded to pixels (Pillow would cut them off, which shifts everything by half a pixel)."""
+    rounded = np.rint(points).astype(np.int64)
+    return [(column, row) for column, row in rounded.tolist()]

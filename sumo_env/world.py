@@ -7,7 +7,6 @@ everybody's state is read, contacts are looked for by SUMO and by the separating
 from __future__ import annotations
 
 from collections.abc import Callable
-from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np

@@ -1,8 +1,8 @@
 """The dueling network in training: forward and hand-written backward pass over a batch.
 
-All parameters lie in one flat tensor, so that Adam, the gradient clamp and the target copy are one
-call each. The backward pass is written by hand and every buffer is allocated once: autograd's bookkeeping and fresh
-memory cost as much as the arithmetic at this size. The gradient is tested against autograd.
+All parameters lie in one flat tensor, so that Adam, the gradient clamp and the target copy are one call
+each. The backward pass is written by hand, and every buffer is allocated once: autograd's bookkeeping and
+fresh memory cost as much as the arithmetic at this size. The gradient is tested against autograd.
 """
 
 from __future__ import annotations

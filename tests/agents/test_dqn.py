@@ -109,7 +109,9 @@ def test_loss_is_that_of_stable_baselines3_with_squared_error() -> None:
 
 
 def test_constant_reward_through_truncations_is_worth_one_over_one_minus_gamma() -> None:
-    config = DQNConfig(gamma=0.9, hidden=(32,), stream=(16,), batch_size=32, target_lag=50, learning_rate=1e-3)
+    config = DQNConfig(
+        gamma=0.9, hidden=(32,), stream=(16,), batch_size=32, target_lag=50, learning_rate=1e-3
+    )
     agent = DQN(config, 3, 2, seed=0)
     states = np.random.default_rng(0).normal(size=(100, 3))
     for state, after in zip(states, np.roll(states, -1, axis=0), strict=True):
@@ -210,7 +212,9 @@ def test_a_restored_agent_goes_on_bit_for_bit() -> None:
             each.update()
     for name, array in agent.state_dict().items():
         np.testing.assert_array_equal(array, other.state_dict()[name], err_msg=name)
-    assert [agent.act(observation, 0.5) for _ in range(20)] == [other.act(observation, 0.5) for _ in range(20)]
+    assert [agent.act(observation, 0.5) for _ in range(20)] == [
+        other.act(observation, 0.5) for _ in range(20)
+    ]
 
 
 def test_a_state_of_another_network_is_refused() -> None:

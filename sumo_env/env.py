@@ -69,6 +69,7 @@ class DrivingEnv(gym.Env[Observation, Any]):
         self.actions, self.target_speeds = offered.actions, offered.target_speeds
         self.observation_type = offered.observation_type
         self.observation_space, self.action_space = offered.observation_space, offered.action_space
+        self._set_frame_rate()
 
     # -- gymnasium -----------------------------------------------------------------------------------------
 
@@ -148,8 +149,12 @@ class DrivingEnv(gym.Env[Observation, Any]):
         Without this call a film has one frame a policy step. ``config["simulation_frequency"]`` is the frame rate.
         """
         self._video = wrapper
-        self.metadata = {**self.metadata, "render_fps": self.config["simulation_frequency"]}
-        wrapper.frames_per_sec = self.metadata["render_fps"]
+        self._set_frame_rate()
+
+    def _set_frame_rate(self) -> None:
+        if self._video is not None:
+            self.metadata = {**self.metadata, "render_fps": self.config["simulation_frequency"]}
+            self._video.frames_per_sec = self.config["simulation_frequency"]
 
     def _on_substep(self, scene: Scene) -> None:
         """Between two policy steps: a frame for the film, points for the trajectories."""

@@ -47,9 +47,8 @@ class UTurn(Task):
         "reward_speed_range": [8, 24],  # [m/s]
         "normalize_reward": True,
         "offroad_terminal": False,  # accepted as in highway-env, where it is not read either
-        "screen_width": 789,
-        "screen_height": 289,
-        "centering_position": [0.5, 0.5],
+        "screen_width": 790,  # highway-env: 789 x 289, odd sizes that few players show as a film
+        "screen_height": 290,
     }
     levels = {str(count): {"vehicles_count": count} for count in (3, 6, 9, 12)}
     risk_rates = RiskRates(cut_in=0.05, brake=0.05)

@@ -16,7 +16,7 @@ from experiments.gates import gates
 from experiments.grid import ARMS, BASELINES, LEARNER, TRAFFICS
 from experiments.pooling import pooled, slopes
 from experiments.store import Results
-from experiments.tables import DESCRIPTIVE, OUTCOMES, PLACE, comparable, units
+from experiments.tables import DESCRIPTIVE, OUTCOMES, PLACE, comparable, place_order, units
 from experiments.verdicts import claims, headlines
 from sumo_env.tasks import TASKS
 
@@ -106,17 +106,7 @@ def policies(table: pd.DataFrame, episodes: pd.DataFrame) -> list[Record]:
                     "cells": sorted(rows["cell"]),
                 }
             )
-    tasks = {task: number for number, task in enumerate(TASKS)}
-    return sorted(
-        result,
-        key=lambda r: (
-            r["backend"],
-            tasks[r["task"]],
-            r["level"],
-            order[r["policy"], r["arm"]],
-            r["traffic"],
-        ),
-    )
+    return sorted(result, key=lambda r: (*place_order(r), order[r["policy"], r["arm"]], r["traffic"]))
 
 
 def summary_table(analysis: Mapping[str, Any]) -> pd.DataFrame:

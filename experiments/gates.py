@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 
 from experiments.grid import ARMS, TRAFFICS
-from experiments.tables import PLACE
+from experiments.tables import PLACE, place_order
 
 Q_SLACK = 1.2  # over the largest value that any policy can have, max |r| / (1 - gamma)
 CONSTANT = 0.98  # share of the test steps with the most common action from which a policy counts as constant
@@ -125,7 +125,7 @@ def gates(cells: Mapping[str, Mapping[str, Any]], episodes: pd.DataFrame) -> lis
                 "gates": found,
             }
         )
-    return records
+    return sorted(records, key=lambda record: (*place_order(record), record["arm"], record["seed"]))
 
 
 def _returns(table: pd.DataFrame, traffic: str) -> pd.Series:

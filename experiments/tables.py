@@ -13,9 +13,10 @@ from typing import Any
 import pandas as pd
 
 from experiments.files import canonical_json
-from experiments.grid import ARMS, TRAFFICS
+from experiments.grid import ARMS, TASKS, TRAFFICS
 from experiments.store import Results
 
+TASK_ORDER = {task: number for number, task in enumerate(TASKS)}
 PLACE = ["backend", "task", "level", "level_name"]  # what a comparison is made within
 
 
@@ -135,7 +136,15 @@ def units(episodes: pd.DataFrame) -> pd.DataFrame:
         return pd.DataFrame(columns=keys)
     key_table = table[keys].drop_duplicates("cell").set_index("cell")
     joined = key_table.join(wide.dropna(subset=complete), how="inner").reset_index()
-    return joined.sort_values(["backend", "task", "level", "cell"], kind="stable").reset_index(drop=True)
+    joined = joined.assign(order=joined["task"].map(TASK_ORDER))
+    return (
+        joined.sort_values(["backend", "order", "level", "cell"]).drop(columns="order").reset_index(drop=True)
+    )
+
+
+def place_order(record: Mapping[str, Any]) -> tuple[str, int, int]:
+    """Key to sort records by backend, task (in the grid's order) and level."""
+    return record["backend"], TASK_ORDER[record["task"]], record["level"]
 
 
 def term_values(table: pd.DataFrame, outcome: str, term: str) -> pd.Series:

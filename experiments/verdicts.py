@@ -167,7 +167,10 @@ def _headline(
     n, of = risky["comparisons"]
     text.append(f"This averages {n} of {count(of, 'comparison')} (task and traffic level).")
     if n < of:
-        text.append(f"The others say nothing: {_why_not(ate)}.")
+        text.append(
+            f"The others say nothing: {_why_not(ate)}. They were set aside after the fact, so read the mean "
+            "as exploratory."
+        )
     text += _careful(policies)
     return {"backend": backend, "answer": answer, "text": text, "cells": _cells(risky)}
 

@@ -1,0 +1,154 @@
+"""A finished result directory with made-up episodes, whose truth is known: no simulator and no learner runs.
+
+An agent's chance to crash and its reward are its arm's plus a deviation of its own (its training seed's).
+"""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from experiments import grid
+from experiments.evaluate import COLUMNS
+from experiments.store import EPISODES, TRAINING, WEIGHTS, Store
+
+DURATION = {"highway": 20, "two-way": 15, "roundabout": 11, "intersection": 13, "u-turn": 10}
+CRASH = {"idle": 0.7, "random": 0.75, "faster": 0.9, "slower": 0.1, "careful": 0.03, "dqn": 0.25}
+REWARD = {"idle": 0.75, "random": 0.7, "faster": 0.8, "slower": 0.6, "careful": 0.82, "dqn": 0.85}
+SPEED = {"idle": 22.0, "random": 21.0, "faster": 28.0, "slower": 12.0, "careful": 18.0, "dqn": 20.0}
+TYPES = ("rear-end", "side", "frontal", "junction")
+# What can be wrong with an agent, by name.
+FAULTS = ("diverged", "constant", "standing", "poor")
+
+
+def generator(*words: object) -> np.random.Generator:
+    return np.random.default_rng(zlib.crc32(repr(words).encode()))
+
+
+def episodes(cell: grid.Cell, effect: float, spread: float, fault: str | None) -> pd.DataFrame:
+    """Test episodes of a cell; `effect` is added to the treated agents' chance to crash in risky traffic."""
+    random = generator(cell.slug, "test")
+    own = random.normal(0, spread) if cell.kind == "agent" else 0.0
+    tables = []
+    for traffic in grid.TRAFFICS:
+        n, steps = cell.episodes, DURATION[cell.task]
+        luck = generator(cell.task, cell.level, traffic).uniform(size=n)  # shared by all who are tested
+        chance = CRASH[cell.policy] + 0.05 * (cell.level - 1) + own + 0.15 * (traffic == "risky")
+        chance += effect * (cell.arm == "treatment" and traffic == "risky")
+        noise = random.uniform(-0.3, 0.3, n)
+        crashed = luck + noise < chance if fault != "diverged" else np.zeros(n, bool)
+        length = np.where(crashed, random.integers(2, steps, n), steps)
+        per_step = {"poor": 0.1, "diverged": 0.6}.get(
+            fault or "", REWARD[cell.policy] - 0.03 * cell.level - own / 2
+        )
+        table = pd.DataFrame({"traffic": traffic, "scenario": np.arange(n)})
+        table["return"] = (
+            length * per_step - crashed + (0 if fault == "diverged" else random.normal(0, 0.3, n))
+        )
+        table["length"], table["crashed"] = length, crashed
+        table["arrived"] = (cell.task == "intersection") & ~crashed
+        table["truncated"] = ~crashed & ~table["arrived"]
+        speed = SPEED[cell.policy] if fault != "standing" else 0.2
+        table["mean_speed"] = speed if fault == "diverged" else np.abs(random.normal(speed, 1.0, n))
+        table["distance"] = table["mean_speed"] * length
+        table["min_ttc"] = np.where(random.uniform(size=n) < 0.2, np.inf, random.uniform(0.1, 8, n))
+        table["near_misses"] = random.poisson(1 + 0.5 * (traffic == "risky"), n)
+        table["density"] = random.normal(8 * cell.level, 1, n)
+        table["stopped"] = 0.9 if fault == "standing" else 0.02
+        shares = np.eye(5)[4] if fault in ("constant", "diverged") else np.array([0.1, 0.3, 0.1, 0.2, 0.3])
+        actions = np.array([random.multinomial(k, shares) for k in length])
+        for action in range(5):
+            table[f"action_{action}"] = actions[:, action]
+        table["crash_time"] = length - random.uniform(0, 1, n)
+        table["crash_other"] = [f"v{k}" for k in random.integers(0, 20, n)]
+        ahead = random.uniform(size=n) < 0.7
+        table["crash_x"], table["crash_y"] = random.uniform(0, 400, n), 4.0
+        table["crash_relative_x"] = np.where(ahead, 4.9, random.uniform(-3, 4, n))
+        table["crash_relative_y"] = np.where(ahead, random.normal(0, 0.7, n), 1.9 * random.choice([-1, 1], n))
+        table["crash_relative_heading"] = random.normal(0, 0.15, n)
+        table["crash_closing_speed"] = np.abs(random.normal(8, 3, n))
+        table["crash_type"] = np.where(ahead, "rear-end", random.choice(TYPES[1:], n))
+        table["crash_detected_by"] = "both"
+        for column in COLUMNS:
+            if column.startswith("crash_"):
+                table[column] = table[column].astype(object).where(crashed, None)
+        tables.append(table)
+    return pd.concat(tables)[list(COLUMNS)].astype(COLUMNS)
+
+
+def training(cell: grid.Cell) -> pd.DataFrame:
+    """Training episodes that get longer and safer."""
+    random = generator(cell.slug, "training")
+    length = random.integers(3, DURATION[cell.task], max(4, cell.updates // 8))
+    step = np.cumsum(length)
+    progress = step / step[-1]
+    crashed = random.uniform(size=len(step)) < 0.9 - 0.6 * progress
+    return pd.DataFrame(
+        {
+            "episode": np.arange(len(step)),
+            "step": step,
+            "return": length * (0.5 + 0.3 * progress) + random.normal(0, 1, len(step)),
+            "length": length,
+            "crashed": crashed,
+            "arrived": False,
+            "mean_speed": 20.0,
+            "epsilon": 0.1 + 0.9 * np.exp(-progress * 6),
+        }
+    )
+
+
+def learner(cell: grid.Cell, fault: str | None) -> dict[str, Any]:
+    bound = (5.0 if cell.task == "intersection" else 1.0) / (1 - cell.profile["gamma"])
+    updates = np.linspace(cell.updates / 10, cell.updates, 10)
+    top = 1e9 if fault == "diverged" else 0.6 * bound
+    largest = [float(top ** (k / 10)) for k in range(1, 11)]
+    curve = [[int(u), q / 2, q] for u, q in zip(updates, largest, strict=True)]
+    return {"updates": cell.updates, "episodes": cell.updates // 8, "probe_q": curve, "q_bound": bound}
+
+
+def write(
+    directory: Path,
+    levels: Mapping[str, Sequence[int]],
+    seeds: int = 3,
+    tests: int = 20,
+    preset: str = "quick",
+    backend: str = "sumo",
+    arms: Sequence[str] = ("control", "treatment"),
+    baselines: Sequence[str] = grid.BASELINES,
+    effect: float = -0.1,
+    spread: float = 0.03,
+    faults: Mapping[str, str] | None = None,
+    updates: int = 400,
+    sweep: bool = True,
+) -> list[grid.Cell]:
+    """Write a result directory and return its cells.
+
+    levels: numbers by task. faults: a fault by slug, for example {"sumo-highway-50-control-s0": "diverged"}.
+    """
+    profiles = {task: {"updates": updates, "gamma": 0.95, "hidden": [8]} for task in grid.TASKS}
+    cells = grid.build(backend, levels, seeds, tests, profiles, preset)
+    wanted = [cell for cell in cells if cell.arm in arms or cell.policy in baselines]
+    store = Store(directory)
+    weights = directory / "weights.npz"
+    weights.write_bytes(b"no weights")
+    for cell in wanted:
+        fault = (faults or {}).get(cell.slug)
+        record: dict[str, Any] = {
+            "timing": {"train_seconds": 30.0, "test_seconds": 2.0, "finished": "2026-01-01T00:00:00Z"},
+            "provenance": {"packages": {"libsumo": "1.28.0"}, "cpu": "a processor", "git": "0123abc"},
+        }
+        files: dict[str, Any] = {EPISODES: episodes(cell, effect, spread, fault)}
+        if cell.kind == "agent":
+            files |= {TRAINING: training(cell), WEIGHTS: weights}
+            record["learner"] = learner(cell, fault)
+        store.write(cell, record, files)
+    weights.unlink()
+    if sweep:
+        note = {"command": "python experiments/sweep.py", "backend": backend, "preset": preset}
+        store.write_sweep({**note, "cells": [cell.name for cell in cells], "failed": {}})
+    return wanted

@@ -247,12 +247,11 @@ class DrivingEnv(gym.Env[Observation, Any]):
         assert self._world is not None
         world, state, scene = self._world, self.ego_state, self.scene
         ttc = float(world.min_ttc)
-        return {
+        info = {
             "speed": state.speed,
             "crashed": state.crashed,
             "arrived": bool(self.task.arrived(state)),
             "on_road": state.on_road,
-            "action": action,
             "rewards": rewards,
             # always a dict: vector environments cannot merge None with a dict
             "crash": {} if world.crash is None else world.crash.as_dict(),
@@ -261,6 +260,9 @@ class DrivingEnv(gym.Env[Observation, Any]):
             "near_miss": ttc < safety.NEAR_MISS_TTC and not state.crashed,
             "distance": float(world.distance),
         }
+        if action is not None:  # at a reset there is none, not even None: vector environments merge by type
+            info["action"] = action
+        return info
 
 
 def destination_point(road: Any, destination: str | None) -> tuple[float, float] | None:

@@ -18,7 +18,12 @@ def register_envs() -> None:
     for id in IDS:
         if id not in gym.registry:
             task = id.removeprefix("sumo/").removesuffix("-v0")
-            gym.register(id, entry_point="sumo_env.env:DrivingEnv", kwargs={"task": task})
+            gym.register(
+                id,
+                entry_point="sumo_env.env:DrivingEnv",
+                vector_entry_point="sumo_env.vector:SumoVectorEnv",
+                kwargs={"task": task},
+            )
 
 
 register_envs()

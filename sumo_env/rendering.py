@@ -34,7 +34,7 @@ HEADLIGHT: Colour = (255, 250, 200)
 SUPERSAMPLING = 2  # drawn this much larger, then averaged
 TILE = 256  # [drawn px] edge of a piece of the road's picture
 TILES = 160  # pieces that are kept, 30 MB
-TRAJECTORY = 4.0  # [s] of the past that trajectories show
+TRAJECTORY = 2.0  # [s] of the past that trajectories show, VehicleGraphics.display_history
 
 _HALF = VEHICLE_LENGTH / 2, VEHICLE_WIDTH / 2
 # Parts of a car in its own frame (x ahead, y right) [m].
@@ -66,7 +66,7 @@ class Renderer:
     def draw(self, scene: Scene, road: Road, config: Mapping[str, Any]) -> NDArray[np.uint8]:
         """The picture of a scene, shape (screen_height, screen_width, 3).
 
-        Trajectories run through the scenes of the last 4 s that were drawn or noted by `remember`.
+        Trajectories run through the scenes of the last 2 s that were drawn or noted by `remember`.
         """
         width, height = int(config["screen_width"]), int(config["screen_height"])
         scale = float(config["scaling"]) * SUPERSAMPLING

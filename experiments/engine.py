@@ -16,13 +16,12 @@ from typing import Any
 from experiments.claims import Claims
 from experiments.errors import UserError
 from experiments.grid import Cell
-from experiments.jobs import Job, plan
 from experiments.progress import Display
 from experiments.store import Store
-from experiments.worker import Done, Failed, MakeEnv, Progress, begun, main
+from experiments.worker import Done, Failed, Job, MakeEnv, Progress, main
 
-ATTEMPTS = 3  # a job is begun at most this often
-JOBS_PER_PROCESS = 8  # then a fresh process takes over: whatever a simulator leaks is given back
+ATTEMPTS = 3  # a cell is begun at most this often
+JOBS_PER_PROCESS = 25  # then a fresh process takes over: whatever a simulator leaks is given back
 SILENCE = 900.0  # [s] a worker that reports nothing for so long hangs and is killed
 RECHECK = 2.0  # [s] between looks at cells that another sweep computes
 
@@ -33,7 +32,7 @@ class Worker:
 
     process: BaseProcess
     connection: Connection
-    simulator: tuple[str, str]
+    simulator: tuple[str, ...]
     job: Job | None = None
     fraction: float = 0.0
     jobs: int = 0
@@ -70,8 +69,10 @@ class Engine:
         self._display = display
         self._make_env = make_env
         self._context = multiprocessing.get_context("spawn")
-        self._queue = plan(cells, self.finished, workers, seconds, begun(directory))
-        self._limit = min(workers, max(len(self._queue), 1))
+        todo = [cell for name, cell in self.cells.items() if name not in self.finished]
+        # The longest first, so that no process idles long at the end.
+        self._queue = sorted((Job(cell, seconds(cell)) for cell in todo), key=lambda job: -job.cost)
+        self._limit = workers
         self._workers: list[Worker] = []
         self._elsewhere: set[str] = set()  # cells that another sweep computes
         self._rechecked = 0.0
@@ -97,12 +98,12 @@ class Engine:
     def _start(self) -> None:
         """Give every free worker a job, in a process that serves the job's simulator."""
         while self._queue and sum(worker.job is not None for worker in self._workers) < self._limit:
-            job = self._queue.pop(0)
-            worker = next((w for w in self._workers if w.job is None and w.simulator == job.simulator), None)
-            if worker is None:
-                for idle in [w for w in self._workers if w.job is None]:
-                    self._dismiss(idle)
-                worker = self._spawn(job.simulator)
+            free = next((worker for worker in self._workers if worker.job is None), None)
+            job = self._next(free.simulator if free else None)
+            if free and free.simulator != job.simulator:
+                self._dismiss(free)
+                free = None
+            worker = free or self._spawn(job.simulator)
             worker.job, worker.fraction, worker.heard = (
                 replace(job, attempts=job.attempts + 1),
                 0.0,
@@ -112,7 +113,12 @@ class Engine:
             with suppress(BrokenPipeError):  # it died while it was idle: `_listen` sees that
                 worker.connection.send(worker.job)
 
-    def _spawn(self, simulator: tuple[str, str]) -> Worker:
+    def _next(self, simulator: tuple[str, ...] | None) -> Job:
+        """Take the longest job that a process of this simulator can do; any job if there is none."""
+        fitting = (number for number, job in enumerate(self._queue) if job.simulator == simulator)
+        return self._queue.pop(next(fitting, 0))
+
+    def _spawn(self, simulator: tuple[str, ...]) -> Worker:
         ours, theirs = self._context.Pipe()
         arguments = (theirs, self.store.directory, self._make_env, os.getpid())
         process = self._context.Process(target=main, args=arguments, daemon=True)
@@ -148,8 +154,7 @@ class Engine:
         job, worker.job = worker.job, None
         assert job is not None
         if isinstance(message, Done):
-            self._elsewhere |= set(message.busy)
-            self.finished |= {cell.name for cell in job.cells} - set(message.busy)
+            (self._elsewhere if message.elsewhere else self.finished).add(job.cell.name)
         elif isinstance(message, Failed):
             if message.fatal:
                 raise UserError(message.message)
@@ -167,54 +172,41 @@ class Engine:
             self._again(worker.job, f"its process was {how}" if code < 0 else f"its process {how}")
 
     def _again(self, job: Job, reason: str, details: str = "") -> None:
-        """Put a job that went wrong back into the queue, or give its cells up.
-
-        The last attempt is made with each cell alone: a cell that fails must not take its cohort with it.
-        """
-        names = [cell.name for cell in job.cells]
-        log = self._log(names, reason, details)
+        """Put a cell that went wrong back into the queue, or give it up; note the details in a log."""
+        name = job.cell.name
+        log = self.store.directory / "logs" / f"{name}.txt"
+        log.parent.mkdir(exist_ok=True)
+        with log.open("a") as file:
+            file.write(f"{time.strftime('%Y-%m-%d %H:%M:%S')} {reason}\n{details}\n")
         if job.attempts < ATTEMPTS:
             self._display.line(
-                f"{job.label}: {reason}; trying again ({job.attempts + 1} of {ATTEMPTS}), see {log}"
+                f"{name}: {reason}; trying again ({job.attempts + 1} of {ATTEMPTS}), see {log}"
             )
-            alone = job.attempts == ATTEMPTS - 1
-            groups = [(cell,) for cell in job.cells] if alone else [job.cells]
-            self._queue[:0] = [Job(cells, sum(map(self._seconds, cells)), job.attempts) for cells in groups]
+            self._queue.insert(0, job)
         else:
-            for name in names:
-                self.failed[name] = reason
-                self._display.line(f"{name} failed {ATTEMPTS} times: {reason}, see {log}")
-
-    def _log(self, names: list[str], reason: str, details: str) -> Path:
-        path = self.store.directory / "logs" / f"{names[0]}.txt"
-        path.parent.mkdir(exist_ok=True)
-        with path.open("a") as file:
-            file.write(f"{time.strftime('%Y-%m-%d %H:%M:%S')} {', '.join(names)}\n{reason}\n{details}\n")
-        return path
+            self._display.line(f"{name}: {reason}; given up after {ATTEMPTS} tries, see {log}")
+            self.failed[name] = reason
 
     def _recheck(self) -> None:
         """Look after the cells that other sweeps hold: take over what they dropped."""
         if not self._elsewhere or time.monotonic() - self._rechecked < RECHECK:
             return
         self._rechecked = time.monotonic()
-        dropped = []
         for name in sorted(self._elsewhere):
             cell = self.cells[name]
             if self.store.is_finished(cell):
                 self.finished.add(name)
                 self._elsewhere.discard(name)
             elif self.claims.holder(name) is None:
-                dropped.append(cell)
+                self._queue.append(Job(cell, self._seconds(cell)))
                 self._elsewhere.discard(name)
-        if dropped:
-            self._queue += plan(dropped, set(), self._limit, self._seconds, begun(self.store.directory))
 
     def _show(self) -> None:
         open_jobs = [*self._queue, *(worker.job for worker in self._workers if worker.job)]
         left = sum(job.cost for job in open_jobs)
         left -= sum(worker.fraction * worker.job.cost for worker in self._workers if worker.job)
         fraction = min(max(1 - left / self._total, 0.0), 1.0) if self._total else 1.0
-        running = ", ".join(worker.job.label for worker in self._workers if worker.job)
+        running = ", ".join(worker.job.cell.slug for worker in self._workers if worker.job)
         if not running and self._elsewhere:
             holder = self.claims.holder(min(self._elsewhere))
             running = (

@@ -8,6 +8,7 @@ DIR/sweep.json        what the last sweep asked for, and what failed
 
 from __future__ import annotations
 
+import io
 import json
 import shutil
 from collections.abc import Iterator, Mapping
@@ -16,7 +17,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from experiments.errors import UserError
-from experiments.files import publish, sha256_file, write_json
+from experiments.files import publish, sha256_file, write_file, write_json
 from experiments.grid import RESULT_SCHEMA, Cell, cell_name, versions
 
 if TYPE_CHECKING:
@@ -86,14 +87,8 @@ class Store:
         read_cell(path)
         return True
 
-    def scratch(self, cell: Cell) -> Path:
-        """Directory for the checkpoints of a claimed cell; made if it is missing."""
-        path = self.work / cell.name
-        path.mkdir(parents=True, exist_ok=True)
-        return path
-
     def write(self, cell: Cell, record: Mapping[str, Any], files: Mapping[str, Any]) -> None:
-        """Store a finished cell in one step and remove its checkpoints.
+        """Store a finished cell in one step.
 
         Args:
             record: timing, provenance and learner of the cell; the key, versions and checksums are added
@@ -103,14 +98,17 @@ class Store:
         Raises:
             OSError: the disk is full or the directory cannot be written; nothing is stored then.
         """
-        staged = self.scratch(cell) / "finished"
+        staged = self.work / f"{cell.name}.finished"
         shutil.rmtree(staged, ignore_errors=True)
         staged.mkdir()
         for name, content in files.items():
             if isinstance(content, Path):
-                shutil.copyfile(content, staged / name)
+                data = content.read_bytes()
             else:
-                content.to_parquet(staged / name, index=False)
+                buffer = io.BytesIO()
+                content.to_parquet(buffer, index=False)
+                data = buffer.getvalue()
+            write_file(staged / name, data)
         checksums = {name: sha256_file(staged / name) for name in sorted(files)}
         write_json(
             staged / CELL,
@@ -123,7 +121,6 @@ class Store:
             },
         )
         publish(staged, self.cells / cell.name)
-        shutil.rmtree(self.work / cell.name, ignore_errors=True)
 
     def write_sweep(self, record: Mapping[str, Any]) -> None:
         """Note what a sweep asks for (cells, arguments) and what failed."""

@@ -1,20 +1,18 @@
-"""The process that computes cells: one simulator, one thread, one job at a time.
+"""The process that computes cells: one simulator, one thread, one cell at a time.
 
 Runs in a spawned process, because libsumo holds one simulation a process and highway-env changes class
-attributes.
-Talks to the engine through a pipe: jobs come in; progress, results and errors go out.
+attributes. Talks to the engine through a pipe: jobs come in; progress, results and errors go out.
 """
 
 from __future__ import annotations
 
 import errno
-import json
 import shutil
 import signal
 import time
 import traceback
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
@@ -23,19 +21,31 @@ import gymnasium as gym
 
 from experiments.claims import Claims, Heart
 from experiments.errors import UserError, disk_error
-from experiments.evaluate import evaluate
-from experiments.files import write_json
+from experiments.evaluate import Policy, evaluate
 from experiments.grid import Cell
-from experiments.jobs import Job, cohort_name
 from experiments.provenance import provenance
 from experiments.store import EPISODES, TRAINING, WEIGHTS, Store
 
 MakeEnv = Callable[..., gym.Env[Any, Any]]
-COHORT = "cohort.json"
 # A write that fails for one of these fails for every cell: the sweep stops instead of trying again.
 DISK = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO}
 TEST_EPISODE = 10.0  # about as long as so many updates with their steps
 REPORT_EVERY = 0.5  # [s] between two progress messages
+
+
+@dataclass(frozen=True)
+class Job:
+    """A cell to compute. cost: expected seconds. attempts: how often it was begun in this sweep."""
+
+    cell: Cell
+    cost: float
+    attempts: int = 0
+
+    @property
+    def simulator(self) -> tuple[str, ...]:
+        """What a process must serve alone: highway-env's tasks change class attributes of each other."""
+        backend, task = self.cell.backend, self.cell.task
+        return (backend,) if backend == "sumo" else (backend, task)
 
 
 @dataclass(frozen=True)
@@ -47,9 +57,9 @@ class Progress:
 
 @dataclass(frozen=True)
 class Done:
-    """The job has ended: `busy` names cells that another process computes, all others are stored."""
+    """The job has ended: the cell is stored, or another process is computing it."""
 
-    busy: tuple[str, ...] = ()
+    elsewhere: bool = False
 
 
 @dataclass(frozen=True)
@@ -61,21 +71,21 @@ class Failed:
     fatal: bool = False
 
 
-@dataclass
-class Meter:
-    """Sends the progress of a job, not too often."""
+Send = Callable[[Any], None]
 
-    send: Callable[[Any], None]
-    total: float
-    done: float = 0.0
-    _last: float = field(default=0.0)
+
+class Meter:
+    """Sends the progress of a job, not too often. total: the work in updates."""
+
+    def __init__(self, send: Send, total: float) -> None:
+        self._send, self._total, self._done, self._last = send, total, 0.0, 0.0
 
     def add(self, amount: float) -> None:
-        """Note that a piece of the work (in the unit of `total`) is done."""
-        self.done += amount
+        """Note that a piece of the work is done."""
+        self._done += amount
         if time.monotonic() - self._last >= REPORT_EVERY:
             self._last = time.monotonic()
-            self.send(Progress(min(self.done / self.total, 1.0)))
+            self._send(Progress(min(self._done / self._total, 1.0)))
 
 
 def main(connection: Connection, directory: Path, make_env: MakeEnv, parent: int) -> None:
@@ -86,17 +96,16 @@ def main(connection: Connection, directory: Path, make_env: MakeEnv, parent: int
     heart.start()
     try:
         while (job := connection.recv()) is not None:
-            connection.send(_attempt(job, directory, make_env, heart, connection.send))
+            connection.send(attempt(job, directory, make_env, heart, connection.send))
     except (EOFError, BrokenPipeError):
         pass  # the engine was killed: the next sweep takes over from the last checkpoint
     heart.stop()
 
 
-def _attempt(
-    job: Job, directory: Path, make_env: MakeEnv, heart: Heart, send: Callable[[Any], None]
-) -> Done | Failed:
+def attempt(job: Job, directory: Path, make_env: MakeEnv, heart: Heart, send: Send) -> Done | Failed:
+    """Compute a job; errors become answers: fatal ones are for the user, others count as one failed try."""
     try:
-        return compute(job, Store(directory), make_env, heart, send)
+        return Done(elsewhere=not compute(job.cell, Store(directory), make_env, heart, send))
     except UserError as error:
         return Failed(str(error), fatal=True)
     except OSError as error:
@@ -108,72 +117,55 @@ def _attempt(
 
 
 def compute(
-    job: Job, store: Store, make_env: MakeEnv, heart: Heart, send: Callable[[Any], None] = lambda _: None
-) -> Done:
-    """Claim, compute and store the cells of a job; those that others hold are left out."""
-    claims = Claims(store.directory / "claims")
-    held = {cell.name: claim for cell in job.cells if (claim := claims.acquire(cell.name))}
-    heart.claims += held.values()
+    cell: Cell, store: Store, make_env: MakeEnv, heart: Heart | None = None, send: Send = lambda _: None
+) -> bool:
+    """Claim, compute and store a cell, unless it is stored already. False: another process holds it."""
+    claim = Claims(store.directory / "claims").acquire(cell.name)
+    if claim is None:
+        return False
+    if heart:
+        heart.claims.append(claim)
     try:
-        mine = [cell for cell in job.cells if cell.name in held]
-        if mine:
-            work = _agents if mine[0].kind == "agent" else _baselines
-            work(mine, store, make_env, send)
+        if not store.is_finished(cell):
+            env = make_env(cell.backend, cell.task, dict(cell.env_config))
+            try:
+                (_agent if cell.kind == "agent" else _baseline)(cell, env, store, send)
+            finally:
+                env.close()
     finally:
-        heart.claims.clear()
-        for claim in held.values():
-            claim.release()
-    return Done(tuple(cell.name for cell in job.cells if cell.name not in held))
+        if heart:
+            heart.claims.remove(claim)
+        claim.release()
+    return True
 
 
-def _baselines(cells: list[Cell], store: Store, make_env: MakeEnv, send: Callable[[Any], None]) -> None:
+def _baseline(cell: Cell, env: gym.Env[Any, Any], store: Store, send: Send) -> None:
     from agents.rules import make_policy
 
-    meter = Meter(send, total=sum(2 * cell.episodes for cell in cells))
-    for cell in cells:
-        if store.is_finished(cell):
-            continue
-        env = make_env(cell.backend, cell.task, dict(cell.env_config))
-        try:
-            _test(cell, make_policy(cell.policy, env), env, store, meter, {}, {})
-        finally:
-            env.close()
+    meter = Meter(send, 2 * cell.episodes * TEST_EPISODE)
+    _test(cell, make_policy(cell.policy, env), env, store, meter, {}, {})
 
 
-def _agents(cells: list[Cell], store: Store, make_env: MakeEnv, send: Callable[[Any], None]) -> None:
-    unfinished = [cell for cell in cells if not store.is_finished(cell)]
-    if not unfinished:
-        return
-    from experiments.train import train_cohort
+def _agent(cell: Cell, env: gym.Env[Any, Any], store: Store, send: Send) -> None:
+    from experiments.train import train_cell  # here, because it loads torch
 
-    checkpoints = store.work / cohort_name(cells)
-    if not checkpoints.exists():  # nothing to resume, so nothing ties the unfinished ones to the others
-        cells, checkpoints = unfinished, store.work / cohort_name(unfinished)
-    checkpoints.mkdir(exist_ok=True)
-    write_json(checkpoints / COHORT, [cell.name for cell in cells])
-    first = cells[0]
-    test = 2 * first.episodes * TEST_EPISODE
-    meter = Meter(send, total=len(cells) * (first.updates + test))
-    env = make_env(first.backend, first.task, dict(first.env_config))
-    try:
-        started = time.monotonic()
-        agents = train_cohort(cells, env, checkpoints, meter.add)
-        seconds = (time.monotonic() - started) / len(cells)
-        for cell, agent in zip(cells, agents, strict=True):
-            if store.is_finished(cell):  # stored before the sweep was interrupted
-                continue
-            agent.policy.save(checkpoints / WEIGHTS)
-            files = {TRAINING: agent.episodes, WEIGHTS: checkpoints / WEIGHTS}
-            timing = {"train_seconds": seconds, "timed_updates": agent.timed_updates}
-            _test(cell, agent.policy, env, store, meter, {"learner": agent.learner, "timing": timing}, files)
-    finally:
-        env.close()
-    shutil.rmtree(checkpoints)
+    scratch = store.work / cell.name
+    scratch.mkdir(exist_ok=True)
+    meter = Meter(send, cell.updates + 2 * cell.episodes * TEST_EPISODE)
+    started = time.monotonic()
+    agent = train_cell(cell, env, scratch, meter.add)
+    timing = {"train_seconds": time.monotonic() - started, "timed_updates": agent.timed_updates}
+    agent.policy.save(scratch / WEIGHTS)
+    record = {"learner": agent.learner, "timing": timing}
+    _test(
+        cell, agent.policy, env, store, meter, record, {TRAINING: agent.episodes, WEIGHTS: scratch / WEIGHTS}
+    )
+    shutil.rmtree(scratch)
 
 
 def _test(
     cell: Cell,
-    policy: Any,
+    policy: Policy,
     env: gym.Env[Any, Any],
     store: Store,
     meter: Meter,
@@ -182,21 +174,12 @@ def _test(
 ) -> None:
     """Test a policy and store its cell."""
     started = time.monotonic()
-    weight = TEST_EPISODE if files else 1.0
-    table = evaluate(env, policy, cell.task, cell.level, cell.episodes, lambda: meter.add(weight))
-    timing = {**record.get("timing", {}), "test_seconds": time.monotonic() - started}
-    timing["process_cpu_seconds"] = time.process_time()
-    timing["finished"] = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
-    record = {**record, "timing": timing, "provenance": provenance()}
-    store.write(cell, record, {EPISODES: table, **files})
-
-
-def begun(directory: Path) -> list[list[str]]:
-    """Names of the cells of each cohort that has a checkpoint."""
-    cohorts = []
-    for file in sorted((directory / "work").glob(f"*/{COHORT}")):
-        try:
-            cohorts.append(json.loads(file.read_text()))
-        except (OSError, ValueError):  # another sweep finished or is just beginning it
-            continue
-    return cohorts
+    table = evaluate(
+        env, policy, cell.task, cell.level, cell.episodes, on_episode=lambda: meter.add(TEST_EPISODE)
+    )
+    timing = {
+        **record.get("timing", {}),
+        "test_seconds": time.monotonic() - started,
+        "finished": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
+    }
+    store.write(cell, {**record, "timing": timing, "provenance": provenance()}, {EPISODES: table, **files})

@@ -1,0 +1,94 @@
+"""One stored episode again: the same numbers, as a picture, an animation or floating car data."""
+
+from __future__ import annotations
+
+import math
+import xml.etree.ElementTree as ElementTree
+
+import pytest
+from PIL import Image
+
+from experiments import store, worker
+from experiments.errors import UserError
+from experiments.replay import Options, parse_case, replay
+from experiments.sweep import Options as SweepOptions
+from experiments.sweep import cells_of
+from tests.experiments.fake_env import make_env
+
+
+@pytest.fixture(scope="module")
+def cells(tmp_path_factory):
+    """Directories of a stored agent and of a stored baseline."""
+    home = store.Store(tmp_path_factory.mktemp("results"))
+    wanted = cells_of(
+        SweepOptions(preset="smoke", tasks=("highway",), updates=100, episodes=3, target_lag=50)
+    )
+    chosen = [cell for cell in wanted if cell.arm == "control" or cell.policy == "random"]
+    for cell in chosen:
+        worker.compute(cell, home, make_env)
+    return [home.cells / cell.name for cell in chosen]
+
+
+@pytest.mark.parametrize("case", ["", ":regular:2", ":risky:1"])
+def test_an_episode_is_reproduced(cells, case, tmp_path, capsys):
+    for number, cell in enumerate(cells):
+        picture = tmp_path / f"{number}.png"
+        assert replay(Options(f"{cell}{case}", out=picture), make_env) == 0
+        assert "reproduced" in capsys.readouterr().out
+        assert Image.open(picture).size[0] == 60
+
+
+def test_an_episode_that_comes_out_differently_is_told(cells, tmp_path, capsys):
+    def other_env(*arguments):
+        env = make_env(*arguments)
+        env.target_speeds = (10.0, 19.0, 29.0)
+        return env
+
+    assert replay(Options(f"{cells[1]}:regular:0", out=tmp_path / "a.png"), other_env) == 1
+    errors = capsys.readouterr().err
+    assert "not reproduced" in errors
+    assert "instead of" in errors
+
+
+def test_an_animation_has_a_frame_a_step(cells, tmp_path):
+    path = tmp_path / "episode.gif"
+    replay(Options(f"{cells[0]}:risky:0", out=path, gif=True), make_env)
+    length = store.read_episodes(cells[0]).query("traffic == 'risky' and scenario == 0")["length"].item()
+    assert Image.open(path).n_frames in (length, length + 1)  # equal neighbours are merged
+
+
+def test_floating_car_data_are_in_sumos_coordinates(cells, tmp_path):
+    path = tmp_path / "episode.fcd.xml"
+    replay(Options(f"{cells[1]}:regular:1", out=path, fcd=True), make_env)
+    steps = ElementTree.parse(path).getroot().findall("timestep")
+    row = store.read_episodes(cells[1]).query("traffic == 'regular' and scenario == 1").iloc[0]
+    assert len(steps) == row["length"] + 1
+    assert [float(step.get("time")) for step in steps] == list(range(len(steps)))
+    ego = steps[0].find("vehicle")
+    assert ego.get("id") == "ego"
+    assert float(ego.get("x")) == pytest.approx(2.5)  # the front bumper of a car of 5 m
+    assert float(ego.get("y")) == pytest.approx(-4.0)  # y points up
+    assert math.isclose(float(ego.get("angle")), 90.0)  # east
+    road = ElementTree.parse(tmp_path / "episode.sumocfg").find("input/net-file").get("value")
+    assert road.endswith("highway-4.net.xml")
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("{cell}:regulr:0", "did you mean 'regular'"),
+        ("{cell}x", "did you mean"),
+        ("nowhere/cells/x", "there is no cell"),
+        ("{cell}:risky:99", "no 99"),
+    ],
+)
+def test_a_case_that_does_not_exist_is_named(cells, text, message, tmp_path):
+    with pytest.raises(UserError) as error:
+        replay(Options(text.format(cell=cells[0]), out=tmp_path / "x.png"), make_env)
+    assert message in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_a_case_is_split_from_the_right(cells):
+    case = parse_case(f"{cells[0]}:risky:1")
+    assert (case.path, case.traffic, case.scenario) == (cells[0], "risky", 1)

@@ -1,0 +1,305 @@
+"""The sweep: complete, resumable after any kill, shared between processes, and clear about what goes wrong."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from experiments import grid, store, worker
+from experiments.claims import Claims, Heart
+from experiments.errors import UserError
+from experiments.presets import PRESETS
+from experiments.sweep import Options, cells_of, sweep
+from tests.experiments.fake_env import make_env
+
+ROOT = Path(__file__).resolve().parents[2]
+TINY = {
+    "preset": "smoke",
+    "tasks": ("u-turn",),
+    "updates": 300,
+    "episodes": 3,
+    "target_lag": 50,
+    "workers": 2,
+}
+
+
+@pytest.fixture(autouse=True)
+def no_report(monkeypatch):
+    """The report has its own tests."""
+    module = ModuleType("experiments.report")
+    module.write_report = lambda directory: directory / "report.html"
+    monkeypatch.setitem(sys.modules, "experiments.report", module)
+
+
+def run(directory: Path, **options) -> int:
+    return sweep(Options(out=directory, **{**TINY, **options}), make_env=make_env)
+
+
+def fingerprint(directory: Path) -> dict[str, dict[str, str]]:
+    """Checksums of all results, by cell: two sweeps that computed the same have the same."""
+    return {name: record["files"] for name, record in store.load(directory).cells.items()}
+
+
+@pytest.fixture(scope="module")
+def reference(tmp_path_factory):
+    """An uninterrupted sweep, to compare with."""
+    directory = tmp_path_factory.mktemp("reference")
+    with pytest.MonkeyPatch.context() as patch:
+        module = ModuleType("experiments.report")
+        module.write_report = lambda directory: directory
+        patch.setitem(sys.modules, "experiments.report", module)
+        assert run(directory) == 0
+    return directory
+
+
+def test_a_sweep_computes_every_cell_once(reference, capsys):
+    results = store.load(reference)
+    wanted = cells_of(Options(out=reference, **TINY))
+    assert set(results.cells) == {cell.name for cell in wanted} == set(results.expected)
+    assert not results.failed
+    assert not list((reference / "work").iterdir())
+    assert not list((reference / "claims").glob("*.lock"))
+    before = {path: path.stat().st_mtime_ns for path in reference.glob("cells/*/*")}
+    assert run(reference) == 0
+    assert {path: path.stat().st_mtime_ns for path in reference.glob("cells/*/*")} == before
+    assert "7 of them finished before" in capsys.readouterr().out
+
+
+def test_cells_say_what_they_are_and_where_they_come_from(reference):
+    results = store.load(reference)
+    agents = [record for record in results.cells.values() if record["key"]["kind"] == "agent"]
+    for record in agents:
+        assert record["learner"]["updates"] == 300
+        assert record["learner"]["q_bound"] > 0
+        assert record["learner"]["probe_q"]
+        assert record["versions"]["schema"] == grid.RESULT_SCHEMA
+        assert {"python", "cpu", "git", "packages"} <= set(record["provenance"])
+        assert record["timing"]["test_seconds"] > 0
+    assert len({record["learner"]["weights_sha256"] for record in agents}) == len(agents)
+    training = results.training
+    assert (training.groupby("cell").step.max() >= 300).all()
+    assert set(results.episodes.groupby(["cell", "traffic"]).size()) == {3}
+
+
+def test_both_arms_meet_the_same_training_scenarios_and_all_the_same_tests(reference):
+    results = store.load(reference)
+    scenarios = results.episodes.groupby(["cell", "traffic"]).scenario.apply(tuple)
+    assert len(set(scenarios)) == 1
+
+
+def test_a_killed_worker_is_noticed_and_its_cells_come_out_the_same(reference, tmp_path, monkeypatch, capsys):
+    plan_file = tmp_path / "kill"
+    plan_file.write_text("40")
+    monkeypatch.setenv("FAKE_KILL", str(plan_file))
+    assert run(tmp_path / "results", workers=1) == 0
+    assert "killed by signal 9; trying again (2 of 3)" in capsys.readouterr().out
+    assert fingerprint(tmp_path / "results") == fingerprint(reference)
+
+
+def test_a_task_that_always_fails_leaves_the_others(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("FAKE_RAISE", "highway")
+    assert run(tmp_path, tasks=("highway", "u-turn"), updates=100) == 1
+    output = capsys.readouterr()
+    assert "7 of 14 cells failed, all others are kept" in output.err
+    assert "the fake environment was told to fail" in output.err
+    results = store.load(tmp_path)
+    assert {record["key"]["task"] for record in results.cells.values()} == {"u-turn"}
+    assert len(results.failed) == 7
+    monkeypatch.delenv("FAKE_RAISE")
+    assert run(tmp_path, tasks=("highway", "u-turn"), updates=100) == 0
+    assert not store.load(tmp_path).failed
+
+
+# A sweep in a process of its own, which can be killed as a user's can.
+DRIVER = """
+import sys
+from pathlib import Path
+from types import ModuleType
+sys.path.insert(0, {root!r})
+if __name__ == "__main__":
+    module = ModuleType("experiments.report")
+    module.write_report = lambda directory: directory
+    sys.modules["experiments.report"] = module
+    from tests.experiments.test_sweep import run
+    sys.exit(run(Path(sys.argv[1]), **eval(sys.argv[2])))
+"""
+
+
+def start(tmp_path: Path, directory: Path, **options) -> subprocess.Popen:
+    script = tmp_path / "driver.py"
+    script.write_text(DRIVER.format(root=str(ROOT)))
+    command = [sys.executable, str(script), str(directory), repr(options)]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path)
+
+
+def wait_for(condition, process: subprocess.Popen, seconds: float = 60.0) -> None:
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "it did not happen"
+        assert process.poll() is None, process.communicate()
+        time.sleep(0.02)
+
+
+@pytest.mark.slow
+def test_a_killed_sweep_goes_on_where_it_was(reference, tmp_path):
+    directory = tmp_path / "results"
+    for _ in range(2):
+        process = start(tmp_path, directory)
+        wait_for(
+            lambda: list(directory.glob("work/*/checkpoint.npz")) or list(directory.glob("cells/*")), process
+        )
+        process.kill()
+        process.communicate()
+    assert run(directory) == 0
+    assert fingerprint(directory) == fingerprint(reference)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+def test_a_stopped_sweep_says_how_to_go_on(tmp_path, number):
+    directory = tmp_path / "results"
+    command = [
+        sys.executable,
+        str(ROOT / "experiments/sweep.py"),
+        "--preset",
+        "smoke",
+        "--out",
+        str(directory),
+    ]
+    process = subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path
+    )
+    wait_for(lambda: (directory / "claims").is_dir() and list(directory.glob("claims/*.lock")), process)
+    process.send_signal(number)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert f"To go on: python experiments/sweep.py --preset smoke --out {directory}" in errors
+    assert "Traceback" not in errors
+
+
+@pytest.mark.slow
+def test_two_sweeps_on_one_directory_share_the_work(reference, tmp_path):
+    directory = tmp_path / "results"
+    others = [start(tmp_path, directory, workers=1) for _ in range(2)]
+    for process in others:
+        _, errors = process.communicate(timeout=120)
+        assert process.returncode == 0, errors
+    assert fingerprint(directory) == fingerprint(reference)
+
+
+def test_neither_shards_nor_order_nor_company_change_anything(reference, tmp_path):
+    """Every cell in this process, in another order."""
+    home = store.Store(tmp_path)
+    cells = cells_of(Options(out=tmp_path, **TINY))
+    parts = [cell for i in (2, 1) for cell in grid.shard(cells, f"{i}/2")]
+    for cell in reversed(parts):
+        assert worker.compute(cell, home, make_env)
+    assert fingerprint(tmp_path) == fingerprint(reference)
+
+
+def test_a_cell_that_another_process_holds_is_left_to_it(tmp_path):
+    home = store.Store(tmp_path)
+    cell = next(cell for cell in cells_of(Options(out=tmp_path, **TINY)) if cell.policy == "idle")
+    held = Claims(tmp_path / "claims").acquire(cell.name)
+    assert not worker.compute(cell, home, make_env)
+    assert not home.is_finished(cell)
+    held.release()
+    assert worker.compute(cell, home, make_env)
+    assert home.is_finished(cell)
+
+
+def test_a_full_disk_stops_the_sweep_in_one_line_and_loses_nothing(tmp_path, monkeypatch):
+    home = store.Store(tmp_path)
+    first, second = [cell for cell in cells_of(Options(out=tmp_path, **TINY)) if cell.kind == "baseline"][:2]
+    worker.compute(first, home, make_env)
+
+    def full(path, data):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
+
+    monkeypatch.setattr("experiments.store.write_file", full)
+    answer = worker.attempt(worker.Job(second, 1.0), tmp_path, make_env, Heart(os.getppid()), lambda _: None)
+    assert answer.fatal
+    assert "no space left" in answer.message
+    assert "\n" not in answer.message
+    monkeypatch.undo()
+    assert (home.is_finished(first), home.is_finished(second)) == (True, False)
+    worker.compute(second, home, make_env)
+    assert home.is_finished(second)
+
+
+def test_a_damaged_cell_stops_the_sweep_before_anything_is_computed(reference, tmp_path):
+    subprocess.run(["cp", "-r", str(reference), str(tmp_path / "copy")], check=True)
+    cell = sorted((tmp_path / "copy" / "cells").iterdir())[0]
+    (cell / store.EPISODES).write_bytes(b"PAR1")
+    with pytest.raises(store.DamagedCell) as error:
+        run(tmp_path / "copy", seeds=2)
+    assert str(cell / store.EPISODES) in str(error.value)
+    assert len(list((tmp_path / "copy" / "cells").iterdir())) == 7
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"preset": "quik"}, "unknown preset 'quik': did you mean 'quick'"),
+        ({"backend": "highwayenv"}, "did you mean 'highway-env'"),
+        ({"tasks": ("uturn",)}, "did you mean 'u-turn'"),
+        ({"levels": (9,)}, "unknown level 9"),
+        ({"shard": "0/2"}, "--shard"),
+        ({"workers": 0}, "--workers"),
+        ({"updates": -5}, "updates"),
+        ({"gamma": 1.5}, "gamma"),
+    ],
+)
+def test_a_wrong_argument_is_named(tmp_path, options, message):
+    with pytest.raises(UserError) as error:
+        run(tmp_path, **options)
+    assert message in str(error.value)
+    assert "\n" not in str(error.value)
+
+
+def test_a_directory_that_cannot_be_made_is_named(tmp_path):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(UserError, match=r"cannot write to .*file"):
+        run(tmp_path / "file" / "results")
+
+
+def command(*arguments: str, cwd: Path) -> subprocess.CompletedProcess:
+    line = [sys.executable, str(ROOT / "experiments/sweep.py"), *arguments]
+    return subprocess.run(line, cwd=cwd, capture_output=True, text=True, timeout=120)
+
+
+def test_the_command_works_from_any_directory(tmp_path):
+    result = command("--preset", "paper", "--dry-run", "--tasks", "highway,u-turn", cwd=tmp_path)
+    assert result.returncode == 0, result.stderr
+    assert "140 agents and 35 baselines" in result.stdout
+    assert not list(tmp_path.iterdir())
+    result = command("--preset", "papr", cwd=tmp_path)
+    assert (result.returncode, result.stdout) == (2, "")
+    assert result.stderr.startswith("error: unknown preset 'papr': did you mean 'paper'?")
+    assert result.stderr.count("\n") == 1
+
+
+def test_the_estimate_uses_the_stored_cells_of_this_machine(reference, capsys):
+    sweep(Options(out=reference, **{**TINY, "seeds": 2, "dry_run": True}), make_env=make_env)
+    output = capsys.readouterr().out
+    assert "measured on 7 stored cells" in output
+    assert "4 agents and 5 baselines" in output
+
+
+def test_presets_name_every_task_and_keep_the_arms_comparable():
+    for preset in PRESETS.values():
+        profiles = preset.profiles()
+        assert set(profiles) == set(grid.TASKS)
+        assert json.loads(json.dumps(profiles)) == profiles
+    assert PRESETS["paper"].seeds == 10
+    assert PRESETS["paper"].profiles()["highway"]["gamma"] == 0.99
+    assert PRESETS["paper"].profiles()["highway"]["target_lag"] == 500

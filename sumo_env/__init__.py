@@ -13,16 +13,20 @@ __version__ = "0.1.0"
 IDS = tuple(f"sumo/{task}-v0" for task in ("highway", "two-way", "roundabout", "intersection", "u-turn"))
 
 
+def task_of(id: str) -> str:
+    """Name of the task that an id stands for: ``sumo/u-turn-v0`` is u-turn."""
+    return id.removeprefix("sumo/").removesuffix("-v0")
+
+
 def register_envs() -> None:
     """Register the five environments with gymnasium; again does nothing."""
     for id in IDS:
         if id not in gym.registry:
-            task = id.removeprefix("sumo/").removesuffix("-v0")
             gym.register(
                 id,
                 entry_point="sumo_env.env:DrivingEnv",
                 vector_entry_point="sumo_env.vector:SumoVectorEnv",
-                kwargs={"task": task},
+                kwargs={"task": task_of(id)},
             )
 
 

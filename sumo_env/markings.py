@@ -59,12 +59,14 @@ def _bend(before: Lane, after: Lane) -> Points:
     (x0, y0), h0 = before.position(before.length, 0.0), before.heading_at(before.length)
     (x3, y3), h3 = after.position(0.0, 0.0), after.heading_at(0.0)
     reach = math.hypot(x3 - x0, y3 - y0) / 2.5
-    controls = np.array([
-        (x0, y0),
-        (x0 + reach * math.cos(h0), y0 + reach * math.sin(h0)),
-        (x3 - reach * math.cos(h3), y3 - reach * math.sin(h3)),
-        (x3, y3),
-    ])
+    controls = np.array(
+        [
+            (x0, y0),
+            (x0 + reach * math.cos(h0), y0 + reach * math.sin(h0)),
+            (x3 - reach * math.cos(h3), y3 - reach * math.sin(h3)),
+            (x3, y3),
+        ]
+    )
     t = np.linspace(0.0, 1.0, 12)[:, None]
     p0, p1, p2, p3 = controls
     points = (1 - t) ** 3 * p0 + 3 * (1 - t) ** 2 * t * p1 + 3 * (1 - t) * t**2 * p2 + t**3 * p3

@@ -86,7 +86,8 @@ class Simulation:
             raise SimulationTaken(
                 "another SUMO environment of this process was reset in the middle of this episode; libsumo runs one "
                 "simulation a process. Finish the episode or reset this environment first, or give each environment "
-                "its own process: gym.make_vec(id, num_envs=...), or Stable-Baselines3's SubprocVecEnv."
+                "its own process: gym.make_vec(id, num_envs=...) without vectorization_mode='sync', or SubprocVecEnv "
+                "instead of DummyVecEnv with Stable-Baselines3."
             )
 
     def release(self, owner: object) -> None:

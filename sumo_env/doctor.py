@@ -1,0 +1,205 @@
+"""Does the installation work? ``python -m sumo_env.doctor`` says, in about ten seconds, and what to do if not.
+
+Prints one line a check and exits with 0 if all is well, 1 if there is a problem. Nothing is changed on the machine
+but the cache of compiled kernels.
+"""
+
+from __future__ import annotations
+
+import platform
+import sys
+import time
+from collections.abc import Callable, Sequence
+from importlib import metadata
+from typing import TextIO
+
+import gymnasium as gym
+import numpy as np
+
+import sumo_env
+
+MINIMUM = {"gymnasium": (1, 1), "numpy": (2, 0), "numba": (0, 61), "pillow": (10, 1), "libsumo": (1, 28)}
+SUMO_VERSION = "1.28.0"  # whose behaviour the traffic models were measured on
+STEPS = 100  # of the speed measurement
+
+
+class Problem(Exception):
+    """A check has failed: what is wrong, and what to do."""
+
+    def __init__(self, wrong: str, remedy: str) -> None:
+        super().__init__(wrong)
+        self.remedy = remedy
+
+
+Check = tuple[str, Callable[[], str]]  # name, and a function that returns details or raises `Problem`
+
+
+def python() -> str:
+    """Python 3.11 or newer."""
+    if sys.version_info < (3, 11):  # noqa: UP036 (a checkout can be run without installing it)
+        raise Problem(f"Python {platform.python_version()}", "use Python 3.11 or newer")
+    return platform.python_version()
+
+
+def packages() -> str:
+    """What the environments need, new enough."""
+    found = []
+    for name, minimum in MINIMUM.items():
+        needed = f"{name}>={'.'.join(map(str, minimum))}"
+        try:
+            version = metadata.version(name)
+        except metadata.PackageNotFoundError:
+            raise Problem(f"{name} is missing", f"pip install '{needed}'") from None
+        if tuple(int(part) for part in version.split(".")[:2]) < minimum:
+            raise Problem(f"{name} {version} is too old", f"pip install '{needed}'")
+        found.append(f"{name} {version}")
+    return ", ".join(found)
+
+
+def sumo() -> str:
+    """libsumo can be imported and is the version that everything was measured with."""
+    try:
+        from sumo_env.simulation import simulation
+    except ImportError as error:
+        raise Problem(str(error), f"pip install --force-reinstall libsumo=={SUMO_VERSION}") from error
+    version = simulation().version()
+    if SUMO_VERSION not in version:
+        raise Problem(
+            f"{version}; the traffic models were measured on {SUMO_VERSION}",
+            f"pip install libsumo=={SUMO_VERSION}",
+        )
+    return version
+
+
+def networks() -> str:
+    """The built roads are where they should be."""
+    from networks.catalogue import network
+
+    for id in sumo_env.IDS:
+        task = sumo_env.task_of(id)
+        try:
+            file = network(task).net_file
+            if not file.is_file():
+                raise FileNotFoundError(file)
+        except OSError as error:
+            raise Problem(
+                f"the network of {task} cannot be read: {error}",
+                "install the package again; from a checkout: python -m networks.build (needs eclipse-sumo)",
+            ) from error
+    return f"{len(sumo_env.IDS)} tasks"
+
+
+def kernels() -> str:
+    """numba compiles, or finds compiled, the numerical kernels."""
+    start = time.perf_counter()
+    try:
+        from sumo_env.collision import contacts
+
+        beside = np.array([0.0, 4.0]), np.zeros(2), np.zeros(2)
+        pairs = contacts(*beside, np.ones(2, np.bool_))
+    except Exception as error:
+        raise Problem(
+            f"numba does not work: {type(error).__name__}: {error}",
+            "pip install --force-reinstall numba numpy",
+        ) from error
+    if pairs.tolist() != [[0, 1]]:
+        raise Problem(
+            f"contacts are {pairs.tolist()} instead of [[0, 1]]", "remove sumo_env's __pycache__ folders"
+        )
+    return f"ready in {time.perf_counter() - start:.1f} s"
+
+
+def task(id: str) -> str:
+    """One episode, twice, gives equal observations; how fast it goes."""
+    env = gym.make(id)
+    try:
+        first, again = _episode(env), _episode(env)
+        if not np.array_equal(first, again):
+            raise Problem(
+                "the same seed gave two different episodes", "please report this, with the table above"
+            )
+        start, steps = time.perf_counter(), 0
+        while steps < STEPS:
+            steps += len(_episode(env, seed=steps)) - 1
+        return f"same seed, same episode; {steps / (time.perf_counter() - start):.0f} steps/s"
+    finally:
+        env.close()
+
+
+def _episode(env: gym.Env[np.ndarray, int], seed: int = 0) -> np.ndarray:
+    observations, over = [env.reset(seed=seed)[0]], False
+    while not over:
+        observation, _, terminated, truncated, _ = env.step(1)
+        observations.append(observation)
+        over = terminated or truncated
+    return np.array(observations)
+
+
+def pictures() -> str:
+    """A scene can be drawn."""
+    env = gym.make(sumo_env.IDS[0], render_mode="rgb_array")
+    env.reset(seed=0)
+    picture = np.asarray(env.render())
+    env.close()
+    if len(np.unique(picture.reshape(-1, 3), axis=0)) < 4:
+        raise Problem("the picture is empty", "pip install --force-reinstall pillow")
+    return f"{picture.shape[1]} x {picture.shape[0]} px"
+
+
+def workers() -> str:
+    """A worker process of a vector environment starts and answers."""
+    start = time.perf_counter()
+    envs = gym.make_vec(sumo_env.IDS[0], num_envs=1)
+    try:
+        envs.reset(seed=0)
+        envs.step(np.array([1]))
+    finally:
+        envs.close()
+    return f"started, reset and stepped in {time.perf_counter() - start:.1f} s"
+
+
+def _check_of(id: str) -> Check:
+    return sumo_env.task_of(id), lambda: task(id)
+
+
+CHECKS: tuple[Check, ...] = (
+    ("Python", python),
+    ("packages", packages),
+    ("SUMO", sumo),
+    ("networks", networks),
+    ("kernels", kernels),
+    *(_check_of(id) for id in sumo_env.IDS),
+    ("pictures", pictures),
+    ("workers", workers),
+)
+
+
+def examine(checks: Sequence[Check], out: TextIO) -> int:
+    """Make the checks in order, one line each; returns 0, or 1 at the first problem, after which none is made.
+
+    Later checks rest on earlier ones, so one cause is reported once.
+    """
+    print(f"sumo_env {sumo_env.__version__} on {platform.platform()}", file=out)
+    for made, (name, check) in enumerate(checks):
+        try:
+            print(f"  ok    {name:14}{check()}", file=out, flush=True)
+        except Exception as error:
+            remedy = (
+                error.remedy if isinstance(error, Problem) else "please report this, with the table above"
+            )
+            wrong = str(error) if isinstance(error, Problem) else f"{type(error).__name__}: {error}"
+            print(f"  FAIL  {name:14}{wrong}\n        {'':14}-> {remedy}", file=out, flush=True)
+            left = len(checks) - made - 1
+            print(f"1 problem; {left} checks not made" if left else "1 problem", file=out)
+            return 1
+    print("all is well", file=out)
+    return 0
+
+
+def main() -> int:
+    """Make all checks and print to the terminal."""
+    return examine(CHECKS, sys.stdout)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

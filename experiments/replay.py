@@ -2,7 +2,7 @@
 
     python experiments/replay.py results/sumo-quick/cells/sumo-highway-50-control-s0-...
     python experiments/replay.py results/sumo-quick/cells/sumo-highway-50-control-s0-...:risky:17
-    python experiments/replay.py CASE --gif       # an animation instead of a strip of pictures
+    python experiments/replay.py CASE --gif       # an animation instead of a sheet of pictures
     python experiments/replay.py CASE --fcd       # positions, speeds and angles for sumo-gui
 
 Exit status: 0 the episode was reproduced, 1 it came out differently (the message says what, and which
@@ -24,7 +24,7 @@ limit_threads()
 import math
 import re
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import gymnasium as gym
 import numpy as np
@@ -37,21 +37,21 @@ from experiments.errors import UserError, disk_error, run_command
 from experiments.evaluate import Policy, play
 from experiments.worker import MakeEnv
 
-STRIP_FRAMES = 12  # pictures in a strip, spread over the episode
+PICTURES = 12  # on a sheet, spread over the episode
 
 
 @dataclass(frozen=True)
 class Options:
     """Play one stored test episode again."""
 
-    case: tyro.conf.Positional[str]
-    """DIR/cells/CELL[:TRAFFIC:SCENARIO]; traffic regular or risky, scenarios from 0 (default: regular:0)."""
-    out: Path | None = None
-    """File to write (default: CELL-TRAFFIC-SCENARIO with a fitting ending, in the current directory)."""
-    gif: bool = False
-    """Write an animated GIF instead of a strip of pictures (PNG)."""
-    fcd: bool = False
-    """Write a floating-car-data file (XML) and a configuration with the road for SUMO's tools instead."""
+    case: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="CASE")]
+    """DIR/cells/CELL[:TRAFFIC:SCENARIO]; traffic regular or risky, scenarios from 0; regular:0 if left out."""
+    out: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None
+    """File to write; by default CELL-TRAFFIC-SCENARIO with a fitting ending, in the current directory."""
+    gif: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = False
+    """Write an animated GIF instead of a sheet of pictures (PNG)."""
+    fcd: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = False
+    """Write floating car data (XML), and a configuration with the road, for SUMO's tools instead."""
 
 
 @dataclass(frozen=True)
@@ -180,6 +180,19 @@ def _changed(record: dict[str, Any]) -> str:
     return f"; since then changed: {', '.join(changed)}" if changed else "; the versions are the same"
 
 
+def sheet(frames: list[NDArray[np.uint8]]) -> NDArray[np.uint8]:
+    """Pictures of one size on one sheet, row by row from the left, in as many columns as make it about square."""
+    height, width, _ = frames[0].shape
+    columns = max(1, round(math.sqrt(len(frames) * height / width)))
+    rows = -(-len(frames) // columns)
+    gap = 4  # [px]
+    paper = np.full((rows * (height + gap) - gap, columns * (width + gap) - gap, 3), 255, np.uint8)
+    for number, frame in enumerate(frames):
+        top, left = number // columns * (height + gap), number % columns * (width + gap)
+        paper[top : top + height, left : left + width] = frame
+    return paper
+
+
 def _write(
     options: Options, case: Case, key: dict[str, Any], frames: list[NDArray[np.uint8]], scenes: list[Any]
 ) -> list[Path]:
@@ -193,12 +206,12 @@ def _write(
         pictures = [Image.fromarray(frame) for frame in frames]
         pictures[0].save(path, save_all=True, append_images=pictures[1:], duration=500, loop=0)
     else:
-        chosen = np.unique(np.linspace(0, len(frames) - 1, STRIP_FRAMES).round().astype(int))
-        gap = np.full((4, frames[0].shape[1], 3), 255, np.uint8)
-        strip = [part for number in chosen for part in (frames[number], gap)][:-1]
-        Image.fromarray(np.concatenate(strip)).save(path)
+        chosen = np.unique(np.linspace(0, len(frames) - 1, PICTURES).round().astype(int))
+        Image.fromarray(sheet([frames[number] for number in chosen])).save(path)
     return [path]
 
 
 if __name__ == "__main__":
-    run_command(lambda: replay(tyro.cli(Options, description=__doc__)))
+    run_command(
+        lambda: replay(tyro.cli(Options, description=__doc__, config=(tyro.conf.FlagCreatePairsOff,)))
+    )

@@ -1,13 +1,14 @@
 """Run the experiment: train and test the agents of both arms and the baselines, then write the report.
 
-    python experiments/sweep.py                                   # the default preset, about 15 minutes on
-    two cores python experiments/sweep.py --preset smoke --out /tmp/smoke   # a minute python
-    experiments/sweep.py --preset paper --dry-run          # what would be computed, and how long it takes
+    python experiments/sweep.py
+    python experiments/sweep.py --preset smoke --out /tmp/smoke
+    python experiments/sweep.py --preset paper --dry-run
 
 The same command run again goes on where it was stopped, whatever stopped it; finished cells are never
-computed twice. Several sweeps on one directory, also from several machines, share the work. Exit status: 0
-all done, 1 some cells failed (everything else is kept), 2 something has to be put right first, 130 stopped
-with Ctrl-C.
+computed twice. Several sweeps on one directory, also from several machines, share the work.
+
+Exit status: 0 all done, 1 some cells failed (everything else is kept), 2 something has to be put right
+first, 130 stopped with Ctrl-C.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ import signal
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Any
 
 import tyro
 
@@ -52,35 +53,40 @@ def _cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
+def _argument(metavar: str, default: str = "the preset's") -> Any:
+    """How an argument is shown in the help text."""
+    return tyro.conf.arg(metavar=metavar, help_behavior_hint=f"(default: {default})")
+
+
 @dataclass(frozen=True)
 class Options:
     """Train and test the agents of both arms and the baselines, then write the report."""
 
-    backend: str = "sumo"
+    backend: Annotated[str, _argument("NAME", "sumo")] = "sumo"
     """Simulator: sumo or highway-env."""
-    preset: str = "quick"
+    preset: Annotated[str, _argument("NAME", "quick")] = "quick"
     """Size of the experiment: smoke (a minute), quick (15 minutes on two cores) or paper (many hours)."""
-    out: Path | None = None
-    """Directory for the results (default: results/BACKEND-PRESET)."""
-    tasks: Annotated[tuple[str, ...], tyro.conf.arg(metavar="TASK ...")] = ()
-    """Some of highway, two-way, roundabout, intersection, u-turn (default: all)."""
-    levels: Annotated[tuple[int, ...], tyro.conf.arg(metavar="LEVEL ...")] = ()
-    """Traffic levels by number, 1 is the lightest (default: the preset's)."""
-    seeds: int | None = None
-    """Training seeds in each arm (default: the preset's)."""
-    episodes: int | None = None
-    """Test episodes in each of the two traffics (default: the preset's)."""
-    updates: int | None = None
-    """Training budget of an agent in updates, for all tasks (default: the preset's)."""
-    gamma: float | None = None
-    """Discount factor (default: the preset's)."""
-    target_lag: int | None = None
-    """Updates between copies into the target network (default: the preset's)."""
-    workers: int | None = None
-    """Number of processes (default: the number of cores)."""
-    shard: str = "1/1"
-    """Compute only the part i/n of the cells, for job arrays."""
-    dry_run: bool = False
+    out: Annotated[Path | None, _argument("DIR", "results/BACKEND-PRESET")] = None
+    """Directory for the results."""
+    tasks: Annotated[tuple[str, ...], _argument("TASK ...", "all")] = ()
+    """Some of highway, two-way, roundabout, intersection, u-turn."""
+    levels: Annotated[tuple[str, ...], _argument("LEVEL ...")] = ()
+    """Traffic levels by number; 1 is the lightest."""
+    seeds: Annotated[int | None, _argument("N")] = None
+    """Training seeds in each arm."""
+    episodes: Annotated[int | None, _argument("N")] = None
+    """Test episodes in each of the two traffics."""
+    updates: Annotated[int | None, _argument("N")] = None
+    """Training budget of an agent in updates, the same for all tasks."""
+    gamma: Annotated[float | None, _argument("X")] = None
+    """Discount factor."""
+    target_lag: Annotated[int | None, _argument("N")] = None
+    """Updates between copies into the target network."""
+    workers: Annotated[int | None, _argument("N", "the number of cores")] = None
+    """Number of processes."""
+    shard: Annotated[str, _argument("I/N", "1/1")] = "1/1"
+    """Compute only this part of the cells, for job arrays."""
+    dry_run: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = False
     """Print the cells and an estimate of the time, and compute nothing."""
 
     @property
@@ -98,9 +104,12 @@ def cells_of(options: Options) -> list[Cell]:
     preset = get_preset(options.preset)
     tasks = grid.choose_tasks(options.tasks or tuple(grid.TASKS))
     profiles = preset.profiles(updates=options.updates, gamma=options.gamma, target_lag=options.target_lag)
+    for level in options.levels:
+        if not level.isdecimal():
+            raise UserError(f"--levels takes numbers, 1 is the lightest traffic, not {level!r}")
     return grid.build(
         options.backend,
-        grid.choose_levels(tasks, options.levels or preset.levels),
+        grid.choose_levels(tasks, tuple(map(int, options.levels)) or preset.levels),
         preset.seeds if options.seeds is None else options.seeds,
         preset.episodes if options.episodes is None else options.episodes,
         profiles,
@@ -203,7 +212,7 @@ def main() -> int:
         signal.SIGTERM, signal.default_int_handler
     )  # schedulers end jobs politely: stop as for Ctrl-C
     arguments = [part for word in sys.argv[1:] for part in _split(word)]
-    options = tyro.cli(Options, args=arguments, description=__doc__)
+    options = tyro.cli(Options, args=arguments, description=__doc__, config=(tyro.conf.FlagCreatePairsOff,))
     return sweep(options, arguments=sys.argv[1:])
 
 

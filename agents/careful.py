@@ -1,0 +1,169 @@
+"""The careful driver: one rule for every task with highway-env's kinematics observation and meta-actions.
+
+It knows no road. It extrapolates every vehicle that it sees, tries all plans of three meta-actions in a small model
+of its own motion, and takes the first action of the plan that gets farthest without coming too close to anybody. "Too
+close" has a price rather than a limit; where no plan avoids a collision, it brakes.
+"""
+
+from __future__ import annotations
+
+from itertools import product
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+from agents.perception import Perception, View
+
+STEP = 0.25  # [s] of the prediction
+HORIZON = 4.0  # [s]
+PLANNED = 3  # actions in a plan, one a second; afterwards the commanded speed is held
+SPEED_LAG = 0.6  # [s] time constant of the ego's speed control
+LATERAL_LAG = 0.5  # [s] time constant of a lane change
+LANE_WIDTH = 4.0  # [m]
+# Vehicles of 5 x 2 m: three discs cover one, and all points within a radius of its middle line cover it, too.
+DISCS = np.array([-1.67, 0.0, 1.67])  # [m] centres along the vehicle
+RADIUS = 1.3  # [m]
+MARGIN = 0.2  # [m] beyond contact
+# [m/s] more margin for what lies farther ahead: a little for traffic along the own road, more for crossing traffic,
+# whose way is less certain.
+GROWTH, CROSSING_GROWTH = 0.15, 0.6
+# Price [m of way] of being where another vehicle will be so much later [s], or was so much earlier: 0 is a collision,
+# the others are a short headway, or a narrow escape in a crossing.
+PRICES = {0.0: 1000.0, 0.5: 300.0, -0.5: 200.0, 1.0: 100.0}
+FORGETTING = 2.0  # [s] the price of what is so far ahead counts 1/e: there is time to react
+UNSAFE = 300.0  # [m of way] where every plan costs more than this, the cheapest and slowest one is taken
+LANE_CHANGE = 3.0  # [m of way] price of a lane change
+BRAKING = 2.0  # [s] vehicles that brake go on braking for so long
+GAP = 6.0  # [m] between centres along a curve: a vehicle length and a little
+SIDES = {"LANE_LEFT": -1, "LANE_RIGHT": 1}
+RUNGS = {"SLOWER": -1, "FASTER": 1}
+
+FUTURE = np.arange(1, round(HORIZON / STEP) + 1) * STEP  # [s] times at which the plans are judged
+SPAN = 1.0  # [s] the ego is followed so much before and beyond, to compare it with others at other times
+TIMES = np.arange(-round(SPAN / STEP), round((HORIZON + SPAN) / STEP) + 1) * STEP
+
+
+class Careful:
+    """Drives by prediction. ``env.unwrapped`` has actions, target_speeds [m/s] and observation_type.
+
+    Raises ValueError when the observation lacks one of x, y, vx, vy.
+    """
+
+    def __init__(self, env: gym.Env[Any, Any]) -> None:
+        source: Any = env.unwrapped
+        self._numbers = {name: number for number, name in source.actions.items()}
+        self._ladder = np.array(source.target_speeds, dtype=float)
+        self._perception = Perception(env)
+        known = [name for name in ("IDLE", "SLOWER", "FASTER", "LANE_LEFT", "LANE_RIGHT") if name in self._numbers]
+        plans = list(product(known, *[(0, -1, 1)] * (PLANNED - 1)))  # of equal plans the first one is taken
+        self._first = np.array([plan[0] for plan in plans])
+        self._sides = np.array([SIDES.get(plan[0], 0) for plan in plans])
+        self._rungs = np.array([[RUNGS.get(plan[0], 0), *plan[1:]] for plan in plans])
+        self.reset()
+
+    def reset(self, seed: int | None = None) -> None:
+        """Begin an episode: forget what was seen. The rule draws nothing at random."""
+        self._perception.reset()
+        self._action: str | None = None
+        self._lanes = {-1: False, 1: False}  # is there known to be a lane to the left, to the right?
+
+    def act(self, observation: np.ndarray) -> int:
+        """The first action of the best plan."""
+        view = self._perception.look(observation, self._action in SIDES)
+        self._learn_lanes(view)
+        way = self._way(view.speed)
+        price = self._price(view, way)
+        gain = way[:, len(TIMES) - 1 - round(SPAN / STEP)] - price
+        possible = np.array([side == 0 or self._lanes[side] for side in self._sides])
+        if self._action is None:  # nothing is known yet about how the others move
+            possible &= np.isin(self._first, ("IDLE", "SLOWER"))
+        if price[possible].min() > UNSAFE:
+            gain = -price - 1e-3 * way[:, -1]
+        self._action = str(self._first[np.argmax(np.where(possible, gain, -np.inf))])
+        return self._numbers[self._action]
+
+    def _learn_lanes(self, view: View) -> None:
+        """A lane is known once somebody was seen on it, or the ego came from it; not if the ego failed to reach it."""
+        if self._action in SIDES:
+            side = SIDES[self._action]
+            arrived = side * view.sideways > 0.4 * LANE_WIDTH
+            self._lanes = {side: False, -side: arrived or self._lanes[-side]}
+        parallel = (np.abs(np.sin(view.headings)) < 0.2) & (np.abs(view.positions[:, 0]) < 100)
+        for side in (-1, 1):
+            beside = np.abs(view.positions[:, 1] - side * LANE_WIDTH) < 1.0
+            self._lanes[side] = self._lanes[side] or bool((parallel & beside).any())
+
+    def _way(self, speed: float) -> np.ndarray:
+        """Way of each plan [m] at each of TIMES, (plans, times), with a first-order speed control."""
+        rung = np.full(len(self._rungs), np.abs(self._ladder - speed).argmin())
+        decay = np.exp(-STEP / SPEED_LAG)
+        v = np.full(len(rung), speed)
+        ways = [speed * np.minimum(time, 0.0) * np.ones(len(rung)) for time in TIMES[TIMES <= 0]]
+        for number in range(len(TIMES) - len(ways)):
+            second, part = divmod(number * STEP, 1.0)
+            if part == 0 and second < PLANNED:
+                rung = np.clip(rung + self._rungs[:, int(second)], 0, len(self._ladder) - 1)
+            excess = v - self._ladder[rung]
+            ways.append(ways[-1] + self._ladder[rung] * STEP + excess * SPEED_LAG * (1 - decay))
+            v = self._ladder[rung] + excess * decay
+        return np.stack(ways, axis=1)
+
+    def _price(self, view: View, way: np.ndarray) -> np.ndarray:
+        """Price of each plan's encounters and of its lane change [m of way], (plans,)."""
+        price = LANE_CHANGE * np.abs(self._sides).astype(float)
+        if not len(view.positions):
+            return price
+        place, direction = _arc(way, view.curvature)
+        place += 1j * direction * LANE_WIDTH * self._sides[:, None] * (1 - np.exp(-np.maximum(TIMES, 0) / LATERAL_LAG))
+        drive = _drive(view)
+        others = _discs(view, drive)
+        leading = np.where(_on_curve(view)[:, None], np.abs(_complex(view.positions))[:, None] + drive, np.inf)
+        crossing = np.abs(np.sin(view.headings)) if "LANE_LEFT" in self._numbers else np.abs(view.headings) > 0.3
+        near = 2 * RADIUS + MARGIN + (GROWTH + CROSSING_GROWTH * crossing)[:, None] * FUTURE
+        for delay, cost in PRICES.items():
+            start = round((SPAN + delay) / STEP) + 1
+            window = slice(start, start + len(FUTURE))
+            offset = (others - place[:, None, window, None]) / direction[:, None, window, None]
+            beyond = np.maximum(np.abs(offset.real) - DISCS[-1], 0.0)  # of the ego's ends
+            close = (beyond**2 + offset.imag**2).min(axis=3) < near**2
+            close |= leading - way[:, None, window] < GAP
+            price += cost * (close * np.exp(-FUTURE / FORGETTING)).max(axis=(1, 2))
+        return price
+
+
+def _arc(way: np.ndarray, curvature: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Place [m] and direction (of length 1) after a way along an arc from the origin, both as complex numbers."""
+    half = way * curvature / 2
+    return way * np.sinc(half / np.pi) * np.exp(1j * half), np.exp(2j * half)
+
+
+def _drive(view: View) -> np.ndarray:
+    """Way of each vehicle [m] at each time of FUTURE, (n, times): at its speed, or braking as it does for a while."""
+    braking = np.clip(view.acceleration, -6.0, -1e-6)[:, None]
+    speed = view.speeds[:, None]
+    time = np.minimum(FUTURE, np.minimum(BRAKING, -speed / braking))  # until when it brakes
+    return speed * time + braking * time**2 / 2 + (speed + braking * time) * (FUTURE - time)
+
+
+def _discs(view: View, drive: np.ndarray) -> np.ndarray:
+    """Centres of the discs of each vehicle at each time of FUTURE, complex, (n, times, discs)."""
+    curvature = view.turning / np.maximum(view.speeds, 1.0)
+    place, direction = _arc(drive, curvature[:, None])
+    direction *= np.exp(1j * view.headings)[:, None]
+    place *= np.exp(1j * view.headings)[:, None]
+    return (_complex(view.positions)[:, None] + place)[..., None] + direction[..., None] * DISCS
+
+
+def _on_curve(view: View) -> np.ndarray:
+    """Whether a vehicle may be ahead on a road that goes straight and then bends as its heading says, (n,).
+
+    On a bend that begins at the ego the bearing is half the heading; where it begins later it is less.
+    """
+    turned = np.abs(view.headings)
+    x, y = view.positions[:, 0], view.positions[:, 1] * np.sign(view.headings)
+    return (turned > 0.2) & (turned < 2.0) & (x > 0) & (y > -2.5) & (y < x * np.tan(turned / 2) + 2.5)
+
+
+def _complex(points: np.ndarray) -> np.ndarray:
+    return points[:, 0] + 1j * points[:, 1]

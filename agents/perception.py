@@ -1,0 +1,138 @@
+"""What kinematics observations tell about the traffic, in SI units and in the ego's own frame."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+PERIOD = 1.0  # [s] between two observations
+TURNING = 0.1  # [rad/s] slower turns are taken for noise
+MAX_TURNING = 1.0  # [rad/s]
+SAME = 7.0  # [m] a vehicle this close to where one was expected is taken for that one
+STANDING = 0.5  # [m/s] below this the direction of the velocity says nothing
+
+
+@dataclass(frozen=True)
+class View:
+    """The ego and the n vehicles that it sees.
+
+    Ego: origin (2,) [m] on the map (y down), heading of its road [rad], speed [m/s], curvature of its path [1/m]
+    (positive to the right), sideways [m]: how far it left that path to the right in the last period.
+    Others, in the frame of the ego (x ahead, y to the right): positions (n, 2) [m], headings [rad], speeds [m/s],
+    turning [rad/s] and acceleration [m/s2], (n,) each; the last two are 0 at the first sight of a vehicle.
+    """
+
+    origin: np.ndarray
+    heading: float
+    speed: float
+    curvature: float
+    sideways: float
+    positions: np.ndarray
+    headings: np.ndarray
+    speeds: np.ndarray
+    turning: np.ndarray
+    acceleration: np.ndarray
+
+
+class Perception:
+    """Reads the kinematics observations of ``env``, one a period, and follows the vehicles from one to the next.
+
+    Raises ValueError when ``env.unwrapped.observation_type`` lacks one of the features x, y, vx, vy.
+    """
+
+    def __init__(self, env: gym.Env[Any, Any]) -> None:
+        kind: Any = env.unwrapped.observation_type  # type: ignore[attr-defined]
+        self._columns = {name: column for column, name in enumerate(kind.features)}
+        missing = [name for name in ("x", "y", "vx", "vy") if name not in self._columns]
+        if missing:
+            raise ValueError(f"The careful driver needs x, y, vx and vy in the observation: no {', '.join(missing)}.")
+        self._ranges = kind.ranges
+        self._absolute = kind.absolute
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything seen."""
+        self._before: View | None = None
+
+    def look(self, observation: np.ndarray, changing_lane: bool = False) -> View:
+        """The view in an observation (vehicles, features).
+
+        changing_lane: the ego is on its way to another lane, so that its heading is not that of the road.
+        """
+        before = self._before
+        rows = np.asarray(observation, dtype=float)
+        present = rows[:, self._columns["presence"]] > 0.5 if "presence" in self._columns else rows.any(axis=1)
+        rows = rows[present]
+        points, velocities = self._pair(rows, "x", "y"), self._pair(rows, "vx", "vy")
+        # The ego's own row is absolute in any case.
+        positions = points[1:] - (points[0] if self._absolute else 0.0)
+        velocities[1:] += 0.0 if self._absolute else velocities[0]
+        speeds = np.hypot(velocities[:, 0], velocities[:, 1])
+        headings = np.arctan2(velocities[:, 1], velocities[:, 0])
+        if "cos_h" in self._columns:
+            headings = np.arctan2(rows[:, self._columns["sin_h"]], rows[:, self._columns["cos_h"]])
+        heading, speed, curvature, sideways = float(headings[0]), float(speeds[0]), 0.0, 0.0
+        if before is not None:
+            way = PERIOD * (before.speed + speed) / 2
+            if changing_lane:
+                heading, curvature = before.heading + before.curvature * way, before.curvature
+            elif speed < STANDING and "cos_h" not in self._columns:
+                heading, curvature = before.heading, before.curvature
+            elif (turn := _wrap(heading - before.heading)) and abs(turn) > TURNING * PERIOD:
+                curvature = turn / max(way, 1.0)
+            right = np.array([-np.sin(before.heading), np.cos(before.heading)])
+            sideways = float((points[0] - before.origin) @ right) - before.curvature * way**2 / 2
+        ahead = np.array([np.cos(heading), np.sin(heading)])
+        frame = np.stack([ahead, [-ahead[1], ahead[0]]], axis=1)
+        turning = acceleration = np.zeros(len(positions))
+        view = View(
+            origin=points[0],
+            heading=heading,
+            speed=speed,
+            curvature=curvature,
+            sideways=sideways,
+            positions=positions @ frame,
+            headings=_wrap(headings[1:] - heading),
+            speeds=speeds[1:],
+            turning=turning,
+            acceleration=acceleration,
+        )
+        if before is not None:
+            view = _follow(before, view)
+        self._before = view
+        return view
+
+    def _pair(self, rows: np.ndarray, *names: str) -> np.ndarray:
+        """Two features, mapped from [-1, 1] back to their ranges, (vehicles, 2)."""
+        low, high = np.array([self._ranges[name] for name in names]).T
+        return low + (rows[:, [self._columns[name] for name in names]] + 1) / 2 * (high - low)
+
+
+def _follow(before: View, now: View) -> View:
+    """``now`` with the turning and the acceleration of the vehicles that were seen ``before``."""
+    if not len(before.positions) or not len(now.positions):
+        return now
+    # Where the vehicles were expected, in the frame of ``now``: turned by the change of heading, moved by the way.
+    turn = now.heading - before.heading
+    cos, sin = np.cos(turn), np.sin(turn)
+    others = before.speeds[:, None] * np.stack([np.cos(before.headings), np.sin(before.headings)], axis=1)
+    ego = (before.speed * np.array([1.0, 0.0]) + now.speed * np.array([cos, sin])) / 2
+    expected = (before.positions + PERIOD * (others - ego)) @ np.array([[cos, -sin], [sin, cos]])
+    distance = np.linalg.norm(now.positions[:, None] - expected[None], axis=2)
+    nearest = distance.argmin(axis=1)
+    known = distance.min(axis=1) < SAME
+    turned = _wrap(now.headings + turn - before.headings[nearest]) / PERIOD
+    turned[(np.abs(turned) < TURNING) | (now.speeds < 1) | (before.speeds[nearest] < 1)] = 0.0
+    return replace(
+        now,
+        turning=np.where(known, np.clip(turned, -MAX_TURNING, MAX_TURNING), 0.0),
+        acceleration=np.where(known, (now.speeds - before.speeds[nearest]) / PERIOD, 0.0),
+    )
+
+
+def _wrap(angle: Any) -> Any:
+    """The same angle in [-pi, pi)."""
+    return (angle + np.pi) % (2 * np.pi) - np.pi

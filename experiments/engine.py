@@ -48,7 +48,6 @@ class Engine:
         workers: number of processes.
         make_env: makes an environment from (backend, task, config); must be importable in another process.
         seconds: expected time of a cell on one core.
-        display: shows the progress.
     """
 
     def __init__(
@@ -58,7 +57,6 @@ class Engine:
         workers: int,
         make_env: MakeEnv,
         seconds: Callable[[Cell], float],
-        display: Display,
     ) -> None:
         self.store = Store(directory)
         self.claims = Claims(directory / "claims")
@@ -66,7 +64,6 @@ class Engine:
         self.finished = {name for name, cell in self.cells.items() if self.store.is_finished(cell)}
         self.failed: dict[str, str] = {}
         self._seconds = seconds
-        self._display = display
         self._make_env = make_env
         self._context = multiprocessing.get_context("spawn")
         todo = [cell for name, cell in self.cells.items() if name not in self.finished]
@@ -78,13 +75,14 @@ class Engine:
         self._rechecked = 0.0
         self._total = sum(job.cost for job in self._queue)
 
-    def run(self) -> None:
+    def run(self, display: Display) -> None:
         """Work until every cell is finished or has failed; then `finished` and `failed` say which.
 
         Raises:
             UserError: the disk is full, a stored cell is damaged, or the like; everything finished is kept.
             KeyboardInterrupt: as it came; everything finished and all checkpoints are kept.
         """
+        self._display = display
         try:
             while self._queue or self._elsewhere or any(worker.job for worker in self._workers):
                 self._start()

@@ -148,10 +148,10 @@ def sweep(options: Options, make_env: MakeEnv = make_env, arguments: Sequence[st
         names = {cell.name for cell in mine}
         failed = {k: v for k, v in read_sweep(directory).get("failed", {}).items() if k not in names}
         store.write_sweep({**record, "failed": failed})
-        engine = Engine(directory, mine, workers, make_env, rates(directory).seconds, display())
+        engine = Engine(directory, mine, workers, make_env, rates(directory).seconds)
         found = len(engine.finished)
         print(f"{len(mine)} cells, {found} of them finished before; results go to {directory}", flush=True)
-        engine.run()
+        engine.run(display())
         store.write_sweep({**record, "failed": {**failed, **engine.failed}})
     except OSError as error:
         raise disk_error(error, directory) from None

@@ -189,10 +189,11 @@ def test_a_stopped_sweep_says_how_to_go_on(tmp_path, number):
 @pytest.mark.slow
 def test_two_sweeps_on_one_directory_share_the_work(reference, tmp_path):
     directory = tmp_path / "results"
-    others = [start(tmp_path, directory, workers=1) for _ in range(2)]
-    for process in others:
-        _, errors = process.communicate(timeout=120)
-        assert process.returncode == 0, errors
+    other = start(tmp_path, directory, workers=1)
+    wait_for(lambda: list(directory.glob("claims/*.lock")), other)
+    assert run(directory, workers=1) == 0
+    _, errors = other.communicate(timeout=120)
+    assert other.returncode == 0, errors
     assert fingerprint(directory) == fingerprint(reference)
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import copy
 import difflib
+import math
 from collections.abc import Mapping
 from typing import Any
 
@@ -39,6 +41,17 @@ OBSERVATION_KEYS: dict[str, set[str]] = {
     },
     "TimeToCollision": {"type", "horizon"},
 }
+POSITIVE = (
+    "lanes_count",
+    "road_length",
+    "duration",
+    "policy_frequency",
+    "simulation_frequency",
+    "vehicles_density",
+    "screen_width",
+    "screen_height",
+    "scaling",
+)
 # Keys of highway-env that have no meaning on SUMO; a config that sets them is told so instead of being ignored.
 WITHOUT_MEANING = {
     "controlled_vehicles": "SUMO tasks have one ego",
@@ -68,35 +81,33 @@ def resolve(task: str, defaults: Config, *overrides: Mapping[str, Any] | None) -
     Raises:
         ConfigError: unknown key, wrong type or value out of range.
     """
-    config = {**COMMON, **defaults}
+    config = copy.deepcopy({**COMMON, **defaults})
     for override in overrides:
         for key, value in (override or {}).items():
             if key not in config:
                 if key in WITHOUT_MEANING:
                     raise ConfigError(f"config key {key!r} has no meaning here: {WITHOUT_MEANING[key]}")
                 raise ConfigError(f"unknown config key {key!r} for task {task!r}: {nearest(key, config)}")
-            config[key] = value
+            config[key] = copy.deepcopy(value)  # the user's own dicts stay the user's
     _check(task, config, {**COMMON, **defaults})
     return config
 
 
 def _check(task: str, config: Config, defaults: Config) -> None:
     for key, value in config.items():
-        default = defaults[key]
-        is_number = isinstance(value, int | float) and not isinstance(value, bool)
-        if isinstance(default, bool) and not isinstance(value, bool | int):
-            raise ConfigError(f"config key {key!r} must be True or False, not {value!r}")
-        if isinstance(default, int | float) and not isinstance(default, bool) and not is_number:
-            raise ConfigError(f"config key {key!r} must be a number, not {value!r}")
+        wanted = _wanted(defaults[key], value)
+        if wanted:
+            raise ConfigError(f"config key {key!r} must be {wanted}, not {value!r}")
         if key.endswith("_count") and (value != int(value) or value < 0):
             raise ConfigError(f"config key {key!r} must be a whole number of at least 0, not {value!r}")
     if config["traffic_model"] not in ("matched", "sumo"):
         raise ConfigError(
             f"config key 'traffic_model' must be 'matched' or 'sumo', not {config['traffic_model']!r}"
         )
-    if not 0.0 <= config["risk"] <= 1.0:
-        raise ConfigError(f"config key 'risk' must lie in [0, 1], not {config['risk']!r}")
-    for key in ("duration", "policy_frequency", "simulation_frequency", "vehicles_density"):
+    for key in ("risk", "spawn_probability"):
+        if not 0.0 <= config.get(key, 0.0) <= 1.0:
+            raise ConfigError(f"config key {key!r} must lie in [0, 1], not {config[key]!r}")
+    for key in POSITIVE:
         if key in config and config[key] <= 0:
             raise ConfigError(f"config key {key!r} must be positive, not {config[key]!r}")
     if config["simulation_frequency"] % config["policy_frequency"]:
@@ -119,3 +130,23 @@ def _check(task: str, config: Config, defaults: Config) -> None:
         raise ConfigError(
             f"unknown action type {config['action'].get('type')!r}: the ego is driven by 'DiscreteMetaAction'"
         )
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
+
+
+def _wanted(default: Any, value: Any) -> str | None:
+    """What kind of value is wanted in place of `value`, judged by the default; None if it is right."""
+    if isinstance(default, bool):
+        return None if isinstance(value, bool | int) else "True or False"
+    if isinstance(default, int | float):
+        return None if _is_number(value) else "a number"
+    if isinstance(default, dict):
+        return None if isinstance(value, dict) else 'a dict such as {"type": ...}'
+    if isinstance(default, list):
+        numbers = (
+            isinstance(value, list | tuple) and len(value) == len(default) and all(map(_is_number, value))
+        )
+        return None if numbers else f"a list of {len(default)} numbers"
+    return None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from operator import index
 from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
@@ -64,8 +65,9 @@ class DrivingEnv(gym.Env[Observation, Any]):
 
     def configure(self, config: Mapping[str, Any] | None) -> None:
         """Lay `config` over the present configuration; takes effect at the next reset."""
-        self.config: Config = resolve(self.task.name, self.task.defaults, getattr(self, "config", None), config)
-        offered = interface(self.task, self.config)
+        changed = resolve(self.task.name, self.task.defaults, getattr(self, "config", None), config)
+        offered = interface(self.task, changed)
+        self.config: Config = changed  # only now that nothing can go wrong
         self.actions, self.target_speeds = offered.actions, offered.target_speeds
         self.observation_type = offered.observation_type
         self.observation_space, self.action_space = offered.observation_space, offered.action_space
@@ -114,9 +116,10 @@ class DrivingEnv(gym.Env[Observation, Any]):
         """
         if self._world is None or self.scenario is None:
             raise gym.error.ResetNeeded("call reset() before step()")
-        name = self.actions.get(int(action))
-        if name is None:
-            raise ValueError(f"action must be one of {self.actions}, not {action!r}")
+        try:
+            name = self.actions[index(action)]
+        except (KeyError, TypeError):
+            raise ValueError(f"action must be one of {self.actions}, not {action!r}") from None
         world = self._world
         self.ego.command(name, float(self.scene.x[0]), float(self.scene.y[0]))
         self.scene = world.step(self._on_substep if self._video or self._shows_trajectories() else None)

@@ -42,9 +42,13 @@ def interface(task: Task, config: Config) -> Interface:
         ConfigError: the ladder does not rise, or the observation's entry is malformed.
     """
     actions = action_names(config["action"])
-    speeds = tuple(float(v) for v in config["action"].get("target_speeds") or task.target_speeds)
+    ladder = config["action"].get("target_speeds") or task.target_speeds
+    try:
+        speeds = tuple(float(speed) for speed in ladder)
+    except (TypeError, ValueError):
+        speeds = ()
     if len(speeds) < 2 or any(low >= high for low, high in pairwise(speeds)):
-        raise ConfigError(f"'target_speeds' must be at least two rising speeds, not {list(speeds)}")
+        raise ConfigError(f"'target_speeds' must be at least two rising speeds [m/s], not {ladder!r}")
     road = task.road(config)
     start, end, _ = next(iter(road.lanes))
     observation: Kinematics | TimeToCollision

@@ -43,9 +43,10 @@ class Kinematics:
                 raise ConfigError(
                     f"unknown observation feature {feature!r}: {nearest(feature, list(FEATURES))}"
                 )
-        self.vehicles_count = int(config.get("vehicles_count", 5))
-        if self.vehicles_count < 1:
-            raise ConfigError("observation 'vehicles_count' must be at least 1 (the ego)")
+        count = config.get("vehicles_count", 5)
+        if not isinstance(count, int) or count < 1:
+            raise ConfigError(f"observation 'vehicles_count' must be a whole number of at least 1, not {count!r}")
+        self.vehicles_count = count
         default = {
             "x": (-5.0 * MAX_SPEED, 5.0 * MAX_SPEED),
             "y": (-4.0 * side_lanes, 4.0 * side_lanes),

@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from networks.roads import Road, highway
-from sumo_env.config import DISCRETE_META_ACTION, Config
+from sumo_env.config import DISCRETE_META_ACTION, Config, ConfigError
 from sumo_env.drivers import RiskRates
 from sumo_env.scenario import EGO, VehicleSpec
 from sumo_env.scene import PERCEPTION_DISTANCE
@@ -47,6 +47,8 @@ class Highway(Task):
 
     def ego(self, config: Config, road: Road, rng: np.random.Generator) -> VehicleSpec:
         lane = config["initial_lane_id"]
+        if lane is not None and lane not in range(int(config["lanes_count"])):
+            raise ConfigError(f"'initial_lane_id' must be None or a lane below 'lanes_count', not {lane!r}")
         lane = int(rng.integers(config["lanes_count"])) if lane is None else int(lane)
         spacing = _spacing(25.0, config["ego_spacing"], config)
         s = spacing * (3.0 + rng.uniform(0.9, 1.1))

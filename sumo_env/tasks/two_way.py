@@ -5,15 +5,18 @@ The reward has no crash term, as in highway-env: a crash only ends the episode. 
 
 from __future__ import annotations
 
+from itertools import count as count_from
+
 import numpy as np
 
 from networks.roads import Road, two_way
-from sumo_env.config import DISCRETE_META_ACTION, Config
+from sumo_env.config import DISCRETE_META_ACTION, Config, ConfigError
 from sumo_env.drivers import RiskRates
 from sumo_env.scenario import EGO, VehicleSpec
 from sumo_env.tasks.base import Drivers, EgoState, Task, ego_driver, make_on_lane, weighted
 
 OWN, ONCOMING = ("a", "b", 1), ("b", "a", 0)
+MIN_SPACING = 6.0  # [m] between centres in a column
 
 
 class TwoWay(Task):
@@ -82,9 +85,14 @@ def _column(
 ) -> list[float]:
     """Places of a column of vehicles [m]: equal spacing with jitter, redrawn until no two cars overlap."""
     step = min(abs(spacing), available / max(count - 1, 1))
+    if step <= MIN_SPACING:
+        raise ConfigError(f"{count} vehicles do not fit into {available:g} m of road one behind the other")
     direction = 1.0 if spacing > 0 else -1.0
-    while True:
-        jitter = rng.normal(size=count) * 10.0 * step / abs(spacing)
-        places = start + direction * step * np.arange(count) + jitter
-        if count < 2 or np.min(np.diff(np.sort(places))) > 6.0:
-            return [float(place) for place in places]
+    deviation = 10.0 * step / abs(spacing)
+    for attempt in count_from(1):
+        places = start + direction * step * np.arange(count) + rng.normal(size=count) * deviation
+        if count < 2 or np.min(np.diff(np.sort(places))) > MIN_SPACING:
+            break
+        if attempt >= 100:  # a crowded column would never be right by chance
+            deviation *= 0.9
+    return [float(place) for place in places]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from networks.roads import LaneIndex, Road, u_turn
-from sumo_env.config import DISCRETE_META_ACTION, Config
+from sumo_env.config import DISCRETE_META_ACTION, Config, ConfigError
 from sumo_env.drivers import RiskRates
 from sumo_env.scenario import EGO, VehicleSpec
 from sumo_env.tasks.base import Drivers, EgoState, Task, ego_driver, lmap, make_on_lane, speed_term, weighted
@@ -66,7 +66,7 @@ class UTurn(Task):
     ) -> list[VehicleSpec]:
         count = int(config["vehicles_count"])
         if count > len(SLOTS):
-            raise ValueError(f"'vehicles_count' of the u-turn is at most {len(SLOTS)}, not {count}")
+            raise ConfigError(f"'vehicles_count' of the u-turn is at most {len(SLOTS)}, not {count}")
         deviations = rng.normal(size=(len(SLOTS), 2)) * 2.0
         return [
             make_on_lane(

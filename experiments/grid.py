@@ -24,6 +24,8 @@ ARMS: dict[str, float] = {"control": 0.0, "treatment": 1.0}  # dose of risk in t
 TRAFFICS: dict[str, float] = {"regular": 0.0, "risky": 1.0}  # dose of risk in the test
 BASELINES = ("idle", "random", "faster", "slower", "careful")
 LEARNER = "dqn"
+# highway-env's own time step, and drivers that see along their path (see `backends.highway_env`).
+HIGHWAY_ENV = {"simulation_frequency": 15, "variant": "path"}
 # Settings that say how an episode is drawn or which arm is meant, not what is simulated.
 NOT_IN_KEY = {
     "risk", "screen_width", "screen_height", "scaling", "centering_position", "show_trajectories",
@@ -142,16 +144,14 @@ def level_names(task: str) -> tuple[str, ...]:
 
 
 def env_config(backend: str, task: str, level: int) -> dict[str, Any]:
-    """The configuration of a task at a traffic level, without the dose of risk.
+    """The complete configuration of a task at a traffic level, without the dose of risk.
 
-    On SUMO all of it, defaults included, so that a changed default makes other cells; on highway-env, whose
-    defaults go with its version, what the level sets.
+    Defaults are written out, so that a changed default makes other cells.
     """
     names = level_names(task)
-    settings = TASKS[task].levels[names[level - 1]]
-    if backend == "sumo":
-        settings = resolve(task, TASKS[task].defaults, settings)
-    return {name: value for name, value in settings.items() if name not in NOT_IN_KEY}
+    settings = resolve(task, TASKS[task].defaults, TASKS[task].levels[names[level - 1]])
+    settings = {name: value for name, value in settings.items() if name not in NOT_IN_KEY}
+    return settings if backend == "sumo" else {**settings, **HIGHWAY_ENV}
 
 
 def choose_tasks(wanted: Sequence[str]) -> tuple[str, ...]:

@@ -152,9 +152,13 @@ def _agent(cell: Cell, env: gym.Env[Any, Any], store: Store, send: Send) -> None
     scratch = store.work / cell.name
     scratch.mkdir(exist_ok=True)
     meter = Meter(send, cell.updates + 2 * cell.episodes * TEST_EPISODE)
-    started = time.monotonic()
+    started, processed = time.monotonic(), time.process_time()
     agent = train_cell(cell, env, scratch, meter.add)
-    timing = {"train_seconds": time.monotonic() - started, "timed_updates": agent.timed_updates}
+    timing = {
+        "train_seconds": time.monotonic() - started,  # of this process: a resumed cell's covers its last part
+        "train_cpu_seconds": time.process_time() - processed,
+        "timed_updates": agent.timed_updates,
+    }
     agent.policy.save(scratch / WEIGHTS)
     record = {"learner": agent.learner, "timing": timing}
     _test(
@@ -173,13 +177,14 @@ def _test(
     files: dict[str, Any],
 ) -> None:
     """Test a policy and store its cell."""
-    started = time.monotonic()
+    started, processed = time.monotonic(), time.process_time()
     table = evaluate(
         env, policy, cell.task, cell.level, cell.episodes, on_episode=lambda: meter.add(TEST_EPISODE)
     )
     timing = {
         **record.get("timing", {}),
         "test_seconds": time.monotonic() - started,
+        "test_cpu_seconds": time.process_time() - processed,
         "finished": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
     }
     store.write(cell, {**record, "timing": timing, "provenance": provenance()}, {EPISODES: table, **files})

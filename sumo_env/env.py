@@ -49,9 +49,13 @@ class DrivingEnv(gym.Env[Observation, Any]):
 
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 5}  # noqa: RUF012 (gymnasium's way)
 
-    def __init__(self, task: str, config: Mapping[str, Any] | None = None, render_mode: str | None = None) -> None:
+    def __init__(
+        self, task: str, config: Mapping[str, Any] | None = None, render_mode: str | None = None
+    ) -> None:
         if render_mode not in (None, *self.metadata["render_modes"]):
-            raise ValueError(f"render_mode must be None or 'rgb_array' (drawn without a display), not {render_mode!r}")
+            raise ValueError(
+                f"render_mode must be None or 'rgb_array' (drawn without a display), not {render_mode!r}"
+            )
         self.task: Task = get_task(task)
         self.render_mode = render_mode
         self._world: World | None = None
@@ -228,23 +232,8 @@ class DrivingEnv(gym.Env[Observation, Any]):
             return self.observation_type.observe(
                 self.scene, road, self.ego_state, self.target_speeds, self.ego.route
             )
-        return self.observation_type.observe(
-            self.scene, road, self.ego_state, self._directions(), self.np_random
-        )
-
-    def _directions(self) -> dict[str, tuple[float, float]]:
-        """Unit vectors from the vehicles to their destinations, for ``observe_intentions``."""
-        assert self._world is not None
-        if not self.config["observation"].get("observe_intentions"):
-            return {}
-        directions = {}
-        for row, spec in enumerate(self._world.specs):
-            goal = destination_point(self._world.road, spec.destination)
-            if goal is not None:
-                dx, dy = goal[0] - float(self.scene.x[row]), goal[1] - float(self.scene.y[row])
-                norm = math.hypot(dx, dy)
-                directions[spec.id] = (dx / norm, dy / norm) if norm > 0 else (0.0, 0.0)
-        return directions
+        specs = {spec.id: spec for spec in self._world.specs}
+        return self.observation_type.observe(self.scene, road, self.ego_state, specs, self.np_random)
 
     def _info(self, action: int | None, rewards: dict[str, float]) -> dict[str, Any]:
         assert self._world is not None
@@ -266,12 +255,3 @@ class DrivingEnv(gym.Env[Observation, Any]):
         if action is not None:  # at a reset there is none, not even None: vector environments merge by type
             info["action"] = action
         return info
-
-
-def destination_point(road: Any, destination: str | None) -> tuple[float, float] | None:
-    """End of the road that leads to a node [m] (``Vehicle.destination``)."""
-    for index, lane in road.lanes.items():
-        if index[1] == destination:
-            point: tuple[float, float] = lane.position(lane.length, 0.0)
-            return point
-    return None

@@ -50,10 +50,9 @@ def interface(task: Task, config: Config) -> Interface:
     if len(speeds) < 2 or any(low >= high for low, high in pairwise(speeds)):
         raise ConfigError(f"'target_speeds' must be at least two rising speeds [m/s], not {ladder!r}")
     road = task.road(config)
-    start, end, _ = next(iter(road.lanes))
     observation: Kinematics | TimeToCollision
     if config["observation"]["type"] == "Kinematics":
-        observation = Kinematics(config["observation"], road.count(start, end))
+        observation = Kinematics(config["observation"], road.count(*task.ego_road))
     else:
         observation = TimeToCollision(config["observation"], config["policy_frequency"])
     return Interface(actions, speeds, observation, observation.space, spaces.Discrete(len(actions)))

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ from numpy.typing import NDArray
 
 from networks.roads import LaneIndex, Road
 from sumo_env.config import ConfigError, nearest
+from sumo_env.scenario import VehicleSpec
 from sumo_env.scene import PERCEPTION_DISTANCE, VEHICLE_LENGTH, Scene
 from sumo_env.tasks.base import EgoState
 
@@ -45,7 +47,9 @@ class Kinematics:
                 )
         count = config.get("vehicles_count", 5)
         if not isinstance(count, int) or count < 1:
-            raise ConfigError(f"observation 'vehicles_count' must be a whole number of at least 1, not {count!r}")
+            raise ConfigError(
+                f"observation 'vehicles_count' must be a whole number of at least 1, not {count!r}"
+            )
         self.vehicles_count = count
         default = {
             "x": (-5.0 * MAX_SPEED, 5.0 * MAX_SPEED),
@@ -110,10 +114,14 @@ class Kinematics:
         scene: Scene,
         road: Road,
         ego: EgoState,
-        destinations: Mapping[str, tuple[float, float]],
+        specs: Mapping[str, VehicleSpec],
         rng: np.random.Generator,
     ) -> Array:
-        """The table, float32 of shape (vehicles_count, features), rows without a vehicle all zero."""
+        """The table, float32 of shape (vehicles_count, features), rows without a vehicle all zero.
+
+        `specs`: the vehicles by id, whose destinations cos_d and sin_d point to. `rng` shuffles the rows where
+        the order says so.
+        """
         rows = [0, *self.visible(scene, road, ego.lane)]
         columns: dict[str, NDArray[np.float64]] = {}
         picked = np.array(rows)
@@ -131,17 +139,23 @@ class Kinematics:
             columns[name] = values
         columns["presence"] = np.ones(len(rows))
         columns["heading"], columns["cos_h"], columns["sin_h"] = heading, cos, sin
-        if self.observe_intentions:
-            direction = np.array([destinations.get(scene.ids[row], (0.0, 0.0)) for row in rows])
+        if "cos_d" in self.features or "sin_d" in self.features:
+            # the ego always knows where it is going; what others intend is seen if that is asked for
+            known = [row == 0 or self.observe_intentions for row in rows]
+            direction = np.array(
+                [
+                    _direction(scene, road, row, specs.get(scene.ids[row])) if knows else (0.0, 0.0)
+                    for row, knows in zip(rows, known, strict=True)
+                ]
+            )
             columns["cos_d"], columns["sin_d"] = direction[:, 0], direction[:, 1]
         if any(feature.endswith("_off") for feature in self.features):
             offsets = np.array([self._offsets(scene, road, row) for row in rows])
             columns["long_off"], columns["lat_off"], columns["ang_off"] = offsets.T
         table = np.zeros((self.vehicles_count, len(self.features)), np.float32)
         for column, feature in enumerate(self.features):
-            if feature in columns:  # cos_d and sin_d stay 0 unless intentions are observed
-                values = columns[feature] * self._scale[column] + self._shift[column]
-                table[: len(rows), column] = values.clip(self._low[column], self._high[column])
+            values = columns[feature] * self._scale[column] + self._shift[column]
+            table[: len(rows), column] = values.clip(self._low[column], self._high[column])
         if self.order == "shuffled":
             rng.shuffle(table[1:])
         return table
@@ -153,6 +167,25 @@ class Kinematics:
         s, lateral = lane.local_coordinates(x, y)
         angle = (heading - lane.heading_at(s) + math.pi) % (2.0 * math.pi) - math.pi
         return s, lateral, angle
+
+
+def _direction(scene: Scene, road: Road, row: int, spec: VehicleSpec | None) -> tuple[float, float]:
+    """Unit vector from a vehicle to the end of its route (``Vehicle.destination_direction``).
+
+    The end is that of the last road's left lane, or of the lane where a vehicle started that was on that road
+    already; (0, 0) without a route and once it has been driven.
+    """
+    if spec is None or spec.destination is None:
+        return 0.0, 0.0
+    last = next(index for index in road.lanes if index[1] == spec.destination)
+    lane = road.lane(spec.lane if spec.lane[1] == spec.destination else last)
+    x, y = float(scene.x[row]), float(scene.y[row])
+    s, lateral = lane.local_coordinates(x, y)
+    if s > lane.length - VEHICLE_LENGTH / 2 and abs(lateral) <= lane.width:
+        return 0.0, 0.0
+    goal_x, goal_y = lane.position(lane.length, 0.0)
+    distance = math.hypot(goal_x - x, goal_y - y)
+    return (goal_x - x) / distance, (goal_y - y) / distance
 
 
 class TimeToCollision:
@@ -184,6 +217,10 @@ class TimeToCollision:
         route: tuple[str, ...],
     ) -> Array:
         """The grid, float32 of shape (3, 3, steps)."""
+        # what is left of the route begins with the road that is steered for (`ControlledVehicle.follow_road`)
+        roads = [(start, end, 0) for start, end in pairwise(route)]
+        target = (*ego.target_lane[:2], 0)
+        ahead = roads[roads.index(target) :] if target in roads else []
         lanes = road.count(*ego.lane[:2])
         grid = np.zeros((len(target_speeds), lanes, self.steps))
         geometry = road.lane(ego.lane)
@@ -191,7 +228,7 @@ class TimeToCollision:
         for row in range(1, len(scene)):
             x, y, heading = float(scene.x[row]), float(scene.y[row]), float(scene.heading[row])
             other_lane = road.closest_lane(x, y, heading)
-            if not _connected(road, ego.lane, other_lane, route, depth=3):
+            if not _connected(road, ego.lane, other_lane, ahead):
                 continue
             same_width = road.count(*other_lane[:2]) == lanes
             columns = [other_lane[2]] if same_width else list(range(lanes))
@@ -222,15 +259,22 @@ class TimeToCollision:
         return padded[rungs].astype(np.float32)
 
 
-def _connected(road: Road, start: LaneIndex, other: LaneIndex, route: tuple[str, ...], depth: int) -> bool:
-    """Whether `other` lies on the same road or within `depth` roads ahead (``RoadNetwork.is_connected_road``)."""
-    if start[:2] == other[:2] or start[1] == other[0]:
+def _connected(
+    road: Road, start: LaneIndex, other: LaneIndex, route: Sequence[LaneIndex], depth: int = 3
+) -> bool:
+    """Whether `other` is on the road of `start`, leads to it, or the like of a road ahead.
+
+    ``RoadNetwork.is_connected_road``: up to `depth` roads ahead are looked at, along the `route` where it goes on
+    from here and on all branches where it does not.
+    """
+    if start[:2] == other[:2] or other[1] == start[0]:
         return True
     if depth == 0:
         return False
-    if start[1] in route[:-1]:
-        following = route[route.index(start[1]) + 1]
-        return _connected(road, (start[1], following, 0), other, route, depth - 1)
+    if route and route[0][:2] == start[:2]:
+        return _connected(road, start, other, route[1:], depth)
+    if route and route[0][0] == start[1]:
+        return _connected(road, route[0], other, route[1:], depth - 1)
     return any(
         _connected(road, (start[1], end, 0), other, route, depth - 1)
         for end in road.successors.get(start[1], ())

@@ -49,6 +49,7 @@ class Task:
 
     name: ClassVar[str]
     defaults: ClassVar[Config]
+    ego_road: ClassVar[tuple[str, str]]  # where the ego starts
     levels: ClassVar[dict[str, Config]]  # the paper's traffic levels, lowest first
     car_following: ClassVar[CarFollowing] = CarFollowing()
     risk_rates: ClassVar[RiskRates]

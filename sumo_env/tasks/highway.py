@@ -18,6 +18,7 @@ class Highway(Task):
     """Four lanes, all traffic ahead of the ego and slower than it."""
 
     name = "highway"
+    ego_road = ("0", "1")
     defaults = {
         "observation": {"type": "Kinematics"},
         "action": DISCRETE_META_ACTION,

@@ -29,6 +29,7 @@ class Intersection(Task):
     """Left turn at an unsignalised crossing; the ego is never given way on purpose."""
 
     name = "intersection"
+    ego_road = ("o0", "ir0")
     defaults = {
         "observation": {
             "type": "Kinematics",

@@ -30,6 +30,7 @@ class Roundabout(Task):
     """Straight through a ring without right of way."""
 
     name = "roundabout"
+    ego_road = ("ser", "ses")
     defaults = {
         "observation": {
             "type": "Kinematics",

@@ -23,6 +23,7 @@ class TwoWay(Task):
     """One lane each way; cars ahead that are slower, and oncoming ones."""
 
     name = "two-way"
+    ego_road = ("a", "b")
     defaults = {
         "observation": {
             "type": "Kinematics",

@@ -32,6 +32,7 @@ class UTurn(Task):
     """Two lanes around a half circle, with slow cars in the bend."""
 
     name = "u-turn"
+    ego_road = ("a", "b")
     defaults = {
         "observation": {
             "type": "Kinematics",

@@ -1,0 +1,297 @@
+"""The reference: highway-env itself, with the traffic of a `Scenario` in place of its own draws.
+
+Roads, vehicles, collisions, observations, rewards and endings are highway-env's code. Replaced are only the
+vehicles' places and drivers (the same that `sumo_env` places into SUMO for this seed), the risk events, and, so that
+both simulators are measured alike, the time limit and ``info``.
+
+The configuration is that of `sumo_env`, with ``simulation_frequency`` 15 as in highway-env and one key more:
+``variant`` says how far drivers see beyond the end of their lane (roundabout, intersection and u-turn; the other
+two roads have no joins):
+
+    "v0"         not at all (roundabout-v0, intersection-v0, u-turn-v0);
+    "connected"  onto the next lanes, distances projected (roundabout-v1, intersection-v2, u-turn-v1);
+    "path"       onto the next lanes, distances along the path (the default).
+
+``traffic_model`` is accepted and means nothing here.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import gymnasium as gym
+import numpy as np
+from highway_env.envs import HighwayEnv, IntersectionEnv, RoundaboutEnv, TwoWayEnv, UTurnEnv
+from highway_env.envs.common.abstract import AbstractEnv
+from highway_env.road.regulation import RegulatedRoad
+from highway_env.vehicle.kinematics import Vehicle
+
+from experiments.backends.highway_env_vehicle import PathVehicle, ScenarioVehicle
+from networks.roads import LaneIndex
+from sumo_env import safety
+from sumo_env.collision import LENGTH, WIDTH, CrashRecord, crash_record, separation
+from sumo_env.config import Config, ConfigError, nearest, resolve
+from sumo_env.interface import interface
+from sumo_env.scenario import EGO, Scenario
+from sumo_env.scene import Scene
+from sumo_env.tasks import TASKS
+from sumo_env.tasks.base import Task
+from sumo_env.tasks.intersection import WARM_UP, fits
+
+VARIANTS = ("v0", "connected", "path")
+# Keys of highway-env that `sumo_env` does not have, as they have to be here.
+FIXED: Config = {
+    "controlled_vehicles": 1,
+    "manual_control": False,
+    "offscreen_rendering": True,
+    "real_time_rendering": False,
+    "render_agent": True,
+}
+
+
+class ScenarioEnv(AbstractEnv):
+    """What the five have in common; always mixed into highway-env's environment of a task.
+
+    Attributes as `sumo_env.env.DrivingEnv`: config, task, actions, target_speeds, observation_type (highway-env's,
+    with `ranges` added), scenario, scene.
+    """
+
+    task: ClassVar[Task]
+    config: Config
+    joins: ClassVar[bool] = True  # whether the road has lanes that continue others
+    oncoming_lane: ClassVar[LaneIndex | None] = None  # that cut-ins swerve into
+
+    # -- configuration -------------------------------------------------------------------------------------
+
+    @classmethod
+    def default_config(cls) -> Config:
+        """Every key with its default."""
+        own = {**cls.task.defaults, "simulation_frequency": 15, "variant": "path"}
+        return resolve(cls.task.name, own)
+
+    def configure(self, config: Mapping[str, Any] | None) -> None:
+        """Lay `config` over the present configuration; takes effect at the next reset.
+
+        Raises:
+            ConfigError: unknown key, wrong value.
+        """
+        hidden = {*FIXED, "neighbour_vehicles_connected_lanes"}
+        present = {key: value for key, value in self.config.items() if key not in hidden}
+        chosen = resolve(self.task.name, self.default_config(), present, config)
+        variant = chosen["variant"]
+        if variant not in VARIANTS:
+            raise ConfigError(f"unknown 'variant' {variant!r}: {nearest(str(variant), list(VARIANTS))}")
+        self._offered = interface(self.task, chosen)
+        self.actions, self.target_speeds = self._offered.actions, self._offered.target_speeds
+        # a ladder that is not given is the task's, as in `sumo_env`; in highway-env it would be the highway's
+        chosen["action"] = {**chosen["action"], "target_speeds": list(self.target_speeds)}
+        connected = self.joins and variant != "v0"
+        self.config = {**chosen, **FIXED, "neighbour_vehicles_connected_lanes": connected}
+
+    def define_spaces(self) -> None:
+        """highway-env's observation and action types; the former also says its ranges."""
+        super().define_spaces()
+        for name in ("features", "ranges", "absolute"):
+            if not hasattr(self.observation_type, name):
+                setattr(self.observation_type, name, getattr(self._offered.observation_type, name))
+
+    # -- gymnasium -----------------------------------------------------------------------------------------
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[np.ndarray, dict[str, Any]]:
+        """Start an episode; the same seed and config give the same scenario as in `sumo_env`."""
+        # also when no options are given: users of highway-env write to env.unwrapped.config directly
+        config = (options or {}).get("config") or {}
+        result: tuple[np.ndarray, dict[str, Any]] = super().reset(seed=seed, options={"config": config})
+        return result
+
+    def step(self, action: int) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+        """highway-env's step, with the ``info`` of `sumo_env.env.DrivingEnv.step`."""
+        if int(action) not in self.actions:
+            raise ValueError(f"action must be one of {self.actions}, not {action!r}")
+        observation, reward, terminated, truncated, info = super().step(action)
+        return observation, float(reward), bool(terminated), bool(truncated), info
+
+    def _is_truncated(self) -> bool:
+        # counted in steps: highway-env adds up times, and its two-way road leaves the limit to a wrapper
+        return bool(self.steps >= self.config["duration"] * self.config["simulation_frequency"])
+
+    def _info(self, obs: np.ndarray, action: Any = None) -> dict[str, Any]:
+        action = int(action) if self.steps else None  # at a reset highway-env passes a random one
+        ego, scene = self.vehicle, self.scene
+        info: dict[str, Any] = {
+            "speed": float(ego.speed),
+            "crashed": bool(ego.crashed),
+            "arrived": self._arrived(),
+            "on_road": bool(ego.on_road),
+            "rewards": {name: float(value) for name, value in self._rewards(action).items()},
+            "crash": {} if self.crash is None else self.crash.as_dict(),
+            "density": int(safety.density(scene.x, scene.y, 0, safety.DENSITY_RADIUS)),
+            "min_ttc": float(self.min_ttc),
+            "near_miss": bool(self.min_ttc < safety.NEAR_MISS_TTC and not ego.crashed),
+            "distance": float(self.distance),
+        }
+        if action is not None:
+            info["action"] = action
+        return info
+
+    def _arrived(self) -> bool:
+        return False
+
+    # -- an episode ----------------------------------------------------------------------------------------
+
+    def _reset(self) -> None:
+        self.scenario: Scenario = self.task.scenario(self.config, int(self.np_random.integers(2**31)))
+        self._events = list(self.scenario.events)
+        self.crash: CrashRecord | None = None
+        self.min_ttc, self.distance = math.inf, 0.0
+        super()._reset()
+        self.scene = self._scene()
+
+    def _make_vehicles(self, *_: Any) -> None:
+        """Place the scenario, in place of highway-env's draws."""
+        spec = self.scenario.ego
+        ego = self.action_type.vehicle_class(
+            self.road, [spec.x, spec.y], heading=spec.heading, speed=spec.speed
+        )
+        ego.id = EGO
+        if spec.destination is not None:
+            ego.plan_route_to(spec.destination)
+        self.vehicle = ego
+        self.road.vehicles = [ego] + [
+            self._driver().place(self.road, other) for other in self.scenario.vehicles
+        ]
+
+    _create_vehicles = _make_vehicles  # its name on the highway
+
+    def _driver(self) -> type[ScenarioVehicle]:
+        return PathVehicle if self.joins and self.config["variant"] == "path" else ScenarioVehicle
+
+    def _simulate(self, action: int | None = None) -> None:
+        """``AbstractEnv._simulate``, with the risk events before and the measurements after every sub-step."""
+        self.min_ttc, self.distance = math.inf, 0.0
+        frequency = self.config["simulation_frequency"]
+        frames = int(frequency // self.config["policy_frequency"])
+        for frame in range(frames):
+            self._start_events(self.steps / frequency)
+            if frame == 0:
+                self.action_type.act(action)
+            self.distance += max(float(self.vehicle.speed), 0.0) / frequency
+            self.road.act()
+            self.road.step(1 / frequency)
+            self.steps += 1
+            self.scene = self._scene()
+            self._measure()
+            if frame < frames - 1:
+                self._automatic_rendering()
+        self.enable_auto_render = False
+
+    def _start_events(self, time: float) -> None:
+        while self._events and self._events[0].time <= time + 1e-9:
+            event = self._events.pop(0)
+            for vehicle in self.road.vehicles:
+                if vehicle.id == event.vehicle and not vehicle.crashed:
+                    vehicle.start_event(event, self.oncoming_lane)
+
+    def _measure(self) -> None:
+        scene = self.scene
+        if not scene.crashed[0]:
+            ttc = safety.min_ttc(scene.x, scene.y, scene.vx, scene.vy, scene.heading, 0, safety.HORIZON)
+            self.min_ttc = min(self.min_ttc, float(ttc))
+        elif self.crash is None:
+            # highway-env says that the ego crashed, not with whom: with the nearest of the wrecks
+            other = min(range(1, len(scene)), key=lambda row: (not scene.crashed[row], self._gap(row)))
+            self.crash = crash_record(scene, other, "highway-env")
+
+    def _gap(self, row: int) -> float:
+        x, y, heading = self.scene.x, self.scene.y, self.scene.heading
+        return float(separation(x[0], y[0], heading[0], x[row], y[row], heading[row], LENGTH, WIDTH))
+
+    def _scene(self) -> Scene:
+        ego = self.vehicle
+        vehicles: list[Vehicle] = [ego, *(vehicle for vehicle in self.road.vehicles if vehicle is not ego)]
+        x, y = np.array([vehicle.position for vehicle in vehicles]).T.copy()
+        speed, heading = (
+            np.array([float(getattr(v, name)) for v in vehicles]) for name in ("speed", "heading")
+        )
+        crashed = np.array([bool(vehicle.crashed) for vehicle in vehicles])
+        time = round(self.steps / self.config["simulation_frequency"], 6)
+        return Scene(tuple(vehicle.id for vehicle in vehicles), x, y, speed, heading, crashed, time)
+
+
+class HighwayScenario(ScenarioEnv, HighwayEnv):
+    """highway-v0."""
+
+    task, joins = TASKS["highway"], False
+
+
+class TwoWayScenario(ScenarioEnv, TwoWayEnv):
+    """two-way-v0, of any length."""
+
+    task, joins = TASKS["two-way"], False
+    oncoming_lane = ("a", "b", 0)
+
+    def _make_road(self, *_: Any) -> None:
+        super()._make_road(length=float(self.config["road_length"]))
+
+
+class RoundaboutScenario(ScenarioEnv, RoundaboutEnv):
+    """roundabout-v0 and -v1."""
+
+    task = TASKS["roundabout"]
+
+
+class UTurnScenario(ScenarioEnv, UTurnEnv):
+    """u-turn-v0 and -v1."""
+
+    task = TASKS["u-turn"]
+
+
+class IntersectionScenario(ScenarioEnv, IntersectionEnv):
+    """intersection-v0 and -v2."""
+
+    task = TASKS["intersection"]
+
+    def _make_road(self) -> None:
+        super()._make_road()
+        self.road.respect_priorities = _yields
+        # the rule's clock has run since the warm-up that the scenario's vehicles have behind them
+        self.road.steps = int(WARM_UP * self.config["simulation_frequency"])
+
+    def _spawn_vehicle(self, *_: Any, **__: Any) -> None:
+        """Add the vehicle that the scenario sends after this policy step, unless another is within 15 m."""
+        step = self.steps * self.config["policy_frequency"] / self.config["simulation_frequency"]
+        for spawn in self.scenario.spawns:
+            if spawn.step == step and fits(spawn.vehicle, [tuple(v.position) for v in self.road.vehicles]):
+                self.road.vehicles.append(self._driver().place(self.road, spawn.vehicle))
+
+    def _arrived(self) -> bool:
+        return bool(self.has_arrived(self.vehicle))
+
+
+def _yields(first: Vehicle, second: Vehicle) -> Vehicle | None:
+    """Who gives way: nobody, where it would be up to a driver who does not."""
+    loser = RegulatedRoad.respect_priorities(first, second)
+    return loser if getattr(loser, "gives_way", True) else None
+
+
+ENVIRONMENTS: dict[str, type[ScenarioEnv]] = {
+    env.task.name: env
+    for env in (HighwayScenario, TwoWayScenario, RoundaboutScenario, IntersectionScenario, UTurnScenario)
+}
+for _name, _env in ENVIRONMENTS.items():
+    gym.register(f"highway-env/{_name}", entry_point=f"{__name__}:{_env.__name__}")
+
+
+def make(
+    task: str, config: Mapping[str, Any] | None = None, render_mode: str | None = None
+) -> gym.Env[np.ndarray, int]:
+    """highway-env's environment of a task, driven by scenarios.
+
+    Raises:
+        ConfigError: unknown key, wrong value.
+    """
+    return gym.make(f"highway-env/{task}", config=dict(config or {}), render_mode=render_mode)

@@ -1,0 +1,144 @@
+"""highway-env's driver (`IDMVehicle`) with the numbers, the events and, optionally, the eyes of a scenario's driver.
+
+Parameters are set on the instance, never on the class: highway-env's intersection changes the class, and with
+it every other task of the process.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from highway_env.road.lane import AbstractLane
+from highway_env.road.road import LaneIndex, Road
+from highway_env.utils import not_zero
+from highway_env.vehicle.behavior import IDMVehicle
+from highway_env.vehicle.kinematics import Vehicle
+
+from sumo_env.drivers import RiskEvent
+from sumo_env.scenario import VehicleSpec
+from sumo_env.scene import VEHICLE_LENGTH
+
+SWERVE_TIME = 3.0  # [s] that a cut-in into oncoming traffic lasts (as in sumo_env.traffic)
+ALMOST = 1e-9  # [s] rounding of sums of steps
+
+
+class ScenarioVehicle(IDMVehicle):
+    """A driver of a `Scenario`: IDM and MOBIL as in highway-env, and risk events.
+
+    Attributes:
+        id: name of the vehicle.
+        gives_way: whether the driver obeys the intersection's rule.
+    """
+
+    id: str = ""
+    gives_way: bool = True
+    target_lane_index: LaneIndex
+    _cuts_in = False  # a forced lane change is running
+    _swerve_left = 0.0  # [s] until a swerve into the oncoming lane ends
+    _brake_left = 0.0  # [s] until sudden braking ends
+    _brake_decel = 0.0  # [m/s2]
+
+    @classmethod
+    def place(cls, road: Road, spec: VehicleSpec) -> ScenarioVehicle:
+        """The vehicle of a scenario as it is at its start."""
+        vehicle = cls(road, [spec.x, spec.y], spec.heading, spec.speed, enable_lane_change=spec.changes_lanes)
+        # the constructor takes the closest lane, which is a guess where lanes cross, and takes 0 for "not given"
+        vehicle.lane_index = vehicle.target_lane_index = spec.lane
+        vehicle.lane = road.network.get_lane(spec.lane)
+        vehicle.target_speed = spec.target_speed
+        vehicle.timer = spec.timer
+        if spec.destination is not None:
+            vehicle.plan_route_to(spec.destination)
+        if spec.yielding:
+            vehicle.is_yielding, vehicle.yield_timer, vehicle.color = True, 0, None
+        driver = spec.driver
+        vehicle.id, vehicle.gives_way = spec.id, driver.gives_way
+        vehicle.COMFORT_ACC_MAX, vehicle.COMFORT_ACC_MIN = driver.accel, -driver.decel
+        vehicle.DISTANCE_WANTED = driver.min_gap + VEHICLE_LENGTH  # between centres
+        vehicle.TIME_WANTED, vehicle.DELTA = driver.tau, driver.delta
+        vehicle.ACC_MAX = driver.emergency_decel
+        return vehicle
+
+    def start_event(self, event: RiskEvent, oncoming_lane: LaneIndex | None) -> None:
+        """Begin a risk event; `oncoming_lane`: the one to swerve into, where there is oncoming traffic."""
+        if event.kind == "brake":
+            self._brake_left, self._brake_decel = event.duration, event.decel
+        elif oncoming_lane is None:
+            self._cut_in(event.direction)
+        elif self.lane_index == self.target_lane_index == (*oncoming_lane[:2], oncoming_lane[2] + 1):
+            self.target_lane_index = oncoming_lane
+            self._swerve_left = SWERVE_TIME
+
+    def _cut_in(self, direction: int) -> None:
+        start, end, lane = self.target_lane_index
+        count = len(self.road.network.graph[start][end])
+        target = lane + direction if 0 <= lane + direction < count else lane - direction
+        if 0 <= target < count:
+            self.target_lane_index = (start, end, target)
+            self._cuts_in = True
+
+    def change_lane_policy(self) -> None:
+        """MOBIL, and giving up a change that another driver makes too; not during a forced change."""
+        if self._cuts_in and self.lane_index != self.target_lane_index:
+            return
+        self._cuts_in = False
+        super().change_lane_policy()
+
+    def step(self, dt: float) -> None:
+        """Move by `dt` [s]; sudden braking replaces what the driver has decided if it is harder."""
+        if self._brake_left > ALMOST and not self.crashed:
+            hardest = max(float(self.speed), 0.0) / dt  # to a standstill, never backwards
+            wanted = self.action["acceleration"]
+            self.action["acceleration"] = min(wanted, -min(self._brake_decel, hardest))
+            self._brake_left -= dt
+        super().step(dt)
+        if self._swerve_left > 0.0:
+            self._swerve_left -= dt
+            if self._swerve_left <= ALMOST:
+                self._swerve_left = 0.0
+                start, end, lane = self.target_lane_index
+                self.target_lane_index = (start, end, lane + 1)
+
+
+class PathVehicle(ScenarioVehicle):
+    """A driver who sees leaders beyond the end of the lane as far away and as fast as they are.
+
+    highway-env, with connected lanes, projects them on the follower's lane and heading: beyond a bend a leader
+    looks nearer than it is and one that drives away looks stopped, so that cars brake for nothing.
+    """
+
+    def acceleration(
+        self, ego_vehicle: Any, front_vehicle: Vehicle | None = None, rear_vehicle: Vehicle | None = None
+    ) -> float:
+        """``IDMVehicle.acceleration`` [m/s2], with the distance along the path and the difference of speeds."""
+        distance = distance_beyond(ego_vehicle, front_vehicle) if ego_vehicle and front_vehicle else None
+        if distance is None:
+            return float(super().acceleration(ego_vehicle, front_vehicle, rear_vehicle))
+        wanted = self.desired_gap(ego_vehicle, front_vehicle, projected=False)
+        free = float(super().acceleration(ego_vehicle))
+        return free - self.COMFORT_ACC_MAX * float(wanted / not_zero(distance)) ** 2
+
+
+def distance_beyond(vehicle: Any, front: Vehicle) -> float | None:
+    """Way to a vehicle on one of the lanes that follow [m]; None if it is on the vehicle's own road, or on none."""
+    network = vehicle.road.network
+    start, end, _ = vehicle.lane_index
+    if any(lane.on_lane(front.position, margin=1) for lane in network.graph[start][end]):
+        return None
+    own = vehicle.lane
+    following = _successors(network, vehicle.lane_index, own.length)
+    if vehicle.target_lane_index[:2] != (start, end):  # at the end of a lane the next one is steered for
+        target = network.get_lane(vehicle.target_lane_index)
+        following.append((target, own.length))
+        following += _successors(network, vehicle.target_lane_index, own.length + target.length)
+    for lane, offset in following:
+        if lane.on_lane(front.position, margin=1):
+            place = lane.local_coordinates(front.position)[0] - own.local_coordinates(vehicle.position)[0]
+            return float(place + offset)
+    return None
+
+
+def _successors(network: Any, index: LaneIndex, offset: float) -> list[tuple[AbstractLane, float]]:
+    """The lanes that ``Road.neighbour_vehicles`` looks at beyond a lane, each with where it begins [m]."""
+    roads = network.graph.get(index[1], {}).values()
+    return [(lanes[index[2]] if index[2] < len(lanes) else lanes[0], offset) for lanes in roads]

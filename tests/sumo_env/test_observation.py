@@ -1,0 +1,137 @@
+"""Our observations against highway-env's own, on states of highway-env."""
+
+from __future__ import annotations
+
+import copy
+from typing import Any
+
+import gymnasium as gym
+import highway_env  # noqa: F401  (registers its environments)
+import numpy as np
+import pytest
+from highway_env.envs.common.observation import ObservationType, observation_factory
+
+from experiments.backends.highway_env import ENVIRONMENTS, ScenarioEnv
+from sumo_env.config import ConfigError, resolve
+from sumo_env.interface import interface
+from sumo_env.observation import Kinematics, TimeToCollision
+from sumo_env.tasks import TASKS
+
+from .parity import ego_state, episodes, make, route_of, scatter, scene_of
+
+STOCK = {
+    "highway": "highway-v0",
+    "two-way": "two-way-v0",
+    "roundabout": "roundabout-v1",
+    "intersection": "intersection-v2",
+    "u-turn": "u-turn-v1",
+}
+ALL_FEATURES = [
+    "presence", "x", "y", "vx", "vy", "heading", "cos_h", "sin_h", "cos_d", "sin_d", "long_off", "lat_off", "ang_off",
+]  # fmt: skip
+WIDE = {"x": [-160, 160], "y": [-50, 50], "vx": [-24, 24], "vy": [-24, 24]}
+KINEMATICS: list[dict[str, Any]] = [
+    {"type": "Kinematics"},
+    {"type": "Kinematics", "vehicles_count": 7, "features_range": WIDE},
+    {"type": "Kinematics", "vehicles_count": 15, "absolute": True, "features": ALL_FEATURES},
+    {"type": "Kinematics", "vehicles_count": 6, "observe_intentions": True, "features": ALL_FEATURES},
+    {"type": "Kinematics", "order": "shuffled", "vehicles_count": 8, "see_behind": True},
+    {"type": "Kinematics", "normalize": False, "features": ["x", "vx", "presence"]},
+    {"type": "Kinematics", "clip": False, "features_range": {"x": [-50, 50], "heading": [-4, 4]}},
+]
+GRIDS: list[dict[str, Any]] = [
+    {"type": "TimeToCollision", "horizon": 5},
+    {"type": "TimeToCollision", "horizon": 16},
+    {"type": "TimeToCollision"},
+]
+
+
+def ours(env: ScenarioEnv, observation: dict[str, Any], rng: np.random.Generator) -> np.ndarray:
+    config = resolve(env.task.name, env.default_config(), {"observation": observation})
+    kind = interface(env.task, config).observation_type
+    road, ego, scene = env.task.road(env.config), ego_state(env, None), scene_of(env)
+    if isinstance(kind, TimeToCollision):
+        return kind.observe(scene, road, ego, env.target_speeds, route_of(env))
+    specs = (*env.scenario.specs, *(spawn.vehicle for spawn in env.scenario.spawns))
+    return kind.observe(scene, road, ego, {spec.id: spec for spec in specs}, rng)
+
+
+def assert_equal(env: ScenarioEnv, theirs: ObservationType, observation: dict[str, Any]) -> None:
+    generator = copy.deepcopy(env.np_random)
+    expected = theirs.observe()
+    result = ours(env, observation, generator)
+    assert result.dtype == expected.dtype
+    np.testing.assert_allclose(result, expected, rtol=0.0, atol=1e-5)
+
+
+@pytest.mark.parametrize("risk", [0.0, 1.0])
+@pytest.mark.parametrize("task", TASKS)
+def test_equal_throughout_episodes(task: str, risk: float) -> None:
+    env = make(task, risk=risk)
+    for step in episodes(env, range(2)):
+        if step.action is None:  # the default range of y is that of an episode's first state
+            chosen = [env.config["observation"], *KINEMATICS, *GRIDS]
+            theirs = [observation_factory(env, observation) for observation in chosen]
+        assert ego_state(env, step.action).lane == env.vehicle.lane_index
+        for kind, observation in zip(theirs, chosen, strict=True):
+            assert_equal(env, kind, observation)
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_equal_in_random_states(task: str) -> None:
+    env = make(task)
+    for seed in range(4):
+        env.reset(seed=seed)
+        rng = np.random.default_rng(seed)
+        route = env.vehicle.route
+        for _ in range(15):
+            scatter(env, rng)
+            if route:  # as `follow_road` leaves it: it begins with the road that is steered for, or has ended
+                roads = [road[:2] for road in route]
+                here = env.vehicle.target_lane_index[:2]
+                env.vehicle.route = route[roads.index(here) :] if here in roads else []
+            for observation in (KINEMATICS[1], KINEMATICS[5], *GRIDS):
+                assert_equal(env, observation_factory(env, observation), observation)
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_spaces_are_those_of_highway_env(task: str) -> None:
+    stock = gym.make(STOCK[task], config={"vehicles_count": 5}).unwrapped
+    for frequency in (1, 3):
+        for observation in (*KINEMATICS, *GRIDS):
+            chosen = {"observation": observation, "policy_frequency": frequency, "simulation_frequency": 15}
+            stock.configure(copy.deepcopy(chosen))
+            stock.define_spaces()
+            own = interface(TASKS[task], resolve(task, TASKS[task].defaults, chosen))
+            assert own.observation_space == stock.observation_space
+            assert own.action_space == stock.action_space
+
+
+@pytest.mark.parametrize(
+    "action", [{"longitudinal": False}, {"lateral": False}, {"target_speeds": [5, 10, 15, 20]}]
+)
+@pytest.mark.parametrize("task", TASKS)
+def test_actions_are_those_of_highway_env(task: str, action: dict[str, Any]) -> None:
+    chosen = {"action": {"type": "DiscreteMetaAction", "target_speeds": [0, 8, 16], **action}}
+    stock = gym.make(STOCK[task], config={"vehicles_count": 5, **chosen}).unwrapped
+    own = interface(TASKS[task], resolve(task, TASKS[task].defaults, chosen))
+    assert own.action_space == stock.action_space
+    assert own.actions == stock.action_type.actions
+    assert list(own.target_speeds) == list(stock.action_type.target_speeds)
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_a_ladder_that_is_not_given_is_the_tasks(task: str) -> None:
+    """highway-env falls back to the highway's, because it replaces the whole entry."""
+    config = resolve(task, TASKS[task].defaults, {"action": {"type": "DiscreteMetaAction"}})
+    assert interface(TASKS[task], config).target_speeds == TASKS[task].target_speeds
+    assert ENVIRONMENTS[task](config).vehicle.target_speeds.tolist() == list(TASKS[task].target_speeds)
+
+
+def test_unknown_features_and_orders_are_refused() -> None:
+    with pytest.raises(ConfigError, match="did you mean 'presence'"):
+        Kinematics({"features": ["presense"]}, 4)
+    with pytest.raises(ConfigError, match="'sorted' or 'shuffled'"):
+        Kinematics({"order": "random"}, 4)
+    with pytest.raises(ConfigError, match=r"\[low, high\]"):
+        Kinematics({"features_range": {"x": 100}}, 4)

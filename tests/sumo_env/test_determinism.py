@@ -1,0 +1,107 @@
+"""The same seed is the same episode, bit for bit, whatever happened before and in whichever process."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sumo_env.env import DrivingEnv
+from sumo_env.tasks import TASKS
+from tests.sumo_env.rollout import digest, record, rollout
+
+ROOT = Path(__file__).resolve().parents[2]
+
+CROWDED: dict[str, dict[str, Any]] = {name: list(task.levels.values())[1] for name, task in TASKS.items()}
+CASES = [
+    (task, 5, {**CROWDED[task], "risk": risk, "traffic_model": model})
+    for task in TASKS
+    for risk, model in ((0.0, "matched"), (1.0, "matched"), (1.0, "sumo"))
+]
+
+
+@pytest.fixture(scope="module")
+def here() -> dict[int, str]:
+    """Digests of all cases in this process, one after the other."""
+    return {case: digest(rollout(*CASES[case])) for case in range(len(CASES))}
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_twice_in_one_process(task: str) -> None:
+    env = DrivingEnv(task, {**CROWDED[task], "risk": 1.0})
+    first = record(env, 11)
+    for other in range(3):
+        record(env, other)
+    np.testing.assert_array_equal(record(env, 11), first)
+    env.close()
+
+
+def test_in_another_process_and_another_order(here: dict[int, str]) -> None:
+    """No state of SUMO, of numpy's global generator or of hash seeds leaks into an episode."""
+    order = list(reversed(range(len(CASES))))
+    done = subprocess.run(
+        [sys.executable, "-m", "tests.sumo_env.rollout", json.dumps([CASES[case] for case in order])],
+        capture_output=True,
+        text=True,
+        check=True,
+        cwd=ROOT,
+        env={**os.environ, "PYTHONHASHSEED": "7"},
+    )
+    assert dict(zip(order, done.stdout.split(), strict=True)) == here
+
+
+@pytest.mark.parametrize("case", [0, 3, 6, 9, 12])
+def test_seeds_differ(here: dict[int, str], case: int) -> None:
+    task, seed, config = CASES[case]
+    assert digest(rollout(task, seed + 1, config)) != here[case]
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_dose_zero_is_regular_traffic(task: str) -> None:
+    """Also after a risky episode in the same environment, and as a number of another type."""
+    regular = rollout(task, 3)
+    np.testing.assert_array_equal(rollout(task, 3, {"risk": 0}), regular)
+    env = DrivingEnv(task, {"risk": 1.0})
+    assert not np.array_equal(record(env, 3), regular)
+    env.configure({"risk": 0.0})
+    np.testing.assert_array_equal(record(env, 3), regular)
+    env.close()
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_agents_meet_the_same_scenarios(task: str) -> None:
+    """What chance decides depends on the seed alone, not on the agent or on what it is shown."""
+    scenarios = []
+    for config in (
+        {},
+        {"observation": {"type": "Kinematics", "order": "shuffled", "vehicles_count": 3}},
+        {"simulation_frequency": 15, "traffic_model": "sumo"},
+    ):
+        env = DrivingEnv(task, {"risk": 1.0, **config})
+        action = 0
+        env.reset(seed=8)
+        drawn = [env.scenario]
+        for _ in range(3):
+            action = (action + len(config)) % len(env.actions)
+            env.step(action)
+            env.reset()
+            drawn.append(env.scenario)
+        scenarios.append(drawn)
+        env.close()
+    assert scenarios[0][0] == scenarios[1][0] == scenarios[2][0]
+    assert scenarios[0] == scenarios[2]
+
+
+def test_without_a_seed_episodes_differ() -> None:
+    env = DrivingEnv("highway")
+    env.reset(seed=0)
+    first = env.scenario
+    env.reset()
+    assert env.scenario != first
+    env.close()

@@ -1,0 +1,282 @@
+"""The environments as gymnasium and as users of highway-env know them."""
+
+from __future__ import annotations
+
+import copy
+import subprocess
+import sys
+import warnings
+from collections.abc import Iterator
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+import sumo_env
+from sumo_env.config import ConfigError
+from sumo_env.env import DrivingEnv
+from sumo_env.simulation import SimulationTaken
+from sumo_env.tasks import TASKS
+
+# highway-env's observation boxes are unbounded as well
+EXPECTED_WARNINGS = ("minimum value is -infinity", "maximum value is infinity")
+
+
+@pytest.fixture
+def highway() -> Iterator[gym.Env[Any, Any]]:
+    env = gym.make("sumo/highway-v0", config={"vehicles_count": 10})
+    yield env
+    env.close()
+
+
+@pytest.mark.parametrize("traffic_model", ["matched", "sumo"])
+@pytest.mark.parametrize("risk", [0.0, 1.0])
+@pytest.mark.parametrize("id", sumo_env.IDS)
+def test_gymnasium_has_nothing_to_object_to(id: str, risk: float, traffic_model: str) -> None:
+    env = gym.make(id, config={"risk": risk, "traffic_model": traffic_model}, disable_env_checker=True)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        check_env(env.unwrapped)
+    messages = [str(warning.message) for warning in caught]
+    assert [text for text in messages if not any(known in text for known in EXPECTED_WARNINGS)] == []
+
+
+@pytest.mark.parametrize("task", ["highway", "two-way", "roundabout", "u-turn"])
+def test_time_to_collision_grids(task: str) -> None:
+    env = DrivingEnv(task, {"observation": {"type": "TimeToCollision", "horizon": 5}})
+    observation, _ = env.reset(seed=1)
+    assert observation.shape == (3, 3, 5)
+    assert env.observation_space.contains(env.step(1)[0])
+    env.close()
+
+
+def test_ids_can_be_made_without_an_import() -> None:
+    code = "import gymnasium as gym; print(gym.make('sumo_env:sumo/u-turn-v0').reset(seed=0)[0].shape)"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "(5, 5)"
+
+
+def test_spec_makes_the_same_environment_again(highway: gym.Env[Any, Any]) -> None:
+    assert highway.spec is not None
+    again = highway.spec.make()
+    assert again.unwrapped.config == highway.unwrapped.config  # type: ignore[attr-defined]
+
+
+@pytest.mark.parametrize("id", sumo_env.IDS)
+def test_an_episode_ends_within_its_duration(id: str) -> None:
+    env = gym.make(id)
+    duration = env.unwrapped.config["duration"]  # type: ignore[attr-defined]
+    for seed in range(3):
+        env.reset(seed=seed)
+        steps, terminated, truncated = 0, False, False
+        while not (terminated or truncated):
+            _, reward, terminated, truncated, info = env.step(1)
+            steps += 1
+            assert np.isfinite(reward)
+            assert terminated == (info["crashed"] or info["arrived"])
+        assert steps <= duration
+        assert truncated == (steps == duration)
+    env.close()
+
+
+# -- configuration -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("config", "message"),
+    [
+        ({"vehicle_count": 3}, "did you mean 'vehicles_count'"),
+        ({"vehicles_count": "50"}, "must be a number"),
+        ({"vehicles_count": 2.5}, "whole number"),
+        ({"vehicles_count": float("nan")}, "must be a number"),
+        ({"duration": True}, "must be a number"),
+        ({"duration": 0}, "must be positive"),
+        ({"lanes_count": 0}, "must be positive"),
+        ({"lanes_count": 9}, "must be one of"),
+        ({"initial_lane_id": 4}, "lane below 'lanes_count'"),
+        ({"risk": 1.5}, "must lie in"),
+        ({"traffic_model": "SUMO"}, "'matched' or 'sumo'"),
+        ({"policy_frequency": 3}, "must be a multiple"),
+        ({"simulation_frequency": 2}, "at least 5"),
+        ({"normalize_reward": "yes"}, "True or False"),
+        ({"centering_position": 0.3}, "a list of 2 numbers"),
+        ({"reward_speed_range": [20]}, "a list of 2 numbers"),
+        ({"observation": "Kinematics"}, "must be a dict"),
+        ({"observation": {"type": "Kinematic"}}, "did you mean 'Kinematics'"),
+        ({"observation": {"type": "Kinematics", "feature": []}}, "did you mean 'features'"),
+        ({"observation": {"type": "Kinematics", "features": ["presence", "vxx"]}}, "did you mean"),
+        ({"observation": {"type": "Kinematics", "vehicles_count": 0}}, "at least 1"),
+        ({"action": None}, "must be a dict"),
+        ({"action": {"type": "ContinuousAction"}}, "DiscreteMetaAction"),
+        ({"action": {"type": "DiscreteMetaAction", "target_speeds": [30, 20]}}, "rising speeds"),
+        ({"manual_control": True}, "has no meaning here"),
+    ],
+)
+def test_a_wrong_configuration_is_named(config: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        DrivingEnv("highway", config).reset(seed=0)
+
+
+@pytest.mark.parametrize(
+    ("task", "config", "message"),
+    [
+        ("two-way", {"road_length": 5000.0}, "road_length"),
+        ("two-way", {"vehicles_count": 500}, "do not fit"),
+        ("u-turn", {"vehicles_count": 13}, "at most 12"),
+        ("roundabout", {"incoming_vehicle_destination": 5}, "0, 1 or 2"),
+        ("intersection", {"destination": "o9"}, "'o1', 'o2' or 'o3'"),
+        ("intersection", {"spawn_probability": 2}, "must lie in"),
+    ],
+)
+def test_what_does_not_fit_a_task_is_named(task: str, config: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        DrivingEnv(task, config).reset(seed=0)
+
+
+def test_crowded_two_way_roads_are_filled() -> None:
+    """No draw of so many places is free of overlaps by chance; the scenario is drawn all the same."""
+    env = DrivingEnv("two-way", {"vehicles_count": 100})
+    env.reset(seed=0)
+    assert env.scenario is not None
+    places = sorted(spec.s for spec in env.scenario.vehicles if spec.lane == ("a", "b", 1))
+    assert len(places) == 100
+    assert min(np.diff(places)) > 6.0
+
+
+def test_an_unknown_task_is_named() -> None:
+    with pytest.raises(ConfigError, match="did you mean 'roundabout'"):
+        DrivingEnv("roundabot")
+
+
+def test_a_render_mode_that_does_not_exist_is_named() -> None:
+    with pytest.raises(ValueError, match="rgb_array"):
+        DrivingEnv("highway", render_mode="ansi")
+
+
+def test_reset_takes_a_configuration(highway: gym.Env[Any, Any]) -> None:
+    highway.reset(seed=0, options={"config": {"risk": 1.0, "lanes_count": 2}})
+    env = highway.unwrapped
+    assert isinstance(env, DrivingEnv)
+    assert env.config["risk"] == 1.0
+    assert env.scenario is not None
+    assert env.scenario.risk == 1.0
+    highway.reset(seed=0)  # it stays
+    assert env.config["lanes_count"] == 2
+
+
+def test_the_configuration_may_be_written_to(highway: gym.Env[Any, Any]) -> None:
+    """As highway-env's users do; it counts from the next reset."""
+    env = highway.unwrapped
+    assert isinstance(env, DrivingEnv)
+    env.config["observation"]["vehicles_count"] = 7
+    env.config["vehicles_count"] = 3
+    observation, _ = highway.reset(seed=0)
+    assert observation.shape == (7, 5)
+    assert env.scenario is not None
+    assert len(env.scenario.vehicles) == 3
+
+
+def test_configurations_are_not_shared() -> None:
+    mine = {"observation": {"type": "Kinematics", "vehicles_count": 6}}
+    kept = copy.deepcopy(mine)
+    defaults = copy.deepcopy({name: task.defaults for name, task in TASKS.items()})
+    first = DrivingEnv("highway", mine)
+    first.config["observation"]["vehicles_count"] = 9
+    first.config["action"]["lateral"] = False
+    assert mine == kept
+    assert {name: task.defaults for name, task in TASKS.items()} == defaults
+    assert DrivingEnv("highway").action_space == gym.spaces.Discrete(5)
+
+
+def test_a_refused_configuration_leaves_the_old_one() -> None:
+    env = DrivingEnv("highway")
+    ladder = {"type": "DiscreteMetaAction", "target_speeds": [5]}
+    with pytest.raises(ConfigError):
+        env.reset(options={"config": {"action": ladder}})
+    env.reset(seed=0)
+    env.step(1)
+
+
+# -- use ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("action", [-1, 5, 1.0, "IDLE", None])
+def test_a_bad_action_is_refused(highway: gym.Env[Any, Any], action: Any) -> None:
+    highway.reset(seed=0)
+    with pytest.raises(ValueError, match="LANE_LEFT"):
+        highway.unwrapped.step(action)
+
+
+@pytest.mark.parametrize("action", [np.int64(3), np.array(3), np.uint8(3), True])
+def test_integers_of_all_kinds_are_actions(highway: gym.Env[Any, Any], action: Any) -> None:
+    highway.reset(seed=0)
+    *_, info = highway.unwrapped.step(action)
+    assert info["action"] == int(action)
+
+
+def test_a_step_before_a_reset_is_refused() -> None:
+    with pytest.raises(gym.error.ResetNeeded, match="reset"):
+        DrivingEnv("highway").step(1)
+
+
+def test_a_picture_before_a_reset_is_refused() -> None:
+    with pytest.raises(gym.error.ResetNeeded, match="reset"):
+        DrivingEnv("highway", render_mode="rgb_array").render()
+
+
+def test_two_environments_of_a_process_take_turns() -> None:
+    first, second = DrivingEnv("highway"), DrivingEnv("roundabout")
+    first.reset(seed=0)
+    expected = first.step(1)[0]
+    first.reset(seed=0)
+    second.reset(seed=0)
+    with pytest.raises(SimulationTaken, match="SubprocVecEnv"):
+        first.step(1)
+    second.step(1)  # unharmed
+    first.reset(seed=0)
+    np.testing.assert_array_equal(first.step(1)[0], expected)
+    with pytest.raises(SimulationTaken):
+        second.step(1)
+    first.close()
+    second.close()
+
+
+def test_closing_one_environment_leaves_the_other_alone() -> None:
+    first, second = DrivingEnv("highway"), DrivingEnv("highway")
+    first.reset(seed=0)
+    second.reset(seed=0)
+    first.close()
+    first.close()
+    second.step(1)
+    with pytest.raises(gym.error.ResetNeeded):
+        first.step(1)
+    first.reset(seed=0)
+    first.step(1)
+
+
+def test_info_holds_plain_values(highway: gym.Env[Any, Any]) -> None:
+    """Values of one type for each key, so that vector environments can merge them."""
+    _, at_reset = highway.reset(seed=0)
+    *_, info = highway.step(1)
+    assert set(info) - set(at_reset) == {"action"}
+    assert {key: type(info[key]) for key in at_reset} == {key: type(value) for key, value in at_reset.items()}
+    assert info["crash"] == {}
+    assert info["distance"] == pytest.approx(info["speed"], rel=0.1)
+
+
+def test_a_crash_is_described() -> None:
+    env = DrivingEnv("intersection", {"initial_vehicle_count": 30, "spawn_probability": 1.0})
+    for seed in range(20):
+        env.reset(seed=seed)
+        terminated = truncated = False
+        while not (terminated or truncated):
+            *_, terminated, truncated, info = env.step(2)
+        if info["crashed"]:
+            break
+    assert info["crashed"]
+    assert terminated
+    assert set(info["crash"]) >= {"other", "time", "x", "y", "closing_speed", "type", "detected_by"}
+    assert info["crash"]["type"] in ("rear-end", "side", "frontal", "junction")
+    env.close()

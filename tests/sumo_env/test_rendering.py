@@ -1,0 +1,205 @@
+"""Pictures: what stands where, in which colour; films."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.wrappers import RecordVideo
+
+import sumo_env
+from networks.roads import highway, intersection, roundabout, two_way, u_turn
+from sumo_env.config import COMMON
+from sumo_env.markings import markings
+from sumo_env.rendering import ASPHALT, EGO, GROUND, OTHER, WHITE, WRECK, Renderer
+from sumo_env.scene import Scene
+from sumo_env.tasks import TASKS
+
+VIEW = {
+    **COMMON,
+    "screen_width": 400,
+    "screen_height": 200,
+    "scaling": 10.0,
+    "centering_position": [0.25, 0.5],
+}
+
+
+def scene(*vehicles: tuple[float, float, float], crashed: tuple[int, ...] = (), time: float = 0.0) -> Scene:
+    """Vehicles at (x, y, heading), the ego first."""
+    x, y, heading = np.array(vehicles, dtype=float).T
+    wrecks = np.isin(np.arange(len(vehicles)), crashed)
+    ids = ("ego", *(f"v{k}" for k in range(1, len(vehicles))))
+    return Scene(ids, x, y, np.full(len(vehicles), 20.0), heading, wrecks, time)
+
+
+def pixel(
+    picture: np.ndarray, x: float, y: float, ego: tuple[float, float] = (100.0, 4.0)
+) -> tuple[int, ...]:
+    """Colour at the world position (x, y) [m] of a `VIEW` around the ego."""
+    column, row = 100 + 10.0 * (x - ego[0]), 100 + 10.0 * (y - ego[1])
+    return tuple(picture[round(row), round(column)].tolist())
+
+
+def test_the_road_its_edges_and_its_lines() -> None:
+    picture = Renderer().draw(scene((100, 4, 0)), highway(4), VIEW)
+    assert picture.shape == (200, 400, 3)
+    assert picture.dtype == np.uint8
+    assert pixel(picture, 120, 4) == ASPHALT
+    assert pixel(picture, 120, 12) == ASPHALT
+    assert pixel(picture, 120, -3) == GROUND
+    assert pixel(picture, 120, -2.15) == WHITE  # the left edge, unbroken
+    edge = picture[round(100 + 10 * (-2.15 - 4))]
+    assert (edge == WHITE).all()
+    divider = picture[100 + 10 * (2 - 4)]
+    assert 0.6 < (divider == WHITE).all(axis=1).mean() < 0.8  # 3 of 4.33 m
+
+
+def test_the_ego_stands_where_it_is_centred_and_others_beside_it() -> None:
+    picture = Renderer().draw(scene((100, 4, 0), (115, 0, 0), (110, 8, 0), crashed=(2,)), highway(4), VIEW)
+    assert pixel(picture, 99.5, 4) == EGO
+    assert pixel(picture, 114.5, 0) == OTHER
+    assert pixel(picture, 109.5, 8) == WRECK
+    # 5 m long, 2 m wide
+    for dx, dy in ((2.3, 0.0), (-2.3, 0.0), (0.0, 0.9), (0.0, -0.9)):
+        assert pixel(picture, 115 + dx, dy) != ASPHALT
+    for dx, dy in ((2.8, 0.0), (-2.8, 0.0), (0.0, 1.3), (0.0, -1.3)):
+        assert pixel(picture, 115 + dx, dy) == ASPHALT
+
+
+def test_headings_turn_clockwise_on_the_screen() -> None:
+    """y points down: heading pi / 2 looks to the lower edge of the picture, where the headlights are."""
+    picture = Renderer().draw(scene((100, 4, 0), (120, 4, math.pi / 2)), highway(4), VIEW)
+    assert pixel(picture, 120, 4 + 2.2) != ASPHALT
+    assert pixel(picture, 122.2, 4) == ASPHALT
+    front = picture[122, 290:310].astype(int).sum()
+    back = picture[78, 290:310].astype(int).sum()
+    assert front != back
+
+
+def test_the_view_follows_the_ego() -> None:
+    renderer = Renderer()
+    for x in (0.0, 100.0, 3333.3, 9990.0):
+        picture = renderer.draw(scene((x, 8, 0)), highway(4), VIEW)
+        assert pixel(picture, x - 0.5, 8, ego=(x, 8)) == EGO
+        assert pixel(picture, x + 12, 8, ego=(x, 8)) == ASPHALT
+
+
+def test_a_used_renderer_draws_as_a_new_one() -> None:
+    """What is kept between calls (the road's picture) never shows; roads and sizes may change."""
+    renderer = Renderer()
+    views = [VIEW, {**VIEW, "scaling": 5.0}, {**VIEW, "screen_width": 301, "screen_height": 99}]
+    for road in (highway(4), roundabout(), highway(2), intersection(), u_turn(), two_way()):
+        for view in views:
+            here = scene((10, 4, 0.3), (20, 6, 1.0))
+            np.testing.assert_array_equal(renderer.draw(here, road, view), Renderer().draw(here, road, view))
+
+
+@pytest.mark.parametrize("road", [highway(4), two_way(), roundabout(), intersection(), u_turn()], ids=repr)
+def test_lanes_are_surfaced_from_end_to_end(road: Any) -> None:
+    renderer = Renderer()
+    for lane in road.lanes.values():
+        for s in (0.5, lane.length / 2, lane.length - 0.5):
+            x, y = lane.position(s, 1.0)
+            aside = (x - 20, y)
+            picture = renderer.draw(scene((*aside, 0)), road, VIEW)
+            assert pixel(picture, x, y, ego=aside) in (ASPHALT, WHITE)
+
+
+def test_gaps_between_lanes_are_bridged() -> None:
+    """highway-env's entries end 5.6 m short of the ring; cars are not to cross a meadow there."""
+    road = roundabout()
+    entry, ring = road.lane(("ses", "se", 0)), road.lane(("se", "ex", 1))
+    (x0, y0), (x1, y1) = entry.position(entry.length, 0.0), ring.position(0.0, 0.0)
+    assert math.hypot(x1 - x0, y1 - y0) > 5
+    x, y = (x0 + x1) / 2, (y0 + y1) / 2
+    picture = Renderer().draw(scene((x - 8, y, 0)), road, VIEW)
+    assert pixel(picture, x, y, ego=(x - 8, y)) == ASPHALT
+
+
+def test_opposite_lanes_are_divided_by_one_dashed_line() -> None:
+    divided = {"highway": 3, "two-way": 1, "intersection": 2}
+    for task, lines in divided.items():
+        road = TASKS[task].road({**TASKS[task].defaults})
+        dashes = np.array([dash.mean(axis=0) for dash in markings(road).dashes])
+        straight = {(round(float(x), 1), "x") for x in dashes[:, 0] if np.isclose(dashes[:, 0], x).sum() > 10}
+        straight |= {
+            (round(float(y), 1), "y") for y in dashes[:, 1] if np.isclose(dashes[:, 1], y).sum() > 10
+        }
+        assert len(straight) == lines
+
+
+def test_trajectories_on_demand() -> None:
+    road = highway(4)
+    with_them, without = Renderer(), Renderer()
+    for step in range(5):
+        here = scene((100 + 4 * step, 8, 0), (130 + 2 * step, 0, 0), time=0.3 * step)
+        plain = without.draw(here, road, VIEW)
+        traced = with_them.draw(here, road, {**VIEW, "show_trajectories": True})
+    assert pixel(plain, 108, 8, ego=(116, 8)) == ASPHALT
+    assert pixel(traced, 108, 8, ego=(116, 8)) != ASPHALT
+    fresh = with_them.draw(scene((116, 8, 0), time=0.0), road, {**VIEW, "show_trajectories": True})
+    assert pixel(fresh, 108, 8, ego=(116, 8)) == ASPHALT  # a new episode has no past
+
+
+@pytest.mark.parametrize("id", sumo_env.IDS)
+def test_every_task_renders_in_its_size(id: str) -> None:
+    env = gym.make(id, render_mode="rgb_array")
+    env.reset(seed=0)
+    env.step(1)
+    picture = np.asarray(env.render())
+    config = env.unwrapped.config  # type: ignore[attr-defined]
+    assert picture.shape == (config["screen_height"], config["screen_width"], 3)
+    colours = {tuple(colour) for colour in picture.reshape(-1, 3).tolist()}
+    assert {GROUND, ASPHALT, WHITE, EGO, OTHER} <= colours
+    env.close()
+
+
+def test_without_a_render_mode_there_is_a_warning_and_no_picture() -> None:
+    env = sumo_env_highway(None)
+    env.reset(seed=0)
+    with pytest.warns(UserWarning, match="rgb_array"):
+        assert env.unwrapped.render() is None
+
+
+def sumo_env_highway(render_mode: str | None, **config: Any) -> gym.Env[Any, Any]:
+    return gym.make("sumo/highway-v0", render_mode=render_mode, config={"vehicles_count": 5, **config})
+
+
+def test_watching_changes_nothing() -> None:
+    plain = sumo_env_highway(None)
+    watched = sumo_env_highway("rgb_array", show_trajectories=True)
+    episodes = []
+    for env in (plain, watched):
+        observations = [env.reset(seed=4)[0]]
+        for _ in range(5):
+            observations.append(env.step(3)[0])
+            if env is watched:
+                env.render()
+        episodes.append(observations)
+    np.testing.assert_array_equal(*episodes)
+
+
+@pytest.mark.parametrize("by_substep", [False, True])
+def test_films(tmp_path: Path, by_substep: bool) -> None:
+    env = RecordVideo(
+        sumo_env_highway("rgb_array"), str(tmp_path / "films"), episode_trigger=lambda episode: True
+    )
+    unwrapped: Any = env.unwrapped
+    if by_substep:
+        unwrapped.set_record_video_wrapper(env)
+        unwrapped.configure({"simulation_frequency": 20})
+    env.reset(seed=0)
+    env.step(1)
+    env.step(1)
+    assert len(env.recorded_frames) == (1 + 2 * 20 if by_substep else 1 + 2)
+    assert env.frames_per_sec == (20 if by_substep else 5)
+    frames = np.array(env.recorded_frames)
+    assert all((a != b).any() for a, b in pairwise(frames))
+    env.close()
+    assert (tmp_path / "films" / "rl-video-episode-0.mp4").stat().st_size > 1000
+    assert sumo_env.env.DrivingEnv.metadata["render_fps"] == 5  # of the class: untouched

@@ -17,7 +17,7 @@ from scipy.stats import binomtest
 from experiments import statistics
 from experiments.gates import FAILURES, GATES
 from experiments.statistics import ALPHA, MISSING, OK, Estimate
-from experiments.tables import CONFIRMATORY, OUTCOMES, PLACE, TERMS, arm_values
+from experiments.tables import CONFIRMATORY, OUTCOMES, PLACE, TERMS, Pair, arm_values, pairs
 
 UNINFORMATIVE = "uninformative"
 Record = dict[str, Any]
@@ -40,28 +40,23 @@ def effects(
         Records with backend, task, level, level_name, outcome, term, estimate, low, high, p, df, seeds
         [treatment, control], status ("ok", "no interval: one seed", "degenerate", "uninformative",
         "missing"), reason, cells; mean_treatment, mean_control; p_adjusted and adjustment ("Holm over n",
-        "Benjamini-Hochberg over n"). For confirmatory outcomes also detectable (true effect found with 80 %
-        power), paired (the same by pairs of seeds), equivalence_p and margin; for their sums percent
-        (relative to the control's sum) and literal (the formula as the paper prints it).
+        "Benjamini-Hochberg over n"). For confirmatory outcomes also paired (the same by pairs of seeds), margin
+        and equivalence_p; for their sums detectable (true effect found with 80 % power), percent (relative to
+        the control's sum) and literal (the formula as the paper prints it).
     """
-    agents = table[table["kind"] == "agent"]
     verdict_of = {verdict["cell"]: verdict for verdict in verdicts}
     records = []
-    for place, group in agents.groupby(PLACE, sort=False):
-        standing = [verdict_of[cell] for cell in group["cell"] if cell in verdict_of]
-        cells = sorted(group["cell"])
+    for place, pair in pairs(table).items():
+        cells = sorted(cell for arm in pair.values() for cell in arm["cell"])
+        standing = [verdict_of[cell] for cell in cells if cell in verdict_of]
         for outcome in outcomes:
             for term in terms:
-                record = {**_place(place), "outcome": outcome, "term": term, **_effect(group, outcome, term)}
+                record = {**dict(zip(PLACE, place, strict=True)), "outcome": outcome, "term": term}
+                record |= _effect(pair, outcome, term)
                 _judge(record, standing)
                 records.append({**record, "cells": cells})
     _adjust(records)
     return records
-
-
-def _place(place: Any) -> Record:
-    backend, task, level, level_name = place
-    return {"backend": backend, "task": task, "level": int(level), "level_name": level_name}
 
 
 def as_record(estimate: Estimate) -> Record:
@@ -71,23 +66,23 @@ def as_record(estimate: Estimate) -> Record:
     return fields
 
 
-def _effect(group: pd.DataFrame, outcome: str, term: str) -> Record:
-    treatment, control = arm_values(group, outcome, term)
+def _effect(pair: Pair, outcome: str, term: str) -> Record:
+    treatment, control = arm_values(pair, outcome, term)
     record = as_record(statistics.welch(treatment, control))
     record["mean_treatment"] = float(treatment.mean()) if len(treatment) else None
     record["mean_control"] = float(control.mean()) if len(control) else None
     if outcome not in CONFIRMATORY or record["status"] == MISSING:
         return record
-    record["detectable"] = statistics.detectable(treatment, control)
     record["paired"] = as_record(statistics.paired(dict(treatment), dict(control)))
     margin = OUTCOMES[outcome].margin
     if margin is not None and term in ("risky", "regular"):
         record |= {"margin": margin, "equivalence_p": statistics.equivalence(treatment, control, margin)}
     if term == "sum":
+        record["detectable"] = statistics.detectable(treatment, control)
         record["percent"] = as_record(statistics.ratio(treatment, control))
         # As printed the formula ends "- sum R^C + sum R^C": the control's second sum is added, not
         # subtracted.
-        sides = arm_values(group, outcome, "interaction")[1]
+        sides = arm_values(pair, outcome, "interaction")[1]
         record["literal"] = record["mean_treatment"] + float(sides.mean())
     return record
 

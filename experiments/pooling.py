@@ -10,7 +10,7 @@ import pandas as pd
 from experiments import statistics
 from experiments.effects import UNINFORMATIVE, Record, adjust, as_record
 from experiments.statistics import DEGENERATE, MISSING, OK
-from experiments.tables import CONFIRMATORY, OUTCOMES, PLACE, TERMS, arm_values
+from experiments.tables import CONFIRMATORY, OUTCOMES, PLACE, TERMS, Pair, arm_values, pairs
 
 ALL_TASKS = "all tasks"
 # Comparisons whose agents pass the gates. An arm without spread is among them: agents that never crash are
@@ -32,7 +32,7 @@ def pooled(table: pd.DataFrame, records: Sequence[Record]) -> list[Record]:
         Records as from `effects`, with scope (a task or "all tasks"), selection and comparisons [used,
         existing] instead of task and level.
     """
-    agents = dict(tuple(table[table["kind"] == "agent"].groupby(PLACE)))
+    agents = pairs(table)
     result = []
     for scope, group in _scopes(records):
         outcome, term = group[0]["outcome"], group[0]["term"]
@@ -82,16 +82,18 @@ def slopes(table: pd.DataFrame, records: Sequence[Record]) -> list[Record]:
         tasks.
     """
     sums = {(r["backend"], r["task"], r["level"], r["outcome"]): r for r in records if r["term"] == "sum"}
+    by_task: dict[tuple[str, str], dict[int, Pair]] = {}
+    for (backend, task, level, _), pair in pairs(table).items():
+        by_task.setdefault((backend, task), {})[level] = pair
     result: list[Record] = []
     for outcome in CONFIRMATORY:
-        for (backend, task), rows in table[table["kind"] == "agent"].groupby(["backend", "task"], sort=False):
-            by_level = dict(tuple(rows.groupby("level")))
+        for (backend, task), by_level in by_task.items():
             levels = sorted(by_level)
             if len(levels) < 2:
                 continue
             members = [sums[backend, task, level, outcome] for level in levels]
             strata = [arm_values(by_level[level], outcome, "sum") for level in levels]
-            common = {"backend": backend, "task": task, "outcome": outcome}
+            common: Record = {"backend": backend, "task": task, "outcome": outcome}
             common |= {"levels": [int(level) for level in levels]}
             cells = sorted({cell for member in members for cell in member["cells"]})
             # The sum counts two traffics, the mean is of one.

@@ -18,7 +18,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
-from statsmodels.stats.multitest import multipletests
 from statsmodels.stats.power import TTestIndPower
 from statsmodels.stats.weightstats import ttost_ind
 
@@ -198,24 +197,31 @@ def mean_slope(x: Sequence[float], strata: Sequence[tuple[Values, Values]]) -> E
     return contrast(groups, [w / 2 for w in weights for _ in (0, 1)])
 
 
-def _adjust(p_values: Sequence[float | None], method: str) -> list[float | None]:
-    known = [i for i, p in enumerate(p_values) if p is not None]
-    adjusted: list[float | None] = [None] * len(p_values)
-    if known:
-        values = multipletests([p_values[i] for i in known], method=method)[1]
-        for i, value in zip(known, values, strict=True):
-            adjusted[i] = float(value)
-    return adjusted
+def _adjust(
+    p_values: Sequence[float | None], correct: Callable[[NDArray[np.float64]], NDArray[np.float64]]
+) -> list[float | None]:
+    known = [p for p in p_values if p is not None]
+    adjusted = iter(correct(np.array(known)).tolist() if known else [])
+    return [None if p is None else next(adjusted) for p in p_values]
 
 
 def holm(p_values: Sequence[float | None]) -> list[float | None]:
     """Holm's adjusted p-values (family-wise error), for confirmatory families; None stays None."""
-    return _adjust(p_values, "holm")
+    return _adjust(p_values, _holm)
+
+
+def _holm(p_values: NDArray[np.float64]) -> NDArray[np.float64]:
+    # statsmodels' multipletests does the same, and collects garbage in every call (40 ms and more); tested against it.
+    order = np.argsort(p_values)
+    steps = p_values[order] * np.arange(len(p_values), 0, -1)
+    adjusted = np.empty_like(p_values)
+    adjusted[order] = np.maximum.accumulate(steps).clip(max=1.0)
+    return adjusted
 
 
 def benjamini_hochberg(p_values: Sequence[float | None]) -> list[float | None]:
     """Benjamini and Hochberg's adjusted p-values (false discovery rate), for exploration; None stays None."""
-    return _adjust(p_values, "fdr_bh")
+    return _adjust(p_values, stats.false_discovery_control)
 
 
 def iqm(values: Values) -> float:

@@ -156,10 +156,19 @@ def term_values(table: pd.DataFrame, outcome: str, term: str) -> pd.Series:
     return sum(weight * table[f"{outcome} {traffic}"] for traffic, weight in TERMS[term].items())
 
 
-def arm_values(table: pd.DataFrame, outcome: str, term: str) -> tuple[pd.Series, pd.Series]:
-    """A term for the trained agents of a table, (treatment, control), indexed by training seed."""
-    values = {}
-    for arm in ARMS:
-        rows = table[(table["kind"] == "agent") & (table["arm"] == arm)]
-        values[arm] = term_values(rows, outcome, term).set_axis(rows["seed"].astype(int))
-    return values["treatment"], values["control"]
+Pair = Mapping[str, pd.DataFrame]  # arm -> its agents, one row each, indexed by training seed
+
+
+def pairs(table: pd.DataFrame) -> dict[tuple[Any, ...], Pair]:
+    """The trained agents of a table by place (backend, task, level, level_name), split into the two arms."""
+    agents = table[table["kind"] == "agent"]
+    result: dict[tuple[Any, ...], Pair] = {}
+    for place, group in agents.groupby(PLACE, sort=False):
+        indexed = group.assign(seed=group["seed"].astype(int)).set_index("seed")
+        result[place] = {arm: indexed[indexed["arm"] == arm] for arm in ARMS}
+    return result
+
+
+def arm_values(pair: Pair, outcome: str, term: str) -> tuple[pd.Series, pd.Series]:
+    """A term for each trained agent, (treatment, control), indexed by training seed."""
+    return term_values(pair["treatment"], outcome, term), term_values(pair["control"], outcome, term)

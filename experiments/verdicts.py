@@ -101,11 +101,10 @@ def decide(items: Sequence[Record], sign: int, expected: int, outcome: str) -> t
     ]
     support = [r for r, side in zip(items, sides, strict=True) if side > 0]
     against = [r for r, side in zip(items, sides, strict=True) if side < 0]
-    word, opposite = ("positive", "negative") if sign > 0 else ("negative", "positive")
-    parts = [f"{word} in {len(support)} of {expected}"]
+    parts = [f"as claimed in {len(support)} of {expected}"]
     if against:
         found = listing([f"{place(r)} ({difference(r, outcome)})" for r in against])
-        parts.append(f"{opposite} in {len(against)}: {found}")
+        parts.append(f"the opposite in {len(against)}: {found}")
     open_ = sum(r["status"] == OK and side == 0 for r, side in zip(items, sides, strict=True))
     if open_:
         parts.append(f"undecided in {open_} (interval includes 0 after Holm)")
@@ -193,8 +192,8 @@ def _sentence(used: Sequence[Record], term: str, mean: Record | None) -> str:
         number(sum(r[f"mean_{arm}"] for r in rows) / len(rows), "crashed") for arm in ("treatment", "control")
     )
     return (
-        f"In {term} traffic they crash in {treated} of the test episodes, agents trained in regular traffic "
-        f"in {control}: a difference of {difference(mean, 'crashed')}."
+        f"In {term} traffic treated agents crash in {treated} of the test episodes and control agents in {control}: "
+        f"a difference of {difference(mean, 'crashed')}."
     )
 
 

@@ -192,17 +192,25 @@ class TestPaired:
 
 
 class TestMultiplicity:
-    def test_holm_and_benjamini_hochberg_skip_what_has_no_p(self) -> None:
-        p = [0.01, None, 0.04, 0.03]
-        known = [0.01, 0.04, 0.03]
-        h, b = multipletests(known, method="holm")[1], stats.false_discovery_control(known)
-        assert statistics.holm(p) == [pytest.approx(h[0]), None, pytest.approx(h[1]), pytest.approx(h[2])]
-        assert statistics.benjamini_hochberg(p)[2:] == [pytest.approx(b[1]), pytest.approx(b[2])]
+    def test_equal_statsmodels(self, random: np.random.Generator) -> None:
+        for p in (random.uniform(size=18) ** 3, np.array([0.04, 0.01, 0.04, 0.9]), np.array([0.5])):
+            assert statistics.holm(list(p)) == pytest.approx(multipletests(p, method="holm")[1])
+            assert statistics.benjamini_hochberg(list(p)) == pytest.approx(
+                multipletests(p, method="fdr_bh")[1]
+            )
+
+    def test_what_has_no_p_is_skipped(self) -> None:
+        assert statistics.holm([0.01, None, 0.04, 0.03]) == [
+            pytest.approx(0.03), None, pytest.approx(0.06), pytest.approx(0.06),
+        ]  # fmt: skip
+        assert statistics.benjamini_hochberg([None, 0.02]) == [None, pytest.approx(0.02)]
         assert statistics.holm([None, None]) == [None, None]
         assert statistics.holm([]) == []
 
-    def test_holm_by_hand(self) -> None:
-        assert statistics.holm([0.01, 0.04, 0.03]) == pytest.approx([0.03, 0.06, 0.06])
+    def test_holm_keeps_the_family_wise_error(self, random: np.random.Generator) -> None:
+        repeats = 1500
+        found = sum(min(statistics.holm(list(random.uniform(size=18)))) < 0.05 for _ in range(repeats))
+        assert within(found / repeats, 0.05, repeats)
 
 
 def test_interquartile_mean_ignores_the_tails() -> None:

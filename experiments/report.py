@@ -1,0 +1,117 @@
+"""Write report.html, summary.csv and analysis.json from the cells that a sweep has stored.
+
+    python experiments/report.py results/sumo-quick
+
+Nothing is simulated or trained: the report is a function of the stored cells, and may be written at any
+time, also while a sweep is running (it then says what is missing). report.html is one file that needs
+nothing else, summary.csv has one row a task, level, policy and traffic, analysis.json every number with the
+cells that it rests on.
+
+Exit status: 0 written, 2 the directory holds no results, or cannot be written.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+if __package__ in (None, ""):  # run as a file: import from the project, not from this folder (statistics.py!)
+    sys.path[0] = str(Path(__file__).resolve().parents[1])
+
+from experiments.threads import limit_threads
+
+limit_threads()
+
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import tyro
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+from experiments import wording
+from experiments.analysis import analyse, summary_table
+from experiments.errors import disk_error, run_command
+from experiments.files import write_file, write_json
+from experiments.report_view import page
+from experiments.store import load
+
+TEMPLATES = Path(__file__).with_name("templates")
+REPORT, SUMMARY, ANALYSIS = "report.html", "summary.csv", "analysis.json"
+
+
+@dataclass(frozen=True)
+class Options:
+    """Write report.html, summary.csv and analysis.json from the cells that a sweep has stored."""
+
+    directory: Annotated[Path, tyro.conf.Positional]
+    """The --out directory of a sweep."""
+
+
+def write_report(directory: Path) -> Path:
+    """Analyse the stored cells of a directory and write the three files into it.
+
+    Returns:
+        The path of report.html.
+
+    Raises:
+        UserError: no results there, a damaged cell, or no permission to write.
+    """
+    return _write(Path(directory))[0]
+
+
+def _write(directory: Path) -> tuple[Path, dict[str, Any]]:
+    results = load(directory)
+    analysis = analyse(results)
+    path = directory / REPORT
+    html = render(page(results, analysis))
+    try:
+        write_json(directory / ANALYSIS, analysis)
+        write_file(directory / SUMMARY, summary_table(analysis).to_csv(index=False).encode())
+        write_file(path, html.encode())
+    except OSError as error:
+        raise disk_error(error, directory) from None
+    return path, analysis
+
+
+def render(variables: dict[str, Any]) -> str:
+    """The report as one HTML text."""
+    environment = Environment(
+        loader=FileSystemLoader(TEMPLATES),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    environment.filters |= {
+        name: getattr(wording, name)
+        for name in ("number", "difference", "interval", "p_value", "count", "listing")
+    }
+    return environment.get_template("report.html.j2").render(variables)
+
+
+def show(analysis: dict[str, Any]) -> None:
+    """Print the answer and the verdicts."""
+    from rich.console import Console
+    from rich.table import Table
+
+    console = Console(highlight=False)
+    for headline in analysis["headlines"]:
+        console.print(f"[bold]{headline['answer'].capitalize()}.[/bold]")
+        console.print(" ".join(headline["text"]))
+        table = Table(box=None, show_header=False, pad_edge=False)
+        for claim in analysis["claims"]:
+            if claim["backend"] == headline["backend"]:
+                table.add_row(f"[bold]{claim['verdict']}[/bold]", claim["claim"])
+        console.print(table)
+
+
+def main() -> int:
+    """The command line."""
+    path, analysis = _write(tyro.cli(Options, description=__doc__).directory)
+    show(analysis)
+    print(f"report: {path}")
+    return 0
+
+
+if __name__ == "__main__":
+    run_command(main)

@@ -1,0 +1,279 @@
+"""What the report's template shows, put into rows and words: from an analysis, with no number of its own."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from experiments.effects import UNINFORMATIVE, Record
+from experiments.estimate import duration
+from experiments.gates import FAILURES, GATES
+from experiments.grid import ARMS
+from experiments.report_figures import backend_figures
+from experiments.statistics import ALPHA, MISSING
+from experiments.store import Results
+from experiments.tables import CONFIRMATORY, OUTCOMES, TASK_ORDER, TERMS
+from experiments.wording import BACKENDS, count, listing, place
+
+NOT_VALIDATED = (
+    "The SUMO tasks are not validated for this version: how close they are to highway-env was not measured. "
+    "To do so: python experiments/validate.py --out DIR, with this directory."
+)
+
+
+def page(results: Results, analysis: Mapping[str, Any]) -> dict[str, Any]:
+    """The template's variables.
+
+    Args:
+        results: all stored cells. analysis: from `analysis.analyse` of them.
+    """
+    backends = list(dict.fromkeys(record["backend"] for record in analysis["policies"]))
+    left_out = {entry["cell"] for entry in analysis["left_out"]}
+    return {
+        "analysis": analysis,
+        "smoke": "smoke" in analysis["provenance"]["presets"],
+        "warnings": warnings(analysis),
+        "run": run(analysis, results, left_out),
+        "validation": validation(results.directory, backends, analysis["provenance"]["versions"]),
+        "backends": [backend_section(backend, results, analysis, left_out) for backend in backends],
+        "gate_texts": GATES,
+        "terms": TERMS,
+        "outcomes": OUTCOMES,
+    }
+
+
+def warnings(analysis: Mapping[str, Any]) -> list[str]:
+    """What keeps these results from being complete, a sentence each."""
+    words = []
+    if missing := analysis["missing"]:
+        words.append(
+            f"{count(len(missing), 'cell')} of the last sweep {'is' if len(missing) == 1 else 'are'} not there yet; "
+            "run the same command again to go on."
+        )
+    if failed := analysis["failed"]:
+        words.append(
+            f"{count(len(failed), 'cell')} failed: " + listing([f"{k} ({v})" for k, v in failed.items()], 3)
+        )
+    if left_out := analysis["left_out"]:
+        first = left_out[0]
+        words.append(
+            f"{count(len(left_out), 'cell')} of other settings in this directory were left out and never mixed in; "
+            f"for example {first['cell']}: {first['reason']}."
+        )
+    policies = analysis["policies"]
+    if not any(record["arm"] for record in policies):
+        words.append("No trained agents: nothing can be said about training.")
+    for arm in ARMS:
+        if any(record["arm"] for record in policies) and not any(record["arm"] == arm for record in policies):
+            words.append(f"No {arm} agents: there is nothing to compare the others with.")
+    if not any(record["arm"] is None for record in policies):
+        words.append("No baselines: whether the agents beat constant policies was not checked.")
+    counts = [min(r["seeds"]) for r in analysis["ate"] if r["status"] != MISSING]
+    if counts and min(counts) == 1:
+        words.append(
+            "Only one training seed in an arm: differences are shown without intervals and prove nothing."
+        )
+    return words
+
+
+def run(analysis: Mapping[str, Any], results: Results, left_out: set[str]) -> dict[str, Any]:
+    """What was run, for people."""
+    origin = analysis["provenance"]
+    keys = [cell["key"] for name, cell in results.cells.items() if name not in left_out]
+    agents = [key for key in keys if key["kind"] == "agent"]
+    settings: dict[str, dict[str, list[str]]] = {}
+    for key in agents:
+        for name, value in key["profile"].items():
+            values = settings.setdefault(name, {}).setdefault(str(value), [])
+            if key["task"] not in values:
+                values.append(key["task"])
+    return {
+        "presets": origin["presets"],
+        "agents": len(agents),
+        "baselines": len(keys) - len(agents),
+        "tests": sorted({key["eval"]["episodes"] for key in keys}),
+        "seconds": duration(origin["seconds"]),
+        "finished": origin["finished"],
+        "versions": origin["versions"],
+        "hash": origin["hash"],
+        # One value for all tasks, or each value with its tasks.
+        "settings": {
+            name: next(iter(values))
+            if len(values) == 1
+            else "; ".join(f"{v} ({', '.join(t)})" for v, t in values.items())
+            for name, values in sorted(settings.items())
+            if name != "preset"
+        },
+    }
+
+
+def validation(directory: Path, backends: Sequence[str], versions: Mapping[str, Sequence[str]]) -> Record:
+    """How close SUMO's tasks are to highway-env's, from validation.json beside the results.
+
+    The file is an object with tasks (a verdict and a reason for each task) and versions (of packages, as in
+    cells).
+
+    Returns:
+        relevant (whether SUMO was used at all), note (a sentence), tasks (task, verdict and reason each).
+    """
+    path = directory / "validation.json"
+    result: Record = {"relevant": "sumo" in backends, "tasks": [], "note": NOT_VALIDATED}
+    if not result["relevant"] or not path.exists():
+        return result
+    try:
+        value = json.loads(path.read_text())
+        tasks = [
+            {"task": task, "verdict": entry["verdict"], "reason": entry.get("reason", "")}
+            for task, entry in value["tasks"].items()
+        ]
+        validated = value.get("versions", {})
+    except (ValueError, TypeError, KeyError, AttributeError) as error:
+        return {**result, "note": f"{path.name} cannot be read ({type(error).__name__}: {error})."}
+    other = [
+        f"{name} {version} instead of {' / '.join(versions[name])}"
+        for name, version in validated.items()
+        if name in versions and str(version) not in versions[name]
+    ]
+    if other:
+        return {**result, "note": f"{NOT_VALIDATED} {path.name} is of other versions: {', '.join(other)}."}
+    return {**result, "tasks": tasks, "note": "Compared with highway-env on the same scenarios:"}
+
+
+def backend_section(
+    backend: str, results: Results, analysis: Mapping[str, Any], left_out: set[str]
+) -> dict[str, Any]:
+    """Everything that is shown for one simulator."""
+    own = {
+        part: [record for record in analysis[part] if record["backend"] == backend]
+        for part in ("headlines", "claims", "ate", "pooled", "slopes", "placebo", "gates", "policies")
+    }
+    cells = {
+        name: cell
+        for name, cell in results.cells.items()
+        if name not in left_out and cell["key"]["backend"] == backend
+    }
+    return {
+        "id": backend,
+        "name": BACKENDS.get(backend, backend),
+        "headline": own["headlines"][0],
+        "claims": own["claims"],
+        "effects": {outcome: effect_rows(own["ate"], outcome) for outcome in OUTCOMES},
+        "confirmatory": CONFIRMATORY,
+        "pooled": {outcome: pooled_rows(own["pooled"], outcome) for outcome in CONFIRMATORY},
+        "slopes": [r for r in own["slopes"] if r["quantity"] == "effect"],
+        "trends": [r for r in own["slopes"] if r["quantity"] == "mean"],
+        "placebo": own["placebo"],
+        "gates": gate_rows(own["gates"]),
+        "agents": own["gates"],
+        "policies": policy_rows(own["policies"]),
+        "figures": backend_figures(results, own, cells),
+        "cells": cell_rows(cells, own["gates"]),
+    }
+
+
+def effect_rows(ate: Sequence[Record], outcome: str) -> list[Record]:
+    """One row a task and level: the records of its terms, and what to say of them."""
+    rows: dict[str, Record] = {}
+    for record in ate:
+        if record["outcome"] == outcome:
+            row = rows.setdefault(
+                place(record), {"place": place(record), "terms": {}, "anchor": anchor(record)}
+            )
+            row["terms"][record["term"]] = record
+    for row in rows.values():
+        total = row["terms"]["sum"]
+        reasons = {r["reason"]: None for r in row["terms"].values() if r["reason"]}
+        row |= {
+            "status": total["status"],
+            "seeds": total["seeds"],
+            "reasons": list(reasons),
+            "muted": total["status"] in (UNINFORMATIVE, MISSING),
+            "p": total["p_adjusted"],
+            "cells": total["cells"],
+        }
+        regular = row["terms"]["regular"]
+        row["equivalent"] = (regular.get("equivalence_p") or 1.0) < ALPHA
+    return list(rows.values())
+
+
+def pooled_rows(pooled: Sequence[Record], outcome: str) -> list[Record]:
+    """One row a scope and selection; only "all" where the two selections are the same."""
+    rows: dict[tuple[str, str], Record] = {}
+    for record in pooled:
+        if record["outcome"] == outcome:
+            key = (record["scope"], record["selection"])
+            row = rows.setdefault(key, {"scope": key[0], "selection": key[1], "terms": {}})
+            row["terms"][record["term"]] = record
+    for row in rows.values():
+        row["comparisons"] = row["terms"]["sum"]["comparisons"]
+        row["cells"] = row["terms"]["sum"]["cells"]
+        row["anchor"] = anchor(row["terms"]["sum"])
+    return [
+        row
+        for (scope, selection), row in rows.items()
+        if selection == "all" or row["comparisons"] != rows[scope, "all"]["comparisons"]
+    ]
+
+
+def gate_rows(verdicts: Sequence[Record]) -> list[Record]:
+    """One row a task and level: how many agents of each arm pass, and what the others fail."""
+    rows: dict[str, Record] = {}
+    for verdict in verdicts:
+        row = rows.setdefault(
+            place(verdict), {"place": place(verdict), "anchor": anchor(verdict), "arms": {}}
+        )
+        arm = row["arms"].setdefault(verdict["arm"], {"agents": 0, "passed": 0, "unchecked": 0, "failed": {}})
+        arm["agents"] += 1
+        arm["passed"] += verdict["passed"] is True
+        arm["unchecked"] += verdict["passed"] is None
+        for gate in verdict["failed"]:
+            arm["failed"][FAILURES[gate]] = arm["failed"].get(FAILURES[gate], 0) + 1
+    return list(rows.values())
+
+
+def policy_rows(policies: Sequence[Record]) -> list[Record]:
+    """One entry a task with one row a level and policy."""
+    tasks: dict[str, Record] = {}
+    for record in policies:
+        rows = tasks.setdefault(record["task"], {"task": record["task"], "rows": {}})["rows"]
+        key = (record["level"], record["policy"], record["arm"])
+        row = rows.setdefault(
+            key, {"level": record["level_name"], "policy": record["policy"], "arm": record["arm"]}
+        )
+        row |= {"n": record["n"], "unit": record["unit"], "anchor": anchor(record), "cells": record["cells"]}
+        row[record["traffic"]] = record
+    return [{**entry, "rows": list(entry["rows"].values())} for entry in tasks.values()]
+
+
+def cell_rows(cells: Mapping[str, Mapping[str, Any]], verdicts: Sequence[Record]) -> list[Record]:
+    """One entry a task and level with its cells, so that every number can be followed to its files."""
+    passed = {verdict["cell"]: verdict["passed"] for verdict in verdicts}
+    entries: dict[tuple[int, int], Record] = {}
+    for name, cell in sorted(cells.items()):
+        key = cell["key"]
+        order = (TASK_ORDER[key["task"]], key["level"])
+        entry = entries.setdefault(
+            order, {"place": place(key), "anchor": anchor(key), "task": key["task"], "cells": []}
+        )
+        entry["cells"].append(
+            {
+                "name": name,
+                "policy": f"{key['arm']}, seed {key['seed']}" if key["arm"] else key["policy"],
+                "passed": passed.get(name),
+                "is_agent": key["kind"] == "agent",
+                "episodes": 2 * key["eval"]["episodes"],
+                "sha256": cell["files"]["episodes.parquet"],
+            }
+        )
+    return [entries[order] for order in sorted(entries)]
+
+
+def anchor(record: Mapping[str, Any]) -> str:
+    """Where the cells of a record are listed."""
+    if "level" in record:
+        return f"cells-{record['backend']}-{record['task']}-{record['level']}"
+    if record.get("scope", record.get("task")) in TASK_ORDER:
+        return f"cells-{record['backend']}-{record.get('scope', record.get('task'))}"
+    return f"cells-{record['backend']}"

@@ -1,0 +1,279 @@
+"""The report: complete, self-contained, the same for the same cells, and readable when results are not complete."""
+
+from __future__ import annotations
+
+import json
+import re
+import subprocess
+import sys
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from experiments import figures, report, store
+from experiments.collision_figures import LENGTH, WIDTH, collisions, contacts, corners
+from experiments.errors import UserError
+from tests.experiments import synthetic
+
+SCRIPT = Path(report.__file__)
+VOID = {"meta", "br", "link", "hr", "img", "input"}
+
+
+class Page(HTMLParser):
+    """Collects what a report is checked for; raises where tags do not match."""
+
+    def __init__(self, text: str) -> None:
+        super().__init__()
+        self.ids: list[str] = []
+        self.links: list[str] = []
+        self.sources: list[str] = []
+        self.tags: list[str] = []
+        self.open: list[str] = []
+        self.text = ""
+        self.feed(text)
+        assert self.open == []
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+        values = dict(attrs)
+        if "id" in values:
+            self.ids.append(values["id"])
+        if tag == "a":
+            self.links.append(values.get("href", ""))
+        self.sources += [values[name] for name in ("src", "xlink:href", "data") if name in values]
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag, attrs):
+        self.handle_starttag(tag, attrs)
+        if tag not in VOID:
+            self.open.pop()
+
+    def handle_endtag(self, tag):
+        assert self.open.pop() == tag
+
+    def handle_data(self, data):
+        if "style" not in self.open[-1:]:
+            self.text += data
+
+
+def write(directory: Path, *args, **kwargs) -> Page:
+    synthetic.write(directory, *args, **kwargs)
+    return Page(report.write_report(directory).read_text())
+
+
+@pytest.fixture(scope="module")
+def directory(tmp_path_factory):
+    home = tmp_path_factory.mktemp("results")
+    faults = {"sumo-u-turn-6-control-s0": "diverged"}
+    synthetic.write(home, {"intersection": (1,), "u-turn": (1, 2)}, seeds=4, tests=10, faults=faults)
+    report.write_report(home)
+    return home
+
+
+@pytest.fixture(scope="module")
+def page(directory):
+    return Page((directory / "report.html").read_text())
+
+
+class TestReport:
+    def test_three_files_are_written(self, directory):
+        value = json.loads((directory / "analysis.json").read_text(), parse_constant=pytest.fail)
+        assert {"ate", "claims", "gates", "policies", "provenance"} <= set(value)
+        table = pd.read_csv(directory / "summary.csv")
+        assert len(table) == 3 * 7 * 2
+        assert {"backend", "task", "level", "policy", "arm", "traffic", "return", "crashed"} <= set(
+            table.columns
+        )
+
+    def test_needs_nothing_else(self, directory, page):
+        text = (directory / "report.html").read_text()
+        assert "script" not in page.tags and "link" not in page.tags and "img" not in page.tags
+        assert all(source.startswith(("#", "data:")) for source in page.sources)
+        assert not re.findall(r"""(?:src|href)=["'](?:https?:)?//""", text)
+        assert "@import" not in text
+        assert all(link.startswith(("#", "cells/")) for link in page.links)
+
+    def test_every_link_leads_somewhere(self, directory, page):
+        assert len(page.ids) == len(set(page.ids))
+        for link in page.links:
+            if link.startswith("#"):
+                assert link[1:] in page.ids
+            else:
+                assert (directory / link).exists()
+
+    def test_every_cell_is_listed(self, directory, page):
+        for cell in store.load(directory).cells:
+            assert cell in page.ids
+
+    def test_sections_are_there(self, page):
+        for words in (
+            "What was run", "Is the simulator right?", "Claims of the paper", "Average treatment effects",
+            "Learning curves".lower(), "Collisions", "Near-misses", "Q-values", "How every policy drives",
+            "Are the agents worth comparing?", "How it was computed", "as it is printed", "mark to beat",
+        ):  # fmt: skip
+            assert words in page.text
+
+    def test_uninformative_effects_are_shown_and_said_to_be(self, page):
+        assert "1 of 4 control agents fail (diverged 1" in page.text
+        assert "uninformative" in page.text
+
+    def test_is_the_same_for_the_same_cells(self, directory):
+        names = ("report.html", "analysis.json", "summary.csv")
+        before = [(directory / name).read_bytes() for name in names]
+        report.write_report(directory)
+        assert [(directory / name).read_bytes() for name in names] == before
+
+    def test_nothing_undefined_or_not_a_number_is_shown(self, page):
+        assert not re.search(r"\b(nan|None|inf|undefined)\b", page.text)
+
+    def test_is_no_smoke_test(self, page):
+        assert "Smoke test" not in page.text
+
+
+class TestIncomplete:
+    """Results as they are while a sweep runs, or after one with little in it."""
+
+    def test_smoke_preset_is_no_evidence(self, tmp_path):
+        page = write(tmp_path, {"u-turn": (1,)}, seeds=1, tests=4, preset="smoke")
+        assert "Smoke test" in page.text and "no evidence" in page.text
+        assert "Only one training seed" in page.text
+        assert "no interval" in page.text
+
+    def test_one_arm(self, tmp_path):
+        page = write(tmp_path, {"u-turn": (1,)}, seeds=2, tests=4, arms=("treatment",))
+        assert "No control agents" in page.text
+        assert "2 cells of the last sweep are not there yet" in page.text
+        assert "missing" in page.text
+
+    def test_no_agents(self, tmp_path):
+        page = write(tmp_path, {"u-turn": (1,)}, tests=4, arms=(), sweep=False)
+        assert "No trained agents" in page.text
+        assert "no claim can be judged" in page.text
+
+    def test_no_baselines_and_the_reference_alone(self, tmp_path):
+        page = write(tmp_path, {"two-way": (1,)}, seeds=2, tests=4, baselines=(), backend="highway-env")
+        assert "No baselines" in page.text
+        assert "highway-env is the reference itself" in page.text
+
+    def test_failed_cells_are_named(self, tmp_path):
+        cells = synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=1, tests=4, baselines=("idle",))
+        note = {"cells": [*(cell.name for cell in cells), "lost"], "failed": {"lost": "the <simulator> died"}}
+        store.Store(tmp_path).write_sweep(note)
+        page = Page(report.write_report(tmp_path).read_text())
+        assert "lost (the <simulator> died)" in page.text
+
+    def test_a_missing_directory_is_said_so(self, tmp_path):
+        with pytest.raises(UserError, match="no results"):
+            report.write_report(tmp_path / "nowhere")
+        (tmp_path / "cells").mkdir()
+        with pytest.raises(UserError, match="no finished cell"):
+            report.write_report(tmp_path)
+
+
+class TestValidation:
+    def test_is_missing(self, page):
+        assert "not validated for this version" in page.text
+
+    def test_is_shown_if_it_is_of_these_versions(self, directory):
+        entry = {"verdict": "agrees", "reason": "return differs by 0.03"}
+        shown = self.with_file(directory, {"versions": {"libsumo": "1.28.0"}, "tasks": {"u-turn": entry}})
+        assert "return differs by 0.03" in shown and "not validated" not in shown
+
+    def test_of_other_versions_does_not_count(self, directory):
+        shown = self.with_file(directory, {"versions": {"libsumo": "0.1"}, "tasks": {}})
+        assert "not validated" in shown and "libsumo 0.1 instead of 1.28.0" in shown
+
+    def test_that_cannot_be_read_is_said_so(self, directory):
+        assert "validation.json cannot be read" in self.with_file(directory, [1])
+
+    @staticmethod
+    def with_file(directory, value):
+        from experiments.report_view import validation
+
+        path = directory / "validation.json"
+        path.write_text(json.dumps(value))
+        try:
+            shown = validation(directory, ["sumo"], {"libsumo": ["1.28.0"]})
+        finally:
+            path.unlink()
+        return shown["note"] + str(shown["tasks"])
+
+
+class TestCommand:
+    @staticmethod
+    def run(*arguments, cwd):
+        return subprocess.run(
+            [sys.executable, str(SCRIPT), *arguments], cwd=cwd, capture_output=True, text=True, timeout=300
+        )
+
+    def test_works_from_anywhere(self, directory, tmp_path):
+        done = self.run(str(directory), cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+        assert str(directory / "report.html") in done.stdout
+        assert "not decided" in done.stdout
+
+    def test_says_what_to_do_in_one_line(self, tmp_path):
+        done = self.run("nowhere", cwd=tmp_path)
+        assert done.returncode == 2
+        assert done.stderr.count("\n") == 1
+        assert "nowhere holds no results" in done.stderr and "--out" in done.stderr
+        assert done.stdout == ""
+
+
+class TestFigures:
+    def test_colours_follow_the_page(self, directory):
+        results = store.load(directory)
+        drawn = figures.learning_curves(results.training.query("task == 'u-turn'"), "u-turn")
+        assert drawn.startswith("<svg role")
+        assert f"var(--control, {figures.CONTROL})" in drawn
+        assert re.search(r"(?<!, )" + figures.CONTROL, drawn) is None
+        assert "<dc:date>" not in drawn
+
+    def test_ids_carry_the_name_of_the_figure(self, directory):
+        drawn = collisions(store.load(directory).episodes)
+        ids = re.findall(r'\bid="([^"]+)"', drawn)
+        assert ids and all(name.startswith("sumo-collisions-") for name in ids)
+        references = set(re.findall(r'(?:url\(|href=")#([^")]+)', drawn))
+        assert references <= set(ids)
+
+    def test_unknown_types_of_crash_are_shown_as_such(self, directory):
+        episodes = store.load(directory).episodes
+        drawn = collisions(episodes.assign(crash_type=pd.Series(pd.NA, index=episodes.index, dtype="str")))
+        assert "not recorded" in drawn
+
+
+class TestContacts:
+    """Where two vehicles touch, in the ego's frame."""
+
+    @pytest.mark.parametrize(
+        ("pose", "expected"),
+        [
+            ((LENGTH, 0.0, 0.0), (LENGTH / 2, 0.0)),  # bumper to bumper, other ahead
+            ((-LENGTH, 0.0, 0.0), (-LENGTH / 2, 0.0)),  # struck from behind
+            ((0.0, WIDTH, 0.0), (0.0, WIDTH / 2)),  # side by side, other on the right
+            ((LENGTH / 2 + WIDTH / 2, 0.0, np.pi / 2), (LENGTH / 2, 0.0)),  # into the flank of a crossing car
+            ((LENGTH + 0.4, 0.0, 0.0), (LENGTH / 2 + 0.4, 0.0)),  # only near: the closest side of the other
+        ],
+    )
+    def test_of_two_vehicles(self, pose, expected):
+        x, y, heading = (np.array([value]) for value in pose)
+        assert contacts(x, y, heading)[0] == pytest.approx(expected, abs=0.05)
+
+    def test_lie_within_the_ego_where_vehicles_overlap(self):
+        random = np.random.default_rng(0)
+        x, y, heading = (
+            random.uniform(-3.2, 3.2, 200),
+            random.uniform(-0.9, 0.9, 200),
+            random.uniform(-3, 3, 200),
+        )
+        found = contacts(x, y, heading)
+        assert (np.abs(found) <= np.array([LENGTH / 2, WIDTH / 2]) + 0.01).all()
+
+    def test_corners_of_a_turned_vehicle(self):
+        shape = corners(np.array([1.0]), np.array([2.0]), np.array([np.pi / 2]))[0]
+        assert shape.mean(axis=0) == pytest.approx([1.0, 2.0])
+        assert np.ptp(shape, axis=0) == pytest.approx([WIDTH, LENGTH])

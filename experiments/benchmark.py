@@ -1,0 +1,253 @@
+"""Measure speed side by side: SUMO against highway-env, the learner against Stable-Baselines3.
+
+    python experiments/benchmark.py --out results/benchmark            # about a quarter of an hour
+    python experiments/benchmark.py --out /tmp/benchmark --quick       # two minutes, less certain
+
+Writes benchmark.json and benchmark.html. What is compared takes turns in one run, and the medians over the turns
+are taken, because a shared machine is never the same for long. Rates are in processor time of one core unless
+they are called wall time. docs/performance.md says how to read them.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+if __package__ in (None, ""):  # run as a file: import from the project, not from this folder
+    sys.path[0] = str(Path(__file__).resolve().parents[1])
+
+from experiments.threads import limit_threads
+
+limit_threads()
+
+import os
+import time
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import tyro
+from rich.console import Console
+from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from experiments.benchmarks import environments, learner, page, scaling, targets, throughput
+from experiments.benchmarks.environments import Effort
+from experiments.benchmarks.targets import Target
+from experiments.errors import disk_error, run_command, unknown
+from experiments.estimate import duration
+from experiments.files import write_file, write_json
+from experiments.grid import choose_tasks, level_names
+from experiments.provenance import provenance
+from sumo_env.tasks import TASKS
+
+SCHEMA = 1
+PARTS = ("env", "learner", "sweep", "vector", "growth", "memory")
+Note = Callable[[str], None]
+
+
+@dataclass(frozen=True)
+class Size:
+    """How much is measured. `seconds`: what each part takes on two cores, for the progress bar."""
+
+    effort: Effort
+    all_levels: bool
+    learner_turns: int
+    learner_updates: int
+    sweep_updates: int
+    sweep_episodes: int
+    vector_tasks: tuple[str, ...]
+    vector_seconds: float
+    growth: tuple[int, ...]
+    memory: int
+    seconds: Mapping[str, float]
+
+
+FULL = Size(
+    effort=Effort(turns=5, seconds=1.0, reference_seconds=2.0, reference_steps=3),
+    all_levels=True,
+    learner_turns=9,
+    learner_updates=320,
+    sweep_updates=400,
+    sweep_episodes=10,
+    vector_tasks=("highway", "two-way", "roundabout", "intersection", "u-turn"),
+    vector_seconds=3.0,
+    growth=(25, 50, 75, 100, 125, 150),
+    memory=10_000,
+    seconds={"env": 720, "learner": 45, "sweep": 240, "vector": 60, "growth": 75, "memory": 110},
+)
+QUICK = Size(
+    effort=Effort(turns=3, seconds=0.15, reference_seconds=0.3, reference_steps=1),
+    all_levels=False,
+    learner_turns=3,
+    learner_updates=160,
+    sweep_updates=60,
+    sweep_episodes=3,
+    vector_tasks=("highway",),
+    vector_seconds=0.7,
+    growth=(25, 50, 100),
+    memory=300,
+    seconds={"env": 60, "learner": 10, "sweep": 25, "vector": 7, "growth": 9, "memory": 5},
+)
+
+
+@dataclass(frozen=True)
+class Options:
+    """Measure speed side by side: SUMO against highway-env, the learner against Stable-Baselines3."""
+
+    out: Path
+    """Directory for benchmark.json and benchmark.html."""
+    quick: bool = False
+    """Two minutes: fewer turns, the lowest and the highest level of each task."""
+    tasks: tuple[str, ...] = ()
+    """Some of highway, two-way, roundabout, intersection, u-turn (default: all)."""
+    parts: tuple[str, ...] = PARTS
+    """What to measure: env, learner, sweep, vector, growth, memory."""
+
+
+def levels_of(task: str, every: bool) -> list[int]:
+    """Numbers of the levels to measure: on the highway all in a full run, else the lowest and the highest."""
+    last = len(level_names(task))
+    return list(range(1, last + 1)) if every and task == "highway" else [1, last]
+
+
+def parts(options: Options, size: Size) -> dict[str, Callable[[Note], Any]]:
+    """What is to be measured, in this order: name -> function that measures it.
+
+    Raises:
+        UserError: a task or part that does not exist.
+    """
+    tasks = choose_tasks(options.tasks or tuple(TASKS))
+    for part in options.parts:
+        if part not in size.seconds:
+            raise unknown("part", part, size.seconds)
+
+    def env(note: Note) -> list[Any]:
+        return [
+            record
+            for task in tasks
+            for record in environments.measure_task(task, levels_of(task, size.all_levels), size.effort, note)
+        ]
+
+    def sweep(note: Note) -> list[Any]:
+        places = [
+            (task, level)
+            for task in tasks
+            for level in (range(1, len(level_names(task)) + 1) if size.all_levels else levels_of(task, False))
+        ]
+        return throughput.measure_sweep(places, (1, 2), size.sweep_updates, size.sweep_episodes, note)
+
+    def vector(note: Note) -> list[Any]:
+        chosen = [task for task in size.vector_tasks if task in tasks]
+        return scaling.measure_vector(chosen, (1, 2, 4), size.vector_seconds, note)
+
+    functions: dict[str, Callable[[Note], Any]] = {
+        "env": env,
+        "learner": lambda note: learner.measure_learner(
+            (1, 8, 16), size.learner_turns, size.learner_updates, note
+        ),
+        "sweep": sweep,
+        "vector": vector,
+        "growth": lambda note: scaling.measure_growth(size.growth, size.effort, note),
+        "memory": lambda note: scaling.measure_memory(size.memory, note),
+    }
+    return {name: functions[name] for name in size.seconds if name in options.parts}
+
+
+def run(options: Options) -> int:
+    """Measure, write both files, print the summary; returns the exit status."""
+    size = QUICK if options.quick else FULL
+    todo = parts(options, size)
+    try:
+        options.out.mkdir(parents=True, exist_ok=True)
+        start = time.monotonic()
+        results: dict[str, Any] = {
+            "schema": SCHEMA,
+            "quick": options.quick,
+            "started": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
+            "load_average": list(os.getloadavg()),
+            "provenance": provenance(),
+        }
+        with Watch({name: size.seconds[name] for name in todo}) as watch:
+            for name, function in todo.items():
+                watch.begin(name)
+                results[name] = function(watch.note)
+        results["seconds"] = time.monotonic() - start
+        goals = targets.compare(results)
+        results["targets"] = [goal.as_dict() for goal in goals]
+        write_json(options.out / "benchmark.json", results)
+        write_file(options.out / "benchmark.html", page.render(results).encode())
+    except OSError as error:
+        raise disk_error(error, options.out) from None
+    summary(goals)
+    print(f"{options.out / 'benchmark.json'}, {options.out / 'benchmark.html'}")
+    return 0
+
+
+class Watch:
+    """Shows which part is being measured, and the time left by what the parts are expected to take.
+
+    Args:
+        seconds: expected time of each part; the time left is scaled by how wrong it has been so far.
+    """
+
+    def __init__(self, seconds: Mapping[str, float]) -> None:
+        self._seconds = dict(seconds)
+        self._total = sum(seconds.values())
+        self._done = self._expected = 0.0  # expected seconds of the finished parts, of the running one
+        self._begun = self._start = time.monotonic()
+        self._bar = Progress(
+            TextColumn("{task.description}"), BarColumn(), TimeElapsedColumn(), TextColumn("{task.fields[left]}"),
+            disable=not sys.stdout.isatty(),
+        )  # fmt: skip
+        self._task = self._bar.add_task("", total=self._total, left="")
+
+    def begin(self, part: str) -> None:
+        """The next part begins."""
+        self._done += self._expected
+        self._expected = self._seconds[part]
+        self._begun = time.monotonic()
+        if self._bar.disable:
+            print(f"{part}, about {duration(self._left())} left", flush=True)
+
+    def note(self, text: str) -> None:
+        """Show what is being done."""
+        within = min(time.monotonic() - self._begun, 0.95 * self._expected)
+        left = f"about {duration(self._left())} left"
+        self._bar.update(self._task, completed=self._done + within, description=text, left=left)
+
+    def _left(self) -> float:
+        elapsed = time.monotonic() - self._start
+        within = min(time.monotonic() - self._begun, self._expected)
+        done = self._done + within
+        pace = elapsed / done if done > 0.05 * self._total else 1.0
+        return (self._total - done) * pace
+
+    def __enter__(self) -> Watch:
+        self._bar.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._bar.stop()
+
+
+def summary(goals: Sequence[Target]) -> None:
+    """Print the targets beside what was measured."""
+    table = Table(title="Targets")
+    for name, side in (("", "left"), ("target", "right"), ("measured", "right"), ("", "left")):
+        table.add_column(name, justify=side)  # type: ignore[arg-type]
+    for goal in goals:
+        measured = "not measured" if goal.measured is None else f"{goal.measured:.3g}"
+        verdict = {True: "met", False: "missed", None: ""}[goal.met]
+        sign = "<= " if goal.at_most else ""
+        table.add_row(goal.name, f"{sign}{goal.wanted:g}", measured, verdict)
+    Console().print(table)
+
+
+def main() -> int:
+    """The command line."""
+    return run(tyro.cli(Options, description=__doc__))
+
+
+if __name__ == "__main__":
+    run_command(main)

@@ -1,0 +1,122 @@
+"""Agents an hour: training and test, end to end, extrapolated from short trainings in every traffic.
+
+One agent of each arm is trained for a short budget by `agents.training.train` and tested by
+`experiments.evaluate.evaluate`, as a sweep does. What an update with its environment step costs is taken
+after the start-up (compilation, first block), what a test episode costs from some; an agent of the paper's grid
+costs so many of both as its preset says. Nothing is trained for hours here: trained agents live longer than
+beginners, so that their steps hold fewer resets and, on the highway, more vehicles that change lane.
+"""
+
+from __future__ import annotations
+
+import statistics
+import time
+from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
+from typing import Any
+
+from experiments.benchmarks.remote import Remote
+from experiments.grid import ARMS, level_names
+
+Record = dict[str, Any]
+Cost = tuple[float, float]  # seconds for an update with its environment step, and for a test episode
+Place = tuple[str, int]  # task and level
+
+
+class Trainee:
+    """Trains and tests for a short while; lives in its own process."""
+
+    def measure(self, task: str, level: int, updates: int, episodes: int) -> Cost:
+        """Seconds for an update with its step and for a test episode, means over the arms and traffics."""
+        from agents.dqn import DQNConfig
+        from agents.training import Progress, train
+        from experiments.backends import make_env
+        from experiments.benchmarks.environments import level_config
+        from experiments.evaluate import evaluate
+
+        env = make_env("sumo", task, level_config("sumo", task, level))
+        times: list[tuple[int, float]] = []
+
+        def watch(progress: Progress) -> None:
+            times.append((progress.updates, time.perf_counter()))
+
+        config = DQNConfig(updates=updates, warm_up=20)
+        options = [{"config": {"risk": risk}} for risk in ARMS.values()]
+        agents = train(env, config, seeds=[0] * len(ARMS), reset_options=options, progress=watch)
+        (first, begin), (last, end) = times[0], times[-1]
+        policy = agents[0].policy
+        evaluate(env, policy, task, level, 1)
+        start = time.perf_counter()
+        evaluate(env, policy, task, level, episodes)
+        test = (time.perf_counter() - start) / (2 * episodes)
+        env.close()
+        return (end - begin) / (last - first) / len(ARMS), test
+
+
+def measure_sweep(
+    places: Sequence[Place], workers: Sequence[int], updates: int, episodes: int, note: Callable[[str], None]
+) -> list[Record]:
+    """Agents an hour over the paper's grid for each number of workers, which train at the same time.
+
+    Levels that are not in `places` are taken to cost what lies, by level number, between the measured ones.
+    """
+    records = []
+    for count in workers:
+        costs: dict[Place, Cost] = {}
+        with ExitStack() as stack:
+            crew = [stack.enter_context(Remote(Trainee)) for _ in range(count)]
+            for task, level in places:
+                note(f"training, {count} at a time, {task} {level_names(task)[level - 1]}")
+                for worker in crew:
+                    worker.start("measure", task, level, updates, episodes)
+                results: list[Cost] = [worker.result() for worker in crew]
+                costs[task, level] = (
+                    statistics.fmean(step for step, _ in results),
+                    statistics.fmean(test for _, test in results),
+                )
+        records.append(
+            {
+                "workers": count,
+                "agents_per_hour": count * 3600.0 / agent_seconds(costs),
+                "extrapolated": True,
+                "measured_updates": updates,
+                "costs": [
+                    {
+                        "task": task,
+                        "level": level_names(task)[level - 1],
+                        "ms_per_update_and_step": 1e3 * step,
+                        "ms_per_test_episode": 1e3 * test,
+                        "agent_minutes": _seconds(task, (step, test)) / 60.0,
+                    }
+                    for (task, level), (step, test) in costs.items()
+                ],
+            }
+        )
+    return records
+
+
+def agent_seconds(costs: Mapping[Place, Cost]) -> float:
+    """Mean time of one agent over the cells of the paper's grid [s], of the tasks that were measured."""
+    times = []
+    for task in dict.fromkeys(task for task, _ in costs):
+        known = {level: cost for (name, level), cost in costs.items() if name == task}
+        for level in range(1, len(level_names(task)) + 1):
+            times.append(_seconds(task, _between(known, level)))
+    return statistics.fmean(times)
+
+
+def _seconds(task: str, cost: Cost) -> float:
+    """Time of an agent with the paper's budget [s]."""
+    from experiments.presets import PRESETS
+
+    paper = PRESETS["paper"]
+    return paper.updates[task] * cost[0] + 2 * paper.episodes * cost[1]
+
+
+def _between(known: Mapping[int, Cost], level: int) -> Cost:
+    """Cost at a level: linear between the nearest measured ones, that of the nearest beyond them."""
+    import numpy as np
+
+    levels = sorted(known)
+    step, test = (float(np.interp(level, levels, [known[n][k] for n in levels])) for k in (0, 1))
+    return step, test

@@ -25,6 +25,8 @@ DEFAULT_RATES: dict[tuple[str, str], tuple[float, float]] = {
     ("highway-env", "intersection"): (0.090, 0.900),
     ("highway-env", "u-turn"): (0.030, 0.300),
 }
+CELL = 0.5  # [s] beside training and test: environment, files
+START = 20.0  # [s] of a sweep: starting the processes, and the report
 GROWTH = 0.25  # how much longer each heavier level takes, where it was not measured
 
 
@@ -39,11 +41,11 @@ class Rates:
     measured: int
 
     def seconds(self, cell: Cell) -> float:
-        """Expected time of a cell on one core [s]."""
+        """Expected time of a cell on one core [s], without what a sweep takes once (START)."""
         factor = 1.0 + GROWTH * (cell.level - 1)
         default = tuple(factor * rate for rate in DEFAULT_RATES[cell.backend, cell.task])
         step, episode = self.by_level.get((cell.backend, cell.task, cell.level), default)
-        return cell.updates * step + 2 * cell.episodes * episode
+        return CELL + cell.updates * step + 2 * cell.episodes * episode
 
 
 def rates(directory: Path) -> Rates:

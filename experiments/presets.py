@@ -76,7 +76,14 @@ PRESETS = {
             levels=(1,),
             seeds=3,
             episodes=50,
-            updates=dict.fromkeys(TASKS, 5000),
+            updates={
+                "highway": 8000,
+                "two-way": 8000,
+                "roundabout": 10_000,
+                "intersection": 10_000,
+                "u-turn": 10_000,
+            },
+            # A horizon of 20 steps, reached within the budget: at least 40 target copies (docs/decisions.md).
             learner={"gamma": 0.95, "target_lag": 200},
         ),
         Preset(

@@ -40,7 +40,7 @@ from experiments import grid
 from experiments.backends import make_env
 from experiments.engine import Engine
 from experiments.errors import INTERRUPTED, UserError, disk_error, run_command
-from experiments.estimate import duration, rates
+from experiments.estimate import START, duration, rates
 from experiments.grid import Cell
 from experiments.presets import PRESETS, get_preset
 from experiments.progress import display
@@ -199,9 +199,10 @@ def describe(options: Options, cells: Sequence[Cell], workers: int) -> None:
         print("{:<14}{:>8}{:>8}{:>9}{:>11}{:>10}{:>13}".format(*row))
         total += left
     kinds = Counter(cell.kind for cell in cells)
+    left_in_all = START + total / workers if total else 0.0
     source = f"measured on {measured.measured} stored cells" if measured.measured else "by default rates"
     print(
-        f"{kinds['agent']} agents and {kinds['baseline']} baselines; about {duration(total / workers)} left "
+        f"{kinds['agent']} agents and {kinds['baseline']} baselines; about {duration(left_in_all)} left "
         f"with {workers} processes ({source})"
     )
 

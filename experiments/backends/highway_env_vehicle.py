@@ -77,6 +77,15 @@ class ScenarioVehicle(IDMVehicle):
             self.target_lane_index = (start, end, target)
             self._cuts_in = True
 
+    def follow_road(self) -> None:
+        """Aim for the next road of the route; without a route the road goes on.
+
+        highway-env's cars turn round at an end of the two-way road, into the lane beside: on its 800 m none gets that
+        far, on the shorter road of the traffic levels many do.
+        """
+        if self.route is not None:
+            super().follow_road()
+
     def change_lane_policy(self) -> None:
         """MOBIL, and giving up a change that another driver makes too; not during a forced change."""
         if self._cuts_in and self.lane_index != self.target_lane_index:

@@ -208,7 +208,7 @@ class SumoVectorEnv(VectorEnv[Batch, NDArray[np.int64], NDArray[Any]]):
 
     def _checked(self, actions: Any) -> list[int]:
         chosen = np.asarray(actions)
-        if chosen.shape != (self.num_envs,) or not self.action_space.contains(chosen.astype(np.int64)):
+        if not np.issubdtype(chosen.dtype, np.integer) or not self.action_space.contains(chosen):
             raise ValueError(
                 f"actions must be {self.num_envs} elements of {self.single_action_space}, not {actions!r}"
             )

@@ -1,0 +1,87 @@
+"""``python -m sumo_env.doctor``: what it says, and with which exit status."""
+
+from __future__ import annotations
+
+import io
+import subprocess
+import sys
+
+import pytest
+
+import sumo_env
+from sumo_env import doctor
+
+
+@pytest.mark.slow
+def test_a_sound_installation_passes() -> None:
+    done = subprocess.run(
+        [sys.executable, "-m", "sumo_env.doctor"], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stdout + done.stderr
+    assert "all is well" in done.stdout
+    assert "FAIL" not in done.stdout
+    for id in sumo_env.IDS:
+        (line,) = [line for line in done.stdout.splitlines() if f" {sumo_env.task_of(id)} " in line]
+        assert "steps/s" in line
+
+
+def examine(*checks: doctor.Check) -> tuple[int, str]:
+    out = io.StringIO()
+    return doctor.examine(checks, out), out.getvalue()
+
+
+def test_a_problem_is_told_with_its_remedy_and_ends_the_examination() -> None:
+    def broken() -> str:
+        raise doctor.Problem("numpy is missing", "pip install numpy")
+
+    def never() -> str:
+        raise AssertionError("this check rests on the one before")
+
+    status, text = examine(("first", lambda: "fine"), ("second", broken), ("third", never))
+    assert status == 1
+    assert "ok    first" in text
+    assert "FAIL  second" in text
+    assert "-> pip install numpy" in text
+    assert "1 checks not made" in text
+
+
+def test_an_unexpected_error_is_a_problem_too() -> None:
+    status, text = examine(("odd", lambda: str(1 / 0)))
+    assert status == 1
+    assert "ZeroDivisionError" in text
+
+
+def test_missing_and_old_packages_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(doctor.MINIMUM, "numpy", (99, 0))
+    with pytest.raises(doctor.Problem, match="too old") as caught:
+        doctor.packages()
+    assert caught.value.remedy == "pip install 'numpy>=99.0'"
+    monkeypatch.setitem(doctor.MINIMUM, "numpy", (2, 0))
+    monkeypatch.setitem(doctor.MINIMUM, "no-such-package", (1, 0))
+    with pytest.raises(doctor.Problem, match="no-such-package is missing"):
+        doctor.packages()
+
+
+def test_missing_sumo_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delitem(sys.modules, "sumo_env.simulation", raising=False)
+    monkeypatch.setitem(sys.modules, "libsumo", None)  # an import raises ImportError
+    status, text = examine(("SUMO", doctor.sumo))
+    assert status == 1
+    assert "SUMO is missing" in text
+    assert "pip install --force-reinstall libsumo==" in text
+
+
+def test_another_version_of_sumo_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(doctor, "SUMO_VERSION", "9.9.9")
+    with pytest.raises(doctor.Problem, match=r"measured on 9\.9\.9"):
+        doctor.sumo()
+
+
+def test_episodes_that_differ_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    from sumo_env.env import DrivingEnv
+
+    reset = DrivingEnv.reset
+    seeds = iter(range(100))
+    monkeypatch.setattr(DrivingEnv, "reset", lambda self, **kwargs: reset(self, seed=next(seeds)))
+    with pytest.raises(doctor.Problem, match="two different episodes"):
+        doctor.task("sumo/u-turn-v0")

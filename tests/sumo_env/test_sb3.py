@@ -1,0 +1,108 @@
+"""Stable-Baselines3 as its users write it: highway-env's own training script with the id changed."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import torch
+from stable_baselines3 import DQN
+from stable_baselines3.common.env_checker import check_env
+from stable_baselines3.common.env_util import make_vec_env
+from stable_baselines3.common.evaluation import evaluate_policy
+from stable_baselines3.common.vec_env import SubprocVecEnv
+
+import sumo_env
+from sumo_env.simulation import SimulationTaken
+
+
+@pytest.fixture
+def one_thread() -> Iterator[None]:
+    """More threads than cores would take minutes for so small a network."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(threads)
+
+
+@pytest.mark.parametrize("id", sumo_env.IDS)
+def test_check_env(id: str) -> None:
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        check_env(gym.make(id))
+    # a table of vehicles is neither a vector nor an image; the same is said of highway-env
+    assert [str(w.message) for w in caught if "unconventional shape" not in str(w.message)] == []
+
+
+@pytest.mark.slow
+def test_dqn_as_in_highway_envs_script(tmp_path: Path, one_thread: None) -> None:
+    """scripts/sb3_highway_dqn.py of highway-env, fewer steps: 600, after which it drives better than chance."""
+    env = gym.make("sumo/highway-v0", render_mode="rgb_array")
+    env.unwrapped.configure({"vehicles_count": 20, "lanes_count": 3, "duration": 30})  # type: ignore[attr-defined]
+    env.reset(seed=0)
+    model = DQN(
+        "MlpPolicy",
+        env,
+        policy_kwargs={"net_arch": [256, 256]},
+        learning_rate=5e-4,
+        buffer_size=15000,
+        learning_starts=200,
+        batch_size=32,
+        gamma=0.8,
+        train_freq=1,
+        gradient_steps=1,
+        target_update_interval=50,
+        verbose=0,
+        seed=0,
+    )
+    before = [parameter.detach().clone() for parameter in model.policy.parameters()]
+    model.learn(total_timesteps=600)
+    assert any((old != new).any() for old, new in zip(before, model.policy.parameters(), strict=True))
+    model.save(tmp_path / "model")
+    del model
+
+    model = DQN.load(tmp_path / "model", env=env)
+    observation, _ = env.reset(seed=1)
+    action, _ = model.predict(observation, deterministic=True)
+    env.step(action)
+    values = model.q_net(model.q_net.obs_to_tensor(observation)[0]).detach().numpy()
+    assert np.isfinite(values).all()
+    assert 1.0 < values.max() < 6.0  # rewards of about 0.8 at gamma 0.8: it has learnt what a state is worth
+    mean, _ = evaluate_policy(model, env, n_eval_episodes=3, warn=False)
+    assert mean > 0.0
+
+
+@pytest.mark.slow
+def test_subprocesses() -> None:
+    envs = make_vec_env(
+        "sumo_env:sumo/u-turn-v0",  # the module's name, because a spawned process has imported nothing
+        n_envs=2,
+        seed=7,
+        vec_env_cls=SubprocVecEnv,
+        vec_env_kwargs={"start_method": "spawn"},
+    )
+    try:
+        observations = envs.reset()
+        assert observations.shape == (2, 5, 5)
+        endings = 0
+        for _ in range(12):
+            observations, rewards, dones, infos = envs.step(np.array([1, 4]))
+            endings += sum(dones)
+            for done, info in zip(dones, infos, strict=True):
+                assert ("terminal_observation" in info) == done
+        assert endings >= 2
+        assert np.isfinite(rewards).all()
+    finally:
+        envs.close()
+
+
+def test_one_process_for_two_is_refused_with_advice() -> None:
+    envs = make_vec_env("sumo/u-turn-v0", n_envs=2)  # DummyVecEnv, its default
+    envs.reset()
+    with pytest.raises(SimulationTaken, match="SubprocVecEnv instead of DummyVecEnv"):
+        envs.step(np.array([1, 1]))
+    envs.close()

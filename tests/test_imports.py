@@ -1,0 +1,115 @@
+"""The architecture: who may import whom, and what an import costs."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+PACKAGES = ("networks", "sumo_env", "agents", "experiments")
+MAY_IMPORT = {
+    "networks": set(),
+    "sumo_env": {"networks"},
+    "agents": set(),
+    "experiments": {"networks", "sumo_env", "agents"},
+}
+HEAVY = (
+    "torch",
+    "matplotlib",
+    "pandas",
+    "scipy",
+    "pyarrow",
+    "statsmodels",
+    "stable_baselines3",
+    "highway_env",
+)
+
+
+def sources(package: str) -> list[Path]:
+    return sorted((ROOT / package).rglob("*.py"))
+
+
+def imports(path: Path) -> Iterator[tuple[int, str]]:
+    """Line and full name of all that a file imports, wherever in the file."""
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            for alias in node.names:
+                yield node.lineno, alias.name
+        elif isinstance(node, ast.ImportFrom):
+            assert node.level == 0, f"{path}:{node.lineno}: relative import"
+            yield node.lineno, node.module or ""
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_imports_point_one_way(package: str) -> None:
+    """experiments -> agents, sumo_env -> networks."""
+    allowed = MAY_IMPORT[package] | {package}
+    wrong = [
+        f"{path.relative_to(ROOT)}:{line} imports {name}"
+        for path in sources(package)
+        for line, name in imports(path)
+        if name.split(".")[0] in PACKAGES and name.split(".")[0] not in allowed
+    ]
+    assert wrong == []
+
+
+def test_one_module_imports_libsumo() -> None:
+    importers = {
+        str(path.relative_to(ROOT))
+        for package in PACKAGES
+        for path in sources(package)
+        for _, name in imports(path)
+        if name.split(".")[0] in ("libsumo", "traci")
+    }
+    assert importers == {"sumo_env/simulation.py"}
+
+
+def test_the_environments_use_nothing_of_the_study() -> None:
+    wrong = [
+        f"{path.relative_to(ROOT)}:{line} imports {name}"
+        for package in ("networks", "sumo_env")
+        for path in sources(package)
+        for line, name in imports(path)
+        if name.split(".")[0] in (*HEAVY, "rich", "tyro", "jinja2")
+    ]
+    assert wrong == []
+
+
+def test_agents_name_no_task() -> None:
+    tasks = {"highway", "two-way", "roundabout", "intersection", "u-turn"}
+    named = [
+        f"{path.relative_to(ROOT)}:{node.lineno} {node.value!r}"
+        for path in sources("agents")
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8")))
+        if isinstance(node, ast.Constant) and node.value in tasks
+    ]
+    assert named == []
+
+
+def loaded_by(statement: str) -> set[str]:
+    """Top-level modules in a fresh interpreter after a statement."""
+    code = f"import sys\n{statement}\nprint(*{{name.split('.')[0] for name in sys.modules}})"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
+    return set(done.stdout.split())
+
+
+def test_importing_the_environments_is_light() -> None:
+    assert loaded_by("import sumo_env").isdisjoint({*HEAVY, "libsumo", "numba", "PIL"})
+
+
+def test_using_an_environment_loads_nothing_of_the_study() -> None:
+    use = (
+        "import gymnasium as gym, sumo_env\nenv = gym.make('sumo/highway-v0')\nenv.reset(seed=0)\nenv.step(1)"
+    )
+    loaded = loaded_by(use)
+    assert "libsumo" in loaded
+    assert loaded.isdisjoint({"torch", "matplotlib", "pandas", "statsmodels", "highway_env", "PIL"})
+
+
+def test_steering_vector_environments_loads_no_sumo() -> None:
+    assert "libsumo" not in loaded_by("import sumo_env.vector")

@@ -14,7 +14,7 @@ from sumo_env.tasks.base import nearest_index
 from .parity import Step, ego_state, episodes, make, scatter
 
 # Keys of highway-env whose default we have chosen otherwise (docs/decisions.md).
-OWN_CHOICE = {"two-way": {"observation"}, "u-turn": {"observation", "screen_width"}}
+OWN_CHOICE = {"two-way": {"observation"}, "u-turn": {"observation", "screen_width", "screen_height"}}
 WEIGHTS: dict[str, dict[str, Any]] = {
     "highway": {
         "right_lane_reward": 0.3,

@@ -1,0 +1,411 @@
+"""highway-env driven by scenarios: its own code on our traffic, and the interface of `sumo_env`."""
+
+from __future__ import annotations
+
+import copy
+import math
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from highway_env.vehicle.behavior import IDMVehicle
+
+import sumo_env.traffic
+from experiments.backends import make_env
+from experiments.backends.highway_env import ENVIRONMENTS, ScenarioEnv
+from experiments.backends.highway_env_vehicle import (
+    SWERVE_TIME,
+    PathVehicle,
+    ScenarioVehicle,
+    distance_beyond,
+)
+from sumo_env.config import ConfigError
+from sumo_env.drivers import RiskEvent
+from sumo_env.tasks import TASKS
+
+SMALL: dict[str, Any] = {"vehicles_count": 12}
+BASE_ATTRIBUTES = ("COMFORT_ACC_MAX", "COMFORT_ACC_MIN", "DISTANCE_WANTED", "TIME_WANTED", "DELTA", "ACC_MAX")
+
+
+def make(task: str, **config: Any) -> ScenarioEnv:
+    small = SMALL if task == "highway" else {}
+    env = make_env("highway-env", task, {**small, **config}).unwrapped
+    assert isinstance(env, ScenarioEnv)
+    return env
+
+
+def named(env: ScenarioEnv, name: str) -> Any:
+    return next(vehicle for vehicle in env.road.vehicles if vehicle.id == name)
+
+
+# -- the same traffic as SUMO's ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("risk", [0.0, 1.0])
+@pytest.mark.parametrize("task", TASKS)
+def test_a_seed_is_the_same_scenario_in_both_simulators(task: str, risk: float) -> None:
+    config = {"risk": risk, **(SMALL if task == "highway" else {})}
+    ours = make_env("sumo", task, config)
+    theirs = make_env("highway-env", task, config)
+    try:
+        for seed in (3, None, None):
+            ours.reset(seed=seed)
+            theirs.reset(seed=seed)
+            assert ours.unwrapped.scenario == theirs.unwrapped.scenario
+            for action in (1, 1):
+                ours.step(action)
+                theirs.step(action)
+    finally:
+        ours.close()
+        theirs.close()
+
+
+@pytest.mark.parametrize("level", ["lowest", "highest"])
+@pytest.mark.parametrize("task", TASKS)
+def test_vehicles_are_where_the_scenario_says(task: str, level: str) -> None:
+    levels = list(TASKS[task].levels.values())
+    config = levels[0] if level == "lowest" else levels[-1]
+    env = make(task, risk=1.0, **config)
+    env.reset(seed=5)
+    for spec, vehicle in zip(env.scenario.specs, env.road.vehicles, strict=True):
+        assert vehicle.id == spec.id
+        assert vehicle.position.tolist() == [spec.x, spec.y]
+        assert (vehicle.heading, vehicle.speed) == (spec.heading, spec.speed)
+        assert vehicle.lane_index == spec.lane
+        if spec.id == "ego":
+            assert vehicle.target_speed in env.target_speeds
+            continue
+        assert vehicle.target_speed == spec.target_speed
+        assert vehicle.timer == spec.timer
+        assert vehicle.enable_lane_change == spec.changes_lanes
+        assert spec.driver.accel == vehicle.COMFORT_ACC_MAX
+        assert -spec.driver.decel == vehicle.COMFORT_ACC_MIN
+        assert spec.driver.min_gap + 5.0 == vehicle.DISTANCE_WANTED
+        assert (spec.driver.tau, spec.driver.delta) == (vehicle.TIME_WANTED, vehicle.DELTA)
+        if spec.destination is not None:
+            assert vehicle.route[0] == spec.lane
+            assert vehicle.route[-1][1] == spec.destination
+    scene = env.scene
+    assert scene.ids == tuple(spec.id for spec in env.scenario.specs)
+    assert scene.x.tolist() == [spec.x for spec in env.scenario.specs]
+    assert scene.time == 0.0
+
+
+def test_regular_drivers_are_those_of_highway_env() -> None:
+    for task in TASKS:
+        env = make(task)
+        env.reset(seed=0)
+        if task == "intersection":
+            continue  # highway-env changes three of the numbers there
+        for vehicle in env.road.vehicles[1:]:
+            assert [getattr(vehicle, name) for name in BASE_ATTRIBUTES if name != "DELTA"] == [
+                getattr(IDMVehicle, name) for name in BASE_ATTRIBUTES if name != "DELTA"
+            ]
+
+
+def test_no_task_changes_the_class_of_the_drivers() -> None:
+    before = {name: getattr(IDMVehicle, name) for name in BASE_ATTRIBUTES}
+    for task in TASKS:
+        env = make(task, risk=1.0)
+        env.reset(seed=0)
+        env.step(1)
+    assert {name: getattr(IDMVehicle, name) for name in BASE_ATTRIBUTES} == before
+
+
+# -- highway-env's own code ----------------------------------------------------------------------------------
+
+
+def stock_copy(env: ScenarioEnv) -> Any:
+    """The same state in the hands of highway-env's own classes."""
+    stock = copy.deepcopy(env)
+    stock.__class__ = type(env).__mro__[2]
+    for vehicle in stock.road.vehicles[1:]:
+        vehicle.__class__ = IDMVehicle
+    stock.road.__dict__.pop("respect_priorities", None)
+    return stock
+
+
+@pytest.mark.parametrize("variant", ["v0", "connected"])
+@pytest.mark.parametrize("task", TASKS)
+def test_regular_traffic_moves_as_in_stock_highway_env(task: str, variant: str) -> None:
+    chosen = {"spawn_probability": 0.0} if task == "intersection" else {}
+    env = make(task, variant=variant, **chosen)
+    rng = np.random.default_rng(1)
+    for seed in range(2):
+        env.reset(seed=seed)
+        stock = stock_copy(env)
+        for _ in range(6):
+            action = int(rng.integers(env.action_space.n))
+            observation, reward, terminated, truncated, info = env.step(action)
+            expected = stock.step(action)
+            np.testing.assert_array_equal(observation, expected[0])
+            assert (reward, terminated) == (expected[1], bool(expected[2]))
+            assert info["rewards"] == expected[4]["rewards"]
+            for ours, theirs in zip(env.road.vehicles, stock.road.vehicles, strict=True):
+                assert ours.position.tolist() == theirs.position.tolist()
+            if terminated or truncated:
+                break
+
+
+def test_neighbours_are_looked_for_as_the_variant_says() -> None:
+    for task in TASKS:
+        for variant, connected in (("v0", False), ("connected", True), ("path", True)):
+            env = make(task, variant=variant)
+            env.reset(seed=0)
+            joins = task not in ("highway", "two-way")
+            assert env.road.neighbour_vehicles_connected_lanes == (connected and joins)
+            drivers = {type(vehicle) for vehicle in env.road.vehicles[1:]}
+            assert drivers == {PathVehicle if variant == "path" and joins else ScenarioVehicle}
+
+
+def on_u_turn(env: ScenarioEnv, lane: tuple[str, str, int], s: float, speed: float) -> PathVehicle:
+    vehicle = PathVehicle.make_on_lane(env.road, lane, s, speed)
+    vehicle.plan_route_to("d")
+    return vehicle
+
+
+def test_a_leader_round_the_bend_is_as_far_as_the_way_to_it_and_as_fast_as_it_drives() -> None:
+    env = make("u-turn")
+    env.reset(seed=0)
+    follower = on_u_turn(env, ("b", "c", 0), 2.0, 10.0)
+    leader = on_u_turn(env, ("c", "d", 0), 15.0, 10.0)
+    arc = env.road.network.get_lane(("b", "c", 0)).length
+    assert distance_beyond(follower, leader) == pytest.approx(arc - 2.0 + 15.0)
+    gap = follower.DISTANCE_WANTED + follower.TIME_WANTED * 10.0
+    free = IDMVehicle.acceleration(follower, follower)
+    expected = free - follower.COMFORT_ACC_MAX * (gap / (arc + 13.0)) ** 2
+    assert follower.acceleration(follower, leader) == pytest.approx(expected)
+    # projected on the follower's lane and heading the same leader is oncoming, and nearer
+    assert IDMVehicle.acceleration(follower, follower, leader) < expected - 0.3
+
+
+@pytest.mark.parametrize("place", [(("b", "c", 0), 30.0), (("b", "c", 1), 40.0), (("a", "b", 0), 100.0)])
+def test_a_leader_on_the_same_road_is_measured_as_in_stock_highway_env(place: Any) -> None:
+    env = make("u-turn")
+    env.reset(seed=0)
+    lane, s = place
+    follower = on_u_turn(env, lane, s - 20.0, 10.0)
+    leader = on_u_turn(env, lane, s, 8.0)
+    assert distance_beyond(follower, leader) is None
+    assert follower.acceleration(follower, leader) == IDMVehicle.acceleration(follower, follower, leader)
+
+
+# -- risk ----------------------------------------------------------------------------------------------------
+
+
+def drive(env: ScenarioEnv, events: list[RiskEvent], steps: int, name: str) -> list[dict[str, Any]]:
+    """Sub-steps of a vehicle while these events happen; the ego idles."""
+    env._events = list(events)
+    watched = named(env, name)
+    seen: list[dict[str, Any]] = []
+    step = env.road.step
+
+    def record(dt: float) -> None:
+        step(dt)
+        seen.append(
+            {
+                "time": env.steps / 15,
+                "acceleration": watched.action["acceleration"],
+                "speed": watched.speed,
+                "lane": watched.lane_index,
+                "target": watched.target_lane_index,
+                "y": float(watched.position[1]),
+            }
+        )
+
+    env.road.step = record
+    for _ in range(steps):
+        env.step(1)
+    return seen
+
+
+def test_sudden_braking_lasts_as_long_as_the_event_says() -> None:
+    env = make("highway")
+    env.reset(seed=0)
+    seen = drive(env, [RiskEvent(1.01, "v5", "brake", decel=7.0, duration=1.0)], 3, "v5")
+    hard = [row["time"] for row in seen if row["acceleration"] <= -7.0]
+    assert len(hard) == 15
+    assert hard[0] == pytest.approx(16 / 15)  # the first sub-step that begins after 1.01 s
+
+
+def test_sudden_braking_ends_at_a_standstill() -> None:
+    env = make("u-turn", variant="v0")
+    env.reset(seed=0)
+    seen = drive(env, [RiskEvent(0.0, "v4", "brake", decel=8.0, duration=2.0)], 2, "v4")
+    assert min(row["speed"] for row in seen) == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize("direction", [-1, 1])
+def test_a_cut_in_goes_to_the_lane_beside_whoever_is_there(direction: int) -> None:
+    env = make("highway", lanes_count=2)
+    env.reset(seed=0)
+    lane = named(env, "v3").target_lane_index[2]
+    # another car exactly beside it: MOBIL would never change
+    other = named(env, "v4")
+    other.position[:] = named(env, "v3").position + np.array([0.0, 4.0 * (1 - 2 * lane)])
+    other.on_state_update()
+    seen = drive(env, [RiskEvent(0.5, "v3", "cut-in", direction=direction)], 2, "v3")
+    before = [row for row in seen if row["time"] < 0.5]
+    assert all(row["target"][2] == lane for row in before)
+    assert named(env, "v3").crashed and other.crashed
+    assert seen[-1]["target"][2] == 1 - lane
+
+
+def test_a_cut_in_on_the_two_way_road_comes_back() -> None:
+    env = make("two-way", vehicles_count=1, oncoming_vehicles_count=0)
+    env.reset(seed=0)
+    seen = drive(env, [RiskEvent(0.2, "v0", "cut-in", direction=1)], 3, "v0")
+    env.vehicle.position[0] -= 100.0  # out of its way
+    seen += drive(env, [], 4, "v0")
+    out = [row["time"] for row in seen if row["target"] == ("a", "b", 0)]
+    # noted after every sub-step: the last of them already heads back
+    assert out[-1] - out[0] == pytest.approx(SWERVE_TIME - 2 / 15, abs=1e-6)
+    assert min(row["y"] for row in seen) < 0.1
+    assert seen[-1]["y"] == pytest.approx(4.0, abs=0.1)
+
+
+def test_numbers_shared_with_sumo_env() -> None:
+    assert SWERVE_TIME == sumo_env.traffic.SWERVE_TIME
+
+
+def test_drivers_who_do_not_give_way_never_yield() -> None:
+    yielded = {True: 0, False: 0}
+    env = make("intersection", risk=1.0, initial_vehicle_count=30, spawn_probability=1.0)
+    for seed in range(3):
+        env.reset(seed=seed)
+        regulate = env.road.enforce_road_rules
+
+        def count(env: ScenarioEnv = env, regulate: Any = regulate) -> None:
+            regulate()
+            for vehicle in env.road.vehicles[1:]:
+                yielded[vehicle.gives_way] += bool(getattr(vehicle, "is_yielding", False))
+
+        env.road.enforce_road_rules = count
+        for _ in range(4):
+            env.step(0)
+    assert yielded[False] == 0
+    assert yielded[True] > 0
+
+
+# -- the interface -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_information_is_that_of_sumo_env(task: str) -> None:
+    ours = make_env("sumo", task, SMALL if task == "highway" else {})
+    theirs = make_env("highway-env", task, SMALL if task == "highway" else {})
+    try:
+        infos = [(ours.reset(seed=0)[1], theirs.reset(seed=0)[1]), (ours.step(1)[4], theirs.step(1)[4])]
+        for mine, other in infos:
+            assert mine.keys() == other.keys()
+            assert {key: type(value) for key, value in mine.items()} == {
+                key: type(value) for key, value in other.items()
+            }
+            assert mine["rewards"].keys() == other["rewards"].keys()
+        assert ours.unwrapped.actions == theirs.unwrapped.actions
+        assert ours.unwrapped.target_speeds == theirs.unwrapped.target_speeds
+        assert ours.observation_space == theirs.observation_space
+        assert ours.action_space == theirs.action_space
+        kinds = (ours.unwrapped.observation_type, theirs.unwrapped.observation_type)
+        for name in ("features", "absolute"):
+            assert list(np.atleast_1d(getattr(kinds[0], name))) == list(
+                np.atleast_1d(getattr(kinds[1], name))
+            )
+        assert kinds[0].ranges == kinds[1].ranges
+        config = {
+            k: v for k, v in ours.unwrapped.config.items() if k not in ("simulation_frequency", "action")
+        }
+        assert config.items() <= theirs.unwrapped.config.items()
+    finally:
+        ours.close()
+        theirs.close()
+
+
+def test_a_crash_is_described() -> None:
+    env = make("two-way")
+    env.reset(seed=0)
+    info: dict[str, Any] = {}
+    terminated = False
+    while not terminated:
+        _, _, terminated, _, info = env.step(1)
+    crash = info["crash"]
+    assert (crash["other"], crash["type"], crash["detected_by"]) == ("v0", "rear-end", "highway-env")
+    assert crash["relative_x"] == pytest.approx(5.0, abs=0.1)
+    assert crash["closing_speed"] > 5.0
+    assert crash["time"] <= env.steps / 15
+    assert info["crashed"] and not info["near_miss"]
+    assert info["min_ttc"] < 0.1
+    assert info["density"] >= 1
+
+
+def test_distance_is_what_the_ego_drives() -> None:
+    env = make("highway", vehicles_count=0)
+    env.reset(seed=0)
+    x = env.scene.x[0]
+    for _ in range(3):
+        info = env.step(3)[4]
+        assert info["distance"] == pytest.approx(env.scene.x[0] - x, abs=1e-6)
+        assert math.isinf(info["min_ttc"])
+        x = env.scene.x[0]
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_episodes_end_at_the_time_limit(task: str) -> None:
+    env = make(task, duration=2, **({"vehicles_count": 0} if task != "intersection" else {}))
+    env.reset(seed=0)
+    assert [env.step(0)[3] for _ in range(2)] == [False, True]
+
+
+def test_vehicles_arrive_at_the_intersection_after_the_observation() -> None:
+    env = make("intersection", spawn_probability=1.0)
+    env.reset(seed=2)
+    spawns = {spawn.step: spawn.vehicle for spawn in env.scenario.spawns}
+    came = 0
+    for step in range(1, 6):
+        env.step(0)
+        name = spawns[step].id
+        assert name not in env.scene.ids
+        if name in [vehicle.id for vehicle in env.road.vehicles]:
+            came += 1
+            x, y = spawns[step].x, spawns[step].y
+            assert named(env, name).position.tolist() == [x, y]
+            others = [v.position for v in env.road.vehicles if v.id != name]
+            assert min(math.hypot(p[0] - x, p[1] - y) for p in others) >= 15.0
+    assert came >= 2
+
+
+def test_configuration() -> None:
+    env = make("roundabout", traffic_model="sumo")
+    assert env.config["simulation_frequency"] == 15
+    assert make("roundabout", simulation_frequency=10).config["simulation_frequency"] == 10
+    env.reset(seed=0, options={"config": {"risk": 1.0, "vehicles_count": 7}})
+    assert len(env.scenario.vehicles) == 7 and env.scenario.risk == 1.0
+    env.config["vehicles_count"] = 3  # as users of highway-env do
+    env.reset(seed=0)
+    assert len(env.scenario.vehicles) == 3 and env.scenario.risk == 1.0
+    with pytest.raises(ConfigError, match="did you mean 'connected'"):
+        make("roundabout", variant="conected")
+    with pytest.raises(ConfigError, match="did you mean 'vehicles_count'"):
+        make("roundabout", vehicle_count=3)
+    with pytest.raises(ValueError, match="action must be one of"):
+        env.step(9)
+
+
+def test_two_way_road_is_as_long_as_configured() -> None:
+    env = make("two-way", road_length=533.0)
+    env.reset(seed=0)
+    assert env.road.network.get_lane(("a", "b", 1)).length == 533.0
+
+
+def test_pictures() -> None:
+    env = make_env("highway-env", "u-turn", None, "rgb_array")
+    env.reset(seed=0)
+    picture = env.render()
+    assert picture.shape == (290, 790, 3) and picture.dtype == np.uint8
+    env.close()
+
+
+def test_registered_with_gymnasium() -> None:
+    env = gym.make("highway-env/u-turn")
+    assert type(env.unwrapped) is ENVIRONMENTS["u-turn"]

@@ -315,3 +315,24 @@ def test_a_script_without_a_guard_is_told_so(tmp_path: Path) -> None:
     assert done.returncode == 1
     assert "WorkerError" in done.stderr
     assert "if __name__ == '__main__':" in done.stderr.splitlines()[-1]
+
+
+@pytest.mark.slow
+def test_gymnasiums_own_processes_do_as_well() -> None:
+    """Without supervision, for those who want other options of it; infos of crashed and other episodes merge."""
+    envs = gym.make_vec(
+        "sumo/intersection-v0",
+        num_envs=2,
+        vectorization_mode="async",
+        vector_kwargs={"context": "spawn"},
+        config={"initial_vehicle_count": 30, "spawn_probability": 1.0},
+    )
+    try:
+        envs.reset(seed=3)
+        crashes = 0
+        for _ in range(60):
+            *_, infos = envs.step(np.array([2, 1]))
+            crashes += infos["crash"].get("_time", np.zeros(2, bool)).sum()
+        assert crashes > 0
+    finally:
+        envs.close()

@@ -9,6 +9,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
+from highway_env.road.road import Road
 from highway_env.vehicle.behavior import IDMVehicle
 
 import sumo_env.traffic
@@ -20,9 +21,14 @@ from experiments.backends.highway_env_vehicle import (
     ScenarioVehicle,
     distance_beyond,
 )
+from networks.roads import intersection
 from sumo_env.config import ConfigError
 from sumo_env.drivers import RiskEvent
+from sumo_env.models.idm import path_accelerations
+from sumo_env.models.lane_table import lane_table
 from sumo_env.tasks import TASKS
+
+from ..sumo_env.reference import fill_intersection, intersection_network, state
 
 SMALL: dict[str, Any] = {"vehicles_count": 12}
 BASE_ATTRIBUTES = ("COMFORT_ACC_MAX", "COMFORT_ACC_MIN", "DISTANCE_WANTED", "TIME_WANTED", "DELTA", "ACC_MAX")
@@ -189,6 +195,28 @@ def test_a_leader_on_the_same_road_is_measured_as_in_stock_highway_env(place: An
     leader = on_u_turn(env, lane, s, 8.0)
     assert distance_beyond(follower, leader) is None
     assert follower.acceleration(follower, leader) == IDMVehicle.acceleration(follower, follower, leader)
+
+
+def test_drivers_at_the_intersection_command_what_our_model_of_them_computes() -> None:
+    """The `path` drivers against `sumo_env.models.idm`, which drives SUMO's intersection.
+
+    The model knows which lane a leader was found on; the driver looks again. Where lanes overlap they may differ.
+    """
+    rng = np.random.default_rng(5)
+    table, network = lane_table(intersection().lanes), intersection_network()
+    differences = []
+    for _ in range(40):
+        road = Road(network, neighbour_vehicles_connected_lanes=True)
+        routes, stage, drivers = fill_intersection(road, table, rng, 10, noise=0.3, spread=60.0)
+        computed = path_accelerations(
+            table.geometry, table.successors, routes, stage, **state(road.vehicles), drivers=drivers
+        )
+        for k, vehicle in enumerate(road.vehicles[1:], start=1):
+            vehicle.__class__ = PathVehicle
+            vehicle.enable_lane_change = False
+            vehicle.act()
+            differences.append(abs(computed[k] - vehicle.action["acceleration"]))
+    assert np.mean(np.array(differences) < 1e-9) > 0.99
 
 
 # -- risk ----------------------------------------------------------------------------------------------------

@@ -1,0 +1,163 @@
+"""SUMO against highway-env on the same scenarios: how far apart they are, and whether that is within the margins.
+
+    python experiments/validate.py --out results/validation            # drives highway-env too: see --help
+    python experiments/validate.py --out /tmp/validation --quick       # two minutes, from the stored reference
+
+Writes validation.json and validation.html. The same command run again goes on where it was stopped. Exit status: 0
+all targets met, 1 some missed, 2 something has to be put right first. docs/validation.md says how to read them.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+if __package__ in (None, ""):  # run as a file: import from the project, not from this folder
+    sys.path[0] = str(Path(__file__).resolve().parents[1])
+
+from experiments.threads import limit_threads
+
+limit_threads()
+
+import shlex
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import tyro
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.table import Table
+
+from experiments import grid
+from experiments.errors import UserError, disk_error, run_command
+from experiments.files import sha256_bytes, write_file, write_json
+from experiments.validation import jobs, page, record, reference, status
+from experiments.validation.jobs import Job, Size
+
+ROOT = Path(__file__).resolve().parents[1]
+QUICK = Size(lowest=8, others=5, highway=(4, 3, 2), changes=4)
+
+
+@dataclass(frozen=True)
+class Options:
+    """Compare SUMO with highway-env."""
+
+    out: Path
+    """Directory for validation.json and validation.html."""
+    quick: bool = False
+    """Drive SUMO only, in few scenarios, against the stored reference: two minutes."""
+    tasks: Annotated[tuple[str, ...], tyro.conf.arg(metavar="TASK ...")] = ()
+    """Some of highway, two-way, roundabout, intersection, u-turn (default: all)."""
+    lowest: int = 30
+    """Scenarios of the lowest traffic level; every ego drives each."""
+    others: int = 12
+    """Scenarios of each other level."""
+    highway: tuple[int, int, int] = (12, 4, 3)
+    """Scenarios of the highway's three levels, where highway-env is slowest."""
+    changes: int = 6
+    """Scenarios in which lane-change decisions are examined, of the highway's first and third level each."""
+    workers: int = 2
+    """Number of processes."""
+    update: bool = False
+    """Store what highway-env drove, and the verdicts, in the package (experiments/validation/), to be committed."""
+
+    @property
+    def size(self) -> Size:
+        """Scenarios a cell."""
+        return QUICK if self.quick else Size(self.lowest, self.others, self.highway, self.changes)
+
+
+def validate(options: Options, console: Console, arguments: Sequence[str] = ()) -> dict[str, Any]:
+    """Drive, compare, write the results into `options.out`, and return the content of validation.json.
+
+    Raises:
+        UserError: unknown task, no reference, or one of other scenarios.
+    """
+    tasks = grid.choose_tasks(options.tasks or tuple(grid.TASKS))
+    command = shlex.join(["python", "experiments/validate.py", *arguments])
+    own = jobs.plan(tasks, options.size, (jobs.MATCHED, jobs.NATIVE))
+    engines = (jobs.PATH, jobs.NOISE, jobs.CONNECTED, jobs.V0)
+    theirs = [] if options.quick else jobs.plan(tasks, options.size, engines)
+    parts = options.out / "parts"
+    drive(theirs, parts / f"highway-env-{digest('experiments/backends', 'networks/*.py')}", options.workers, console)
+    drive(own, parts / f"sumo-{digest('sumo_env', 'networks')}", options.workers, console)
+    driven = reference.collect(own, parts / f"sumo-{digest('sumo_env', 'networks')}", {})
+    if options.quick:
+        stored = reference.read()
+    else:
+        provenance = record.provenance_of(command, options.size)
+        folder = parts / f"highway-env-{digest('experiments/backends', 'networks/*.py')}"
+        stored = reference.collect(theirs, folder, provenance)
+        if options.update:
+            reference.write(stored, reference.STORED)
+    result = record.make(tasks, driven, stored, command, options.quick)
+    write_json(options.out / "validation.json", result)
+    drawn = page.draw(result, *record.for_figures(tasks, driven, stored))
+    write_file(options.out / "validation.html", page.render(result, drawn).encode())
+    if options.update and not options.quick:
+        write_json(status.LATEST, status.summary(result))
+    return result
+
+
+def digest(*places: str) -> str:
+    """Eight digits that change with the sources: parts driven by other code are not used again."""
+    paths = []
+    for place in places:
+        folder = ROOT / place
+        paths += sorted([*folder.rglob("*.py"), *folder.rglob("*.net.xml")] if folder.is_dir() else ROOT.glob(place))
+    return sha256_bytes(b"".join(path.read_bytes() for path in paths))[:8]
+
+
+def drive(plan: Sequence[Job], folder: Path, workers: int, console: Console) -> None:
+    """Drive what is planned, showing how far it has come."""
+    if not plan:
+        return
+    name = "highway-env" if plan[0].is_reference else "SUMO"
+    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+    with Progress(*columns, console=console) as progress:
+        bar = progress.add_task(f"driving {name}", total=len(plan))
+        jobs.run_all(plan, folder, workers, lambda count: progress.advance(bar, count))
+
+
+def show(result: dict[str, Any], console: Console) -> None:
+    """The scorecard in a few lines: what passed, and every miss."""
+    table = Table("task", "targets", "met", "equivalence shown", "verdict")
+    missed = []
+    for task, own in result["tasks"].items():
+        checks = [c for level in own["levels"].values() for c in level["checks"]] + own["dynamics"]["checks"]
+        targets = [c for c in checks if c["passed"] is not None]
+        missed += [(task, c) for c in targets if not c["passed"]]
+        met = sum(c["passed"] for c in targets)
+        table.add_row(
+            task, str(len(targets)), str(met), str(sum(bool(c["equivalent"]) for c in targets)),
+            "[green]passed" if own["passed"] else "[red]not passed",
+        )  # fmt: skip
+    console.print(table)
+    if missed:
+        misses = Table("missed", "level", "SUMO", "highway-env", "difference", "margin", "noise floor")
+        for task, c in missed:
+            numbers = (c[name] for name in ("sumo", "highway_env", "difference", "margin", "noise_floor"))
+            misses.add_row(f"{task}: {c['name']}, {c['metric']}", c["level"], *map(page.number, numbers))
+        console.print(misses)
+
+
+def main() -> int:
+    """The command line."""
+    options = tyro.cli(Options, description=__doc__)
+    for name in ("lowest", "others", "changes", "workers"):
+        if getattr(options, name) < 1:
+            raise UserError(f"--{name} must be at least 1, not {getattr(options, name)}")
+    console = Console()
+    try:
+        options.out.mkdir(parents=True, exist_ok=True)
+        result = validate(options, console, sys.argv[1:])
+    except OSError as error:
+        raise disk_error(error, options.out) from None
+    show(result, console)
+    console.print(f"report: {options.out / 'validation.html'}")
+    return 0 if result["passed"] else 1
+
+
+if __name__ == "__main__":
+    run_command(main)

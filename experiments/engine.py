@@ -16,7 +16,7 @@ from typing import Any
 from experiments.claims import Claims
 from experiments.errors import UserError
 from experiments.grid import Cell
-from experiments.progress import Display
+from experiments.progress import Display, Plain
 from experiments.store import Store
 from experiments.worker import Done, Failed, Job, MakeEnv, Progress, main
 
@@ -73,6 +73,7 @@ class Engine:
         self._workers: list[Worker] = []
         self._elsewhere: set[str] = set()  # cells that another sweep computes
         self._rechecked = 0.0
+        self._display: Display = Plain()
         self._total = sum(job.cost for job in self._queue)
 
     def run(self, display: Display) -> None:
@@ -108,7 +109,7 @@ class Engine:
                 time.monotonic(),
             )
             worker.jobs += 1
-            with suppress(BrokenPipeError):  # it died while it was idle: `_listen` sees that
+            with suppress(ConnectionError):  # it died while it was idle: `_listen` sees that
                 worker.connection.send(worker.job)
 
     def _next(self, simulator: tuple[str, ...] | None) -> Job:
@@ -142,7 +143,7 @@ class Engine:
     def _receive(self, worker: Worker) -> None:
         try:
             message = worker.connection.recv()
-        except (EOFError, ConnectionResetError):
+        except (EOFError, ConnectionError):
             self._died(worker)
             return
         worker.heard = time.monotonic()
@@ -157,7 +158,8 @@ class Engine:
             if message.fatal:
                 raise UserError(message.message)
             self._again(job, message.message, message.details)
-        if worker.jobs >= JOBS_PER_PROCESS:
+        # After an error nobody knows in what state the simulator is: the next try gets a fresh process.
+        if isinstance(message, Failed) or worker.jobs >= JOBS_PER_PROCESS:
             self._dismiss(worker)
 
     def _died(self, worker: Worker) -> None:
@@ -214,7 +216,7 @@ class Engine:
 
     def _dismiss(self, worker: Worker) -> None:
         """Let an idle worker end."""
-        with suppress(BrokenPipeError):  # it is gone already
+        with suppress(ConnectionError):  # it is gone already
             worker.connection.send(None)
         worker.process.join(10)
         worker.process.kill()

@@ -97,7 +97,7 @@ def main(connection: Connection, directory: Path, make_env: MakeEnv, parent: int
     try:
         while (job := connection.recv()) is not None:
             connection.send(attempt(job, directory, make_env, heart, connection.send))
-    except (EOFError, BrokenPipeError):
+    except (EOFError, ConnectionError):
         pass  # the engine was killed: the next sweep takes over from the last checkpoint
     heart.stop()
 

@@ -13,7 +13,7 @@ PAPER_EPISODES = 3072  # training episodes of an agent in the paper
 # Mean length of a training episode [steps], to turn the paper's budget into updates. Budgets are counted in
 # updates, equal for both arms: the number of target copies sets how far an agent looks ahead, and with it its
 # appetite for risk, while equal numbers of episodes would give the arms different numbers of updates.
-EPISODE_LENGTH = {"highway": 15, "two-way": 6, "roundabout": 9, "intersection": 10, "u-turn": 8}
+EPISODE_LENGTH = {"highway": 17, "two-way": 6, "roundabout": 10, "intersection": 9, "u-turn": 9}
 
 
 @dataclass(frozen=True)

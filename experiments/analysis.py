@@ -138,8 +138,8 @@ def provenance(results: Results) -> dict[str, Any]:
     for cell in results.cells.values():
         packages = (cell.get("provenance") or {}).get("packages", {})
         for name, version in {**packages, **cell["versions"]}.items():
-            if version is not None:
-                versions.setdefault(name, set()).add(str(version))
+            if version is not None:  # without a build tag, as in the cells' names
+                versions.setdefault(name, set()).add(str(version).partition("+")[0])
         presets.add(str(cell["key"]["profile"].get("preset")))
         timing = cell.get("timing", {})
         seconds += timing.get("train_seconds", 0.0) + timing.get("test_seconds", 0.0)

@@ -100,14 +100,14 @@ def _judge(record: Record, standing: Sequence[Mapping[str, Any]]) -> None:
 
 
 def failures(standing: Sequence[Mapping[str, Any]]) -> str:
-    """Which agents fail which gates, in words: "2 of 3 control agents fail (constant policy 2)"."""
+    """Which agents fail which gates, in words: "2 of 3 control agents fail (2 constant policy)"."""
     parts = []
     for arm in ("treatment", "control"):
         verdicts = [verdict for verdict in standing if verdict["arm"] == arm]
         failed = [verdict for verdict in verdicts if verdict["passed"] is False]
         if failed:
             counts = {gate: sum(gate in verdict["failed"] for verdict in failed) for gate in GATES}
-            which = ", ".join(f"{FAILURES[gate]} {count}" for gate, count in counts.items() if count)
+            which = ", ".join(f"{count} {FAILURES[gate]}" for gate, count in counts.items() if count)
             parts.append(f"{len(failed)} of {len(verdicts)} {arm} agents fail ({which})")
     return " and ".join(parts)
 

@@ -116,9 +116,10 @@ def learning_curves(training: pd.DataFrame, task: str) -> str:
     """
     levels = training[["level", "level_name"]].drop_duplicates().sort_values("level")
     figure, axes = new_figure(2, len(levels), 3.6, sharex=True, sharey="row")
-    edges = np.linspace(0, training["step"].max(), BINS + 1)
+    bins = int(np.clip(training.groupby("cell").size().min() // 4, 4, BINS))
+    edges = np.linspace(0, training["step"].max(), bins + 1)
     centres = (edges[:-1] + edges[1:]) / 2 / 1000
-    table = training.assign(bin=np.clip(np.searchsorted(edges, training["step"]) - 1, 0, BINS - 1))
+    table = training.assign(bin=np.clip(np.searchsorted(edges, training["step"]) - 1, 0, bins - 1))
     for column, (level, level_name) in enumerate(levels.itertuples(index=False)):
         axes[0, column].set_title(f"{task} {level_name}")
         for row, outcome in enumerate(("return", "crashed")):
@@ -127,15 +128,15 @@ def learning_curves(training: pd.DataFrame, task: str) -> str:
                 if chosen.empty:
                     continue
                 curves = chosen.groupby(["bin", "cell"])[outcome].mean().astype(float).unstack("cell")
-                curves = curves.reindex(range(BINS))
                 mean, spread = curves.mean(axis=1), curves.std(axis=1, ddof=1).fillna(0)
-                axes[row, column].plot(centres, mean, color=colour)
+                x = centres[curves.index]
+                axes[row, column].plot(x, mean, color=colour)
                 band = (mean - spread, mean + spread)
                 if OUTCOMES[outcome].percent:
                     band = (band[0].clip(0, 1), band[1].clip(0, 1))
-                axes[row, column].fill_between(centres, *band, color=colour, alpha=0.2, lw=0)
+                axes[row, column].fill_between(x, *band, color=colour, alpha=0.2, lw=0)
             _percent(axes[row, column], outcome)
-        axes[1, column].set_ylim(-0.03, 1.03)
+        axes[1, column].set_ylim(-0.05, 1.05)
     axes[0, 0].set_ylabel("Return")
     axes[1, 0].set_ylabel("Crash rate")
     figure.supxlabel("Environment steps (thousands)", fontsize=8.5)
@@ -155,7 +156,7 @@ def against_traffic(records: Sequence[Mapping[str, Any]], task: str) -> str:
     records: `analysis.policies` of one backend and task.
     """
     levels = dict(sorted({r["level"]: r["level_name"] for r in records}.items()))
-    figure, axes = new_figure(2, 2, 4.6, sharex=True, sharey="row")
+    figure, axes = new_figure(2, 2, 4.6 if len(levels) > 1 else 3.4, sharex=True, sharey="row")
     for column, traffic in enumerate(TRAFFICS):
         axes[0, column].set_title(f"tested in {traffic} traffic")
         for row, outcome in enumerate(("return", "crashed")):
@@ -167,14 +168,17 @@ def against_traffic(records: Sequence[Mapping[str, Any]], task: str) -> str:
                     [_half_width(r, outcome) for r in chosen],
                     color=COLOURS[arm], marker="o", capsize=2.5, lw=1.6, elinewidth=1.1,
                 )  # fmt: skip
-            for policy in MARKS:
+            for number, policy in enumerate(MARKS):  # side by side, so that none hides another
                 chosen = [r for r in records if (r["policy"], r["traffic"]) == (policy, traffic)]
-                x, y = [r["level"] + 0.24 for r in chosen], [r["mean"][outcome] for r in chosen]
+                x, y = (
+                    [r["level"] + 0.2 + 0.06 * number for r in chosen],
+                    [r["mean"][outcome] for r in chosen],
+                )
                 axes[row, column].plot(x, y, ls="", **_mark(policy))
             _percent(axes[row, column], outcome)
-        axes[1, column].set_ylim(-0.03, 1.03)
+        axes[1, column].set_ylim(-0.05, 1.05)
         axes[1, column].set_xticks(list(levels), list(levels.values()))
-        axes[1, column].set_xlim(min(levels) - 0.5, max(levels) + 0.5)
+        axes[1, column].set_xlim(min(levels) - 0.5, max(levels) + 0.6)
         axes[1, column].set_xlabel(f"Traffic level of {task}")
     axes[0, 0].set_ylabel("Return per episode")
     axes[1, 0].set_ylabel("Crash rate")
@@ -265,7 +269,8 @@ def near_misses(records: Sequence[Mapping[str, Any]]) -> str:
             colour = COLOURS.get(r["arm"], CAREFUL)
             value, half = r["mean"]["near_misses"], _half_width(r, "near_misses") if r["arm"] else 0.0
             panel.plot([value - half, value + half], [y, y], color=colour, lw=1.4)
-            panel.plot(value, y, "o" if r["arm"] else "*", color=colour, ms=4.5 if r["arm"] else 8)
+            mark, size = ("o", 4.5) if r["arm"] else ("*", 8)
+            panel.plot(value, y, mark, color=colour, ms=size, clip_on=False, zorder=3)
         panel.set_title(f"tested in {traffic} traffic")
         panel.set_xlabel("Steps with a near-miss per episode")
         panel.grid(axis="y", visible=False)
@@ -304,7 +309,10 @@ def probe_q(cells: Mapping[str, Mapping[str, Any]]) -> str:
                 continue
             updates, _, largest = np.array(curve, dtype=float).T
             colour = COLOURS[cell["key"]["arm"]]
-            panel.plot(updates / 1000, np.maximum(largest, 1e-3), color=colour, lw=0.9, alpha=0.7)
+            mark = "o" if len(updates) == 1 else None
+            panel.plot(
+                updates / 1000, np.maximum(largest, 1e-3), color=colour, lw=0.9, alpha=0.7, marker=mark
+            )
             if cell["learner"].get("q_bound"):
                 bounds.append(Q_SLACK * cell["learner"]["q_bound"])
         for bound in sorted(set(bounds)):

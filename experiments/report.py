@@ -43,7 +43,7 @@ REPORT, SUMMARY, ANALYSIS = "report.html", "summary.csv", "analysis.json"
 class Options:
     """Write report.html, summary.csv and analysis.json from the cells that a sweep has stored."""
 
-    directory: Annotated[Path, tyro.conf.Positional]
+    directory: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
     """The --out directory of a sweep."""
 
 

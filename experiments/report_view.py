@@ -15,11 +15,13 @@ from experiments.report_figures import backend_figures
 from experiments.statistics import ALPHA, MISSING
 from experiments.store import Results
 from experiments.tables import CONFIRMATORY, OUTCOMES, TASK_ORDER, TERMS
+from experiments.validation.status import LATEST, summary, validation_status
 from experiments.wording import BACKENDS, count, listing, place
 
-NOT_VALIDATED = (
-    "The SUMO tasks are not validated for this version: how close they are to highway-env was not measured. "
-    "To do so: python experiments/validate.py --out DIR, with this directory."
+NOT_VALIDATED = "not validated"
+HOW_TO_VALIDATE = (
+    "How close these SUMO tasks are to highway-env was not measured; "
+    "python experiments/validate.py --out DIR, with this directory, does it."
 )
 
 
@@ -110,35 +112,50 @@ def run(analysis: Mapping[str, Any], results: Results, left_out: set[str]) -> di
 
 
 def validation(directory: Path, backends: Sequence[str], versions: Mapping[str, Sequence[str]]) -> Record:
-    """How close SUMO's tasks are to highway-env's, from validation.json beside the results.
+    """What is known of how close SUMO's tasks are to highway-env's, for the version that made these results.
 
-    The file is an object with tasks (a verdict and a reason for each task) and versions (of packages, as in
-    cells).
+    From validation.json beside the results, else from the last full validation of this checkout.
 
     Returns:
-        relevant (whether SUMO was used at all), note (a sentence), tasks (task, verdict and reason each).
+        relevant (whether SUMO was used at all), note (a sentence, None if every task is validated), tasks
+        (task, verdict and reason each).
     """
-    path = directory / "validation.json"
-    result: Record = {"relevant": "sumo" in backends, "tasks": [], "note": NOT_VALIDATED}
-    if not result["relevant"] or not path.exists():
-        return result
+    own = directory / "validation.json"
+    path = own if own.exists() else LATEST
+    used = versions.get("sumo-risky-driving", [])
+    result: Record = {"relevant": "sumo" in backends, "note": None, "tasks": []}
     try:
-        value = json.loads(path.read_text())
-        tasks = [
-            {"task": task, "verdict": entry["verdict"], "reason": entry.get("reason", "")}
-            for task, entry in value["tasks"].items()
-        ]
-        validated = value.get("versions", {})
-    except (ValueError, TypeError, KeyError, AttributeError) as error:
-        return {**result, "note": f"{path.name} cannot be read ({type(error).__name__}: {error})."}
-    other = [
-        f"{name} {version} instead of {' / '.join(versions[name])}"
-        for name, version in validated.items()
-        if name in versions and str(version) not in versions[name]
+        found = (
+            validation_status(used[0], path) if len(used) == 1 else dict.fromkeys(TASK_ORDER, NOT_VALIDATED)
+        )
+        missed = _missed(path)
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        return {**result, "note": f"{path.name} cannot be read ({type(error).__name__}). {HOW_TO_VALIDATE}"}
+    result["tasks"] = [
+        {"task": task, "verdict": found[task], "reason": missed.get(task, "")} for task in TASK_ORDER
     ]
-    if other:
-        return {**result, "note": f"{NOT_VALIDATED} {path.name} is of other versions: {', '.join(other)}."}
-    return {**result, "tasks": tasks, "note": "Compared with highway-env on the same scenarios:"}
+    if open_ := [task for task in TASK_ORDER if found[task] == NOT_VALIDATED]:
+        result["note"] = f"Not validated for this version: {listing(open_)}. {HOW_TO_VALIDATE}"
+        for row in result["tasks"]:
+            row["reason"] = "" if row["verdict"] == NOT_VALIDATED else row["reason"]
+    return result
+
+
+def _missed(path: Path) -> dict[str, str]:
+    """For each task, in words, how many checks of a validation passed and which did not."""
+    if not path.exists():
+        return {}
+    record = json.loads(path.read_text())
+    if any("missed" not in task for task in record["tasks"].values()):
+        record = summary(record)
+    words = {}
+    for name, task in record["tasks"].items():
+        failed = list(dict.fromkeys(check["name"] for check in task["missed"]))
+        words[name] = (
+            f"{task['checks'] - len(task['missed'])} of {count(task['checks'], 'check')} within their margins"
+        )
+        words[name] += f"; not: {listing(failed)}" if failed else ""
+    return words
 
 
 def backend_section(
@@ -199,7 +216,7 @@ def effect_rows(ate: Sequence[Record], outcome: str) -> list[Record]:
 
 
 def pooled_rows(pooled: Sequence[Record], outcome: str) -> list[Record]:
-    """One row a scope and selection; only "all" where the two selections are the same."""
+    """One row a scope and selection, without those that average a single comparison or repeat another row."""
     rows: dict[tuple[str, str], Record] = {}
     for record in pooled:
         if record["outcome"] == outcome:
@@ -213,7 +230,8 @@ def pooled_rows(pooled: Sequence[Record], outcome: str) -> list[Record]:
     return [
         row
         for (scope, selection), row in rows.items()
-        if selection == "all" or row["comparisons"] != rows[scope, "all"]["comparisons"]
+        if row["comparisons"][1] > 1
+        and (selection == "all" or row["comparisons"] != rows[scope, "all"]["comparisons"])
     ]
 
 

@@ -2,7 +2,7 @@
 
 What the experiment randomises is the traffic an agent is *trained* in, so the unit of analysis is the
 training seed: the test episodes of one agent are repeated measures of one unit and are averaged before
-anything is compared. Treating them as independent rejects a true null hypothesis in 53-66 % of A/A
+anything is compared. Treating them as independent rejects a true null hypothesis in more than half of all A/A
 experiments instead of 5 % (tests/experiments/test_statistics.py repeats that).
 
 Every function takes plain sequences of *seed means* (one number per trained agent) and returns an
@@ -84,7 +84,7 @@ def _no_interval(
         return Estimate(None, None, None, None, None, n, MISSING, "no trained agent in one of the arms")
     if min(n) == 1:
         found = " and ".join(map(str, n))
-        reason = f"an interval needs at least two training seeds in every arm, here {found}"
+        reason = f"an interval needs two training seeds in every arm, here {found}"
         return Estimate(estimate, None, None, None, None, n, ONE_SEED, reason)
     if not spread_in(not is_constant(group) for group in groups):
         reason = "the standard deviation between seeds is 0 in an arm, so no interval can be computed from it"

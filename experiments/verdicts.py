@@ -146,7 +146,7 @@ def _headline(
     name = BACKENDS.get(backend, backend)
     risky = _overall(pooled, "risky", "informative")
     if risky is None or risky["status"] != OK:
-        text = [f"On {name} these results give no answer: {_why_not(ate)}."]
+        text = [f"On {name} these results give no answer. {_why_not(ate)}"]
         everything = _overall(pooled, "risky", "all")
         if everything is not None and everything["estimate"] is not None:
             text.append(
@@ -164,11 +164,11 @@ def _headline(
         text = [f"On {name}, {agents} are too few to tell: the interval includes 0."]
     text += [_sentence(used, term, _overall(pooled, term, "informative")) for term in ("risky", "regular")]
     n, of = risky["comparisons"]
-    text.append(f"This averages {n} of {count(of, 'comparison')} (task and traffic level).")
+    text.append(f"This averages {n} of {count(of, 'comparison')}.")
     if n < of:
         text.append(
-            f"The others say nothing: {_why_not(ate)}. They were set aside after the fact, so read the mean "
-            "as exploratory."
+            f"The others say nothing. {_why_not(ate)} They were set aside after the fact, so read the mean as "
+            "exploratory."
         )
     text += _careful(policies)
     return {"backend": backend, "answer": answer, "text": text, "cells": _cells(risky)}
@@ -198,17 +198,19 @@ def _sentence(used: Sequence[Record], term: str, mean: Record | None) -> str:
 
 
 def _why_not(ate: Sequence[Record]) -> str:
-    """Why comparisons have no usable effect."""
+    """On what the comparisons rest that have no usable effect."""
     rows = [r for r in ate if r["term"] == "risky"]
     words = {
-        MISSING: "only one of the two arms has been trained",
-        ONE_SEED: "an interval needs at least two training seeds an arm",
-        UNINFORMATIVE: "agents fail the gates (see below)",
-        DEGENERATE: "the seeds of an arm do not differ at all",
+        UNINFORMATIVE: "on agents that fail the gates (see below)",
+        ONE_SEED: "on a single training seed in an arm",
+        DEGENERATE: "on seeds that do not differ at all",
+        MISSING: "on one arm alone",
     }
     counts = {status: sum(r["status"] == status for r in rows) for status in words}
-    found = [f"in {n} of {len(rows)} {words[status]}" for status, n in counts.items() if n]
-    return listing(found) if found else "no agents of both arms were trained"
+    found = [f"{n} {'rests' if n == 1 else 'rest'} {words[status]}" for status, n in counts.items() if n]
+    if not found:
+        return "No agents were trained."
+    return f"Of {count(len(rows), 'comparison')} (task and traffic level), {listing(found)}."
 
 
 def _careful(policies: Sequence[Record]) -> list[str]:

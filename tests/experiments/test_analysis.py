@@ -163,8 +163,8 @@ class TestGates:
     def test_an_agent_that_fails_makes_its_effects_uninformative_but_keeps_the_number(self, analysis):
         record = find(analysis["ate"], task="highway", level=2, outcome="crashed", term="sum")
         assert record["status"] == "uninformative"
-        assert "1 of 4 treatment agents fail (constant policy 1" in record["reason"]
-        assert "1 of 4 control agents fail (diverged 1" in record["reason"]
+        assert "1 of 4 treatment agents fail (1 constant policy" in record["reason"]
+        assert "1 of 4 control agents fail (1 diverged" in record["reason"]
         assert record["estimate"] is not None and record["low"] is not None
 
     def test_q_that_is_no_longer_finite_fails(self, results):
@@ -294,7 +294,7 @@ class TestHeadline:
         for words in (
             "points [",
             "2 of 5 comparisons",
-            "agents fail the gates",
+            "agents that fail the gates",
             "mark to beat",
             "exploratory",
         ):
@@ -310,7 +310,7 @@ class TestHeadline:
         synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=1)
         found = analyse(store.load(tmp_path))
         assert found["headlines"][0]["answer"] == "no answer"
-        assert "two training seeds" in found["headlines"][0]["text"][0]
+        assert "single training seed" in found["headlines"][0]["text"][0]
         record = find(found["ate"], outcome="crashed", term="sum")
         assert record["status"] == "no interval: one seed"
         assert record["estimate"] is not None and record["low"] is None

@@ -16,9 +16,18 @@ import pytest
 from experiments import figures, report, store
 from experiments.collision_figures import LENGTH, WIDTH, collisions, contacts, corners
 from experiments.errors import UserError
+from experiments.report_view import validation
 from tests.experiments import synthetic
 
 SCRIPT = Path(report.__file__)
+MISSED = {
+    "name": "crash rate",
+    "level": 1,
+    "sumo": 0.2,
+    "highway_env": 0.1,
+    "difference": 0.1,
+    "margin": 0.05,
+}
 VOID = {"meta", "br", "link", "hr", "img", "input"}
 
 
@@ -118,7 +127,7 @@ class TestReport:
             assert words in page.text
 
     def test_uninformative_effects_are_shown_and_said_to_be(self, page):
-        assert "1 of 4 control agents fail (diverged 1" in page.text
+        assert "1 of 4 control agents fail (1 diverged" in page.text
         assert "uninformative" in page.text
 
     def test_is_the_same_for_the_same_cells(self, directory):
@@ -175,32 +184,33 @@ class TestIncomplete:
 
 
 class TestValidation:
-    def test_is_missing(self, page):
-        assert "not validated for this version" in page.text
+    def test_of_this_version_is_shown_with_what_was_missed(self, tmp_path):
+        tasks = {task: {"passed": True, "checks": 9, "missed": []} for task in ("highway", "u-turn")}
+        tasks["u-turn"] = {"passed": False, "checks": 9, "missed": [MISSED]}
+        shown = self.with_file(tmp_path, {"versions": {"sumo_env": "1"}, "tasks": tasks})
+        verdicts = {row["task"]: (row["verdict"], row["reason"]) for row in shown["tasks"]}
+        assert verdicts["highway"] == ("passed", "9 of 9 checks within their margins")
+        assert verdicts["u-turn"] == ("failed", "8 of 9 checks within their margins; not: crash rate")
+        assert verdicts["roundabout"] == ("not validated", "")
+        assert "Not validated for this version: two-way, roundabout and intersection" in shown["note"]
 
-    def test_is_shown_if_it_is_of_these_versions(self, directory):
-        entry = {"verdict": "agrees", "reason": "return differs by 0.03"}
-        shown = self.with_file(directory, {"versions": {"libsumo": "1.28.0"}, "tasks": {"u-turn": entry}})
-        assert "return differs by 0.03" in shown and "not validated" not in shown
+    def test_of_another_version_does_not_count(self, tmp_path):
+        tasks = {"highway": {"passed": True, "checks": 9, "missed": []}}
+        shown = self.with_file(tmp_path, {"versions": {"sumo_env": "2"}, "tasks": tasks})
+        assert {row["verdict"] for row in shown["tasks"]} == {"not validated"}
+        assert {row["reason"] for row in shown["tasks"]} == {""}
 
-    def test_of_other_versions_does_not_count(self, directory):
-        shown = self.with_file(directory, {"versions": {"libsumo": "0.1"}, "tasks": {}})
-        assert "not validated" in shown and "libsumo 0.1 instead of 1.28.0" in shown
+    @pytest.mark.parametrize("value", [[1], {"versions": {"sumo_env": "1"}, "tasks": {"highway": {}}}])
+    def test_that_cannot_be_read_is_said_so(self, tmp_path, value):
+        assert "validation.json cannot be read" in self.with_file(tmp_path, value)["note"]
 
-    def test_that_cannot_be_read_is_said_so(self, directory):
-        assert "validation.json cannot be read" in self.with_file(directory, [1])
+    def test_is_no_question_for_the_reference(self, tmp_path):
+        assert not validation(tmp_path, ["highway-env"], {"sumo-risky-driving": ["1"]})["relevant"]
 
     @staticmethod
     def with_file(directory, value):
-        from experiments.report_view import validation
-
-        path = directory / "validation.json"
-        path.write_text(json.dumps(value))
-        try:
-            shown = validation(directory, ["sumo"], {"libsumo": ["1.28.0"]})
-        finally:
-            path.unlink()
-        return shown["note"] + str(shown["tasks"])
+        (directory / "validation.json").write_text(json.dumps(value))
+        return validation(directory, ["sumo"], {"sumo-risky-driving": ["1"]})
 
 
 class TestCommand:

@@ -85,6 +85,11 @@ class Network:
         lane = self._sumo_lanes[sumo_lane]
         return lane.length / lane.drawn
 
+    @property
+    def uneven(self) -> bool:
+        """Whether any lane is drawn longer or shorter than SUMO counts it."""
+        return any(abs(lane.length / lane.drawn - 1.0) > 1e-3 for lane in self._sumo_lanes.values())
+
     def sumo_route(self, index: LaneIndex, destination: str | None = None) -> str:
         """Key in `routes` for a vehicle on lane `index` bound for node `destination`.
 

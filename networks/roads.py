@@ -99,6 +99,20 @@ class Road:
         ends = self.successors.get(node, ())
         return min(map(onto, ends), key=_first)[1] if ends else index
 
+    def way(self, index: LaneIndex, destination: str | None = None) -> list[LaneIndex]:
+        """Lanes from `index` to node `destination`, then on to where the road ends, branches or turns back.
+
+        Where no route leads there, the way ends with `index` and what follows it without a choice.
+        """
+        route = self.route(index[1], destination) if destination not in (None, index[1]) else ()
+        nodes = (index[0], *route) if route else index[:2]
+        while len(following := self.successors.get(nodes[-1], ())) == 1 and following[0] not in nodes:
+            nodes = (*nodes, following[0])
+        lanes = [index]
+        for _ in nodes[2:]:
+            lanes.append(self.next_lane(lanes[-1], nodes[1:]))  # a way around the ring may pass its start
+        return lanes
+
     def closest_lane(self, x: float, y: float, heading: float | None = None) -> LaneIndex:
         """Index of the lane with the least `distance_with_heading` (1 m a radian), first of equals."""
         best, best_distance = self._items[0][0], math.inf

@@ -8,24 +8,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
+from sumo_env.computed import SWERVE_TIME, AlongPath, GiveWay, Mobil, Strip
 from sumo_env.drivers import RiskEvent
-from sumo_env.models.give_way import PERIOD, regulate
-from sumo_env.models.idm import path_accelerations, strip_accelerations
-from sumo_env.models.lane_table import advance
-from sumo_env.models.mobil import DELAY, closest_lanes, desired_lanes, without_conflicts
-from sumo_env.simulation import ALL_CHECKS_OFF, NO_LANE_CHANGES, NO_RIGHT_OF_WAY, OWN_LANE_CHANGES, REGULAR
-from sumo_env.tasks.intersection import REGULATION_INTERVAL, WARM_UP, WARM_UP_FREQUENCY, compiled_lanes, path
+from sumo_env.native import CENTRED, Native
+from sumo_env.simulation import NO_LANE_CHANGES, OWN_LANE_CHANGES, REGULAR
 
 if TYPE_CHECKING:
     from sumo_env.world import World
-
-LANE_WIDTH = 4.0  # [m]
-CENTRED = 0.05  # [m] from the middle of a lane: no lane change is running
-KEEP_DECEL_FREE = REGULAR & ~4  # speed mode: car following, but harder braking than `decel` when commanded
-SWERVE_TIME = 3.0  # [s] that a cut-in on the two-way road stays in the oncoming lane
 
 
 class Rule(Protocol):
@@ -44,180 +33,6 @@ class Rule(Protocol):
         """Make a vehicle change lane at once, whoever is there."""
 
 
-class Native:
-    """SUMO drives; only risk events are commanded."""
-
-    def __init__(self, speed_mode: int, lane_change_mode: int) -> None:
-        self.speed_mode = speed_mode
-        self.lane_change_mode = lane_change_mode
-        self._forced: dict[str, float] = {}  # vehicle -> end of its cut-in [s]
-
-    def start(self, world: World) -> None:
-        if world.time == 0.0:
-            self._forced.clear()
-
-    def act(self, world: World) -> None:
-        world.brake_by_event(KEEP_DECEL_FREE)
-        for name in [name for name, end in self._forced.items() if world.time >= end]:
-            del self._forced[name]
-            row = world.row.get(name)
-            if row is not None and not world.crashed[row]:
-                world.sim.lane_change_mode(name, self.lane_change_mode)
-
-    def cut_in(self, world: World, row: int, event: RiskEvent) -> None:
-        name = world.ids[row]
-        lane = world.sim.lane_of(name)
-        if lane.startswith(":") or abs(world.sim.lateral_position(name)) > CENTRED:
-            return
-        start, end, i = world.network.indices[lane]
-        count = world.road.count(start, end)
-        if count < 2:
-            return
-        target = i + event.direction if 0 <= i + event.direction < count else i - event.direction
-        world.sim.lane_change_mode(name, NO_LANE_CHANGES)
-        world.sim.change_lane(name, count - 1 - target)
-        self._forced[name] = world.time + world.lane_change_duration + 0.5
-
-
-class Mobil:
-    """SUMO's IDM with highway-env's MOBIL on the straight highway (`models.mobil`)."""
-
-    speed_mode = REGULAR
-    lane_change_mode = NO_LANE_CHANGES
-
-    def start(self, world: World) -> None:
-        self._lanes = int(world.config["lanes_count"])
-        self._target = closest_lanes(world.y, self._lanes, LANE_WIDTH)
-        self._timer = np.array([spec.timer for spec in world.specs])
-        self._changes = np.array([spec.changes_lanes for spec in world.specs])
-        self._changes[0] = False
-        self._forced = np.zeros(len(world.ids), np.bool_)
-
-    def act(self, world: World) -> None:
-        world.brake_by_event(KEEP_DECEL_FREE)
-        lane = closest_lanes(world.y, self._lanes, LANE_WIDTH)
-        self._target[0] = world.ego.target_lane[2]
-        self._forced &= lane != self._target
-        decides = self._changes & ~world.crashed & ~self._forced
-        due = decides & (self._timer > DELAY)
-        wanted = desired_lanes(
-            world.x, world.y, world.speed, world.heading, lane, self._target, world.target_speed, world.drivers,
-            decides, due, self._lanes, LANE_WIDTH, world.road_length, world.limit,
-        )  # fmt: skip
-        self._timer[due & (lane == self._target)] = 0.0
-        self._timer += world.dt
-        # highway-env's drivers turn back when two head for one lane; SUMO's cannot, so the later one does not begin
-        wanted = without_conflicts(
-            wanted, world.x, world.speed, world.heading, lane, self._target, world.drivers
-        )
-        chosen = wanted >= 0
-        self._target[chosen] = wanted[chosen]
-        # SUMO cannot stop a change half-way: the target is commanded again as soon as the vehicle is in a lane.
-        centred = np.abs(world.y - LANE_WIDTH * lane) < CENTRED
-        moving = (self._target != lane) & centred & ~world.crashed
-        for row in np.flatnonzero(moving[1:]) + 1:
-            world.sim.change_lane(world.ids[row], self._lanes - 1 - int(self._target[row]))
-
-    def cut_in(self, world: World, row: int, event: RiskEvent) -> None:
-        lane = int(self._target[row])
-        target = lane + event.direction
-        if not 0 <= target < self._lanes:
-            target = lane - event.direction
-        if 0 <= target < self._lanes:
-            self._target[row] = target
-            self._forced[row] = True
-
-
-class Computed:
-    """Speeds by highway-env's formulas, applied with `setSpeed`; base of the two rules that do so."""
-
-    speed_mode = ALL_CHECKS_OFF
-    lane_change_mode = NO_LANE_CHANGES
-
-    def accelerations(self, world: World) -> NDArray[np.float64]:
-        raise NotImplementedError
-
-    def act(self, world: World) -> None:
-        acceleration = world.brake(self.accelerations(world))
-        world.accelerate(acceleration)
-
-
-class Strip(Computed):
-    """highway-env's IDM on the two-way road: it brakes for oncoming cars and above its desired speed as there."""
-
-    def start(self, world: World) -> None:
-        self._direction = np.array([1.0 if spec.lane[0] == "a" else -1.0 for spec in world.specs])
-        self._lane_y = np.where(world.y < LANE_WIDTH / 2, 0.0, LANE_WIDTH)
-        self._target_y = self._lane_y.copy()
-        self._return: dict[int, float] = {}
-
-    def accelerations(self, world: World) -> NDArray[np.float64]:
-        np.copyto(self._lane_y, np.where(world.y < LANE_WIDTH / 2, 0.0, LANE_WIDTH))
-        for row in [row for row, time in self._return.items() if world.time >= time]:
-            if world.crashed[row]:
-                del self._return[row]
-            elif self._lane_y[row] == 0.0 and abs(world.y[row]) < CENTRED:
-                del self._return[row]
-                self._target_y[row] = LANE_WIDTH
-                world.sim.change_lane_relative(world.ids[row], -1)
-        return strip_accelerations(
-            world.x, world.y, world.speed, world.heading, self._lane_y, self._target_y, self._direction,
-            world.target_speed, world.drivers, world.road_length, world.limit,
-        )  # fmt: skip
-
-    def cut_in(self, world: World, row: int, event: RiskEvent) -> None:
-        if self._direction[row] > 0 and abs(world.y[row] - LANE_WIDTH) < CENTRED:
-            self._target_y[row] = 0.0
-            world.sim.change_lane_relative(world.ids[row], 1)
-            self._return[row] = world.time + SWERVE_TIME
-
-
-class GiveWay(Computed):
-    """highway-env's regulated intersection: IDM along the path, and the give-way rule at 2.14 Hz."""
-
-    # The rule's clock runs through the warm-up: 45 steps of it, one application every 7.
-    phase = ((int(WARM_UP * WARM_UP_FREQUENCY) % REGULATION_INTERVAL) - 1) / WARM_UP_FREQUENCY
-
-    def start(self, world: World) -> None:
-        self._table = compiled_lanes(world.road)
-        n = len(world.ids)
-        routes = []
-        for spec in world.specs:
-            start = (f"o{spec.lane[0][2:]}", spec.lane[0], 0) if spec.lane[0].startswith("ir") else spec.lane
-            if start[0].startswith("il"):  # already on the exit
-                routes.append(self._table.route([start]))
-            else:
-                routes.append(self._table.route(path(start, spec.destination or "o1")))
-        self._routes = np.array(routes)
-        self._stage = np.zeros(n, np.int64)
-        for _ in range(2):
-            advance(self._table.geometry, self._routes, self._stage, world.x, world.y)
-        self._exempt = np.array(
-            [row == 0 or not spec.driver.gives_way for row, spec in enumerate(world.specs)]
-        )
-        if world.time == 0.0:
-            self._clock = self.phase
-
-    def accelerations(self, world: World) -> NDArray[np.float64]:
-        geometry = self._table.geometry
-        advance(geometry, self._routes, self._stage, world.x, world.y)
-        # wrecks do not decide, but the rule must not revive them either: `accelerate` skips them
-        if self._clock >= PERIOD - 1e-9:
-            self._clock -= PERIOD
-            regulate(
-                geometry, self._routes, self._stage, world.x, world.y, world.speed, world.heading, self._exempt,
-                world.target_speed, world.yielding,
-            )  # fmt: skip
-        self._clock += world.dt
-        return path_accelerations(
-            geometry, self._table.successors, self._routes, self._stage, world.x, world.y, world.speed,
-            world.heading, world.target_speed, world.drivers,
-        )  # fmt: skip
-
-    def cut_in(self, world: World, row: int, event: RiskEvent) -> None:
-        """There is one lane only."""
-
-
 def rule_for(task: str, traffic_model: str) -> Rule:
     """The rule that drives the traffic of a task (reference: docs/decisions.md, "traffic model")."""
     if task == "highway":
@@ -225,8 +40,10 @@ def rule_for(task: str, traffic_model: str) -> Rule:
     if task == "two-way":
         return Strip() if traffic_model == "matched" else Native(REGULAR, NO_LANE_CHANGES)
     if task == "roundabout":
-        matched = Native(NO_RIGHT_OF_WAY, NO_LANE_CHANGES)
-        return matched if traffic_model == "matched" else Native(REGULAR, OWN_LANE_CHANGES)
+        return AlongPath(NO_LANE_CHANGES) if traffic_model == "matched" else Native(REGULAR, OWN_LANE_CHANGES)
     if task == "intersection":
         return GiveWay() if traffic_model == "matched" else Native(REGULAR, NO_LANE_CHANGES)
-    return Native(REGULAR, OWN_LANE_CHANGES)
+    return AlongPath(OWN_LANE_CHANGES) if traffic_model == "matched" else Native(REGULAR, OWN_LANE_CHANGES)
+
+
+__all__ = ["CENTRED", "SWERVE_TIME", "Rule", "rule_for"]

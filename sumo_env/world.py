@@ -47,6 +47,7 @@ class World:
         self.road_length, self.limit = first.length, first.speed_limit
         self.rule = rule_for(task.name, config["traffic_model"])
         self.sim: Simulation = simulation()
+        self._uneven = network.uneven
         self.time = 0.0
 
     # -- start of an episode -------------------------------------------------------------------------------
@@ -85,7 +86,7 @@ class World:
         self.sim.add(
             spec.id, route, spec.driver.type, lane, position, spec.speed,
             ALL_CHECKS_OFF if is_ego else self.rule.speed_mode,
-            NO_LANE_CHANGES if is_ego else self.rule.lane_change_mode,
+            NO_LANE_CHANGES if is_ego or not spec.changes_lanes else self.rule.lane_change_mode,
             self.limit if is_ego else min(spec.target_speed, self.limit),
         )  # fmt: skip
 
@@ -240,7 +241,10 @@ class World:
         SUMO knows one number for both: it is told the distance, and the speed proper is kept by us.
         """
         name = self.ids[row]
-        self.sim.set_speed(name, distance / self.dt)
+        commanded = distance / self.dt
+        if self._uneven:  # lanes of one edge share one length in SUMO, so that metres are not metres in bends
+            commanded *= self.network.stretch(self.sim.lane_of(name))
+        self.sim.set_speed(name, commanded)
         self._own_speed[name] = speed
 
     def _coast(self) -> None:

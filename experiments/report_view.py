@@ -201,7 +201,9 @@ def effect_rows(ate: Sequence[Record], outcome: str) -> list[Record]:
             row["terms"][record["term"]] = record
     for row in rows.values():
         total = row["terms"]["sum"]
-        reasons = {r["reason"]: None for r in row["terms"].values() if r["reason"]}
+        # The terms of a row share most of their reasons; each is said once, those of the sum first.
+        texts = [r["reason"] for r in (total, *row["terms"].values()) if r["reason"]]
+        reasons = dict.fromkeys(part for text in texts for part in text.split("; "))
         row |= {
             "status": total["status"],
             "seeds": total["seeds"],
@@ -227,6 +229,9 @@ def pooled_rows(pooled: Sequence[Record], outcome: str) -> list[Record]:
         row["comparisons"] = row["terms"]["sum"]["comparisons"]
         row["cells"] = row["terms"]["sum"]["cells"]
         row["anchor"] = anchor(row["terms"]["sum"])
+    for (scope, selection), row in rows.items():
+        sound = rows[scope, "informative"]["comparisons"]
+        row["muted"] = selection == "all" and row["comparisons"] != sound
     return [
         row
         for (scope, selection), row in rows.items()

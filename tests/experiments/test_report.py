@@ -16,7 +16,7 @@ import pytest
 from experiments import figures, report, store
 from experiments.collision_figures import LENGTH, WIDTH, collisions, contacts, corners
 from experiments.errors import UserError
-from experiments.report_view import validation
+from experiments.report_view import effect_rows, pooled_rows, validation
 from tests.experiments import synthetic
 
 SCRIPT = Path(report.__file__)
@@ -129,6 +129,19 @@ class TestReport:
     def test_uninformative_effects_are_shown_and_said_to_be(self, page):
         assert "1 of 4 control agents fail (1 diverged" in page.text
         assert "uninformative" in page.text
+
+    def test_a_reason_is_said_once_in_a_row(self, directory):
+        analysis = json.loads((directory / "analysis.json").read_text())
+        for outcome in ("return", "crashed"):
+            for row in effect_rows(analysis["ate"], outcome):
+                assert len(row["reasons"]) == len(set(row["reasons"]))
+                assert sum("control agents fail" in reason for reason in row["reasons"]) <= 1
+
+    def test_means_with_agents_that_fail_are_set_back(self, directory):
+        analysis = json.loads((directory / "analysis.json").read_text())
+        rows = {(row["scope"], row["selection"]): row for row in pooled_rows(analysis["pooled"], "crashed")}
+        assert rows["u-turn", "all"]["muted"]
+        assert not rows["u-turn", "informative"]["muted"]
 
     def test_is_the_same_for_the_same_cells(self, directory):
         names = ("report.html", "analysis.json", "summary.csv")

@@ -38,7 +38,7 @@ class Computed:
         raise NotImplementedError
 
     def act(self, world: World) -> None:
-        acceleration = world.brake(self.accelerations(world))
+        acceleration = world.push(self.accelerations(world))
         world.accelerate(acceleration)
 
 
@@ -94,12 +94,11 @@ class Mobil(Computed):
 
     def cut_in(self, world: World, row: int, event: RiskEvent) -> None:
         lane = int(self._target[row])
-        target = lane + event.direction
-        if not 0 <= target < self._lanes:
-            target = lane - event.direction
-        if 0 <= target < self._lanes:
-            self._target[row] = target
-            self._forced[row] = True
+        for target in (lane + event.direction, lane - event.direction):
+            if 0 <= target < self._lanes and world.has_room(row, ("0", "1", target)):
+                self._target[row] = target
+                self._forced[row] = True
+                return
 
 
 class Strip(Computed):
@@ -126,7 +125,8 @@ class Strip(Computed):
         )  # fmt: skip
 
     def cut_in(self, world: World, row: int, event: RiskEvent) -> None:
-        if self._direction[row] > 0 and abs(world.y[row] - LANE_WIDTH) < CENTRED:
+        on_lane = self._direction[row] > 0 and abs(world.y[row] - LANE_WIDTH) < CENTRED
+        if on_lane and world.has_room(row, ("a", "b", 0)):
             self._target_y[row] = 0.0
             world.sim.change_lane_relative(world.ids[row], 1)
             self._return[row] = world.time + SWERVE_TIME

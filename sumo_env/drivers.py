@@ -1,10 +1,10 @@
 """Who drives: the regular driver, and risky drivers by dose.
 
 The paper's law (section "Experiment Setup") draws each driver's parameter as
-``p = p_min + U(0, 1) * (p_max - p_min)``; the dose widens every range from the regular driver's point to the
-range of `RISKY`. Dose 0 therefore *is* regular traffic. Parameters alone make traffic tighter but hardly more
-dangerous, so a dose also brings seeded events: unsafe lane changes (they ignore MOBIL's safety and incentive
-criteria) and sudden braking; at junctions, drivers that do not give way.
+``p = p_min + U(0, 1) * (p_max - p_min)``; the dose widens every range from the regular driver's point to
+SPREAD to either side of it. Dose 0 therefore *is* regular traffic. Parameters alone make no road more
+dangerous, so a dose also brings seeded events: cut-ins (lane changes that ignore MOBIL's safety and incentive
+criteria), sudden braking and surges; at the intersection, drivers that do not give way.
 """
 
 from __future__ import annotations
@@ -50,16 +50,12 @@ class Driver:
 # The regular driver's LC2013: its changes satisfy MOBIL's criteria in 94 % of cases (docs/decisions.md).
 REGULAR: dict[str, float] = {"assertive": 0.7, "speed_gain": 2.0}
 
-# At dose 1 a parameter is uniform between these bounds (docs/decisions.md, "risk").
-RISKY: dict[str, tuple[float, float]] = {
-    "accel": (3.0, 6.0),
-    "decel": (3.0, 7.0),
-    "tau": (0.2, 1.0),
-    "min_gap": (0.1, 2.0),
-    "emergency_decel": (7.0, 9.0),
-    "assertive": (1.0, 10.0),
-    "speed_gain": (2.0, 20.0),
-}
+# Half the width of a parameter's range at dose 1, relative to the regular value: highway-env's own ranges for risky
+# behaviour reach from 0.5 to 1.5 times the mean (LinearVehicle.ACCELERATION_RANGE). Ranges are symmetric because
+# one-sided ones (short headways, strong brakes) make traffic that leaves gaps, and the ego safer (docs/decisions.md).
+SPREAD = 0.5
+# "Acceleration" and "steering" of the paper's law: what the dose spreads.
+SPREAD_PARAMETERS = ("accel", "decel", "tau", "min_gap", "emergency_decel", "assertive", "speed_gain")
 RISKY_SHARE_NOT_GIVING_WAY = 0.5
 
 
@@ -77,12 +73,12 @@ def driver_pool(base: CarFollowing, dose: float, fixed_delta: bool = False) -> t
         return (rng.permutation(POOL) + 0.5) / POOL
 
     exponent = uniform()
-    draws = {name: uniform() for name in RISKY}
+    draws = {name: uniform() for name in SPREAD_PARAMETERS}
     gives_way = uniform() >= RISKY_SHARE_NOT_GIVING_WAY * dose
 
     def parameter(name: str, k: int) -> float:
         regular = REGULAR[name] if name in REGULAR else float(getattr(base, name))
-        low, high = (regular + dose * (bound - regular) for bound in RISKY[name])
+        low, high = regular * (1.0 - SPREAD * dose), regular * (1.0 + SPREAD * dose)
         return low + float(draws[name][k]) * (high - low)
 
     kind = "f" if fixed_delta else "d"
@@ -91,7 +87,7 @@ def driver_pool(base: CarFollowing, dose: float, fixed_delta: bool = False) -> t
             type=f"{kind}{k}@{dose:g}",
             delta=4.0 if fixed_delta else 3.5 + float(exponent[k]),
             gives_way=bool(gives_way[k]),
-            **{name: parameter(name, k) for name in RISKY},
+            **{name: parameter(name, k) for name in SPREAD_PARAMETERS},
         )
         for k in range(POOL)
     )
@@ -105,6 +101,9 @@ class RiskRates:
     brake: float = 0.0  # sudden braking [1/s]
     brake_decel: float = 6.0  # [m/s2]
     brake_duration: float = 1.0  # [s]
+    surge: float = 0.0  # sudden acceleration [1/s]
+    surge_accel: float = 4.0  # [m/s2]
+    surge_duration: float = 2.0  # [s]
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,17 +113,21 @@ class RiskEvent:
     Attributes:
         time: since the start of the episode [s].
         vehicle: id of the driver's vehicle.
-        kind: ``cut-in`` (change to the neighbouring lane at once) or ``brake``.
-        direction: of a cut-in, -1 left or +1 right (the other one where there is no lane).
+        kind: ``cut-in``: change to the neighbouring lane at once; only who has nobody beside (`hazards.has_room`) does.
+            ``brake``: brake for nothing. ``surge``: accelerate, whoever crosses the way, but pause while somebody is
+            straight ahead (`hazards.free_way`).
+        direction: of a cut-in, -1 left or +1 right (the other one where there is no lane or no room).
         decel: of a brake [m/s2].
-        duration: of a brake [s].
+        accel: of a surge [m/s2].
+        duration: of a brake or a surge [s].
     """
 
     time: float
     vehicle: str
-    kind: Literal["cut-in", "brake"]
+    kind: Literal["cut-in", "brake", "surge"]
     direction: int = 0
     decel: float = 0.0
+    accel: float = 0.0
     duration: float = 0.0
 
 
@@ -141,7 +144,7 @@ def draw_events(
     rng = stream(seed, "risk events")
     events: list[RiskEvent] = []
     for vehicle, start in vehicles:
-        for kind, rate in (("cut-in", rates.cut_in), ("brake", rates.brake)):
+        for kind, rate in (("cut-in", rates.cut_in), ("brake", rates.brake), ("surge", rates.surge)):
             for _ in range(rng.poisson(rate * duration)):
                 time, keep, side = rng.random(3)
                 time *= duration
@@ -149,10 +152,10 @@ def draw_events(
                     continue
                 if kind == "cut-in":
                     events.append(RiskEvent(time, vehicle, "cut-in", direction=-1 if side < 0.5 else 1))
+                elif kind == "brake":
+                    decel, seconds = rates.brake_decel, rates.brake_duration
+                    events.append(RiskEvent(time, vehicle, "brake", decel=decel, duration=seconds))
                 else:
-                    events.append(
-                        RiskEvent(
-                            time, vehicle, "brake", decel=rates.brake_decel, duration=rates.brake_duration
-                        )
-                    )
+                    accel, seconds = rates.surge_accel, rates.surge_duration
+                    events.append(RiskEvent(time, vehicle, "surge", accel=accel, duration=seconds))
     return tuple(sorted(events, key=lambda event: (event.time, event.vehicle, event.kind)))

@@ -27,7 +27,7 @@ class Native:
             self._forced.clear()
 
     def act(self, world: World) -> None:
-        world.brake_by_event(KEEP_DECEL_FREE)
+        world.push_by_event(KEEP_DECEL_FREE)
         self.end_cut_ins(world)
 
     def end_cut_ins(self, world: World) -> None:
@@ -46,9 +46,9 @@ class Native:
             return
         start, end, i = world.network.indices[lane]
         count = world.road.count(start, end)
-        if count < 2:
-            return
-        target = i + event.direction if 0 <= i + event.direction < count else i - event.direction
-        world.sim.lane_change_mode(name, NO_LANE_CHANGES)
-        world.sim.change_lane(name, count - 1 - target)
-        self._forced[name] = world.time + world.lane_change_duration + 0.5
+        for target in (i + event.direction, i - event.direction):
+            if 0 <= target < count and world.has_room(row, (start, end, target)):
+                world.sim.lane_change_mode(name, NO_LANE_CHANGES)
+                world.sim.change_lane(name, count - 1 - target)
+                self._forced[name] = world.time + world.lane_change_duration + 0.5
+                return

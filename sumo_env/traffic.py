@@ -30,7 +30,7 @@ class Rule(Protocol):
         """Command the vehicles for the next simulation step."""
 
     def cut_in(self, world: World, row: int, event: RiskEvent) -> None:
-        """Make a vehicle change lane at once, whoever is there."""
+        """Make a vehicle change lane at once, if nobody is beside it."""
 
 
 def rule_for(task: str, traffic_model: str) -> Rule:

@@ -13,9 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from networks.catalogue import Network
+from networks.roads import LaneIndex
 from sumo_env.collision import CrashRecord, Detector, contacts, crash_record
 from sumo_env.config import Config
 from sumo_env.ego import REFERENCE_STEP, Ego, coast
+from sumo_env.models.hazards import free_way, has_room
 from sumo_env.models.idm import driver_row
 from sumo_env.safety import HORIZON, min_ttc
 from sumo_env.scenario import EGO, Scenario, VehicleSpec
@@ -69,7 +71,7 @@ class World:
         self.policy_step = 0
         self.crash: CrashRecord | None = None
         self._events = list(scenario.events)
-        self._brakes: dict[str, tuple[float, float]] = {}  # vehicle -> (end [s], deceleration [m/s2])
+        self._pushes: dict[str, tuple[float, float]] = {}  # vehicle -> (end [s], acceleration [m/s2])
         self._own_speed: dict[str, float] = {}
         specs = [scenario.ego]
         specs += [
@@ -191,39 +193,50 @@ class World:
             row = self.row.get(event.vehicle)
             if row is None or self.crashed[row]:
                 continue
-            if event.kind == "brake":
-                self._brakes[event.vehicle] = (self.time + event.duration, event.decel)
-            else:
+            if event.kind == "cut-in":
                 self.rule.cut_in(self, row, event)
+            else:
+                push = event.accel if event.kind == "surge" else -event.decel
+                self._pushes[event.vehicle] = (self.time + event.duration, push)
 
-    def _braking(self) -> list[tuple[int, float, bool]]:
-        """(row, deceleration [m/s2], ends now) of the vehicles that brake by a risk event."""
+    def has_room(self, row: int, lane: LaneIndex) -> bool:
+        """Is nobody in the way of a vehicle that cuts in to this lane beside it?"""
+        geometry = self.road.lane(lane)
+        s, _ = geometry.local_coordinates(float(self.x[row]), float(self.y[row]))
+        there = (*geometry.position(s, 0.0), geometry.heading_at(s))
+        return bool(has_room(self.x, self.y, self.heading, row, *map(float, there)))
+
+    def _pushed(self) -> list[tuple[int, float]]:
+        """(row, acceleration [m/s2]) of vehicles that brake or surge by a risk event; 0 where that ends or pauses."""
         rows = []
-        for name, (end, decel) in list(self._brakes.items()):
+        for name, (end, push) in list(self._pushes.items()):
             row = self.row.get(name)
             ended = self.time >= end - 1e-9
             if ended or row is None or self.crashed[row]:
-                del self._brakes[name]
+                del self._pushes[name]
             if row is not None and not self.crashed[row]:
-                rows.append((row, decel, ended))
+                held = ended or (push > 0.0 and not free_way(self.x, self.y, self.heading, row))
+                rows.append((row, 0.0 if held else push))
         return rows
 
-    def brake_by_event(self, speed_mode: int) -> None:
-        """Risk events' braking of vehicles that SUMO drives."""
-        for row, decel, ended in self._braking():
+    def push_by_event(self, speed_mode: int) -> None:
+        """Risk events' braking and surging of vehicles that SUMO drives."""
+        for row, push in self._pushed():
             name = self.ids[row]
-            if ended:
+            if push == 0.0:
                 self.sim.set_speed(name, -1.0)  # give the speed back to SUMO
                 self.sim.speed_mode(name, self.rule.speed_mode)
             else:
-                self.sim.speed_mode(name, speed_mode)
-                self.sim.set_speed(name, max(float(self.speed[row]) - decel * self.dt, 0.0))
+                self.sim.speed_mode(name, speed_mode if push < 0.0 else ALL_CHECKS_OFF)
+                self.sim.set_speed(name, max(float(self.speed[row]) + push * self.dt, 0.0))
 
-    def brake(self, acceleration: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Risk events' braking of vehicles whose acceleration [m/s2] is computed."""
-        for row, decel, ended in self._braking():
-            if not ended:
-                acceleration[row] = min(acceleration[row], -decel)
+    def push(self, acceleration: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Risk events' braking and surging of vehicles whose acceleration [m/s2] is computed."""
+        for row, push in self._pushed():
+            if push < 0.0:
+                acceleration[row] = min(acceleration[row], push)
+            elif push > 0.0:
+                acceleration[row] = max(acceleration[row], push)
         return acceleration
 
     def accelerate(self, acceleration: NDArray[np.float64]) -> None:

@@ -41,7 +41,7 @@ class Highway(Task):
         "100": {"vehicles_count": 100, "vehicles_density": 1.5, "duration": 20},
         "150": {"vehicles_count": 150, "vehicles_density": 2.0, "duration": 20},
     }
-    risk_rates = RiskRates(cut_in=0.15, brake=0.05, brake_decel=5.0)
+    risk_rates = RiskRates(cut_in=0.035, brake=0.02, brake_decel=3.0)
 
     def road(self, config: Config) -> Road:
         return highway(int(config["lanes_count"]))

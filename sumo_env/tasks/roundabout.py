@@ -55,7 +55,7 @@ class Roundabout(Task):
         "10": {"vehicles_count": 10},
         "15": {"vehicles_count": 15},
     }
-    risk_rates = RiskRates(cut_in=0.05, brake=0.05)
+    risk_rates = RiskRates(cut_in=0.2, surge=0.3)
     target_speeds = (0.0, 8.0, 16.0)
 
     def road(self, config: Config) -> Road:

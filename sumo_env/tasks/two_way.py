@@ -44,7 +44,7 @@ class TwoWay(Task):
         "10+4": {"vehicles_count": 10, "oncoming_vehicles_count": 4, "road_length": 800.0 * 2 / 3},
         "15+6": {"vehicles_count": 15, "oncoming_vehicles_count": 6, "road_length": 800.0 * 2 / 3},
     }
-    risk_rates = RiskRates(cut_in=0.02, brake=0.05, brake_decel=8.0, brake_duration=1.2)
+    risk_rates = RiskRates(cut_in=0.01, brake=0.2, brake_decel=5.0, brake_duration=1.5)
     fixed_delta = True
 
     def road(self, config: Config) -> Road:

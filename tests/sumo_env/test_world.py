@@ -237,19 +237,50 @@ def test_a_brake_event_brakes_and_ends(make: Any, traffic_model: str) -> None:
 
 
 @pytest.mark.parametrize("traffic_model", ["matched", "sumo"])
-def test_a_cut_in_ignores_who_is_there(make: Any, traffic_model: str) -> None:
+@pytest.mark.parametrize(("ahead", "happens"), [(14.0, True), (1.0, False)])
+def test_a_cut_in_takes_any_gap_but_needs_one(
+    make: Any, traffic_model: str, ahead: float, happens: bool
+) -> None:
     def change(scenario: Scenario) -> Scenario:
         ego, other = scenario.ego, scenario.vehicles[0]
-        lane = ("0", "1", 1)
-        beside = replace(other, lane=lane, s=ego.s + 1.0, x=ego.x + 1.0, y=4.0, speed=25.0, target_speed=25.0)
+        x, speed = ego.x + ahead, 20.0 if happens else 25.0
+        beside = replace(other, lane=("0", "1", 1), s=x, x=x, y=4.0, speed=speed, target_speed=speed)
+        beside = replace(beside, changes_lanes=False)
         return replace(
             scenario, vehicles=(beside,), events=(RiskEvent(0.5, beside.id, "cut-in", direction=-1),)
         )
 
-    env = make("highway", change, traffic_model=traffic_model, initial_lane_id=0)
+    # a driver with nobody to the other side would change there: two lanes only
+    env = make("highway", change, traffic_model=traffic_model, initial_lane_id=0, lanes_count=2)
     env.step(1)
-    _, _, terminated, _, info = env.step(1)
-    assert terminated and info["crash"]["type"] == "side"
+    _, _, crashed, _, _ = env.step(1)
+    assert crashed == happens
+    assert bool(abs(env.scene.y[1]) < 2.0) == happens
+
+
+@pytest.mark.parametrize(
+    ("task", "traffic_model"), [("two-way", "matched"), ("intersection", "matched"), ("u-turn", "sumo")]
+)
+def test_a_surge_accelerates_where_the_way_is_free(make: Any, task: str, traffic_model: str) -> None:
+    gained = {}
+    for blocked in (False, True):
+
+        def change(scenario: Scenario, blocked: bool = blocked) -> Scenario:
+            other = scenario.vehicles[0]
+            vehicles = [replace(other, speed=8.0, target_speed=8.0)]
+            if blocked:
+                dx, dy = 15 * np.cos(other.heading), 15 * np.sin(other.heading)
+                ahead = replace(vehicles[0], id="ahead", s=other.s + 15, x=other.x + dx, y=other.y + dy)
+                vehicles.append(ahead)
+            event = RiskEvent(0.0, other.id, "surge", accel=4.0, duration=2.0)
+            return replace(scenario, vehicles=tuple(vehicles), events=(event,), spawns=())
+
+        env = make(task, change, traffic_model=traffic_model)
+        before = float(env.scene.speed[1])
+        env.step(0)
+        gained[blocked] = float(env.scene.speed[1]) - before
+    assert gained[False] == pytest.approx(4.0, abs=0.5)
+    assert gained[True] < 2.0
 
 
 def test_intersection_traffic_comes_and_goes() -> None:

@@ -1,0 +1,48 @@
+"""What even a risky driver looks at: whether there is room to cut in, and whether the way straight ahead is free.
+
+Both are asked when a risk event (`drivers.RiskEvent`) would begin or go on, of all vehicles alike, the ego included.
+Without them most events would be crashes among the traffic itself, far from the ego (docs/decisions.md, "Risk").
+"""
+
+from __future__ import annotations
+
+import math
+
+from sumo_env.collision import LENGTH, WIDTH, distance
+from sumo_env.compiled import compiled
+from sumo_env.scene import Floats
+
+CUT_IN_GAP = 1.0  # [m] to everybody in the lane beside; who is nearer is waited out, that is, the event is dropped
+FREE_WAY = 40.0  # [m] from centre to centre
+HALF_CORRIDOR = 2.0  # [m] to either side of the centre: half a lane
+
+
+@compiled
+def has_room(
+    x: Floats, y: Floats, heading: Floats, row: int, there_x: float, there_y: float, there_heading: float
+) -> bool:
+    """Would vehicle `row`, moved to the place beside, be at least CUT_IN_GAP from every other vehicle?
+
+    x, y [m], heading [rad]: shape (n,). The place: centre [m] and heading [rad] in the middle of the other lane.
+    """
+    for j in range(len(x)):
+        if j == row or abs(x[j] - there_x) + abs(y[j] - there_y) > 4.0 * LENGTH:
+            continue
+        gap = distance(there_x, there_y, there_heading, x[j], y[j], heading[j], LENGTH, WIDTH)
+        if gap < CUT_IN_GAP:
+            return False
+    return True
+
+
+@compiled
+def free_way(x: Floats, y: Floats, heading: Floats, row: int) -> bool:
+    """Is no centre of another vehicle in the straight corridor of FREE_WAY ahead of vehicle `row`?
+
+    x, y [m], heading [rad]: shape (n,).
+    """
+    cos, sin = math.cos(heading[row]), math.sin(heading[row])
+    for j in range(len(x)):
+        dx, dy = x[j] - x[row], y[j] - y[row]
+        if 0.0 < dx * cos + dy * sin < FREE_WAY and abs(dy * cos - dx * sin) < HALF_CORRIDOR:
+            return False
+    return True

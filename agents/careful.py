@@ -7,6 +7,7 @@ close" has a price rather than a limit; where no plan avoids a collision, it bra
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import product
 from typing import Any
 
@@ -35,6 +36,9 @@ FORGETTING = 2.0  # [s] the price of what is so far ahead counts 1/e: there is t
 UNSAFE = 300.0  # [m of way] where every plan costs more than this, the cheapest and slowest one is taken
 LANE_CHANGE = 3.0  # [m of way] price of a lane change
 BRAKING = 2.0  # [s] vehicles that brake go on braking for so long
+# An ego that cannot change lanes may be on a route that turns across the oncoming lane: oncoming cars so near count as
+# nearer to its own lane than they are.
+TURN_AHEAD, TURN_SHIFT = 25.0, 2.0  # [m] ahead, [m] to the right
 GAP = 6.0  # [m] between centres along a curve: a vehicle length and a little
 SIDES = {"LANE_LEFT": -1, "LANE_RIGHT": 1}
 RUNGS = {"SLOWER": -1, "FASTER": 1}
@@ -55,11 +59,18 @@ class Careful:
         self._numbers = {name: number for number, name in source.actions.items()}
         self._ladder = np.array(source.target_speeds, dtype=float)
         self._perception = Perception(env)
-        known = [name for name in ("IDLE", "SLOWER", "FASTER", "LANE_LEFT", "LANE_RIGHT") if name in self._numbers]
-        plans = list(product(known, *[(0, -1, 1)] * (PLANNED - 1)))  # of equal plans the first one is taken
-        self._first = np.array([plan[0] for plan in plans])
-        self._sides = np.array([SIDES.get(plan[0], 0) for plan in plans])
-        self._rungs = np.array([[RUNGS.get(plan[0], 0), *plan[1:]] for plan in plans])
+        known = [
+            name for name in ("IDLE", "SLOWER", "FASTER", "LANE_LEFT", "LANE_RIGHT") if name in self._numbers
+        ]
+        plans: list[tuple[str, list[int]]] = []  # of equal plans the first one is taken
+        for first in known:
+            for later in product((0, -1, 1), repeat=PLANNED - 1):
+                rungs = [RUNGS.get(first, 0), *later]
+                if not {-1, 1} <= set(rungs):  # speeding up in order to brake is creeping into a crossing
+                    plans.append((first, rungs))
+        self._first = np.array([first for first, _ in plans])
+        self._sides = np.array([SIDES.get(first, 0) for first, _ in plans])
+        self._rungs = np.array([rungs for _, rungs in plans])
         self.reset()
 
     def reset(self, seed: int | None = None) -> None:
@@ -115,11 +126,23 @@ class Careful:
         if not len(view.positions):
             return price
         place, direction = _arc(way, view.curvature)
-        place += 1j * direction * LANE_WIDTH * self._sides[:, None] * (1 - np.exp(-np.maximum(TIMES, 0) / LATERAL_LAG))
+        place += (
+            1j
+            * direction
+            * LANE_WIDTH
+            * self._sides[:, None]
+            * (1 - np.exp(-np.maximum(TIMES, 0) / LATERAL_LAG))
+        )
+        if "LANE_LEFT" not in self._numbers:
+            view = replace(view, positions=_as_if_turning(view))
         drive = _drive(view)
         others = _discs(view, drive)
-        leading = np.where(_on_curve(view)[:, None], np.abs(_complex(view.positions))[:, None] + drive, np.inf)
-        crossing = np.abs(np.sin(view.headings)) if "LANE_LEFT" in self._numbers else np.abs(view.headings) > 0.3
+        leading = np.where(
+            _on_curve(view)[:, None], np.abs(_complex(view.positions))[:, None] + drive, np.inf
+        )
+        crossing = (
+            np.abs(np.sin(view.headings)) if "LANE_LEFT" in self._numbers else np.abs(view.headings) > 0.3
+        )
         near = 2 * RADIUS + MARGIN + (GROWTH + CROSSING_GROWTH * crossing)[:, None] * FUTURE
         for delay, cost in PRICES.items():
             start = round((SPAN + delay) / STEP) + 1
@@ -163,6 +186,13 @@ def _on_curve(view: View) -> np.ndarray:
     turned = np.abs(view.headings)
     x, y = view.positions[:, 0], view.positions[:, 1] * np.sign(view.headings)
     return (turned > 0.2) & (turned < 2.0) & (x > 0) & (y > -2.5) & (y < x * np.tan(turned / 2) + 2.5)
+
+
+def _as_if_turning(view: View) -> np.ndarray:
+    """Positions (n, 2) with the oncoming vehicles on the left moved towards the own lane."""
+    x, y = view.positions.T
+    oncoming = (np.abs(view.headings) > 2.6) & (x > -5.0) & (x < TURN_AHEAD) & (y < 0)
+    return np.stack([x, np.where(oncoming, np.minimum(y + TURN_SHIFT, 0.0), y)], axis=1)
 
 
 def _complex(points: np.ndarray) -> np.ndarray:

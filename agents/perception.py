@@ -48,7 +48,9 @@ class Perception:
         self._columns = {name: column for column, name in enumerate(kind.features)}
         missing = [name for name in ("x", "y", "vx", "vy") if name not in self._columns]
         if missing:
-            raise ValueError(f"The careful driver needs x, y, vx and vy in the observation: no {', '.join(missing)}.")
+            raise ValueError(
+                f"The careful driver needs x, y, vx and vy in the observation: no {', '.join(missing)}."
+            )
         self._ranges = kind.ranges
         self._absolute = kind.absolute
         self.reset()
@@ -64,7 +66,9 @@ class Perception:
         """
         before = self._before
         rows = np.asarray(observation, dtype=float)
-        present = rows[:, self._columns["presence"]] > 0.5 if "presence" in self._columns else rows.any(axis=1)
+        present = (
+            rows[:, self._columns["presence"]] > 0.5 if "presence" in self._columns else rows.any(axis=1)
+        )
         rows = rows[present]
         points, velocities = self._pair(rows, "x", "y"), self._pair(rows, "vx", "vy")
         # The ego's own row is absolute in any case.

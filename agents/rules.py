@@ -72,4 +72,6 @@ def make_policy(name: str, env: gym.Env[Any, Any]) -> Policy:
     for number, action in actions.items():
         if action == name.upper():
             return Constant(number)
-    raise ValueError(f"The policy {name!r} needs the action {name.upper()}; there are {', '.join(actions.values())}.")
+    raise ValueError(
+        f"The policy {name!r} needs the action {name.upper()}; there are {', '.join(actions.values())}."
+    )

@@ -1,0 +1,129 @@
+"""Drivers that do not learn: what they choose, and how the careful one fares on highway-env's own tasks."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from agents.rules import POLICIES, make_policy
+from tests.agents.stock import Stock, drive
+
+FIVE = {0: "LANE_LEFT", 1: "IDLE", 2: "LANE_RIGHT", 3: "FASTER", 4: "SLOWER"}
+THREE = {0: "SLOWER", 1: "IDLE", 2: "FASTER"}
+RANGES = {"x": (-200.0, 200.0), "y": (-16.0, 16.0), "vx": (-80.0, 80.0), "vy": (-80.0, 80.0)}
+
+
+def road(
+    actions: dict[int, str] = FIVE, features: tuple[str, ...] = ("presence", "x", "y", "vx", "vy")
+) -> Any:
+    """What the rules see of an environment."""
+    kind = SimpleNamespace(features=features, ranges=RANGES, absolute=False)
+    inner = SimpleNamespace(actions=actions, target_speeds=(20.0, 25.0, 30.0), observation_type=kind)
+    return SimpleNamespace(unwrapped=inner)
+
+
+def scene(*others: tuple[float, float, float], speed: float = 25.0) -> np.ndarray:
+    """An observation: the ego eastbound at y = 4; others (x ahead [m], y to the right [m], speed [m/s])."""
+    rows = [(0.0, 4.0, speed, 0.0)] + [(x, y, v - speed, 0.0) for x, y, v in others]
+    table = np.zeros((5, 5), np.float32)
+    for row, values in zip(table, rows, strict=False):
+        row[0] = 1
+        row[1:] = [value / RANGES[name][1] for value, name in zip(values, RANGES, strict=True)]
+    return table
+
+
+def second_choice(*scenes: np.ndarray) -> str:
+    """What the careful driver does at the last of some observations, one a second."""
+    policy = make_policy("careful", road())
+    return FIVE[[policy.act(each) for each in scenes][-1]]
+
+
+@pytest.mark.parametrize("actions", [FIVE, THREE])
+@pytest.mark.parametrize("name", ["idle", "faster", "slower"])
+def test_constant_policies_find_their_action_by_name(actions: dict[int, str], name: str) -> None:
+    policy = make_policy(name, road(actions))
+    assert actions[policy.act(scene())] == name.upper()
+
+
+def test_the_random_policy_is_uniform_and_repeats_with_its_seed() -> None:
+    policy = make_policy("random", road())
+    policy.reset(7)
+    first = [policy.act(scene()) for _ in range(2000)]
+    policy.reset(7)
+    assert [policy.act(scene()) for _ in range(2000)] == first
+    assert np.abs(np.bincount(first, minlength=5) - 400).max() < 90
+
+
+def test_unknown_names_and_missing_actions_are_refused() -> None:
+    with pytest.raises(ValueError, match=f"choose one of {', '.join(POLICIES)}"):
+        make_policy("brave", road())
+    with pytest.raises(ValueError, match="needs the action FASTER"):
+        make_policy("faster", road({0: "IDLE", 1: "SLOWER"}))
+    with pytest.raises(ValueError, match="no vx"):
+        make_policy("careful", road(features=("presence", "x", "y", "vy")))
+
+
+def test_careful_speeds_up_on_an_empty_road() -> None:
+    assert second_choice(scene(), scene()) == "FASTER"
+    assert second_choice(scene(), scene(speed=30.0)) == "IDLE"
+
+
+def test_careful_brakes_behind_a_slow_leader_without_a_free_lane() -> None:
+    assert second_choice(scene((48, 0, 20)), scene((43, 0, 20))) in ("SLOWER", "IDLE")
+    assert second_choice(scene((25, 0, 20)), scene((20, 0, 20))) == "SLOWER"
+
+
+def test_careful_overtakes_where_a_free_lane_is_known() -> None:
+    slow, far = (30, 0, 20), (90, -4, 25)  # somebody far ahead shows that there is a lane
+    assert second_choice(scene((35, 0, 20), far), scene(slow, far)) == "LANE_LEFT"
+    beside = (2, -4, 25)
+    assert second_choice(scene((35, 0, 20), beside), scene(slow, beside)) != "LANE_LEFT"
+
+
+def test_careful_does_not_change_lane_without_a_reason() -> None:
+    far = (90, -4, 25)
+    assert second_choice(scene(far), scene(far)) in ("FASTER", "IDLE")
+
+
+def test_careful_gives_up_a_lane_that_is_not_there() -> None:
+    policy = make_policy("careful", road())
+    far = (90, -4, 25)
+    policy.act(scene((35, 0, 20), far))
+    assert FIVE[policy.act(scene((30, 0, 20), far))] == "LANE_LEFT"
+    assert FIVE[policy.act(scene((25, 0, 20)))] != "LANE_LEFT"  # y has not changed: there was none
+
+
+def test_careful_looks_before_it_speeds_up() -> None:
+    assert second_choice(scene()) == "IDLE"
+
+
+def test_careful_forgets_on_reset() -> None:
+    policy = make_policy("careful", road())
+    scenes = [scene((40, 0, 20), (90, -4, 25)), scene((35, 0, 20)), scene((30, 0, 20))]
+    first = [policy.act(each) for each in scenes]
+    policy.reset(0)
+    assert [policy.act(each) for each in scenes] == first
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("task", "episodes", "most_crashes", "better_than_idle"),
+    [
+        ("highway", 4, 0, True),
+        ("u-turn", 6, 1, True),
+        ("roundabout", 6, 2, True),
+        ("intersection", 8, 2, False),
+    ],
+)
+def test_careful_on_highway_env(task: str, episodes: int, most_crashes: int, better_than_idle: bool) -> None:
+    """Few episodes, since highway-env is slow. At the intersection the return pays for crossing blindly."""
+    env = Stock(task)
+    total, crashes = drive(env, make_policy("careful", env), episodes)
+    idle_total, _ = drive(env, make_policy("idle", env), episodes)
+    env.close()
+    assert round(crashes * episodes) <= most_crashes
+    if better_than_idle:
+        assert total > idle_total

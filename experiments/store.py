@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import io
 import json
+import math
 import shutil
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
@@ -259,7 +260,8 @@ def _learner(record: Mapping[str, Any]) -> dict[str, Any]:
         "updates": learner.get("updates"),
         "episodes": learner.get("episodes"),
         "q_bound": learner.get("q_bound"),
-        "max_abs_q": max((row[2] for row in probe), default=None),
+        # JSON knows no infinity: a diverged agent's value is stored as null
+        "max_abs_q": max((math.inf if row[2] is None else row[2] for row in probe), default=None),
         "weights_sha256": learner.get("weights_sha256"),
     }
 

@@ -77,10 +77,10 @@ FULL = Size(
     seconds={"env": 720, "learner": 45, "sweep": 240, "vector": 60, "growth": 75, "memory": 110},
 )
 QUICK = Size(
-    effort=Effort(turns=3, seconds=0.15, reference_seconds=0.3, reference_steps=1),
+    effort=Effort(turns=3, seconds=0.1, reference_seconds=0.25, reference_steps=1),
     all_levels=False,
     learner_turns=3,
-    learner_updates=160,
+    learner_updates=100,
     sweep_updates=60,
     sweep_episodes=3,
     vector_tasks=("highway",),

@@ -105,18 +105,18 @@ class Driver:
         return watch.slice(steps), episodes
 
     def _reset(self, key: Key) -> None:
-        start = time.perf_counter()
+        start = time.process_time()
         self._envs[key].reset(seed=self._seed)
-        self._resets[key].append(time.perf_counter() - start)
+        self._resets[key].append(time.process_time() - start)
         self._seed += 1
         self._done = False
 
     def reset_ms(self, key: Key) -> float:
-        """Median time of the resets so far [ms]."""
+        """Median processor time of the resets so far [ms]."""
         return 1e3 * statistics.median(self._resets[key])
 
     def engine_share(self, key: Key, seconds: float) -> float:
-        """Share of the wall time of a slice that is spent inside SUMO's step."""
+        """Share of the processor time of a slice that is spent inside SUMO's step."""
         from sumo_env.simulation import simulation
 
         sim, inside = simulation(), 0.0
@@ -124,16 +124,16 @@ class Driver:
 
         def timed() -> None:
             nonlocal inside
-            start = time.perf_counter()
+            start = time.thread_time()
             step()
-            inside += time.perf_counter() - start
+            inside += time.thread_time() - start
 
         sim.step = timed  # type: ignore[method-assign]
         try:
             part, _ = self.drive(key, seconds, 1, True)
         finally:
             del sim.step
-        return inside / part.wall
+        return inside / part.cpu
 
     def engine(self, key: Key, seconds: float, episode: int) -> Slice:
         """The same traffic for `episode` policy steps, again and again, with nothing read and nobody commanded.

@@ -23,7 +23,7 @@ from experiments.benchmarks.remote import Remote, Slice, Stopwatch, median_rate,
 
 OBSERVATION = (5, 5)  # of four of the five tasks
 ACTIONS = 5
-STORED = 5000  # random transitions in every replay
+STORED = 1000  # random transitions in every replay
 SPACE = gym.spaces.Box(-1.0, 1.0, OBSERVATION, np.float32)
 
 Record = dict[str, Any]

@@ -10,5 +10,7 @@ Knows gymnasium, numpy and torch; knows no simulator and no task by name.
     training       the loop: whole episodes, then updates; resumable bit for bit
     checkpoint     atomic files that detect damage
     streams        named random streams
-    rules          idle, random, faster, slower and the careful driver
+    rules          idle, random, faster, slower and careful, by name
+    careful        the careful driver: plans by prediction
+    perception     what it sees in a kinematics observation
 """

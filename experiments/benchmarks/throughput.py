@@ -10,12 +10,11 @@ beginners, so that their steps hold fewer resets and, on the highway, more vehic
 from __future__ import annotations
 
 import statistics
-import time
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from typing import Any
 
-from experiments.benchmarks.remote import Remote
+from experiments.benchmarks.remote import Remote, Slice, Stopwatch
 from experiments.grid import ARMS, level_names
 
 Record = dict[str, Any]
@@ -26,8 +25,11 @@ Place = tuple[str, int]  # task and level
 class Trainee:
     """Trains and tests for a short while; lives in its own process."""
 
-    def measure(self, task: str, level: int, updates: int, episodes: int) -> Cost:
-        """Seconds for an update with its step and for a test episode, means over the arms and traffics."""
+    def measure(self, task: str, level: int, updates: int, episodes: int) -> tuple[Cost, Cost]:
+        """Cost of an update with its step and of a test episode, means over the arms and traffics.
+
+        First in wall time, then in processor time [s].
+        """
         from agents.dqn import DQNConfig
         from agents.training import Progress, train
         from experiments.backends import make_env
@@ -35,22 +37,27 @@ class Trainee:
         from experiments.evaluate import evaluate
 
         env = make_env("sumo", task, level_config("sumo", task, level))
-        times: list[tuple[int, float]] = []
+        watch = Stopwatch()
+        marks: list[Slice] = []
 
-        def watch(progress: Progress) -> None:
-            times.append((progress.updates, time.perf_counter()))
+        def mark(progress: Progress) -> None:
+            marks.append(watch.slice(progress.updates))
 
         config = DQNConfig(updates=updates, warm_up=20)
         options = [{"config": {"risk": risk}} for risk in ARMS.values()]
-        agents = train(env, config, seeds=[0] * len(ARMS), reset_options=options, progress=watch)
-        (first, begin), (last, end) = times[0], times[-1]
+        agents = train(env, config, seeds=[0] * len(ARMS), reset_options=options, progress=mark)
+        first, last = marks[0], marks[-1]
+        learned = (last.count - first.count) * len(ARMS)
         policy = agents[0].policy
         evaluate(env, policy, task, level, 1)
-        start = time.perf_counter()
+        watch = Stopwatch()
         evaluate(env, policy, task, level, episodes)
-        test = (time.perf_counter() - start) / (2 * episodes)
+        tested = watch.slice(2 * episodes)
         env.close()
-        return (end - begin) / (last - first) / len(ARMS), test
+        return (
+            ((last.wall - first.wall) / learned, tested.wall / tested.count),
+            ((last.cpu - first.cpu) / learned, tested.cpu / tested.count),
+        )
 
 
 def measure_sweep(
@@ -60,39 +67,42 @@ def measure_sweep(
 
     Levels that are not in `places` are taken to cost what lies, by level number, between the measured ones.
     """
-    records = []
-    for count in workers:
-        costs: dict[Place, Cost] = {}
-        with ExitStack() as stack:
-            crew = [stack.enter_context(Remote(Trainee)) for _ in range(count)]
-            for task, level in places:
+    wall: dict[int, dict[Place, Cost]] = {count: {} for count in workers}
+    cpu: dict[int, dict[Place, Cost]] = {count: {} for count in workers}
+    with ExitStack() as stack:
+        crew = [stack.enter_context(Remote(Trainee)) for _ in range(max(workers))]
+        for task, level in places:
+            for count in workers:
                 note(f"training, {count} at a time, {task} {level_names(task)[level - 1]}")
-                for worker in crew:
+                for worker in crew[:count]:
                     worker.start("measure", task, level, updates, episodes)
-                results: list[Cost] = [worker.result() for worker in crew]
-                costs[task, level] = (
-                    statistics.fmean(step for step, _ in results),
-                    statistics.fmean(test for _, test in results),
-                )
-        records.append(
-            {
-                "workers": count,
-                "agents_per_hour": count * 3600.0 / agent_seconds(costs),
-                "extrapolated": True,
-                "measured_updates": updates,
-                "costs": [
-                    {
-                        "task": task,
-                        "level": level_names(task)[level - 1],
-                        "ms_per_update_and_step": 1e3 * step,
-                        "ms_per_test_episode": 1e3 * test,
-                        "agent_minutes": _seconds(task, (step, test)) / 60.0,
-                    }
-                    for (task, level), (step, test) in costs.items()
-                ],
-            }
-        )
-    return records
+                results: list[tuple[Cost, Cost]] = [worker.result() for worker in crew[:count]]
+                wall[count][task, level] = _mean([result[0] for result in results])
+                cpu[count][task, level] = _mean([result[1] for result in results])
+    return [
+        {
+            "workers": count,
+            "agents_per_hour": count * 3600.0 / agent_seconds(wall[count]),
+            "agents_per_hour_on_free_cores": count * 3600.0 / agent_seconds(cpu[count]),
+            "extrapolated": True,
+            "measured_updates": updates,
+            "costs": [
+                {
+                    "task": task,
+                    "level": level_names(task)[level - 1],
+                    "ms_per_update_and_step": 1e3 * step,
+                    "ms_per_test_episode": 1e3 * test,
+                    "agent_minutes": _seconds(task, (step, test)) / 60.0,
+                }
+                for (task, level), (step, test) in wall[count].items()
+            ],
+        }
+        for count in workers
+    ]
+
+
+def _mean(costs: Sequence[Cost]) -> Cost:
+    return statistics.fmean(step for step, _ in costs), statistics.fmean(test for _, test in costs)
 
 
 def agent_seconds(costs: Mapping[Place, Cost]) -> float:

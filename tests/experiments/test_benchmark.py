@@ -64,7 +64,8 @@ def results() -> dict:
         ],
         "learner": [learner_record(1, 2.0), learner_record(8, 3.4), learner_record(16, 3.6)],
         "sweep": [
-            {"workers": n, "agents_per_hour": 30.0 * n, "measured_updates": 60, "extrapolated": True, "costs": [
+            {"workers": n, "agents_per_hour": 30.0 * n, "agents_per_hour_on_free_cores": 40.0 * n,
+             "measured_updates": 60, "extrapolated": True, "costs": [
                 {"task": "highway", "level": "50", "ms_per_update_and_step": 4.0, "ms_per_test_episode": 9.0,
                  "agent_minutes": 3.0}]}
             for n in (1, 2)
@@ -239,9 +240,8 @@ def test_environments_are_compared_at_equal_work_and_by_default():
 
 @pytest.mark.slow
 def test_training_and_test_cost_time():
-    step, test = throughput.Trainee().measure("u-turn", 1, 60, 1)
-    assert step > 0.0
-    assert test > 0.0
+    wall, cpu = throughput.Trainee().measure("u-turn", 1, 60, 1)
+    assert min(*wall, *cpu) > 0.0
 
 
 @pytest.mark.slow

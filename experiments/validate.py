@@ -30,12 +30,14 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from experiments import grid
-from experiments.errors import UserError, disk_error, run_command
+from experiments.errors import UserError, disk_error, run_command, unknown
 from experiments.files import sha256_bytes, write_file, write_json
 from experiments.validation import jobs, page, record, reference, status
 from experiments.validation.jobs import Job, Size
 
 ROOT = Path(__file__).resolve().parents[1]
+# What parts depend on: those driven by other code are not used again. (That the scenarios are the same is checked.)
+SOURCES = {"highway-env": ("experiments/backends",), "sumo": ("sumo_env", "networks")}
 QUICK = Size(lowest=8, others=5, highway=(4, 3, 2), changes=4)
 
 
@@ -55,6 +57,8 @@ class Options:
     """Scenarios of each other level."""
     highway: tuple[int, int, int] = (12, 4, 3)
     """Scenarios of the highway's three levels, where highway-env is slowest."""
+    traffics: Annotated[tuple[str, ...], tyro.conf.arg(metavar="TRAFFIC ...")] = ("regular", "risky")
+    """Traffic to drive: regular (which has the targets), risky or both."""
     changes: int = 6
     """Scenarios in which lane-change decisions are examined, of the highway's first and third level each."""
     workers: int = 2
@@ -76,19 +80,19 @@ def validate(options: Options, console: Console, arguments: Sequence[str] = ()) 
     """
     tasks = grid.choose_tasks(options.tasks or tuple(grid.TASKS))
     command = shlex.join(["python", "experiments/validate.py", *arguments])
-    own = jobs.plan(tasks, options.size, (jobs.MATCHED, jobs.NATIVE))
+    own = jobs.plan(tasks, options.size, (jobs.MATCHED, jobs.NATIVE), options.traffics)
     engines = (jobs.PATH, jobs.NOISE, jobs.CONNECTED, jobs.V0)
-    theirs = [] if options.quick else jobs.plan(tasks, options.size, engines)
+    theirs = [] if options.quick else jobs.plan(tasks, options.size, engines, options.traffics)
     parts = options.out / "parts"
-    drive(theirs, parts / f"highway-env-{digest('experiments/backends', 'networks/*.py')}", options.workers, console)
-    drive(own, parts / f"sumo-{digest('sumo_env', 'networks')}", options.workers, console)
-    driven = reference.collect(own, parts / f"sumo-{digest('sumo_env', 'networks')}", {})
+    folders = {name: parts / f"{name}-{digest(*places)}" for name, places in SOURCES.items()}
+    drive(theirs, folders["highway-env"], options.workers, console)
+    drive(own, folders["sumo"], options.workers, console)
+    driven = reference.collect(own, folders["sumo"], {})
     if options.quick:
         stored = reference.read()
     else:
         provenance = record.provenance_of(command, options.size)
-        folder = parts / f"highway-env-{digest('experiments/backends', 'networks/*.py')}"
-        stored = reference.collect(theirs, folder, provenance)
+        stored = reference.collect(theirs, folders["highway-env"], provenance)
         if options.update:
             reference.write(stored, reference.STORED)
     result = record.make(tasks, driven, stored, command, options.quick)
@@ -101,11 +105,10 @@ def validate(options: Options, console: Console, arguments: Sequence[str] = ()) 
 
 
 def digest(*places: str) -> str:
-    """Eight digits that change with the sources: parts driven by other code are not used again."""
+    """Eight digits that change with the sources."""
     paths = []
     for place in places:
-        folder = ROOT / place
-        paths += sorted([*folder.rglob("*.py"), *folder.rglob("*.net.xml")] if folder.is_dir() else ROOT.glob(place))
+        paths += sorted([*(ROOT / place).rglob("*.py"), *(ROOT / place).rglob("*.net.xml")])
     return sha256_bytes(b"".join(path.read_bytes() for path in paths))[:8]
 
 
@@ -116,8 +119,9 @@ def drive(plan: Sequence[Job], folder: Path, workers: int, console: Console) -> 
     name = "highway-env" if plan[0].is_reference else "SUMO"
     columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     with Progress(*columns, console=console) as progress:
-        bar = progress.add_task(f"driving {name}", total=len(plan))
-        jobs.run_all(plan, folder, workers, lambda count: progress.advance(bar, count))
+        left = [job for job in plan if not jobs.finished(job, folder)]
+        bar = progress.add_task(f"driving {name}", total=len(plan), completed=len(plan) - len(left))
+        jobs.run_all(left, folder, workers, lambda count: progress.advance(bar, count))
 
 
 def show(result: dict[str, Any], console: Console) -> None:
@@ -134,6 +138,11 @@ def show(result: dict[str, Any], console: Console) -> None:
             "[green]passed" if own["passed"] else "[red]not passed",
         )  # fmt: skip
     console.print(table)
+    if result["other_scenarios"]:
+        console.print(
+            f"[yellow]{result['other_scenarios']} stored episodes are of scenarios that this version no longer draws "
+            "and were left out: run without --quick to drive highway-env anew"
+        )
     if missed:
         misses = Table("missed", "level", "SUMO", "highway-env", "difference", "margin", "noise floor")
         for task, c in missed:
@@ -148,6 +157,9 @@ def main() -> int:
     for name in ("lowest", "others", "changes", "workers"):
         if getattr(options, name) < 1:
             raise UserError(f"--{name} must be at least 1, not {getattr(options, name)}")
+    for traffic in options.traffics:
+        if traffic not in grid.TRAFFICS:
+            raise unknown("traffic", traffic, grid.TRAFFICS)
     console = Console()
     try:
         options.out.mkdir(parents=True, exist_ok=True)

@@ -7,7 +7,6 @@ equivalence by two one-sided tests at 5 % (Schuirmann 1987).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 from typing import TYPE_CHECKING
@@ -16,7 +15,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from experiments.errors import UserError
 from experiments.validation.episodes import BIN, BINS
 
 if TYPE_CHECKING:
@@ -42,19 +40,22 @@ class Difference:
 def pairs(table: pd.DataFrame, first: str, second: str) -> pd.DataFrame:
     """Episodes that both engines have driven, side by side with suffixes ``_a`` and ``_b``.
 
-    Raises:
-        UserError: the two did not start from the same scenario: the reference is of another version.
+    Where the two did not start from the same scenario (the stored reference is of an earlier version that drew
+    others) there is no pair; `strangers` counts those.
     """
+    both = _side_by_side(table, first, second)
+    return both[both["drawn_a"] == both["drawn_b"]]
+
+
+def strangers(table: pd.DataFrame, first: str, second: str) -> int:
+    """Episodes of both engines that bear one number but are of different scenarios."""
+    both = _side_by_side(table, first, second)
+    return int((both["drawn_a"] != both["drawn_b"]).sum())
+
+
+def _side_by_side(table: pd.DataFrame, first: str, second: str) -> pd.DataFrame:
     a, b = (table[table["engine"] == name].drop(columns="engine") for name in (first, second))
-    both = a.merge(b, on=PAIR, suffixes=("_a", "_b"))
-    strangers = both[both["drawn_a"] != both["drawn_b"]]
-    if len(strangers):
-        place = strangers.iloc[0]
-        raise UserError(
-            f"the stored reference of {place['task']} (level {place['level']}, {place['traffic']}) was driven in "
-            "other scenarios than this version draws: run validate.py without --quick to make a new one"
-        )
-    return both
+    return a.merge(b, on=PAIR, suffixes=("_a", "_b"))
 
 
 def interval(values: NDArray[np.float64]) -> tuple[float | None, float | None]:
@@ -144,11 +145,3 @@ def _excludes_zero(values: NDArray[np.float64]) -> bool:
         return bool(values[0] != 0)
     t = abs(values.mean()) / (spread / np.sqrt(len(values)))
     return bool(t > stats.t.ppf(0.975, len(values) - 1))
-
-
-Measure = Callable[["pd.DataFrame"], Difference]
-
-
-def over(tables: Sequence[pd.DataFrame], measure: Measure) -> list[Difference | None]:
-    """A measure of several comparisons; None for those without episodes."""
-    return [measure(table) if len(table) else None for table in tables]

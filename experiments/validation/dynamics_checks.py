@@ -139,7 +139,7 @@ def checks(
                     level="few vehicles", unit=unit, margin=margin,
                     bound=margin.value * abs(other) if margin.relative else margin.value,
                     noise=noise[metric][2] if metric in noise else None,
-                )  # fmt: skip
+                )
             )
     worst = max(placement.values())
     found.append(

@@ -107,9 +107,18 @@ class Recorder:
 
 
 def fingerprint(scenario: Scenario) -> int:
-    """A number that tells scenarios apart, without the vehicles that one of the simulators leaves out."""
-    lines = (scenario.task, scenario.seed, scenario.risk, scenario.ego, scenario.vehicles[:5], scenario.spawns)
-    return zlib.crc32(repr(lines).encode())
+    """A number that tells scenarios apart by what is driven: places, speeds, drivers, later arrivals and events.
+
+    Of the vehicles only the first five count: one of the simulators leaves out those that the ego cannot reach.
+    """
+    specs = (scenario.ego, *scenario.vehicles[:5], *(spawn.vehicle for spawn in scenario.spawns))
+    drawn = [
+        (v.id, v.lane, round(v.s, 6), round(v.speed, 6), round(v.target_speed, 6), v.destination,
+         *(round(value, 6) for value in (v.driver.delta, v.driver.accel, v.driver.tau, v.driver.min_gap)))
+        for v in specs
+    ]  # fmt: skip
+    events = [(round(event.time, 6), event.vehicle, event.kind) for event in scenario.events]
+    return zlib.crc32(repr((drawn, events)).encode())
 
 
 def mean(values: Any) -> float:

@@ -86,7 +86,9 @@ class Job:
         return slow * self.scenarios * episode * (8.0 if self.task == "highway" else 1.0) * (1 + self.level)
 
 
-def plan(tasks: Sequence[str], size: Size, engines: Iterable[Engine]) -> list[Job]:
+def plan(
+    tasks: Sequence[str], size: Size, engines: Iterable[Engine], traffics: Sequence[str] = tuple(TRAFFICS)
+) -> list[Job]:
     """Everything that some engines have to drive."""
     jobs = []
     for engine in engines:
@@ -98,7 +100,7 @@ def plan(tasks: Sequence[str], size: Size, engines: Iterable[Engine]) -> list[Jo
                 jobs.append(Job("scenes", engine.name, task))
             for level in range(1, len(TASKS[task].levels) + 1):
                 n = size.of(task, level)
-                for traffic in TRAFFICS:
+                for traffic in traffics:
                     if engine in (PATH, MATCHED, NATIVE) or (traffic == "regular" and (not only_bends or level == 1)):
                         jobs.append(Job("episodes", engine.name, task, level, traffic, n))
                 if task == "highway" and level in CHANGE_LEVELS:
@@ -174,6 +176,20 @@ def read_json(path: Path) -> Any:
 def write_json(path: Path, value: Any) -> None:
     """Write a value as compressed JSON: equal values give equal bytes."""
     write_file(path, gzip.compress(json.dumps(value, separators=(",", ":")).encode(), mtime=0))
+
+
+def finished(job: Job, folder: Path) -> bool:
+    """Whether the job's file is there with all that it asks for."""
+    path = folder / job.file
+    if not path.exists():
+        return False
+    if job.kind == "scenes":
+        return True
+    if job.kind == "changes":
+        return len(read_json(path)) >= job.scenarios
+    import pandas as pd
+
+    return int(pd.read_parquet(path, columns=["scenario"])["scenario"].max()) + 1 >= job.scenarios
 
 
 def run_all(jobs: Sequence[Job], folder: Path, workers: int, note: Callable[[int], None]) -> None:

@@ -71,13 +71,13 @@ EPISODES: dict[str, Margin] = {
     "headway": Margin(
         0.15, "s", "Wasserstein distance as a share of the mean: what halves or doubles braking moves it by more",
         relative=True,
-    ),  # fmt: skip
+    ),
     "crashed": Margin(0.10, "1", "a treatment of this study is calibrated to 0.15 to 0.25"),
     "return": Margin(0.10, "1", "a tenth of the task's range of returns, the size of effects worth reporting"),
     "agreement": Margin(
         0.05, "1", "share of episodes with the same crash outcome, below that of highway-env at 10 and 15 Hz"
     ),
     "order": Margin(0.0, "1", "which of two egos is better must never depend on the simulator"),
-}  # fmt: skip
+}
 
 REASON_WITHOUT = "shown without a target: SUMO's own models are not meant to be highway-env's"

@@ -58,7 +58,10 @@ def draw(
         "overview": figures.overview(record["tasks"]),
         "egos": figures.egos(table),
         "fundamental": figures.fundamental(table),
-        **{f"distributions-{task}": figures.distributions(table[table["task"] == task], task) for task in record["tasks"]},
+        **{
+            f"distributions-{task}": figures.distributions(table[table["task"] == task], task)
+            for task in record["tasks"]
+        },
     }
     name = "following | highway | stop and go"
     if name in motions["sumo"]:

@@ -9,7 +9,7 @@ import sumo_env
 from experiments.grid import level_names
 from experiments.provenance import provenance
 from experiments.validation import changes as lane_changes
-from experiments.validation import dynamics_checks
+from experiments.validation import compare, dynamics_checks
 from experiments.validation.compare import Difference
 from experiments.validation.jobs import MATCHED, NATIVE, NOISE, PATH, Size
 from experiments.validation.margins import CHANGES
@@ -66,6 +66,7 @@ def make(tasks: Sequence[str], driven: Results, stored: Results, command: str, q
         "quick": quick,
         "versions": versions(),
         "reference": {name: stored.provenance.get(name) for name in ("command", "git", "versions", "scenarios")},
+        "other_scenarios": compare.strangers(table, MATCHED.name, PATH.name),  # the reference is of another version
         "passed": all(verdict is True for verdict in verdicts),
         "tasks": records,
     }

@@ -69,7 +69,7 @@ def check(
         "n": difference.n,
         "passed": passed,
         "equivalent": equivalent,
-        **{key: finite(value) for key, value in (variants or {}).items()},
+        **{name: finite((variants or {}).get(name)) for name in (CONNECTED.name, V0.name)},
         "reason": REASON_WITHOUT if margin is None else margin.reason,
     }
 
@@ -120,7 +120,7 @@ def episode_checks(table: pd.DataFrame, task: str, level: int, traffic: str, mod
             "headway distribution", "wasserstein", distance, unit="s", margin=margin,
             bound=None if margin is None else margin.value * distance.second,
             noise=compare.headway_distance(noise).difference if len(noise) else None, **common,
-        )  # fmt: skip
+        )
     )
     checks += _outcome_checks(both, noise, targets, common)
     checks += [line(m, m, both, noise, None) for m in MEASURES if m not in ("return", "crashed", "traffic_speed")]
@@ -170,7 +170,9 @@ def passed(checks: Sequence[Check]) -> bool | None:
     return all(verdicts) if verdicts else None
 
 
-def task_record(table: pd.DataFrame, task: str, dynamics: Sequence[Check], changes: Mapping[str, Sequence[Check]]) -> dict[str, Any]:
+def task_record(
+    table: pd.DataFrame, task: str, dynamics: Sequence[Check], changes: Mapping[str, Sequence[Check]]
+) -> dict[str, Any]:
     """All checks of a task, and whether it passed.
 
     Args:

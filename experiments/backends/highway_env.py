@@ -34,6 +34,7 @@ from sumo_env import safety
 from sumo_env.collision import LENGTH, WIDTH, CrashRecord, crash_record, separation
 from sumo_env.config import Config, ConfigError, nearest, resolve
 from sumo_env.interface import interface
+from sumo_env.models.hazards import free_way, has_room
 from sumo_env.scenario import EGO, Scenario
 from sumo_env.scene import Scene
 from sumo_env.tasks import TASKS
@@ -61,7 +62,6 @@ class ScenarioEnv(AbstractEnv):
     task: ClassVar[Task]
     config: Config
     joins: ClassVar[bool] = True  # whether the road has lanes that continue others
-    oncoming_lane: ClassVar[LaneIndex | None] = None  # that cut-ins swerve into
 
     # -- configuration -------------------------------------------------------------------------------------
 
@@ -146,6 +146,7 @@ class ScenarioEnv(AbstractEnv):
     def _reset(self) -> None:
         self.scenario: Scenario = self.task.scenario(self.config, int(self.np_random.integers(2**31)))
         self._events = list(self.scenario.events)
+        self._pushes: dict[str, tuple[float, float]] = {}  # vehicle -> (end [s], acceleration [m/s2])
         self.crash: CrashRecord | None = None
         self.min_ttc, self.distance = math.inf, 0.0
         super()._reset()
@@ -181,6 +182,7 @@ class ScenarioEnv(AbstractEnv):
                 self.action_type.act(action)
             self.distance += max(float(self.vehicle.speed), 0.0) / frequency
             self.road.act()
+            self._push(self.steps / frequency)
             self.road.step(1 / frequency)
             self.steps += 1
             self.scene = self._scene()
@@ -190,11 +192,45 @@ class ScenarioEnv(AbstractEnv):
         self.enable_auto_render = False
 
     def _start_events(self, time: float) -> None:
+        """Risk events that are due (`sumo_env.world.World`); those of vehicles that are gone or wrecked are dropped."""
         while self._events and self._events[0].time <= time + 1e-9:
             event = self._events.pop(0)
             for vehicle in self.road.vehicles:
-                if vehicle.id == event.vehicle and not vehicle.crashed:
-                    vehicle.start_event(event, self.oncoming_lane)
+                if vehicle.id != event.vehicle or vehicle.crashed:
+                    continue
+                if event.kind == "cut-in":
+                    self._cut_in(vehicle, event.direction)
+                else:
+                    push = event.accel if event.kind == "surge" else -event.decel
+                    self._pushes[event.vehicle] = (time + event.duration, push)
+
+    def _cut_in(self, vehicle: ScenarioVehicle, direction: int) -> None:
+        for lane in vehicle.lanes_beside(direction):
+            if self._has_room(vehicle, lane):
+                vehicle.cut_in(lane)
+                return
+
+    def _has_room(self, vehicle: ScenarioVehicle, index: LaneIndex) -> bool:
+        scene, lane = self._scene(), self.road.network.get_lane(index)
+        s = lane.local_coordinates(vehicle.position)[0]
+        there = (*map(float, lane.position(s, 0.0)), float(lane.heading_at(s)))
+        return bool(has_room(scene.x, scene.y, scene.heading, scene.ids.index(vehicle.id), *there))
+
+    def _push(self, time: float) -> None:
+        """Sudden braking and surges, over what the drivers have decided."""
+        self._pushes = {name: push for name, push in self._pushes.items() if time < push[0] - 1e-9}
+        if not self._pushes:
+            return
+        scene = self._scene()
+        for vehicle in self.road.vehicles:
+            if vehicle.id not in self._pushes or vehicle.crashed:
+                continue
+            push, wanted = self._pushes[vehicle.id][1], vehicle.action["acceleration"]
+            if push < 0.0:  # to a standstill, never backwards
+                hardest = max(float(vehicle.speed), 0.0) * self.config["simulation_frequency"]
+                vehicle.action["acceleration"] = min(wanted, -min(-push, hardest))
+            elif free_way(scene.x, scene.y, scene.heading, scene.ids.index(vehicle.id)):
+                vehicle.action["acceleration"] = max(wanted, push)
 
     def _measure(self) -> None:
         scene = self.scene
@@ -232,10 +268,15 @@ class TwoWayScenario(ScenarioEnv, TwoWayEnv):
     """two-way-v0, of any length."""
 
     task, joins = TASKS["two-way"], False
-    oncoming_lane = ("a", "b", 0)
 
     def _make_road(self, *_: Any) -> None:
         super()._make_road(length=float(self.config["road_length"]))
+
+    def _cut_in(self, vehicle: ScenarioVehicle, direction: int) -> None:
+        """A swerve into the lane of the oncoming traffic, of those who drive beside it."""
+        own, oncoming = ("a", "b", 1), ("a", "b", 0)
+        if vehicle.lane_index == vehicle.target_lane_index == own and self._has_room(vehicle, oncoming):
+            vehicle.swerve(oncoming)
 
 
 class RoundaboutScenario(ScenarioEnv, RoundaboutEnv):

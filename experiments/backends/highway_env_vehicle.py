@@ -1,4 +1,4 @@
-"""highway-env's driver (`IDMVehicle`) with the numbers, the events and, optionally, the eyes of a scenario's driver.
+"""highway-env's driver with a scenario's numbers and manoeuvres, and a variant that measures along the path.
 
 Parameters are set on the instance, never on the class: highway-env's intersection changes the class, and with
 it every other task of the process.
@@ -14,7 +14,6 @@ from highway_env.utils import not_zero
 from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.kinematics import Vehicle
 
-from sumo_env.drivers import RiskEvent
 from sumo_env.scenario import VehicleSpec
 from sumo_env.scene import VEHICLE_LENGTH
 
@@ -23,7 +22,7 @@ ALMOST = 1e-9  # [s] rounding of sums of steps
 
 
 class ScenarioVehicle(IDMVehicle):
-    """A driver of a `Scenario`: IDM and MOBIL as in highway-env, and risk events.
+    """A driver of a `Scenario`: IDM and MOBIL as in highway-env, and what risk events make it do.
 
     Attributes:
         id: name of the vehicle.
@@ -35,8 +34,6 @@ class ScenarioVehicle(IDMVehicle):
     target_lane_index: LaneIndex
     _cuts_in = False  # a forced lane change is running
     _swerve_left = 0.0  # [s] until a swerve into the oncoming lane ends
-    _brake_left = 0.0  # [s] until sudden braking ends
-    _brake_decel = 0.0  # [m/s2]
 
     @classmethod
     def place(cls, road: Road, spec: VehicleSpec) -> ScenarioVehicle:
@@ -59,32 +56,21 @@ class ScenarioVehicle(IDMVehicle):
         vehicle.ACC_MAX = driver.emergency_decel
         return vehicle
 
-    def start_event(self, event: RiskEvent, oncoming_lane: LaneIndex | None) -> None:
-        """Begin a risk event; `oncoming_lane`: the one to swerve into, where there is oncoming traffic."""
-        if event.kind == "brake":
-            self._brake_left, self._brake_decel = event.duration, event.decel
-        elif oncoming_lane is None:
-            self._cut_in(event.direction)
-        elif self.lane_index == self.target_lane_index == (*oncoming_lane[:2], oncoming_lane[2] + 1):
-            self.target_lane_index = oncoming_lane
-            self._swerve_left = SWERVE_TIME
-
-    def _cut_in(self, direction: int) -> None:
+    def lanes_beside(self, direction: int) -> list[LaneIndex]:
+        """The lanes that a cut-in may go to, the preferred one first; -1 is left, +1 right."""
         start, end, lane = self.target_lane_index
         count = len(self.road.network.graph[start][end])
-        target = lane + direction if 0 <= lane + direction < count else lane - direction
-        if 0 <= target < count:
-            self.target_lane_index = (start, end, target)
-            self._cuts_in = True
+        return [(start, end, k) for k in (lane + direction, lane - direction) if 0 <= k < count]
 
-    def follow_road(self) -> None:
-        """Aim for the next road of the route; without a route the road goes on.
+    def cut_in(self, lane: LaneIndex) -> None:
+        """Head for this lane at once, whatever MOBIL says, until it is reached."""
+        self.target_lane_index = lane
+        self._cuts_in = True
 
-        highway-env's cars turn round at an end of the two-way road, into the lane beside: on its 800 m none gets that
-        far, on the shorter road of the traffic levels many do.
-        """
-        if self.route is not None:
-            super().follow_road()
+    def swerve(self, lane: LaneIndex) -> None:
+        """Head for the oncoming lane, left of one's own, and come back after SWERVE_TIME."""
+        self.target_lane_index = lane
+        self._swerve_left = SWERVE_TIME
 
     def change_lane_policy(self) -> None:
         """MOBIL, and giving up a change that another driver makes too; not during a forced change."""
@@ -94,12 +80,7 @@ class ScenarioVehicle(IDMVehicle):
         super().change_lane_policy()
 
     def step(self, dt: float) -> None:
-        """Move by `dt` [s]; sudden braking replaces what the driver has decided if it is harder."""
-        if self._brake_left > ALMOST and not self.crashed:
-            hardest = max(float(self.speed), 0.0) / dt  # to a standstill, never backwards
-            wanted = self.action["acceleration"]
-            self.action["acceleration"] = min(wanted, -min(self._brake_decel, hardest))
-            self._brake_left -= dt
+        """Move by `dt` [s]; a swerve whose time is over ends."""
         super().step(dt)
         if self._swerve_left > 0.0:
             self._swerve_left -= dt

@@ -265,19 +265,42 @@ def test_sudden_braking_ends_at_a_standstill() -> None:
 
 
 @pytest.mark.parametrize("direction", [-1, 1])
-def test_a_cut_in_goes_to_the_lane_beside_whoever_is_there(direction: int) -> None:
+def test_a_cut_in_goes_to_the_lane_beside_at_once_and_ignores_mobil(direction: int) -> None:
     env = make("highway", lanes_count=2)
     env.reset(seed=0)
     lane = named(env, "v3").target_lane_index[2]
-    # another car exactly beside it: MOBIL would never change
+    # close behind and fast: MOBIL would not impose that on it
     other = named(env, "v4")
-    other.position[:] = named(env, "v3").position + np.array([0.0, 4.0 * (1 - 2 * lane)])
+    other.position[:] = named(env, "v3").position + np.array([-8.0, 4.0 * (1 - 2 * lane)])
+    other.speed = 30.0
     other.on_state_update()
-    seen = drive(env, [RiskEvent(0.5, "v3", "cut-in", direction=direction)], 2, "v3")
-    before = [row for row in seen if row["time"] < 0.5]
-    assert all(row["target"][2] == lane for row in before)
-    assert named(env, "v3").crashed and other.crashed
-    assert seen[-1]["target"][2] == 1 - lane
+    seen = drive(env, [RiskEvent(0.0, "v3", "cut-in", direction=direction)], 1, "v3")
+    assert seen[0]["target"][2] == 1 - lane
+    assert seen[-1]["lane"][2] == 1 - lane
+
+
+def test_nobody_cuts_in_where_there_is_no_room() -> None:
+    env = make("highway", lanes_count=2)
+    env.reset(seed=0)
+    lane = named(env, "v3").target_lane_index[2]
+    other = named(env, "v4")
+    other.position[:] = named(env, "v3").position + np.array([4.0, 4.0 * (1 - 2 * lane)])
+    other.on_state_update()
+    seen = drive(env, [RiskEvent(0.0, "v3", "cut-in", direction=1)], 1, "v3")
+    assert seen[0]["target"][2] == lane
+
+
+def test_a_surge_accelerates_and_pauses_behind_another_vehicle() -> None:
+    env = make("highway", vehicles_count=2, lanes_count=1)
+    env.reset(seed=0)
+    event = RiskEvent(0.0, "v0", "surge", accel=4.0, duration=1.0)
+    named(env, "v1").position[0] = named(env, "v0").position[0] + 300.0
+    named(env, "v1").on_state_update()
+    assert all(row["acceleration"] >= 4.0 for row in drive(env, [event], 1, "v0"))
+    env.reset(seed=0)
+    named(env, "v1").position[0] = named(env, "v0").position[0] + 20.0
+    named(env, "v1").on_state_update()
+    assert all(row["acceleration"] < 4.0 for row in drive(env, [event], 1, "v0"))
 
 
 def test_a_cut_in_on_the_two_way_road_comes_back() -> None:

@@ -79,19 +79,24 @@ def validate(options: Options, console: Console, arguments: Sequence[str] = ()) 
         UserError: unknown task, no reference, or one of other scenarios.
     """
     tasks = grid.choose_tasks(options.tasks or tuple(grid.TASKS))
-    command = shlex.join(["python", "experiments/validate.py", *arguments])
-    own = jobs.plan(tasks, options.size, (jobs.MATCHED, jobs.NATIVE), options.traffics)
+    # the directory's name, not the machine's path to it
+    named = [options.out.name if word == str(options.out) else word for word in arguments]
+    command = shlex.join(["python", "experiments/validate.py", *named])
+    size, traffics = options.size, options.traffics
+    stored = reference.read() if options.quick else None
+    if stored is not None:  # only what it can be compared with
+        size = size.at_most(stored.provenance["scenarios"])
+        traffics = tuple(name for name in traffics if name in set(stored.episodes["traffic"]))
+    own = jobs.plan(tasks, size, (jobs.MATCHED, jobs.NATIVE), traffics)
     engines = (jobs.PATH, jobs.NOISE, jobs.CONNECTED, jobs.V0)
-    theirs = [] if options.quick else jobs.plan(tasks, options.size, engines, options.traffics)
+    theirs = [] if stored else jobs.plan(tasks, size, engines, traffics)
     parts = options.out / "parts"
     folders = {name: parts / f"{name}-{digest(*places)}" for name, places in SOURCES.items()}
     drive(theirs, folders["highway-env"], options.workers, console)
     drive(own, folders["sumo"], options.workers, console)
     driven = reference.collect(own, folders["sumo"], {})
-    if options.quick:
-        stored = reference.read()
-    else:
-        provenance = record.provenance_of(command, options.size)
+    if stored is None:
+        provenance = record.provenance_of(command, size)
         stored = reference.collect(theirs, folders["highway-env"], provenance)
         if options.update:
             reference.write(stored, reference.STORED)

@@ -105,7 +105,7 @@ class FastRoad(Road):
         """``Road.neighbour_vehicles``."""
         lane_index = lane_index or vehicle.lane_index
         if self._rows is None or id(vehicle) not in self._rows or lane_index not in self.table.index:
-            return super().neighbour_vehicles(vehicle, lane_index)  # type: ignore[no-any-return]
+            return super().neighbour_vehicles(vehicle, lane_index)
         if lane_index not in self.joined:
             self.joined[lane_index] = self._join(lane_index)
         front, rear = neighbours(
@@ -155,7 +155,7 @@ def within_reach(name: str) -> Task:
             near = tuple(v for v in drawn.vehicles if self.concerns_ego(v, drawn.ego, config))
             return replace(drawn, vehicles=near)
 
-    return WithinReach()  # type: ignore[no-any-return]
+    return WithinReach()
 
 
 def accelerate(env: Any, task: str) -> None:

@@ -8,7 +8,7 @@ that stays safe and worth it for the 1.1 s in which MOBIL decides at least once,
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -68,11 +68,12 @@ def judge(frames: Sequence[Scene], scenario: Scenario, frequency: float) -> dict
         np.array([getattr(frame, field)[row] for frame, row in zip(frames, rows, strict=True)])
         for field in ("x", "y", "speed", "heading")
     )
-    crashed = np.array([frame.crashed[row] for frame, row in zip(frames, rows, strict=True)]).any(axis=0)
+    wrecks = np.array([frame.crashed[row] for frame, row in zip(frames, rows, strict=True)])
+    crashed: NDArray[np.bool_] = np.logical_or.reduce(wrecks, axis=0)
     lane = np.array([closest_lanes(row, LANES, WIDTH) for row in y])
     centred = np.abs(y - WIDTH * lane) <= CENTRED
     tally = dict.fromkeys(("changes", "valid", "unsafe", "idle", "chances", "made"), 0)
-    near = np.abs(x - x[:, :1]) <= PERCEPTION_DISTANCE
+    near: NDArray[np.bool_] = np.asarray(np.abs(x - x[:, :1]) <= PERCEPTION_DISTANCE)
 
     def verdict(t: int, i: int, to: int) -> tuple[bool, bool]:
         imposed, gain = criteria(
@@ -120,7 +121,7 @@ def beginnings(lane: NDArray[np.int64], centred: NDArray[np.bool_]) -> dict[int,
     return starts
 
 
-def shares(counts: Sequence[dict[str, float]]) -> dict[str, float]:
+def shares(counts: Sequence[Mapping[str, float]]) -> dict[str, float]:
     """The counts of several scenarios as shares and a rate [changes per vehicle-minute]."""
     total = {name: sum(count[name] for count in counts) for name in counts[0]}
     changes, chances = max(total["changes"], 1), max(total["chances"], 1)

@@ -77,7 +77,7 @@ class Recorder:
     def _count_changes(self, scene: Scene, others: NDArray[np.bool_]) -> None:
         if self.task in ("two-way", "intersection"):
             return
-        lanes = {scene.ids[row]: self._lane(scene, row) for row in np.flatnonzero(others)}
+        lanes = {scene.ids[row]: self._lane(scene, int(row)) for row in np.flatnonzero(others)}
         for name, lane in lanes.items():
             before = self._lanes.get(name)
             if before is not None:

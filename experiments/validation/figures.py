@@ -32,7 +32,7 @@ def _legend(figure: Any) -> None:
 
 def _line(axes: Axes, time: Any, values: Any, engine: str) -> None:
     """highway-env broad below, SUMO thin above: where only one line is seen, both agree."""
-    style = {"color": SUMO, "lw": 1.2} if engine == "sumo" else {"color": REFERENCE, "lw": 2.6, "alpha": 0.55}
+    style: Any = {"color": SUMO, "lw": 1.2} if engine == "sumo" else {"color": REFERENCE, "lw": 2.6, "alpha": 0.55}
     axes.plot(time, values, **style)
 
 
@@ -156,7 +156,8 @@ def egos(table: pd.DataFrame) -> str:
         axes[0, column].set_title(task)
     axes[0, 0].set_ylabel("Return, SUMO")
     axes[1, 0].set_ylabel("Crash rate, SUMO")
-    figure.supxlabel("the same in highway-env", fontsize=8.5)
+    for panel in axes[1]:
+        panel.set_xlabel("highway-env")
     handles = [Line2D([], [], color=SUMO, ls="", marker=mark, label=name) for name, mark in marks.items()]
     figure.legend(handles=handles, loc="outside lower center", ncols=5)
     return to_svg(figure, "egos", "Return and crash rate of all egos in SUMO against highway-env")

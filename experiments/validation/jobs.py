@@ -7,7 +7,7 @@ import io
 import json
 import multiprocessing
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
@@ -54,6 +54,15 @@ class Size:
         if task == "highway":
             return self.highway[level - 1]
         return self.lowest if level == 1 else self.others
+
+
+    def at_most(self, scenarios: Mapping[str, Any]) -> Size:
+        """The smaller of this size and the one that a reference's provenance names."""
+        low, mid, high = map(min, self.highway, scenarios["highway"])
+        return Size(
+            min(self.lowest, scenarios["lowest"]), min(self.others, scenarios["others"]), (low, mid, high),
+            min(self.changes, scenarios["changes"]),
+        )  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -122,7 +122,7 @@ def for_figures(
     table = table[table["engine"].isin((MATCHED.name, PATH.name)) & table["task"].isin(tasks)]
     pair = ["task", "level", "traffic", "policy", "scenario"]
     table = table[table.groupby(pair)["engine"].transform("nunique") == 2]
-    motions = {
+    motions: dict[str, Mapping[str, Motion]] = {
         "sumo": {k: m for k, m in driven.motions[MATCHED.name].items() if k != "artefact"},
         "highway-env": {k: m for k, m in stored.motions[PATH.name].items() if k != "artefact"},
     }

@@ -15,6 +15,7 @@ from experiments.validation.margins import EPISODES, REASON_WITHOUT, RETURN_RANG
 if TYPE_CHECKING:
     import pandas as pd
 
+LEAST_SCENARIOS = 3  # with fewer, a level gets no verdict
 UNITS = {
     "return": "", "crashed": "share", "length": "steps", "arrived": "share", "ego_speed": "m/s",
     "traffic_speed": "m/s", "headway": "s", "gap": "m", "ego_headway": "s", "lane_changes": "1/vehicle-minute",
@@ -36,6 +37,7 @@ def check(
     noise: float | None = None,
     variants: Mapping[str, float | None] | None = None,
     one_sided: bool = False,
+    least: int = 1,
 ) -> Check:
     """One line of the scorecard, plain JSON values.
 
@@ -44,11 +46,12 @@ def check(
         noise: what highway-env at 10 Hz differs by from itself at 15 Hz.
         variants: the value of highway-env's other variants.
         one_sided: only a negative difference can miss.
+        least: with fewer units than this there is no verdict.
     """
     limit = None if margin is None else margin.value if bound is None else bound
     low, high = difference.low, difference.high
     passed = equivalent = None
-    if limit is not None and math.isfinite(difference.difference):
+    if limit is not None and math.isfinite(difference.difference) and difference.n >= least:
         worst = -difference.difference if one_sided else abs(difference.difference)
         passed = worst <= limit + 1e-9
         if low is not None and high is not None:
@@ -109,7 +112,7 @@ def episode_checks(table: pd.DataFrame, task: str, level: int, traffic: str, mod
         values = {name: _variant(part, other, measure, found.second) for name, other in others.items()}
         return check(
             name, measure, found, unit=UNITS[measure], margin=margin, bound=bound, noise=floors, variants=values,
-            **common,
+            least=LEAST_SCENARIOS, **common,
         )  # fmt: skip
 
     checks = [line(name, name, both, noise, targets.get(name)) for name in ("return", "crashed", "traffic_speed")]
@@ -119,7 +122,8 @@ def episode_checks(table: pd.DataFrame, task: str, level: int, traffic: str, mod
         check(
             "headway distribution", "wasserstein", distance, unit="s", margin=margin,
             bound=None if margin is None else margin.value * distance.second,
-            noise=compare.headway_distance(noise).difference if len(noise) else None, **common,
+            noise=compare.headway_distance(noise).difference if len(noise) else None,
+            least=LEAST_SCENARIOS, **common,
         )
     )
     checks += _outcome_checks(both, noise, targets, common)
@@ -152,7 +156,7 @@ def _outcome_checks(
     target = targets.get("agreement") if floor is not None else None
     checks = [
         check("same crash outcome", "agreement", found, unit="share", margin=target, noise=floor, one_sided=True,
-              **common)
+              least=LEAST_SCENARIOS, **common)
     ]  # fmt: skip
     for measure in ("return", "crashed"):
         share, decided = compare.order(both, measure)

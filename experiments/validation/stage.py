@@ -105,7 +105,7 @@ def staged(name: str, scene: Scene) -> Task:
         def scenario(self, config: Config, seed: int) -> Scenario:
             return scenario_of(scene, config)
 
-    return Staged()  # type: ignore[no-any-return]
+    return Staged()
 
 
 def open_env(backend: str, task: str, config: Mapping[str, Any]) -> gym.Env[Any, Any]:

@@ -202,7 +202,7 @@ def overview(records: Mapping[str, Any]) -> str:
                     if item["metric"] != metric or not item["margin"]:
                         continue
                     y = -row + shift
-                    colour = REFERENCE if item["passed"] else SUMO
+                    colour = {True: REFERENCE, False: SUMO}.get(item["passed"], MUTED)  # grey: no verdict
                     share = item["difference"] / item["margin"]
                     if item["low"] is not None:
                         ends = np.array([item["low"], item["high"]]) / item["margin"]

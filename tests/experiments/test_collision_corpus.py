@@ -1,0 +1,69 @@
+"""The truth that detectors are held against, and a small corpus."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+import shapely
+
+from experiments.collision_corpus import PARTS, Options, between, polygons, run, summarise
+
+
+def test_a_polygon_is_a_car() -> None:
+    [car] = polygons(np.array([[3.0, -2.0, math.pi / 2]]))
+    assert car.area == pytest.approx(10.0)
+    assert car.bounds == pytest.approx((2.0, -4.5, 4.0, 0.5))  # 5 m long, turned to +y
+
+
+def test_the_way_between_two_poses_turns_the_short_way_and_ends_at_the_second() -> None:
+    way = between((0.0, 0.0, 3.0), (2.0, 0.0, -3.0))
+    assert way.shape == (PARTS, 3)
+    assert np.abs(np.diff(way[:, 2])).max() < 0.1
+    assert way[-1, 0] == pytest.approx(2.0)
+    assert math.cos(way[-1, 2]) == pytest.approx(math.cos(-3.0))
+
+
+def test_a_contact_between_two_sub_steps_is_part_of_the_truth() -> None:
+    car = np.tile([0.0, 0.0, 0.0], (PARTS, 1))
+    crossing = between((2.4, -3.6, -math.pi / 4), (5.2, -1.0, -math.pi / 4))
+    gaps = shapely.distance(polygons(car), polygons(crossing))
+    assert gaps.min() < gaps[-1]
+
+
+def test_recall_and_precision() -> None:
+    corpus = pd.DataFrame(
+        {
+            "task": "u-turn",
+            "who": "ego",
+            "contact": [True, True, False, False],
+            "type": ["side", "rear-end", "none", "none"],
+            "closest": [0.0, 0.0, 0.4, 0.1],
+            "sumo": [True, False, True, False],
+            "geometry": [True, False, False, False],
+            "swept": [True, True, False, False],
+            "sumo_gap": [0.0, math.nan, 0.4, math.nan],
+        }
+    )
+    table = summarise(corpus).set_index(["type", "detector"])
+    assert table.loc[("all", "sumo"), ["recall", "precision", "false"]].tolist() == [0.5, 0.5, 1]
+    assert table.loc[("all", "swept geometry"), ["recall", "precision"]].tolist() == [1.0, 1.0]
+    assert table.loc[("all", "sumo"), "worst_false_distance"] == 0.4
+    assert table.loc[("rear-end", "geometry"), "recall"] == 0.0
+    assert table.loc[("all", "geometry, SUMO within 0.25 m"), "false"] == 0
+
+
+@pytest.mark.slow
+def test_together_the_detectors_notice_nearly_every_contact(tmp_path: Path) -> None:
+    assert run(Options(tmp_path, tasks=("u-turn", "intersection"), cases=80)) == 0
+    table = pd.read_csv(tmp_path / "detection.csv")
+    mine = table[(table["type"] == "all") & (table["who"] == "ego")].set_index(["task", "detector"])
+    for task in ("u-turn", "intersection"):
+        assert mine.loc[(task, "both"), "contacts"] > 30
+        assert mine.loc[(task, "both"), "recall"] >= 0.95
+        assert mine.loc[(task, "swept geometry"), "recall"] >= 0.98
+        assert mine.loc[(task, "geometry"), "false"] == 0
+    assert (tmp_path / "detection.png").stat().st_size > 0

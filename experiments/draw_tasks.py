@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 from PIL import Image
 
@@ -23,7 +24,7 @@ SHOTS = {
 def shot(task: str) -> Image.Image:
     """One frame of a task."""
     seed, steps, width, height = SHOTS[task]
-    config = {"screen_width": width, "screen_height": height, "risk": 1.0}
+    config: dict[str, Any] = {"screen_width": width, "screen_height": height, "risk": 1.0}
     if task == "u-turn":
         config["centering_position"] = [0.35, 0.78]
     env = DrivingEnv(task, config, render_mode="rgb_array")
@@ -31,6 +32,7 @@ def shot(task: str) -> Image.Image:
     for _ in range(steps):
         env.step(1)
     frame = env.render()
+    assert frame is not None
     env.close()
     return Image.fromarray(frame)
 

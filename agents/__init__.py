@@ -10,7 +10,8 @@ Knows gymnasium, numpy and torch; knows no simulator and no task by name.
     training       the loop: whole episodes, then updates; resumable bit for bit
     checkpoint     atomic files that detect damage
     streams        named random streams
-    rules          idle, random, faster, slower and careful, by name
+    rules          idle, random, faster, slower, idm and careful, by name
+    idm            IDM and MOBIL through the meta-actions
     careful        the careful driver: plans by prediction
-    perception     what it sees in a kinematics observation
+    perception     what the last two see in a kinematics observation
 """

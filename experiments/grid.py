@@ -22,7 +22,7 @@ RESULT_SCHEMA = 1  # raise it with every change that makes stored results mean, 
 BACKENDS = ("sumo", "highway-env")
 ARMS: dict[str, float] = {"control": 0.0, "treatment": 1.0}  # dose of risk in training
 TRAFFICS: dict[str, float] = {"regular": 0.0, "risky": 1.0}  # dose of risk in the test
-BASELINES = ("idle", "random", "faster", "slower", "careful")
+BASELINES = ("idle", "random", "faster", "slower", "idm", "careful")
 LEARNER = "dqn"
 # highway-env's own time step, and drivers that see along their path (see `backends.highway_env`).
 HIGHWAY_ENV = {"simulation_frequency": 15, "variant": "path"}

@@ -17,7 +17,7 @@ from sumo_env.scenario import Scenario
 from sumo_env.scene import Scene
 from sumo_env.tasks import get_task
 
-POLICIES = ("idle", "random", "faster", "slower", "careful")
+POLICIES = ("idle", "random", "faster", "slower", "idm", "careful")
 # The ego starts at the top of its ladder there, so that faster is idle.
 SAME_AS_IDLE = {"two-way": ("faster",), "intersection": ("faster",)}
 BIN = 0.25  # [s] of the headway histogram

@@ -37,6 +37,7 @@ def test_every_seed_has_both_arms_and_every_level_every_baseline():
         "random",
         "faster",
         "slower",
+        "idm",
         "careful",
     }
     assert {c.risk for c in found if c.arm == "control"} == {0.0}

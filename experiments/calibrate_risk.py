@@ -4,7 +4,8 @@
     python experiments/calibrate_risk.py --out /tmp/risk --episodes 10 --tasks u-turn --backends sumo
 
 Writes risk.csv (a row for each simulator, task, dose and driver of the ego) and risk.png. The rates of the tasks' risk
-events (`risk_rates` in sumo_env/tasks) were chosen by this table; docs/decisions.md, "Risk", says how.
+events (`risk_rates` in sumo_env/tasks) were chosen by this table; docs/decisions.md, "Risk", says how. Rows that are there
+already are not measured again.
 """
 
 from __future__ import annotations
@@ -43,6 +44,7 @@ from sumo_env.scene import Scene
 from sumo_env.tasks import TASKS, get_task
 
 POLICIES = ("idle", "slower", "faster", "idm", "careful")
+KEYS = ["backend", "task", "level", "dose", "episodes"]  # what makes a measurement
 LANE_WIDTH = 4.0  # [m]
 HALF_CHANGE = (
     5  # sub-steps from the decision to change lane until the middle of the vehicle is on the new one
@@ -279,15 +281,21 @@ def run(options: Options) -> int:
     for backend in options.backends:
         if backend not in BACKENDS:
             raise unknown("backend", backend, BACKENDS)
-    rows: list[dict[str, Any]] = []
     options.out.mkdir(parents=True, exist_ok=True)
+    path = options.out / "risk.csv"
+    done = pd.read_csv(path) if path.exists() else pd.DataFrame(columns=KEYS)
+    parts = []
     for task in choose_tasks(options.tasks or tuple(TASKS)):
-        for dose, backend in product(options.doses, options.backends):
-            rows += measure(backend, task, options.level, dose, options.episodes)
-            table = pd.DataFrame(rows)
-            table.round(4).to_csv(options.out / "risk.csv", index=False)
-            print(table.tail(len(POLICIES)).drop(columns="level").round(2).to_string(index=False), flush=True)
-    draw(table, options.out / "risk.png")
+        for backend, dose in product(options.backends, options.doses):
+            key = (backend, task, options.level, dose, options.episodes)
+            part = done[(done[KEYS] == key).all(axis=1)]
+            if len(part) < len(POLICIES):
+                part = pd.DataFrame(measure(*key)).round(4)
+                done = pd.concat([done, part]) if len(done) else part
+                done.to_csv(path, index=False)
+                print(part.drop(columns="level").round(2).to_string(index=False), flush=True)
+            parts.append(part)
+    draw(pd.concat(parts), options.out / "risk.png")
     return 0
 
 

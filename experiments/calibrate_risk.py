@@ -4,8 +4,8 @@
     python experiments/calibrate_risk.py --out /tmp/risk --episodes 10 --tasks u-turn --backends sumo
 
 Writes risk.csv (a row for each simulator, task, dose and driver of the ego) and risk.png. The rates of the tasks' risk
-events (`risk_rates` in sumo_env/tasks) were chosen by this table; docs/decisions.md, "Risk", says how. Rows that are there
-already are not measured again.
+events (`risk_rates` in sumo_env/tasks) were chosen by this table; docs/decisions.md, "Risk", says how. Rows that are
+there already are not measured again.
 """
 
 from __future__ import annotations

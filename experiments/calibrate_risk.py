@@ -287,7 +287,7 @@ def run(options: Options) -> int:
     parts = []
     for task in choose_tasks(options.tasks or tuple(TASKS)):
         for backend, dose in product(options.backends, options.doses):
-            key = (backend, task, options.level, dose, options.episodes)
+            key = [backend, task, options.level, dose, options.episodes]
             part = done[(done[KEYS] == key).all(axis=1)]
             if len(part) < len(POLICIES):
                 part = pd.DataFrame(measure(*key)).round(4)

@@ -37,7 +37,7 @@ VARIABLES = {
     INK: "ink", MUTED: "muted", GRID: "grid", PAPER: "paper",
     CONTROL: "control", TREATMENT: "treatment", CAREFUL: "careful",
 }  # fmt: skip
-MARKS = {"careful": "*", "idle": "o", "random": "D", "faster": "^", "slower": "v"}
+MARKS = {"careful": "*", "idle": "o", "random": "D", "faster": "^", "slower": "v", "idm": "s"}
 BINS = 20  # of a learning curve
 STYLE: Any = {
     "font.family": "sans-serif", "font.sans-serif": ["DejaVu Sans"], "font.size": 8.5,

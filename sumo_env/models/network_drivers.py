@@ -1,0 +1,337 @@
+"""Drivers on a road of bends and joins: highway-env's ``IDMVehicle.act`` with connected lanes, variant ``path``.
+
+What `idm.strip_accelerations` and `mobil` are on a straight road: following the way, MOBIL with its abort rule and
+its condition on planned lanes, and IDM behind the leaders of the lane that a driver is on and of the one it steers
+for. Every driver is asked in turn, as in highway-env, so that a decision is seen by those who come after it.
+
+Lanes are rows of a `LaneTable`'s geometry. Distances to who is beyond the end of a lane are measured along the path
+(highway-env projects them on the driver's own lane; `experiments.backends.highway_env_vehicle.PathVehicle`).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from networks.lanes import VEHICLE_LENGTH, WIDTH
+from sumo_env.compiled import compiled
+from sumo_env.models.idm import A_MAX, ACC_MAX, NEAR, S0, TAU, B, behind, desired_gap
+from sumo_env.models.lane_table import (
+    LENGTH,
+    LIMIT,
+    Floats,
+    Integers,
+    LaneTable,
+    heading_at,
+    local_coordinates,
+    position,
+)
+from sumo_env.models.mobil import DELAY, MIN_GAIN, MIN_SPEED, SAFE_BRAKING
+
+NO_PLAN = -1  # the way does not ask for a lane of the road
+
+
+class Net(NamedTuple):
+    """The lanes of a road and how they hang together, as arrays. Lanes side by side have successive numbers.
+
+    Attributes:
+        geometry: of a `LaneTable`, shape (lanes, columns).
+        joined: each lane, then those that follow and those that come before it, padded with -1, shape (lanes, k).
+        offsets: where each of these begins, measured on the first [m], shape (lanes, k).
+        following: how many of them follow, shape (lanes,).
+        first, abreast: first lane of the road that a lane is part of, and number of its lanes, shape (lanes,).
+    """
+
+    geometry: Floats
+    joined: Integers
+    offsets: Floats
+    following: Integers
+    first: Integers
+    abreast: Integers
+
+
+def net(table: LaneTable) -> Net:
+    """The joins of a table of lanes, as ``Road.neighbour_vehicles`` lists them."""
+    names = list(table.index)
+    roads: dict[tuple[str, str], list[int]] = {}
+    for number, (start, end, _) in enumerate(names):
+        roads.setdefault((start, end), []).append(number)
+    rows: list[list[int]] = []
+    for number, (start, _, i) in enumerate(names):
+        before = [lanes[i if i < len(lanes) else 0] for (_, end), lanes in roads.items() if end == start]
+        rows.append([number, *(int(k) for k in table.successors[number] if k >= 0), *before])
+    width = max(map(len, rows))
+    length = table.geometry[:, LENGTH]
+    following = np.array([int((row >= 0).sum()) for row in table.successors])
+    offsets = np.zeros((len(rows), width))
+    for number, row in enumerate(rows):
+        for k, lane in enumerate(row[1:], start=1):
+            offsets[number, k] = length[number] if k <= following[number] else -length[lane]
+    of_road = [roads[start, end] for start, end, _ in names]
+    return Net(
+        table.geometry,
+        np.array([row + [-1] * (width - len(row)) for row in rows], dtype=np.int64),
+        offsets,
+        following.astype(np.int64),
+        np.array([lanes[0] for lanes in of_road], dtype=np.int64),
+        np.array([len(lanes) for lanes in of_road], dtype=np.int64),
+    )
+
+
+@compiled
+def coordinates(geometry: Floats, x: Floats, y: Floats) -> tuple[Floats, Floats, NDArray[np.bool_]]:
+    """Coordinates s and lat [m] of every vehicle on every lane, and whether it is on it, shape (n, lanes) each.
+
+    On a lane as in ``AbstractLane.on_lane`` with a margin of 1 m.
+    """
+    n, lanes = len(x), len(geometry)
+    s, lat, on = np.empty((n, lanes)), np.empty((n, lanes)), np.empty((n, lanes), np.bool_)
+    for j in range(n):
+        for lane in range(lanes):
+            along, beside = local_coordinates(geometry, lane, x[j], y[j])
+            s[j, lane], lat[j, lane] = along, beside
+            within = -VEHICLE_LENGTH <= along < geometry[lane, LENGTH] + VEHICLE_LENGTH
+            on[j, lane] = within and abs(beside) <= NEAR
+    return s, lat, on
+
+
+@compiled
+def closest_lane(geometry: Floats, s: Floats, lat: Floats, heading: float) -> int:
+    """``RoadNetwork.get_closest_lane_index`` with heading, of a vehicle with coordinates s, lat, shape (lanes,)."""
+    best, least = 0, math.inf
+    for lane in range(len(geometry)):
+        distance = abs(lat[lane]) + max(s[lane] - geometry[lane, LENGTH], 0.0) + max(-s[lane], 0.0)
+        if distance < least:  # the angle only adds to it
+            angle = heading - heading_at(geometry, lane, s[lane])
+            distance += abs((angle + math.pi) % (2.0 * math.pi) - math.pi)
+            if distance < least:
+                best, least = lane, distance
+    return best
+
+
+@compiled
+def neighbours(i: int, lane: int, roads: Net, s: Floats, on: NDArray[np.bool_]) -> tuple[int, int]:
+    """``Road.neighbour_vehicles`` with connected lanes: who is ahead of and behind vehicle `i` on `lane`; -1: nobody.
+
+    A vehicle is looked for on the lane, then on all that follow it, then on all that come before it; the first that
+    it is on decides. s, on: of `coordinates`.
+    """
+    front, rear = -1, -1
+    s_front, s_rear = math.inf, -math.inf
+    s_own = s[i, lane]
+    for j in range(len(s)):
+        if j == i:
+            continue
+        for k in range(roads.joined.shape[1]):
+            search = roads.joined[lane, k]
+            if search < 0:
+                break
+            if not on[j, search]:
+                continue
+            place = s[j, search] + roads.offsets[lane, k]
+            if s_own <= place <= s_front:
+                s_front, front = place, j
+            if s_rear < place < s_own:
+                s_rear, rear = place, j
+            break
+    return front, rear
+
+
+@compiled
+def way_beyond(i: int, j: int, lane: int, target: int, roads: Net, s: Floats, on: NDArray[np.bool_]) -> float:
+    """Way of vehicle `i` to vehicle `j` beyond the end of its `lane` [m]; nan if `j` is on its road or not ahead.
+
+    At the end of a lane, where `target` is already on the next road, those that follow the target count as well.
+    """
+    geometry = roads.geometry
+    for own in range(roads.first[lane], roads.first[lane] + roads.abreast[lane]):
+        if on[j, own]:
+            return math.nan
+    for k in range(1, 1 + roads.following[lane]):
+        search = roads.joined[lane, k]
+        if on[j, search]:
+            return s[j, search] - s[i, lane] + geometry[lane, LENGTH]
+    if roads.first[target] != roads.first[lane]:
+        for k in range(1 + roads.following[target]):
+            search = roads.joined[target, k]
+            if on[j, search]:
+                return s[j, search] - s[i, lane] + (geometry[lane, LENGTH] + roads.offsets[target, k])
+    return math.nan
+
+
+@compiled
+def _between(
+    follower: int,
+    leader: int,
+    driver: Floats,
+    roads: Net,
+    s: Floats,
+    on: NDArray[np.bool_],
+    speed: Floats,
+    heading: Floats,
+    lane: Integers,
+    target: Integers,
+    target_speed: Floats,
+) -> float:
+    """IDM acceleration [m/s2] of `follower` behind `leader` (-1: nobody) if it drove like `driver`; 0 of nobody."""
+    if follower < 0:
+        return 0.0
+    own = lane[follower]
+    gap, v_lead = math.inf, 0.0
+    if leader >= 0:
+        gap, v_lead = way_beyond(follower, leader, own, target[follower], roads, s, on), speed[leader]
+        if math.isnan(gap):  # on the same road: measured on the lane, as in highway-env
+            gap = s[leader, own] - s[follower, own]
+            v_lead *= math.cos(heading[leader] - heading[follower])
+    return behind(driver, speed[follower], target_speed[follower], roads.geometry[own, LIMIT], gap, v_lead)
+
+
+@compiled
+def next_target(lane: int, following_road: int, roads: Net, x: float, y: float) -> int:
+    """``RoadNetwork.next_lane``: the lane of the next road of the way, whose first lane is `following_road`."""
+    if roads.abreast[lane] == roads.abreast[following_road]:
+        return following_road + lane - roads.first[lane]
+    px, py = position(roads.geometry, lane, local_coordinates(roads.geometry, lane, x, y)[0])
+    best, least = following_road, math.inf
+    for candidate in range(following_road, following_road + roads.abreast[following_road]):
+        s, lat = local_coordinates(roads.geometry, candidate, px, py)
+        distance = abs(lat) + max(s - roads.geometry[candidate, LENGTH], 0.0) + max(-s, 0.0)
+        if distance < least:
+            best, least = candidate, distance
+    return best
+
+
+@compiled
+def _gives_up(
+    i: int,
+    driver: Floats,
+    s: Floats,
+    speed: Floats,
+    heading: Floats,
+    lane: Integers,
+    target: Integers,
+) -> bool:
+    """Is somebody ahead, closer than vehicle `i` likes and not there yet, changing to the same lane?"""
+    for j in range(len(s)):
+        if j == i or lane[j] == target[i] or target[j] != target[i]:
+            continue
+        v_lead = speed[j] * math.cos(heading[j] - heading[i])
+        gap = desired_gap(speed[i], v_lead, driver[A_MAX], driver[B], driver[S0], driver[TAU])
+        if 0.0 < s[j, lane[i]] - s[i, lane[i]] < gap:
+            return True
+    return False
+
+
+@compiled
+def _mobil(
+    i: int,
+    new: int,
+    driver: Floats,
+    roads: Net,
+    s: Floats,
+    on: NDArray[np.bool_],
+    speed: Floats,
+    heading: Floats,
+    lane: Integers,
+    target: Integers,
+    target_speed: Floats,
+    planned: Integers,
+) -> bool:
+    """``IDMVehicle.mobil``: may vehicle `i` change to lane `new`, and is it worth it or planned?"""
+    preceding, following = neighbours(i, new, roads, s, on)
+    imposed = _between(following, i, driver, roads, s, on, speed, heading, lane, target, target_speed)
+    if imposed < -SAFE_BRAKING:
+        return False
+    after = _between(i, preceding, driver, roads, s, on, speed, heading, lane, target, target_speed)
+    if planned[i] != NO_PLAN:
+        # only toward the planned lane; who is there already stays
+        here = target[i] - roads.first[target[i]]
+        if np.sign(new - roads.first[new] - here) != np.sign(planned[i] - here):
+            return False
+        return after >= -SAFE_BRAKING
+    old = neighbours(i, lane[i], roads, s, on)[0]
+    before = _between(i, old, driver, roads, s, on, speed, heading, lane, target, target_speed)
+    return after - before >= MIN_GAIN
+
+
+@compiled
+def drive(
+    roads: Net,
+    ways: Integers,
+    leg: Integers,
+    planned: Integers,
+    lane: Integers,
+    target: Integers,
+    timer: Floats,
+    x: Floats,
+    y: Floats,
+    speed: Floats,
+    heading: Floats,
+    target_speed: Floats,
+    drivers: Floats,
+    acts: NDArray[np.bool_],
+    changes: NDArray[np.bool_],
+    moved: bool,
+) -> Floats:
+    """What ``IDMVehicle.act`` commands every vehicle [m/s2], shape (n,); 0 for those that do not act.
+
+    Changes `lane`, `leg`, `planned`, `target` and `timer` in place. The caller adds the time to `timer` afterwards.
+
+    Args:
+        roads: of `net`.
+        ways: roads of each vehicle's way, by their first lanes, padded with -1, shape (n, roads of a way).
+        leg: which of them the target lane is on, shape (n,).
+        planned: id of the lane of its first road that a vehicle was put on, which it does not leave of its own
+            accord; NO_PLAN once it is beyond, shape (n,).
+        lane: number of the lane that each vehicle is on, shape (n,).
+        target: number of the lane that it steers for, shape (n,); also of vehicles that do not act.
+        timer: time since the last decision on lane changes [s], shape (n,).
+        x, y, speed, heading, target_speed: shape (n,) [m, m, m/s, rad, m/s].
+        drivers: shape (n, 6), the columns of `idm`.
+        acts: who is driven here (neither the ego nor wrecks), shape (n,).
+        changes: who of them decides on lane changes, shape (n,).
+        moved: whether vehicles have moved since `lane` was true; then it is found anew (`closest_lane`).
+    """
+    n = len(x)
+    geometry = roads.geometry
+    s, lat, on = coordinates(geometry, x, y)
+    if moved:
+        for i in range(n):
+            lane[i] = closest_lane(geometry, s[i], lat[i], heading[i])
+    result = np.zeros(n)
+    for i in range(n):
+        if not acts[i]:
+            continue
+        driver = drivers[i]
+        if s[i, target[i]] > geometry[target[i], LENGTH] - VEHICLE_LENGTH / 2:
+            planned[i] = NO_PLAN
+            if leg[i] + 1 < ways.shape[1] and ways[i, leg[i] + 1] >= 0:
+                leg[i] += 1
+                target[i] = next_target(target[i], ways[i, leg[i]], roads, x[i], y[i])
+        own = lane[i]
+        if not changes[i]:
+            pass
+        elif own != target[i]:
+            same_road = roads.first[own] == roads.first[target[i]]
+            if same_road and _gives_up(i, driver, s, speed, heading, lane, target):
+                target[i] = own
+        elif timer[i] > DELAY:
+            timer[i] = 0.0
+            for new in (own - 1, own + 1):
+                if not roads.first[own] <= new < roads.first[own] + roads.abreast[own]:
+                    continue
+                within = 0.0 <= s[i, new] < geometry[new, LENGTH] + VEHICLE_LENGTH
+                if not within or abs(lat[i, new]) > 2.0 * WIDTH or abs(speed[i]) < MIN_SPEED:
+                    continue
+                if _mobil(i, new, driver, roads, s, on, speed, heading, lane, target, target_speed, planned):
+                    target[i] = new
+        front = neighbours(i, own, roads, s, on)[0]
+        a = _between(i, front, driver, roads, s, on, speed, heading, lane, target, target_speed)
+        if own != target[i]:
+            front = neighbours(i, target[i], roads, s, on)[0]
+            a = min(a, _between(i, front, driver, roads, s, on, speed, heading, lane, target, target_speed))
+        result[i] = min(max(a, -driver[ACC_MAX]), driver[ACC_MAX])
+    return result

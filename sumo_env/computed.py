@@ -12,20 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sumo_env.drivers import RiskEvent
-from sumo_env.models.give_way import PERIOD, regulate
-from sumo_env.models.idm import path_accelerations, strip_accelerations
-from sumo_env.models.lane_table import advance
-from sumo_env.models.mobil import DELAY, closest_lanes, desired_lanes, without_conflicts
-from sumo_env.native import CENTRED, Native
+from sumo_env.models.idm import strip_accelerations
+from sumo_env.models.mobil import DELAY, closest_lanes, desired_lanes
+from sumo_env.native import CENTRED
 from sumo_env.simulation import ALL_CHECKS_OFF, NO_LANE_CHANGES
-from sumo_env.tasks.intersection import REGULATION_INTERVAL, WARM_UP, WARM_UP_FREQUENCY, compiled_lanes, path
 
 if TYPE_CHECKING:
     from sumo_env.world import World
 
 LANE_WIDTH = 4.0  # [m]
 SWERVE_TIME = 3.0  # [s] that a cut-in on the two-way road stays in the oncoming lane
-LONGEST_WAY = 14  # lanes: an entry, its curve, once around the ring, an exit
 
 
 class Computed:
@@ -33,6 +29,11 @@ class Computed:
 
     speed_mode = ALL_CHECKS_OFF
     lane_change_mode = NO_LANE_CHANGES
+    steers = True  # cars move sideways by highway-env's steering toward `targets`, not by SUMO's lane changes
+
+    def targets(self, world: World) -> NDArray[np.int64]:
+        """Number of the lane that every vehicle but the ego steers for, shape (n,)."""
+        raise NotImplementedError
 
     def accelerations(self, world: World) -> NDArray[np.float64]:
         raise NotImplementedError
@@ -80,17 +81,11 @@ class Mobil(Computed):
         )  # fmt: skip
         self._timer[due & (lane == self._target)] = 0.0
         self._timer += world.dt
-        # highway-env's drivers turn back when two head for one lane; SUMO's cannot, so the later one does not begin
-        wanted = without_conflicts(
-            wanted, world.x, world.speed, world.heading, lane, self._target, world.drivers
-        )
         chosen = wanted >= 0
         self._target[chosen] = wanted[chosen]
-        # SUMO cannot stop a change half-way: the target is commanded again as soon as the vehicle is in a lane.
-        centred = np.abs(world.y - LANE_WIDTH * lane) < CENTRED
-        moving = (self._target != lane) & centred & ~world.crashed
-        for row in np.flatnonzero(moving[1:]) + 1:
-            world.sim.change_lane(world.ids[row], self._lanes - 1 - int(self._target[row]))
+
+    def targets(self, world: World) -> NDArray[np.int64]:
+        return self._target
 
     def cut_in(self, world: World, row: int, event: RiskEvent) -> None:
         lane = int(self._target[row])
@@ -103,6 +98,8 @@ class Mobil(Computed):
 
 class Strip(Computed):
     """highway-env's IDM on the two-way road: it brakes for oncoming cars and above its desired speed as there."""
+
+    steers = False  # SUMO's opposite lanes know no position between the lanes
 
     def start(self, world: World) -> None:
         self._direction = np.array([1.0 if spec.lane[0] == "a" else -1.0 for spec in world.specs])
@@ -130,94 +127,3 @@ class Strip(Computed):
             self._target_y[row] = 0.0
             world.sim.change_lane_relative(world.ids[row], 1)
             self._return[row] = world.time + SWERVE_TIME
-
-
-class AlongPath(Computed):
-    """highway-env's IDM along the path on a road of bends and joins; lane changes are SUMO's, or none."""
-
-    def __init__(self, lane_change_mode: int) -> None:
-        self.lane_change_mode = lane_change_mode
-        self._lanes = Native(self.speed_mode, lane_change_mode)
-
-    def start(self, world: World) -> None:
-        self._lanes.start(world)
-        self._table = compiled_lanes(world.road)
-        self._lane = [spec.lane for spec in world.specs]
-        self._routes = np.array([self._route(world, row) for row in range(len(world.specs))])
-        self._stage = np.zeros(len(world.specs), np.int64)
-
-    def _route(self, world: World, row: int) -> NDArray[np.int64]:
-        """The way of a vehicle from its present lane on, as a row of `routes`."""
-        lanes = world.road.way(self._lane[row], world.specs[row].destination)
-        return self._table.route(lanes, LONGEST_WAY)
-
-    def act(self, world: World) -> None:
-        self._lanes.end_cut_ins(world)
-        self._see_lane_changes(world)
-        super().act(world)
-
-    def _see_lane_changes(self, world: World) -> None:
-        for row in range(1, len(world.ids)):
-            now = world.network.indices[world.sim.lane_of(world.ids[row])]
-            if now != self._lane[row]:
-                changed = now[:2] == self._lane[row][:2]
-                self._lane[row] = now
-                if changed:
-                    self._routes[row], self._stage[row] = self._route(world, row), 0
-
-    def accelerations(self, world: World) -> NDArray[np.float64]:
-        geometry = self._table.geometry
-        advance(geometry, self._routes, self._stage, world.x, world.y)
-        return path_accelerations(
-            geometry, self._table.successors, self._routes, self._stage, world.x, world.y, world.speed,
-            world.heading, world.target_speed, world.drivers,
-        )  # fmt: skip
-
-    def cut_in(self, world: World, row: int, event: RiskEvent) -> None:
-        self._lanes.cut_in(world, row, event)
-
-
-class GiveWay(Computed):
-    """highway-env's regulated intersection: IDM along the path, and the give-way rule at 2.14 Hz."""
-
-    # The rule's clock runs through the warm-up: 45 steps of it, one application every 7.
-    phase = ((int(WARM_UP * WARM_UP_FREQUENCY) % REGULATION_INTERVAL) - 1) / WARM_UP_FREQUENCY
-
-    def start(self, world: World) -> None:
-        self._table = compiled_lanes(world.road)
-        n = len(world.ids)
-        routes = []
-        for spec in world.specs:
-            start = (f"o{spec.lane[0][2:]}", spec.lane[0], 0) if spec.lane[0].startswith("ir") else spec.lane
-            if start[0].startswith("il"):  # already on the exit
-                routes.append(self._table.route([start]))
-            else:
-                routes.append(self._table.route(path(start, spec.destination or "o1")))
-        self._routes = np.array(routes)
-        self._stage = np.zeros(n, np.int64)
-        for _ in range(2):
-            advance(self._table.geometry, self._routes, self._stage, world.x, world.y)
-        self._exempt = np.array(
-            [row == 0 or not spec.driver.gives_way for row, spec in enumerate(world.specs)]
-        )
-        if world.time == 0.0:
-            self._clock = self.phase
-
-    def accelerations(self, world: World) -> NDArray[np.float64]:
-        geometry = self._table.geometry
-        advance(geometry, self._routes, self._stage, world.x, world.y)
-        # wrecks do not decide, but the rule must not revive them either: `accelerate` skips them
-        if self._clock >= PERIOD - 1e-9:
-            self._clock -= PERIOD
-            regulate(
-                geometry, self._routes, self._stage, world.x, world.y, world.speed, world.heading, self._exempt,
-                world.target_speed, world.yielding,
-            )  # fmt: skip
-        self._clock += world.dt
-        return path_accelerations(
-            geometry, self._table.successors, self._routes, self._stage, world.x, world.y, world.speed,
-            world.heading, world.target_speed, world.drivers,
-        )  # fmt: skip
-
-    def cut_in(self, world: World, row: int, event: RiskEvent) -> None:
-        """There is one lane only."""

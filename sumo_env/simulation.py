@@ -32,6 +32,8 @@ _position = libsumo.libsumo._libsumo.vehicle_getPosition
 _angle = libsumo.libsumo._libsumo.vehicle_getAngle
 _speed = libsumo.libsumo._libsumo.vehicle_getSpeed
 _set_speed = libsumo.libsumo._libsumo.vehicle_setSpeed
+_lane_of = libsumo.libsumo._libsumo.vehicle_getLaneID
+_set_lateral = libsumo.libsumo._libsumo.vehicle_setLateralLanePosition
 
 ALL_CHECKS_OFF = 32  # speed mode: drive the commanded speed whatever is ahead
 REGULAR = 31  # speed mode: SUMO's car following and right of way
@@ -177,11 +179,15 @@ class Simulation:
 
     def lane_of(self, name: str) -> str:
         """Id of the lane that the front bumper is on; internal lanes begin with a colon."""
-        return libsumo.vehicle.getLaneID(name)
+        return str(_lane_of(name))
 
     def lateral_position(self, name: str) -> float:
         """Distance from the middle of the current lane [m]."""
         return libsumo.vehicle.getLateralLanePosition(name)
+
+    def set_lateral_position(self, name: str, lateral: float) -> None:
+        """Move a vehicle to this distance from the middle of its lane [m], to the left, now; the lane stays."""
+        _set_lateral(name, lateral)
 
     def set_speed(self, name: str, speed: float) -> None:
         """Command a speed [m/s] from now on; a negative one gives it back to SUMO."""

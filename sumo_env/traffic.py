@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Protocol
 
-from sumo_env.computed import SWERVE_TIME, AlongPath, GiveWay, Mobil, Strip
+from sumo_env.bends import Bends, GiveWay
+from sumo_env.computed import SWERVE_TIME, Mobil, Strip
 from sumo_env.drivers import RiskEvent
 from sumo_env.native import CENTRED, Native
 from sumo_env.simulation import NO_LANE_CHANGES, OWN_LANE_CHANGES, REGULAR
@@ -40,10 +41,10 @@ def rule_for(task: str, traffic_model: str) -> Rule:
     if task == "two-way":
         return Strip() if traffic_model == "matched" else Native(REGULAR, NO_LANE_CHANGES)
     if task == "roundabout":
-        return AlongPath(NO_LANE_CHANGES) if traffic_model == "matched" else Native(REGULAR, OWN_LANE_CHANGES)
+        return Bends() if traffic_model == "matched" else Native(REGULAR, OWN_LANE_CHANGES)
     if task == "intersection":
         return GiveWay() if traffic_model == "matched" else Native(REGULAR, NO_LANE_CHANGES)
-    return AlongPath(OWN_LANE_CHANGES) if traffic_model == "matched" else Native(REGULAR, OWN_LANE_CHANGES)
+    return Bends() if traffic_model == "matched" else Native(REGULAR, OWN_LANE_CHANGES)
 
 
 __all__ = ["CENTRED", "SWERVE_TIME", "Rule", "rule_for"]

@@ -6,6 +6,7 @@ everybody's state is read, contacts are looked for by SUMO and by the separating
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
@@ -15,6 +16,7 @@ from numpy.typing import NDArray
 from networks.catalogue import Network
 from networks.roads import LaneIndex
 from sumo_env.collision import CrashRecord, Detector, contacts, crash_record
+from sumo_env.computed import Computed
 from sumo_env.config import Config
 from sumo_env.ego import REFERENCE_STEP, Ego, coast
 from sumo_env.models.hazards import free_way, has_room
@@ -23,11 +25,13 @@ from sumo_env.safety import HORIZON, min_ttc
 from sumo_env.scenario import EGO, Scenario, VehicleSpec
 from sumo_env.scene import Scene
 from sumo_env.simulation import ALL_CHECKS_OFF, NO_LANE_CHANGES, Settings, Simulation, simulation
+from sumo_env.steering import Steering
 from sumo_env.tasks.base import Task
 from sumo_env.tasks.intersection import fits
 from sumo_env.traffic import CENTRED, rule_for
 
-LANE_CHANGE_DURATION = 0.8  # [s] the ego's centre then crosses the line when highway-env's does, after 0.45 to 0.5 s
+# [s] where SUMO changes lanes; the ego's centre then crosses the line when highway-env's does, after 0.45 to 0.5 s
+LANE_CHANGE_DURATION = 0.8
 
 
 class World:
@@ -44,10 +48,12 @@ class World:
         self.road = task.road(config)
         self.dt = 1.0 / config["simulation_frequency"]
         self.substeps = round(config["simulation_frequency"] / config["policy_frequency"])
-        self.lane_change_duration = LANE_CHANGE_DURATION
         first = next(iter(self.road.lanes.values()))
         self.road_length, self.limit = first.length, first.speed_limit
         self.rule = rule_for(task.name, config["traffic_model"])
+        rule = self.rule
+        self.steering = Steering(network, rule) if isinstance(rule, Computed) and rule.steers else None
+        self.lane_change_duration = 0.0 if self.steering else LANE_CHANGE_DURATION
         self.sim: Simulation = simulation()
         self._uneven = network.uneven
         self.time = 0.0
@@ -104,6 +110,8 @@ class World:
         self.ids = [spec.id for spec in specs]
         self.row = {name: row for row, name in enumerate(self.ids)}
         self.x, self.y, _, self.heading = self.sim.read(self.ids)
+        if self.steering:
+            self.steering.start(self, keep)
         self.speed = np.array([spec.speed for spec in specs])
         self.crashed = np.zeros(len(specs), np.bool_)
         self.yielding = np.array([spec.yielding for spec in specs])
@@ -131,6 +139,8 @@ class World:
             self.rule.act(self)
             self._coast()
             self._drive_ego()
+            if self.steering:
+                self.steering.act(self)
             self.sim.step()
             self.time += self.dt
             self._read()
@@ -234,7 +244,8 @@ class World:
         """Risk events' braking and surging of vehicles whose acceleration [m/s2] is computed."""
         for row, push in self._pushed():
             if push < 0.0:
-                acceleration[row] = min(acceleration[row], push)
+                standstill = -max(float(self.speed[row]), 0.0) / self.dt  # nobody brakes into reverse
+                acceleration[row] = min(acceleration[row], max(push, standstill))
             elif push > 0.0:
                 acceleration[row] = max(acceleration[row], push)
         return acceleration
@@ -243,10 +254,11 @@ class World:
         """Drive all vehicles but the ego and the wrecks by these accelerations [m/s2]."""
         # highway-env moves by explicit Euler at 15 Hz; constant acceleration over our step moves as far as that
         lead = (self.dt - REFERENCE_STEP) / 2.0
+        least = -math.inf if self.steering else 0.0  # highway-env's cars roll back to their distance
         for row in range(1, len(self.ids)):
             if not self.crashed[row]:
                 speed, a = float(self.speed[row]), float(acceleration[row])
-                self._drive(row, max(speed + a * self.dt, 0.0), max(speed + a * lead, 0.0) * self.dt)
+                self._drive(row, max(speed + a * self.dt, least), max(speed + a * lead, least) * self.dt)
 
     def _drive(self, row: int, speed: float, distance: float) -> None:
         """Move a vehicle by `distance` [m] in the next step, after which its speed is `speed` [m/s].
@@ -254,11 +266,14 @@ class World:
         SUMO knows one number for both: it is told the distance, and the speed proper is kept by us.
         """
         name = self.ids[row]
+        self._own_speed[name] = speed
+        if self.steering:
+            self.steering.distance[row] = distance
+            return
         commanded = distance / self.dt
         if self._uneven:  # lanes of one edge share one length in SUMO, so that metres are not metres in bends
             commanded *= self.network.stretch(self.sim.lane_of(name))
         self.sim.set_speed(name, commanded)
-        self._own_speed[name] = speed
 
     def _coast(self) -> None:
         """Wrecks decelerate with a = -v and stay where they stop, as in highway-env."""
@@ -268,9 +283,12 @@ class World:
     def _drive_ego(self) -> None:
         ego = self.ego
         ego.follow_road(float(self.x[0]), float(self.y[0]))
-        lane = self.sim.lane_of(EGO)
         moved = ego.advance(self.dt)
         self.distance += moved
+        if self.steering:
+            self.steering.distance[0] = moved
+            return
+        lane = self.sim.lane_of(EGO)
         # lanes of one edge share one length in SUMO, so that metres are not metres in bends
         self.sim.set_speed(EGO, max(moved / self.dt, 0.0) * self.network.stretch(lane))
         if ego.crashed or lane.startswith(":"):
@@ -285,6 +303,8 @@ class World:
 
     def _read(self) -> None:
         self.x, self.y, self.speed, self.heading = self.sim.read(self.ids)
+        if self.steering:
+            self.steering.look(self)
         self.speed[0] = self.ego.speed
         for name, speed in self._own_speed.items():
             row = self.row.get(name)
@@ -300,6 +320,8 @@ class World:
         by_geometry = {
             frozenset(pair) for pair in contacts(self.x, self.y, self.heading, ~self.crashed).tolist()
         }
+        if self.steering:
+            by_sumo &= by_geometry  # SUMO takes cars side by side on one lane to touch, however far apart
         if self.crash is not None and self.crash.detected_by != "both":
             # SUMO may see a contact a step later than the geometry does, or the other way round
             pair = frozenset((0, self.row.get(self.crash.other, -1)))

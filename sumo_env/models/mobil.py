@@ -166,39 +166,3 @@ def desired_lanes(
         if result[i] >= 0:
             target[i] = result[i]
     return result
-
-
-@compiled
-def without_conflicts(
-    wanted: Integers,
-    x: Floats,
-    speed: Floats,
-    heading: Floats,
-    lane: Integers,
-    target_lane: Integers,
-    drivers: Floats,
-) -> Integers:
-    """`wanted` (of `desired_lanes`) less the changes that would have to be given up half-way, shape (n,).
-
-    For vehicles that cannot turn back once a change has begun (SUMO's): where two would head for one lane and
-    the rear one would give up, the later one does not begin. Nobody gives up what has begun.
-    """
-    result = wanted.copy()
-    target = target_lane.copy()
-    for i in range(len(x)):
-        if result[i] < 0 or result[i] == lane[i]:
-            result[i] = -1
-            continue
-        for j in range(len(x)):
-            if j == i or target[j] != result[i] or lane[j] == result[i]:
-                continue
-            rear, front = (i, j) if x[j] > x[i] else (j, i)
-            v_lead = speed[front] * math.cos(heading[front] - heading[rear])
-            driver = drivers[rear]
-            gap = desired_gap(speed[rear], v_lead, driver[A_MAX], driver[B], driver[S0], driver[TAU])
-            if x[front] - x[rear] < max(gap, VEHICLE_LENGTH):
-                result[i] = -1
-                break
-        if result[i] >= 0:
-            target[i] = result[i]
-    return result

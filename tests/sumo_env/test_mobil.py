@@ -17,7 +17,6 @@ from sumo_env.models.mobil import (
     closest_lanes,
     criteria,
     desired_lanes,
-    without_conflicts,
 )
 
 from .reference import randomise, state
@@ -135,18 +134,3 @@ def test_closest_lane_of_two_is_the_left_one() -> None:
     assert closest_lanes(y, 4, 4.0).tolist() == [0, 0, 0, 1, 1, 3, 3]
     road = Road(RoadNetwork.straight_road_network(4))
     assert [road.network.get_closest_lane_index(np.array([50.0, v]))[2] for v in y] == [0, 0, 0, 1, 1, 3, 3]
-
-
-def test_of_two_that_want_one_gap_the_later_stays() -> None:
-    """From lanes 1 and 3 into lane 2, 5 m apart; far apart both may go."""
-    drivers = np.tile([3.0, 5.0, 10.0, 1.5, 4.0, 6.0], (2, 1))
-    lane = np.array([1, 3])
-    wanted = np.array([2, 2])
-
-    def left_over(gap: float, target: np.ndarray = lane) -> list[int]:
-        x = np.array([100.0, 100.0 + gap])
-        return without_conflicts(wanted, x, np.full(2, 20.0), np.zeros(2), lane, target, drivers).tolist()
-
-    assert left_over(5.0) == [2, -1]
-    assert left_over(200.0) == [2, 2]
-    assert left_over(-5.0, np.array([1, 2])) == [-1, 2]  # the second is on its way and goes on

@@ -1,0 +1,106 @@
+"""Sideways motion: highway-env's controller and bicycle model, and SUMO's cars that follow it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from highway_env.envs import IntersectionEnv, RoundaboutEnv, UTurnEnv
+from highway_env.road.road import Road
+from highway_env.vehicle.controller import ControlledVehicle
+
+import sumo_env  # noqa: F401  (registers the ids)
+from networks.roads import ROADS
+from sumo_env.models.lane_table import lane_table
+from sumo_env.models.steering import REFERENCE_STEP, offsets, steer
+
+from .reference import intersection_network
+
+NETWORKS = {"u-turn": UTurnEnv, "roundabout": RoundaboutEnv, "intersection": IntersectionEnv}
+
+
+@pytest.mark.parametrize("task", NETWORKS)
+def test_a_car_moves_as_in_highway_env(task: str) -> None:
+    """In steps of highway-env's length, at any place and speed, on every kind of lane; wrecks go straight on."""
+    rng = np.random.default_rng(2)
+    network = intersection_network() if task == "intersection" else NETWORKS[task]().road.network
+    table = lane_table(ROADS[task]().lanes)
+    road = Road(network)
+    for name, number in table.index.items():
+        lane = network.get_lane(name)
+        for crashed in (False, True):
+            s, speed = rng.uniform(0.0, lane.length), rng.uniform(-2.0, 25.0)
+            vehicle = ControlledVehicle(
+                road, lane.position(s, rng.normal()), lane.heading_at(s) + 0.2 * rng.normal(), speed, name
+            )
+            vehicle.crashed = crashed
+            x, y, heading = (np.array([float(v)]) for v in (*vehicle.position, vehicle.heading))
+            for _ in range(15):
+                vehicle.action = {"steering": vehicle.steering_control(name), "acceleration": 0.0}
+                vehicle.speed = speed  # a wreck would brake
+                vehicle.step(REFERENCE_STEP)
+                distance = np.array([speed * REFERENCE_STEP])
+                steer(table.geometry, np.array([number]), x, y, heading, distance, np.array([crashed]), REFERENCE_STEP)
+            assert (x[0], y[0]) == pytest.approx(tuple(vehicle.position), abs=1e-6)
+            assert heading[0] == pytest.approx(vehicle.heading, abs=1e-6)
+
+
+def test_half_a_lane_change_takes_as_long_as_in_highway_env_at_our_step() -> None:
+    table = lane_table(ROADS["u-turn"]().lanes)
+    for speed in (8.0, 16.0, 24.0):
+        crossed = []
+        for step in (REFERENCE_STEP, 0.1):
+            x, y, heading = np.zeros(1), np.array([44.0]), np.zeros(1)
+            lateral = [0.0]
+            while lateral[-1] < 2.0:
+                to = np.array([table.index["a", "b", 1]])
+                steer(table.geometry, to, x, y, heading, np.array([speed * step]), np.zeros(1, np.bool_), step)
+                lateral.append(float(y[0]) - 44.0)
+            crossed.append(float(np.interp(2.0, lateral, np.arange(len(lateral)) * step)))
+        assert crossed[1] == pytest.approx(crossed[0], abs=0.03)
+
+
+def test_offsets_follow_a_bend() -> None:
+    """On the way around the u-turn, 2 m ahead and half a metre to the right."""
+    lane = ROADS["u-turn"]().lane(("b", "c", 0))
+    table = lane_table(ROADS["u-turn"]().lanes)
+    (x, y), (to_x, to_y) = lane.position(10.0, 0.0), lane.position(12.0, 0.5)
+    along, right = offsets(
+        table.geometry, np.array([table.index["b", "c", 0]]), *(np.array([v]) for v in (x, y, to_x, to_y))
+    )
+    assert along[0] == pytest.approx(2.0, abs=0.03)
+    assert right[0] == pytest.approx(0.5, abs=0.03)
+
+
+@pytest.mark.parametrize(
+    ("task", "config"),
+    [
+        ("highway", {"vehicles_count": 30, "duration": 15}),
+        ("u-turn", {"vehicles_count": 12}),
+        ("roundabout", {"vehicles_count": 10}),
+        ("intersection", {"initial_vehicle_count": 20, "spawn_probability": 0.8}),
+    ],
+)
+def test_sumo_cars_are_where_they_are_steered(task: str, config: dict[str, Any]) -> None:
+    """Front bumpers, of cars that do not roll back: half of them within 2 cm, 95 % within 0.5 m."""
+    env = gym.make(f"sumo/{task}-v0", config=config)
+    inner: Any = env.unwrapped
+    apart = []
+    for seed in range(3):
+        env.reset(seed=seed)
+        rng = np.random.default_rng(seed)
+        over = False
+        while not over:
+            _, _, terminated, truncated, _ = env.step(int(rng.integers(env.action_space.n)))
+            over = terminated or truncated
+            world = inner._world
+            x, y, _, heading = world.sim.read(world.ids)
+            dx = x + 2.5 * np.cos(heading) - world.x - 2.5 * np.cos(world.heading)
+            dy = y + 2.5 * np.sin(heading) - world.y - 2.5 * np.sin(world.heading)
+            apart += np.hypot(dx, dy)[world.speed > 0.5].tolist()
+    env.close()
+    assert len(apart) > 100
+    assert np.median(apart) < 0.02
+    assert np.quantile(apart, 0.95) < 0.5

@@ -39,7 +39,17 @@ from numpy.typing import NDArray
 from experiments.errors import run_command
 from experiments.grid import choose_tasks
 from experiments.seeds import stream_seed
-from sumo_env.collision import DIAGONAL, LENGTH, SUMO_TOLERANCE, WIDTH, classify, contacts, distance, meetings
+from sumo_env.collision import (
+    DIAGONAL,
+    LENGTH,
+    SUMO_TOLERANCE,
+    WIDTH,
+    classify,
+    contacts,
+    distance,
+    meetings,
+    separation,
+)
 from sumo_env.env import DrivingEnv
 from sumo_env.tasks import TASKS, get_task
 from sumo_env.world import World
@@ -126,16 +136,21 @@ def _signed_distance(first: Sequence[float], second: Sequence[float]) -> float:
     return distance(x, y, heading, x2, y2, heading2, LENGTH, WIDTH)
 
 
-def _near(before: NDArray[np.float64], now: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Pairs i < j of vehicles that may come closer than `NEAR` within a sub-step, shape (m, 2).
+def _near(before: NDArray[np.float64], now: NDArray[np.float64]) -> list[tuple[int, int]]:
+    """Pairs i < j of vehicles that may come closer than `NEAR` within a sub-step.
 
     before, now: x, y [m] and heading [rad], shape (3, n).
     """
     (x, y), (x2, y2) = (poses[:2, None, :] - poses[:2, :, None] for poses in (before, now))
-    dx, dy = x2 - x, y2 - y
-    t = np.clip(-(x * dx + y * dy) / np.maximum(dx * dx + dy * dy, 1e-12), 0.0, 1.0)
-    # a metre more, for the curved way
-    return np.argwhere(np.triu(np.hypot(x + t * dx, y + t * dy) < DIAGONAL + NEAR + 1.0, k=1))
+    way = np.hypot(x2 - x, y2 - y)
+    turn = np.abs((now[2] - before[2] + math.pi) % (2 * math.pi) - math.pi) * DIAGONAL / 2
+    # how far the nearest two points may come together on the way, which may be curved
+    moved = 1.2 * (way + turn + turn[:, None])
+    circles = np.argwhere(np.triu(np.hypot(x, y) - DIAGONAL - moved < NEAR, k=1)).tolist()
+    gaps = {
+        (i, j): separation(*before[:, i].tolist(), *before[:, j].tolist(), LENGTH, WIDTH) for i, j in circles
+    }
+    return [pair for pair, gap in gaps.items() if gap - moved[pair] < NEAR]
 
 
 class WatchedEnv(DrivingEnv):

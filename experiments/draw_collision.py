@@ -1,4 +1,4 @@
-"""Draw the separating-axis test (python experiments/draw_collision.py): the idea of the paper's figure 4."""
+"""Draw how contacts are looked for (python experiments/draw_collision.py): the idea of the paper's figure 4."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Polygon
 from numpy.typing import NDArray
 
-from sumo_env.collision import LENGTH, WIDTH, separation
+from sumo_env.collision import LENGTH, WIDTH, meeting, separation
 
 TARGET = Path(__file__).resolve().parent.parent / "docs" / "img" / "collisions.png"
 EGO, OTHER, AXIS = "#0072b2", "#d55e00", "#555555"
@@ -43,22 +43,27 @@ def shadows(axes: Axes, first: Pose, second: Pose, heading: float, foot: tuple[f
         axes.plot(*ends.T, color=colour, lw=3, solid_capstyle="butt")
 
 
-def panel(axes: Axes, title: str) -> None:
-    """The frame of a drawing."""
+def panel(axes: Axes, title: str, half: float = 6.6, centre: tuple[float, float] = (0.0, 0.0)) -> None:
+    """The frame of a drawing, `half` as wide and high [m]."""
     axes.set_title(title, fontsize=8.5)
     axes.set_aspect("equal")
-    axes.set_xlim(-7.0, 7.0)
-    axes.set_ylim(-6.2, 6.2)
+    axes.set_xlim(centre[0] - half, centre[0] + half)
+    axes.set_ylim(centre[1] - half, centre[1] + half)
     axes.axis("off")
+
+
+def caption(axes: Axes, text: str) -> None:
+    """A line below a drawing."""
+    axes.text(0.5, 0.02, text, fontsize=8, ha="center", transform=axes.transAxes)
 
 
 def main() -> None:
     """Apart, in contact, and in contact between two looks."""
-    figure, (apart, contact, missed) = plt.subplots(1, 3, figsize=(10.5, 3.8))
+    figure, (apart, contact, grazed) = plt.subplots(1, 3, figsize=(10.5, 3.8))
     ego: Pose = (0.0, 0.0, 0.0)
     for axes, other, verdict in (
         (apart, (3.6, 3.8, 0.6), "apart: one axis with a gap is enough"),
-        (contact, (3.6, 2.2, 0.6), "contact: the shadows overlap on all four axes (two shown)"),
+        (contact, (3.6, 2.2, 0.6), "contact: the shadows overlap\non all four axes (two shown)"),
     ):
         panel(axes, verdict)
         car(axes, ego, EGO)
@@ -66,17 +71,22 @@ def main() -> None:
         shadows(axes, ego, other, ego[2], (0.0, -3.2))
         shadows(axes, ego, other, ego[2] + math.pi / 2, (-4.6, 0.5))
         gap = separation(*ego, *other, LENGTH, WIDTH)
-        label = f"largest gap {gap:.2f} m" if gap > 0 else f"depth of penetration {-gap:.2f} m"
-        axes.text(-6.8, -5.8, label, fontsize=8)
-    panel(missed, "contact between two sub-steps of 0.1 s")
-    car(missed, ego, EGO)
-    # seen from the ego, which drives as well, the other car does not move along its own heading
-    start, direction, heading, way = (4.02, 2.55), 2.41, 1.38, 1.5
-    end = (start[0] + way * math.cos(direction), start[1] + way * math.sin(direction))
-    for k in range(6):
-        x, y = (start[i] + (end[i] - start[i]) * k / 5 for i in range(2))
-        car(missed, (x, y, heading), OTHER, alpha=0.35 if k in (0, 5) else 0.08)
-    missed.text(-6.8, -5.8, "both looks: apart; at the tests every 20 ms: in contact", fontsize=8)
+        caption(axes, f"largest gap {gap:.2f} m" if gap > 0 else f"depth of penetration {-gap:.2f} m")
+    panel(grazed, "contact on the way between two looks", half=5.2, centre=(3.0, 0.8))
+    car(grazed, ego, EGO)
+    # Seen from the ego, which drives as well, the other does not move along its own heading: it slides past the corner.
+    heading = math.pi / 4
+    middle = np.array([2.5, 1.0]) + (LENGTH / 2 - 0.15) * np.array([math.cos(heading), math.sin(heading)])
+    aside = np.array([math.sin(heading), -math.cos(heading)])
+    start, end = middle + 2.0 * aside, middle - 1.25 * aside
+    before = np.array([[ego[0], start[0]], [ego[1], start[1]], [ego[2], heading]])
+    moment = meeting(0, 1, before, np.array([ego[0], end[0]]), np.array([ego[1], end[1]]), before[2])
+    x, y = start + moment * (end - start)
+    for place in (start, end):
+        car(grazed, (*place, heading), OTHER, alpha=0.15)
+    car(grazed, (x, y, heading), OTHER, alpha=0.5)
+    grazed.annotate("", end, start, arrowprops={"arrowstyle": "->", "color": AXIS, "lw": 0.8})
+    caption(grazed, f"apart at both ends (light), first contact at {moment:.2f} of the way (dark)")
     figure.tight_layout()
     TARGET.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(TARGET, dpi=110)

@@ -28,6 +28,7 @@ DIAGONAL = math.hypot(LENGTH, WIDTH)  # centres further apart than this are not 
 SAME_DIRECTION = math.pi / 4  # headings that differ by less are those of cars driving side by side [rad]
 OPPOSITE_DIRECTION = 3 * math.pi / 4  # ... by more, of cars driving towards each other [rad]
 SUMO_TOLERANCE = 0.1  # [m] how far apart cars may be for SUMO's report to count on its own
+ROUNDING = 1e-9  # [m] a look meant for the first touch is off by less
 FINEST = 0.01  # of a sub-step: a contact that is shorter (1 ms of 0.1 s) may be missed
 
 
@@ -113,7 +114,7 @@ def meeting(i: int, j: int, before: Floats, x: Floats, y: Floats, heading: Float
     t = 0.0
     while True:
         gap = separation(0.0, 0.0, hi + t * turn_i, rx + t * ux, ry + t * uy, hj + t * turn_j, LENGTH, WIDTH)
-        if gap <= 0.0:
+        if gap <= ROUNDING:
             return t
         if t == 1.0 or gap > fastest * (1.0 - t):
             return math.inf

@@ -115,6 +115,7 @@ class World:
         self.row = {name: row for row, name in enumerate(self.ids)}
         self.x, self.y, _, self.heading = self.sim.read(self.ids)
         self._before = np.array([self.x, self.y, self.heading])  # poses at the start of the next sub-step
+        self._reported: set[tuple[int, int]] = set()  # by SUMO after the last sub-step
         self.speed = np.array([spec.speed for spec in specs])
         self.crashed = np.zeros(len(specs), np.bool_)
         self.yielding = np.array([spec.yielding for spec in specs])
@@ -307,19 +308,20 @@ class World:
         pairs, moments = meetings(self._before, self.x, self.y, self.heading, ~self.crashed)
         met = dict(zip(map(tuple, pairs.tolist()), moments.tolist(), strict=True))
         reported = {
-            tuple(sorted((self.row[a], self.row[b])))
-            for a, b in self.sim.collisions()
-            if a in self.row and b in self.row
+            (min(pair), max(pair))
+            for pair in ((self.row.get(a, -1), self.row.get(b, -1)) for a, b in self.sim.collisions())
+            if -1 not in pair
         }
+        # SUMO may see a contact a step before the geometry does, or a step later, or the other way round
+        by_sumo, self._reported = reported | self._reported, reported
         if self.crash is not None and self.crash.detected_by != "both":
-            # SUMO may see a contact a step later than the geometry does, or the other way round
             pair = (0, self.row.get(self.crash.other, -1))
             if pair in (reported if self.crash.detected_by == "geometry" else met):
                 self.crash = replace(self.crash, detected_by="both")
         happened = met | {pair: 1.0 for pair in reported if pair not in met and self._nearly_touch(*pair)}
         for pair in sorted(happened, key=lambda pair: (happened[pair], pair)):
             if pair[0] == 0 and self.crash is None:
-                by: Detector = "sumo" if pair not in met else "both" if pair in reported else "geometry"
+                by: Detector = "sumo" if pair not in met else "both" if pair in by_sumo else "geometry"
                 scene = scene_between(self._before, self.scene(), happened[pair], self.dt)
                 self.crash = crash_record(scene, pair[1], by)
                 self.ego.crashed = True

@@ -72,10 +72,10 @@ def test_recall_and_precision() -> None:
 
 @pytest.mark.slow
 def test_together_the_detectors_notice_every_contact_and_no_other(tmp_path: Path) -> None:
-    assert run(Options(tmp_path, tasks=("u-turn", "intersection"), cases=80)) == 0
+    assert run(Options(tmp_path, tasks=("roundabout", "intersection"), cases=80)) == 0
     table = pd.read_csv(tmp_path / "detection.csv")
     mine = table[(table["type"] == "all") & (table["who"] == "ego")].set_index(["task", "detector"])
-    for task in ("u-turn", "intersection"):
+    for task in ("roundabout", "intersection"):
         together = mine.loc[(task, "together")]
         assert together["contacts"] > 30
         assert together["recall"] == 1.0

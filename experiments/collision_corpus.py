@@ -1,6 +1,6 @@
 """How well crashes are noticed: SUMO's detection, our geometry, and both together, against exact contacts.
 
-    python experiments/collision_corpus.py --out results/collisions               # ten minutes on one core
+    python experiments/collision_corpus.py --out results/collisions               # five minutes of processor time
     python experiments/collision_corpus.py --out /tmp/collisions --cases 50 --tasks u-turn
 
 An ego that acts at random drives in regular and in risky traffic. Detectors are only watched: nobody becomes a wreck,
@@ -48,7 +48,6 @@ from sumo_env.collision import (
     contacts,
     distance,
     meetings,
-    separation,
 )
 from sumo_env.env import DrivingEnv
 from sumo_env.tasks import TASKS, get_task
@@ -147,9 +146,8 @@ def _near(before: NDArray[np.float64], now: NDArray[np.float64]) -> list[tuple[i
     # how far the nearest two points may come together on the way, which may be curved
     moved = 1.2 * (way + turn + turn[:, None])
     circles = np.argwhere(np.triu(np.hypot(x, y) - DIAGONAL - moved < NEAR, k=1)).tolist()
-    gaps = {
-        (i, j): separation(*before[:, i].tolist(), *before[:, j].tolist(), LENGTH, WIDTH) for i, j in circles
-    }
+    poses = before.T.tolist()
+    gaps = {(i, j): _signed_distance(poses[i], poses[j]) for i, j in circles}
     return [pair for pair, gap in gaps.items() if gap - moved[pair] < NEAR]
 
 
@@ -324,7 +322,7 @@ def _detectors(cases: pd.DataFrame) -> dict[str, pd.Series]:
 
 def draw(corpus: pd.DataFrame, path: Path) -> None:
     """How far apart the ego and the other were when SUMO reported a crash, and how deep the missed contacts were."""
-    figure, (gaps, depths) = plt.subplots(1, 2, figsize=(9, 3.2))
+    figure, (gaps, depths) = plt.subplots(1, 2, figsize=(10, 3.2))
     mine = corpus[corpus["who"] == "ego"]
     reported = mine[mine["sumo"]]
     bins = np.linspace(0, 0.5, 26)
@@ -333,7 +331,7 @@ def draw(corpus: pd.DataFrame, path: Path) -> None:
         gaps.hist(values, bins=bins, color=colour, alpha=0.7, label=f"{label} ({len(values)})")
     gaps.axvline(SUMO_TOLERANCE, color="#555555", lw=0.8, ls=":")
     gaps.text(SUMO_TOLERANCE + 0.005, gaps.get_ylim()[1] * 0.5, "tolerance", fontsize=8, color="#555555")
-    gaps.set_xlabel("distance at SUMO's first report [m], 0.5 and more in the last bar")
+    gaps.set_xlabel("distance at SUMO's first report [m] (last bar: 0.5 and more)")
     true = mine[mine["contact"]]
     for detector, colour in (
         ("SUMO", "#56b4e9"),
@@ -343,7 +341,7 @@ def draw(corpus: pd.DataFrame, path: Path) -> None:
         missed = true.loc[~_detectors(true)[detector], "depth"].clip(upper=1.2)
         label = f"{detector} ({len(missed)} of {len(true)})"
         depths.hist(missed, bins=np.linspace(0, 1.2, 25), histtype="step", lw=1.4, color=colour, label=label)
-    depths.set_xlabel("depth of the contacts missed [m], 1.2 and more in the last bar")
+    depths.set_xlabel("depth of the contacts missed [m] (last bar: 1.2 and more)")
     for axis in (gaps, depths):
         axis.set_yscale("symlog", linthresh=1)
         axis.set_ylabel("cases of the ego")

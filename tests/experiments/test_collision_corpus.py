@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +13,8 @@ import shapely
 
 from experiments.collision_corpus import PARTS, Options, between, polygons, run, summarise
 from sumo_env.collision import SUMO_TOLERANCE
+from sumo_env.env import DrivingEnv
+from sumo_env.world import World
 
 
 def test_a_polygon_is_a_car() -> None:
@@ -68,6 +71,45 @@ def test_recall_and_precision() -> None:
     assert table.loc[("all", "together"), ["recall", "precision"]].tolist() == [1.0, 1.0]
     assert table.loc[("all", "together"), "false"] == 0  # SUMO's report from 0.4 m does not count
     assert table.loc[("all", "SUMO"), "curved_recall"] == 1.0
+
+
+def _corners(poses: np.ndarray) -> np.ndarray:
+    return shapely.get_coordinates(polygons(poses)).reshape(len(poses), 5, 2)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("task", "actions"),
+    [("highway", (1, 2, 1, 0)), ("roundabout", (3, 1, 1, 1, 1)), ("u-turn", (3, 1, 2, 1, 0, 1, 1))],
+)
+def test_the_straight_way_is_close_to_that_of_a_finer_simulation(
+    task: str, actions: tuple[int, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    env = DrivingEnv(task, {"simulation_frequency": 100})
+    draw = env.task.scenario
+    env.task = type(env.task)()
+    env.task.scenario = lambda config, seed: replace(  # type: ignore[method-assign]
+        draw(config, seed), vehicles=(), spawns=(), events=()
+    )
+    poses: list[tuple[float, float, float]] = []
+    look = World._look_for_contacts
+
+    def record(world: World) -> None:
+        look(world)
+        poses.append((world.x[0], world.y[0], world.heading[0]))
+
+    monkeypatch.setattr(World, "_look_for_contacts", record)
+    env.reset(seed=1)
+    for action in actions:
+        env.step(action)
+    env.close()
+    driven = np.array(poses)
+    assert len(driven) == 100 * len(actions)
+    off = []
+    for start in range(len(driven) - 10):
+        way = between(driven[start], driven[start + 10])[1::2]  # every 0.01 s
+        off.append(np.linalg.norm(_corners(way) - _corners(driven[start + 1 : start + 11]), axis=-1).max())
+    assert max(off) < 0.14 and np.quantile(off, 0.95) < 0.08  # [m] docs/collisions.md
 
 
 @pytest.mark.slow

@@ -93,7 +93,7 @@ class TestReport:
         value = json.loads((directory / "analysis.json").read_text(), parse_constant=pytest.fail)
         assert {"ate", "claims", "gates", "policies", "provenance"} <= set(value)
         table = pd.read_csv(directory / "summary.csv")
-        assert len(table) == 3 * 7 * 2
+        assert len(table) == 3 * 8 * 2
         assert {"backend", "task", "level", "policy", "arm", "traffic", "return", "crashed"} <= set(
             table.columns
         )

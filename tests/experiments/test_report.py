@@ -13,10 +13,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from experiments import figures, report, store
-from experiments.collision_figures import LENGTH, WIDTH, collisions, contacts, corners
-from experiments.errors import UserError
-from experiments.report_view import effect_rows, pooled_rows, validation
+from experiments import report
+from experiments.reporting import figures
+from experiments.reporting.collision_figures import LENGTH, WIDTH, collisions, contacts, corners
+from experiments.reporting.report_view import effect_rows, pooled_rows, validation
+from experiments.study import store
+from experiments.support.errors import UserError
 from tests.experiments import synthetic
 
 SCRIPT = Path(report.__file__)

@@ -9,14 +9,14 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from experiments import store
-from experiments.analysis import analyse, summary_table
-from experiments.effects import effects, placebo
-from experiments.grid import BASELINES
-from experiments.pooling import slopes
-from experiments.statistics import welch
-from experiments.tables import OUTCOMES, TERMS, comparable, units
-from experiments.verdicts import claims, decide
+from experiments.causal.analysis import analyse, summary_table
+from experiments.causal.effects import effects, placebo
+from experiments.causal.pooling import slopes
+from experiments.causal.statistics import welch
+from experiments.causal.tables import OUTCOMES, TERMS, comparable, units
+from experiments.causal.verdicts import claims, decide
+from experiments.study import store
+from experiments.study.grid import BASELINES
 from tests.experiments import synthetic
 
 FAULTS = {

@@ -12,9 +12,9 @@ from typing import Any
 
 import pandas as pd
 
-from experiments.files import canonical_json
-from experiments.grid import ARMS, TASKS, TRAFFICS
-from experiments.store import Results
+from experiments.study.grid import ARMS, TASKS, TRAFFICS
+from experiments.study.store import Results
+from experiments.support.files import canonical_json
 
 TASK_ORDER = {task: number for number, task in enumerate(TASKS)}
 PLACE = ["backend", "task", "level", "level_name"]  # what a comparison is made within

@@ -8,10 +8,10 @@ from typing import Any
 
 from markupsafe import Markup
 
-from experiments import collision_figures, figures
-from experiments.effects import Record
-from experiments.store import Results
-from experiments.tables import CONFIRMATORY, OUTCOMES, TASK_ORDER
+from experiments.causal.effects import Record
+from experiments.causal.tables import CONFIRMATORY, OUTCOMES, TASK_ORDER
+from experiments.reporting import collision_figures, figures
+from experiments.study.store import Results
 
 
 @dataclass(frozen=True)

@@ -13,12 +13,12 @@ from multiprocessing.process import BaseProcess
 from pathlib import Path
 from typing import Any
 
-from experiments.claims import Claims
-from experiments.errors import UserError
-from experiments.grid import Cell
-from experiments.progress import Display, Plain
-from experiments.store import Store
-from experiments.worker import Done, Failed, Job, MakeEnv, Progress, main
+from experiments.study.claims import Claims
+from experiments.study.grid import Cell
+from experiments.study.progress import Display, Plain
+from experiments.study.store import Store
+from experiments.study.worker import Done, Failed, Job, MakeEnv, Progress, main
+from experiments.support.errors import UserError
 
 ATTEMPTS = 3  # a cell is begun at most this often
 JOBS_PER_PROCESS = 25  # then a fresh process takes over: whatever a simulator leaks is given back

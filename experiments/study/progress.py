@@ -6,7 +6,7 @@ import sys
 import time
 from typing import Protocol
 
-from experiments.estimate import duration
+from experiments.study.estimate import duration
 
 INTERVAL = 15.0  # [s] between lines in a log
 

@@ -7,16 +7,16 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from experiments.effects import UNINFORMATIVE, Record
-from experiments.estimate import duration
-from experiments.gates import FAILURES, GATES
-from experiments.grid import ARMS
-from experiments.report_figures import backend_figures
-from experiments.statistics import ALPHA, MISSING
-from experiments.store import Results
-from experiments.tables import CONFIRMATORY, OUTCOMES, TASK_ORDER, TERMS
+from experiments.causal.effects import UNINFORMATIVE, Record
+from experiments.causal.gates import FAILURES, GATES
+from experiments.causal.statistics import ALPHA, MISSING
+from experiments.causal.tables import CONFIRMATORY, OUTCOMES, TASK_ORDER, TERMS
+from experiments.causal.wording import BACKENDS, count, listing, place
+from experiments.reporting.report_figures import backend_figures
+from experiments.study.estimate import duration
+from experiments.study.grid import ARMS
+from experiments.study.store import Results
 from experiments.validation.status import LATEST, summary, validation_status
-from experiments.wording import BACKENDS, count, listing, place
 
 NOT_VALIDATED = "not validated"
 HOW_TO_VALIDATE = (

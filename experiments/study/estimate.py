@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from statistics import median
 
-from experiments.grid import Cell
-from experiments.provenance import cpu
+from experiments.study.grid import Cell
+from experiments.support.provenance import cpu
 
 # Processor seconds of a common server for (a training step with its update, a test episode) in the lightest traffic.
 DEFAULT_RATES: dict[tuple[str, str], tuple[float, float]] = {

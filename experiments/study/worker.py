@@ -19,12 +19,12 @@ from typing import Any
 
 import gymnasium as gym
 
-from experiments.claims import Claims, Heart
-from experiments.errors import UserError, disk_error
-from experiments.evaluate import Policy, evaluate
-from experiments.grid import Cell
-from experiments.provenance import provenance
-from experiments.store import EPISODES, TRAINING, WEIGHTS, Store
+from experiments.study.claims import Claims, Heart
+from experiments.study.evaluate import Policy, evaluate
+from experiments.study.grid import Cell
+from experiments.study.store import EPISODES, TRAINING, WEIGHTS, Store
+from experiments.support.errors import UserError, disk_error
+from experiments.support.provenance import provenance
 
 MakeEnv = Callable[..., gym.Env[Any, Any]]
 # A write that fails for one of these fails for every cell: the sweep stops instead of trying again.
@@ -147,7 +147,7 @@ def _baseline(cell: Cell, env: gym.Env[Any, Any], store: Store, send: Send) -> N
 
 
 def _agent(cell: Cell, env: gym.Env[Any, Any], store: Store, send: Send) -> None:
-    from experiments.train import train_cell  # here, because it loads torch
+    from experiments.study.train import train_cell  # here, because it loads torch
 
     scratch = store.work / cell.name
     scratch.mkdir(exist_ok=True)

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
-from experiments.errors import UserError, unknown
+from experiments.support.errors import UserError, unknown
 from sumo_env.tasks import TASKS
 
 PAPER_EPISODES = 3072  # training episodes of an agent in the paper

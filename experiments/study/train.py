@@ -16,8 +16,8 @@ from agents.checkpoint import CheckpointError
 from agents.dqn import DQNConfig
 from agents.policy import GreedyPolicy
 from agents.training import Progress, TrainedAgent, train
-from experiments.errors import UserError
-from experiments.grid import Cell
+from experiments.study.grid import Cell
+from experiments.support.errors import UserError
 
 CHECKPOINT = "checkpoint.npz"
 CHECKPOINTS = 20  # a training is checkpointed about so often

@@ -22,12 +22,12 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator, NullFormatter
 from scipy import stats
 
-from experiments.effects import UNINFORMATIVE
-from experiments.gates import Q_SLACK
-from experiments.grid import ARMS, TRAFFICS
-from experiments.statistics import ALPHA
-from experiments.tables import OUTCOMES, TASK_ORDER
-from experiments.wording import MINUS
+from experiments.causal.effects import UNINFORMATIVE
+from experiments.causal.gates import Q_SLACK
+from experiments.causal.statistics import ALPHA
+from experiments.causal.tables import OUTCOMES, TASK_ORDER
+from experiments.causal.wording import MINUS
+from experiments.study.grid import ARMS, TRAFFICS
 
 WIDTH = 7.2  # [inch]
 INK, MUTED, GRID, PAPER = "#1f2328", "#6b7280", "#d9dde3", "#ffffff"

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, Protocol
 import gymnasium as gym
 import numpy as np
 
-from experiments.grid import TRAFFICS
-from experiments.seeds import scenario_seed, stream_seed
+from experiments.study.grid import TRAFFICS
+from experiments.study.seeds import scenario_seed, stream_seed
 
 if TYPE_CHECKING:
     import pandas as pd

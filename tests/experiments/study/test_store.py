@@ -14,9 +14,9 @@ import pytest
 
 from agents.architecture import Architecture
 from agents.policy import GreedyPolicy
-from experiments import claims, grid, store
-from experiments.errors import UserError
-from experiments.evaluate import evaluate
+from experiments.study import claims, grid, store
+from experiments.study.evaluate import evaluate
+from experiments.support.errors import UserError
 from sumo_env.tasks import TASKS
 from tests.experiments.fake_env import make_env
 

@@ -9,9 +9,9 @@ from matplotlib.collections import PolyCollection
 from matplotlib.patches import FancyArrow, Rectangle
 from numpy.typing import NDArray
 
-from experiments.figures import INK, MUTED, PAPER, new_figure, styled, to_svg
-from experiments.grid import ARMS, TRAFFICS
-from experiments.tables import TASK_ORDER
+from experiments.causal.tables import TASK_ORDER
+from experiments.reporting.figures import INK, MUTED, PAPER, new_figure, styled, to_svg
+from experiments.study.grid import ARMS, TRAFFICS
 
 LENGTH, WIDTH = 5.0, 2.0  # [m] of every vehicle, in both simulators
 # Seen best by all eyes beside each other: Okabe and Ito's sky blue, orange, reddish purple and yellow-green.

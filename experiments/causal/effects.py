@@ -14,10 +14,10 @@ from typing import Any
 import pandas as pd
 from scipy.stats import binomtest
 
-from experiments import statistics
-from experiments.gates import FAILURES, GATES
-from experiments.statistics import ALPHA, MISSING, OK, Estimate
-from experiments.tables import CONFIRMATORY, OUTCOMES, PLACE, TERMS, Pair, arm_values, pairs
+from experiments.causal import statistics
+from experiments.causal.gates import FAILURES, GATES
+from experiments.causal.statistics import ALPHA, MISSING, OK, Estimate
+from experiments.causal.tables import CONFIRMATORY, OUTCOMES, PLACE, TERMS, Pair, arm_values, pairs
 
 UNINFORMATIVE = "uninformative"
 Record = dict[str, Any]

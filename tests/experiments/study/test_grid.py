@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import pytest
 
-from experiments import grid
-from experiments.errors import UserError
-from experiments.seeds import TEST, scenario_seed
+from experiments.study import grid
+from experiments.study.seeds import TEST, scenario_seed
+from experiments.support.errors import UserError
 from sumo_env.tasks import TASKS
 
 PROFILE = {"updates": 100, "gamma": 0.95, "hidden": [8]}

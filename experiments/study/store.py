@@ -17,9 +17,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from experiments.errors import UserError
-from experiments.files import publish, sha256_file, write_file, write_json
-from experiments.grid import RESULT_SCHEMA, Cell, cell_name, versions
+from experiments.study.grid import RESULT_SCHEMA, Cell, cell_name, versions
+from experiments.support.errors import UserError
+from experiments.support.files import publish, sha256_file, write_file, write_json
 
 if TYPE_CHECKING:
     import pandas as pd

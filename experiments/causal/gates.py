@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from experiments.grid import ARMS, TRAFFICS
-from experiments.tables import PLACE, place_order
+from experiments.causal.tables import PLACE, place_order
+from experiments.study.grid import ARMS, TRAFFICS
 
 Q_SLACK = 1.2  # over the largest value that any policy can have, max |r| / (1 - gamma)
 CONSTANT = 0.98  # share of the test steps with the most common action from which a policy counts as constant

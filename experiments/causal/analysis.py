@@ -9,15 +9,15 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from experiments import statistics
-from experiments.effects import Record, effects, placebo
-from experiments.files import canonical_json, sha256_bytes
-from experiments.gates import gates
-from experiments.grid import ARMS, BASELINES, LEARNER, TRAFFICS
-from experiments.pooling import pooled, slopes
-from experiments.store import Results
-from experiments.tables import DESCRIPTIVE, OUTCOMES, PLACE, comparable, place_order, units
-from experiments.verdicts import claims, headlines
+from experiments.causal import statistics
+from experiments.causal.effects import Record, effects, placebo
+from experiments.causal.gates import gates
+from experiments.causal.pooling import pooled, slopes
+from experiments.causal.tables import DESCRIPTIVE, OUTCOMES, PLACE, comparable, place_order, units
+from experiments.causal.verdicts import claims, headlines
+from experiments.study.grid import ARMS, BASELINES, LEARNER, TRAFFICS
+from experiments.study.store import Results
+from experiments.support.files import canonical_json, sha256_bytes
 from sumo_env.tasks import TASKS
 
 SCHEMA = 1

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from functools import cache
 from typing import Any
 
-from experiments.errors import UserError, unknown
-from experiments.files import canonical_json, sha256_bytes
+from experiments.support.errors import UserError, unknown
+from experiments.support.files import canonical_json, sha256_bytes
 from sumo_env.config import resolve
 from sumo_env.tasks import TASKS
 

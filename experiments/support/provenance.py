@@ -31,7 +31,7 @@ def provenance() -> dict[str, Any]:
         "platform": platform.platform(),
         "cpu": cpu(),
         "cores": os.cpu_count(),
-        "git": revision(Path(__file__).resolve().parents[1]),
+        "git": revision(Path(__file__).resolve().parents[2]),
         "packages": {name: _version(name) for name in PACKAGES},
     }
 

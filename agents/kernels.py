@@ -5,11 +5,26 @@ No kernel may call another one: numba would not notice that the other has change
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any, TypeVar, cast
+
 import numpy as np
 from numba import njit
 
+Function = TypeVar("Function", bound=Callable[..., Any])
 
-@njit(cache=True)
+
+def compiled(function: Function) -> Function:
+    """Compile at the first call, and keep the machine code where a directory can be written."""
+    try:
+        return cast(Function, njit(cache=True)(function))
+    except RuntimeError as error:
+        if "no locator available" not in str(error):
+            raise
+        return cast(Function, njit(function))
+
+
+@compiled
 def add_bias(output: np.ndarray, bias: np.ndarray, relu: bool) -> None:
     """output (rows, n) += bias (n,), then ReLU where the layer has one."""
     for row in range(len(output)):
@@ -18,7 +33,7 @@ def add_bias(output: np.ndarray, bias: np.ndarray, relu: bool) -> None:
             output[row, i] = value if value > 0 or not relu else 0
 
 
-@njit(cache=True)
+@compiled
 def back_through_bias(delta: np.ndarray, output: np.ndarray, relu: bool, bias_gradient: np.ndarray) -> None:
     """Set delta (rows, n) to 0 where the ReLU's output (rows, n) is not positive, and sum it over the rows."""
     bias_gradient[:] = 0

@@ -172,7 +172,7 @@ def _crashes(table: Any) -> str:
 
 def _changed(record: dict[str, Any]) -> str:
     """Versions that differ from those of the stored cell, in words."""
-    now = grid.versions(record["key"]["backend"], record["key"]["kind"])
+    now = grid.versions(record["key"]["backend"])
     changed = [
         f"{name} {now.get(name)} (was {old})"
         for name, old in record["versions"].items()

@@ -68,7 +68,7 @@ def _settings(cell: Mapping[str, Any]) -> dict[str, Any]:
 
 def _is_learner(setting: str) -> bool:
     """Settings that only cells with a trained agent have."""
-    return setting == "version of torch" or not setting.startswith(("env_config ", "eval ", "version of "))
+    return not setting.startswith(("env_config ", "eval ", "version of "))
 
 
 def _difference(settings: Mapping[str, Any], reference: Mapping[str, Any]) -> str:

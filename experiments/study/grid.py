@@ -18,7 +18,7 @@ from experiments.support.files import canonical_json, sha256_bytes
 from sumo_env.config import resolve
 from sumo_env.tasks import TASKS
 
-RESULT_SCHEMA = 1  # raise it with every change that makes stored results mean, or be, something else
+RESULT_SCHEMA = 2  # raise it with every change that makes stored results mean, or be, something else
 BACKENDS = ("sumo", "highway-env")
 ARMS: dict[str, float] = {"control": 0.0, "treatment": 1.0}  # dose of risk in training
 TRAFFICS: dict[str, float] = {"regular": 0.0, "risky": 1.0}  # dose of risk in the test
@@ -73,7 +73,7 @@ class Cell:
     @property
     def name(self) -> str:
         """Name of the cell's directory, "<slug>-<hash of 12 digits>"."""
-        return cell_name(self.key(), versions(self.backend, self.kind))
+        return cell_name(self.key(), versions(self.backend))
 
     @property
     def slug(self) -> str:
@@ -125,14 +125,14 @@ def _installed(package: str) -> str:
         ) from None
 
 
-def versions(backend: str, kind: str) -> dict[str, Any]:
+def versions(backend: str) -> dict[str, Any]:
     """The versions that can change the bits of a result; part of a cell's name.
 
     Raises:
         UserError: a package that the cell needs is not installed.
     """
     simulator = "libsumo" if backend == "sumo" else backend
-    names = ["sumo-risky-driving", simulator, "numpy"] + (["torch"] if kind == "agent" else [])
+    names = ["sumo-risky-driving", simulator, "numpy", "numba"]
     return {"schema": RESULT_SCHEMA, **{name: _installed(name) for name in names}}
 
 

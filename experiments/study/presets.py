@@ -42,7 +42,7 @@ class Preset:
         Raises:
             UserError: a setting that makes no sense.
         """
-        from agents.dqn import DQNConfig  # here, because it loads torch, and not every command needs that
+        from agents.dqn import DQNConfig  # here: not every command needs the learner
 
         asked = {name: value for name, value in overrides.items() if value is not None}
         profiles = {}

@@ -116,7 +116,7 @@ class Store:
             {
                 "schema": RESULT_SCHEMA,
                 "key": cell.key(),
-                "versions": versions(cell.backend, cell.kind),
+                "versions": versions(cell.backend),
                 **record,
                 "files": checksums,
             },

@@ -147,7 +147,7 @@ def _baseline(cell: Cell, env: gym.Env[Any, Any], store: Store, send: Send) -> N
 
 
 def _agent(cell: Cell, env: gym.Env[Any, Any], store: Store, send: Send) -> None:
-    from experiments.study.train import train_cell  # here, because it loads torch
+    from experiments.study.train import train_cell  # here: baselines need no learner
 
     scratch = store.work / cell.name
     scratch.mkdir(exist_ok=True)

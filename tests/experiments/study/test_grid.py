@@ -76,7 +76,7 @@ def test_a_baseline_does_not_depend_on_the_learner():
 def test_keys_survive_json():
     for cell in cells({"two-way": (1, 2, 3), "intersection": (5,)}):
         stored = json.loads(json.dumps(cell.key()))
-        assert grid.cell_name(stored, grid.versions("sumo", cell.kind)) == cell.name
+        assert grid.cell_name(stored, grid.versions("sumo")) == cell.name
 
 
 def test_levels_carry_the_papers_settings():

@@ -14,14 +14,13 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from agents.perception import Perception, View
+from agents.perception import LANE_WIDTH, SIDES, LaneMemory, Perception, View
 
 STEP = 0.25  # [s] of the prediction
 HORIZON = 4.0  # [s]
 PLANNED = 3  # actions in a plan, one a second; afterwards the commanded speed is held
 SPEED_LAG = 0.6  # [s] time constant of the ego's speed control
 LATERAL_LAG = 0.5  # [s] time constant of a lane change
-LANE_WIDTH = 4.0  # [m]
 # Vehicles of 5 x 2 m: three discs cover one, and all points within a radius of its middle line cover it, too.
 DISCS = np.array([-1.67, 0.0, 1.67])  # [m] centres along the vehicle
 RADIUS = 1.3  # [m]
@@ -40,7 +39,6 @@ BRAKING = 2.0  # [s] vehicles that brake go on braking for so long
 # nearer to its own lane than they are.
 TURN_AHEAD, TURN_SHIFT = 25.0, 2.0  # [m] ahead, [m] to the right
 GAP = 6.0  # [m] between centres along a curve: a vehicle length and a little
-SIDES = {"LANE_LEFT": -1, "LANE_RIGHT": 1}
 RUNGS = {"SLOWER": -1, "FASTER": 1}
 
 FUTURE = np.arange(1, round(HORIZON / STEP) + 1) * STEP  # [s] times at which the plans are judged
@@ -77,33 +75,22 @@ class Careful:
         """Begin an episode: forget what was seen. The rule draws nothing at random."""
         self._perception.reset()
         self._action: str | None = None
-        self._lanes = {-1: False, 1: False}  # is there known to be a lane to the left, to the right?
+        self._memory = LaneMemory()
 
     def act(self, observation: np.ndarray) -> int:
         """The first action of the best plan."""
         view = self._perception.look(observation, self._action in SIDES)
-        self._learn_lanes(view)
+        self._memory.learn(view, self._action)
         way = self._way(view.speed)
         price = self._price(view, way)
         gain = way[:, len(TIMES) - 1 - round(SPAN / STEP)] - price
-        possible = np.array([side == 0 or self._lanes[side] for side in self._sides])
+        possible = np.array([side == 0 or self._memory.known[side] for side in self._sides])
         if self._action is None:  # nothing is known yet about how the others move
             possible &= np.isin(self._first, ("IDLE", "SLOWER"))
         if price[possible].min() > UNSAFE:
             gain = -price - 1e-3 * way[:, -1]
         self._action = str(self._first[np.argmax(np.where(possible, gain, -np.inf))])
         return self._numbers[self._action]
-
-    def _learn_lanes(self, view: View) -> None:
-        """A lane is known once somebody was seen on it, or the ego came from it; not if the ego failed to reach it."""
-        if self._action in SIDES:
-            side = SIDES[self._action]
-            arrived = side * view.sideways > 0.4 * LANE_WIDTH
-            self._lanes = {side: False, -side: arrived or self._lanes[-side]}
-        parallel = (np.abs(np.sin(view.headings)) < 0.2) & (np.abs(view.positions[:, 0]) < 100)
-        for side in (-1, 1):
-            beside = np.abs(view.positions[:, 1] - side * LANE_WIDTH) < 1.0
-            self._lanes[side] = self._lanes[side] or bool((parallel & beside).any())
 
     def _way(self, speed: float) -> np.ndarray:
         """Way of each plan [m] at each of TIMES, (plans, times), with a first-order speed control."""

@@ -13,6 +13,8 @@ TURNING = 0.1  # [rad/s] slower turns are taken for noise
 MAX_TURNING = 1.0  # [rad/s]
 SAME = 7.0  # [m] a vehicle this close to where one was expected is taken for that one
 STANDING = 0.5  # [m/s] below this the direction of the velocity says nothing
+LANE_WIDTH = 4.0  # [m]
+SIDES = {"LANE_LEFT": -1, "LANE_RIGHT": 1}
 
 
 @dataclass(frozen=True)
@@ -49,7 +51,7 @@ class Perception:
         missing = [name for name in ("x", "y", "vx", "vy") if name not in self._columns]
         if missing:
             raise ValueError(
-                f"The careful driver needs x, y, vx and vy in the observation: no {', '.join(missing)}."
+                f"Drivers by rules need x, y, vx and vy in the observation: no {', '.join(missing)}."
             )
         self._ranges = kind.ranges
         self._absolute = kind.absolute
@@ -113,6 +115,27 @@ class Perception:
         """Two features, mapped from [-1, 1] back to their ranges, (vehicles, 2)."""
         low, high = np.array([self._ranges[name] for name in names]).T
         return low + (rows[:, [self._columns[name] for name in names]] + 1) / 2 * (high - low)
+
+
+class LaneMemory:
+    """Which lanes there are beside the ego's, as far as it knows; `known`: side (-1 left, 1 right) -> is there one."""
+
+    def __init__(self) -> None:
+        self.known = {-1: False, 1: False}
+
+    def learn(self, view: View, action: str | None) -> None:
+        """A lane is known once somebody was seen on it, or the ego came from it; not if the ego failed to reach it.
+
+        action: the name of the ego's last meta-action.
+        """
+        if action in SIDES:
+            side = SIDES[action]
+            arrived = side * view.sideways > 0.4 * LANE_WIDTH
+            self.known = {side: False, -side: arrived or self.known[-side]}
+        parallel = (np.abs(np.sin(view.headings)) < 0.2) & (np.abs(view.positions[:, 0]) < 100)
+        for side in (-1, 1):
+            beside = np.abs(view.positions[:, 1] - side * LANE_WIDTH) < 1.0
+            self.known[side] = self.known[side] or bool((parallel & beside).any())
 
 
 def _follow(before: View, now: View) -> View:

@@ -8,9 +8,10 @@ import gymnasium as gym
 import numpy as np
 
 from agents.careful import Careful
+from agents.idm import IDM
 from agents.streams import stream
 
-POLICIES = ("idle", "random", "faster", "slower", "careful")
+POLICIES = ("idle", "random", "faster", "slower", "idm", "careful")
 
 
 class Policy(Protocol):
@@ -59,12 +60,15 @@ class Random:
 def make_policy(name: str, env: gym.Env[Any, Any]) -> Policy:
     """The driver of this name for ``env``, whose ``unwrapped.actions`` maps action numbers to names.
 
-    "idle", "faster" and "slower" repeat one meta-action, "random" draws uniformly, "careful" is
-    :class:`agents.careful.Careful`. Raises ValueError for an unknown name or an action that the environment lacks.
+    "idle", "faster" and "slower" repeat one meta-action, "random" draws uniformly, "idm" is :class:`agents.idm.IDM`,
+    "careful" :class:`agents.careful.Careful`. Raises ValueError for an unknown name or an action that the environment
+    lacks.
     """
     actions: dict[int, str] = env.unwrapped.actions  # type: ignore[attr-defined]
     if name == "random":
         return Random(len(actions))
+    if name == "idm":
+        return IDM(env)
     if name == "careful":
         return Careful(env)
     if name not in POLICIES:

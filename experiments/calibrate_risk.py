@@ -1,10 +1,11 @@
-"""What a dose of risky traffic does: to the ego, by driver, and to the traffic itself.
+"""What a dose of risky traffic does: to the ego, by driver, and to the traffic itself, in both simulators.
 
-    python experiments/calibrate_risk.py --out results/risk                      # half an hour on one core
-    python experiments/calibrate_risk.py --out /tmp/risk --episodes 10 --tasks u-turn
+    python experiments/calibrate_risk.py --out results/risk                      # an hour and a half on one core
+    python experiments/calibrate_risk.py --out /tmp/risk --episodes 10 --tasks u-turn --backends sumo
 
-Writes risk.csv (a row for each task, dose and driver of the ego) and risk.png. The rates of the tasks' risk events
-(`risk_rates` in sumo_env/tasks) were chosen by this table; docs/decisions.md, "Risk", says how.
+Writes risk.csv (a row for each simulator, task, dose and driver of the ego) and risk.png. The rates of the tasks' risk
+events (`risk_rates` in sumo_env/tasks) were chosen by this table; docs/decisions.md, "Risk", says how. Rows that are
+there already are not measured again.
 """
 
 from __future__ import annotations
@@ -15,37 +16,46 @@ from pathlib import Path
 if __package__ in (None, ""):  # run as a file: import from the project, not from this folder
     sys.path[0] = str(Path(__file__).resolve().parents[1])
 
-from experiments.threads import limit_threads
+from experiments.support.threads import limit_threads
 
 limit_threads()
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import Any
 
 import numpy as np
 import pandas as pd
 import tyro
 from matplotlib import pyplot as plt
+from matplotlib.axes import Axes
 
 from agents.rules import make_policy
-from experiments.errors import run_command
-from experiments.grid import choose_tasks
-from experiments.seeds import stream_seed
-from experiments.substeps import RecordedEnv
+from experiments.study.grid import BACKENDS, choose_tasks
+from experiments.study.seeds import stream_seed
+from experiments.support.errors import run_command, unknown
+from experiments.support.substeps import RecordedEnv
+from experiments.validation.stage import open_env
 from sumo_env.models.mobil import MIN_GAIN, SAFE_BRAKING, closest_lanes, criteria
 from sumo_env.safety import NEAR_MISS_TTC, pair_ttc
 from sumo_env.scenario import EGO
 from sumo_env.scene import Scene
 from sumo_env.tasks import TASKS, get_task
 
-POLICIES = ("idle", "slower", "faster", "careful")
+POLICIES = ("idle", "slower", "faster", "idm", "careful")
+KEYS = ["backend", "task", "level", "dose", "episodes"]  # what makes a measurement
 LANE_WIDTH = 4.0  # [m]
 HALF_CHANGE = (
     5  # sub-steps from the decision to change lane until the middle of the vehicle is on the new one
 )
-COLOURS = {"idle": "#56b4e9", "slower": "#009e73", "faster": "#d55e00", "careful": "#000000"}
+COLOURS = {
+    "idle": "#56b4e9",
+    "slower": "#009e73",
+    "faster": "#d55e00",
+    "idm": "#cc79a7",
+    "careful": "#000000",
+}
 
 
 @dataclass(frozen=True)
@@ -56,6 +66,8 @@ class Options:
     """Directory for risk.csv and risk.png."""
     tasks: tuple[str, ...] = ()
     """Some of highway, two-way, roundabout, intersection, u-turn (default: all)."""
+    backends: tuple[str, ...] = BACKENDS
+    """Simulators: sumo, highway-env or both."""
     level: int = 1
     """Traffic level, 1 is the lowest."""
     doses: tuple[float, ...] = (0.0, 0.25, 0.5, 0.75, 1.0)
@@ -74,7 +86,7 @@ class TrafficLog:
         near_misses: pairs whose time to collision fell below 1.5 s, neither of them a wreck in the end. Velocities are
             extrapolated straight, so that on bends cars side by side count too.
         accelerations: realised, over one sub-step each [m/s2]; one array an episode.
-        changes, violations: lane changes judged by MOBIL's criteria, and those that break one (highway only).
+        changes, violations: lane changes judged by MOBIL's criteria, and those that break one (highway on SUMO only).
     """
 
     hours: float = 0.0
@@ -84,8 +96,8 @@ class TrafficLog:
     changes: int = 0
     violations: int = 0
 
-    def add(self, env: RecordedEnv) -> None:
-        """Count the episode that `env` has just played."""
+    def add(self, env: Any, hit: str | None) -> None:
+        """Count the episode that `env` has just played. `hit`: the vehicle that the ego crashed with."""
         scenes = env.scenes
         wrecks: set[str] = set()
         endangered: set[frozenset[str]] = set()
@@ -96,11 +108,10 @@ class TrafficLog:
             accelerations.append(_accelerations(before, now, rows))
             wrecks |= {now.ids[row] for row in np.flatnonzero(now.crashed)}
             endangered |= set(_pairs_near(now))
-        hit = env._world.crash.other if env._world is not None and env._world.crash is not None else None
         self.crashes += len(wrecks - {EGO, hit})
         self.near_misses += sum(not pair & wrecks for pair in endangered)
         self.accelerations.append(np.concatenate(accelerations))
-        if env.task.name == "highway":
+        if env.task.name == "highway" and isinstance(env, RecordedEnv):
             self._judge_lane_changes(env)
 
     def _judge_lane_changes(self, env: RecordedEnv) -> None:
@@ -154,10 +165,30 @@ def _pairs_near(scene: Scene) -> Iterator[frozenset[str]]:
         yield frozenset((scene.ids[rows[i]], scene.ids[rows[j]]))
 
 
-def measure(task: str, level: int, dose: float, episodes: int) -> list[dict[str, Any]]:
+def recorded(backend: str, task: str, config: dict[str, Any]) -> Any:
+    """An environment that keeps the scenes after every sub-step of an episode as `scenes`."""
+    if backend == "sumo":
+        return RecordedEnv(task, config)
+    env: Any = open_env(backend, task, config).unwrapped
+    look, reset = env._scene, env.reset
+
+    def scene() -> Scene:
+        found = look()
+        env.scenes.append(found)
+        return found
+
+    def start(**arguments: Any) -> Any:
+        env.scenes = []
+        return reset(**arguments)
+
+    env._scene, env.reset = scene, start
+    return env
+
+
+def measure(backend: str, task: str, level: int, dose: float, episodes: int) -> list[dict[str, Any]]:
     """A row for each driver of the ego; the measures of the traffic are over the episodes of all of them."""
     settings = list(get_task(task).levels.values())[level - 1]
-    env = RecordedEnv(task, {**settings, "risk": dose})
+    env = recorded(backend, task, {**settings, "risk": dose})
     traffic = TrafficLog()
     rows = []
     for name in POLICIES:
@@ -167,14 +198,22 @@ def measure(task: str, level: int, dose: float, episodes: int) -> list[dict[str,
         ]
         means = {key: float(np.mean([outcome[key] for outcome in outcomes])) for key in outcomes[0]}
         rows.append(
-            {"task": task, "level": level, "dose": dose, "policy": name, "episodes": episodes, **means}
+            {
+                "backend": backend,
+                "task": task,
+                "level": level,
+                "dose": dose,
+                "policy": name,
+                "episodes": episodes,
+                **means,
+            }
         )
     env.close()
     summary = traffic.summary(episodes * len(POLICIES))
     return [{**row, **summary} for row in rows]
 
 
-def _play(env: RecordedEnv, policy: Any, seed: int, traffic: TrafficLog) -> dict[str, float]:
+def _play(env: Any, policy: Any, seed: int, traffic: TrafficLog) -> dict[str, float]:
     observation, _ = env.reset(seed=seed)
     policy.reset(seed)
     speeds, near_misses, total = [], 0, 0.0
@@ -185,7 +224,7 @@ def _play(env: RecordedEnv, policy: Any, seed: int, traffic: TrafficLog) -> dict
         near_misses += info["near_miss"]
         total += reward
         ended = terminated or truncated
-    traffic.add(env)
+    traffic.add(env, info["crash"].get("other"))
     return {
         "crash_rate": float(info["crashed"]),
         "return": total,
@@ -196,38 +235,21 @@ def _play(env: RecordedEnv, policy: Any, seed: int, traffic: TrafficLog) -> dict
 
 
 def draw(table: pd.DataFrame, path: Path) -> None:
-    """The dose-response curves: the ego above, the traffic below, a column for each task."""
+    """The dose-response curves: the ego above, the traffic below, a column for each task; highway-env dashed."""
     tasks = list(dict.fromkeys(table["task"]))
     figure, axes = plt.subplots(2, len(tasks), figsize=(2.6 * len(tasks), 4.8), squeeze=False, sharex=True)
     for column, task in enumerate(tasks):
-        ego, traffic = axes[:, column]
-        rows = table[table["task"] == task]
-        survival = task == "two-way"  # where every driver that does not overtake crashes
-        for name, group in rows.groupby("policy"):
-            values = group["length"] if survival else 100 * group["crash_rate"]
-            error = (
-                0 * values
-                if survival
-                else 100 * np.sqrt(group["crash_rate"] * (1 - group["crash_rate"]) / group["episodes"])
-            )
-            ego.errorbar(
-                group["dose"], values, yerr=error, marker="o", ms=3, lw=1.2, color=COLOURS[name], label=name
-            )
-        ego.set_title(task)
-        ego.set_ylabel("episode length [s]" if survival else "crashes of the ego [% of episodes]", fontsize=8)
-        ego.set_ylim(bottom=0)
-        first = rows[rows["policy"] == POLICIES[0]]
-        for key, style in (("near_misses", "o--"), ("crashes", "s-")):
-            values = first[f"{key}_per_vehicle_hour"]
-            traffic.plot(
-                first["dose"], values, style, ms=3, lw=1.2, color="#555555", label=key.replace("_", "-")
-            )
-        traffic.set_xlabel("dose")
-        traffic.set_ylabel("traffic [1 / vehicle-hour]", fontsize=8)
-        traffic.set_ylim(bottom=0)
-        for axis in (ego, traffic):
+        for backend, style in zip(BACKENDS, ("-", "--"), strict=True):
+            rows = table[(table["task"] == task) & (table["backend"] == backend)]
+            if len(rows):
+                _draw_ego(axes[0, column], rows, style)
+                _draw_traffic(axes[1, column], rows[rows["policy"] == POLICIES[0]], style)
+        axes[0, column].set_title(task)
+        for axis in axes[:, column]:
+            axis.set_ylim(bottom=0)
             axis.spines[["top", "right"]].set_visible(False)
             axis.tick_params(labelsize=8)
+        axes[1, column].set_xlabel("dose")
     axes[0, 0].legend(fontsize=7, frameon=False)
     axes[1, 0].legend(fontsize=7, frameon=False)
     figure.tight_layout()
@@ -235,17 +257,45 @@ def draw(table: pd.DataFrame, path: Path) -> None:
     plt.close(figure)
 
 
+def _draw_ego(axis: Axes, rows: pd.DataFrame, style: str) -> None:
+    survival = bool((rows["task"] == "two-way").all())  # where every driver that does not overtake crashes
+    for name, group in rows.groupby("policy", sort=False):
+        values = group["length"] if survival else 100 * group["crash_rate"]
+        label = str(name) if style == "-" else None
+        axis.plot(
+            group["dose"], values, style, marker="o", ms=3, lw=1.2, color=COLOURS[str(name)], label=label
+        )
+    axis.set_ylabel("episode length [s]" if survival else "crashes of the ego [% of episodes]", fontsize=8)
+
+
+def _draw_traffic(axis: Axes, rows: pd.DataFrame, style: str) -> None:
+    for key, marker, colour in (("near_misses", "o", "#999999"), ("crashes", "s", "#333333")):
+        label = key.replace("_", "-") if style == "-" else None
+        values = rows[f"{key}_per_vehicle_hour"]
+        axis.plot(rows["dose"], values, style, marker=marker, ms=3, lw=1.2, color=colour, label=label)
+    axis.set_ylabel("traffic [1 / vehicle-hour]", fontsize=8)
+
+
 def run(options: Options) -> int:
     """Measure, print and write; the exit status."""
-    rows: list[dict[str, Any]] = []
+    for backend in options.backends:
+        if backend not in BACKENDS:
+            raise unknown("backend", backend, BACKENDS)
     options.out.mkdir(parents=True, exist_ok=True)
+    path = options.out / "risk.csv"
+    done = pd.read_csv(path) if path.exists() else pd.DataFrame(columns=KEYS)
+    parts = []
     for task in choose_tasks(options.tasks or tuple(TASKS)):
-        for dose in options.doses:
-            rows += measure(task, options.level, dose, options.episodes)
-            table = pd.DataFrame(rows)
-            table.round(4).to_csv(options.out / "risk.csv", index=False)
-            print(table.tail(len(POLICIES)).drop(columns="level").round(2).to_string(index=False), flush=True)
-    draw(table, options.out / "risk.png")
+        for backend, dose in product(options.backends, options.doses):
+            key = (backend, task, options.level, dose, options.episodes)
+            part = done[(done[KEYS] == list(key)).all(axis=1)]
+            if len(part) < len(POLICIES):
+                part = pd.DataFrame(measure(*key)).round(4)
+                done = pd.concat([done, part]) if len(done) else part
+                done.to_csv(path, index=False)
+                print(part.drop(columns="level").round(2).to_string(index=False), flush=True)
+            parts.append(part)
+    draw(pd.concat(parts), options.out / "risk.png")
     return 0
 
 

@@ -19,7 +19,7 @@ from pathlib import Path
 if __package__ in (None, ""):  # run as a file: import from the project, not from this folder
     sys.path[0] = str(Path(__file__).resolve().parents[1])
 
-from experiments.threads import limit_threads
+from experiments.support.threads import limit_threads
 
 limit_threads()
 
@@ -36,9 +36,9 @@ import tyro
 from matplotlib import pyplot as plt
 from numpy.typing import NDArray
 
-from experiments.errors import run_command
-from experiments.grid import choose_tasks
-from experiments.seeds import stream_seed
+from experiments.study.grid import choose_tasks
+from experiments.study.seeds import stream_seed
+from experiments.support.errors import run_command
 from sumo_env.collision import (
     DIAGONAL,
     LENGTH,

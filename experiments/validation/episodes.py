@@ -10,14 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.rules import make_policy
-from experiments.evaluate import play
+from experiments.study.evaluate import play
 from networks.roads import LaneIndex, Road
 from sumo_env.safety import DENSITY_RADIUS, headways
 from sumo_env.scenario import Scenario
 from sumo_env.scene import Scene
 from sumo_env.tasks import get_task
 
-POLICIES = ("idle", "random", "faster", "slower", "careful")
+POLICIES = ("idle", "random", "faster", "slower", "idm", "careful")
 # The ego starts at the top of its ladder there, so that faster is idle.
 SAME_AS_IDLE = {"two-way": ("faster",), "intersection": ("faster",)}
 BIN = 0.25  # [s] of the headway histogram

@@ -35,9 +35,9 @@ def scene(*others: tuple[float, float, float], speed: float = 25.0) -> np.ndarra
     return table
 
 
-def second_choice(*scenes: np.ndarray) -> str:
-    """What the careful driver does at the last of some observations, one a second."""
-    policy = make_policy("careful", road())
+def second_choice(*scenes: np.ndarray, name: str = "careful") -> str:
+    """What a driver does at the last of some observations, one a second."""
+    policy = make_policy(name, road())
     return FIVE[[policy.act(each) for each in scenes][-1]]
 
 
@@ -106,6 +106,52 @@ def test_careful_forgets_on_reset() -> None:
     first = [policy.act(each) for each in scenes]
     policy.reset(0)
     assert [policy.act(each) for each in scenes] == first
+
+
+def test_idm_keeps_its_distance_and_speeds_up_on_an_empty_road() -> None:
+    assert second_choice(scene(), name="idm") == "FASTER"
+    assert second_choice(scene(speed=30.0), name="idm") == "IDLE"
+    assert second_choice(scene((25, 0, 20)), name="idm") == "SLOWER"
+    assert second_choice(scene((25, 4, 20)), name="idm") == "FASTER"  # on the next lane
+    assert second_choice(scene((-25, 0, 20)), name="idm") == "FASTER"
+
+
+def test_idm_changes_lane_by_mobil() -> None:
+    slow, far = (30, 0, 20), (90, -4, 25)  # somebody far ahead shows that there is a lane
+    assert second_choice(scene(slow, far), name="idm") == "LANE_LEFT"
+    assert second_choice(scene(slow), name="idm") == "SLOWER"  # no lane is known
+    assert (
+        second_choice(scene(slow, far, (-8, -4, 30)), name="idm") == "SLOWER"
+    )  # the new follower would brake hard
+    assert second_choice(scene(far), name="idm") == "FASTER"  # nothing to gain
+
+
+def test_idm_follows_a_leader_round_a_bend() -> None:
+    """On a bend to the right the leader is to the right of straight ahead, and a vehicle straight ahead is not one."""
+    radius, speed = 20.0, 8.0
+
+    def on_arc(ahead: float) -> tuple[float, float, float]:
+        angle = ahead / radius
+        return radius * np.sin(angle), radius * (1 - np.cos(angle)), angle
+
+    def row(x: float, y: float, angle: float, v: float) -> np.ndarray:
+        return np.array([x / 200, y / 16, v * np.cos(angle) / 80, v * np.sin(angle) / 80])
+
+    def seen(time: float, others: list[tuple[float, float, float]]) -> np.ndarray:
+        table = np.zeros((5, 5), np.float32)
+        ego = row(*on_arc(speed * time), speed)
+        for own, values in zip(table, [ego, *(row(*other, 2.0) - ego for other in others)], strict=False):
+            own[:] = (1, *values)
+        return table
+
+    def choice(*others: tuple[float, float, float]) -> str:
+        policy = make_policy("idm", road())
+        return FIVE[[policy.act(seen(time, list(others))) for time in (0.0, 1.0)][1]]
+
+    straight = on_arc(speed)
+    tangent = (straight[0] + 15 * np.cos(straight[2]), straight[1] + 15 * np.sin(straight[2]), straight[2])
+    assert choice(on_arc(speed + 15.0)) == "SLOWER"
+    assert choice(tangent) != "SLOWER"
 
 
 @pytest.mark.slow

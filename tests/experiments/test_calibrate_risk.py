@@ -15,7 +15,7 @@ EPISODES = 6
 
 
 def dose_response(task: str, doses: tuple[float, ...]) -> pd.DataFrame:
-    rows = [row for dose in doses for row in measure(task, 1, dose, EPISODES)]
+    rows = [row for dose in doses for row in measure("sumo", task, 1, dose, EPISODES)]
     return pd.DataFrame(rows).groupby("dose").first()  # the traffic's measures are the same for all drivers
 
 
@@ -41,9 +41,13 @@ def test_risky_drivers_brake_harder(task: str) -> None:
     assert table.loc[1.0, "acceleration_p1"] < table.loc[0.0, "acceleration_p1"]
 
 
-def test_the_command_writes_a_row_for_each_dose_and_driver_and_a_picture(tmp_path: Path) -> None:
+def test_the_command_writes_a_row_for_each_simulator_dose_and_driver_and_a_picture(tmp_path: Path) -> None:
+    assert run(Options(tmp_path, tasks=("u-turn",), doses=(0.0,), backends=("highway-env",), episodes=2)) == 0
+    first = pd.read_csv(tmp_path / "risk.csv")
     assert run(Options(tmp_path, tasks=("u-turn",), doses=(0.0, 1.0), episodes=2)) == 0
     table = pd.read_csv(tmp_path / "risk.csv")
-    assert list(table["policy"]) == [*POLICIES, *POLICIES]
+    assert list(table["policy"]) == 4 * [*POLICIES]
+    assert set(table["backend"]) == {"sumo", "highway-env"}
+    pd.testing.assert_frame_equal(table.iloc[: len(first)], first)  # measured once
     assert np.isfinite(table[["crash_rate", "near_misses_per_vehicle_hour"]].to_numpy()).all()
     assert (tmp_path / "risk.png").stat().st_size > 0

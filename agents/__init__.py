@@ -1,10 +1,12 @@
 """Policies and the learner: the paper's dueling DQN, and drivers that do not learn.
 
-Knows gymnasium, numpy and torch; knows no simulator and no task by name.
+Knows gymnasium, numpy and numba; knows no simulator and no task by name.
 
     architecture   sizes of the dueling network
     policy         the greedy policy of a trained network, numpy only
     network        forward and hand-written backward pass over a batch
+    kernels        its compiled element-wise parts, and Adam
+    threads        one thread for numpy's products
     replay         uniform replay memory
     dqn            configuration and learner
     training       the loop: whole episodes, then updates; resumable bit for bit

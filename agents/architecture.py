@@ -1,17 +1,12 @@
-"""Sizes of the dueling network (Wang et al. 2016), as plain data: acting needs no torch."""
+"""Sizes of the dueling network (Wang et al. 2016), as plain data."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING, NamedTuple, TypeVar
+from typing import NamedTuple
 
 import numpy as np
-
-if TYPE_CHECKING:
-    from torch import Tensor
-
-Array = TypeVar("Array", "np.ndarray", "Tensor")
 
 HEADS = ("mean", "sum")
 
@@ -79,12 +74,12 @@ class Architecture:
         """Number of weights and biases (147,526 for 25 inputs and 5 actions)."""
         return sum((layer.fan_in + 1) * layer.fan_out for layer in self.layers)
 
-    def split(self, vector: Array) -> list[tuple[Array, Array]]:
-        """Views (weight, bias) of every layer of a parameter vector, a numpy array or a torch tensor.
+    def split(self, vector: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Views (weight, bias) of every layer of a parameter vector.
 
         Raises ValueError when its shape is not (parameters,).
         """
-        if tuple(vector.shape) != (self.parameters,):
+        if vector.shape != (self.parameters,):
             raise ValueError(f"Expected a vector of {self.parameters} parameters, got shape {vector.shape}.")
         views, start = [], 0
         for layer in self.layers:

@@ -7,13 +7,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import torch
 
 from agents.architecture import Architecture
+from agents.kernels import adam
 from agents.network import Activations, Network
 from agents.policy import GreedyPolicy, q_values
 from agents.replay import Replay
 from agents.streams import generator_state, restore_generator, stream
+from agents.threads import one_thread
 
 __all__ = ["DQN", "DQNConfig", "GreedyPolicy"]
 
@@ -101,12 +102,12 @@ class DQN:
 
     Its weights, exploration and batches depend on ``seed`` and on what it is shown, and on nothing else.
 
-    Sets torch to one thread for the whole process: at this size a second one costs more than it brings, and
-    the order of summation, hence the bits, depends on their number. Raises ValueError for a negative seed.
+    Sets numpy's matrix products to one thread for the whole process: the order of summation, hence the bits,
+    depends on the number of threads. Raises ValueError for a negative seed.
     """
 
     def __init__(self, config: DQNConfig, inputs: int, actions: int, seed: int) -> None:
-        torch.set_num_threads(1)
+        one_thread()
         self.config = config
         self.seed = seed
         self.architecture = config.architecture(inputs, actions)
@@ -121,37 +122,19 @@ class DQN:
         )
         initial = self.architecture.initial(stream(seed, "network initialisation"))
         for network in (self._online, self._target):
-            network.flat.copy_(torch.from_numpy(initial))
-        self._online.flat.grad = self._gradient.flat
-        self._adam = torch.optim.Adam(
-            [self._online.flat],
-            lr=config.learning_rate,
-            betas=(config.adam_beta1, config.adam_beta2),
-            eps=config.adam_epsilon,
-            fused=True,
-        )
-        self._adam_step = torch.tensor(0.0)
-        self._adam.state[self._online.flat] = {
-            "step": self._adam_step,
-            "exp_avg": self._mean.flat,
-            "exp_avg_sq": self._square.flat,
-        }
-        # Acts on the weights as they are after the last update: the arrays share the tensor's memory.
-        self._acting = self.architecture.split(self._online.flat.numpy())
+            network.flat[:] = initial
 
         batch = config.batch_size
-        self._observations = torch.zeros(2 * batch, inputs)  # s, then s': one forward pass serves both
-        self._actions = torch.zeros(batch, 1, dtype=torch.int64)
-        self._rewards = torch.zeros(batch, 1)
-        self._terminated = torch.zeros(batch, 1)
-        self._error = torch.zeros(batch, 1)
-        self._q_gradient = torch.zeros(batch, actions)
+        self._each = np.arange(batch)
+        self._observations = np.zeros((2 * batch, inputs), np.float32)  # s, then s': one pass serves both
+        self._error = np.zeros(batch, np.float32)
+        self._q_gradient = np.zeros((batch, actions), np.float32)
         self._online_pass = Activations(self.architecture, 2 * batch, gradient_rows=batch)
         self._target_pass = Activations(self.architecture, batch)
 
     def q(self, observation: np.ndarray) -> np.ndarray:
         """Q of every action, float32 (actions,), for one observation."""
-        return q_values(self.architecture, self._acting, observation)
+        return q_values(self.architecture, self._online.layers, observation)
 
     def act(self, observation: np.ndarray, epsilon: float) -> int:
         """A random action with probability ``epsilon``, else the greedy one."""
@@ -164,51 +147,60 @@ class DQN:
 
         Raises ValueError when the replay is empty.
         """
-        config, batch = self.config, self.config.batch_size
-        self._sample()
-        # Denormal numbers (Adam's moments of units that died) would slow the arithmetic down.
-        torch.set_flush_denormal(True)
+        config, batch, replay, each = self.config, self.config.batch_size, self.replay, self._each
+        rows = replay.sample(self._sampling, batch)
+        np.take(replay.observations, rows, axis=0, out=self._observations[:batch], mode="clip")
+        np.take(replay.next_observations, rows, axis=0, out=self._observations[batch:], mode="clip")
+        actions = replay.actions[rows]
+
         q = self._online.forward(self._observations, self._online_pass)
         target_q = self._target.forward(self._observations[batch:], self._target_pass)
         chooser = q[batch:] if config.double else target_q
-        bootstrap = target_q.gather(1, chooser.argmax(1, keepdim=True))
-        goal = self._rewards + config.gamma * (1.0 - self._terminated) * bootstrap
-        torch.sub(q[:batch].gather(1, self._actions), goal, out=self._error)
+        bootstrap = target_q[each, chooser.argmax(1)]
+        goal = replay.rewards[rows] + config.gamma * (1.0 - replay.terminated[rows]) * bootstrap
+        np.subtract(q[each, actions], goal, out=self._error)
         # The loss is the mean squared error. Never Huber's with delta 1: at gamma .99 it prices a crash at
         # one step of reward.
-        self._q_gradient.zero_().scatter_(1, self._actions, self._error * (2.0 / batch))
+        self._q_gradient[:] = 0.0
+        self._q_gradient[each, actions] = self._error * (2.0 / batch)
         self._online.backward(self._observations[:batch], self._online_pass, self._q_gradient, self._gradient)
-        self._gradient.flat.clamp_(-config.gradient_clamp, config.gradient_clamp)
-        self._adam.step()
-        torch.set_flush_denormal(False)
         self.updates += 1
+        self._adam_step()
         if self.updates % config.target_lag == 0:
-            self._target.flat.copy_(self._online.flat)
+            self._target.flat[:] = self._online.flat
 
-    def _sample(self) -> None:
-        batch, replay = self.config.batch_size, self.replay
-        rows = replay.sample(self._sampling, batch)
-        observations = self._observations.numpy()
-        np.take(replay.observations, rows, axis=0, out=observations[:batch], mode="clip")
-        np.take(replay.next_observations, rows, axis=0, out=observations[batch:], mode="clip")
-        self._actions.numpy()[:, 0] = replay.actions[rows]
-        self._rewards.numpy()[:, 0] = replay.rewards[rows]
-        self._terminated.numpy()[:, 0] = replay.terminated[rows]
+    def _adam_step(self) -> None:
+        config = self.config
+        numbers = (
+            config.gradient_clamp,
+            config.learning_rate / (1.0 - config.adam_beta1**self.updates),
+            config.adam_beta1,
+            config.adam_beta2,
+            math.sqrt(1.0 - config.adam_beta2**self.updates),
+            config.adam_epsilon,
+        )
+        adam(
+            self._online.flat,
+            self._gradient.flat,
+            self._mean.flat,
+            self._square.flat,
+            *map(np.float32, numbers),
+        )
 
     def loss(self) -> float:
         """Mean squared temporal-difference error of the last update's batch, before that update."""
-        return float(self._error.square().mean())
+        return float(np.square(self._error).mean())
 
     def policy(self) -> GreedyPolicy:
         """The greedy policy as it is now (a copy)."""
-        return GreedyPolicy(self.architecture, self._online.flat.numpy())
+        return GreedyPolicy(self.architecture, self._online.flat)
 
     def state_dict(self) -> dict[str, np.ndarray]:
         """Everything that the future depends on, as arrays.
 
         Views of live memory: copy them or write them to a file before the next step or update.
         """
-        state = {name: getattr(self, f"_{name}").flat.numpy() for name in _VECTORS}
+        state = {name: getattr(self, f"_{name}").flat for name in _VECTORS}
         state |= {f"replay.{name}": array for name, array in self.replay.state_dict().items()}
         state["exploration"] = np.array(generator_state(self._exploration))
         state["sampling"] = np.array(generator_state(self._sampling))
@@ -219,11 +211,11 @@ class DQN:
         """Put back a state from :meth:`state_dict`. Raises ValueError when it belongs to other sizes."""
         for name in _VECTORS:
             vector = getattr(self, f"_{name}").flat
-            if state[name].shape != tuple(vector.shape):
+            if state[name].shape != vector.shape:
                 raise ValueError(
                     f"Expected {len(vector)} parameters in {name}, got shape {state[name].shape}."
                 )
-            vector.copy_(torch.from_numpy(np.asarray(state[name])))
+            vector[:] = state[name]
         prefix = "replay."
         self.replay.load_state_dict(
             {k.removeprefix(prefix): v for k, v in state.items() if k.startswith(prefix)}
@@ -231,4 +223,3 @@ class DQN:
         restore_generator(self._exploration, str(state["exploration"]))
         restore_generator(self._sampling, str(state["sampling"]))
         self.updates = int(state["updates"])
-        self._adam_step.fill_(float(self.updates))

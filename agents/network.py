@@ -1,16 +1,17 @@
 """The dueling network in training: forward and hand-written backward pass over a batch.
 
-All parameters lie in one flat tensor, so that Adam, the gradient clamp and the target copy are one call
-each. The backward pass is written by hand, and every buffer is allocated once: autograd's bookkeeping and
-fresh memory cost as much as the arithmetic at this size. The gradient is tested against autograd.
+All parameters lie in one flat array, so that Adam and the target copy are one call each. The backward pass
+is written by hand, and every buffer is allocated once: autograd's bookkeeping and fresh memory cost as much
+as the arithmetic at this size. The gradient is tested against autograd.
 """
 
 from __future__ import annotations
 
-import torch
-from torch import Tensor
+import numpy as np
+from numpy.typing import DTypeLike
 
 from agents.architecture import Architecture
+from agents.kernels import add_bias, back_through_bias
 
 
 class Activations:
@@ -21,43 +22,40 @@ class Activations:
     """
 
     def __init__(
-        self,
-        architecture: Architecture,
-        rows: int,
-        gradient_rows: int = 0,
-        dtype: torch.dtype = torch.float32,
+        self, architecture: Architecture, rows: int, gradient_rows: int = 0, dtype: DTypeLike = np.float32
     ) -> None:
-        self.outputs = [torch.empty(rows, layer.fan_out, dtype=dtype) for layer in architecture.layers]
-        self.deltas = [
-            torch.empty(gradient_rows, layer.fan_out, dtype=dtype) for layer in architecture.layers
-        ]
-        self.q = torch.empty(rows, architecture.actions, dtype=dtype)
+        layers = architecture.layers
+        self.outputs = [np.empty((rows, layer.fan_out), dtype) for layer in layers]
+        self.deltas = [np.empty((gradient_rows, layer.fan_out), dtype) for layer in layers]
+        self.spare = np.empty((gradient_rows, architecture.hidden[-1]), dtype)
+        self.q = np.empty((rows, architecture.actions), dtype)
 
 
 class Network:
     """One dueling network. ``flat``: its parameter vector; ``layers``: views (weight, bias) of it."""
 
-    def __init__(self, architecture: Architecture, dtype: torch.dtype = torch.float32) -> None:
+    def __init__(self, architecture: Architecture, dtype: DTypeLike = np.float32) -> None:
         self.architecture = architecture
-        self.flat = torch.zeros(architecture.parameters, dtype=dtype)
+        self.flat = np.zeros(architecture.parameters, dtype)
         self.layers = architecture.split(self.flat)
 
-    def forward(self, observations: Tensor, activations: Activations) -> Tensor:
-        """Q-values (rows, actions) of observations (rows, inputs); the tensor belongs to ``activations``."""
+    # Products are np.dot and not np.matmul, which takes ten times as long where an operand has one column.
+
+    def forward(self, observations: np.ndarray, activations: Activations) -> np.ndarray:
+        """Q-values (rows, actions) of observations (rows, inputs); the array belongs to ``activations``."""
         architecture, outputs = self.architecture, activations.outputs
         for layer, (weight, bias), output in zip(architecture.layers, self.layers, outputs, strict=True):
             x = observations if layer.source < 0 else outputs[layer.source]
-            torch.addmm(bias, x, weight, out=output)
-            if layer.relu:
-                output.relu_()
+            np.dot(x, weight, out=output)
+            add_bias(output, bias, layer.relu)
         value, advantage = outputs[architecture.value_output], outputs[-1]
-        torch.add(value, advantage, out=activations.q)
+        np.add(value, advantage, out=activations.q)
         if architecture.head == "mean":
-            activations.q.sub_(advantage.mean(-1, keepdim=True))
+            activations.q -= advantage.mean(-1, keepdims=True)
         return activations.q
 
     def backward(
-        self, observations: Tensor, activations: Activations, q_gradient: Tensor, gradient: Network
+        self, observations: np.ndarray, activations: Activations, q_gradient: np.ndarray, gradient: Network
     ) -> None:
         """Write d(loss)/d(parameters) to ``gradient``, given d(loss)/dQ of the last forward pass.
 
@@ -66,22 +64,20 @@ class Network:
         """
         architecture, deltas = self.architecture, activations.deltas
         outputs = [output[: len(q_gradient)] for output in activations.outputs]
-        torch.sum(q_gradient, -1, keepdim=True, out=deltas[architecture.value_output])
-        deltas[-1].copy_(q_gradient)
+        np.sum(q_gradient, -1, keepdims=True, out=deltas[architecture.value_output])
+        deltas[-1][:] = q_gradient
         if architecture.head == "mean":
-            deltas[-1].sub_(q_gradient.mean(-1, keepdim=True))
+            deltas[-1] -= q_gradient.mean(-1, keepdims=True)
         reached: set[int] = set()
         for index, layer in reversed(list(enumerate(architecture.layers))):
             delta, weight = deltas[index], self.layers[index][0]
-            if layer.relu:
-                # Derivative of ReLU: 1 where its output is positive. This is the kernel that autograd uses.
-                torch.ops.aten.threshold_backward.grad_input(delta, outputs[index], 0, grad_input=delta)
             x = observations if layer.source < 0 else outputs[layer.source]
             weight_gradient, bias_gradient = gradient.layers[index]
-            torch.mm(x.t(), delta, out=weight_gradient)
-            torch.sum(delta, 0, out=bias_gradient)
-            if layer.source >= 0:
+            back_through_bias(delta, outputs[index], layer.relu, bias_gradient)
+            np.dot(x.T, delta, out=weight_gradient)
+            if layer.source in reached:
                 # The last shared layer feeds both streams: the second one adds to what the first one wrote.
-                below = deltas[layer.source]
-                torch.addmm(below, delta, weight.t(), beta=layer.source in reached, out=below)
+                deltas[layer.source] += np.dot(delta, weight.T, out=activations.spare)
+            elif layer.source >= 0:
+                np.dot(delta, weight.T, out=deltas[layer.source])
                 reached.add(layer.source)

@@ -1,1 +1,9 @@
-"""The study: grid -> train -> evaluate -> analyse -> report. Every command a user types lives here."""
+"""The study. The modules here are the commands that a user types; the packages are what they are made of.
+
+support    errors, files, provenance
+study      grid -> train -> evaluate -> stored cells (sweep.py)
+backends   the two simulators behind one function
+causal     stored cells -> effects and verdicts (report.py)
+reporting  effects -> report.html
+validation, benchmarks  the parts of validate.py and benchmark.py
+"""

@@ -16,7 +16,7 @@ from pathlib import Path
 if __package__ in (None, ""):  # run as a file: import from the project, not from this folder
     sys.path[0] = str(Path(__file__).resolve().parents[1])
 
-from experiments.threads import limit_threads
+from experiments.support.threads import limit_threads
 
 limit_threads()
 
@@ -34,11 +34,11 @@ from rich.table import Table
 from experiments.benchmarks import environments, learner, page, scaling, targets, throughput
 from experiments.benchmarks.sizes import FULL, QUICK, Size
 from experiments.benchmarks.targets import Target
-from experiments.errors import disk_error, run_command, unknown
-from experiments.estimate import duration
-from experiments.files import write_file, write_json
-from experiments.grid import choose_tasks, level_names
-from experiments.provenance import provenance
+from experiments.study.estimate import duration
+from experiments.study.grid import choose_tasks, level_names
+from experiments.support.errors import disk_error, run_command, unknown
+from experiments.support.files import write_file, write_json
+from experiments.support.provenance import provenance
 from sumo_env.tasks import TASKS
 
 SCHEMA = 1

@@ -16,7 +16,7 @@ from pathlib import Path
 if __package__ in (None, ""):  # run as a file: import from the project, not from this folder
     sys.path[0] = str(Path(__file__).resolve().parents[1])
 
-from experiments.threads import limit_threads
+from experiments.support.threads import limit_threads
 
 limit_threads()
 
@@ -32,10 +32,10 @@ from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 
 from agents.rules import make_policy
-from experiments.errors import run_command, unknown
-from experiments.grid import BACKENDS, choose_tasks
-from experiments.seeds import stream_seed
-from experiments.substeps import RecordedEnv
+from experiments.study.grid import BACKENDS, choose_tasks
+from experiments.study.seeds import stream_seed
+from experiments.support.errors import run_command, unknown
+from experiments.support.substeps import RecordedEnv
 from experiments.validation.stage import open_env
 from sumo_env.models.mobil import MIN_GAIN, SAFE_BRAKING, closest_lanes, criteria
 from sumo_env.safety import NEAR_MISS_TTC, pair_ttc
@@ -287,8 +287,8 @@ def run(options: Options) -> int:
     parts = []
     for task in choose_tasks(options.tasks or tuple(TASKS)):
         for backend, dose in product(options.backends, options.doses):
-            key = [backend, task, options.level, dose, options.episodes]
-            part = done[(done[KEYS] == key).all(axis=1)]
+            key = (backend, task, options.level, dose, options.episodes)
+            part = done[(done[KEYS] == list(key)).all(axis=1)]
             if len(part) < len(POLICIES):
                 part = pd.DataFrame(measure(*key)).round(4)
                 done = pd.concat([done, part]) if len(done) else part

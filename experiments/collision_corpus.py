@@ -1,12 +1,13 @@
-"""How well crashes are noticed: SUMO's detection, our separating-axis test, and both, against exact contacts.
+"""How well crashes are noticed: SUMO's detection, our geometry, and both together, against exact contacts.
 
-    python experiments/collision_corpus.py --out results/collisions               # half an hour on one core
+    python experiments/collision_corpus.py --out results/collisions               # five minutes of processor time
     python experiments/collision_corpus.py --out /tmp/collisions --cases 50 --tasks u-turn
 
 An ego that acts at random drives in regular and in risky traffic. Detectors are only watched: nobody becomes a wreck,
 so that what follows a report shows whether it was true. The truth is the distance of shapely polygons along the
-trajectories, interpolated to 5 ms. Cases are an ego's first contact with a vehicle, and near-contacts: vehicles that
-came closer than 0.5 m and never touched. Pairs of other vehicles are kept as well and counted apart. Writes
+trajectories, interpolated to 5 ms: evenly from pose to pose and, as a check on that, along curves that leave and reach
+each pose in the direction of its heading. Cases are an ego's first contact with a vehicle, and near-contacts: vehicles
+that came closer than 0.5 m and never touched. Pairs of other vehicles are kept as well and counted apart. Writes
 corpus.csv (a row a case), detection.csv and detection.png; docs/collisions.md reads them.
 """
 
@@ -18,7 +19,7 @@ from pathlib import Path
 if __package__ in (None, ""):  # run as a file: import from the project, not from this folder
     sys.path[0] = str(Path(__file__).resolve().parents[1])
 
-from experiments.threads import limit_threads
+from experiments.support.threads import limit_threads
 
 limit_threads()
 
@@ -35,22 +36,27 @@ import tyro
 from matplotlib import pyplot as plt
 from numpy.typing import NDArray
 
-from experiments.errors import run_command
-from experiments.grid import choose_tasks
-from experiments.seeds import stream_seed
-from sumo_env.collision import DIAGONAL, LENGTH, WIDTH, classify, contacts, distance
+from experiments.study.grid import choose_tasks
+from experiments.study.seeds import stream_seed
+from experiments.support.errors import run_command
+from sumo_env.collision import (
+    DIAGONAL,
+    LENGTH,
+    SUMO_TOLERANCE,
+    WIDTH,
+    classify,
+    contacts,
+    distance,
+    meetings,
+)
 from sumo_env.env import DrivingEnv
 from sumo_env.tasks import TASKS, get_task
 from sumo_env.world import World
 
 PARTS = 20  # of a sub-step of 0.1 s: the truth is looked at every 5 ms
-EVERY = 4  # parts between two looks of the "swept" test: 20 ms
 NEAR = 0.5  # [m] a vehicle that comes closer without contact is a near-contact
 FOLLOW_UP = (
     1.0  # [s] after the ego's first contact; also how far a report may be from the contact that it means
-)
-TOLERANCE = (
-    0.25  # [m] how far apart the cars may be for SUMO's report to count, in two of the detectors compared
 )
 CORNERS = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]]) * (LENGTH / 2, WIDTH / 2)
 
@@ -74,22 +80,23 @@ class Encounter:
     Attributes:
         closest: least distance [m] that the polygons ever had, 0 in contact.
         contact: time of the first contact [s], inf without one; kind: its type (`collision.classify`).
+        curved: time of the first contact on the curved way [s].
         depth: deepest penetration in the second after the first contact [m].
+        lanes: SUMO's lanes of the two at the last report, or else at the contact.
         reports: (time [s], distance of the rectangles [m]) of SUMO's reports.
-        seen: times at which the separating-axis test found a contact [s].
-        swept: whether that test, made every 20 ms on the way through the sub-step, found one.
+        steps: times of the sub-steps at whose end the rectangles are in contact [s].
+        seen: times at which `collision.meetings` finds a contact [s].
     """
 
     closest: float = math.inf
     contact: float = math.inf
     kind: str = ""
+    curved: float = math.inf
     depth: float = 0.0
+    lanes: tuple[str, str] = ("", "")
     reports: list[tuple[float, float]] = field(default_factory=list)
+    steps: list[float] = field(default_factory=list)
     seen: list[float] = field(default_factory=list)
-    swept: bool = False
-
-
-Pose = tuple[float, float, float]
 
 
 def polygons(poses: NDArray[np.float64]) -> NDArray[Any]:
@@ -100,11 +107,26 @@ def polygons(poses: NDArray[np.float64]) -> NDArray[Any]:
     return np.asarray(shapely.polygons(np.stack([x, y], axis=-1)))
 
 
-def between(before: Pose, now: Pose) -> NDArray[np.float64]:
-    """Poses on the straight way from one to the other, without the first, shape (PARTS, 3)."""
+def between(before: Sequence[float], now: Sequence[float], curved: bool = False) -> NDArray[np.float64]:
+    """Poses on the way from one to the other, without the first, shape (PARTS, 3).
+
+    The way is straight and even or, if `curved`, a cubic that leaves and arrives in the direction of the headings
+    (Hermite's, with the length of the way as speed at both ends), as a vehicle does that follows a bend. The heading
+    turns evenly.
+    """
+    t = np.linspace(1 / PARTS, 1, PARTS)[:, None]
+    start, end = np.asarray(before[:2]), np.asarray(now[:2])
     turn = (now[2] - before[2] + math.pi) % (2 * math.pi) - math.pi
-    change = np.array([now[0] - before[0], now[1] - before[1], turn])
-    return np.array(before) + np.linspace(1 / PARTS, 1, PARTS)[:, None] * change
+    if curved:
+        length = math.hypot(*(end - start))
+        leave, arrive = (
+            length * np.array([math.cos(heading), math.sin(heading)]) for heading in (before[2], now[2])
+        )
+        place = start + (3 * t**2 - 2 * t**3) * (end - start)
+        place = place + (t**3 - 2 * t**2 + t) * leave + (t**3 - t**2) * arrive
+    else:
+        place = start + t * (end - start)
+    return np.hstack([place, before[2] + t * turn])
 
 
 def _signed_distance(first: Sequence[float], second: Sequence[float]) -> float:
@@ -113,17 +135,27 @@ def _signed_distance(first: Sequence[float], second: Sequence[float]) -> float:
     return distance(x, y, heading, x2, y2, heading2, LENGTH, WIDTH)
 
 
-def _near(x: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Pairs i < j of vehicles so close that they may touch within a sub-step, shape (n, n)."""
-    apart = np.hypot(x[:, None] - x[None, :], y[:, None] - y[None, :])
-    return np.triu(apart < 2 * DIAGONAL, k=1)
+def _near(before: NDArray[np.float64], now: NDArray[np.float64]) -> list[tuple[int, int]]:
+    """Pairs i < j of vehicles that may come closer than `NEAR` within a sub-step.
+
+    before, now: x, y [m] and heading [rad], shape (3, n).
+    """
+    (x, y), (x2, y2) = (poses[:2, None, :] - poses[:2, :, None] for poses in (before, now))
+    way = np.hypot(x2 - x, y2 - y)
+    turn = np.abs((now[2] - before[2] + math.pi) % (2 * math.pi) - math.pi) * DIAGONAL / 2
+    # how far the nearest two points may come together on the way, which may be curved
+    moved = 1.2 * (way + turn + turn[:, None])
+    circles = np.argwhere(np.triu(np.hypot(x, y) - DIAGONAL - moved < NEAR, k=1)).tolist()
+    poses = before.T.tolist()
+    gaps = {(i, j): _signed_distance(poses[i], poses[j]) for i, j in circles}
+    return [pair for pair, gap in gaps.items() if gap - moved[pair] < NEAR]
 
 
 class WatchedEnv(DrivingEnv):
-    """Both detectors report, and nothing follows from it.
+    """The detectors report, and nothing follows from it.
 
     Attributes:
-        encounters: by row of the vehicles' names; the ego, if it is one of them, comes first.
+        encounters: by the names of the vehicles, in the order of their rows: the ego comes first.
     """
 
     encounters: defaultdict[tuple[str, str], Encounter]
@@ -131,7 +163,6 @@ class WatchedEnv(DrivingEnv):
     def reset(self, **arguments: Any) -> tuple[NDArray[Any], dict[str, Any]]:
         """Start an episode and a new record."""
         self.encounters = defaultdict(Encounter)
-        self._poses: dict[str, Pose] = {}
         return super().reset(**arguments)
 
     def _open_world(self) -> World:
@@ -140,41 +171,48 @@ class WatchedEnv(DrivingEnv):
         return world
 
     def _watch(self, world: World) -> None:
-        poses = {
-            name: (float(world.x[row]), float(world.y[row]), float(world.heading[row]))
-            for name, row in world.row.items()
-        }
+        now = np.array([world.x, world.y, world.heading])
         for pair in world.sim.collisions():
-            if all(name in poses for name in pair):
-                first, second = sorted(pair, key=world.row.__getitem__)
-                gap = _signed_distance(poses[first], poses[second])
-                self.encounters[first, second].reports.append((world.time, gap))
+            if all(name in world.row for name in pair):
+                i, j = sorted(world.row[name] for name in pair)
+                encounter = self.encounters[world.ids[i], world.ids[j]]
+                encounter.reports.append(
+                    (world.time, _signed_distance(now[:, i].tolist(), now[:, j].tolist()))
+                )
+                encounter.lanes = (world.sim.lane_of(world.ids[i]), world.sim.lane_of(world.ids[j]))
         everybody = np.ones(len(world.ids), np.bool_)
         for i, j in contacts(world.x, world.y, world.heading, everybody):
-            self.encounters[world.ids[i], world.ids[j]].seen.append(world.time)
-        for i, j in np.argwhere(_near(world.x, world.y)):
-            first, second = world.ids[i], world.ids[j]
-            if first in self._poses and second in self._poses:
-                self._measure(self.encounters[first, second], first, second, poses, world)
-        self._poses = poses
+            self.encounters[world.ids[i], world.ids[j]].steps.append(world.time)
+        pairs, moments = meetings(world._before, world.x, world.y, world.heading, everybody)
+        for (i, j), moment in zip(pairs, moments, strict=True):
+            time = world.time - world.dt * (1.0 - float(moment))
+            self.encounters[world.ids[i], world.ids[j]].seen.append(time)
+        for i, j in _near(world._before, now):
+            encounter = self.encounters[world.ids[i], world.ids[j]]
+            if world.time <= encounter.contact + FOLLOW_UP:
+                self._measure(encounter, world, now, i, j)
 
-    def _measure(
-        self, encounter: Encounter, first: str, second: str, poses: dict[str, Pose], world: World
-    ) -> None:
+    def _measure(self, encounter: Encounter, world: World, now: NDArray[np.float64], i: int, j: int) -> None:
         """The truth of one sub-step."""
-        if world.time > encounter.contact + FOLLOW_UP:
-            return
-        here, there = between(self._poses[first], poses[first]), between(self._poses[second], poses[second])
-        gaps = shapely.distance(polygons(here), polygons(there))
-        if gaps.min() < NEAR:
-            signed = [_signed_distance(a, b) for a, b in zip(here.tolist(), there.tolist(), strict=True)]
-            encounter.depth = max(encounter.depth, -min(signed))
-            encounter.swept = encounter.swept or min(signed[EVERY - 1 :: EVERY]) <= 0.0
-        if gaps.min() == 0.0 and not math.isfinite(encounter.contact):
+        ends = [(world._before[:, row].tolist(), now[:, row].tolist()) for row in (i, j)]
+        ways = [between(*poses) for poses in ends]
+        gaps = shapely.distance(*map(polygons, ways))
+        if gaps.min() == 0.0:
             at = int(np.argmax(gaps == 0.0))
-            encounter.contact = world.time - world.dt * (1 - (at + 1) / PARTS)
-            encounter.kind = self._kind(here[at], there[at])
+            if encounter.contact == math.inf:
+                encounter.contact = world.time - world.dt * (1 - (at + 1) / PARTS)
+                encounter.kind = self._kind(ways[0][at], ways[1][at])
+                if not encounter.reports:
+                    encounter.lanes = (world.sim.lane_of(world.ids[i]), world.sim.lane_of(world.ids[j]))
+            deepest = min(
+                _signed_distance(a, b) for a, b in zip(*(way.tolist() for way in ways), strict=True)
+            )
+            encounter.depth = max(encounter.depth, -deepest)
         encounter.closest = min(encounter.closest, float(gaps.min()))
+        if encounter.curved == math.inf and gaps.min() < 1.0:
+            curves = [between(*poses, curved=True) for poses in ends]
+            if shapely.distance(*map(polygons, curves)).min() == 0.0:
+                encounter.curved = world.time
 
     @staticmethod
     def _kind(ego: NDArray[np.float64], other: NDArray[np.float64]) -> str:
@@ -219,17 +257,21 @@ def _judge(encounter: Encounter) -> dict[str, Any]:
     meant = [
         (time, gap)
         for time, gap in encounter.reports
-        if not true or -FOLLOW_UP <= time - encounter.contact <= FOLLOW_UP
+        if not true or abs(time - encounter.contact) <= FOLLOW_UP
     ]
-    seen = [time for time in encounter.seen if not true or time <= encounter.contact + FOLLOW_UP]
+    latest = encounter.contact + FOLLOW_UP  # inf without a contact
+    seen = [time for time in encounter.seen if time <= latest]
     return {
         "contact": true,
+        "curved_contact": encounter.curved <= latest and math.isfinite(encounter.curved),
         "type": encounter.kind or "none",
         "closest": encounter.closest,
         "depth": encounter.depth,
+        "lane": encounter.lanes[0],
+        "other_lane": encounter.lanes[1],
         "sumo": bool(meant),
+        "steps": any(time <= latest for time in encounter.steps),
         "geometry": bool(seen),
-        "swept": encounter.swept,
         # a report counts within a tolerance if any of those about this case is made at such a distance
         "sumo_gap": min((max(gap, 0.0) for _, gap in meant), default=math.nan),
         "first_report_gap": max(meant[0][1], 0.0) if meant else math.nan,
@@ -245,6 +287,7 @@ def summarise(corpus: pd.DataFrame) -> pd.DataFrame:
         for kind in ("all", *sorted(set(cases["type"]) - {"none"})):
             relevant = cases[cases["contact"]]
             relevant = relevant if kind == "all" else relevant[relevant["type"] == kind]
+            curved = cases[cases["curved_contact"] & (cases["type"].eq(kind) | (kind == "all"))]
             for detector, noticed in _detectors(cases).items():
                 true = int(noticed[relevant.index].sum())
                 false = cases[noticed & ~cases["contact"]]
@@ -257,6 +300,7 @@ def summarise(corpus: pd.DataFrame) -> pd.DataFrame:
                         "contacts": len(relevant),
                         "noticed": true,
                         "recall": true / len(relevant) if len(relevant) else math.nan,
+                        "curved_recall": noticed[curved.index].mean(),
                         # false crashes have no type
                         "false": len(false) if kind == "all" else math.nan,
                         "precision": true / (true + len(false)) if kind == "all" and true else math.nan,
@@ -267,37 +311,40 @@ def summarise(corpus: pd.DataFrame) -> pd.DataFrame:
 
 
 def _detectors(cases: pd.DataFrame) -> dict[str, pd.Series]:
-    within = cases["sumo_gap"] <= TOLERANCE
     return {
-        "sumo": cases["sumo"],
+        "SUMO": cases["sumo"],
+        "geometry every 0.1 s": cases["steps"],
+        "SUMO or that": cases["sumo"] | cases["steps"],
         "geometry": cases["geometry"],
-        "both": cases["sumo"] | cases["geometry"],
-        "geometry, SUMO within 0.25 m": cases["geometry"] | within,
-        "swept geometry": cases["swept"],
-        "swept geometry, SUMO within 0.25 m": cases["swept"] | within,
+        "together": cases["geometry"] | (cases["sumo_gap"] <= SUMO_TOLERANCE),  # what counts as a crash
     }
 
 
 def draw(corpus: pd.DataFrame, path: Path) -> None:
-    """How far apart the cars really were when SUMO reported a crash, and how long after contact each one reports."""
-    figure, (gaps, delays) = plt.subplots(1, 2, figsize=(9, 3.2))
-    reported = corpus[corpus["sumo"]]
-    bins = np.linspace(0, 1.5, 31)
+    """How far apart the ego and the other were when SUMO reported a crash, and how deep the missed contacts were."""
+    figure, (gaps, depths) = plt.subplots(1, 2, figsize=(10, 3.2))
+    mine = corpus[corpus["who"] == "ego"]
+    reported = mine[mine["sumo"]]
+    bins = np.linspace(0, 0.5, 26)
     for contact, colour, label in ((True, "#009e73", "contact follows"), (False, "#d55e00", "no contact")):
-        values = reported.loc[reported["contact"] == contact, "first_report_gap"]
+        values = reported.loc[reported["contact"] == contact, "first_report_gap"].clip(upper=bins[-1])
         gaps.hist(values, bins=bins, color=colour, alpha=0.7, label=f"{label} ({len(values)})")
-    gaps.set_yscale("log")
-    gaps.set_xlabel("distance at SUMO's first report [m]")
-    gaps.set_ylabel("cases")
-    true = corpus[corpus["contact"]]
-    for column, colour in (("sumo_delay", "#56b4e9"), ("geometry_delay", "#000000")):
-        label = column.removesuffix("_delay")
-        delays.hist(
-            true[column].dropna(), bins=np.linspace(-1, 1, 41), histtype="step", color=colour, label=label
-        )
-    delays.set_yscale("log")
-    delays.set_xlabel("first report after the contact [s]")
-    for axis in (gaps, delays):
+    gaps.axvline(SUMO_TOLERANCE, color="#555555", lw=0.8, ls=":")
+    gaps.text(SUMO_TOLERANCE + 0.005, gaps.get_ylim()[1] * 0.5, "tolerance", fontsize=8, color="#555555")
+    gaps.set_xlabel("distance at SUMO's first report [m] (last bar: 0.5 and more)")
+    true = mine[mine["contact"]]
+    for detector, colour in (
+        ("SUMO", "#56b4e9"),
+        ("geometry every 0.1 s", "#cc79a7"),
+        ("together", "#000000"),
+    ):
+        missed = true.loc[~_detectors(true)[detector], "depth"].clip(upper=1.2)
+        label = f"{detector} ({len(missed)} of {len(true)})"
+        depths.hist(missed, bins=np.linspace(0, 1.2, 25), histtype="step", lw=1.4, color=colour, label=label)
+    depths.set_xlabel("depth of the contacts missed [m] (last bar: 1.2 and more)")
+    for axis in (gaps, depths):
+        axis.set_yscale("symlog", linthresh=1)
+        axis.set_ylabel("cases of the ego")
         axis.spines[["top", "right"]].set_visible(False)
         axis.legend(frameon=False, fontsize=8)
     figure.tight_layout()

@@ -17,7 +17,7 @@ from pathlib import Path
 if __package__ in (None, ""):  # run as a file: import from the project, not from this folder (statistics.py!)
     sys.path[0] = str(Path(__file__).resolve().parents[1])
 
-from experiments.threads import limit_threads
+from experiments.support.threads import limit_threads
 
 limit_threads()
 
@@ -31,11 +31,12 @@ import numpy as np
 import tyro
 from numpy.typing import NDArray
 
-from experiments import fcd, grid, store
 from experiments.backends import make_env
-from experiments.errors import UserError, disk_error, run_command
-from experiments.evaluate import Policy, play
-from experiments.worker import MakeEnv
+from experiments.study import grid, store
+from experiments.study.evaluate import Policy, play
+from experiments.study.worker import MakeEnv
+from experiments.support import fcd
+from experiments.support.errors import UserError, disk_error, run_command
 
 PICTURES = 12  # on a sheet, spread over the episode
 
@@ -171,7 +172,7 @@ def _crashes(table: Any) -> str:
 
 def _changed(record: dict[str, Any]) -> str:
     """Versions that differ from those of the stored cell, in words."""
-    now = grid.versions(record["key"]["backend"], record["key"]["kind"])
+    now = grid.versions(record["key"]["backend"])
     changed = [
         f"{name} {now.get(name)} (was {old})"
         for name, old in record["versions"].items()

@@ -18,7 +18,7 @@ from pathlib import Path
 if __package__ in (None, ""):  # run as a file: import from the project, not from this folder (statistics.py!)
     sys.path[0] = str(Path(__file__).resolve().parents[1])
 
-from experiments.threads import limit_threads
+from experiments.support.threads import limit_threads
 
 limit_threads()
 
@@ -28,12 +28,12 @@ from typing import Annotated, Any
 import tyro
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-from experiments import wording
-from experiments.analysis import analyse, summary_table
-from experiments.errors import disk_error, run_command
-from experiments.files import write_file, write_json
-from experiments.report_view import page
-from experiments.store import load
+from experiments.causal import wording
+from experiments.causal.analysis import analyse, summary_table
+from experiments.reporting.report_view import page
+from experiments.study.store import load
+from experiments.support.errors import disk_error, run_command
+from experiments.support.files import write_file, write_json
 
 TEMPLATES = Path(__file__).with_name("templates")
 REPORT, SUMMARY, ANALYSIS = "report.html", "summary.csv", "analysis.json"

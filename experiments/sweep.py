@@ -22,7 +22,7 @@ if __package__ in (
 ):  # run as a file: import from the project, not from this folder (it has a statistics.py)
     sys.path[0] = str(Path(__file__).resolve().parents[1])
 
-from experiments.threads import limit_threads
+from experiments.support.threads import limit_threads
 
 limit_threads()
 
@@ -36,16 +36,16 @@ from typing import Annotated, Any
 
 import tyro
 
-from experiments import grid
 from experiments.backends import make_env
-from experiments.engine import Engine
-from experiments.errors import INTERRUPTED, UserError, disk_error, run_command
-from experiments.estimate import START, duration, rates
-from experiments.grid import Cell
-from experiments.presets import PRESETS, get_preset
-from experiments.progress import display
-from experiments.store import Store, cell_directories, read_sweep
-from experiments.worker import MakeEnv
+from experiments.study import grid
+from experiments.study.engine import Engine
+from experiments.study.estimate import START, duration, rates
+from experiments.study.grid import Cell
+from experiments.study.presets import PRESETS, get_preset
+from experiments.study.progress import display
+from experiments.study.store import Store, cell_directories, read_sweep
+from experiments.study.worker import MakeEnv
+from experiments.support.errors import INTERRUPTED, UserError, disk_error, run_command
 
 
 def _cores() -> int:

@@ -16,7 +16,7 @@ from pathlib import Path
 if __package__ in (None, ""):  # run as a file: import from the project, not from this folder
     sys.path[0] = str(Path(__file__).resolve().parents[1])
 
-from experiments.threads import limit_threads
+from experiments.support.threads import limit_threads
 
 limit_threads()
 
@@ -29,15 +29,15 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from experiments import grid
-from experiments.engine import Engine
-from experiments.errors import UserError, disk_error, run_command
-from experiments.estimate import rates
-from experiments.files import write_file
-from experiments.grid import BACKENDS, Cell
-from experiments.presets import get_preset
-from experiments.progress import display
-from experiments.store import EPISODES, WEIGHTS, read_episodes
+from experiments.study import grid
+from experiments.study.engine import Engine
+from experiments.study.estimate import rates
+from experiments.study.grid import BACKENDS, Cell
+from experiments.study.presets import get_preset
+from experiments.study.progress import display
+from experiments.study.store import EPISODES, WEIGHTS, read_episodes
+from experiments.support.errors import UserError, disk_error, run_command
+from experiments.support.files import write_file
 from experiments.validation.stage import open_env
 
 if TYPE_CHECKING:
@@ -82,7 +82,7 @@ def cells_of(options: Options) -> list[Cell]:
 def test_abroad(work: tuple[Path, Cell]) -> None:
     """Test an agent in the simulator that it was not trained in; its episodes are stored beside its cell's."""
     from agents.policy import GreedyPolicy
-    from experiments.evaluate import evaluate
+    from experiments.study.evaluate import evaluate
 
     directory, cell = work
     backend = other(cell.backend)

@@ -15,7 +15,7 @@ from pathlib import Path
 if __package__ in (None, ""):  # run as a file: import from the project, not from this folder
     sys.path[0] = str(Path(__file__).resolve().parents[1])
 
-from experiments.threads import limit_threads
+from experiments.support.threads import limit_threads
 
 limit_threads()
 
@@ -29,9 +29,9 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from experiments import grid
-from experiments.errors import UserError, disk_error, run_command, unknown
-from experiments.files import sha256_bytes, write_file, write_json
+from experiments.study import grid
+from experiments.support.errors import UserError, disk_error, run_command, unknown
+from experiments.support.files import sha256_bytes, write_file, write_json
 from experiments.validation import jobs, page, record, reference, status
 from experiments.validation.jobs import Job, Size
 

@@ -2,13 +2,14 @@
 
 Vehicles are oriented rectangles. Two convex shapes are apart if, and only if, a line separates them, and for
 rectangles it is enough to try the directions of their four sides (separating axis theorem; figure 4 of the
-paper). Rectangles that touch are in contact.
+paper). Rectangles that touch are in contact. A look every 0.1 s would miss a corner that is grazed in between, so
+contacts are looked for all along the way of a sub-step (`meetings`). Figures: docs/collisions.md.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -26,6 +27,9 @@ WIDTH: float = VEHICLE_WIDTH
 DIAGONAL = math.hypot(LENGTH, WIDTH)  # centres further apart than this are not in contact [m]
 SAME_DIRECTION = math.pi / 4  # headings that differ by less are those of cars driving side by side [rad]
 OPPOSITE_DIRECTION = 3 * math.pi / 4  # ... by more, of cars driving towards each other [rad]
+SUMO_TOLERANCE = 0.1  # [m] how far apart cars may be for SUMO's report to count on its own
+ROUNDING = 1e-9  # [m] a look meant for the first touch is off by less
+FINEST = 0.01  # of a sub-step: a contact that is shorter (1 ms of 0.1 s) may be missed
 
 
 @compiled
@@ -90,48 +94,71 @@ def distance(
 
 
 @compiled
-def _pair_separation(i: int, j: int, x: Floats, y: Floats, heading: Floats) -> float:
-    """`separation` of two vehicles; inf, at once, if their centres are too far apart for a contact."""
-    dx, dy = x[j] - x[i], y[j] - y[i]
-    if dx * dx + dy * dy > DIAGONAL * DIAGONAL:
-        return math.inf
-    return separation(x[i], y[i], heading[i], x[j], y[j], heading[j], LENGTH, WIDTH)
+def meeting(i: int, j: int, before: Floats, x: Floats, y: Floats, heading: Floats) -> float:
+    """When two vehicles first touch on their way through a sub-step, 0 (its start) to 1; inf if they do not.
+
+    Both move evenly from their pose before (shape (3, n): x, y [m], heading [rad]) to the one after (shape (n,)
+    each) and turn the short way. Where they are apart by `gap`, they cannot meet before the fastest of their points
+    have come that far: the next look is there (conservative advancement), or `FINEST` later, whichever is more.
+    """
+    rx, ry = before[0, j] - before[0, i], before[1, j] - before[1, i]
+    ux, uy = x[j] - x[i] - rx, y[j] - y[i] - ry
+    way = ux * ux + uy * uy
+    nearest = 0.0 if way == 0.0 else min(max(-(rx * ux + ry * uy) / way, 0.0), 1.0)
+    if (rx + nearest * ux) ** 2 + (ry + nearest * uy) ** 2 > DIAGONAL * DIAGONAL:
+        return math.inf  # not even their circumscribed circles meet
+    hi, hj = before[2, i], before[2, j]
+    turn_i = (heading[i] - hi + math.pi) % (2 * math.pi) - math.pi
+    turn_j = (heading[j] - hj + math.pi) % (2 * math.pi) - math.pi
+    fastest = math.sqrt(way) + DIAGONAL / 2.0 * (abs(turn_i) + abs(turn_j))
+    t = 0.0
+    while True:
+        gap = separation(0.0, 0.0, hi + t * turn_i, rx + t * ux, ry + t * uy, hj + t * turn_j, LENGTH, WIDTH)
+        if gap <= ROUNDING:
+            return t
+        if t == 1.0 or gap > fastest * (1.0 - t):
+            return math.inf
+        t = min(t + max(gap / fastest, FINEST), 1.0)
+
+
+@compiled
+def meetings(
+    before: Floats, x: Floats, y: Floats, heading: Floats, active: NDArray[np.bool_]
+) -> tuple[Integers, Floats]:
+    """Pairs i < j of vehicles that touch within a sub-step, shape (m, 2), and when, shape (m,): see `meeting`.
+
+    At least one of a pair is active (say, not yet a wreck). active: shape (n,).
+    """
+    n = len(x)
+    reach = 0.0
+    for i in range(n):
+        reach = max(reach, abs(x[i] - before[0, i]))
+    reach = DIAGONAL + 2.0 * reach  # [m] along x, beyond which nobody meets
+    found = 0
+    pairs = np.empty((n, 2), dtype=np.int64)
+    moments = np.empty(n)
+    for i in range(n):
+        for j in range(i + 1, n):
+            if abs(before[0, j] - before[0, i]) > reach or not (active[i] or active[j]):
+                continue
+            moment = meeting(i, j, before, x, y, heading)
+            if moment > 1.0:
+                continue
+            if found == len(pairs):
+                pairs = np.concatenate((pairs, np.empty_like(pairs)))
+                moments = np.concatenate((moments, np.empty_like(moments)))
+            pairs[found, 0], pairs[found, 1], moments[found] = i, j, moment
+            found += 1
+    return pairs[:found].copy(), moments[:found].copy()
 
 
 @compiled
 def contacts(x: Floats, y: Floats, heading: Floats, active: NDArray[np.bool_]) -> Integers:
-    """Pairs i < j of vehicles in contact, shape (m, 2), at least one of them active (say, not yet a wreck).
+    """Pairs i < j of vehicles in contact where they are now, shape (m, 2), at least one of them active.
 
     x, y [m], heading [rad], active: shape (n,).
     """
-    n = len(x)
-    found = 0
-    pairs = np.empty((n, 2), dtype=np.int64)
-    for i in range(n):
-        for j in range(i + 1, n):
-            if not (active[i] or active[j]) or _pair_separation(i, j, x, y, heading) > 0.0:
-                continue
-            if found == len(pairs):
-                longer = np.empty((2 * found, 2), dtype=np.int64)
-                for k in range(found):
-                    longer[k, 0], longer[k, 1] = pairs[k, 0], pairs[k, 1]
-                pairs = longer
-            pairs[found, 0], pairs[found, 1] = i, j
-            found += 1
-    return pairs[:found].copy()
-
-
-@compiled
-def first_contact_with(index: int, x: Floats, y: Floats, heading: Floats) -> int:
-    """The vehicle in contact with vehicle `index`, -1 if none; of several the one that reaches in deepest."""
-    other, deepest = -1, 0.0
-    for j in range(len(x)):
-        if j == index:
-            continue
-        gap = _pair_separation(index, j, x, y, heading)
-        if gap < deepest or (gap <= 0.0 and other < 0):
-            other, deepest = j, gap
-    return other
+    return meetings(np.stack((x, y, heading)), x, y, heading, active)[0]
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,8 +167,8 @@ class CrashRecord:
 
     Attributes:
         other: id of the other vehicle.
-        time: since the start of the episode [s].
-        x, y: centre of the ego [m].
+        time: of the first contact, since the start of the episode [s].
+        x, y: centre of the ego then [m].
         relative_x, relative_y: centre of the other vehicle [m].
         relative_heading: of the other vehicle [rad], in [-pi, pi).
         closing_speed: magnitude of the relative velocity [m/s] (0 for two cars side by side at one speed).
@@ -178,6 +205,21 @@ def classify(relative_x: float, relative_y: float, relative_heading: float) -> C
     if angle > SAME_DIRECTION:
         return "junction"
     return "rear-end" if abs(relative_x) / LENGTH >= abs(relative_y) / WIDTH else "side"
+
+
+def scene_between(before: Floats, scene: Scene, moment: float, dt: float) -> Scene:
+    """The scene at a moment of the sub-step of `dt` [s] that it ends, 0 to 1: poses in between, speeds of its end.
+
+    before: x, y [m] and heading [rad] at the start of the sub-step, shape (3, n).
+    """
+    turn = (scene.heading - before[2] + math.pi) % (2 * math.pi) - math.pi
+    return replace(
+        scene,
+        x=before[0] + moment * (scene.x - before[0]),
+        y=before[1] + moment * (scene.y - before[1]),
+        heading=before[2] + moment * turn,
+        time=round(scene.time - (1.0 - moment) * dt, 6),
+    )
 
 
 def crash_record(scene: Scene, other: int, detected_by: Detector) -> CrashRecord:

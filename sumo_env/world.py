@@ -1,7 +1,7 @@
 """An episode on SUMO: a scenario in, one scene after every policy step out.
 
 The sub-step is always the same: the rule commands the traffic, the ego and the wrecks are commanded, SUMO steps,
-everybody's state is read, contacts are looked for by SUMO and by the separating-axis test, dangers are measured.
+everybody's state is read, contacts on the way are looked for by SUMO and by geometry, dangers are measured.
 """
 
 from __future__ import annotations
@@ -15,7 +15,17 @@ from numpy.typing import NDArray
 
 from networks.catalogue import Network
 from networks.roads import LaneIndex
-from sumo_env.collision import CrashRecord, Detector, contacts, crash_record
+from sumo_env.collision import (
+    LENGTH,
+    SUMO_TOLERANCE,
+    WIDTH,
+    CrashRecord,
+    Detector,
+    crash_record,
+    distance,
+    meetings,
+    scene_between,
+)
 from sumo_env.computed import Computed
 from sumo_env.config import Config
 from sumo_env.ego import REFERENCE_STEP, Ego, coast
@@ -112,6 +122,8 @@ class World:
         self.x, self.y, _, self.heading = self.sim.read(self.ids)
         if self.steering:
             self.steering.start(self, keep)
+        self._before = np.array([self.x, self.y, self.heading])  # poses at the start of the next sub-step
+        self._reported: set[tuple[int, int]] = set()  # by SUMO after the last sub-step
         self.speed = np.array([spec.speed for spec in specs])
         self.crashed = np.zeros(len(specs), np.bool_)
         self.yielding = np.array([spec.yielding for spec in specs])
@@ -145,6 +157,7 @@ class World:
             self.time += self.dt
             self._read()
             self._look_for_contacts()
+            self._before[0], self._before[1], self._before[2] = self.x, self.y, self.heading
             if not self.crashed[0]:
                 ttc = min_ttc(
                     self.x, self.y, self.speed * np.cos(self.heading), self.speed * np.sin(self.heading),
@@ -312,30 +325,34 @@ class World:
                 self.speed[row] = speed
 
     def _look_for_contacts(self) -> None:
-        by_sumo = {
-            frozenset((self.row[a], self.row[b]))
-            for a, b in self.sim.collisions()
-            if a in self.row and b in self.row
+        pairs, moments = meetings(self._before, self.x, self.y, self.heading, ~self.crashed)
+        met = dict(zip(map(tuple, pairs.tolist()), moments.tolist(), strict=True))
+        reported = {
+            (min(pair), max(pair))
+            for pair in ((self.row.get(a, -1), self.row.get(b, -1)) for a, b in self.sim.collisions())
+            if -1 not in pair
         }
-        by_geometry = {
-            frozenset(pair) for pair in contacts(self.x, self.y, self.heading, ~self.crashed).tolist()
-        }
-        if self.steering:
-            by_sumo &= by_geometry  # SUMO takes cars side by side on one lane to touch, however far apart
+        # SUMO may see a contact a step before the geometry does, or a step later, or the other way round
+        by_sumo, self._reported = reported | self._reported, reported
         if self.crash is not None and self.crash.detected_by != "both":
-            # SUMO may see a contact a step later than the geometry does, or the other way round
-            pair = frozenset((0, self.row.get(self.crash.other, -1)))
-            seen = by_sumo if self.crash.detected_by == "geometry" else by_geometry
-            if pair in seen:
+            pair = (0, self.row.get(self.crash.other, -1))
+            if pair in (reported if self.crash.detected_by == "geometry" else met):
                 self.crash = replace(self.crash, detected_by="both")
-        for pair in sorted(by_sumo | by_geometry, key=sorted):
-            i, j = sorted(pair)
-            if i == 0 and self.crash is None:
-                both = pair in by_sumo and pair in by_geometry
-                by: Detector = "both" if both else "sumo" if pair in by_sumo else "geometry"
-                self.crash = crash_record(self.scene(), j, by)
+        happened = met | {pair: 1.0 for pair in reported if pair not in met and self._nearly_touch(*pair)}
+        for pair in sorted(happened, key=lambda pair: (happened[pair], pair)):
+            if pair[0] == 0 and self.crash is None:
+                by: Detector = "sumo" if pair not in met else "both" if pair in by_sumo else "geometry"
+                scene = scene_between(self._before, self.scene(), happened[pair], self.dt)
+                self.crash = crash_record(scene, pair[1], by)
                 self.ego.crashed = True
-            for row in (i, j):
+            for row in pair:
                 if row > 0 and not self.crashed[row]:
                     self.sim.set_modes(self.ids[row], ALL_CHECKS_OFF, NO_LANE_CHANGES)
                 self.crashed[row] = True
+
+    def _nearly_touch(self, i: int, j: int) -> bool:
+        """Is SUMO's report of a contact right within `SUMO_TOLERANCE`? It looks at lanes, not at corners."""
+        apart = distance(
+            self.x[i], self.y[i], self.heading[i], self.x[j], self.y[j], self.heading[j], LENGTH, WIDTH
+        )
+        return bool(apart <= SUMO_TOLERANCE)

@@ -58,6 +58,30 @@ def test_imports_point_one_way(package: str) -> None:
     assert wrong == []
 
 
+# Packages of the study by layer: each may use those of lower layers and its own.
+LAYERS = {
+    "support": 0,
+    "study": 1,
+    "backends": 1,
+    "causal": 2,
+    "reporting": 3,
+    "validation": 3,
+    "benchmarks": 3,
+}
+
+
+def test_the_packages_of_the_study_are_layers() -> None:
+    wrong = []
+    for package, layer in LAYERS.items():
+        for path in sources(f"experiments/{package}"):
+            for line, name in imports(path):
+                if name.startswith("experiments."):
+                    used = name.split(".")[1]
+                    if used != package and LAYERS.get(used, 99) > layer:
+                        wrong.append(f"{path.relative_to(ROOT)}:{line} imports {name}")
+    assert wrong == []
+
+
 def test_one_module_imports_libsumo() -> None:
     importers = {
         str(path.relative_to(ROOT))

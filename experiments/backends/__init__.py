@@ -11,8 +11,8 @@ from typing import Any
 
 import gymnasium as gym
 
-from experiments.errors import UserError, unknown
-from experiments.grid import BACKENDS, choose_tasks
+from experiments.study.grid import BACKENDS, choose_tasks
+from experiments.support.errors import UserError, unknown
 
 __all__ = ["BACKENDS", "make_env"]
 

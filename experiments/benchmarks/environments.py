@@ -24,7 +24,7 @@ from experiments.benchmarks.remote import (
     median_wall_rate,
     resident_mib,
 )
-from experiments.grid import env_config, level_names
+from experiments.study.grid import env_config, level_names
 
 MODELS = ("matched", "sumo")
 EQUAL_WORK = 15  # [Hz] highway-env's simulation_frequency: as many sub-steps on both sides
@@ -32,7 +32,9 @@ VARIANT = "connected"  # of highway-env: its own code alone, cars see beyond the
 WARM_UP_STEPS = 3  # compile, load the network, fill caches, before anything is timed
 
 Record = dict[str, Any]
-Key = tuple[int, str, int | None]  # level, traffic model ("" on highway-env), simulation frequency (None: default)
+Key = tuple[
+    int, str, int | None
+]  # level, traffic model ("" on highway-env), simulation frequency (None: default)
 
 
 @dataclass(frozen=True)
@@ -45,7 +47,9 @@ class Effort:
     reference_steps: int
 
 
-def level_config(backend: str, task: str, level: int, model: str = "", frequency: int | None = None) -> Record:
+def level_config(
+    backend: str, task: str, level: int, model: str = "", frequency: int | None = None
+) -> Record:
     """The configuration of a task at a level; `model` and `frequency` [Hz] where they are not the default."""
     config = dict(env_config(backend, task, level))
     if backend == "highway-env":

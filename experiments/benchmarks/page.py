@@ -74,13 +74,17 @@ def _svg(figure: Figure) -> str:
     return re.sub(r"url\(#", f"url(#{prefix}", text)
 
 
-def _bars(axes: Axes, labels: Sequence[str], series: Mapping[str, Sequence[float]], form: str = "{:.0f}") -> None:
+def _bars(
+    axes: Axes, labels: Sequence[str], series: Mapping[str, Sequence[float]], form: str = "{:.0f}"
+) -> None:
     """Groups of vertical bars with their values above."""
     width = 0.8 / len(series)
     for k, (name, values) in enumerate(series.items()):
         places = np.arange(len(labels)) + (k - (len(series) - 1) / 2) * width
         colour = COLOURS.get(name.split(",")[0], "#333333")
-        bars = axes.bar(places, values, width, label=name, color=colour, alpha=0.55 if "15 Hz" in name else 1.0)
+        bars = axes.bar(
+            places, values, width, label=name, color=colour, alpha=0.55 if "15 Hz" in name else 1.0
+        )
         axes.bar_label(bars, [form.format(value) for value in values], fontsize=7, padding=1)
     axes.set_xticks(np.arange(len(labels)), labels)
 
@@ -126,7 +130,9 @@ def _growth(growth: Record) -> Figure:
     figure, axes = plt.subplots(figsize=(5.2, 3.6))
     for name, values in growth["ms_per_step"].items():
         label = f"{name.replace('_', '-')}: exponent {growth['exponent'][name]:.2f}"
-        axes.loglog(growth["vehicles"][: len(values)], values, "o-", label=label, color=COLOURS[name], markersize=4)
+        axes.loglog(
+            growth["vehicles"][: len(values)], values, "o-", label=label, color=COLOURS[name], markersize=4
+        )
     axes.set_xticks(growth["vehicles"], [str(count) for count in growth["vehicles"]])
     axes.minorticks_off()
     axes.set_xlabel("other vehicles on the highway")
@@ -154,7 +160,9 @@ def _vector(records: Sequence[Record]) -> Figure:
     figure, axes = plt.subplots(figsize=(5.2, 3.0))
     for task in dict.fromkeys(record["task"] for record in records):
         own = [record for record in records if record["task"] == task]
-        axes.plot([r["workers"] for r in own], [r["steps_per_s"] for r in own], "o-", label=task, markersize=4)
+        axes.plot(
+            [r["workers"] for r in own], [r["steps_per_s"] for r in own], "o-", label=task, markersize=4
+        )
     axes.set_xticks(sorted({record["workers"] for record in records}))
     axes.set_ylim(bottom=0)
     axes.set_xlabel("environments (one process each)")

@@ -18,7 +18,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from experiments.threads import limit_threads
+from experiments.support.threads import limit_threads
 
 
 class MeasurementFailed(RuntimeError):
@@ -77,9 +77,7 @@ def median_wall_rate(slices: Sequence[Slice]) -> float:
 
 def median_ratio(ours: Sequence[Slice], theirs: Sequence[Slice]) -> float:
     """Median over the repeats of our rate over theirs; each repeat's two slices were taken in turn."""
-    return statistics.median(
-        a.per_second / b.per_second for a, b in zip(ours, theirs, strict=True)
-    )
+    return statistics.median(a.per_second / b.per_second for a, b in zip(ours, theirs, strict=True))
 
 
 def resident_mib() -> float:
@@ -140,7 +138,9 @@ class Remote:
             error, value = self._connection.recv()
         except EOFError:
             self._process.join()
-            raise MeasurementFailed(f"a measuring process ended with exit status {self._process.exitcode}") from None
+            raise MeasurementFailed(
+                f"a measuring process ended with exit status {self._process.exitcode}"
+            ) from None
         if error:
             raise MeasurementFailed(f"in a measuring process:\n{error}")
         return value
@@ -164,6 +164,7 @@ class Remote:
 
 def _serve(connection: Connection, factory: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
     """The other process: make the object, then answer calls until nobody asks any more."""
+
     def attempt(work: Callable[[], Any]) -> bool:
         try:
             value = work()

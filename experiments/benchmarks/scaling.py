@@ -37,13 +37,19 @@ def measure_growth(vehicles: Sequence[int], effort: Effort, note: Callable[[str]
             keys: list[Key] = [(count, model, None) for model in MODELS]
             fast: dict[Key, list[Slice]] = {key: [] for key in keys}
             if count in few:
-                theirs.call("open", reference, {**level_config("highway-env", GROWTH_TASK, 1), "vehicles_count": count})
+                theirs.call(
+                    "open",
+                    reference,
+                    {**level_config("highway-env", GROWTH_TASK, 1), "vehicles_count": count},
+                )
             for key in keys:
                 config = level_config("sumo", GROWTH_TASK, 1, key[1])
                 ours.call("open", key, {**config, "vehicles_count": count})
             for _ in range(effort.turns):
                 if count in few:
-                    part, _ = theirs.call("drive", reference, effort.reference_seconds, effort.reference_steps)
+                    part, _ = theirs.call(
+                        "drive", reference, effort.reference_seconds, effort.reference_steps
+                    )
                     slow.append(part)
                 for key in keys:
                     fast[key].append(ours.call("drive", key, effort.seconds, 1, True)[0])

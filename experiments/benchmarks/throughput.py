@@ -1,7 +1,7 @@
 """Agents an hour: training and test, end to end, extrapolated from short trainings in every traffic.
 
 One agent of each arm is trained for a short budget by `agents.training.train` and tested by
-`experiments.evaluate.evaluate`, as a sweep does. What an update with its environment step costs is taken
+`experiments.study.evaluate.evaluate`, as a sweep does. What an update with its environment step costs is taken
 after the start-up (compilation, first block), what a test episode costs from some; an agent of the paper's grid
 costs so many of both as its preset says. Nothing is trained for hours here: trained agents live longer than
 beginners, so that their steps hold fewer resets and, on the highway, more vehicles that change lane.
@@ -15,7 +15,7 @@ from contextlib import ExitStack
 from typing import Any
 
 from experiments.benchmarks.remote import Remote, Slice, Stopwatch
-from experiments.grid import ARMS, level_names
+from experiments.study.grid import ARMS, level_names
 
 Record = dict[str, Any]
 Cost = tuple[float, float]  # seconds for an update with its environment step, and for a test episode
@@ -34,7 +34,7 @@ class Trainee:
         from agents.training import Progress, train
         from experiments.backends import make_env
         from experiments.benchmarks.environments import level_config
-        from experiments.evaluate import evaluate
+        from experiments.study.evaluate import evaluate
 
         env = make_env("sumo", task, level_config("sumo", task, level))
         watch = Stopwatch()
@@ -117,7 +117,7 @@ def agent_seconds(costs: Mapping[Place, Cost]) -> float:
 
 def _seconds(task: str, cost: Cost) -> float:
     """Time of an agent with the paper's budget [s]."""
-    from experiments.presets import PRESETS
+    from experiments.study.presets import PRESETS
 
     paper = PRESETS["paper"]
     return paper.updates[task] * cost[0] + 2 * paper.episodes * cost[1]

@@ -14,8 +14,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from experiments.grid import level_names
-from experiments.seeds import scenario_seed
+from experiments.study.grid import level_names
+from experiments.study.seeds import scenario_seed
 from experiments.validation.stage import FREQUENCY, open_env
 from sumo_env.models.idm import driver_row
 from sumo_env.models.mobil import MIN_GAIN, SAFE_BRAKING, closest_lanes, criteria
@@ -41,7 +41,13 @@ def count(backend: str, level: int, scenario: int, **config: Any) -> dict[str, f
     env = open_env(
         backend,
         "highway",
-        {**setting, **config, "simulation_frequency": frequency, "policy_frequency": frequency, "initial_lane_id": 0},
+        {
+            **setting,
+            **config,
+            "simulation_frequency": frequency,
+            "policy_frequency": frequency,
+            "initial_lane_id": 0,
+        },
     )
     inner: Any = env.unwrapped
     env.reset(seed=scenario_seed("highway", level, scenario))

@@ -63,7 +63,9 @@ def interval(values: NDArray[np.float64]) -> tuple[float | None, float | None]:
     values = values[np.isfinite(values)]
     if len(values) < 2:
         return None, None
-    half = float(stats.t.ppf(0.5 + CONFIDENCE / 2, len(values) - 1) * values.std(ddof=1) / np.sqrt(len(values)))
+    half = float(
+        stats.t.ppf(0.5 + CONFIDENCE / 2, len(values) - 1) * values.std(ddof=1) / np.sqrt(len(values))
+    )
     centre = float(values.mean())
     return centre - half, centre + half
 

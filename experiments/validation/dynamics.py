@@ -94,8 +94,14 @@ def turns() -> list[Scene]:
         for rung in (1, 2):
             speed = TASKS[task].target_speeds[rung]
             start = Place(place.lane, place.s, speed, destination=place.destination)
-            scenes.append(Scene(f"turning at {speed:g} m/s", task, start, seconds=seconds * 8.0 / max(speed, 8.0)
-                                if task == "roundabout" else seconds))
+            scenes.append(
+                Scene(
+                    f"turning at {speed:g} m/s",
+                    task,
+                    start,
+                    seconds=seconds * 8.0 / max(speed, 8.0) if task == "roundabout" else seconds,
+                )
+            )
     return scenes  # fmt: skip
 
 

@@ -134,9 +134,12 @@ def checks(
             margin = DYNAMICS[metric]
             found.append(
                 check(
-                    f"{kind}: {name.split(' | ')[2]}", metric,
+                    f"{kind}: {name.split(' | ')[2]}",
+                    metric,
                     Difference(own, other, difference, difference, difference, 1),
-                    level="few vehicles", unit=unit, margin=margin,
+                    level="few vehicles",
+                    unit=unit,
+                    margin=margin,
                     bound=margin.value * abs(other) if margin.relative else margin.value,
                     noise=noise[metric][2] if metric in noise else None,
                 )

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agents.rules import make_policy
-from experiments.evaluate import play
+from experiments.study.evaluate import play
 from networks.roads import LaneIndex, Road
 from sumo_env.safety import DENSITY_RADIUS, headways
 from sumo_env.scenario import Scenario

@@ -9,8 +9,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
-from experiments.figures import CONTROL, GRID, INK, MUTED, TREATMENT, new_figure, styled, to_svg
-from experiments.grid import level_names
+from experiments.reporting.figures import CONTROL, GRID, INK, MUTED, TREATMENT, new_figure, styled, to_svg
+from experiments.study.grid import level_names
 from experiments.validation.compare import histogram
 from experiments.validation.episodes import BIN, BINS, policies
 from experiments.validation.stage import Motion
@@ -32,7 +32,9 @@ def _legend(figure: Any) -> None:
 
 def _line(axes: Axes, time: Any, values: Any, engine: str) -> None:
     """highway-env broad below, SUMO thin above: where only one line is seen, both agree."""
-    style: Any = {"color": SUMO, "lw": 1.2} if engine == "sumo" else {"color": REFERENCE, "lw": 2.6, "alpha": 0.55}
+    style: Any = (
+        {"color": SUMO, "lw": 1.2} if engine == "sumo" else {"color": REFERENCE, "lw": 2.6, "alpha": 0.55}
+    )
     axes.plot(time, values, **style)
 
 
@@ -51,7 +53,9 @@ def time_space(motions: Mapping[str, Motion]) -> str:
     for panel in axes[0]:
         panel.set_xlabel("Time [s]")
     _legend(figure)
-    return to_svg(figure, "time-space", "Time-space diagram of a platoon in stop-and-go traffic, both simulators")
+    return to_svg(
+        figure, "time-space", "Time-space diagram of a platoon in stop-and-go traffic, both simulators"
+    )
 
 
 @styled
@@ -76,7 +80,9 @@ def responses(motions: Mapping[str, Mapping[str, Motion]]) -> str:
         panel.set_xlabel("Time [s]")
         panel.set_xlim(0, 4)
     _legend(figure)
-    return to_svg(figure, "responses", "Speed and lateral position of the ego after meta-actions, both simulators")
+    return to_svg(
+        figure, "responses", "Speed and lateral position of the ego after meta-actions, both simulators"
+    )
 
 
 @styled
@@ -91,7 +97,9 @@ def artefact(motions: Mapping[str, Motion]) -> str:
     for engine, motion in motions.items():
         style = {"color": colours[engine], "lw": 2.4 if engine == "highway-env" else 1.5}
         style["ls"] = "--" if engine == "v0" else "-"
-        axes[0, 0].plot(motion.time, motion.speed[:, 2], label=labels.get(engine, NAMES.get(engine, engine)), **style)
+        axes[0, 0].plot(
+            motion.time, motion.speed[:, 2], label=labels.get(engine, NAMES.get(engine, engine)), **style
+        )
     path = motions["highway-env"]
     for vehicle, colour, label in ((1, MUTED, "leader"), (2, INK, "follower")):
         axes[0, 1].plot(path.x[:, vehicle], path.y[:, vehicle], color=colour, label=label)
@@ -104,7 +112,9 @@ def artefact(motions: Mapping[str, Motion]) -> str:
     axes[0, 0].set_xlabel("Time [s]")
     axes[0, 0].set_ylabel("Speed of the follower [m/s]")
     axes[0, 0].legend()
-    return to_svg(figure, "artefact", "Speed of a car that follows another into a bend, by variant of highway-env")
+    return to_svg(
+        figure, "artefact", "Speed of a car that follows another into a bend, by variant of highway-env"
+    )
 
 
 @styled
@@ -123,7 +133,9 @@ def distributions(table: pd.DataFrame, task: str) -> str:
             axes[number, 0].stairs(counts / max(counts.sum(), 1), np.arange(BINS + 1) * BIN, **style)
             for column, measure in ((1, "traffic_speed"), (2, "return")):
                 values = np.sort(part[engine][measure].dropna().to_numpy(float))
-                axes[number, column].step(values, np.arange(1, len(values) + 1) / max(len(values), 1), **style)
+                axes[number, column].step(
+                    values, np.arange(1, len(values) + 1) / max(len(values), 1), **style
+                )
         axes[number, 0].set_ylabel(level_names(task)[level - 1])
         axes[number, 0].set_yticklabels([])
     axes[0, 0].set_title("headways (shares)")
@@ -211,5 +223,7 @@ def overview(records: Mapping[str, Any]) -> str:
         panel.grid(axis="y", visible=False)
         panel.set_xlim(-3, 3)
     axes[0, 0].set_yticks([-row for row in range(len(metrics))], [label for _, label in metrics])
-    figure.supxlabel("difference as a share of its margin (grey: within), a line a level, 90 % intervals", fontsize=8.5)
+    figure.supxlabel(
+        "difference as a share of its margin (grey: within), a line a level, 90 % intervals", fontsize=8.5
+    )
     return to_svg(figure, "overview", "All targets: difference over margin")

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal
 
-from experiments.files import write_file
-from experiments.grid import TRAFFICS, level_names
+from experiments.study.grid import TRAFFICS, level_names
+from experiments.support.files import write_file
 from sumo_env.tasks import TASKS
 
 if TYPE_CHECKING:
@@ -54,7 +54,6 @@ class Size:
         if task == "highway":
             return self.highway[level - 1]
         return self.lowest if level == 1 else self.others
-
 
     def at_most(self, scenarios: Mapping[str, Any]) -> Size:
         """The smaller of this size and the one that a reference's provenance names."""
@@ -110,7 +109,9 @@ def plan(
             for level in range(1, len(TASKS[task].levels) + 1):
                 n = size.of(task, level)
                 for traffic in traffics:
-                    if engine in (PATH, MATCHED, NATIVE) or (traffic == "regular" and (not only_bends or level == 1)):
+                    if engine in (PATH, MATCHED, NATIVE) or (
+                        traffic == "regular" and (not only_bends or level == 1)
+                    ):
                         jobs.append(Job("episodes", engine.name, task, level, traffic, n))
                 if task == "highway" and level in CHANGE_LEVELS:
                     jobs.append(Job("changes", engine.name, task, level, "regular", size.changes))

@@ -24,7 +24,9 @@ class Margin:
 
 DYNAMICS: dict[str, Margin] = {
     "follow_speed": Margin(
-        0.5, "m/s", "root mean square over the manoeuvre; a fifth of the spread of desired speeds in the traffic"
+        0.5,
+        "m/s",
+        "root mean square over the manoeuvre; a fifth of the spread of desired speeds in the traffic",
     ),
     "follow_gap": Margin(1.5, "m", "root mean square; a third of a vehicle, the grain of a collision"),
     "stop_gap": Margin(0.5, "m", "where a follower comes to rest; a tenth of the distance kept in a jam"),
@@ -36,10 +38,10 @@ DYNAMICS: dict[str, Margin] = {
         0.6, "m", "distance kept between cars that pass side by side is 2 m; a third of it"
     ),
     "settled_time": Margin(0.8, "s", "less than one decision of the agent"),
-    "turn_speed": Margin(0.05, "m/s", "the ego must not be slowed by bends, as highway-env has no such limit"),
-    "turn_position": Margin(
-        1.0, "m", "mean distance of the two egos through a bend; half a vehicle's width"
+    "turn_speed": Margin(
+        0.05, "m/s", "the ego must not be slowed by bends, as highway-env has no such limit"
     ),
+    "turn_position": Margin(1.0, "m", "mean distance of the two egos through a bend; half a vehicle's width"),
     "bend_progress": Margin(
         0.05, "1", "ground covered by other traffic through a bend; the bound on traffic speed", relative=True
     ),
@@ -52,7 +54,10 @@ CHANGES: dict[str, Margin] = {
     "changes_valid": Margin(0.05, "1", "share of changes that satisfy MOBIL's criteria; one in twenty"),
     "valid_made": Margin(0.10, "1", "share of MOBIL's chances that are taken; they last a second or so"),
     "change_rate": Margin(
-        0.25, "1", "changes per vehicle-minute; the rate differs by as much between 10 and 15 Hz", relative=True
+        0.25,
+        "1",
+        "changes per vehicle-minute; the rate differs by as much between 10 and 15 Hz",
+        relative=True,
     ),
 }
 
@@ -67,13 +72,19 @@ RETURN_RANGE: dict[str, float] = {
 }
 
 EPISODES: dict[str, Margin] = {
-    "traffic_speed": Margin(0.05, "m/s", "5 % of the mean: the spread of desired speeds is 7 %", relative=True),
+    "traffic_speed": Margin(
+        0.05, "m/s", "5 % of the mean: the spread of desired speeds is 7 %", relative=True
+    ),
     "headway": Margin(
-        0.15, "s", "Wasserstein distance as a share of the mean: what halves or doubles braking moves it by more",
+        0.15,
+        "s",
+        "Wasserstein distance as a share of the mean: what halves or doubles braking moves it by more",
         relative=True,
     ),
     "crashed": Margin(0.10, "1", "a treatment of this study is calibrated to 0.15 to 0.25"),
-    "return": Margin(0.10, "1", "a tenth of the task's range of returns, the size of effects worth reporting"),
+    "return": Margin(
+        0.10, "1", "a tenth of the task's range of returns, the size of effects worth reporting"
+    ),
     "agreement": Margin(
         0.05, "1", "share of episodes with the same crash outcome, below that of highway-env at 10 and 15 Hz"
     ),

@@ -75,7 +75,9 @@ def draw(
 def render(record: Mapping[str, Any], drawn: Mapping[str, str]) -> str:
     """The page."""
     environment = Environment(
-        loader=FileSystemLoader(TEMPLATES), autoescape=select_autoescape(("html", "j2")), undefined=StrictUndefined
+        loader=FileSystemLoader(TEMPLATES),
+        autoescape=select_autoescape(("html", "j2")),
+        undefined=StrictUndefined,
     )
     environment.filters.update(number=number, signed=signed)
     environment.globals.update(verdict=verdict, words=words)

@@ -6,8 +6,8 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import sumo_env
-from experiments.grid import level_names
-from experiments.provenance import provenance
+from experiments.study.grid import level_names
+from experiments.support.provenance import provenance
 from experiments.validation import changes as lane_changes
 from experiments.validation import compare, dynamics_checks
 from experiments.validation.compare import Difference
@@ -39,7 +39,12 @@ def versions() -> dict[str, Any]:
 
 def provenance_of(command: str, size: Size) -> dict[str, Any]:
     """Where a reference comes from."""
-    scenarios = {"lowest": size.lowest, "others": size.others, "highway": list(size.highway), "changes": size.changes}
+    scenarios = {
+        "lowest": size.lowest,
+        "others": size.others,
+        "highway": list(size.highway),
+        "changes": size.changes,
+    }
     return {"command": command, "versions": versions(), "git": versions()["git"], "scenarios": scenarios}
 
 
@@ -65,8 +70,12 @@ def make(tasks: Sequence[str], driven: Results, stored: Results, command: str, q
         "command": command,
         "quick": quick,
         "versions": versions(),
-        "reference": {name: stored.provenance.get(name) for name in ("command", "git", "versions", "scenarios")},
-        "other_scenarios": compare.strangers(table, MATCHED.name, PATH.name),  # the reference is of another version
+        "reference": {
+            name: stored.provenance.get(name) for name in ("command", "git", "versions", "scenarios")
+        },
+        "other_scenarios": compare.strangers(
+            table, MATCHED.name, PATH.name
+        ),  # the reference is of another version
         "passed": all(verdict is True for verdict in verdicts),
         "tasks": records,
     }

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from experiments.errors import UserError
-from experiments.files import write_file
-from experiments.files import write_json as write_plain_json
+from experiments.support.errors import UserError
+from experiments.support.files import write_file
+from experiments.support.files import write_json as write_plain_json
 from experiments.validation.jobs import Job, parquet, read_json, write_json
 from experiments.validation.stage import Motion
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
-from experiments.grid import TRAFFICS, level_names
+from experiments.study.grid import TRAFFICS, level_names
 from experiments.validation import compare
 from experiments.validation.episodes import MEASURES, policies
 from experiments.validation.jobs import CONNECTED, MATCHED, NATIVE, NOISE, PATH, V0
@@ -100,7 +100,9 @@ def episode_checks(table: pd.DataFrame, task: str, level: int, traffic: str, mod
     name_of_level = level_names(task)[level - 1]
     common: Any = {"level": name_of_level, "traffic": traffic}
 
-    def line(name: str, measure: str, part: pd.DataFrame, floor: pd.DataFrame, margin: Margin | None) -> Check:
+    def line(
+        name: str, measure: str, part: pd.DataFrame, floor: pd.DataFrame, margin: Margin | None
+    ) -> Check:
         found = compare.mean_difference(part, measure)
         bound = None
         if margin is not None and measure == "return":
@@ -115,22 +117,33 @@ def episode_checks(table: pd.DataFrame, task: str, level: int, traffic: str, mod
             least=LEAST_SCENARIOS, **common,
         )  # fmt: skip
 
-    checks = [line(name, name, both, noise, targets.get(name)) for name in ("return", "crashed", "traffic_speed")]
+    checks = [
+        line(name, name, both, noise, targets.get(name)) for name in ("return", "crashed", "traffic_speed")
+    ]
     distance = compare.headway_distance(both)
     margin = targets.get("headway")
     checks.append(
         check(
-            "headway distribution", "wasserstein", distance, unit="s", margin=margin,
+            "headway distribution",
+            "wasserstein",
+            distance,
+            unit="s",
+            margin=margin,
             bound=None if margin is None else margin.value * distance.second,
             noise=compare.headway_distance(noise).difference if len(noise) else None,
-            least=LEAST_SCENARIOS, **common,
+            least=LEAST_SCENARIOS,
+            **common,
         )
     )
     checks += _outcome_checks(both, noise, targets, common)
-    checks += [line(m, m, both, noise, None) for m in MEASURES if m not in ("return", "crashed", "traffic_speed")]
+    checks += [
+        line(m, m, both, noise, None) for m in MEASURES if m not in ("return", "crashed", "traffic_speed")
+    ]
     for policy in policies(task):
         part, floor = both[both["policy"] == policy], noise[noise["policy"] == policy]
-        checks += [line(f"{measure}, {policy}", measure, part, floor, None) for measure in ("return", "crashed")]
+        checks += [
+            line(f"{measure}, {policy}", measure, part, floor, None) for measure in ("return", "crashed")
+        ]
     return [item for item in checks if item["difference"] is not None]
 
 

@@ -158,7 +158,10 @@ def motion(frames: Sequence[Any], frequency: float) -> Motion:
     for field_name in FIELDS[1:]:
         arrays.append(
             np.array(
-                [[float(getattr(frame, field_name)[frame.ids.index(name)]) for name in names] for frame in frames]
+                [
+                    [float(getattr(frame, field_name)[frame.ids.index(name)]) for name in names]
+                    for frame in frames
+                ]
             )
         )
     return Motion(np.arange(len(frames)) / frequency, *arrays)

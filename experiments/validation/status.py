@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Literal
 
-from experiments.grid import TASKS
+from experiments.study.grid import TASKS
 
 LATEST = Path(__file__).parent / "latest.json"  # of the last full run, committed
 Status = Literal["passed", "failed", "not validated"]

@@ -1,4 +1,4 @@
-"""The hand-written network against autograd, and acting in numpy against torch."""
+"""The hand-written network against autograd, and acting against it."""
 
 from __future__ import annotations
 
@@ -47,19 +47,19 @@ def autograd_q(architecture: Architecture, vector: torch.Tensor, x: torch.Tensor
 @pytest.mark.parametrize(("rows", "gradient_rows"), [(9, 9), (10, 5)])
 def test_gradient_equals_autograd(architecture: Architecture, rows: int, gradient_rows: int) -> None:
     generator = torch.Generator().manual_seed(1)
-    network, gradient = Network(architecture, torch.float64), Network(architecture, torch.float64)
-    network.flat.copy_(torch.from_numpy(architecture.initial(np.random.default_rng(0))))
-    activations = Activations(architecture, rows, gradient_rows, torch.float64)
+    network, gradient = Network(architecture, np.float64), Network(architecture, np.float64)
+    network.flat[:] = architecture.initial(np.random.default_rng(0))
+    activations = Activations(architecture, rows, gradient_rows, np.float64)
     x = torch.randn(rows, architecture.inputs, generator=generator, dtype=torch.float64)
     weighting = torch.randn(gradient_rows, architecture.actions, generator=generator, dtype=torch.float64)
     for _ in range(2):  # twice: nothing may be left over from the pass before
-        q = network.forward(x, activations)
-        network.backward(x[:gradient_rows], activations, weighting, gradient)
-    vector = network.flat.clone().requires_grad_()
+        q = network.forward(x.numpy(), activations)
+        network.backward(x.numpy()[:gradient_rows], activations, weighting.numpy(), gradient)
+    vector = torch.from_numpy(network.flat.copy()).requires_grad_()
     expected = autograd_q(architecture, vector, x)
     (expected[:gradient_rows] * weighting).sum().backward()
-    torch.testing.assert_close(q, expected.detach(), rtol=0, atol=1e-10)
-    torch.testing.assert_close(gradient.flat, vector.grad, rtol=0, atol=1e-10)
+    torch.testing.assert_close(torch.from_numpy(q), expected.detach(), rtol=0, atol=1e-10)
+    torch.testing.assert_close(torch.from_numpy(gradient.flat), vector.grad, rtol=0, atol=1e-10)
 
 
 def test_paper_network_has_the_published_number_of_parameters() -> None:
@@ -89,15 +89,15 @@ def test_initial_weights_follow_torch_linear() -> None:
             assert weight.std() == pytest.approx(reference.weight.std().item(), rel=0.05)
 
 
-def test_numpy_acting_agrees_with_torch() -> None:
+def test_acting_agrees_with_the_forward_pass_of_training() -> None:
     for architecture in ARCHITECTURES:
         network = Network(architecture)
         vector = architecture.initial(np.random.default_rng(3))
-        network.flat.copy_(torch.from_numpy(vector))
-        x = torch.randn(20, architecture.inputs, generator=torch.Generator().manual_seed(0))
-        q = network.forward(x, Activations(architecture, 20)).numpy()
+        network.flat[:] = vector
+        x = np.random.default_rng(0).standard_normal((20, architecture.inputs), np.float32)
+        q = network.forward(x, Activations(architecture, 20))
         policy = GreedyPolicy(architecture, vector)
-        for observation, expected in zip(x.numpy(), q, strict=True):
+        for observation, expected in zip(x, q, strict=True):
             np.testing.assert_allclose(policy.q(observation), expected, atol=1e-5)
             assert policy.q(observation).dtype == np.float32
 

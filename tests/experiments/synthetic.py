@@ -13,14 +13,30 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from experiments import grid
-from experiments.evaluate import COLUMNS
-from experiments.store import EPISODES, TRAINING, WEIGHTS, Store
+from experiments.study import grid
+from experiments.study.evaluate import COLUMNS
+from experiments.study.store import EPISODES, TRAINING, WEIGHTS, Store
 
 DURATION = {"highway": 20, "two-way": 15, "roundabout": 11, "intersection": 13, "u-turn": 10}
 CRASH = {"idle": 0.7, "random": 0.75, "faster": 0.9, "slower": 0.1, "idm": 0.2, "careful": 0.03, "dqn": 0.25}
-REWARD = {"idle": 0.75, "random": 0.7, "faster": 0.8, "slower": 0.6, "idm": 0.78, "careful": 0.82, "dqn": 0.85}
-SPEED = {"idle": 22.0, "random": 21.0, "faster": 28.0, "slower": 12.0, "idm": 19.0, "careful": 18.0, "dqn": 20.0}
+REWARD = {
+    "idle": 0.75,
+    "random": 0.7,
+    "faster": 0.8,
+    "slower": 0.6,
+    "idm": 0.78,
+    "careful": 0.82,
+    "dqn": 0.85,
+}
+SPEED = {
+    "idle": 22.0,
+    "random": 21.0,
+    "faster": 28.0,
+    "slower": 12.0,
+    "idm": 19.0,
+    "careful": 18.0,
+    "dqn": 20.0,
+}
 TYPES = ("rear-end", "side", "frontal", "junction")
 # What can be wrong with an agent, by name.
 FAULTS = ("diverged", "constant", "standing", "poor")

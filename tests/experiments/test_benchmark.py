@@ -22,8 +22,8 @@ from experiments.benchmarks.remote import (
     median_ratio,
     resident_mib,
 )
-from experiments.errors import UserError
-from experiments.presets import PRESETS
+from experiments.study.presets import PRESETS
+from experiments.support.errors import UserError
 from tests.experiments.counter import Counter
 
 
@@ -231,7 +231,9 @@ def test_environments_are_compared_at_equal_work_and_by_default():
         ("matched", True), ("sumo", True), ("matched", False), ("sumo", False)
     ]  # fmt: skip
     for record in records:
-        assert record["simulation_frequency"] == (15 if record["equal_work"] else environments.default_frequency())
+        assert record["simulation_frequency"] == (
+            15 if record["equal_work"] else environments.default_frequency()
+        )
         assert record["ratio"] > 1.0
         assert 0.0 < record["engine_share"] < 1.0
         assert record["engine_steps_per_s"] > record["sumo_steps_per_s"]

@@ -8,9 +8,9 @@ import xml.etree.ElementTree as ElementTree
 import pytest
 from PIL import Image
 
-from experiments import store, worker
-from experiments.errors import UserError
 from experiments.replay import Options, parse_case, replay
+from experiments.study import store, worker
+from experiments.support.errors import UserError
 from experiments.sweep import Options as SweepOptions
 from experiments.sweep import cells_of
 from tests.experiments.fake_env import make_env

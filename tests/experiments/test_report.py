@@ -13,10 +13,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from experiments import figures, report, store
-from experiments.collision_figures import LENGTH, WIDTH, collisions, contacts, corners
-from experiments.errors import UserError
-from experiments.report_view import effect_rows, pooled_rows, validation
+from experiments import report
+from experiments.reporting import figures
+from experiments.reporting.collision_figures import LENGTH, WIDTH, collisions, contacts, corners
+from experiments.reporting.report_view import effect_rows, pooled_rows, validation
+from experiments.study import store
+from experiments.support.errors import UserError
 from tests.experiments import synthetic
 
 SCRIPT = Path(report.__file__)
@@ -93,7 +95,7 @@ class TestReport:
         value = json.loads((directory / "analysis.json").read_text(), parse_constant=pytest.fail)
         assert {"ate", "claims", "gates", "policies", "provenance"} <= set(value)
         table = pd.read_csv(directory / "summary.csv")
-        assert len(table) == 3 * 7 * 2
+        assert len(table) == 3 * 8 * 2
         assert {"backend", "task", "level", "policy", "arm", "traffic", "return", "crashed"} <= set(
             table.columns
         )

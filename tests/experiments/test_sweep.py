@@ -14,10 +14,10 @@ from types import ModuleType
 
 import pytest
 
-from experiments import grid, store, worker
-from experiments.claims import Claims, Heart
-from experiments.errors import UserError
-from experiments.presets import PRESETS
+from experiments.study import grid, store, worker
+from experiments.study.claims import Claims, Heart
+from experiments.study.presets import PRESETS
+from experiments.support.errors import UserError
 from experiments.sweep import Options, cells_of, sweep
 from tests.experiments.fake_env import make_env
 
@@ -229,7 +229,7 @@ def test_a_full_disk_stops_the_sweep_in_one_line_and_loses_nothing(tmp_path, mon
     def full(path, data):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
 
-    monkeypatch.setattr("experiments.store.write_file", full)
+    monkeypatch.setattr("experiments.study.store.write_file", full)
     answer = worker.attempt(worker.Job(second, 1.0), tmp_path, make_env, Heart(os.getppid()), lambda _: None)
     assert answer.fatal
     assert "no space left" in answer.message

@@ -8,8 +8,8 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from experiments.errors import UserError
-from experiments.grid import BACKENDS
+from experiments.study.grid import BACKENDS
+from experiments.support.errors import UserError
 from experiments.transfer import COMPARED, Options, abroad, cells_of, transfer
 
 EPISODES = 2

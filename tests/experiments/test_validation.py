@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from experiments.grid import level_names
+from experiments.study.grid import level_names
 from experiments.validation import compare, reference, validation_status
 from experiments.validation.changes import beginnings
 from experiments.validation.dynamics_checks import crossing
@@ -35,7 +35,10 @@ def both(values: dict[str, list[tuple[float, float]]], measure: str = "return") 
     rows = []
     for policy, cases in values.items():
         for scenario, (first, second) in enumerate(cases):
-            rows += [row("a", scenario, policy, **{measure: first}), row("b", scenario, policy, **{measure: second})]
+            rows += [
+                row("a", scenario, policy, **{measure: first}),
+                row("b", scenario, policy, **{measure: second}),
+            ]
     return compare.pairs(pd.DataFrame(rows), "a", "b")
 
 
@@ -91,7 +94,9 @@ def test_verdicts() -> None:
     assert verdict(0.5, -0.5, 1.5) == (True, False)  # within the margin, but not shown to be equivalent
     assert verdict(-1.5, -2.0, -1.0) == (False, False)
     assert verdict(1.5, 1.0, 2.0, one_sided=True) == (True, True)
-    few = check("name", "metric", compare.Difference(1.0, 1.0, 0.0, None, None, 2), level="1", margin=MARGIN, least=3)
+    few = check(
+        "name", "metric", compare.Difference(1.0, 1.0, 0.0, None, None, 2), level="1", margin=MARGIN, least=3
+    )
     assert few["passed"] is None  # too few scenarios for a verdict
     without = check("name", "metric", compare.Difference(2.0, 1.0, 1.0, None, None, 1), level="1")
     assert without["passed"] is None and without["margin"] is None
@@ -141,7 +146,9 @@ def test_crossing_is_interpolated() -> None:
 def test_a_scene_is_driven_alike_by_both_simulators() -> None:
     place = Place(("0", "1", 0), 300.0, 10.0)
     config = {"lanes_count": 1, "action": {"type": "DiscreteMetaAction", "target_speeds": [0, 10, 20, 30]}}
-    scene = Scene("approach", "highway", place, (Place(("0", "1", 0), 250.0, 20.0),), seconds=3.0, config=config)
+    scene = Scene(
+        "approach", "highway", place, (Place(("0", "1", 0), 250.0, 20.0),), seconds=3.0, config=config
+    )
     sumo, other = drive("sumo", scene), drive("highway-env", scene)
     times = np.array([0.0, 1.0, 2.0, 3.0])
     for name in ("x", "speed"):
@@ -170,7 +177,14 @@ def test_compiled_searches_change_nothing(task: str) -> None:
 @pytest.mark.parametrize("task", ["two-way", "u-turn"])
 def test_stored_reference_is_what_highway_env_drives(task: str) -> None:
     stored = reference.read().episodes
-    place = {"engine": PATH.name, "task": task, "level": 1, "traffic": "regular", "scenario": 0, "policy": "idle"}
+    place = {
+        "engine": PATH.name,
+        "task": task,
+        "level": 1,
+        "traffic": "regular",
+        "scenario": 0,
+        "policy": "idle",
+    }
     found = stored[(stored[list(place)] == pd.Series(place)).all(axis=1)].iloc[0]
     env = open_env("highway-env", task, {**TASKS[task].levels[level_names(task)[0]], "variant": "path"})
     driven = episode(env, task, 1, "regular", "idle", 0)

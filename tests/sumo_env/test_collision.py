@@ -18,7 +18,9 @@ from sumo_env.collision import (
     contacts,
     crash_record,
     distance,
-    first_contact_with,
+    meeting,
+    meetings,
+    scene_between,
     separation,
 )
 from sumo_env.scene import Scene
@@ -125,17 +127,100 @@ def test_contacts_lists_every_pair_of_a_pile_up() -> None:
     np.testing.assert_array_equal(contacts(x, y, heading, active), among)
 
 
-def test_first_contact_is_the_deepest() -> None:
-    x, y, heading = np.array([0.0, 4.9, 0.5, 40.0]), np.array([0.0, 0.0, 1.2, 0.0]), np.zeros(4)
-    assert first_contact_with(0, x, y, heading) == 2
-    assert first_contact_with(1, x, y, heading) == 2
-    assert first_contact_with(3, x, y, heading) == -1
-    assert first_contact_with(0, np.array([0.0, 5.0]), np.zeros(2), np.zeros(2)) == 1  # touches
-
-
 def test_an_empty_road_has_no_contacts() -> None:
     none = np.empty(0)
     assert contacts(none, none, none, np.empty(0, dtype=bool)).shape == (0, 2)
+
+
+@pytest.fixture(scope="module")
+def ways() -> tuple[np.ndarray, np.ndarray]:
+    """Poses of 4000 pairs of vehicles before and after a sub-step, shape (2, 3, n) each."""
+    rng = np.random.default_rng(11)
+    n = 4000
+    before = np.stack(
+        [rng.uniform(-6, 6, (2, n)), rng.uniform(-6, 6, (2, n)), rng.uniform(-7, 7, (2, n))], axis=1
+    )
+    move = np.stack(
+        [rng.uniform(-4, 4, (2, n)), rng.uniform(-4, 4, (2, n)), rng.uniform(-0.5, 0.5, (2, n))], axis=1
+    )
+    return before, before + move
+
+
+def test_meetings_equal_shapely_on_the_way(ways) -> None:
+    before, after = ways
+    looks = 400
+    ours = np.array(
+        [meeting(0, 1, before[:, :, k].T.copy(), *after[:, :, k].T) for k in range(before.shape[2])]
+    )
+    gaps = np.array(
+        [
+            shapely.distance(*(rectangles(*pose) for pose in before + look / looks * (after - before)))
+            for look in range(looks + 1)
+        ]
+    )
+    met = gaps.min(axis=0) == 0.0
+    grazed = met & (gaps[0] > 0.0) & (gaps[-1] > 0.0)
+    assert 0.3 < met.mean() < 0.9 and grazed.sum() > 20  # contacts between two looks are among them
+    shorter = (gaps == 0.0).sum(axis=0) / looks < 0.01  # may be missed: see FINEST
+    assert np.isfinite(ours[met & ~shorter]).all()
+    assert (gaps.min(axis=0)[np.isfinite(ours)] < 0.03).all()  # none where shapely sees a gap all the way
+    both = met & np.isfinite(ours)
+    assert np.abs(ours[both] - (gaps[:, both] == 0.0).argmax(axis=0) / looks).max() <= 0.0101
+
+
+def test_a_contact_between_two_looks_is_found() -> None:
+    # the ego stands, the other's corner passes by the ego's within the step
+    before = np.array([[0.0, 2.4], [0.0, -4.2], [0.0, -math.pi / 4]])
+    x, y, heading = np.array([0.0, 6.0]), np.array([0.0, -0.6]), np.array([0.0, -math.pi / 4])
+    everybody = np.ones(2, dtype=bool)
+    assert len(contacts(*before, everybody)) == 0 and len(contacts(x, y, heading, everybody)) == 0
+    pairs, [moment] = meetings(before, x, y, heading, everybody)
+    assert pairs.tolist() == [[0, 1]] and 0.0 < moment < 1.0
+    half = before + moment * (np.array([x, y, heading]) - before)
+    assert contacts(*half, everybody).tolist() == [[0, 1]]
+
+
+def test_cars_that_exchange_their_places_within_a_step_meet() -> None:
+    before = np.array([[0.0, 8.0], [0.0, 0.0], [0.0, math.pi]])
+    [moment] = meetings(before, np.array([8.0, 0.0]), np.zeros(2), before[2], np.ones(2, dtype=bool))[1]
+    assert moment == pytest.approx(3.0 / 16.0, abs=1e-9)  # 3 m between the bumpers, 16 m travelled
+
+
+def test_cars_side_by_side_do_not_meet() -> None:
+    before = np.array([[0.0, 1.0], [0.0, 2.001], [0.0, 0.0]])
+    assert len(meetings(before, np.array([3.0, 4.5]), before[1], before[2], np.ones(2, dtype=bool))[0]) == 0
+
+
+def test_wrecks_do_not_meet_again() -> None:
+    before = np.array([[0.0, 6.0, 6.5], [0.0, 0.0, 0.0], [0.0, 0.0, 0.0]])
+    active = np.array([True, False, False])
+    pairs, _ = meetings(before, np.array([2.0, 6.0, 6.5]), before[1], before[2], active)
+    assert pairs.tolist() == [[0, 1], [0, 2]]
+
+
+def test_turning_the_short_way_through_the_half_turn() -> None:
+    # nobody turns: 2 pi apart is the same heading, and a car that spun round would touch
+    before = np.array([[0.0, 0.0], [0.0, 2.2], [math.pi - 0.01, 0.0]])
+    after = np.array([-math.pi - 0.01, 0.0])
+    everybody = np.ones(2, dtype=bool)
+    assert len(meetings(before, before[0], before[1], after, everybody)[0]) == 0
+
+
+def test_the_scene_between_is_that_of_the_moment() -> None:
+    scene = Scene(
+        ids=("ego", "v0"),
+        x=np.array([2.0, 10.0]),
+        y=np.array([0.0, 1.0]),
+        speed=np.array([20.0, 0.0]),
+        heading=np.array([-3.1, 0.0]),
+        crashed=np.zeros(2, dtype=bool),
+        time=1.1,
+    )
+    before = np.array([[0.0, 10.0], [0.0, 1.0], [3.1, 0.0]])
+    moment = scene_between(before, scene, 0.25, 0.1)
+    assert moment.x.tolist() == [0.5, 10.0] and moment.time == pytest.approx(1.025)
+    assert moment.heading[0] == pytest.approx(3.1 + 0.25 * (2 * math.pi - 6.2))  # the short way
+    assert scene_between(before, scene, 1.0, 0.1).time == 1.1
 
 
 @pytest.mark.parametrize(

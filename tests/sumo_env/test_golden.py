@@ -33,4 +33,6 @@ def test_trajectory_is_the_golden_one(task: str, traffic: str) -> None:
         assert list(now["vehicles"]) == list(then["vehicles"]), f"other vehicles at {then['time']} s"
         assert now["reward"] == pytest.approx(then["reward"], abs=TOLERANCE)
         for name, values in then["vehicles"].items():
-            assert now["vehicles"][name] == pytest.approx(values, abs=TOLERANCE), f"{name} at {then['time']} s"
+            assert now["vehicles"][name] == pytest.approx(values, abs=TOLERANCE), (
+                f"{name} at {then['time']} s"
+            )

@@ -163,10 +163,44 @@ def test_rear_end_crash_is_recorded_and_ends_the_episode(make: Any) -> None:
     crash = info["crash"]
     assert info["crashed"] and crash["type"] == "rear-end" and crash["other"] == env.scene.ids[1]
     assert crash["closing_speed"] == pytest.approx(10.0, abs=1.5)
-    assert crash["relative_x"] == pytest.approx(5.0, abs=1.0) and abs(crash["relative_y"]) < 0.2
+    # the pose at the contact, not at the end of its sub-step, when the ego is up to 1 m further
+    assert crash["relative_x"] == pytest.approx(5.0, abs=0.001) and abs(crash["relative_y"]) < 0.001
     assert crash["detected_by"] in ("both", "sumo", "geometry")
     assert env.scene.crashed.all()
     assert info["min_ttc"] < 1.0 and not info["near_miss"]
+
+
+@pytest.mark.parametrize(("distance", "crashes"), [(5.05, True), (5.2, False)])
+def test_a_report_of_sumo_counts_within_a_tolerance(
+    make: Any, monkeypatch: pytest.MonkeyPatch, distance: float, crashes: bool
+) -> None:
+    env = make("highway", with_leader(distance, 25.0))
+    monkeypatch.setattr(env._world.sim, "collisions", lambda: [("ego", env.scene.ids[1])])
+    _, _, terminated, _, info = env.step(1)
+    assert terminated == crashes
+    if crashes:
+        assert info["crash"]["detected_by"] == "sumo"
+
+
+def test_a_contact_that_is_over_within_a_sub_step_is_a_crash(
+    make: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    env = make("highway", with_leader(30.0, 25.0))
+    other = env.scene.ids[1]
+    read = World._read
+
+    def passes_through(world: World) -> None:
+        """The other has crossed the ego's way within the first sub-step."""
+        read(world)
+        if world.time < 1.5 * world.dt:
+            world._before[:, 1] = world._before[0, 0] + 1.0, world._before[1, 0] - 6.0, np.pi / 2
+            world.x[1], world.y[1], world.heading[1] = world.x[0], world.y[0] + 6.0, np.pi / 2
+
+    monkeypatch.setattr(World, "_read", passes_through)
+    _, _, terminated, _, info = env.step(1)
+    assert terminated and info["crash"]["other"] == other
+    assert info["crash"]["type"] == "junction" and info["crash"]["detected_by"] == "geometry"
+    assert 0.0 < info["crash"]["time"] < 0.1
 
 
 def test_wrecks_coast_and_stay(make: Any) -> None:

@@ -1,0 +1,7 @@
+"""From an analysis to report.html (`experiments/report.py` writes it).
+
+report_view        rows and words of the template
+report_figures     which figures, in which order
+figures            each a pure function that returns SVG
+collision_figures  the paper's figure 3
+"""

@@ -1,0 +1,136 @@
+"""The test of a policy: the same regular and risky scenarios for every arm, training seed and policy."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any, Protocol
+
+import gymnasium as gym
+import numpy as np
+
+from experiments.study.grid import TRAFFICS
+from experiments.study.seeds import scenario_seed, stream_seed
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+STOPPED = 1.0  # [m/s] an ego slower than this stands
+ACTIONS = 5
+# Columns of episodes.parquet and their types, one row a test episode.
+COLUMNS: dict[str, str] = {
+    "traffic": "str",  # "regular" or "risky"
+    "scenario": "int64",  # number of the scenario, the same seed in both traffics
+    "return": "float64",  # undiscounted sum of rewards
+    "length": "int64",  # policy steps
+    "crashed": "bool",
+    "arrived": "bool",
+    "truncated": "bool",  # the time limit ended it
+    "mean_speed": "float64",  # [m/s], mean over the steps
+    "distance": "float64",  # [m]
+    "min_ttc": "float64",  # [s] smallest time-to-collision, inf if there was none
+    "near_misses": "int64",  # steps with a time-to-collision below 1.5 s and no crash
+    "density": "float64",  # other vehicles within 200 m, mean over the steps
+    "stopped": "float64",  # share of the steps with less than 1 m/s
+    **{f"action_{number}": "int64" for number in range(ACTIONS)},  # how often each action was chosen
+    "crash_time": "float64",  # [s] since the start; this and the following are missing without a crash
+    "crash_other": "str",
+    "crash_x": "float64",  # [m] the ego's centre
+    "crash_y": "float64",
+    "crash_relative_x": "float64",  # [m] the other's centre in the ego's frame
+    "crash_relative_y": "float64",
+    "crash_relative_heading": "float64",  # [rad]
+    "crash_closing_speed": "float64",  # [m/s]
+    "crash_type": "str",
+    "crash_detected_by": "str",
+}
+CRASH_KEYS = tuple(name.removeprefix("crash_") for name in COLUMNS if name.startswith("crash_"))
+
+
+class Policy(Protocol):
+    """What drives: a trained agent or a rule."""
+
+    def act(self, observation: Any) -> int:
+        """The action for an observation."""
+
+    def reset(self, seed: int) -> None:
+        """Begin an episode; `seed` is for policies that draw random numbers."""
+
+
+def play(
+    env: gym.Env[Any, Any],
+    policy: Policy,
+    task: str,
+    level: int,
+    traffic: str,
+    scenario: int,
+    on_step: Callable[[], None] | None = None,
+) -> dict[str, Any]:
+    """Play one test episode and return its row of COLUMNS.
+
+    Args:
+        env: an environment of this task and level.
+        traffic: "regular" or "risky".
+        scenario: number of the test scenario.
+        on_step: called after the reset and after every step (a recorder).
+    """
+    policy.reset(stream_seed("policy", task, level, traffic, scenario))
+    observation, info = env.reset(
+        seed=scenario_seed(task, level, scenario), options={"config": {"risk": TRAFFICS[traffic]}}
+    )
+    if on_step:
+        on_step()
+    rewards: list[float] = []
+    steps: list[dict[str, Any]] = []
+    actions = [0] * ACTIONS
+    terminated = truncated = False
+    while not (terminated or truncated):
+        action = policy.act(observation)
+        observation, reward, terminated, truncated, info = env.step(action)
+        rewards.append(float(reward))
+        steps.append(info)
+        actions[action] += 1
+        if on_step:
+            on_step()
+    speeds = np.array([step["speed"] for step in steps])
+    crash = info["crash"] or {}
+    return {
+        "traffic": traffic,
+        "scenario": scenario,
+        "return": math.fsum(rewards),
+        "length": len(rewards),
+        "crashed": bool(info["crashed"]),
+        "arrived": bool(info["arrived"]),
+        "truncated": bool(truncated and not terminated),
+        "mean_speed": float(speeds.mean()),
+        "distance": math.fsum(step["distance"] for step in steps),
+        "min_ttc": min(float(step["min_ttc"]) for step in steps),
+        "near_misses": sum(bool(step["near_miss"]) for step in steps),
+        "density": float(np.mean([step["density"] for step in steps])),
+        "stopped": float((speeds < STOPPED).mean()),
+        **{f"action_{number}": count for number, count in enumerate(actions)},
+        **{f"crash_{key}": crash.get(key) for key in CRASH_KEYS},
+    }
+
+
+def evaluate(
+    env: gym.Env[Any, Any],
+    policy: Policy,
+    task: str,
+    level: int,
+    episodes: int,
+    on_episode: Callable[[], None] | None = None,
+) -> pd.DataFrame:
+    """Test a policy on `episodes` regular and `episodes` risky scenarios; one row of COLUMNS an episode.
+
+    The result depends on the arguments alone, not on what `env` did before.
+    """
+    import pandas as pd
+
+    rows = []
+    for traffic in TRAFFICS:
+        for scenario in range(episodes):
+            rows.append(play(env, policy, task, level, traffic, scenario))
+            if on_episode:
+                on_episode()
+    return pd.DataFrame(rows, columns=list(COLUMNS)).astype(COLUMNS)

@@ -1,0 +1,286 @@
+"""Finished cells on disk: written whole or not at all, checked when read, never computed twice.
+
+DIR/cells/<cell>/     cell.json, episodes.parquet; for agents also training.parquet, weights.npz
+DIR/work/<cell>/      checkpoints of a cell in progress
+DIR/claims/           who computes what (see `claims`)
+DIR/sweep.json        what the last sweep asked for, and what failed
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import shutil
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from experiments.study.grid import RESULT_SCHEMA, Cell, cell_name, versions
+from experiments.support.errors import UserError
+from experiments.support.files import publish, sha256_file, write_file, write_json
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+CELL, EPISODES, TRAINING, WEIGHTS = "cell.json", "episodes.parquet", "training.parquet", "weights.npz"
+# Columns of the key that every table of `Results` carries.
+KEY_COLUMNS = ("cell", "kind", "backend", "task", "level", "level_name", "arm", "seed", "policy", "preset")
+
+
+class DamagedCell(UserError):
+    """A stored cell that cannot be what was written; the message names the file and the remedy."""
+
+    def __init__(self, file: Path, reason: str) -> None:
+        super().__init__(
+            f"{file} is damaged ({reason}): delete the directory {file.parent} and run the sweep again"
+        )
+
+
+@dataclass(frozen=True)
+class Results:
+    """All finished cells of a directory as tidy tables.
+
+    agents: one row a cell, trained agents and baselines alike (`kind`): KEY_COLUMNS, the profile's settings
+        as columns (gamma, updates, ...; missing for baselines), and of the learner updates, episodes,
+        q_bound, max_abs_q (largest on the probe states at any checkpoint), weights_sha256.
+    episodes: one row a test episode: KEY_COLUMNS and the columns of `evaluate.COLUMNS`.
+    training: one row a training episode: KEY_COLUMNS and episode, step, return, length, crashed, arrived,
+        mean_speed, epsilon.
+    cells: cell.json of each cell by name. failed: name and reason of the cells that the last sweep could not
+        finish.
+    expected: names of all cells that the last sweep asked for, finished or not.
+    """
+
+    directory: Path
+    agents: pd.DataFrame
+    episodes: pd.DataFrame
+    training: pd.DataFrame
+    cells: dict[str, dict[str, Any]]
+    failed: dict[str, str] = field(default_factory=dict)
+    expected: tuple[str, ...] = ()
+
+
+class Store:
+    """The result directory of an experiment.
+
+    Raises:
+        OSError: it cannot be made or written.
+    """
+
+    def __init__(self, directory: Path) -> None:
+        self.directory = directory
+        self.cells = directory / "cells"
+        self.work = directory / "work"
+        for path in (self.cells, self.work):
+            path.mkdir(parents=True, exist_ok=True)
+
+    def is_finished(self, cell: Cell) -> bool:
+        """Whether the cell is stored, after checking that it is undamaged.
+
+        Raises:
+            DamagedCell: a file is missing, unreadable or changed.
+        """
+        path = self.cells / cell.name
+        if not path.is_dir():
+            return False
+        read_cell(path)
+        return True
+
+    def write(self, cell: Cell, record: Mapping[str, Any], files: Mapping[str, Any]) -> None:
+        """Store a finished cell in one step.
+
+        Args:
+            record: timing, provenance and learner of the cell; the key, versions and checksums are added
+                here.
+            files: data frames by name (parquet), or paths of files to take over.
+
+        Raises:
+            OSError: the disk is full or the directory cannot be written; nothing is stored then.
+        """
+        staged = self.work / f"{cell.name}.finished"
+        shutil.rmtree(staged, ignore_errors=True)
+        staged.mkdir()
+        for name, content in files.items():
+            if isinstance(content, Path):
+                data = content.read_bytes()
+            else:
+                buffer = io.BytesIO()
+                content.to_parquet(buffer, index=False)
+                data = buffer.getvalue()
+            write_file(staged / name, data)
+        checksums = {name: sha256_file(staged / name) for name in sorted(files)}
+        write_json(
+            staged / CELL,
+            {
+                "schema": RESULT_SCHEMA,
+                "key": cell.key(),
+                "versions": versions(cell.backend),
+                **record,
+                "files": checksums,
+            },
+        )
+        publish(staged, self.cells / cell.name)
+
+    def write_sweep(self, record: Mapping[str, Any]) -> None:
+        """Note what a sweep asks for (cells, arguments) and what failed."""
+        write_json(self.directory / "sweep.json", record)
+
+
+def read_cell(path: Path) -> dict[str, Any]:
+    """cell.json of a stored cell, after checking all its files against their checksums.
+
+    Raises:
+        DamagedCell: a file is missing, unreadable or changed.
+    """
+    record = _read_json(path / CELL)
+    try:
+        files, key, version = record["files"], record["key"], record["versions"]
+        name = cell_name(key, version)
+        needed = {EPISODES} | ({TRAINING, WEIGHTS} if key["kind"] == "agent" else set())
+    except (KeyError, TypeError) as error:
+        raise DamagedCell(path / CELL, f"{error} is missing") from None
+    if missing := needed - set(files):
+        raise DamagedCell(path / CELL, f"no checksum of {', '.join(sorted(missing))}")
+    if name != path.name:
+        raise DamagedCell(path / CELL, f"its content is that of {name}")
+    for file, checksum in files.items():
+        try:
+            found = sha256_file(path / file)
+        except OSError as error:
+            raise DamagedCell(path / file, error.strerror or "unreadable") from None
+        if found != checksum:
+            raise DamagedCell(path / file, "its checksum does not match")
+    return record
+
+
+def cell_directories(directory: Path) -> Iterator[Path]:
+    """The directories of the finished cells, in order of their names.
+
+    Raises:
+        UserError: not a result directory.
+    """
+    cells = directory / "cells"
+    if not cells.is_dir():
+        raise UserError(
+            f"{directory} holds no results (no directory {cells}): name the --out directory of a sweep"
+        )
+    return (path for path in sorted(cells.iterdir()) if path.is_dir())
+
+
+def load(directory: Path) -> Results:
+    """Read and check all finished cells of a directory.
+
+    Raises:
+        UserError: no result directory, or no finished cell in it.
+        DamagedCell: a stored file is missing, unreadable or changed.
+    """
+    import pandas as pd
+
+    directory = Path(directory)
+    cells: dict[str, dict[str, Any]] = {}
+    agents, episodes, training = [], [], []
+    for path in cell_directories(directory):
+        record = read_cell(path)
+        cells[path.name] = record
+        columns = {name: {**record["key"], "cell": path.name}.get(name) for name in KEY_COLUMNS}
+        columns["preset"] = record["key"]["profile"].get("preset")
+        agents.append({**columns, **_scalars(record["key"]["profile"]), **_learner(record)})
+        episodes.append(_table(path / EPISODES, columns))
+        if record["key"]["kind"] == "agent":
+            training.append(_table(path / TRAINING, columns))
+    if not cells:
+        raise UserError(f"{directory} holds no finished cell yet: run the sweep first")
+    sweep = read_sweep(directory)
+    return Results(
+        directory=directory,
+        agents=pd.DataFrame(agents).astype({"arm": "str", "seed": "Int64"}),
+        episodes=_concatenate(episodes),
+        training=_concatenate(training),
+        cells=cells,
+        failed={name: reason for name, reason in sweep.get("failed", {}).items() if name not in cells},
+        expected=tuple(sweep.get("cells", ())),
+    )
+
+
+def read_sweep(directory: Path) -> dict[str, Any]:
+    """What the last sweep in a directory asked for; empty if there was none.
+
+    Raises:
+        UserError: the note cannot be read.
+    """
+    path = directory / "sweep.json"
+    if not path.exists():
+        return {}
+    try:
+        return _parse(path)
+    except ValueError as error:
+        raise UserError(f"{path} is damaged ({error}): delete this file and run the sweep again") from None
+
+
+def read_episodes(path: Path) -> pd.DataFrame:
+    """The test episodes of one stored cell directory, checked. Raises DamagedCell."""
+    read_cell(path)
+    return _table(path / EPISODES, {})
+
+
+def _table(file: Path, columns: Mapping[str, Any]) -> pd.DataFrame:
+    import pandas as pd
+    import pyarrow
+
+    try:
+        table = pd.read_parquet(file)
+    except (OSError, pyarrow.ArrowException) as error:
+        raise DamagedCell(file, str(error).partition("\n")[0]) from None
+    for position, (name, value) in enumerate(columns.items()):
+        table.insert(position, name, value)
+    return table
+
+
+def _concatenate(tables: list[pd.DataFrame]) -> pd.DataFrame:
+    import pandas as pd
+
+    if not tables:
+        return pd.DataFrame(columns=list(KEY_COLUMNS))
+    # A baseline has neither arm nor seed: types that know missing values keep seeds whole numbers.
+    return pd.concat([table.astype({"arm": "str", "seed": "Int64"}) for table in tables], ignore_index=True)
+
+
+def _scalars(profile: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in profile.items() if not isinstance(value, list | dict)}
+
+
+def _learner(record: Mapping[str, Any]) -> dict[str, Any]:
+    learner = record.get("learner")
+    if not learner:
+        return {}
+    probe = learner.get("probe_q", [])
+    return {
+        "updates": learner.get("updates"),
+        "episodes": learner.get("episodes"),
+        "q_bound": learner.get("q_bound"),
+        # JSON knows no infinity: a diverged agent's value is stored as null
+        "max_abs_q": max((math.inf if row[2] is None else row[2] for row in probe), default=None),
+        "weights_sha256": learner.get("weights_sha256"),
+    }
+
+
+def _read_json(path: Path) -> dict[str, Any]:
+    try:
+        return _parse(path)
+    except ValueError as error:
+        raise DamagedCell(path, str(error)) from None
+
+
+def _parse(path: Path) -> dict[str, Any]:
+    """The JSON object in a file. Raises ValueError with the reason in a few words."""
+    try:
+        value = json.loads(path.read_text())
+    except FileNotFoundError:
+        raise ValueError("it is missing") from None
+    except (OSError, ValueError) as error:
+        raise ValueError(f"it cannot be read: {str(error).partition(chr(10))[0]}") from None
+    if not isinstance(value, dict):
+        raise ValueError("it is not a JSON object")
+    return value

@@ -1,0 +1,107 @@
+"""Training of one cell: the learner of `agents` in the cell's traffic, resumed from its checkpoint if there is one."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pandas as pd
+
+from agents.checkpoint import CheckpointError
+from agents.dqn import DQNConfig
+from agents.policy import GreedyPolicy
+from agents.training import Progress, TrainedAgent, train
+from experiments.study.grid import Cell
+from experiments.support.errors import UserError
+
+CHECKPOINT = "checkpoint.npz"
+CHECKPOINTS = 20  # a training is checkpointed about so often
+MIN_INTERVAL = 100  # updates between two checkpoints at least
+
+
+@dataclass(frozen=True)
+class Trained:
+    """A trained agent as it is stored: policy, training episodes (one row each), and "learner" of cell.json.
+
+    timed_updates: updates that were made in this process, not before a resumption.
+    """
+
+    policy: GreedyPolicy
+    episodes: pd.DataFrame
+    learner: dict[str, Any]
+    timed_updates: int
+
+
+def config_of(cell: Cell) -> DQNConfig:
+    """The learner's configuration in a cell's profile."""
+    names = {field.name for field in fields(DQNConfig)}
+    return DQNConfig(**{name: value for name, value in cell.profile.items() if name in names})
+
+
+def train_cell(
+    cell: Cell, env: gym.Env[Any, Any], directory: Path, on_updates: Callable[[int], None] = lambda _: None
+) -> Trained:
+    """Train the agent of a cell; bit for bit the same however often it is interrupted.
+
+    Args:
+        env: an environment of the cell's task and level.
+        directory: where the checkpoint lies, or is written.
+        on_updates: called now and then with the number of updates made since the last call.
+
+    Raises:
+        UserError: the checkpoint is damaged.
+        OSError: the checkpoint cannot be written.
+    """
+    config = config_of(cell)
+    begun: int | None = None
+    last = 0
+
+    def progress(state: Progress) -> None:
+        nonlocal begun, last
+        if begun is None:
+            begun = max(state.updates - config.block, 0)
+        on_updates(state.updates - last)
+        last = state.updates
+
+    try:
+        (agent,) = train(
+            env,
+            config,
+            [cell.seed or 0],
+            reset_options=[{"config": {"risk": cell.risk}}],
+            checkpoint=directory / CHECKPOINT,
+            checkpoint_interval=max(config.updates // CHECKPOINTS, MIN_INTERVAL),
+            progress=progress,
+        )
+    except CheckpointError as error:
+        raise UserError(str(error)) from None
+    timed = agent.updates - (agent.updates if begun is None else begun)
+    return Trained(agent.policy, pd.DataFrame(agent.episodes), learner_record(agent, config), timed)
+
+
+def learner_record(agent: TrainedAgent, config: DQNConfig) -> dict[str, Any]:
+    """What cell.json says of the learner.
+
+    probe_q: [update, mean of |max Q|, largest |max Q|] over the probe states. greedy_share: share of the probe
+    states that have the most common greedy action, at the same updates. q_bound: the largest value that
+    any policy can have, max |r| / (1 - gamma). A number that is not finite is stored as null.
+    """
+    return {
+        "updates": agent.updates,
+        "steps": agent.steps,
+        "episodes": len(agent.episodes["episode"]),
+        "probe_q": [[look.update, _finite(look.mean), _finite(look.largest)] for look in agent.probe_q],
+        "greedy_share": [look.greedy_share for look in agent.probe_q],
+        "max_abs_reward": agent.max_abs_reward,
+        "q_bound": agent.max_abs_reward / (1.0 - config.gamma),
+        "weights_sha256": agent.policy.sha256,
+    }
+
+
+def _finite(value: float) -> float | None:
+    return float(np.float64(value)) if math.isfinite(value) else None

@@ -1,0 +1,65 @@
+"""Where a result comes from: versions, machine, revision. Stored with every cell, not part of its name."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import os
+import platform
+import subprocess
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+PACKAGES = (
+    "sumo-risky-driving",
+    "libsumo",
+    "highway-env",
+    "gymnasium",
+    "numpy",
+    "numba",
+    "torch",
+    "pandas",
+    "pyarrow",
+)
+
+
+@cache
+def provenance() -> dict[str, Any]:
+    """Versions of Python and the packages, processor, and git revision (None outside a checkout)."""
+    return {
+        "python": platform.python_version(),
+        "platform": platform.platform(),
+        "cpu": cpu(),
+        "cores": os.cpu_count(),
+        "git": revision(Path(__file__).resolve().parents[2]),
+        "packages": {name: _version(name) for name in PACKAGES},
+    }
+
+
+@cache
+def cpu() -> str:
+    """Name of the processor; rates measured on another one say little about this one."""
+    try:
+        for line in Path("/proc/cpuinfo").read_text().splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    except OSError:  # not Linux
+        pass
+    return platform.processor() or platform.machine()
+
+
+def revision(directory: Path) -> str | None:
+    """Commit of a checkout, with "-dirty" for changed tracked files; None without git or a checkout."""
+    command = ["git", "-C", str(directory), "describe", "--always", "--dirty", "--abbrev=40", "--exclude=*"]
+    try:
+        result = subprocess.run(command, capture_output=True, text=True, timeout=10, check=False)
+    except (OSError, subprocess.TimeoutExpired):
+        return None
+    return result.stdout.strip() or None if result.returncode == 0 else None
+
+
+def _version(package: str) -> str | None:
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return None

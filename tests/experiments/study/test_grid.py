@@ -1,0 +1,126 @@
+"""The grid as data: names that do not shift, levels, shards, seeds."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import pytest
+
+from experiments.study import grid
+from experiments.study.seeds import TEST, scenario_seed
+from experiments.support.errors import UserError
+from sumo_env.tasks import TASKS
+
+PROFILE = {"updates": 100, "gamma": 0.95, "hidden": [8]}
+
+
+def cells(levels: dict | None = None, seeds: int = 2, preset: str = "smoke", **profile) -> list[grid.Cell]:
+    profiles = {task: {**PROFILE, **profile} for task in TASKS}
+    return grid.build("sumo", levels or {"highway": (1,)}, seeds, 5, profiles, preset)
+
+
+def test_the_paper_has_18_traffic_cells():
+    levels = grid.choose_levels(tuple(TASKS), None)
+    assert sum(map(len, levels.values())) == 18
+    agents = [cell for cell in cells(levels, seeds=10) if cell.kind == "agent"]
+    assert len(agents) == 18 * 2 * 10
+
+
+def test_every_seed_has_both_arms_and_every_level_every_baseline():
+    found = cells(seeds=3)
+    assert sorted((c.arm, c.seed) for c in found if c.kind == "agent") == [
+        (arm, seed) for arm in ("control", "treatment") for seed in range(3)
+    ]
+    assert {c.policy for c in found if c.kind == "baseline"} == {
+        "idle",
+        "random",
+        "faster",
+        "slower",
+        "idm",
+        "careful",
+    }
+    assert {c.risk for c in found if c.arm == "control"} == {0.0}
+    assert {c.risk for c in found if c.arm == "treatment"} == {1.0}
+
+
+def test_names_are_readable_unique_and_independent_of_the_rest_of_the_grid():
+    small = cells()
+    large = cells({"highway": (1, 2, 3), "u-turn": (1,)}, seeds=5)
+    assert {c.name for c in small} <= {c.name for c in large}
+    assert len({c.name for c in large}) == len(large)
+    assert small[0].name.startswith("sumo-highway-50-control-s0-")
+
+
+def test_the_name_follows_everything_that_changes_the_result_and_no_label():
+    cell = cells()[0]
+    assert cells(preset="quick")[0].name == cell.name
+    assert cells(gamma=0.99)[0].name != cell.name
+    assert replace(cell, eval={"episodes": 6}).name != cell.name
+    assert replace(cell, env_config={**cell.env_config, "duration": 21}).name != cell.name
+
+
+def test_versions_are_part_of_the_name(monkeypatch):
+    before = cells()[0].name
+    monkeypatch.setattr(grid, "RESULT_SCHEMA", grid.RESULT_SCHEMA + 1)
+    assert cells()[0].name != before
+
+
+def test_a_baseline_does_not_depend_on_the_learner():
+    def names(**profile):
+        return {c.name for c in cells(**profile) if c.kind == "baseline"}
+
+    assert names(gamma=0.95) == names(gamma=0.99)
+
+
+def test_keys_survive_json():
+    for cell in cells({"two-way": (1, 2, 3), "intersection": (5,)}):
+        stored = json.loads(json.dumps(cell.key()))
+        assert grid.cell_name(stored, grid.versions("sumo")) == cell.name
+
+
+def test_levels_carry_the_papers_settings():
+    assert grid.level_names("two-way") == ("5+2", "10+4", "15+6")
+    config = grid.env_config("sumo", "highway", 3)
+    assert (config["vehicles_count"], config["vehicles_density"]) == (150, 2.0)
+    assert "risk" not in config
+
+
+@pytest.mark.parametrize(
+    ("call", "message"),
+    [
+        (lambda: grid.choose_tasks(["higway"]), "did you mean 'highway'"),
+        (lambda: grid.choose_levels(["highway"], [4]), "did you mean 3?"),
+        (lambda: grid.build("summo", {}, 1, 1, {}, ""), "did you mean 'sumo'"),
+        (lambda: cells(seeds=0), "at least one seed"),
+        (lambda: grid.shard([], "3/2"), "1 <= i <= n"),
+        (lambda: grid.shard([], "half"), "--shard"),
+    ],
+)
+def test_what_does_not_exist_is_named_with_the_nearest(call, message):
+    with pytest.raises(UserError, match="(?s)" + message.replace("?", r"\?")) as error:
+        call()
+    assert "\n" not in str(error.value)
+
+
+def test_a_level_that_only_some_tasks_have_is_taken_where_it_exists():
+    assert grid.choose_levels(["highway", "intersection"], [5]) == {"intersection": (5,)}
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 7])
+def test_shards_are_a_partition_that_keeps_the_arms_of_a_seed_together(count):
+    everything = cells({"highway": (1, 2), "u-turn": (1,)}, seeds=3)
+    parts = [grid.shard(everything, f"{i}/{count}") for i in range(1, count + 1)]
+    assert sorted(c.name for part in parts for c in part) == sorted(c.name for c in everything)
+    home = {(c.task, c.level, c.seed): i for i, part in enumerate(parts) for c in part}
+    assert all(home[c.task, c.level, c.seed] == i for i, part in enumerate(parts) for c in part)
+
+
+def test_test_scenarios_are_apart_from_all_training_scenarios_and_from_each_other():
+    from agents.streams import episode_seed
+
+    training = {episode_seed(seed, episode) for seed in range(5) for episode in range(200)}
+    assert max(training) < TEST
+    test = {scenario_seed(task, level, n) for task in TASKS for level in (1, 2) for n in range(100)}
+    assert min(test) >= TEST
+    assert len(test) == len(TASKS) * 2 * 100

@@ -1,0 +1,232 @@
+"""Cells on disk: whole or absent, checked when read, loaded as tidy tables; claims on cells."""
+
+from __future__ import annotations
+
+import json
+import multiprocessing
+import os
+import shutil
+import time
+from dataclasses import replace
+
+import pandas as pd
+import pytest
+
+from agents.architecture import Architecture
+from agents.policy import GreedyPolicy
+from experiments.study import claims, grid, store
+from experiments.study.evaluate import evaluate
+from experiments.support.errors import UserError
+from sumo_env.tasks import TASKS
+from tests.experiments.fake_env import make_env
+
+
+class Idle:
+    def act(self, observation):
+        return 1
+
+    def reset(self, seed):
+        pass
+
+
+TRAINING_TABLE = pd.DataFrame(
+    {"episode": [0], "step": [3], "return": [1.0], "length": [3], "crashed": [True], "arrived": [False],
+     "mean_speed": [20.0], "epsilon": [1.0]}
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def cells() -> list[grid.Cell]:
+    profiles = {task: {"updates": 10, "gamma": 0.95} for task in TASKS}
+    return grid.build("sumo", {"highway": (1,), "u-turn": (1,)}, 1, 3, profiles, "smoke")
+
+
+@pytest.fixture
+def directory(tmp_path, cells):
+    """A directory with all cells finished."""
+    home = store.Store(tmp_path / "results")
+    weights = tmp_path / "weights.npz"
+    architecture = Architecture(10, 5, (4,), (4,))
+    GreedyPolicy(architecture, [0.0] * architecture.parameters).save(weights)
+    for cell in cells:
+        env = make_env(cell.backend, cell.task, cell.env_config)
+        table = evaluate(env, Idle(), cell.task, cell.level, cell.episodes)
+        files = {store.EPISODES: table}
+        record = {"timing": {"test_seconds": 1.0}, "provenance": {"cpu": "none"}}
+        if cell.kind == "agent":
+            files |= {store.TRAINING: TRAINING_TABLE, store.WEIGHTS: weights}
+            record["learner"] = {"updates": 10, "episodes": 1, "probe_q": [[5, 0.1, 0.2], [10, 0.3, 0.5]],
+                                 "q_bound": 20.0, "weights_sha256": "x"}  # fmt: skip
+        home.write(cell, record, files)
+    return home.directory
+
+
+def test_a_stored_cell_is_finished_and_comes_back(directory, cells):
+    home = store.Store(directory)
+    assert all(home.is_finished(cell) for cell in cells)
+    assert not home.is_finished(replace(cells[0], seed=77))
+    record = store.read_cell(directory / "cells" / cells[0].name)
+    assert record["key"] == json.loads(json.dumps(cells[0].key()))
+    assert set(record["files"]) == {store.EPISODES, store.TRAINING, store.WEIGHTS}
+
+
+def test_results_are_tidy(directory, cells):
+    results = store.load(directory)
+    assert len(results.agents) == len(cells) == len(results.cells)
+    assert len(results.episodes) == len(cells) * 2 * 3
+    assert set(store.KEY_COLUMNS) <= set(results.episodes.columns) & set(results.training.columns)
+    agents = results.agents[results.agents.kind == "agent"]
+    assert (agents.max_abs_q == 0.5).all()
+    assert (agents.gamma == 0.95).all()
+    assert set(agents.seed) == {0}
+    assert results.agents[results.agents.kind == "baseline"].seed.isna().all()
+    counts = results.episodes.groupby(["cell", "traffic"]).size()
+    assert (counts == 3).all()
+    assert set(results.training.cell) == set(agents.cell)
+
+
+def test_the_same_content_has_the_same_bytes(directory, cells, tmp_path):
+    cell = next(cell for cell in cells if cell.kind == "baseline")
+    env = make_env(cell.backend, cell.task, cell.env_config)
+    other = store.Store(tmp_path / "other")
+    table = evaluate(env, Idle(), cell.task, cell.level, cell.episodes)
+    other.write(cell, {}, {store.EPISODES: table})
+    first, second = (
+        store.read_cell(home / "cells" / cell.name)["files"] for home in (directory, other.directory)
+    )
+    assert first == second
+
+
+def test_writing_twice_keeps_the_first(directory, cells):
+    home = store.Store(directory)
+    path = directory / "cells" / cells[-1].name
+    before = (path / store.CELL).read_bytes()
+    home.write(cells[-1], {"timing": "other"}, {store.EPISODES: TRAINING_TABLE})
+    assert (path / store.CELL).read_bytes() == before
+    assert not list(home.work.iterdir())
+
+
+@pytest.mark.parametrize("file", [store.CELL, store.EPISODES, store.TRAINING, store.WEIGHTS])
+@pytest.mark.parametrize("damage", ["cut", "gone", "changed", "empty"])
+def test_damage_is_told_in_one_line_that_names_file_and_remedy(directory, cells, file, damage):
+    path = directory / "cells" / cells[0].name / file
+    content = path.read_bytes()
+    if damage == "gone":
+        path.unlink()
+    elif damage == "changed":
+        path.write_bytes(content.replace(content[-30:-20], b"0123456789"))
+    else:
+        path.write_bytes(content[: len(content) // 2] if damage == "cut" else b"")
+    for read in (store.Store(directory).is_finished, lambda cell: store.load(directory)):
+        with pytest.raises(store.DamagedCell) as error:
+            read(cells[0])
+        message = str(error.value)
+        assert "\n" not in message
+        assert str(path.parent) in message
+        assert "delete the directory" in message
+
+
+def test_a_cell_under_a_wrong_name_is_noticed(directory, cells):
+    path = directory / "cells" / cells[0].name
+    shutil.move(path, path.with_name("sumo-highway-50-control-s9-0123456789ab"))
+    with pytest.raises(store.DamagedCell, match="content"):
+        store.load(directory)
+
+
+def test_a_damaged_note_does_not_ask_for_the_results_to_be_deleted(directory):
+    (directory / "sweep.json").write_text("{")
+    with pytest.raises(UserError, match="delete this file"):
+        store.load(directory)
+
+
+def test_a_directory_without_results_is_told_from_an_empty_one(tmp_path):
+    with pytest.raises(UserError, match="no results"):
+        store.load(tmp_path / "nowhere")
+    store.Store(tmp_path / "new")
+    with pytest.raises(UserError, match="no finished cell"):
+        store.load(tmp_path / "new")
+
+
+# --- claims ---
+
+
+def _claim_and_wait(directory, name, connection):
+    connection.send(claims.Claims(directory).acquire(name) is not None)
+    connection.recv()
+
+
+@pytest.fixture
+def other_process(tmp_path):
+    """A living process that has claimed "cell"."""
+    context = multiprocessing.get_context("fork")
+    ours, theirs = context.Pipe()
+    process = context.Process(target=_claim_and_wait, args=(tmp_path, "cell", theirs))
+    process.start()
+    assert ours.recv()
+    yield process
+    process.kill()
+    process.join()
+
+
+def test_a_claim_of_a_living_process_holds(tmp_path, other_process):
+    mine = claims.Claims(tmp_path)
+    assert mine.acquire("cell") is None
+    assert str(other_process.pid) in mine.holder("cell")
+    assert mine.acquire("another cell") is not None
+
+
+def test_a_claim_of_a_killed_process_is_free_at_once(tmp_path, other_process):
+    other_process.kill()
+    other_process.join()
+    mine = claims.Claims(tmp_path)
+    assert mine.holder("cell") is None
+    assert mine.acquire("cell") is not None
+
+
+def test_a_released_claim_is_free(tmp_path):
+    mine = claims.Claims(tmp_path)
+    claim = mine.acquire("cell")
+    assert mine.acquire("cell") is None
+    claim.release()
+    assert mine.acquire("cell") is not None
+
+
+def test_a_claim_from_another_machine_lives_by_its_heartbeat(tmp_path):
+    mine = claims.Claims(tmp_path, stale_after=60)
+    claim = mine.acquire("cell")
+    owner = json.loads(claim.path.read_text())
+    claim.path.write_text(json.dumps({**owner, "machine": "elsewhere"}))
+    assert mine.acquire("cell") is None
+    long_ago = time.time() - 3600
+    os.utime(claim.path, (long_ago, long_ago))
+    claim.beat()
+    assert mine.acquire("cell") is None
+    os.utime(claim.path, (long_ago, long_ago))
+    assert mine.acquire("cell") is not None
+    assert not claim.is_mine()
+    claim.release()  # of what was lost: leaves the new owner's claim alone
+    assert mine.acquire("cell") is None
+
+
+def _race(directory, name, barrier, wins):
+    barrier.wait()
+    if claims.Claims(directory).acquire(name):
+        wins.put(os.getpid())
+    barrier.wait()  # stay alive until all have tried
+
+
+def test_one_of_many_takes_a_stale_claim_over(tmp_path):
+    context = multiprocessing.get_context("fork")
+    for attempt in range(5):
+        name = f"cell{attempt}"
+        gone = context.Process(target=claims.Claims(tmp_path).acquire, args=(name,))
+        gone.start()
+        gone.join()
+        barrier, wins = context.Barrier(4), context.Queue()
+        racers = [context.Process(target=_race, args=(tmp_path, name, barrier, wins)) for _ in range(4)]
+        for racer in racers:
+            racer.start()
+        for racer in racers:
+            racer.join()
+        assert wins.get(timeout=5)
+        assert wins.empty()

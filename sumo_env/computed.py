@@ -143,6 +143,9 @@ class AlongPath(Computed):
         self._lanes.start(world)
         self._table = compiled_lanes(world.road)
         self._lane = [spec.lane for spec in world.specs]
+        indices = [world.network.indices.get(lane) for lane in world.sim.lane_ids]
+        self._number = np.array([-1 if index is None else self._table.index[index] for index in indices])
+        self._on = np.array([self._table.index[lane] for lane in self._lane])
         self._routes = np.array([self._route(world, row) for row in range(len(world.specs))])
         self._stage = np.zeros(len(world.specs), np.int64)
 
@@ -157,13 +160,14 @@ class AlongPath(Computed):
         super().act(world)
 
     def _see_lane_changes(self, world: World) -> None:
-        for row in range(1, len(world.ids)):
-            now = world.network.indices[world.sim.lane_of(world.ids[row])]
-            if now != self._lane[row]:
-                changed = now[:2] == self._lane[row][:2]
-                self._lane[row] = now
-                if changed:
-                    self._routes[row], self._stage[row] = self._route(world, row), 0
+        numbers = self._number[world.lane]
+        numbers[0] = self._on[0]
+        for row in np.flatnonzero(numbers != self._on).tolist():
+            now = world.network.indices[world.sim.lane_ids[world.lane[row]]]
+            changed = now[:2] == self._lane[row][:2]
+            self._lane[row], self._on[row] = now, numbers[row]
+            if changed:
+                self._routes[row], self._stage[row] = self._route(world, row), 0
 
     def accelerations(self, world: World) -> NDArray[np.float64]:
         geometry = self._table.geometry

@@ -15,7 +15,9 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
+from numpy.typing import NDArray
 
+from sumo_env import direct
 from sumo_env.drivers import Driver
 from sumo_env.scene import VEHICLE_LENGTH, VEHICLE_WIDTH, Floats
 
@@ -27,11 +29,11 @@ except ImportError as error:
         f"(the wheel brings SUMO along, no system SUMO is needed). Python says: {error}"
     ) from error
 
-# What is called for every vehicle in every step skips libsumo's Python layer, which costs as much as the call itself.
-_position = libsumo.libsumo._libsumo.vehicle_getPosition
-_angle = libsumo.libsumo._libsumo.vehicle_getAngle
-_speed = libsumo.libsumo._libsumo.vehicle_getSpeed
-_set_speed = libsumo.libsumo._libsumo.vehicle_setSpeed
+# What is called for every vehicle or in every step skips libsumo's Python layer, which costs as much as the call itself.
+_native = libsumo.libsumo._libsumo
+_position, _angle, _speed = _native.vehicle_getPosition, _native.vehicle_getAngle, _native.vehicle_getSpeed
+_set_speed, _lane = _native.vehicle_setSpeed, _native.vehicle_getLaneID
+_step, _collisions = _native.simulation_step, _native.simulation_getCollisions
 
 ALL_CHECKS_OFF = 32  # speed mode: drive the commanded speed whatever is ahead
 REGULAR = 31  # speed mode: SUMO's car following and right of way
@@ -39,7 +41,7 @@ NO_RIGHT_OF_WAY = 55  # speed mode: car following, but nobody yields at junction
 NO_LANE_CHANGES = 0  # lane-change mode: commanded changes only, and at once
 OWN_LANE_CHANGES = 1621  # lane-change mode: SUMO decides
 
-HALF = VEHICLE_LENGTH / 2
+Integers = NDArray[np.int64]
 
 
 class SimulationTaken(RuntimeError):
@@ -64,8 +66,12 @@ class Simulation:
         self.settings: Settings | None = None
         self.owner: object | None = None
         self._folder = tempfile.TemporaryDirectory(prefix="sumo_env-")
-        self._episode = 0
         self._types: set[str] = set()
+        self.lane_ids: tuple[str, ...] = ()
+        self.functions = direct.find(_native.__file__, self.version())
+        self.lane_pointers: tuple[Integers, Integers]
+        self.stepped = False  # since a vehicle was last removed
+        self._limits: dict[str, float] = {}
 
     def acquire(self, owner: object, settings: Settings) -> None:
         """Make `owner` the one who drives, in the network of `settings`, with an empty road."""
@@ -76,9 +82,8 @@ class Simulation:
             known = {driver.type: driver for driver in (*self.settings.drivers, *settings.drivers)}
             self._load(_with_drivers(settings, tuple(known.values())))
         else:
-            for vehicle in libsumo.vehicle.getIDList():
-                libsumo.vehicle.remove(vehicle)
-        self._episode += 1
+            for vehicle in _native.vehicle_getIDList():
+                self.remove(vehicle)
 
     def check(self, owner: object) -> None:
         """Raise `SimulationTaken` unless `owner` still drives."""
@@ -121,7 +126,16 @@ class Simulation:
         else:
             libsumo.load(options)
         self.settings = settings
+        self.stepped = False
         self._types = {driver.type for driver in settings.drivers}
+        self._limits.clear()
+        self.lane_ids = tuple(sorted(_native.lane_getIDList()))
+        self.lane_numbers = {lane: number for number, lane in enumerate(self.lane_ids)}
+        if self.functions is not None:
+            strings = direct.Strings(self.lane_ids)
+            pointers = direct.look_up(self.functions[direct.FIND_LANE], strings.addresses)
+            order = np.argsort(pointers)
+            self.lane_pointers = pointers[order], order
 
     def add(
         self,
@@ -136,22 +150,22 @@ class Simulation:
         desired_speed: float,
     ) -> None:
         """Place a vehicle with its front bumper at `position` [m] of a lane; `desired_speed` [m/s] of its driver."""
-        vehicle = libsumo.vehicle
-        vehicle.add(name, route, driver, departSpeed="0")
-        vehicle.moveTo(name, lane, position)
-        vehicle.setPreviousSpeed(name, speed)  # the start speed; sound because action step = simulation step
-        vehicle.setSpeedMode(name, speed_mode)
-        vehicle.setLaneChangeMode(name, lane_change_mode)
-        self.set_desired_speed(name, lane, desired_speed)
-
-    def set_desired_speed(self, name: str, lane: str, speed: float) -> None:
-        """What the driver would like to drive on a free road [m/s]."""
+        _native.vehicle_add(name, route, driver, departSpeed="0")
+        _native.vehicle_moveTo(name, lane, position)
+        # the start speed; sound because action step = simulation step
+        _native.vehicle_setPreviousSpeed(name, speed)
+        _native.vehicle_setSpeedMode(name, speed_mode)
+        _native.vehicle_setLaneChangeMode(name, lane_change_mode)
+        limit = self._limits.get(lane)
+        if limit is None:
+            limit = self._limits[lane] = libsumo.lane.getMaxSpeed(lane)
         # A factor on the lane's limit: unlike setMaxSpeed it does not copy the vehicle's type.
-        libsumo.vehicle.setSpeedFactor(name, max(speed, 0.01) / libsumo.lane.getMaxSpeed(lane))
+        _native.vehicle_setSpeedFactor(name, max(desired_speed, 0.01) / limit)
 
     def remove(self, name: str) -> None:
         """Take a vehicle off the road."""
-        libsumo.vehicle.remove(name)
+        _native.vehicle_remove(name)
+        self.stepped = False
 
     def present(self) -> tuple[str, ...]:
         """Names of the vehicles on the road."""
@@ -159,33 +173,28 @@ class Simulation:
 
     def step(self) -> None:
         """Advance by one simulation step."""
-        libsumo.simulationStep()
+        _step(0.0)
+        self.stepped = True
 
-    def read(self, names: Sequence[str]) -> tuple[Floats, Floats, Floats, Floats]:
-        """Centres x, y [m], speeds [m/s] and headings [rad] of the named vehicles, shape (n,) each."""
-        rows = np.array([(*_position(name, False), _angle(name), _speed(name)) for name in names]).reshape(
-            -1, 4
-        )
-        heading = np.radians(rows[:, 2] - 90.0)
-        x = rows[:, 0] - HALF * np.cos(heading)
-        y = -rows[:, 1] - HALF * np.sin(heading)
-        return x, y, rows[:, 3].copy(), heading
+    def fleet(self, names: Sequence[str]) -> Fleet:
+        """These vehicles, which have to be on the road, to be read and commanded together."""
+        return Fleet(self, tuple(names))
 
     def collisions(self) -> list[tuple[str, str]]:
         """Pairs of vehicles that SUMO reports in contact after the last step."""
-        return [(contact.collider, contact.victim) for contact in libsumo.simulation.getCollisions()]
+        return [(contact.collider, contact.victim) for contact in _collisions()]
 
     def lane_of(self, name: str) -> str:
         """Id of the lane that the front bumper is on; internal lanes begin with a colon."""
-        return libsumo.vehicle.getLaneID(name)
+        return str(_lane(name))
 
     def lateral_position(self, name: str) -> float:
         """Distance from the middle of the current lane [m]."""
-        return libsumo.vehicle.getLateralLanePosition(name)
+        return float(_native.vehicle_getLateralLanePosition(name))
 
     def set_speed(self, name: str, speed: float) -> None:
         """Command a speed [m/s] from now on; a negative one gives it back to SUMO."""
-        libsumo.vehicle.setSpeed(name, speed)
+        _set_speed(name, speed)
 
     def change_lane(self, name: str, index: int) -> None:
         """Change to the lane of this SUMO index (0 is the rightmost) now."""
@@ -211,6 +220,52 @@ class Simulation:
     def version(self) -> str:
         """SUMO's version, such as `SUMO 1.28.0`."""
         return str(libsumo.getVersion()[1])
+
+
+class Fleet:
+    """Vehicles by row. All of them are read and commanded at once: directly in SUMO where that can be done."""
+
+    def __init__(self, simulation: Simulation, names: tuple[str, ...]) -> None:
+        self._simulation = simulation
+        self._names = names
+        for name in names:
+            _lane(name)  # raises where there is no such vehicle, which must not happen in compiled code
+        self._functions = simulation.functions
+        if self._functions is not None:
+            self._strings = direct.Strings(names)
+            self._vehicles = direct.look_up(self._functions[direct.FIND_VEHICLE], self._strings.addresses)
+            self._lanes = simulation.lane_pointers
+
+    def read(self, state: Floats, before: Floats, lane: Integers, own_speed: Floats) -> None:
+        """Read x, y [m] of the centres, headings [rad] and speeds [m/s] into the rows of `state`, shape (4, n).
+
+        before: is given the first three rows that were there, shape (3, n).
+        lane: is given the numbers of the lanes in `Simulation.lane_ids` that the front bumpers are on, shape (n,).
+        own_speed: speeds that are known better than SUMO does, shape (n,), NaN where they are not.
+        """
+        if self._functions is not None:
+            stepped = self._simulation.stepped
+            if direct.read(
+                self._functions, self._vehicles, *self._lanes, stepped, own_speed, state, before, lane
+            ):
+                return
+            self._functions = None  # somebody has left the road: libsumo says who
+        before[:] = state[:3]
+        front = np.array([_position(name, False) for name in self._names]).reshape(-1, 2)
+        direct.centres(front, np.array([_angle(name) for name in self._names]), state)
+        speed = np.array([_speed(name) for name in self._names])
+        state[3] = np.where(np.isnan(own_speed), speed, own_speed)
+        numbers = self._simulation.lane_numbers
+        lane[:] = [numbers[_lane(name)] for name in self._names]
+
+    def set_speeds(self, speeds: Floats) -> None:
+        """Command speeds [m/s], shape (n,), from now on; NaN is no command."""
+        if self._functions is not None:
+            direct.set_speeds(self._functions, self._strings.addresses, speeds)
+            return
+        for name, speed in zip(self._names, speeds.tolist(), strict=True):
+            if speed == speed:
+                _set_speed(name, speed)
 
 
 _SIMULATION: Simulation | None = None

@@ -16,10 +16,11 @@ from networks.catalogue import Network
 from networks.roads import LaneIndex
 from sumo_env.collision import CrashRecord, Detector, contacts, crash_record
 from sumo_env.config import Config
-from sumo_env.ego import REFERENCE_STEP, Ego, coast
+from sumo_env.ego import Ego, coast
 from sumo_env.models.hazards import free_way, has_room
 from sumo_env.models.idm import driver_row
-from sumo_env.safety import HORIZON, min_ttc
+from sumo_env.models.motion import command_euler
+from sumo_env.safety import HORIZON, ego_ttc
 from sumo_env.scenario import EGO, Scenario, VehicleSpec
 from sumo_env.scene import Scene
 from sumo_env.simulation import ALL_CHECKS_OFF, NO_LANE_CHANGES, Settings, Simulation, simulation
@@ -34,7 +35,8 @@ class World:
     """The state of an episode. Arrays have one row a vehicle, row 0 the ego, in highway-env's coordinates.
 
     Attributes that rules read: ids, row (id -> row), specs, x, y, speed, heading, crashed, target_speed, yielding,
-    drivers (columns of `models.idm`), time, dt, ego, road, network, config, road_length, limit, sim.
+    drivers (columns of `models.idm`), lane (numbers in `sim.lane_ids`), time, dt, ego, road, network, config,
+    road_length, limit, sim. They are written in place: x, y, heading and speed are the rows of `state`.
     """
 
     def __init__(self, task: Task, config: Config, network: Network) -> None:
@@ -50,6 +52,7 @@ class World:
         self.rule = rule_for(task.name, config["traffic_model"])
         self.sim: Simulation = simulation()
         self._uneven = network.uneven
+        self._lane_ids: tuple[str, ...] = ()
         self.time = 0.0
 
     # -- start of an episode -------------------------------------------------------------------------------
@@ -72,7 +75,8 @@ class World:
         self.crash: CrashRecord | None = None
         self._events = list(scenario.events)
         self._pushes: dict[str, tuple[float, float]] = {}  # vehicle -> (end [s], acceleration [m/s2])
-        self._own_speed: dict[str, float] = {}
+        if self._lane_ids is not self.sim.lane_ids:
+            self._learn_lanes()
         specs = [scenario.ego]
         specs += [
             spec for spec in scenario.vehicles if self.task.concerns_ego(spec, scenario.ego, self.config)
@@ -81,6 +85,12 @@ class World:
             self._place(spec)
         self._set_rows(specs)
         return self.scene()
+
+    def _learn_lanes(self) -> None:
+        """What is to be known of each of SUMO's lanes, by number."""
+        self._lane_ids = ids = self.sim.lane_ids
+        self._lane_index = [self.network.indices.get(lane) for lane in ids]  # highway-env's
+        self._stretch = np.array([self.network.stretch(lane) for lane in ids])
 
     def _place(self, spec: VehicleSpec) -> None:
         route, lane, position = self.network.place(spec.lane, spec.s, spec.destination)
@@ -96,16 +106,25 @@ class World:
         """(Re)build the arrays for these vehicles; rows of `keep` (id -> old row) keep their state."""
         keep = keep or {}
         old = (
-            {name: getattr(self, name) for name in ("crashed", "target_speed", "yielding", "speed")}
+            {name: getattr(self, name) for name in ("crashed", "target_speed", "yielding", "speed", "_own_speed")}
             if keep
             else {}
         )
         self.specs = specs
-        self.ids = [spec.id for spec in specs]
+        self.ids = tuple(spec.id for spec in specs)
         self.row = {name: row for row, name in enumerate(self.ids)}
-        self.x, self.y, _, self.heading = self.sim.read(self.ids)
-        self.speed = np.array([spec.speed for spec in specs])
-        self.crashed = np.zeros(len(specs), np.bool_)
+        n = len(specs)
+        self.state = np.empty((4, n))
+        self.x, self.y, self.heading, self.speed = self.state
+        self._before = np.empty((3, n))  # x, y, heading before the last sub-step
+        self.lane = np.empty(n, np.int64)
+        self._own_speed = np.full(n, np.nan)  # speeds after the next sub-step that SUMO does not know
+        self._command = np.empty(n)
+        self.fleet = self.sim.fleet(self.ids)
+        self._read()
+        self._before[:] = self.state[:3]
+        self.speed[:] = [spec.speed for spec in specs]
+        self.crashed = np.zeros(n, np.bool_)
         self.yielding = np.array([spec.yielding for spec in specs])
         self.target_speed = np.array([spec.target_speed for spec in specs])
         self.drivers = np.array([driver_row(spec.driver) for spec in specs])
@@ -113,6 +132,7 @@ class World:
             if name in keep:
                 for field, values in old.items():
                     getattr(self, field)[row] = values[keep[name]]
+        self._wrecks = bool(self.crashed[1:].any())
         self.rule.start(self)
 
     # -- a policy step -------------------------------------------------------------------------------------
@@ -127,19 +147,19 @@ class World:
         self.min_ttc = np.inf
         self.distance = 0.0
         for substep in range(1, self.substeps + 1):
-            self._start_events()
+            if self._events:
+                self._start_events()
             self.rule.act(self)
-            self._coast()
+            if self._wrecks:
+                self._coast()
             self._drive_ego()
             self.sim.step()
             self.time += self.dt
+            self._own_speed[0] = self.ego.speed
             self._read()
             self._look_for_contacts()
             if not self.crashed[0]:
-                ttc = min_ttc(
-                    self.x, self.y, self.speed * np.cos(self.heading), self.speed * np.sin(self.heading),
-                    self.heading, 0, HORIZON,
-                )  # fmt: skip
+                ttc = ego_ttc(self.x, self.y, self.speed, self.heading, HORIZON)
                 self.min_ttc = min(self.min_ttc, ttc)
             if on_substep is not None and substep < self.substeps:
                 on_substep(self.scene())
@@ -168,22 +188,16 @@ class World:
     def _has_left(self, row: int) -> bool:
         if self.task.name != "intersection":
             return False
-        index = self.network.indices[self.sim.lane_of(self.ids[row])]
+        index = self._lane_index[self.lane[row]]
+        assert index is not None
         lane = self.road.lane(index)
         s = lane.local_coordinates(float(self.x[row]), float(self.y[row]))[0]
         return index[0].startswith("il") and s >= lane.length - 20.0
 
     def scene(self) -> Scene:
         """The present state as a value."""
-        return Scene(
-            tuple(self.ids),
-            self.x,
-            self.y,
-            self.speed,
-            self.heading,
-            self.crashed.copy(),
-            round(self.time, 6),
-        )
+        x, y, heading, speed = self.state.copy()
+        return Scene(self.ids, x, y, speed, heading, self.crashed.copy(), round(self.time, 6))
 
     # -- parts of a sub-step -------------------------------------------------------------------------------
 
@@ -242,23 +256,22 @@ class World:
     def accelerate(self, acceleration: NDArray[np.float64]) -> None:
         """Drive all vehicles but the ego and the wrecks by these accelerations [m/s2]."""
         # highway-env moves by explicit Euler at 15 Hz; constant acceleration over our step moves as far as that
-        lead = (self.dt - REFERENCE_STEP) / 2.0
-        for row in range(1, len(self.ids)):
-            if not self.crashed[row]:
-                speed, a = float(self.speed[row]), float(acceleration[row])
-                self._drive(row, max(speed + a * self.dt, 0.0), max(speed + a * lead, 0.0) * self.dt)
+        command_euler(
+            self.speed, acceleration, self.crashed, self.dt, self.lane, self._stretch, self._uneven,
+            self._own_speed, self._command,
+        )  # fmt: skip
+        self.fleet.set_speeds(self._command)
 
     def _drive(self, row: int, speed: float, distance: float) -> None:
         """Move a vehicle by `distance` [m] in the next step, after which its speed is `speed` [m/s].
 
         SUMO knows one number for both: it is told the distance, and the speed proper is kept by us.
         """
-        name = self.ids[row]
         commanded = distance / self.dt
         if self._uneven:  # lanes of one edge share one length in SUMO, so that metres are not metres in bends
-            commanded *= self.network.stretch(self.sim.lane_of(name))
-        self.sim.set_speed(name, commanded)
-        self._own_speed[name] = speed
+            commanded *= float(self._stretch[self.lane[row]])
+        self.sim.set_speed(self.ids[row], commanded)
+        self._own_speed[row] = speed
 
     def _coast(self) -> None:
         """Wrecks decelerate with a = -v and stay where they stop, as in highway-env."""
@@ -268,14 +281,14 @@ class World:
     def _drive_ego(self) -> None:
         ego = self.ego
         ego.follow_road(float(self.x[0]), float(self.y[0]))
-        lane = self.sim.lane_of(EGO)
+        lane = int(self.lane[0])
         moved = ego.advance(self.dt)
         self.distance += moved
         # lanes of one edge share one length in SUMO, so that metres are not metres in bends
-        self.sim.set_speed(EGO, max(moved / self.dt, 0.0) * self.network.stretch(lane))
-        if ego.crashed or lane.startswith(":"):
+        self.sim.set_speed(EGO, max(moved / self.dt, 0.0) * float(self._stretch[lane]))
+        here, target = self._lane_index[lane], ego.target_lane
+        if ego.crashed or here is None or self._lane_ids[lane].startswith(":"):
             return
-        here, target = self.network.indices[lane], ego.target_lane
         if here[2] == target[2] or abs(self.sim.lateral_position(EGO)) >= CENTRED:
             return
         if self.task.name == "two-way":  # the strip at y = 0 is SUMO's opposite lane
@@ -284,22 +297,17 @@ class World:
             self.sim.change_lane(EGO, self.road.count(*here[:2]) - 1 - target[2])
 
     def _read(self) -> None:
-        self.x, self.y, self.speed, self.heading = self.sim.read(self.ids)
-        self.speed[0] = self.ego.speed
-        for name, speed in self._own_speed.items():
-            row = self.row.get(name)
-            if row is not None:
-                self.speed[row] = speed
+        self.fleet.read(self.state, self._before, self.lane, self._own_speed)
 
     def _look_for_contacts(self) -> None:
+        reported = self.sim.collisions()
+        touching = contacts(self.x, self.y, self.heading, ~self.crashed)
+        if not reported and not len(touching):
+            return
         by_sumo = {
-            frozenset((self.row[a], self.row[b]))
-            for a, b in self.sim.collisions()
-            if a in self.row and b in self.row
+            frozenset((self.row[a], self.row[b])) for a, b in reported if a in self.row and b in self.row
         }
-        by_geometry = {
-            frozenset(pair) for pair in contacts(self.x, self.y, self.heading, ~self.crashed).tolist()
-        }
+        by_geometry = {frozenset(pair) for pair in touching.tolist()}
         if self.crash is not None and self.crash.detected_by != "both":
             # SUMO may see a contact a step later than the geometry does, or the other way round
             pair = frozenset((0, self.row.get(self.crash.other, -1)))
@@ -317,3 +325,4 @@ class World:
                 if row > 0 and not self.crashed[row]:
                     self.sim.set_modes(self.ids[row], ALL_CHECKS_OFF, NO_LANE_CHANGES)
                 self.crashed[row] = True
+                self._wrecks = self._wrecks or row > 0

@@ -122,6 +122,16 @@ def contacts(x: Floats, y: Floats, heading: Floats, active: NDArray[np.bool_]) -
 
 
 @compiled
+def any_contact(x: Floats, y: Floats, heading: Floats, wreck: NDArray[np.bool_]) -> bool:
+    """Is there any pair in `contacts`, not both of which are wrecks? Shape (n,) each; allocates nothing."""
+    for i in range(len(x)):
+        for j in range(i + 1, len(x)):
+            if not (wreck[i] and wreck[j]) and _pair_separation(i, j, x, y, heading) <= 0.0:
+                return True
+    return False
+
+
+@compiled
 def first_contact_with(index: int, x: Floats, y: Floats, heading: Floats) -> int:
     """The vehicle in contact with vehicle `index`, -1 if none; of several the one that reaches in deepest."""
     other, deepest = -1, 0.0

@@ -15,7 +15,7 @@ from sumo_env.drivers import RiskEvent
 from sumo_env.models.give_way import PERIOD, regulate
 from sumo_env.models.idm import path_accelerations, strip_accelerations
 from sumo_env.models.lane_table import advance
-from sumo_env.models.mobil import DELAY, closest_lanes, desired_lanes, without_conflicts
+from sumo_env.models.mobil import closest_lanes, drive
 from sumo_env.native import CENTRED, Native
 from sumo_env.simulation import ALL_CHECKS_OFF, NO_LANE_CHANGES
 from sumo_env.tasks.intersection import REGULATION_INTERVAL, WARM_UP, WARM_UP_FREQUENCY, compiled_lanes, path
@@ -38,8 +38,7 @@ class Computed:
         raise NotImplementedError
 
     def act(self, world: World) -> None:
-        acceleration = world.push(self.accelerations(world))
-        world.accelerate(acceleration)
+        world.accelerate(world.push(self.accelerations(world)))
 
 
 class Mobil(Computed):
@@ -52,45 +51,20 @@ class Mobil(Computed):
         self._changes = np.array([spec.changes_lanes for spec in world.specs])
         self._changes[0] = False
         self._forced = np.zeros(len(world.ids), np.bool_)
-        self._direction = np.ones(len(world.ids))
-
-    def act(self, world: World) -> None:
-        self._change_lanes(world)
-        super().act(world)
+        self._acceleration = np.empty(len(world.ids))
+        self._moving = np.empty(len(world.ids), np.int64)
 
     def accelerations(self, world: World) -> NDArray[np.float64]:
-        lane_y, target_y = (
-            (LANE_WIDTH * lane).astype(np.float64)
-            for lane in (closest_lanes(world.y, self._lanes, LANE_WIDTH), self._target)
-        )
-        return strip_accelerations(
-            world.x, world.y, world.speed, world.heading, lane_y, target_y,
-            self._direction, world.target_speed, world.drivers, world.road_length, world.limit,
-        )  # fmt: skip
-
-    def _change_lanes(self, world: World) -> None:
-        lane = closest_lanes(world.y, self._lanes, LANE_WIDTH)
+        """Also commands the lane changes that begin now."""
         self._target[0] = world.ego.target_lane[2]
-        self._forced &= lane != self._target
-        decides = self._changes & ~world.crashed & ~self._forced
-        due = decides & (self._timer > DELAY)
-        wanted = desired_lanes(
-            world.x, world.y, world.speed, world.heading, lane, self._target, world.target_speed, world.drivers,
-            decides, due, self._lanes, LANE_WIDTH, world.road_length, world.limit,
+        count = drive(
+            world.x, world.y, world.speed, world.heading, world.crashed, world.target_speed, world.drivers,
+            self._target, self._timer, self._changes, self._forced, self._lanes, LANE_WIDTH, world.road_length,
+            world.limit, world.dt, CENTRED, self._acceleration, self._moving,
         )  # fmt: skip
-        self._timer[due & (lane == self._target)] = 0.0
-        self._timer += world.dt
-        # highway-env's drivers turn back when two head for one lane; SUMO's cannot, so the later one does not begin
-        wanted = without_conflicts(
-            wanted, world.x, world.speed, world.heading, lane, self._target, world.drivers
-        )
-        chosen = wanted >= 0
-        self._target[chosen] = wanted[chosen]
-        # SUMO cannot stop a change half-way: the target is commanded again as soon as the vehicle is in a lane.
-        centred = np.abs(world.y - LANE_WIDTH * lane) < CENTRED
-        moving = (self._target != lane) & centred & ~world.crashed
-        for row in np.flatnonzero(moving[1:]) + 1:
+        for row in self._moving[:count].tolist():
             world.sim.change_lane(world.ids[row], self._lanes - 1 - int(self._target[row]))
+        return self._acceleration
 
     def cut_in(self, world: World, row: int, event: RiskEvent) -> None:
         lane = int(self._target[row])

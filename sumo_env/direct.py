@@ -39,16 +39,32 @@ SYMBOLS = (
     "_ZNK9MSVehicle8getAngleEv",
     "_ZN10GeomHelper10naviDegreeEd",
     "_ZNK9MSVehicle8getSpeedEv",
-    f"_ZN7libsumo7Vehicle8setSpeedE{_STRING}d",
+    "_ZN7libsumo10Simulation14getCurrentTimeEv",
+    "_ZN9MSVehicle13getInfluencerEv",
+    "_ZN9MSVehicle10Influencer16setSpeedTimeLineERKSt6vectorISt4pairIxdESaIS3_EE",
     "_ZNK9MSVehicle7getLaneEv",
     f"_ZN7libsumo6Helper10getVehicleE{_STRING}",
     f"_ZN6MSLane10dictionaryE{_STRING}",
 )
-ARRIVED, VISIBLE, POSITION, ANGLE, DEGREES, SPEED, SET_SPEED, LANE, FIND_VEHICLE, FIND_LANE = range(len(SYMBOLS))
+(
+    ARRIVED,
+    VISIBLE,
+    POSITION,
+    ANGLE,
+    DEGREES,
+    SPEED,
+    TIME,
+    INFLUENCER,
+    SET_SPEEDS,
+    LANE,
+    FIND_VEHICLE,
+    FIND_LANE,
+) = range(len(SYMBOLS))
+LAST_TIME = 2**63 - 1 - 1000  # [ms] SUMOTime_MAX
 
 
 def find(library: str, version: str) -> Integers | None:
-    """Addresses of SYMBOLS in the loaded extension module, shape (10,); None where they are not to be relied on."""
+    """Addresses of SYMBOLS in the loaded extension module, shape (12,); None where they are not to be relied on."""
     if version != VERSION or sys.platform != "linux" or platform.machine() != "x86_64":
         return None
     try:
@@ -152,13 +168,13 @@ def _fill(typing: Any, address: Any, result: Any, this: Any, value: Any) -> Any:
 
 @intrinsic
 def _give(typing: Any, address: Any, this: Any, value: Any) -> Any:
-    """Nothing of a pointer and a double."""
+    """Nothing of two pointers."""
 
     def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         _call(builder, arguments[0], _VOID, arguments[1:])
         return context.get_dummy_value()
 
-    return types.void(types.int64, types.int64, types.float64), generate
+    return types.void(types.int64, types.int64, types.int64), generate
 
 
 @compiled
@@ -216,7 +232,7 @@ def read(
     if stepped and _count(functions[ARRIVED]) > 0:
         return False
     front = np.empty(3)
-    result = front.ctypes.data
+    result = np.int64(front.ctypes.data)
     n = len(vehicles)
     for i in range(n):
         before[0, i], before[1, i], before[2, i] = state[0, i], state[1, i], state[2, i]
@@ -236,8 +252,19 @@ def read(
 
 
 @compiled
-def set_speeds(functions: Integers, strings: Integers, speeds: Floats) -> None:
-    """Command speeds [m/s], shape (n,), to those for whom they are not NaN."""
-    for i in range(len(strings)):
-        if not math.isnan(speeds[i]):
-            _give(functions[SET_SPEED], strings[i], speeds[i])
+def set_speeds(functions: Integers, vehicles: Integers, speeds: Floats, step: int) -> None:
+    """Command speeds [m/s], shape (n,), to those for whom they are neither NaN nor negative; steps are of `step` [ms].
+
+    As ``libsumo::Vehicle::setSpeed``: a line of (time, speed) from now to the end of time, here written into one
+    vector for all.
+    """
+    line = np.empty(4, np.int64)
+    values = line.view(np.float64)
+    begin = np.int64(line.ctypes.data)
+    vector = np.array([begin, begin + 32, begin + 32])  # begin, end and end of the storage
+    vector_at = np.int64(vector.ctypes.data)
+    line[0], line[2] = _count(functions[TIME]), LAST_TIME - step
+    for i in range(len(vehicles)):
+        if speeds[i] >= 0.0:
+            values[1] = values[3] = speeds[i]
+            _give(functions[SET_SPEEDS], _word(functions[INFLUENCER], vehicles[i]), vector_at)

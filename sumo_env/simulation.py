@@ -182,7 +182,8 @@ class Simulation:
 
     def collisions(self) -> list[tuple[str, str]]:
         """Pairs of vehicles that SUMO reports in contact after the last step."""
-        return [(contact.collider, contact.victim) for contact in _collisions()]
+        found = _collisions()
+        return [(contact.collider, contact.victim) for contact in found] if found else []
 
     def lane_of(self, name: str) -> str:
         """Id of the lane that the front bumper is on; internal lanes begin with a colon."""
@@ -232,8 +233,9 @@ class Fleet:
             _lane(name)  # raises where there is no such vehicle, which must not happen in compiled code
         self._functions = simulation.functions
         if self._functions is not None:
-            self._strings = direct.Strings(names)
-            self._vehicles = direct.look_up(self._functions[direct.FIND_VEHICLE], self._strings.addresses)
+            strings = direct.Strings(names)
+            self._vehicles = direct.look_up(self._functions[direct.FIND_VEHICLE], strings.addresses)
+            self._step = round(1000 * _native.simulation_getDeltaT())  # [ms]
             self._lanes = simulation.lane_pointers
 
     def read(self, state: Floats, before: Floats, lane: Integers, own_speed: Floats) -> None:
@@ -259,12 +261,12 @@ class Fleet:
         lane[:] = [numbers[_lane(name)] for name in self._names]
 
     def set_speeds(self, speeds: Floats) -> None:
-        """Command speeds [m/s], shape (n,), from now on; NaN is no command."""
+        """Command speeds [m/s], shape (n,), from now on; NaN or a negative number is no command."""
         if self._functions is not None:
-            direct.set_speeds(self._functions, self._strings.addresses, speeds)
+            direct.set_speeds(self._functions, self._vehicles, speeds, self._step)
             return
         for name, speed in zip(self._names, speeds.tolist(), strict=True):
-            if speed == speed:
+            if speed >= 0.0:
                 _set_speed(name, speed)
 
 

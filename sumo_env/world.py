@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from networks.catalogue import Network
 from networks.roads import LaneIndex
-from sumo_env.collision import CrashRecord, Detector, contacts, crash_record
+from sumo_env.collision import CrashRecord, Detector, any_contact, contacts, crash_record
 from sumo_env.config import Config
 from sumo_env.ego import Ego, coast
 from sumo_env.models.hazards import free_way, has_room
@@ -28,7 +28,9 @@ from sumo_env.tasks.base import Task
 from sumo_env.tasks.intersection import fits
 from sumo_env.traffic import CENTRED, rule_for
 
-LANE_CHANGE_DURATION = 0.8  # [s] the ego's centre then crosses the line when highway-env's does, after 0.45 to 0.5 s
+LANE_CHANGE_DURATION = (
+    0.8  # [s] the ego's centre then crosses the line when highway-env's does, after 0.45 to 0.5 s
+)
 
 
 class World:
@@ -106,7 +108,10 @@ class World:
         """(Re)build the arrays for these vehicles; rows of `keep` (id -> old row) keep their state."""
         keep = keep or {}
         old = (
-            {name: getattr(self, name) for name in ("crashed", "target_speed", "yielding", "speed", "_own_speed")}
+            {
+                name: getattr(self, name)
+                for name in ("crashed", "target_speed", "yielding", "speed", "_own_speed")
+            }
             if keep
             else {}
         )
@@ -235,7 +240,7 @@ class World:
 
     def push_by_event(self, speed_mode: int) -> None:
         """Risk events' braking and surging of vehicles that SUMO drives."""
-        for row, push in self._pushed():
+        for row, push in self._pushed() if self._pushes else ():
             name = self.ids[row]
             if push == 0.0:
                 self.sim.set_speed(name, -1.0)  # give the speed back to SUMO
@@ -246,7 +251,7 @@ class World:
 
     def push(self, acceleration: NDArray[np.float64]) -> NDArray[np.float64]:
         """Risk events' braking and surging of vehicles whose acceleration [m/s2] is computed."""
-        for row, push in self._pushed():
+        for row, push in self._pushed() if self._pushes else ():
             if push < 0.0:
                 acceleration[row] = min(acceleration[row], push)
             elif push > 0.0:
@@ -301,13 +306,14 @@ class World:
 
     def _look_for_contacts(self) -> None:
         reported = self.sim.collisions()
-        touching = contacts(self.x, self.y, self.heading, ~self.crashed)
-        if not reported and not len(touching):
+        if not reported and not any_contact(self.x, self.y, self.heading, self.crashed):
             return
         by_sumo = {
             frozenset((self.row[a], self.row[b])) for a, b in reported if a in self.row and b in self.row
         }
-        by_geometry = {frozenset(pair) for pair in touching.tolist()}
+        by_geometry = {
+            frozenset(pair) for pair in contacts(self.x, self.y, self.heading, ~self.crashed).tolist()
+        }
         if self.crash is not None and self.crash.detected_by != "both":
             # SUMO may see a contact a step later than the geometry does, or the other way round
             pair = frozenset((0, self.row.get(self.crash.other, -1)))

@@ -29,7 +29,7 @@ except ImportError as error:
         f"(the wheel brings SUMO along, no system SUMO is needed). Python says: {error}"
     ) from error
 
-# What is called for every vehicle or in every step skips libsumo's Python layer, which costs as much as the call itself.
+# What is called often skips libsumo's Python layer, which costs as much as the call itself.
 _native = libsumo.libsumo._libsumo
 _position, _angle, _speed = _native.vehicle_getPosition, _native.vehicle_getAngle, _native.vehicle_getSpeed
 _set_speed, _lane = _native.vehicle_setSpeed, _native.vehicle_getLaneID

@@ -106,7 +106,7 @@ def test_names_of_any_length_are_found() -> None:
         fleet = sim.fleet([name])
         state, before, lane, own = rows_for(fleet, 1)
         fleet.read(state, before, lane, own)
-        assert state[0, 0] == 4997.5
+        assert state[0, 0] == 4497.5  # the network begins at x = -500 m
         assert sim.lane_ids[lane[0]] == "0-1_0"
         sim.remove(name)
     env.close()

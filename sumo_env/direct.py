@@ -103,9 +103,10 @@ _WORD, _DOUBLE, _VOID, _BYTE = ir.IntType(64), ir.DoubleType(), ir.VoidType(), i
 
 
 # The functions that numba compiles in place: one for each kind of signature, the address first.
+_inline: Any = intrinsic  # to a type checker they keep the arguments of the functions below
 
 
-@intrinsic
+@_inline
 def _word(typing: Any, address: Any, this: Any) -> Any:
     """An integer or pointer of a pointer."""
 
@@ -115,7 +116,7 @@ def _word(typing: Any, address: Any, this: Any) -> Any:
     return types.int64(types.int64, types.int64), generate
 
 
-@intrinsic
+@_inline
 def _count(typing: Any, address: Any) -> Any:
     """An int of nothing."""
 
@@ -125,7 +126,7 @@ def _count(typing: Any, address: Any) -> Any:
     return types.int64(types.int64), generate
 
 
-@intrinsic
+@_inline
 def _truth(typing: Any, address: Any, this: Any) -> Any:
     """A bool of a pointer."""
 
@@ -135,7 +136,7 @@ def _truth(typing: Any, address: Any, this: Any) -> Any:
     return types.int64(types.int64, types.int64), generate
 
 
-@intrinsic
+@_inline
 def _double(typing: Any, address: Any, this: Any) -> Any:
     """A double of a pointer."""
 
@@ -145,7 +146,7 @@ def _double(typing: Any, address: Any, this: Any) -> Any:
     return types.float64(types.int64, types.int64), generate
 
 
-@intrinsic
+@_inline
 def _double_of_double(typing: Any, address: Any, value: Any) -> Any:
     """A double of a double."""
 
@@ -155,7 +156,7 @@ def _double_of_double(typing: Any, address: Any, value: Any) -> Any:
     return types.float64(types.int64, types.float64), generate
 
 
-@intrinsic
+@_inline
 def _fill(typing: Any, address: Any, result: Any, this: Any, value: Any) -> Any:
     """An object of a pointer and a double, written to `result`."""
 
@@ -166,7 +167,7 @@ def _fill(typing: Any, address: Any, result: Any, this: Any, value: Any) -> Any:
     return types.void(types.int64, types.int64, types.int64, types.float64), generate
 
 
-@intrinsic
+@_inline
 def _give(typing: Any, address: Any, this: Any, value: Any) -> Any:
     """Nothing of two pointers."""
 

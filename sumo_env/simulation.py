@@ -64,6 +64,7 @@ class Simulation:
 
     def __init__(self) -> None:
         self.settings: Settings | None = None
+        self._served: Settings | None = None  # those last asked for, which `settings` suffice for
         self.owner: object | None = None
         self._folder = tempfile.TemporaryDirectory(prefix="sumo_env-")
         self._types: set[str] = set()
@@ -76,14 +77,20 @@ class Simulation:
     def acquire(self, owner: object, settings: Settings) -> None:
         """Make `owner` the one who drives, in the network of `settings`, with an empty road."""
         self.owner = owner
-        if self.settings is None or _without_drivers(self.settings) != _without_drivers(settings):
+        if settings is self._served:
+            self._clear()
+        elif self.settings is None or _without_drivers(self.settings) != _without_drivers(settings):
             self._load(settings)
         elif not {driver.type for driver in settings.drivers} <= self._types:
             known = {driver.type: driver for driver in (*self.settings.drivers, *settings.drivers)}
             self._load(_with_drivers(settings, tuple(known.values())))
         else:
-            for vehicle in _native.vehicle_getIDList():
-                self.remove(vehicle)
+            self._clear()
+        self._served = settings
+
+    def _clear(self) -> None:
+        for vehicle in _native.vehicle_getIDList():
+            self.remove(vehicle)
 
     def check(self, owner: object) -> None:
         """Raise `SimulationTaken` unless `owner` still drives."""
@@ -229,7 +236,7 @@ class Fleet:
     def __init__(self, simulation: Simulation, names: tuple[str, ...]) -> None:
         self._simulation = simulation
         self._names = names
-        for name in names:
+        for name in set(names).difference(_native.vehicle_getIDList()):
             _lane(name)  # raises where there is no such vehicle, which must not happen in compiled code
         self._functions = simulation.functions
         if self._functions is not None:

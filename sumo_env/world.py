@@ -18,7 +18,7 @@ from sumo_env.collision import CrashRecord, Detector, any_contact, contacts, cra
 from sumo_env.config import Config
 from sumo_env.ego import Ego, coast
 from sumo_env.models.hazards import free_way, has_room
-from sumo_env.models.idm import driver_row
+from sumo_env.models.idm import driver_rows
 from sumo_env.models.motion import command_euler
 from sumo_env.safety import HORIZON, ego_ttc
 from sumo_env.scenario import EGO, Scenario, VehicleSpec
@@ -55,6 +55,7 @@ class World:
         self.sim: Simulation = simulation()
         self._uneven = network.uneven
         self._lane_ids: tuple[str, ...] = ()
+        self._settings: dict[float, Settings] = {}  # by risk
         self.time = 0.0
 
     # -- start of an episode -------------------------------------------------------------------------------
@@ -62,20 +63,18 @@ class World:
     def reset(self, scenario: Scenario, ego: Ego) -> Scene:
         """Place a scenario; the first scene."""
         self.scenario, self.ego = scenario, ego
-        self.sim.acquire(
-            self,
-            Settings(
-                self.network.net_file,
-                tuple(self.network.routes.items()),
-                self.dt,
-                self.lane_change_duration,
-                self.task.drivers(scenario.risk),
-            ),
-        )
+        if scenario.risk not in self._settings:
+            drivers = self.task.drivers(scenario.risk)
+            routes = tuple(self.network.routes.items())
+            self._settings[scenario.risk] = Settings(
+                self.network.net_file, routes, self.dt, self.lane_change_duration, drivers
+            )
+        self.sim.acquire(self, self._settings[scenario.risk])
         self.time = 0.0
         self.policy_step = 0
         self.crash: CrashRecord | None = None
         self._events = list(scenario.events)
+        self._comes_and_goes = self.task.name == "intersection" or bool(scenario.spawns)
         self._pushes: dict[str, tuple[float, float]] = {}  # vehicle -> (end [s], acceleration [m/s2])
         if self._lane_ids is not self.sim.lane_ids:
             self._learn_lanes()
@@ -117,6 +116,7 @@ class World:
         )
         self.specs = specs
         self.ids = tuple(spec.id for spec in specs)
+        self.spec_of = {spec.id: spec for spec in specs}
         self.row = {name: row for row, name in enumerate(self.ids)}
         n = len(specs)
         self.state = np.empty((4, n))
@@ -132,7 +132,7 @@ class World:
         self.crashed = np.zeros(n, np.bool_)
         self.yielding = np.array([spec.yielding for spec in specs])
         self.target_speed = np.array([spec.target_speed for spec in specs])
-        self.drivers = np.array([driver_row(spec.driver) for spec in specs])
+        self.drivers = driver_rows(spec.driver for spec in specs)
         for row, name in enumerate(self.ids):
             if name in keep:
                 for field, values in old.items():
@@ -173,6 +173,8 @@ class World:
 
     def come_and_go(self) -> None:
         """Remove vehicles that have left the scene and let new ones in (intersection; after the observation)."""
+        if not self._comes_and_goes:
+            return
         spawns = [spawn.vehicle for spawn in self.scenario.spawns if spawn.step == self.policy_step]
         staying = [row for row in range(len(self.ids)) if row == 0 or not self._has_left(row)]
         coming = [

@@ -13,6 +13,7 @@ on a network. Drivers are rows of a table, shape (n, 6), with the columns below;
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -33,18 +34,17 @@ NEAR = WIDTH / 2 + 1.0  # [m] from a lane's centre line: who is nearer counts as
 SMALL = 0.01  # least absolute value of a denominator (highway_env.utils.not_zero)
 
 
+def driver_rows(drivers: Iterable[Driver]) -> Floats:
+    """The table of these drivers, shape (n, 6)."""
+    return np.array(
+        [(d.accel, d.decel, d.min_gap + VEHICLE_LENGTH, d.tau, d.delta, d.emergency_decel) for d in drivers]
+    )
+
+
 def driver_row(driver: Driver) -> Floats:
     """The row of a driver in the table of drivers, shape (6,)."""
-    return np.array(
-        [
-            driver.accel,
-            driver.decel,
-            driver.min_gap + VEHICLE_LENGTH,
-            driver.tau,
-            driver.delta,
-            driver.emergency_decel,
-        ]
-    )
+    row: Floats = driver_rows([driver])[0]
+    return row
 
 
 @compiled

@@ -31,6 +31,7 @@ RADIUS, START_PHASE, TURN = 6, 7, 8  # of a circular lane [m, rad], +1 clockwise
 COLUMNS = 12
 
 STRAIGHT, SINE, CIRCULAR = 0.0, 1.0, 2.0
+CLOSE = 1e-6  # [m]
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,6 +127,24 @@ def local_coordinates(geometry: Floats, lane: int, x: float, y: float) -> tuple[
     if g[KIND] == SINE:
         lat -= g[AMPLITUDE] * math.sin(g[PULSATION] * s + g[PHASE])
     return s, lat
+
+
+@compiled
+def closest_lane(geometry: Floats, x: float, y: float, heading: float) -> int:
+    """Number of the lane with the least distance and turn (`Road.closest_lane`); -1 if others are as close.
+
+    "As close" is within CLOSE: a tie is decided by the last bits, which are another matter here than on a road.
+    """
+    best, least, second = -1, math.inf, math.inf
+    for lane in range(len(geometry)):
+        s, lat = local_coordinates(geometry, lane, x, y)
+        turn = abs((heading - heading_at(geometry, lane, s) + math.pi) % (2.0 * math.pi) - math.pi)
+        distance = abs(lat) + max(s - geometry[lane, LENGTH], 0.0) + max(-s, 0.0) + turn
+        if distance < least:
+            best, least, second = lane, distance, least
+        elif distance < second:
+            second = distance
+    return best if second - least > CLOSE else -1
 
 
 @compiled

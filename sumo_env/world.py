@@ -67,7 +67,12 @@ class World:
             drivers = self.task.drivers(scenario.risk)
             routes = tuple(self.network.routes.items())
             self._settings[scenario.risk] = Settings(
-                self.network.net_file, routes, self.dt, self.lane_change_duration, drivers
+                self.network.net_file,
+                routes,
+                self.dt,
+                self.lane_change_duration,
+                (self.rule.speed_mode, self.rule.lane_change_mode) == (ALL_CHECKS_OFF, NO_LANE_CHANGES),
+                drivers,
             )
         self.sim.acquire(self, self._settings[scenario.risk])
         self.time = 0.0

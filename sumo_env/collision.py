@@ -8,7 +8,7 @@ paper). Rectangles that touch are in contact.
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -172,7 +172,7 @@ class CrashRecord:
 
     def as_dict(self) -> dict[str, Any]:
         """The record as plain values, as in ``info["crash"]``."""
-        return asdict(self)
+        return {field: getattr(self, field) for field in self.__slots__}
 
 
 def classify(relative_x: float, relative_y: float, relative_heading: float) -> CrashType:

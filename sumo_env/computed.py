@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from sumo_env.drivers import RiskEvent
 from sumo_env.models.give_way import PERIOD, regulate
 from sumo_env.models.idm import path_accelerations, strip_accelerations
-from sumo_env.models.lane_table import advance
+from sumo_env.models.lane_table import advance, first_elsewhere
 from sumo_env.models.mobil import closest_lanes, drive
 from sumo_env.native import CENTRED, Native
 from sumo_env.simulation import ALL_CHECKS_OFF, NO_LANE_CHANGES
@@ -85,8 +85,9 @@ class Strip(Computed):
         self._return: dict[int, float] = {}
 
     def accelerations(self, world: World) -> NDArray[np.float64]:
-        np.copyto(self._lane_y, np.where(world.y < LANE_WIDTH / 2, 0.0, LANE_WIDTH))
-        for row in [row for row, time in self._return.items() if world.time >= time]:
+        np.multiply(world.y >= LANE_WIDTH / 2, LANE_WIDTH, out=self._lane_y)
+        returning = [row for row, time in self._return.items() if world.time >= time] if self._return else ()
+        for row in returning:
             if world.crashed[row]:
                 del self._return[row]
             elif self._lane_y[row] == 0.0 and abs(world.y[row]) < CENTRED:
@@ -134,12 +135,10 @@ class AlongPath(Computed):
         super().act(world)
 
     def _see_lane_changes(self, world: World) -> None:
-        numbers = self._number[world.lane]
-        numbers[0] = self._on[0]
-        for row in np.flatnonzero(numbers != self._on).tolist():
+        while (row := first_elsewhere(self._number, world.lane, self._on)) >= 0:
             now = world.network.indices[world.sim.lane_ids[world.lane[row]]]
             changed = now[:2] == self._lane[row][:2]
-            self._lane[row], self._on[row] = now, numbers[row]
+            self._lane[row], self._on[row] = now, self._number[world.lane[row]]
             if changed:
                 self._routes[row], self._stage[row] = self._route(world, row), 0
 

@@ -96,7 +96,8 @@ class World:
         """What is to be known of each of SUMO's lanes, by number."""
         self._lane_ids = ids = self.sim.lane_ids
         self._lane_index = [self.network.indices.get(lane) for lane in ids]  # highway-env's
-        self._stretch = np.array([self.network.stretch(lane) for lane in ids])
+        self._ego_stretch = [self.network.stretch(lane) for lane in ids]
+        self._stretch = np.array(self._ego_stretch)
 
     def _place(self, spec: VehicleSpec) -> None:
         route, lane, position = self.network.place(spec.lane, spec.s, spec.destination)
@@ -138,10 +139,9 @@ class World:
         self.yielding = np.array([spec.yielding for spec in specs])
         self.target_speed = np.array([spec.target_speed for spec in specs])
         self.drivers = driver_rows(spec.driver for spec in specs)
-        for row, name in enumerate(self.ids):
-            if name in keep:
-                for field, values in old.items():
-                    getattr(self, field)[row] = values[keep[name]]
+        for name, old_row in keep.items():
+            for field, values in old.items():
+                getattr(self, field)[self.row[name]] = values[old_row]
         self._wrecks = bool(self.crashed[1:].any())
         self.rule.start(self)
 
@@ -297,10 +297,10 @@ class World:
         moved = ego.advance(self.dt)
         self.distance += moved
         # lanes of one edge share one length in SUMO, so that metres are not metres in bends
-        self.sim.set_speed(EGO, max(moved / self.dt, 0.0) * float(self._stretch[lane]))
-        here, target = self._lane_index[lane], ego.target_lane
-        if ego.crashed or here is None or self._lane_ids[lane].startswith(":"):
+        self.sim.set_speed(EGO, max(moved / self.dt, 0.0) * self._ego_stretch[lane])
+        if ego.crashed or (here := self._lane_index[lane]) is None or self._lane_ids[lane][0] == ":":
             return
+        target = ego.target_lane
         if here[2] == target[2] or abs(self.sim.lateral_position(EGO)) >= CENTRED:
             return
         if self.task.name == "two-way":  # the strip at y = 0 is SUMO's opposite lane

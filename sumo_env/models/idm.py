@@ -226,9 +226,17 @@ def path_accelerations(
         drivers: shape (n, 6).
     """
     n, lanes = len(x), len(geometry)
+    looked_at = np.zeros(lanes, np.bool_)
+    for i in range(n):
+        for k in range(stage[i], min(stage[i] + 2, routes.shape[1])):
+            if routes[i, k] >= 0:
+                looked_at[routes[i, k]] = True
+                for lane in successors[routes[i, k]]:
+                    if lane >= 0:
+                        looked_at[lane] = True
     s, lat = np.empty((n, lanes)), np.empty((n, lanes))
-    for j in range(n):
-        for lane in range(lanes):
+    for lane in np.flatnonzero(looked_at):
+        for j in range(n):
             s[j, lane], lat[j, lane] = local_coordinates(geometry, lane, x[j], y[j])
 
     result = np.empty(n)

@@ -235,8 +235,8 @@ def path_accelerations(
                     if lane >= 0:
                         looked_at[lane] = True
     s, lat = np.empty((n, lanes)), np.empty((n, lanes))
-    for lane in np.flatnonzero(looked_at):
-        for j in range(n):
+    for lane in range(lanes):
+        for j in range(n if looked_at[lane] else 0):
             s[j, lane], lat[j, lane] = local_coordinates(geometry, lane, x[j], y[j])
 
     result = np.empty(n)

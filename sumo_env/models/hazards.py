@@ -12,9 +12,7 @@ from sumo_env.collision import LENGTH, WIDTH, distance
 from sumo_env.compiled import compiled
 from sumo_env.scene import Floats
 
-CUT_IN_GAP = (
-    1.0  # [m] to everybody in the lane beside; who is nearer is waited out, that is, the event is dropped
-)
+CUT_IN_GAP = 1.0  # [m] to everybody in the lane beside; who is nearer is waited out, that is, the event is dropped
 FREE_WAY = 40.0  # [m] from centre to centre
 HALF_CORRIDOR = 2.0  # [m] to either side of the centre: half a lane
 

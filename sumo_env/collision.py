@@ -9,7 +9,7 @@ contacts are looked for all along the way of a sub-step (`meetings`). Figures: d
 from __future__ import annotations
 
 import math
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -189,7 +189,7 @@ class CrashRecord:
 
     def as_dict(self) -> dict[str, Any]:
         """The record as plain values, as in ``info["crash"]``."""
-        return asdict(self)
+        return {field: getattr(self, field) for field in self.__slots__}
 
 
 def classify(relative_x: float, relative_y: float, relative_heading: float) -> CrashType:

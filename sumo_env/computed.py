@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from sumo_env.drivers import RiskEvent
 from sumo_env.models.idm import strip_accelerations
-from sumo_env.models.mobil import DELAY, closest_lanes, desired_lanes
+from sumo_env.models.mobil import closest_lanes, drive
 from sumo_env.native import CENTRED
 from sumo_env.simulation import ALL_CHECKS_OFF, NO_LANE_CHANGES
 
@@ -39,8 +39,7 @@ class Computed:
         raise NotImplementedError
 
     def act(self, world: World) -> None:
-        acceleration = world.push(self.accelerations(world))
-        world.accelerate(acceleration)
+        world.accelerate(world.push(self.accelerations(world)))
 
 
 class Mobil(Computed):
@@ -53,36 +52,16 @@ class Mobil(Computed):
         self._changes = np.array([spec.changes_lanes for spec in world.specs])
         self._changes[0] = False
         self._forced = np.zeros(len(world.ids), np.bool_)
-        self._direction = np.ones(len(world.ids))
-
-    def act(self, world: World) -> None:
-        self._change_lanes(world)
-        super().act(world)
+        self._acceleration = np.empty(len(world.ids))
 
     def accelerations(self, world: World) -> NDArray[np.float64]:
-        lane_y, target_y = (
-            (LANE_WIDTH * lane).astype(np.float64)
-            for lane in (closest_lanes(world.y, self._lanes, LANE_WIDTH), self._target)
-        )
-        return strip_accelerations(
-            world.x, world.y, world.speed, world.heading, lane_y, target_y,
-            self._direction, world.target_speed, world.drivers, world.road_length, world.limit,
-        )  # fmt: skip
-
-    def _change_lanes(self, world: World) -> None:
-        lane = closest_lanes(world.y, self._lanes, LANE_WIDTH)
         self._target[0] = world.ego.target_lane[2]
-        self._forced &= lane != self._target
-        decides = self._changes & ~world.crashed & ~self._forced
-        due = decides & (self._timer > DELAY)
-        wanted = desired_lanes(
-            world.x, world.y, world.speed, world.heading, lane, self._target, world.target_speed, world.drivers,
-            decides, due, self._lanes, LANE_WIDTH, world.road_length, world.limit,
+        drive(
+            world.x, world.y, world.speed, world.heading, world.crashed, world.target_speed, world.drivers,
+            self._target, self._timer, self._changes, self._forced, self._lanes, LANE_WIDTH, world.road_length,
+            world.limit, world.dt, self._acceleration,
         )  # fmt: skip
-        self._timer[due & (lane == self._target)] = 0.0
-        self._timer += world.dt
-        chosen = wanted >= 0
-        self._target[chosen] = wanted[chosen]
+        return self._acceleration
 
     def targets(self, world: World) -> NDArray[np.int64]:
         return self._target
@@ -108,8 +87,9 @@ class Strip(Computed):
         self._return: dict[int, float] = {}
 
     def accelerations(self, world: World) -> NDArray[np.float64]:
-        np.copyto(self._lane_y, np.where(world.y < LANE_WIDTH / 2, 0.0, LANE_WIDTH))
-        for row in [row for row, time in self._return.items() if world.time >= time]:
+        np.multiply(world.y >= LANE_WIDTH / 2, LANE_WIDTH, out=self._lane_y)
+        returning = [row for row, time in self._return.items() if world.time >= time] if self._return else ()
+        for row in returning:
             if world.crashed[row]:
                 del self._return[row]
             elif self._lane_y[row] == 0.0 and abs(world.y[row]) < CENTRED:

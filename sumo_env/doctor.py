@@ -68,7 +68,8 @@ def sumo() -> str:
             f"{version}; the traffic models were measured on {SUMO_VERSION}",
             f"pip install libsumo=={SUMO_VERSION}",
         )
-    return version
+    way = "directly" if simulation().functions is not None else "through libsumo, which is slower"
+    return f"{version}, vehicles are read {way}"
 
 
 def networks() -> str:

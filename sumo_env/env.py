@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Mapping
 from operator import index
@@ -16,11 +17,13 @@ from sumo_env import safety
 from sumo_env.config import Config, ConfigError, resolve
 from sumo_env.ego import Ego
 from sumo_env.interface import interface
+from sumo_env.models.lane_table import closest_lane
 from sumo_env.observation import TimeToCollision
 from sumo_env.scenario import Scenario
 from sumo_env.scene import Scene
 from sumo_env.tasks import get_task
 from sumo_env.tasks.base import EgoState, Task
+from sumo_env.tasks.intersection import compiled_lanes
 from sumo_env.world import World
 
 if TYPE_CHECKING:
@@ -62,6 +65,7 @@ class DrivingEnv(gym.Env[Observation, Any]):
         self._world_key: tuple[Any, ...] = ()
         self._renderer: Renderer | None = None
         self._video: RecordVideo[Any, Any] | None = None
+        self._configured: Config | None = None
         self.scenario: Scenario | None = None
         self.configure(config)
 
@@ -72,6 +76,7 @@ class DrivingEnv(gym.Env[Observation, Any]):
         changed = resolve(self.task.name, self.task.defaults, getattr(self, "config", None), config)
         offered = interface(self.task, changed)
         self.config: Config = changed  # only now that nothing can go wrong
+        self._configured = copy.deepcopy(changed)
         self.actions, self.target_speeds = offered.actions, offered.target_speeds
         self.observation_type = offered.observation_type
         self.observation_space, self.action_space = offered.observation_space, offered.action_space
@@ -89,7 +94,9 @@ class DrivingEnv(gym.Env[Observation, Any]):
         """
         super().reset(seed=seed)
         # also when no options are given: users of highway-env write to env.unwrapped.config directly
-        self.configure((options or {}).get("config"))
+        override = (options or {}).get("config")
+        if override or self.config != self._configured:
+            self.configure(override)
         config = self.config
         self.scenario = self.task.scenario(config, int(self.np_random.integers(2**31)))
         world = self._open_world()
@@ -201,6 +208,8 @@ class DrivingEnv(gym.Env[Observation, Any]):
                 raise ConfigError(str(error)) from error
             self._world = World(self.task, self.config, built)
             self._world_key = key
+            self._lanes = compiled_lanes(self._world.road)
+            self._lane_names = list(self._lanes.index)
         self._world.config = self.config
         return self._world
 
@@ -208,7 +217,8 @@ class DrivingEnv(gym.Env[Observation, Any]):
         assert self._world is not None
         road, scene, ego = self._world.road, self.scene, self.ego
         x, y, heading = float(scene.x[0]), float(scene.y[0]), float(scene.heading[0])
-        index = road.closest_lane(x, y, heading)
+        number = closest_lane(self._lanes.geometry, x, y, heading)
+        index = self._lane_names[number] if number >= 0 else road.closest_lane(x, y, heading)
         lane = road.lane(index)
         s, lateral = lane.local_coordinates(x, y)
         return EgoState(
@@ -232,8 +242,9 @@ class DrivingEnv(gym.Env[Observation, Any]):
             return self.observation_type.observe(
                 self.scene, road, self.ego_state, self.target_speeds, self.ego.route
             )
-        specs = {spec.id: spec for spec in self._world.specs}
-        return self.observation_type.observe(self.scene, road, self.ego_state, specs, self.np_random)
+        return self.observation_type.observe(
+            self.scene, road, self.ego_state, self._world.spec_of, self.np_random
+        )
 
     def _info(self, action: int | None, rewards: dict[str, float]) -> dict[str, Any]:
         assert self._world is not None

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from functools import lru_cache
 from itertools import pairwise
 from typing import Any
 
@@ -11,17 +12,116 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
+from networks.lanes import CircularLane, StraightLane
 from networks.roads import LaneIndex, Road
+from sumo_env.compiled import compiled
 from sumo_env.config import ConfigError, nearest
 from sumo_env.scenario import VehicleSpec
-from sumo_env.scene import PERCEPTION_DISTANCE, VEHICLE_LENGTH, Scene
+from sumo_env.scene import PERCEPTION_DISTANCE, VEHICLE_LENGTH, Floats, Scene
 from sumo_env.tasks.base import EgoState
 
 MAX_SPEED = 40.0  # [m/s] Vehicle.MAX_SPEED
 
 Array = NDArray[np.float32]
+Integers = NDArray[np.int64]
 FEATURES = ("presence", "x", "y", "vx", "vy", "heading", "cos_h", "sin_h", "cos_d", "sin_d", "long_off",
             "lat_off", "ang_off")  # fmt: skip
+BASIC = FEATURES[:8]  # those that depend on the vehicle alone
+
+
+@lru_cache(maxsize=256)
+def _axis(road: Road, index: LaneIndex) -> Floats:
+    """What `_longitudinal` needs of a lane, shape (6,)."""
+    lane = road.lane(index)
+    if isinstance(lane, CircularLane):
+        return np.array([1.0, *lane.center, lane.start_phase, 1.0 if lane.clockwise else -1.0, lane.radius])
+    assert isinstance(lane, StraightLane)
+    return np.array([0.0, *lane.start, lane._dx, lane._dy, 0.0])
+
+
+@compiled
+def _longitudinal(axis: Floats, x: float, y: float) -> float:
+    """Coordinate s [m] of the position (x, y) [m] along a lane (`Lane.local_coordinates`, bit for bit)."""
+    dx, dy = x - axis[1], y - axis[2]
+    if axis[0] == 0.0:
+        return dx * axis[3] + dy * axis[4]
+    turned = (math.atan2(dy, dx) - axis[3] + math.pi) % (2.0 * math.pi) - math.pi
+    return axis[4] * turned * axis[5]
+
+
+@compiled
+def _visible(axis: Floats, x: Floats, y: Floats, behind: float, by_distance: bool, rows: Integers) -> int:
+    """Write the rows that are seen into `rows`, shape (n,), 0 first; returns how many. See `Kinematics.visible`."""
+    here = _longitudinal(axis, x[0], y[0])
+    distance = np.empty(len(x))
+    rows[0] = 0
+    count = 1
+    for j in range(1, len(x)):
+        if math.hypot(x[j] - x[0], y[j] - y[0]) >= PERCEPTION_DISTANCE:
+            continue
+        ahead = _longitudinal(axis, x[j], y[j]) - here
+        if ahead <= behind:
+            continue
+        k = count
+        if by_distance:
+            while k > 1 and abs(ahead) < distance[k - 1]:
+                rows[k], distance[k] = rows[k - 1], distance[k - 1]
+                k -= 1
+        rows[k], distance[k] = j, abs(ahead)
+        count += 1
+    return count
+
+
+@compiled
+def _fill(
+    rows: Integers,
+    x: Floats,
+    y: Floats,
+    speed: Floats,
+    heading: Floats,
+    features: Integers,
+    absolute: bool,
+    affine: Floats,
+    table: Array,
+) -> None:
+    """Write the basic features of the vehicles `rows`, shape (m,), into the first m rows of `table`.
+
+    features: of each column the number in FEATURES; affine: scale, shift, low and high of each, shape (4, columns).
+    """
+    for k in range(len(rows)):
+        j = rows[k]
+        cos, sin = math.cos(heading[j]), math.sin(heading[j])
+        for column in range(len(features)):
+            feature = features[column]
+            if feature == 0:
+                value = 1.0
+            elif feature == 1:
+                value = x[j]
+            elif feature == 2:
+                value = y[j]
+            elif feature == 3:
+                value = speed[j] * cos
+            elif feature == 4:
+                value = speed[j] * sin
+            elif feature == 5:
+                value = heading[j]
+            elif feature == 6:
+                value = cos
+            elif feature == 7:
+                value = sin
+            else:
+                continue
+            if k > 0 and not absolute and 1 <= feature <= 4:
+                if feature == 1:
+                    value -= x[0]
+                elif feature == 2:
+                    value -= y[0]
+                elif feature == 3:
+                    value -= speed[0] * math.cos(heading[0])
+                else:
+                    value -= speed[0] * math.sin(heading[0])
+            value = value * affine[0, column] + affine[1, column]
+            table[k, column] = min(max(value, affine[2, column]), affine[3, column])
 
 
 class Kinematics:
@@ -75,10 +175,11 @@ class Kinematics:
         shape = (self.vehicles_count, len(self.features))
         self.space = spaces.Box(-np.inf, np.inf, shape, np.float32)
         # One affine map for the whole table: columns without a range keep their values.
-        self._scale = np.ones(len(self.features))
-        self._shift = np.zeros(len(self.features))
-        self._low = np.full(len(self.features), -np.inf)
-        self._high = np.full(len(self.features), np.inf)
+        self._affine = np.empty((4, len(self.features)))
+        self._scale, self._shift, self._low, self._high = self._affine
+        self._affine[:] = np.array([[1.0], [0.0], [-np.inf], [np.inf]])
+        self._numbers = np.array([FEATURES.index(feature) for feature in self.features])
+        self._others = [k for k, feature in enumerate(self.features) if feature not in BASIC]
         if self.normalize:
             for column, feature in enumerate(self.features):
                 if feature in self.ranges:
@@ -88,26 +189,17 @@ class Kinematics:
                     if self.clip:
                         self._low[column], self._high[column] = -1.0, 1.0
 
-    def visible(self, scene: Scene, road: Road, lane: LaneIndex) -> list[int]:
-        """Rows of the scene that the ego sees, in the order of the table (without the ego).
+    def visible(self, scene: Scene, road: Road, lane: LaneIndex) -> Integers:
+        """Rows of the scene that the ego sees, in the order of the table (without the ego), shape (m,).
 
         Distances are differences of longitudinal coordinates on the ego's lane, as in highway-env: projections
         on curved roads.
         """
-        geometry = road.lane(lane)
-        x, y = scene.x, scene.y
-        here = geometry.local_coordinates(float(x[0]), float(y[0]))[0]
-        near = np.flatnonzero(np.hypot(x - x[0], y - y[0]) < PERCEPTION_DISTANCE)
-        rows: list[tuple[float, int]] = []
-        for row in near.tolist():
-            if row == 0:
-                continue
-            distance = geometry.local_coordinates(float(x[row]), float(y[row]))[0] - here
-            if self.see_behind or distance > -2.0 * VEHICLE_LENGTH:
-                rows.append((abs(distance), row))
-        if self.order == "sorted":
-            rows.sort(key=lambda pair: pair[0])
-        return [row for _, row in rows[: self.vehicles_count - 1]]
+        rows = np.empty(len(scene), np.int64)
+        behind = -math.inf if self.see_behind else -2.0 * VEHICLE_LENGTH
+        axis = _axis(road, lane)
+        count = _visible(axis, scene.x, scene.y, behind, self.order == "sorted", rows)
+        return rows[1 : min(count, self.vehicles_count)]
 
     def observe(
         self,
@@ -122,23 +214,34 @@ class Kinematics:
         `specs`: the vehicles by id, whose destinations cos_d and sin_d point to. `rng` shuffles the rows where
         the order says so.
         """
-        rows = [0, *self.visible(scene, road, ego.lane)]
-        columns: dict[str, NDArray[np.float64]] = {}
-        picked = np.array(rows)
-        heading = scene.heading[picked]
-        cos, sin = np.cos(heading), np.sin(heading)
-        speed = scene.speed[picked]
-        for name, values in (
-            ("x", scene.x[picked]),
-            ("y", scene.y[picked]),
-            ("vx", speed * cos),
-            ("vy", speed * sin),
-        ):
-            if not self.absolute:
-                values[1:] -= values[0]
-            columns[name] = values
-        columns["presence"] = np.ones(len(rows))
-        columns["heading"], columns["cos_h"], columns["sin_h"] = heading, cos, sin
+        rows = np.append(0, self.visible(scene, road, ego.lane))
+        table = np.zeros((self.vehicles_count, len(self.features)), np.float32)
+        _fill(
+            rows,
+            scene.x,
+            scene.y,
+            scene.speed,
+            scene.heading,
+            self._numbers,
+            self.absolute,
+            self._affine,
+            table,
+        )
+        if self._others:
+            columns = self._other_columns(scene, road, rows.tolist(), specs)
+            for column in self._others:
+                feature = self.features[column]
+                values = columns[feature] * self._scale[column] + self._shift[column]
+                table[: len(rows), column] = values.clip(self._low[column], self._high[column])
+        if self.order == "shuffled":
+            rng.shuffle(table[1:])
+        return table
+
+    def _other_columns(
+        self, scene: Scene, road: Road, rows: list[int], specs: Mapping[str, VehicleSpec]
+    ) -> dict[str, Floats]:
+        """Values of the features that depend on roads and destinations, shape (m,) each."""
+        columns: dict[str, Floats] = {}
         if "cos_d" in self.features or "sin_d" in self.features:
             # the ego always knows where it is going; what others intend is seen if that is asked for
             known = [row == 0 or self.observe_intentions for row in rows]
@@ -152,13 +255,7 @@ class Kinematics:
         if any(feature.endswith("_off") for feature in self.features):
             offsets = np.array([self._offsets(scene, road, row) for row in rows])
             columns["long_off"], columns["lat_off"], columns["ang_off"] = offsets.T
-        table = np.zeros((self.vehicles_count, len(self.features)), np.float32)
-        for column, feature in enumerate(self.features):
-            values = columns[feature] * self._scale[column] + self._shift[column]
-            table[: len(rows), column] = values.clip(self._low[column], self._high[column])
-        if self.order == "shuffled":
-            rng.shuffle(table[1:])
-        return table
+        return columns
 
     @staticmethod
     def _offsets(scene: Scene, road: Road, row: int) -> tuple[float, float, float]:

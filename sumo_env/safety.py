@@ -90,6 +90,26 @@ def min_ttc(x: Floats, y: Floats, vx: Floats, vy: Floats, heading: Floats, ego: 
 
 
 @compiled
+def ego_ttc(x: Floats, y: Floats, speed: Floats, heading: Floats, horizon: float) -> float:
+    """`min_ttc` of row 0 by speeds [m/s] and headings [rad], shape (n,): no cosine for those far away."""
+    least = math.inf
+    vx, vy = speed[0] * math.cos(heading[0]), speed[0] * math.sin(heading[0])
+    diagonal = math.sqrt(VEHICLE_LENGTH**2 + VEHICLE_WIDTH**2)
+    for j in range(1, len(x)):
+        dx, dy = x[j] - x[0], y[j] - y[0]
+        limit = min(least, horizon)
+        # Circles that hold the vehicles cannot meet however they head; the millimetre is for rounding.
+        reach = diagonal + (abs(speed[0]) + abs(speed[j])) * limit + 1e-3
+        if dx * dx + dy * dy > reach * reach:
+            continue
+        wx, wy = speed[j] * math.cos(heading[j]) - vx, speed[j] * math.sin(heading[j]) - vy
+        reach = diagonal + math.sqrt(wx * wx + wy * wy) * limit
+        if dx * dx + dy * dy <= reach * reach:
+            least = min(least, _touch_time(dx, dy, wx, wy, heading[0], heading[j], limit))
+    return least
+
+
+@compiled
 def pair_ttc(x: Floats, y: Floats, vx: Floats, vy: Floats, heading: Floats, horizon: float) -> Floats:
     """Time to collision [s] of all pairs i < j, shape (n, n); inf on and below the diagonal."""
     n = len(x)

@@ -11,11 +11,14 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
+from numpy.typing import NDArray
 
+from sumo_env import direct
 from sumo_env.drivers import Driver
 from sumo_env.scene import VEHICLE_LENGTH, VEHICLE_WIDTH, Floats
 
@@ -27,13 +30,12 @@ except ImportError as error:
         f"(the wheel brings SUMO along, no system SUMO is needed). Python says: {error}"
     ) from error
 
-# What is called for every vehicle in every step skips libsumo's Python layer, which costs as much as the call itself.
-_position = libsumo.libsumo._libsumo.vehicle_getPosition
-_angle = libsumo.libsumo._libsumo.vehicle_getAngle
-_speed = libsumo.libsumo._libsumo.vehicle_getSpeed
-_set_speed = libsumo.libsumo._libsumo.vehicle_setSpeed
-_lane_of = libsumo.libsumo._libsumo.vehicle_getLaneID
-_set_lateral = libsumo.libsumo._libsumo.vehicle_setLateralLanePosition
+# What is called often skips libsumo's Python layer, which costs as much as the call itself.
+_native = libsumo.libsumo._libsumo
+_position, _angle, _speed = _native.vehicle_getPosition, _native.vehicle_getAngle, _native.vehicle_getSpeed
+_set_speed, _lane = _native.vehicle_setSpeed, _native.vehicle_getLaneID
+_set_lateral = _native.vehicle_setLateralLanePosition
+_step, _collisions = _native.simulation_step, _native.simulation_getCollisions
 
 ALL_CHECKS_OFF = 32  # speed mode: drive the commanded speed whatever is ahead
 REGULAR = 31  # speed mode: SUMO's car following and right of way
@@ -41,7 +43,7 @@ NO_RIGHT_OF_WAY = 55  # speed mode: car following, but nobody yields at junction
 NO_LANE_CHANGES = 0  # lane-change mode: commanded changes only, and at once
 OWN_LANE_CHANGES = 1621  # lane-change mode: SUMO decides
 
-HALF = VEHICLE_LENGTH / 2
+Integers = NDArray[np.int64]
 
 
 class SimulationTaken(RuntimeError):
@@ -56,6 +58,7 @@ class Settings:
     routes: tuple[tuple[str, tuple[str, ...]], ...]  # (id, edges)
     step_length: float  # [s]
     lane_change_duration: float  # [s]
+    commanded: bool  # whether nobody drives or changes lane by SUMO's own decision
     drivers: tuple[Driver, ...]
 
 
@@ -64,23 +67,33 @@ class Simulation:
 
     def __init__(self) -> None:
         self.settings: Settings | None = None
+        self._served: Settings | None = None  # those last asked for, which `settings` suffice for
         self.owner: object | None = None
         self._folder = tempfile.TemporaryDirectory(prefix="sumo_env-")
-        self._episode = 0
         self._types: set[str] = set()
+        self.lane_ids: tuple[str, ...] = ()
+        self.functions = direct.find(_native.__file__, self.version())
+        self.lane_pointers: tuple[Integers, Integers]
+        self.stepped = False  # since a vehicle was last removed
+        self._limits: dict[str, float] = {}
 
     def acquire(self, owner: object, settings: Settings) -> None:
         """Make `owner` the one who drives, in the network of `settings`, with an empty road."""
         self.owner = owner
-        if self.settings is None or _without_drivers(self.settings) != _without_drivers(settings):
+        if settings is self._served:
+            self._clear()
+        elif self.settings is None or _without_drivers(self.settings) != _without_drivers(settings):
             self._load(settings)
         elif not {driver.type for driver in settings.drivers} <= self._types:
             known = {driver.type: driver for driver in (*self.settings.drivers, *settings.drivers)}
             self._load(_with_drivers(settings, tuple(known.values())))
         else:
-            for vehicle in libsumo.vehicle.getIDList():
-                libsumo.vehicle.remove(vehicle)
-        self._episode += 1
+            self._clear()
+        self._served = settings
+
+    def _clear(self) -> None:
+        for vehicle in _native.vehicle_getIDList():
+            self.remove(vehicle)
 
     def check(self, owner: object) -> None:
         """Raise `SimulationTaken` unless `owner` still drives."""
@@ -123,7 +136,16 @@ class Simulation:
         else:
             libsumo.load(options)
         self.settings = settings
+        self.stepped = False
         self._types = {driver.type for driver in settings.drivers}
+        self._limits.clear()
+        self.lane_ids = tuple(sorted(_native.lane_getIDList()))
+        self.lane_numbers = {lane: number for number, lane in enumerate(self.lane_ids)}
+        if self.functions is not None:
+            strings = direct.Strings(self.lane_ids)
+            pointers = direct.look_up(self.functions[direct.FIND_LANE], strings.addresses)
+            order = np.argsort(pointers)
+            self.lane_pointers = pointers[order], order
 
     def add(
         self,
@@ -138,22 +160,22 @@ class Simulation:
         desired_speed: float,
     ) -> None:
         """Place a vehicle with its front bumper at `position` [m] of a lane; `desired_speed` [m/s] of its driver."""
-        vehicle = libsumo.vehicle
-        vehicle.add(name, route, driver, departSpeed="0")
-        vehicle.moveTo(name, lane, position)
-        vehicle.setPreviousSpeed(name, speed)  # the start speed; sound because action step = simulation step
-        vehicle.setSpeedMode(name, speed_mode)
-        vehicle.setLaneChangeMode(name, lane_change_mode)
-        self.set_desired_speed(name, lane, desired_speed)
-
-    def set_desired_speed(self, name: str, lane: str, speed: float) -> None:
-        """What the driver would like to drive on a free road [m/s]."""
+        _native.vehicle_add(name, route, driver, departSpeed="0")
+        _native.vehicle_moveTo(name, lane, position)
+        # the start speed; sound because action step = simulation step
+        _native.vehicle_setPreviousSpeed(name, speed)
+        _native.vehicle_setSpeedMode(name, speed_mode)
+        _native.vehicle_setLaneChangeMode(name, lane_change_mode)
+        limit = self._limits.get(lane)
+        if limit is None:
+            limit = self._limits[lane] = libsumo.lane.getMaxSpeed(lane)
         # A factor on the lane's limit: unlike setMaxSpeed it does not copy the vehicle's type.
-        libsumo.vehicle.setSpeedFactor(name, max(speed, 0.01) / libsumo.lane.getMaxSpeed(lane))
+        _native.vehicle_setSpeedFactor(name, max(desired_speed, 0.01) / limit)
 
     def remove(self, name: str) -> None:
         """Take a vehicle off the road."""
-        libsumo.vehicle.remove(name)
+        _native.vehicle_remove(name)
+        self.stepped = False
 
     def present(self) -> tuple[str, ...]:
         """Names of the vehicles on the road."""
@@ -161,29 +183,25 @@ class Simulation:
 
     def step(self) -> None:
         """Advance by one simulation step."""
-        libsumo.simulationStep()
+        _step(0.0)
+        self.stepped = True
 
-    def read(self, names: Sequence[str]) -> tuple[Floats, Floats, Floats, Floats]:
-        """Centres x, y [m], speeds [m/s] and headings [rad] of the named vehicles, shape (n,) each."""
-        rows = np.array([(*_position(name, False), _angle(name), _speed(name)) for name in names]).reshape(
-            -1, 4
-        )
-        heading = np.radians(rows[:, 2] - 90.0)
-        x = rows[:, 0] - HALF * np.cos(heading)
-        y = -rows[:, 1] - HALF * np.sin(heading)
-        return x, y, rows[:, 3].copy(), heading
+    def fleet(self, names: Sequence[str]) -> Fleet:
+        """These vehicles, which have to be on the road, to be read and commanded together."""
+        return Fleet(self, tuple(names))
 
     def collisions(self) -> list[tuple[str, str]]:
         """Pairs of vehicles that SUMO reports in contact after the last step."""
-        return [(contact.collider, contact.victim) for contact in libsumo.simulation.getCollisions()]
+        found = _collisions()
+        return [(contact.collider, contact.victim) for contact in found] if found else []
 
     def lane_of(self, name: str) -> str:
         """Id of the lane that the front bumper is on; internal lanes begin with a colon."""
-        return str(_lane_of(name))
+        return str(_lane(name))
 
     def lateral_position(self, name: str) -> float:
         """Distance from the middle of the current lane [m]."""
-        return libsumo.vehicle.getLateralLanePosition(name)
+        return float(_native.vehicle_getLateralLanePosition(name))
 
     def set_lateral_position(self, name: str, lateral: float) -> None:
         """Move a vehicle to this distance from the middle of its lane [m], to the left, now; the lane stays."""
@@ -191,7 +209,7 @@ class Simulation:
 
     def set_speed(self, name: str, speed: float) -> None:
         """Command a speed [m/s] from now on; a negative one gives it back to SUMO."""
-        libsumo.vehicle.setSpeed(name, speed)
+        _set_speed(name, speed)
 
     def change_lane(self, name: str, index: int) -> None:
         """Change to the lane of this SUMO index (0 is the rightmost) now."""
@@ -219,6 +237,56 @@ class Simulation:
         return str(libsumo.getVersion()[1])
 
 
+_strings = lru_cache(maxsize=64)(direct.Strings)  # episodes use the same names again and again
+
+
+class Fleet:
+    """Vehicles by row. All of them are read and commanded at once: directly in SUMO where that can be done."""
+
+    def __init__(self, simulation: Simulation, names: tuple[str, ...]) -> None:
+        self._simulation = simulation
+        self._names = names
+        for name in set(names).difference(_native.vehicle_getIDList()):
+            _lane(name)  # raises where there is no such vehicle, which must not happen in compiled code
+        self._functions = simulation.functions
+        if self._functions is not None:
+            strings = _strings(names)
+            self._vehicles = direct.look_up(self._functions[direct.FIND_VEHICLE], strings.addresses)
+            self._step = round(1000 * _native.simulation_getDeltaT())  # [ms]
+            self._lanes = simulation.lane_pointers
+
+    def read(self, state: Floats, before: Floats, lane: Integers, own_speed: Floats) -> None:
+        """Read x, y [m] of the centres, headings [rad] and speeds [m/s] into the rows of `state`, shape (4, n).
+
+        before: is given the first three rows that were there, shape (3, n).
+        lane: is given the numbers of the lanes in `Simulation.lane_ids` that the front bumpers are on, shape (n,).
+        own_speed: speeds that are known better than SUMO does, shape (n,), NaN where they are not.
+        """
+        if self._functions is not None:
+            stepped = self._simulation.stepped
+            if direct.read(
+                self._functions, self._vehicles, *self._lanes, stepped, own_speed, state, before, lane
+            ):
+                return
+            self._functions = None  # somebody has left the road: libsumo says who
+        before[:] = state[:3]
+        front = np.array([_position(name, False) for name in self._names]).reshape(-1, 2)
+        direct.centres(front, np.array([_angle(name) for name in self._names]), state)
+        speed = np.array([_speed(name) for name in self._names])
+        state[3] = np.where(np.isnan(own_speed), speed, own_speed)
+        numbers = self._simulation.lane_numbers
+        lane[:] = [numbers[_lane(name)] for name in self._names]
+
+    def set_speeds(self, speeds: Floats) -> None:
+        """Command speeds [m/s], shape (n,), from now on; NaN or a negative number is no command."""
+        if self._functions is not None:
+            direct.set_speeds(self._functions, self._vehicles, speeds, self._step)
+            return
+        for name, speed in zip(self._names, speeds.tolist(), strict=True):
+            if speed >= 0.0:
+                _set_speed(name, speed)
+
+
 _SIMULATION: Simulation | None = None
 
 
@@ -236,7 +304,12 @@ def _without_drivers(settings: Settings) -> Settings:
 
 def _with_drivers(settings: Settings, drivers: tuple[Driver, ...]) -> Settings:
     return Settings(
-        settings.net_file, settings.routes, settings.step_length, settings.lane_change_duration, drivers
+        settings.net_file,
+        settings.routes,
+        settings.step_length,
+        settings.lane_change_duration,
+        settings.commanded,
+        drivers,
     )
 
 
@@ -265,7 +338,9 @@ def _write_routes(path: Path, settings: Settings) -> None:
             "sigma": "0",
             "speedFactor": "1",
             "speedDev": "0",
-            "laneChangeModel": "LC2013",
+            # Who drives on command needs no model of lane changes, and DK2008 asks the least: steps of the highway
+            # are a sixth cheaper than with LC2013, and the same bit for bit (docs/performance.md).
+            "laneChangeModel": "DK2008" if settings.commanded else "LC2013",
             "lcKeepRight": "0",
             "lcSpeedGainRight": "1",
             "lcOvertakeRight": "1",

@@ -28,10 +28,11 @@ from sumo_env.collision import (
 )
 from sumo_env.computed import Computed
 from sumo_env.config import Config
-from sumo_env.ego import REFERENCE_STEP, Ego, coast
+from sumo_env.ego import Ego, coast
 from sumo_env.models.hazards import free_way, has_room
-from sumo_env.models.idm import driver_row
-from sumo_env.safety import HORIZON, min_ttc
+from sumo_env.models.idm import driver_rows
+from sumo_env.models.motion import command_euler, euler
+from sumo_env.safety import HORIZON, ego_ttc
 from sumo_env.scenario import EGO, Scenario, VehicleSpec
 from sumo_env.scene import Scene
 from sumo_env.simulation import ALL_CHECKS_OFF, NO_LANE_CHANGES, Settings, Simulation, simulation
@@ -48,7 +49,8 @@ class World:
     """The state of an episode. Arrays have one row a vehicle, row 0 the ego, in highway-env's coordinates.
 
     Attributes that rules read: ids, row (id -> row), specs, x, y, speed, heading, crashed, target_speed, yielding,
-    drivers (columns of `models.idm`), time, dt, ego, road, network, config, road_length, limit, sim.
+    drivers (columns of `models.idm`), lane (numbers in `sim.lane_ids`), time, dt, ego, road, network, config,
+    road_length, limit, sim. They are written in place: x, y, heading and speed are the rows of `state`.
     """
 
     def __init__(self, task: Task, config: Config, network: Network) -> None:
@@ -66,6 +68,8 @@ class World:
         self.lane_change_duration = 0.0 if self.steering else LANE_CHANGE_DURATION
         self.sim: Simulation = simulation()
         self._uneven = network.uneven
+        self._lane_ids: tuple[str, ...] = ()
+        self._settings: dict[float, Settings] = {}  # by risk
         self.time = 0.0
 
     # -- start of an episode -------------------------------------------------------------------------------
@@ -73,22 +77,26 @@ class World:
     def reset(self, scenario: Scenario, ego: Ego) -> Scene:
         """Place a scenario; the first scene."""
         self.scenario, self.ego = scenario, ego
-        self.sim.acquire(
-            self,
-            Settings(
+        if scenario.risk not in self._settings:
+            drivers = self.task.drivers(scenario.risk)
+            routes = tuple(self.network.routes.items())
+            self._settings[scenario.risk] = Settings(
                 self.network.net_file,
-                tuple(self.network.routes.items()),
+                routes,
                 self.dt,
                 self.lane_change_duration,
-                self.task.drivers(scenario.risk),
-            ),
-        )
+                (self.rule.speed_mode, self.rule.lane_change_mode) == (ALL_CHECKS_OFF, NO_LANE_CHANGES),
+                drivers,
+            )
+        self.sim.acquire(self, self._settings[scenario.risk])
         self.time = 0.0
         self.policy_step = 0
         self.crash: CrashRecord | None = None
         self._events = list(scenario.events)
+        self._comes_and_goes = self.task.name == "intersection" or bool(scenario.spawns)
         self._pushes: dict[str, tuple[float, float]] = {}  # vehicle -> (end [s], acceleration [m/s2])
-        self._own_speed: dict[str, float] = {}
+        if self._lane_ids is not self.sim.lane_ids:
+            self._learn_lanes()
         specs = [scenario.ego]
         specs += [
             spec for spec in scenario.vehicles if self.task.concerns_ego(spec, scenario.ego, self.config)
@@ -97,6 +105,15 @@ class World:
             self._place(spec)
         self._set_rows(specs)
         return self.scene()
+
+    def _learn_lanes(self) -> None:
+        """What is to be known of each of SUMO's lanes, by number."""
+        self._lane_ids = ids = self.sim.lane_ids
+        self._lane_index = [self.network.indices.get(lane) for lane in ids]  # highway-env's
+        self._ego_stretch = [self.network.stretch(lane) for lane in ids]
+        self._stretch = np.array(self._ego_stretch)
+        if self.steering:
+            self.steering.learn_lanes(ids, self._stretch)
 
     def _place(self, spec: VehicleSpec) -> None:
         route, lane, position = self.network.place(spec.lane, spec.s, spec.destination)
@@ -112,27 +129,39 @@ class World:
         """(Re)build the arrays for these vehicles; rows of `keep` (id -> old row) keep their state."""
         keep = keep or {}
         old = (
-            {name: getattr(self, name) for name in ("crashed", "target_speed", "yielding", "speed")}
+            {
+                name: getattr(self, name)
+                for name in ("crashed", "target_speed", "yielding", "speed", "_own_speed")
+            }
             if keep
             else {}
         )
         self.specs = specs
-        self.ids = [spec.id for spec in specs]
+        self.ids = tuple(spec.id for spec in specs)
+        self.spec_of = {spec.id: spec for spec in specs}
         self.row = {name: row for row, name in enumerate(self.ids)}
-        self.x, self.y, _, self.heading = self.sim.read(self.ids)
+        n = len(specs)
+        self.state = np.empty((4, n))
+        self.x, self.y, self.heading, self.speed = self.state
+        self._before = np.empty((3, n))  # x, y, heading before the last sub-step
+        self._reported: set[tuple[int, int]] = set()  # by SUMO after the last sub-step
+        self.lane = np.empty(n, np.int64)
+        self._own_speed = np.full(n, np.nan)  # speeds after the next sub-step that SUMO does not know
+        self._command = np.empty(n)
+        self.fleet = self.sim.fleet(self.ids)
+        self.fleet.read(self.state, self._before, self.lane, self._own_speed)
         if self.steering:
             self.steering.start(self, keep)
-        self._before = np.array([self.x, self.y, self.heading])  # poses at the start of the next sub-step
-        self._reported: set[tuple[int, int]] = set()  # by SUMO after the last sub-step
-        self.speed = np.array([spec.speed for spec in specs])
-        self.crashed = np.zeros(len(specs), np.bool_)
+        self._before[:] = self.state[:3]
+        self.speed[:] = [spec.speed for spec in specs]
+        self.crashed = np.zeros(n, np.bool_)
         self.yielding = np.array([spec.yielding for spec in specs])
         self.target_speed = np.array([spec.target_speed for spec in specs])
-        self.drivers = np.array([driver_row(spec.driver) for spec in specs])
-        for row, name in enumerate(self.ids):
-            if name in keep:
-                for field, values in old.items():
-                    getattr(self, field)[row] = values[keep[name]]
+        self.drivers = driver_rows(spec.driver for spec in specs)
+        for name, old_row in keep.items():
+            for field, values in old.items():
+                getattr(self, field)[self.row[name]] = values[old_row]
+        self._wrecks = bool(self.crashed[1:].any())
         self.rule.start(self)
 
     # -- a policy step -------------------------------------------------------------------------------------
@@ -147,22 +176,21 @@ class World:
         self.min_ttc = np.inf
         self.distance = 0.0
         for substep in range(1, self.substeps + 1):
-            self._start_events()
+            if self._events:
+                self._start_events()
             self.rule.act(self)
-            self._coast()
+            if self._wrecks:
+                self._coast()
             self._drive_ego()
             if self.steering:
                 self.steering.act(self)
             self.sim.step()
             self.time += self.dt
+            self._own_speed[0] = self.ego.speed
             self._read()
             self._look_for_contacts()
-            self._before[0], self._before[1], self._before[2] = self.x, self.y, self.heading
             if not self.crashed[0]:
-                ttc = min_ttc(
-                    self.x, self.y, self.speed * np.cos(self.heading), self.speed * np.sin(self.heading),
-                    self.heading, 0, HORIZON,
-                )  # fmt: skip
+                ttc = ego_ttc(self.x, self.y, self.speed, self.heading, HORIZON)
                 self.min_ttc = min(self.min_ttc, ttc)
             if on_substep is not None and substep < self.substeps:
                 on_substep(self.scene())
@@ -171,6 +199,8 @@ class World:
 
     def come_and_go(self) -> None:
         """Remove vehicles that have left the scene and let new ones in (intersection; after the observation)."""
+        if not self._comes_and_goes:
+            return
         spawns = [spawn.vehicle for spawn in self.scenario.spawns if spawn.step == self.policy_step]
         staying = [row for row in range(len(self.ids)) if row == 0 or not self._has_left(row)]
         coming = [
@@ -191,22 +221,16 @@ class World:
     def _has_left(self, row: int) -> bool:
         if self.task.name != "intersection":
             return False
-        index = self.network.indices[self.sim.lane_of(self.ids[row])]
+        index = self._lane_index[self.lane[row]]
+        assert index is not None
         lane = self.road.lane(index)
         s = lane.local_coordinates(float(self.x[row]), float(self.y[row]))[0]
         return index[0].startswith("il") and s >= lane.length - 20.0
 
     def scene(self) -> Scene:
         """The present state as a value."""
-        return Scene(
-            tuple(self.ids),
-            self.x,
-            self.y,
-            self.speed,
-            self.heading,
-            self.crashed.copy(),
-            round(self.time, 6),
-        )
+        x, y, heading, speed = self.state.copy()
+        return Scene(self.ids, x, y, speed, heading, self.crashed.copy(), round(self.time, 6))
 
     # -- parts of a sub-step -------------------------------------------------------------------------------
 
@@ -244,7 +268,7 @@ class World:
 
     def push_by_event(self, speed_mode: int) -> None:
         """Risk events' braking and surging of vehicles that SUMO drives."""
-        for row, push in self._pushed():
+        for row, push in self._pushed() if self._pushes else ():
             name = self.ids[row]
             if push == 0.0:
                 self.sim.set_speed(name, -1.0)  # give the speed back to SUMO
@@ -255,7 +279,7 @@ class World:
 
     def push(self, acceleration: NDArray[np.float64]) -> NDArray[np.float64]:
         """Risk events' braking and surging of vehicles whose acceleration [m/s2] is computed."""
-        for row, push in self._pushed():
+        for row, push in self._pushed() if self._pushes else ():
             if push < 0.0:
                 standstill = -max(float(self.speed[row]), 0.0) / self.dt  # nobody brakes into reverse
                 acceleration[row] = min(acceleration[row], max(push, standstill))
@@ -266,27 +290,29 @@ class World:
     def accelerate(self, acceleration: NDArray[np.float64]) -> None:
         """Drive all vehicles but the ego and the wrecks by these accelerations [m/s2]."""
         # highway-env moves by explicit Euler at 15 Hz; constant acceleration over our step moves as far as that
-        lead = (self.dt - REFERENCE_STEP) / 2.0
-        least = -math.inf if self.steering else 0.0  # highway-env's cars roll back to their distance
-        for row in range(1, len(self.ids)):
-            if not self.crashed[row]:
-                speed, a = float(self.speed[row]), float(acceleration[row])
-                self._drive(row, max(speed + a * self.dt, least), max(speed + a * lead, least) * self.dt)
+        if self.steering:
+            least = -math.inf  # highway-env's cars roll back to their distance
+            euler(self.speed, acceleration, self.crashed, self.dt, least, self._own_speed, self.steering.distance)
+            return
+        command_euler(
+            self.speed, acceleration, self.crashed, self.dt, self.lane, self._stretch, self._uneven,
+            self._own_speed, self._command,
+        )  # fmt: skip
+        self.fleet.set_speeds(self._command)
 
     def _drive(self, row: int, speed: float, distance: float) -> None:
         """Move a vehicle by `distance` [m] in the next step, after which its speed is `speed` [m/s].
 
         SUMO knows one number for both: it is told the distance, and the speed proper is kept by us.
         """
-        name = self.ids[row]
-        self._own_speed[name] = speed
+        self._own_speed[row] = speed
         if self.steering:
             self.steering.distance[row] = distance
             return
         commanded = distance / self.dt
         if self._uneven:  # lanes of one edge share one length in SUMO, so that metres are not metres in bends
-            commanded *= self.network.stretch(self.sim.lane_of(name))
-        self.sim.set_speed(name, commanded)
+            commanded *= float(self._stretch[self.lane[row]])
+        self.sim.set_speed(self.ids[row], commanded)
 
     def _coast(self) -> None:
         """Wrecks decelerate with a = -v and stay where they stop, as in highway-env."""
@@ -301,12 +327,12 @@ class World:
         if self.steering:
             self.steering.distance[0] = moved
             return
-        lane = self.sim.lane_of(EGO)
+        lane = int(self.lane[0])
         # lanes of one edge share one length in SUMO, so that metres are not metres in bends
-        self.sim.set_speed(EGO, max(moved / self.dt, 0.0) * self.network.stretch(lane))
-        if ego.crashed or lane.startswith(":"):
+        self.sim.set_speed(EGO, max(moved / self.dt, 0.0) * self._ego_stretch[lane])
+        if ego.crashed or (here := self._lane_index[lane]) is None or self._lane_ids[lane][0] == ":":
             return
-        here, target = self.network.indices[lane], ego.target_lane
+        target = ego.target_lane
         if here[2] == target[2] or abs(self.sim.lateral_position(EGO)) >= CENTRED:
             return
         if self.task.name == "two-way":  # the strip at y = 0 is SUMO's opposite lane
@@ -315,21 +341,20 @@ class World:
             self.sim.change_lane(EGO, self.road.count(*here[:2]) - 1 - target[2])
 
     def _read(self) -> None:
-        self.x, self.y, self.speed, self.heading = self.sim.read(self.ids)
+        self.fleet.read(self.state, self._before, self.lane, self._own_speed)
         if self.steering:
             self.steering.look(self)
-        self.speed[0] = self.ego.speed
-        for name, speed in self._own_speed.items():
-            row = self.row.get(name)
-            if row is not None:
-                self.speed[row] = speed
 
     def _look_for_contacts(self) -> None:
         pairs, moments = meetings(self._before, self.x, self.y, self.heading, ~self.crashed)
+        found = self.sim.collisions()
+        if not found and not len(pairs):
+            self._reported.clear()
+            return
         met = dict(zip(map(tuple, pairs.tolist()), moments.tolist(), strict=True))
         reported = {
             (min(pair), max(pair))
-            for pair in ((self.row.get(a, -1), self.row.get(b, -1)) for a, b in self.sim.collisions())
+            for pair in ((self.row.get(a, -1), self.row.get(b, -1)) for a, b in found)
             if -1 not in pair
         }
         # SUMO may see a contact a step before the geometry does, or a step later, or the other way round
@@ -349,6 +374,7 @@ class World:
                 if row > 0 and not self.crashed[row]:
                     self.sim.set_modes(self.ids[row], ALL_CHECKS_OFF, NO_LANE_CHANGES)
                 self.crashed[row] = True
+                self._wrecks = self._wrecks or row > 0
 
     def _nearly_touch(self, i: int, j: int) -> bool:
         """Is SUMO's report of a contact right within `SUMO_TOLERANCE`? It looks at lanes, not at corners."""

@@ -13,6 +13,7 @@ on a network. Drivers are rows of a table, shape (n, 6), with the columns below;
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -33,18 +34,17 @@ NEAR = WIDTH / 2 + 1.0  # [m] from a lane's centre line: who is nearer counts as
 SMALL = 0.01  # least absolute value of a denominator (highway_env.utils.not_zero)
 
 
+def driver_rows(drivers: Iterable[Driver]) -> Floats:
+    """The table of these drivers, shape (n, 6)."""
+    return np.array(
+        [(d.accel, d.decel, d.min_gap + VEHICLE_LENGTH, d.tau, d.delta, d.emergency_decel) for d in drivers]
+    )
+
+
 def driver_row(driver: Driver) -> Floats:
     """The row of a driver in the table of drivers, shape (6,)."""
-    return np.array(
-        [
-            driver.accel,
-            driver.decel,
-            driver.min_gap + VEHICLE_LENGTH,
-            driver.tau,
-            driver.delta,
-            driver.emergency_decel,
-        ]
-    )
+    row: Floats = driver_rows([driver])[0]
+    return row
 
 
 @compiled
@@ -226,9 +226,17 @@ def path_accelerations(
         drivers: shape (n, 6).
     """
     n, lanes = len(x), len(geometry)
+    looked_at = np.zeros(lanes, np.bool_)
+    for i in range(n):
+        for k in range(stage[i], min(stage[i] + 2, routes.shape[1])):
+            if routes[i, k] >= 0:
+                looked_at[routes[i, k]] = True
+                for lane in successors[routes[i, k]]:
+                    if lane >= 0:
+                        looked_at[lane] = True
     s, lat = np.empty((n, lanes)), np.empty((n, lanes))
-    for j in range(n):
-        for lane in range(lanes):
+    for lane in range(lanes):
+        for j in range(n if looked_at[lane] else 0):
             s[j, lane], lat[j, lane] = local_coordinates(geometry, lane, x[j], y[j])
 
     result = np.empty(n)

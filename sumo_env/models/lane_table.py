@@ -31,6 +31,7 @@ RADIUS, START_PHASE, TURN = 6, 7, 8  # of a circular lane [m, rad], +1 clockwise
 COLUMNS = 12
 
 STRAIGHT, SINE, CIRCULAR = 0.0, 1.0, 2.0
+CLOSE = 1e-6  # [m]
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,6 +130,24 @@ def local_coordinates(geometry: Floats, lane: int, x: float, y: float) -> tuple[
 
 
 @compiled
+def closest_lane(geometry: Floats, x: float, y: float, heading: float) -> int:
+    """Number of the lane with the least distance and turn (`Road.closest_lane`); -1 if others are as close.
+
+    "As close" is within CLOSE: a tie is decided by the last bits, which are another matter here than on a road.
+    """
+    best, least, second = -1, math.inf, math.inf
+    for lane in range(len(geometry)):
+        s, lat = local_coordinates(geometry, lane, x, y)
+        turn = abs((heading - heading_at(geometry, lane, s) + math.pi) % (2.0 * math.pi) - math.pi)
+        distance = abs(lat) + max(s - geometry[lane, LENGTH], 0.0) + max(-s, 0.0) + turn
+        if distance < least:
+            best, least, second = lane, distance, least
+        elif distance < second:
+            second = distance
+    return best if second - least > CLOSE else -1
+
+
+@compiled
 def advance(geometry: Floats, routes: Integers, stage: Integers, x: Floats, y: Floats) -> None:
     """Move each vehicle's `stage`, in place, on to the lane of its route that its centre has reached.
 
@@ -141,6 +160,18 @@ def advance(geometry: Floats, routes: Integers, stage: Integers, x: Floats, y: F
             if local_coordinates(geometry, lane, x[i], y[i])[0] <= geometry[lane, LENGTH]:
                 break
             stage[i] += 1
+
+
+@compiled
+def first_elsewhere(number: Integers, sumo_lane: Integers, lane: Integers) -> int:
+    """The first vehicle but row 0 that is not on `lane`, -1 if there is none.
+
+    number: of each of SUMO's lanes, that in the table; sumo_lane: where the vehicles are, shape (n,).
+    """
+    for i in range(1, len(lane)):
+        if number[sumo_lane[i]] != lane[i]:
+            return i
+    return -1
 
 
 @compiled

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from networks.lanes import VEHICLE_LENGTH
 from sumo_env.compiled import compiled
-from sumo_env.models.idm import A_MAX, S0, TAU, B, behind, desired_gap, strip_neighbours
+from sumo_env.models.idm import A_MAX, S0, TAU, B, behind, desired_gap, strip_accelerations, strip_neighbours
 from sumo_env.models.lane_table import Floats, Integers
 
 SAFE_BRAKING = 2.0  # LANE_CHANGE_MAX_BRAKING_IMPOSED [m/s2]
@@ -166,3 +166,61 @@ def desired_lanes(
         if result[i] >= 0:
             target[i] = result[i]
     return result
+
+
+@compiled
+def drive(
+    x: Floats,
+    y: Floats,
+    speed: Floats,
+    heading: Floats,
+    crashed: NDArray[np.bool_],
+    target_speed: Floats,
+    drivers: Floats,
+    target: Integers,
+    timer: Floats,
+    changes: NDArray[np.bool_],
+    forced: NDArray[np.bool_],
+    lanes_count: int,
+    lane_width: float,
+    length: float,
+    limit: float,
+    dt: float,
+    acceleration: Floats,
+) -> None:
+    """One step of MOBIL and IDM.
+
+    Changes in place `target` (by `desired_lanes`), `timer` and `forced` (a change that a risk event began, until the
+    lane is reached), and writes `acceleration` [m/s2].
+
+    Args:
+        crashed, changes, forced: shape (n,); other arrays and numbers as in `desired_lanes`.
+        dt: length of the step [s].
+    """
+    n = len(x)
+    lane = closest_lanes(y, lanes_count, lane_width)
+    decides, due = np.empty(n, np.bool_), np.empty(n, np.bool_)
+    any_decision = False
+    for i in range(n):
+        forced[i] = forced[i] and lane[i] != target[i]
+        decides[i] = changes[i] and not crashed[i] and not forced[i]
+        due[i] = decides[i] and timer[i] > DELAY
+        any_decision = any_decision or due[i] or (decides[i] and lane[i] != target[i])
+    if any_decision:
+        wanted = desired_lanes(
+            x, y, speed, heading, lane, target, target_speed, drivers,
+            decides, due, lanes_count, lane_width, length, limit,
+        )  # fmt: skip
+        for i in range(n):
+            if due[i] and lane[i] == target[i]:
+                timer[i] = 0.0
+        for i in range(n):
+            if wanted[i] >= 0:
+                target[i] = wanted[i]
+    lane_y, target_y = np.empty(n), np.empty(n)
+    for i in range(n):
+        timer[i] += dt
+        lane_y[i], target_y[i] = lane_width * lane[i], lane_width * target[i]
+    acceleration[:] = strip_accelerations(
+        x, y, speed, heading, lane_y, target_y, np.ones(n), target_speed, drivers, length, limit
+    )

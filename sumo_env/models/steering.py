@@ -12,7 +12,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from networks.lanes import VEHICLE_LENGTH
+from networks.lanes import VEHICLE_LENGTH, WIDTH
 from sumo_env.compiled import compiled
 from sumo_env.models.lane_table import Floats, Integers, heading_at, local_coordinates
 
@@ -22,6 +22,7 @@ TAU_PURSUIT = 0.1  # [s] look-ahead
 MAX_STEERING_ANGLE = math.pi / 3  # [rad]
 REFERENCE_STEP = 1.0 / 15.0  # [s] of highway-env
 SMALL = 0.01
+HALF = VEHICLE_LENGTH / 2  # [m] from the centre to the front bumper
 
 
 @compiled
@@ -72,15 +73,48 @@ def steer(
 
 
 @compiled
-def offsets(
-    geometry: Floats, lane: Integers, x: Floats, y: Floats, to_x: Floats, to_y: Floats
-) -> tuple[Floats, Floats]:
-    """Ways from (x, y) to (to_x, to_y) [m] along and to the right of a lane, as it runs in between; shape (n,) each."""
-    along, right = np.empty(len(x)), np.empty(len(x))
+def follow(
+    geometry: Floats,
+    lane: Integers,
+    number: Integers,
+    place: Integers,
+    count: Integers,
+    stretch: Floats,
+    front: Floats,
+    x: Floats,
+    y: Floats,
+    heading: Floats,
+    dt: float,
+    lateral: Floats,
+    speed: Floats,
+    change: Integers,
+) -> None:
+    """What brings SUMO's cars to the poses (x, y, heading), shape (n,) each, within `dt` [s].
+
+    Args:
+        lane: SUMO's lane of each car, shape (n,).
+        number, place, count, stretch: by SUMO's lanes: row in `geometry`, place from the left, lanes beside each other
+            (0 where none can be changed to), factor for speeds.
+        front: front bumpers of SUMO's cars [m], shape (2, n).
+        lateral: to the left of the middle of the lane [m], shape (n,): as it is, and then as it is to be.
+        speed: is given the speed to command [m/s], shape (n,).
+        change: is given the place of the lane that the car is on from now on, -1 if it stays, shape (n,).
+    """
     for i in range(len(x)):
-        middle_x, middle_y = (x[i] + to_x[i]) / 2.0, (y[i] + to_y[i]) / 2.0
-        heading = heading_at(geometry, lane[i], local_coordinates(geometry, lane[i], middle_x, middle_y)[0])
-        cos, sin = math.cos(heading), math.sin(heading)
-        dx, dy = to_x[i] - x[i], to_y[i] - y[i]
-        along[i], right[i] = dx * cos + dy * sin, dy * cos - dx * sin
-    return along, right
+        on, here = number[lane[i]], place[lane[i]]
+        # front bumpers are what SUMO moves along its lanes
+        to_x, to_y = x[i] + HALF * math.cos(heading[i]), y[i] + HALF * math.sin(heading[i])
+        dx, dy = to_x - front[0, i], to_y - front[1, i]
+        # along and to the right of the lane, as it runs in between
+        middle_x, middle_y = (front[0, i] + to_x) / 2.0, (front[1, i] + to_y) / 2.0
+        direction = heading_at(geometry, on, local_coordinates(geometry, on, middle_x, middle_y)[0])
+        cos, sin = math.cos(direction), math.sin(direction)
+        speed[i] = max(dx * cos + dy * sin, 0.0) / dt * stretch[lane[i]]
+        lateral[i] -= dy * cos - dx * sin
+        change[i] = -1
+        if lateral[i] > WIDTH / 2 and 0 < here < count[lane[i]]:
+            lateral[i] -= WIDTH
+            change[i] = here - 1
+        elif lateral[i] < -WIDTH / 2 and here + 1 < count[lane[i]]:
+            lateral[i] += WIDTH
+            change[i] = here + 1

@@ -11,7 +11,7 @@ import numpy as np
 
 from networks.roads import LaneIndex, Road
 from sumo_env.config import Config
-from sumo_env.drivers import CarFollowing, Driver, RiskRates, draw_events, driver_pool
+from sumo_env.drivers import POOL, CarFollowing, Driver, RiskRates, draw_events, driver_pool
 from sumo_env.scenario import EGO, Scenario, Spawn, VehicleSpec
 from sumo_env.streams import stream
 
@@ -121,6 +121,7 @@ class Drivers:
 
     def __init__(self, task: Task, config: Config, seed: int) -> None:
         self._rng = stream(seed, "drivers")
+        self._drawn: list[int] = []
         self._fixed_delta = task.fixed_delta
         self._pool = {
             fixed: driver_pool(task.car_following, float(config["risk"]), fixed) for fixed in (True, False)
@@ -129,7 +130,9 @@ class Drivers:
     def next(self, fixed_delta: bool | None = None) -> Driver:
         """The driver of the next vehicle; `fixed_delta` overrides the task's own choice."""
         pool = self._pool[self._fixed_delta if fixed_delta is None else fixed_delta]
-        return pool[int(self._rng.integers(len(pool)))]
+        if not self._drawn:  # in blocks: the same numbers as one at a time
+            self._drawn = self._rng.integers(POOL, size=64).tolist()[::-1]
+        return pool[self._drawn.pop()]
 
 
 def ego_driver(task: Task) -> Driver:

@@ -6,7 +6,15 @@ import numpy as np
 import pytest
 
 from networks.roads import ROADS, intersection
-from sumo_env.models.lane_table import advance, heading_at, lane_table, local_coordinates, position
+from sumo_env.models.lane_table import (
+    advance,
+    closest_lane,
+    first_elsewhere,
+    heading_at,
+    lane_table,
+    local_coordinates,
+    position,
+)
 
 ENTRY, LEFT, EXIT = ("o0", "ir0", 0), ("ir0", "il1", 0), ("il1", "o1", 0)
 
@@ -62,3 +70,31 @@ def test_a_vehicle_advances_along_its_route() -> None:
             advance(table.geometry, routes, stage, np.array([x]), np.array([y]))
             seen.append(int(stage[0]))
     assert seen == [0] * 4 + [1] * 4 + [2] * 4
+
+
+@pytest.mark.parametrize("task", ROADS)
+def test_the_closest_lane_is_the_road_s_or_left_to_it(task: str) -> None:
+    road = ROADS[task]()
+    table = lane_table(road.lanes)
+    names = list(table.index)
+    rng = np.random.default_rng(2)
+    decided = 0
+    for x, y, heading in rng.uniform((-120, -60, -7), (120, 60, 7), (1000, 3)):
+        number = closest_lane(table.geometry, x, y, heading)
+        if number >= 0:
+            decided += 1
+            assert names[number] == road.closest_lane(x, y, heading)
+    assert decided > 400  # where lanes lie on each other, as on the two-way road, they are as close
+
+
+def test_between_two_lanes_the_closest_one_is_left_to_the_road() -> None:
+    table = lane_table(ROADS["highway"]().lanes)
+    assert closest_lane(table.geometry, 100.0, 2.0, 0.0) == -1
+    assert closest_lane(table.geometry, 100.0, 2.001, 0.0) == 1
+
+
+def test_the_first_vehicle_elsewhere_is_not_the_ego() -> None:
+    number = np.array([7, 8, 9])
+    sumo_lane = np.array([0, 1, 2, 2])
+    assert first_elsewhere(number, sumo_lane, np.array([0, 8, 9, 9])) == -1
+    assert first_elsewhere(number, sumo_lane, np.array([7, 8, 7, 7])) == 2

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import shapely
 
-from sumo_env.safety import density, headways, min_ttc, pair_ttc, time_to_collision
+from sumo_env.safety import density, ego_ttc, headways, min_ttc, pair_ttc, time_to_collision
 
 HORIZON = 4.0
 STEP = 0.02
@@ -161,3 +161,17 @@ def test_density_counts_the_others_within_the_radius() -> None:
     x, y = np.array([0.0, 199.9, -150.0, 150.0]), np.array([0.0, 0.0, 150.0, 100.0])
     assert density(x, y, 0, 200.0) == 2
     assert density(x[:1], y[:1], 0, 200.0) == 0
+
+
+def test_the_time_of_the_ego_is_the_least_of_all_bit_for_bit() -> None:
+    rng = np.random.default_rng(5)
+    found = 0
+    for _ in range(2000):
+        n = int(rng.integers(1, 12))
+        x, y = rng.uniform(-150, 150, n), rng.uniform(-12, 12, n)
+        speed, heading = rng.uniform(-1, 35, n), rng.normal(0, 0.3, n) + rng.choice([0.0, math.pi], n)
+        vx, vy = speed * np.cos(heading), speed * np.sin(heading)
+        least = min_ttc(x, y, vx, vy, heading, 0, 10.0)
+        assert ego_ttc(x, y, speed, heading, 10.0) == least
+        found += least < math.inf
+    assert 200 < found < 1800

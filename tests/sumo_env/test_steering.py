@@ -14,7 +14,7 @@ from highway_env.vehicle.controller import ControlledVehicle
 import sumo_env  # noqa: F401  (registers the ids)
 from networks.roads import ROADS
 from sumo_env.models.lane_table import lane_table
-from sumo_env.models.steering import REFERENCE_STEP, offsets, steer
+from sumo_env.models.steering import REFERENCE_STEP, follow, steer
 
 from .reference import intersection_network
 
@@ -62,16 +62,43 @@ def test_half_a_lane_change_takes_as_long_as_in_highway_env_at_our_step() -> Non
         assert crossed[1] == pytest.approx(crossed[0], abs=0.03)
 
 
-def test_offsets_follow_a_bend() -> None:
+def bring(road: Any, lane: Any, front: tuple[float, float], to: tuple[float, float, float], lateral: float) -> Any:
+    """What `follow` commands a car on a lane: speed [m/s], distance to the middle [m], place of its lane or -1."""
+    table = lane_table(road.lanes)
+    numbers = [np.array([value]) for value in (table.index[lane], lane[2], road.count(*lane[:2]))]
+    pose = np.array([[to[0] - 2.5 * np.cos(to[2])], [to[1] - 2.5 * np.sin(to[2])], [to[2]]])
+    beside, speed, change = np.array([lateral]), np.empty(1), np.empty(1, np.int64)
+    follow(
+        table.geometry, np.zeros(1, np.int64), *numbers, np.ones(1), np.array(front).reshape(2, 1), *pose, 0.1, beside,
+        speed, change,
+    )  # fmt: skip
+    return speed[0], beside[0], change[0]
+
+
+def test_sumo_follows_a_bend() -> None:
     """On the way around the u-turn, 2 m ahead and half a metre to the right."""
-    lane = ROADS["u-turn"]().lane(("b", "c", 0))
-    table = lane_table(ROADS["u-turn"]().lanes)
-    (x, y), (to_x, to_y) = lane.position(10.0, 0.0), lane.position(12.0, 0.5)
-    along, right = offsets(
-        table.geometry, np.array([table.index["b", "c", 0]]), *(np.array([v]) for v in (x, y, to_x, to_y))
-    )
-    assert along[0] == pytest.approx(2.0, abs=0.03)
-    assert right[0] == pytest.approx(0.5, abs=0.03)
+    road = ROADS["u-turn"]()
+    lane = road.lane(("b", "c", 0))
+    to = (*lane.position(12.0, 0.5), lane.heading_at(12.0))
+    speed, lateral, change = bring(road, ("b", "c", 0), lane.position(10.0, 0.0), to, 0.0)
+    assert speed == pytest.approx(20.0, abs=0.3)
+    assert lateral == pytest.approx(-0.5, abs=0.03)
+    assert change == -1
+
+
+@pytest.mark.parametrize(("place", "moved", "change", "lateral"), [
+    (0, 0.3, 1, 1.8), (1, -0.3, 0, -1.8), (1, 0.3, -1, -2.2), (0, -0.3, -1, 2.2),
+])  # fmt: skip
+def test_who_crosses_the_line_is_on_the_next_lane(place: int, moved: float, change: int, lateral: float) -> None:
+    """`moved`: to the right of where the car is, 0.1 m before the line; there is no lane beyond the outer ones."""
+    road = ROADS["u-turn"]()
+    lane = ("a", "b", place)
+    side = np.sign(moved)
+    y = road.lane(lane).position(20.0, 0.0)[1] + 1.9 * side
+    x = road.lane(lane).position(20.0, 0.0)[0]
+    _, beside, found = bring(road, lane, (x, y), (x + 1.0, y + moved, 0.0), -1.9 * side)
+    assert found == change
+    assert beside == pytest.approx(lateral, abs=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -96,7 +123,9 @@ def test_sumo_cars_are_where_they_are_steered(task: str, config: dict[str, Any])
             _, _, terminated, truncated, _ = env.step(int(rng.integers(env.action_space.n)))
             over = terminated or truncated
             world = inner._world
-            x, y, _, heading = world.sim.read(world.ids)
+            state, n = np.empty((4, len(world.ids))), len(world.ids)
+            world.sim.fleet(world.ids).read(state, np.empty((3, n)), np.empty(n, np.int64), np.full(n, np.nan))
+            x, y, heading, _ = state
             dx = x + 2.5 * np.cos(heading) - world.x - 2.5 * np.cos(world.heading)
             dy = y + 2.5 * np.sin(heading) - world.y - 2.5 * np.sin(world.heading)
             apart += np.hypot(dx, dy)[world.speed > 0.5].tolist()

@@ -1,0 +1,117 @@
+"""Calling SUMO's C++ functions from compiled code gives what libsumo gives, and leaves errors to libsumo."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sumo_env import direct
+from sumo_env.env import DrivingEnv
+from sumo_env.simulation import Fleet, simulation
+from sumo_env.tasks import TASKS
+from tests.sumo_env.rollout import record
+
+needs_direct = pytest.mark.skipif(simulation().functions is None, reason="another version or platform")
+
+
+@needs_direct
+@pytest.mark.parametrize("traffic_model", ["matched", "sumo"])
+@pytest.mark.parametrize("task", TASKS)
+def test_episodes_are_the_same_bit_for_bit(
+    task: str, traffic_model: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    calls = 0
+
+    def counted(*arguments: Any) -> bool:
+        nonlocal calls
+        calls += 1
+        return bool(read(*arguments))
+
+    read = direct.read
+    monkeypatch.setattr(direct, "read", counted)
+    config = {**list(TASKS[task].levels.values())[1], "risk": 1.0, "traffic_model": traffic_model}
+    env = DrivingEnv(task, config)
+    directly = [(record(env, seed), env.scene) for seed in range(3)]
+    assert calls > 3
+    calls = 0
+    monkeypatch.setattr(simulation(), "functions", None)
+    for seed, (rows, scene) in enumerate(directly):
+        np.testing.assert_array_equal(record(env, seed), rows)
+        for field in ("x", "y", "speed", "heading", "crashed"):
+            np.testing.assert_array_equal(getattr(env.scene, field), getattr(scene, field))
+    assert calls == 0
+    env.close()
+
+
+def rows_for(fleet: Fleet, n: int) -> tuple[Any, ...]:
+    return np.empty((4, n)), np.empty((3, n)), np.empty(n, np.int64), np.full(n, np.nan)
+
+
+def test_a_vehicle_that_has_left_raises_instead_of_being_read() -> None:
+    env = DrivingEnv("u-turn")
+    env.reset(seed=0)
+    sim = simulation()
+    names = sim.present()
+    fleet = sim.fleet(names)
+    rows = rows_for(fleet, len(names))
+    fleet.read(*rows)
+    for _ in range(2000):
+        sim.step()
+        if len(sim.present()) < len(names):
+            break
+    with pytest.raises(Exception, match="not known"):
+        fleet.read(*rows)
+    env.close()
+
+
+def test_an_unknown_vehicle_raises() -> None:
+    env = DrivingEnv("highway")
+    env.reset(seed=0)
+    with pytest.raises(Exception, match="not known"):
+        simulation().fleet(["ego", "nobody"])
+    env.close()
+
+
+@needs_direct
+def test_removing_one_vehicle_does_not_stop_direct_reading_of_the_others(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    env = DrivingEnv("highway")
+    env.reset(seed=0)
+    sim = simulation()
+    names = [name for name in sim.present() if name != "v0"]
+    sim.remove("v0")
+    fleet = sim.fleet(names)
+    answers = []
+    read = direct.read
+    monkeypatch.setattr(direct, "read", lambda *arguments: answers.append(read(*arguments)) or answers[-1])
+    fleet.read(*rows_for(fleet, len(names)))
+    sim.step()
+    fleet.read(*rows_for(fleet, len(names)))
+    assert answers == [True, True]
+    env.close()
+
+
+@needs_direct
+def test_names_of_any_length_are_found() -> None:
+    env = DrivingEnv("highway")
+    env.reset(seed=0)
+    sim = simulation()
+    functions = sim.functions
+    assert functions is not None
+    for name in ("v", "a_vehicle_of_15", "a_vehicle_of_16_", "a vehicle with a very long name ä"):
+        sim.add(name, "0-1>1", "d0@0", "0-1_0", 5000.0, 20.0, 31, 0, 25.0)
+        fleet = sim.fleet([name])
+        state, before, lane, own = rows_for(fleet, 1)
+        fleet.read(state, before, lane, own)
+        assert state[0, 0] == 4497.5  # the network begins at x = -500 m
+        assert sim.lane_ids[lane[0]] == "0-1_0"
+        sim.remove(name)
+    env.close()
+
+
+def test_other_versions_are_not_called() -> None:
+    assert direct.find("", "SUMO 1.27.0") is None
+    assert direct.find("no such library", direct.VERSION) is None

@@ -13,7 +13,6 @@ from numba import njit
 
 from sumo_env.collision import (
     CrashRecord,
-    any_contact,
     classify,
     contact,
     contacts,
@@ -260,16 +259,3 @@ def test_record_is_in_the_frame_of_the_ego() -> None:
     assert CrashRecord(**record.as_dict()) == record
     with pytest.raises(dataclasses.FrozenInstanceError):
         record.time = 0.0  # type: ignore[misc]
-
-
-def test_any_contact_is_whether_there_are_contacts() -> None:
-    rng = np.random.default_rng(6)
-    found = 0
-    for _ in range(500):
-        n = int(rng.integers(0, 7))
-        x, y, heading = rng.uniform(-15, 15, n), rng.uniform(-15, 15, n), rng.uniform(-4, 4, n)
-        wreck = rng.random(n) < 0.5
-        expected = len(contacts(x, y, heading, ~wreck)) > 0
-        assert any_contact(x, y, heading, wreck) == expected
-        found += expected
-    assert 50 < found < 450

@@ -174,7 +174,8 @@ def recorded(backend: str, task: str, config: dict[str, Any]) -> Any:
 
     def scene() -> Scene:
         found = look()
-        env.scenes.append(found)
+        if not env.scenes or found.time > env.scenes[-1].time:  # it is also asked for in between
+            env.scenes.append(found)
         return found
 
     def start(**arguments: Any) -> Any:
@@ -239,7 +240,7 @@ def draw(table: pd.DataFrame, path: Path) -> None:
     tasks = list(dict.fromkeys(table["task"]))
     figure, axes = plt.subplots(2, len(tasks), figsize=(2.6 * len(tasks), 4.8), squeeze=False, sharex=True)
     for column, task in enumerate(tasks):
-        for backend, style in zip(BACKENDS, ("-", "--"), strict=True):
+        for backend, style in zip(dict.fromkeys(table["backend"]), ("-", "--"), strict=False):
             rows = table[(table["task"] == task) & (table["backend"] == backend)]
             if len(rows):
                 _draw_ego(axes[0, column], rows, style)

@@ -69,7 +69,7 @@ class ScenarioVehicle(IDMVehicle):
 
     def swerve(self, lane: LaneIndex) -> None:
         """Head for the oncoming lane, left of one's own, and come back after SWERVE_TIME."""
-        self.target_lane_index = lane
+        self._swerves_from, self.target_lane_index = self.target_lane_index, lane
         self._swerve_left = SWERVE_TIME
 
     def change_lane_policy(self) -> None:
@@ -86,8 +86,7 @@ class ScenarioVehicle(IDMVehicle):
             self._swerve_left -= dt
             if self._swerve_left <= ALMOST:
                 self._swerve_left = 0.0
-                start, end, lane = self.target_lane_index
-                self.target_lane_index = (start, end, lane + 1)
+                self.target_lane_index = self._swerves_from
 
 
 class PathVehicle(ScenarioVehicle):

@@ -316,6 +316,18 @@ def test_a_cut_in_on_the_two_way_road_comes_back() -> None:
     assert seen[-1]["y"] == pytest.approx(4.0, abs=0.1)
 
 
+def test_a_swerve_that_reaches_the_end_of_the_road_ends_on_the_own_lane() -> None:
+    """At the end of the oncoming lane highway-env makes the car head for the lane back, which has no right neighbour."""
+    env = make("two-way", vehicles_count=1, oncoming_vehicles_count=0)
+    env.reset(seed=0)
+    vehicle = named(env, "v0")
+    vehicle.position[0] = vehicle.lane.length - 20.0
+    seen = drive(env, [RiskEvent(0.0, "v0", "cut-in", direction=1)], 5, "v0")
+    assert seen[0]["target"] == ("a", "b", 0)
+    assert seen[-1]["target"][:2] in (("a", "b"), ("b", "a"))
+    assert seen[-1]["target"] != ("b", "a", 1)
+
+
 def test_numbers_shared_with_sumo_env() -> None:
     assert SWERVE_TIME == sumo_env.traffic.SWERVE_TIME
 

@@ -317,7 +317,7 @@ def test_a_cut_in_on_the_two_way_road_comes_back() -> None:
 
 
 def test_a_swerve_that_reaches_the_end_of_the_road_ends_on_the_own_lane() -> None:
-    """At the end of the oncoming lane highway-env makes the car head for the lane back, which has no right neighbour."""
+    """There highway-env makes the car head for the lane back, which has no neighbour on the right."""
     env = make("two-way", vehicles_count=1, oncoming_vehicles_count=0)
     env.reset(seed=0)
     vehicle = named(env, "v0")

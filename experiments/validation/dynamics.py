@@ -179,13 +179,22 @@ def placement_errors(task: str) -> dict[str, float]:
         inner.task = staged(task, scene)
         env.reset(seed=0)
         wanted = scenario_of(scene, inner.config)
-        at = {name: row for row, name in enumerate(inner.scene.ids)}
+        x, y = sumo_positions(inner)
         worst["-".join(map(str, index))] = max(
-            float(np.hypot(inner.scene.x[at[spec.id]] - spec.x, inner.scene.y[at[spec.id]] - spec.y))
+            float(np.hypot(x[inner.scene.ids.index(spec.id)] - spec.x, y[inner.scene.ids.index(spec.id)] - spec.y))
             for spec in wanted.vehicles
         )
     env.close()
     return worst
+
+
+def sumo_positions(env: Any) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Centres of SUMO's own cars [m], shape (n,) each; the scene shows where they were steered."""
+    n = len(env.scene.ids)
+    state = np.empty((4, n))
+    fleet = env._world.sim.fleet(env.scene.ids)
+    fleet.read(state, np.empty((3, n)), np.empty(n, np.int64), np.full(n, np.nan))
+    return state[0], state[1]
 
 
 def common(sumo: Motion, reference: Motion, step: float = 0.2) -> NDArray[np.float64]:

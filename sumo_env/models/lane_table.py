@@ -163,18 +163,6 @@ def advance(geometry: Floats, routes: Integers, stage: Integers, x: Floats, y: F
 
 
 @compiled
-def first_elsewhere(number: Integers, sumo_lane: Integers, lane: Integers) -> int:
-    """The first vehicle but row 0 that is not on `lane`, -1 if there is none.
-
-    number: of each of SUMO's lanes, that in the table; sumo_lane: where the vehicles are, shape (n,).
-    """
-    for i in range(1, len(lane)):
-        if number[sumo_lane[i]] != lane[i]:
-            return i
-    return -1
-
-
-@compiled
 def target_stage(geometry: Floats, routes: Integers, stage: Integers, i: int, s: float) -> int:
     """Stage of the lane that vehicle `i`, at `s` [m] on its own, steers for: the next one 2.5 m early.
 

@@ -9,7 +9,6 @@ from networks.roads import ROADS, intersection
 from sumo_env.models.lane_table import (
     advance,
     closest_lane,
-    first_elsewhere,
     heading_at,
     lane_table,
     local_coordinates,
@@ -91,10 +90,3 @@ def test_between_two_lanes_the_closest_one_is_left_to_the_road() -> None:
     table = lane_table(ROADS["highway"]().lanes)
     assert closest_lane(table.geometry, 100.0, 2.0, 0.0) == -1
     assert closest_lane(table.geometry, 100.0, 2.001, 0.0) == 1
-
-
-def test_the_first_vehicle_elsewhere_is_not_the_ego() -> None:
-    number = np.array([7, 8, 9])
-    sumo_lane = np.array([0, 1, 2, 2])
-    assert first_elsewhere(number, sumo_lane, np.array([0, 8, 9, 9])) == -1
-    assert first_elsewhere(number, sumo_lane, np.array([7, 8, 7, 7])) == 2

@@ -58,7 +58,7 @@ class Settings:
     routes: tuple[tuple[str, tuple[str, ...]], ...]  # (id, edges)
     step_length: float  # [s]
     lane_change_duration: float  # [s]
-    commanded: bool  # whether nobody drives or changes lane by SUMO's own decision
+    steered: bool  # whether every car is told its place on the lane, and none changes lane by itself
     drivers: tuple[Driver, ...]
 
 
@@ -308,7 +308,7 @@ def _with_drivers(settings: Settings, drivers: tuple[Driver, ...]) -> Settings:
         settings.routes,
         settings.step_length,
         settings.lane_change_duration,
-        settings.commanded,
+        settings.steered,
         drivers,
     )
 
@@ -339,8 +339,9 @@ def _write_routes(path: Path, settings: Settings) -> None:
             "speedFactor": "1",
             "speedDev": "0",
             # Who drives on command needs no model of lane changes, and DK2008 asks the least: steps of the highway
-            # are a sixth cheaper than with LC2013, and the same bit for bit (docs/performance.md).
-            "laneChangeModel": "DK2008" if settings.commanded else "LC2013",
+            # are a sixth cheaper than with LC2013, and the same bit for bit (docs/performance.md). Not on the two-way
+            # road: with it SUMO 1.28 ends the process when a car changes to the lane of oncoming traffic.
+            "laneChangeModel": "DK2008" if settings.steered else "LC2013",
             "lcKeepRight": "0",
             "lcSpeedGainRight": "1",
             "lcOvertakeRight": "1",

@@ -85,7 +85,7 @@ class World:
                 routes,
                 self.dt,
                 self.lane_change_duration,
-                (self.rule.speed_mode, self.rule.lane_change_mode) == (ALL_CHECKS_OFF, NO_LANE_CHANGES),
+                self.steering is not None,
                 drivers,
             )
         self.sim.acquire(self, self._settings[scenario.risk])

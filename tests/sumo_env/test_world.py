@@ -355,3 +355,16 @@ def test_vehicles_out_of_reach_make_no_difference(monkeypatch: pytest.MonkeyPatc
     for short, whole in zip(runs[0][0], runs[1][0], strict=True):
         assert short.shape == whole.shape
         assert np.abs(short - whole).max() < 1e-4
+
+
+def test_swerves_into_oncoming_traffic_do_not_end_the_process() -> None:
+    """With a lane-change model that knows no opposite lanes SUMO crashed in one of some 70 such episodes."""
+    env = DrivingEnv("two-way", {**next(iter(TASKS["two-way"].levels.values())), "risk": 1.0})
+    rng = np.random.default_rng(0)
+    for seed in range(150):
+        env.reset(seed=seed)
+        over = False
+        while not over:
+            _, _, terminated, truncated, _ = env.step(int(rng.integers(5)))
+            over = terminated or truncated
+    env.close()

@@ -153,7 +153,7 @@ def egos(table: pd.DataFrame) -> str:
     tasks = list(dict.fromkeys(table["task"]))
     figure, axes = new_figure(2, len(tasks), 3.6)
     rows = table[table["traffic"] == "regular"]
-    marks = {"idle": "o", "random": "D", "faster": "^", "slower": "v", "careful": "*"}
+    marks = {"idle": "o", "random": "D", "faster": "^", "slower": "v", "idm": "s", "careful": "*"}
     for column, task in enumerate(tasks):
         for row, measure in enumerate(("return", "crashed")):
             panel = axes[row, column]

@@ -46,9 +46,8 @@ from sumo_env.tasks import TASKS, get_task
 POLICIES = ("idle", "slower", "faster", "idm", "careful")
 KEYS = ["backend", "task", "level", "dose", "episodes"]  # what makes a measurement
 LANE_WIDTH = 4.0  # [m]
-HALF_CHANGE = (
-    5  # sub-steps from the decision to change lane until the middle of the vehicle is on the new one
-)
+# sub-steps from the decision to change lane to the last scene on the old lane: half of the way takes 0.47 s
+HALF_CHANGE = 4
 COLOURS = {
     "idle": "#56b4e9",
     "slower": "#009e73",

@@ -71,7 +71,7 @@ def test_a_sweep_computes_every_cell_once(reference, capsys):
     before = {path: path.stat().st_mtime_ns for path in reference.glob("cells/*/*")}
     assert run(reference) == 0
     assert {path: path.stat().st_mtime_ns for path in reference.glob("cells/*/*")} == before
-    assert "7 of them finished before" in capsys.readouterr().out
+    assert "8 of them finished before" in capsys.readouterr().out
 
 
 def test_cells_say_what_they_are_and_where_they_come_from(reference):
@@ -110,11 +110,11 @@ def test_a_cell_that_always_fails_leaves_the_others(reference, tmp_path, monkeyp
     assert run(tmp_path) == 1
     output = capsys.readouterr()
     assert "trying again (3 of 3)" in output.out
-    assert "1 of 7 cells failed, all others are kept" in output.err
+    assert "1 of 8 cells failed, all others are kept" in output.err
     assert "the fake environment was told to fail" in output.err
     assert "Traceback" in next((tmp_path / "logs").iterdir()).read_text()
     results = store.load(tmp_path)
-    assert len(results.cells) == 6
+    assert len(results.cells) == 7
     assert [name.rpartition("-")[0] for name in results.failed] == ["sumo-u-turn-3-treatment-s0"]
     monkeypatch.delenv("FAKE_RAISE")
     assert run(tmp_path) == 0
@@ -247,7 +247,7 @@ def test_a_damaged_cell_stops_the_sweep_before_anything_is_computed(reference, t
     with pytest.raises(store.DamagedCell) as error:
         run(tmp_path / "copy", seeds=2)
     assert str(cell / store.EPISODES) in str(error.value)
-    assert len(list((tmp_path / "copy" / "cells").iterdir())) == 7
+    assert len(list((tmp_path / "copy" / "cells").iterdir())) == 8
 
 
 @pytest.mark.parametrize(
@@ -285,7 +285,7 @@ def command(*arguments: str, cwd: Path) -> subprocess.CompletedProcess:
 def test_the_command_works_from_any_directory(tmp_path):
     result = command("--preset", "paper", "--dry-run", "--tasks", "highway,u-turn", cwd=tmp_path)
     assert result.returncode == 0, result.stderr
-    assert "140 agents and 35 baselines" in result.stdout
+    assert "140 agents and 42 baselines" in result.stdout
     assert not list(tmp_path.iterdir())
     result = command("--preset", "papr", cwd=tmp_path)
     assert (result.returncode, result.stdout) == (2, "")
@@ -296,8 +296,8 @@ def test_the_command_works_from_any_directory(tmp_path):
 def test_the_estimate_uses_the_stored_cells_of_this_machine(reference, capsys):
     sweep(Options(out=reference, **{**TINY, "seeds": 2, "dry_run": True}), make_env=make_env)
     output = capsys.readouterr().out
-    assert "measured on 7 stored cells" in output
-    assert "4 agents and 5 baselines" in output
+    assert "measured on 8 stored cells" in output
+    assert "4 agents and 6 baselines" in output
 
 
 def test_presets_name_every_task_and_keep_the_arms_comparable():

@@ -237,9 +237,10 @@ def _play(env: Any, policy: Any, seed: int, traffic: TrafficLog) -> dict[str, fl
 def draw(table: pd.DataFrame, path: Path) -> None:
     """The dose-response curves: the ego above, the traffic below, a column for each task; highway-env dashed."""
     tasks = list(dict.fromkeys(table["task"]))
-    figure, axes = plt.subplots(2, len(tasks), figsize=(2.6 * len(tasks), 4.8), squeeze=False, sharex=True)
+    present = [backend for backend in BACKENDS if (table["backend"] == backend).any()]
+    figure, axes = plt.subplots(2, len(tasks), figsize=(max(2.6 * len(tasks), 4.0), 5.4), squeeze=False, sharex=True)
     for column, task in enumerate(tasks):
-        for backend, style in zip(dict.fromkeys(table["backend"]), ("-", "--"), strict=False):
+        for backend, style in zip(present, ("-", "--"), strict=False):
             rows = table[(table["task"] == task) & (table["backend"] == backend)]
             if len(rows):
                 _draw_ego(axes[0, column], rows, style)
@@ -250,9 +251,12 @@ def draw(table: pd.DataFrame, path: Path) -> None:
             axis.spines[["top", "right"]].set_visible(False)
             axis.tick_params(labelsize=8)
         axes[1, column].set_xlabel("dose")
-    axes[0, 0].legend(fontsize=7, frameon=False)
-    axes[1, 0].legend(fontsize=7, frameon=False)
-    figure.tight_layout()
+    for place, row in zip((0.07, 0.0), axes, strict=True):
+        handles, labels = row[0].get_legend_handles_labels()
+        figure.legend(
+            handles, labels, loc="lower center", bbox_to_anchor=(0.5, place), ncols=5, fontsize=8, frameon=False
+        )
+    figure.tight_layout(rect=(0, 0.12, 1, 1))
     figure.savefig(path, dpi=110)
     plt.close(figure)
 

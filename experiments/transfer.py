@@ -164,8 +164,9 @@ def draw(table: pd.DataFrame, path: Path) -> None:
             axis.spines[["top", "right"]].set_visible(False)
         axes[0, column].set_title(task)
         axes[1, column].set_ylim(bottom=0)
-    axes[0, 0].legend(fontsize=7, frameon=False)
-    figure.tight_layout()
+    handles, labels = axes[0, 0].get_legend_handles_labels()
+    figure.legend(handles, labels, loc="lower center", ncols=len(labels), fontsize=8, frameon=False)
+    figure.tight_layout(rect=(0, 0.05, 1, 1))
     figure.savefig(path, dpi=110)
     plt.close(figure)
 

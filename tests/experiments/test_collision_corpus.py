@@ -109,7 +109,7 @@ def test_the_straight_way_is_close_to_that_of_a_finer_simulation(
     for start in range(len(driven) - 10):
         way = between(driven[start], driven[start + 10])[1::2]  # every 0.01 s
         off.append(np.linalg.norm(_corners(way) - _corners(driven[start + 1 : start + 11]), axis=-1).max())
-    # [m] docs/collisions.md; most where a lane change begins and the steering turns the car within a twentieth of a second
+    # [m] docs/collisions.md; most where a lane change begins, and the car turns within a twentieth of a second
     assert max(off) < 0.36 and np.quantile(off, 0.95) < 0.05
 
 

@@ -179,8 +179,9 @@ def test_a_stopped_sweep_says_how_to_go_on(tmp_path, number):
         str(directory),
     ]
     process = subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path
-    )
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # tests in the background inherit its neglect
+    )  # fmt: skip
     wait_for(lambda: (directory / "claims").is_dir() and list(directory.glob("claims/*.lock")), process)
     process.send_signal(number)
     _, errors = process.communicate(timeout=300)

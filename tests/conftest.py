@@ -1,7 +1,26 @@
-"""Before numpy is imported: threads and kernels as the commands have them, so that bits are the same."""
+"""Before numpy is imported: threads and kernels as the commands have them, so that bits are the same.
+
+And highway-env's classes as they were: making its intersection writes other numbers into the class of all drivers.
+"""
 
 from __future__ import annotations
+
+from collections.abc import Iterator
 
 from experiments.support.threads import limit_threads
 
 limit_threads()
+
+import pytest
+from highway_env.vehicle.behavior import IDMVehicle
+
+LEAKED = ("DISTANCE_WANTED", "COMFORT_ACC_MAX", "COMFORT_ACC_MIN")
+PRISTINE = {name: getattr(IDMVehicle, name) for name in LEAKED}
+
+
+@pytest.fixture(autouse=True)
+def regular_drivers() -> Iterator[None]:
+    """Undo what a test has left in the class of highway-env's drivers."""
+    yield
+    for name, value in PRISTINE.items():
+        setattr(IDMVehicle, name, value)

@@ -38,7 +38,7 @@ from experiments.validation.jobs import Job, Size
 ROOT = Path(__file__).resolve().parents[1]
 # What parts depend on: those driven by other code are not used again. (That the scenarios are the same is checked.)
 SOURCES = {"highway-env": ("experiments/backends",), "sumo": ("sumo_env", "networks")}
-QUICK = Size(lowest=8, others=5, highway=(4, 3, 2), changes=4)
+QUICK = Size(lowest=20, others=20, highway=(12, 4, 3), changes=6)
 
 
 @dataclass(frozen=True)

@@ -2,8 +2,8 @@
 
 SUMO's lane changes take one even motion that cannot be given up. So SUMO is told where on its lane each car is, the
 distance to the middle included (``setLateralLanePosition``), and is told to count a car as being on the next lane at
-once when it has crossed the line. The world shows where cars were steered; SUMO's follow within centimetres, or
-within half a metre on the joints of the roundabout (tests/sumo_env/test_steering.py).
+once when it has crossed the line. The world shows where cars were steered; SUMO's follow, most within centimetres
+(95 % within half a metre on every road, tests/sumo_env/test_steering.py; docs/validation.md has the rest).
 """
 
 from __future__ import annotations

@@ -31,7 +31,7 @@ from sumo_env.config import Config
 from sumo_env.ego import Ego, coast
 from sumo_env.models.hazards import free_way, has_room
 from sumo_env.models.idm import driver_rows
-from sumo_env.models.motion import command_euler, euler
+from sumo_env.models.motion import euler
 from sumo_env.safety import HORIZON, ego_ttc
 from sumo_env.scenario import EGO, Scenario, VehicleSpec
 from sumo_env.scene import Scene
@@ -147,7 +147,7 @@ class World:
         self._reported: set[tuple[int, int]] = set()  # by SUMO after the last sub-step
         self.lane = np.empty(n, np.int64)
         self._own_speed = np.full(n, np.nan)  # speeds after the next sub-step that SUMO does not know
-        self._command = np.empty(n)
+        self._distance = np.full(n, np.nan)  # commanded where nobody is steered; never the ego's, which is row 0
         self.fleet = self.sim.fleet(self.ids)
         self.fleet.read(self.state, self._before, self.lane, self._own_speed)
         if self.steering:
@@ -290,15 +290,12 @@ class World:
     def accelerate(self, acceleration: NDArray[np.float64]) -> None:
         """Drive all vehicles but the ego and the wrecks by these accelerations [m/s2]."""
         # highway-env moves by explicit Euler at 15 Hz; constant acceleration over our step moves as far as that
-        if self.steering:
-            least = -math.inf  # highway-env's cars roll back to their distance
-            euler(self.speed, acceleration, self.crashed, self.dt, least, self._own_speed, self.steering.distance)
-            return
-        command_euler(
-            self.speed, acceleration, self.crashed, self.dt, self.lane, self._stretch, self._uneven,
-            self._own_speed, self._command,
-        )  # fmt: skip
-        self.fleet.set_speeds(self._command)
+        # highway-env's cars roll back to their distance; SUMO's own cannot
+        least = -math.inf if self.steering else 0.0
+        distance = self.steering.distance if self.steering else self._distance
+        euler(self.speed, acceleration, self.crashed, self.dt, least, self._own_speed, distance)
+        if not self.steering:  # SUMO knows one number for the distance and the speed: it is told the former
+            self.fleet.set_speeds(np.where(self.crashed, np.nan, distance / self.dt))
 
     def _drive(self, row: int, speed: float, distance: float) -> None:
         """Move a vehicle by `distance` [m] in the next step, after which its speed is `speed` [m/s].

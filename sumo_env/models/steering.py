@@ -14,13 +14,13 @@ from numpy.typing import NDArray
 
 from networks.lanes import VEHICLE_LENGTH, WIDTH
 from sumo_env.compiled import compiled
+from sumo_env.ego import REFERENCE_STEP
 from sumo_env.models.lane_table import Floats, Integers, heading_at, local_coordinates
 
 TAU_HEADING = 0.2  # [s]
 TAU_LATERAL = 0.6  # [s]
 TAU_PURSUIT = 0.1  # [s] look-ahead
 MAX_STEERING_ANGLE = math.pi / 3  # [rad]
-REFERENCE_STEP = 1.0 / 15.0  # [s] of highway-env
 SMALL = 0.01
 HALF = VEHICLE_LENGTH / 2  # [m] from the centre to the front bumper
 

@@ -9,11 +9,10 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from sumo_env.drivers import RiskEvent
 from sumo_env.models.idm import strip_accelerations
-from sumo_env.models.mobil import closest_lanes, drive
+from sumo_env.models.mobil import act, closest_lanes
 from sumo_env.native import CENTRED
 from sumo_env.simulation import ALL_CHECKS_OFF, NO_LANE_CHANGES
 
@@ -29,49 +28,44 @@ class Computed:
 
     speed_mode = ALL_CHECKS_OFF
     lane_change_mode = NO_LANE_CHANGES
-    steers = True  # cars move sideways by highway-env's steering toward `targets`, not by SUMO's lane changes
+    steers = True  # cars move sideways by highway-env's steering for target lanes, not by SUMO's lane changes
 
-    def targets(self, world: World) -> NDArray[np.int64]:
-        """Number of the lane that every vehicle but the ego steers for, shape (n,)."""
+    def start(self, world: World, first: int) -> None:
         raise NotImplementedError
 
-    def accelerations(self, world: World) -> NDArray[np.float64]:
+    def accelerate(self, world: World) -> None:
+        """Write what the drivers want into ``world.cars.acceleration``, and the lanes they steer for into `target`."""
         raise NotImplementedError
 
     def act(self, world: World) -> None:
-        world.accelerate(world.push(self.accelerations(world)))
+        self.accelerate(world)
+        world.push(world.cars.acceleration)
 
 
 class Mobil(Computed):
     """highway-env's IDM and MOBIL on the straight highway (`models.idm`, `models.mobil`)."""
 
-    def start(self, world: World) -> None:
+    def start(self, world: World, first: int) -> None:
+        cars = world.cars
         self._lanes = int(world.config["lanes_count"])
-        self._target = closest_lanes(world.y, self._lanes, LANE_WIDTH)
-        self._timer = np.array([spec.timer for spec in world.specs])
-        self._changes = np.array([spec.changes_lanes for spec in world.specs])
-        self._changes[0] = False
-        self._forced = np.zeros(len(world.ids), np.bool_)
-        self._acceleration = np.empty(len(world.ids))
+        cars.target[:] = closest_lanes(world.y, self._lanes, LANE_WIDTH)
+        cars.timer[:] = [spec.timer for spec in world.specs]
+        cars.changes[:] = [spec.changes_lanes for spec in world.specs]
+        cars.changes[0] = False
 
-    def accelerations(self, world: World) -> NDArray[np.float64]:
-        self._target[0] = world.ego.target_lane[2]
-        drive(
-            world.x, world.y, world.speed, world.heading, world.crashed, world.target_speed, world.drivers,
-            self._target, self._timer, self._changes, self._forced, self._lanes, LANE_WIDTH, world.road_length,
-            world.limit, world.dt, self._acceleration,
+    def accelerate(self, world: World) -> None:
+        cars = world.cars
+        act(
+            cars.floats, cars.integers, cars.flags, world.drivers, self._lanes, LANE_WIDTH, world.road_length,
+            world.limit, world.dt,
         )  # fmt: skip
-        return self._acceleration
-
-    def targets(self, world: World) -> NDArray[np.int64]:
-        return self._target
 
     def cut_in(self, world: World, row: int, event: RiskEvent) -> None:
-        lane = int(self._target[row])
+        cars = world.cars
+        lane = int(cars.target[row])
         for target in (lane + event.direction, lane - event.direction):
             if 0 <= target < self._lanes and world.has_room(row, ("0", "1", target)):
-                self._target[row] = target
-                self._forced[row] = True
+                cars.target[row], cars.forced[row] = target, True
                 return
 
 
@@ -80,13 +74,13 @@ class Strip(Computed):
 
     steers = False  # SUMO's opposite lanes know no position between the lanes
 
-    def start(self, world: World) -> None:
+    def start(self, world: World, first: int) -> None:
         self._direction = np.array([1.0 if spec.lane[0] == "a" else -1.0 for spec in world.specs])
         self._lane_y = np.where(world.y < LANE_WIDTH / 2, 0.0, LANE_WIDTH)
         self._target_y = self._lane_y.copy()
         self._return: dict[int, float] = {}
 
-    def accelerations(self, world: World) -> NDArray[np.float64]:
+    def accelerate(self, world: World) -> None:
         np.multiply(world.y >= LANE_WIDTH / 2, LANE_WIDTH, out=self._lane_y)
         returning = [row for row, time in self._return.items() if world.time >= time] if self._return else ()
         for row in returning:
@@ -96,10 +90,14 @@ class Strip(Computed):
                 del self._return[row]
                 self._target_y[row] = LANE_WIDTH
                 world.sim.change_lane_relative(world.ids[row], -1)
-        return strip_accelerations(
+        world.cars.acceleration[:] = strip_accelerations(
             world.x, world.y, world.speed, world.heading, self._lane_y, self._target_y, self._direction,
             world.target_speed, world.drivers, world.road_length, world.limit,
         )  # fmt: skip
+
+    def act(self, world: World) -> None:
+        super().act(world)
+        world.command_accelerations()
 
     def cut_in(self, world: World, row: int, event: RiskEvent) -> None:
         on_lane = self._direction[row] > 0 and abs(world.y[row] - LANE_WIDTH) < CENTRED

@@ -28,6 +28,7 @@ from sumo_env.compiled import compiled
 from sumo_env.scene import VEHICLE_LENGTH, Floats
 
 Integers = NDArray[np.int64]
+Flags = NDArray[np.bool_]
 VERSION = "SUMO 1.28.0"
 HALF = VEHICLE_LENGTH / 2
 
@@ -45,6 +46,7 @@ SYMBOLS = (
     "_ZNK9MSVehicle7getLaneEv",
     f"_ZN7libsumo6Helper10getVehicleE{_STRING}",
     f"_ZN6MSLane10dictionaryE{_STRING}",
+    f"_ZN7libsumo7Vehicle22setLateralLanePositionE{_STRING}d",
 )
 (
     ARRIVED,
@@ -59,12 +61,13 @@ SYMBOLS = (
     LANE,
     FIND_VEHICLE,
     FIND_LANE,
+    SET_LATERAL,
 ) = range(len(SYMBOLS))
 LAST_TIME = 2**63 - 1 - 1000  # [ms] SUMOTime_MAX
 
 
 def find(library: str, version: str) -> Integers | None:
-    """Addresses of SYMBOLS in the loaded extension module, shape (12,); None where they are not to be relied on."""
+    """Addresses of SYMBOLS in the loaded extension module, shape (13,); None where they are not to be relied on."""
     if version != VERSION or sys.platform != "linux" or platform.machine() != "x86_64":
         return None
     try:
@@ -178,6 +181,17 @@ def _give(typing: Any, address: Any, this: Any, value: Any) -> Any:
     return types.void(types.int64, types.int64, types.int64), generate
 
 
+@_inline
+def _give_double(typing: Any, address: Any, this: Any, value: Any) -> Any:
+    """Nothing of a pointer and a double."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        _call(builder, arguments[0], _VOID, arguments[1:])
+        return context.get_dummy_value()
+
+    return types.void(types.int64, types.int64, types.float64), generate
+
+
 @compiled
 def look_up(function: int, strings: Integers) -> Integers:
     """Pointers to what the strings name, shape (n,)."""
@@ -253,6 +267,33 @@ def read(
 
 
 @compiled
+def read_fronts(
+    functions: Integers,
+    vehicles: Integers,
+    known_lanes: Integers,
+    lane_order: Integers,
+    stepped: bool,
+    front: Floats,
+    lane: Integers,
+) -> bool:
+    """As `read`, but only front bumpers [m] in highway-env's coordinates into `front`, shape (2, n), and lanes."""
+    if stepped and _count(functions[ARRIVED]) > 0:
+        return False
+    position = np.empty(3)
+    result = np.int64(position.ctypes.data)
+    for i in range(len(vehicles)):
+        if _truth(functions[VISIBLE], vehicles[i]) == 0:
+            return False
+        _fill(functions[POSITION], result, vehicles[i], 0.0)
+        front[0, i], front[1, i] = position[0], -position[1]
+        k = np.searchsorted(known_lanes, _word(functions[LANE], vehicles[i]))
+        if k == len(known_lanes):
+            return False
+        lane[i] = lane_order[k]
+    return True
+
+
+@compiled
 def set_speeds(functions: Integers, vehicles: Integers, speeds: Floats, step: int) -> None:
     """Command speeds [m/s], shape (n,), to those for whom they are neither NaN nor negative; steps are of `step` [ms].
 
@@ -269,3 +310,23 @@ def set_speeds(functions: Integers, vehicles: Integers, speeds: Floats, step: in
         if speeds[i] >= 0.0:
             values[1] = values[3] = speeds[i]
             _give(functions[SET_SPEEDS], _word(functions[INFLUENCER], vehicles[i]), vector_at)
+
+
+@compiled
+def command(
+    functions: Integers,
+    vehicles: Integers,
+    names: Integers,
+    speeds: Floats,
+    lateral: Floats,
+    moved: Flags,
+    step: int,
+) -> None:
+    """`set_speeds`, and first the distances `lateral` [m] from the middle of the lane to those who `moved`, shape (n,).
+
+    names: addresses of the vehicles' names (`Strings`), shape (n,).
+    """
+    for i in range(len(vehicles)):
+        if moved[i]:
+            _give_double(functions[SET_LATERAL], names[i], lateral[i])
+    set_speeds(functions, vehicles, speeds, step)

@@ -22,7 +22,7 @@ class Native:
         self.lane_change_mode = lane_change_mode
         self._forced: dict[str, float] = {}  # vehicle -> end of its cut-in [s]
 
-    def start(self, world: World) -> None:
+    def start(self, world: World, first: int) -> None:
         if world.time == 0.0:
             self._forced.clear()
 

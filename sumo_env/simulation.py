@@ -203,10 +203,6 @@ class Simulation:
         """Distance from the middle of the current lane [m]."""
         return float(_native.vehicle_getLateralLanePosition(name))
 
-    def set_lateral_position(self, name: str, lateral: float) -> None:
-        """Move a vehicle to this distance from the middle of its lane [m], to the left, now; the lane stays."""
-        _set_lateral(name, lateral)
-
     def set_speed(self, name: str, speed: float) -> None:
         """Command a speed [m/s] from now on; a negative one gives it back to SUMO."""
         _set_speed(name, speed)
@@ -250,8 +246,8 @@ class Fleet:
             _lane(name)  # raises where there is no such vehicle, which must not happen in compiled code
         self._functions = simulation.functions
         if self._functions is not None:
-            strings = _strings(names)
-            self._vehicles = direct.look_up(self._functions[direct.FIND_VEHICLE], strings.addresses)
+            self._strings = _strings(names)
+            self._vehicles = direct.look_up(self._functions[direct.FIND_VEHICLE], self._strings.addresses)
             self._step = round(1000 * _native.simulation_getDeltaT())  # [ms]
             self._lanes = simulation.lane_pointers
 
@@ -276,6 +272,31 @@ class Fleet:
         state[3] = np.where(np.isnan(own_speed), speed, own_speed)
         numbers = self._simulation.lane_numbers
         lane[:] = [numbers[_lane(name)] for name in self._names]
+
+    def read_fronts(self, front: Floats, lane: Integers) -> None:
+        """Read front bumpers [m] into `front`, shape (2, n), and the numbers of their lanes, shape (n,)."""
+        if self._functions is not None:
+            stepped = self._simulation.stepped
+            if direct.read_fronts(
+                self._functions, self._vehicles, *self._lanes, stepped, front, lane
+            ):
+                return
+            self._functions = None  # somebody has left the road: libsumo says who
+        for i, name in enumerate(self._names):
+            x, y = _position(name, False)
+            front[0, i], front[1, i] = x, -y
+            lane[i] = self._simulation.lane_numbers[_lane(name)]
+
+    def command(self, speeds: Floats, lateral: Floats, moved: NDArray[np.bool_]) -> None:
+        """`set_speeds`; those who `moved` are put `lateral` [m] to the left of the middle of their lane. Shapes (n,)."""
+        if self._functions is not None:
+            direct.command(
+                self._functions, self._vehicles, self._strings.addresses, speeds, lateral, moved, self._step
+            )
+            return
+        for row in np.flatnonzero(moved).tolist():
+            _set_lateral(self._names[row], float(lateral[row]))
+        self.set_speeds(speeds)
 
     def set_speeds(self, speeds: Floats) -> None:
         """Command speeds [m/s], shape (n,), from now on; NaN or a negative number is no command."""

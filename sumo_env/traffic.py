@@ -24,8 +24,8 @@ class Rule(Protocol):
     speed_mode: int
     lane_change_mode: int
 
-    def start(self, world: World) -> None:
-        """Look at the vehicles at the start of an episode, or after some came or went."""
+    def start(self, world: World, first: int) -> None:
+        """Look at the vehicles at the start of an episode, or after some came or went: new ones from row `first` on."""
 
     def act(self, world: World) -> None:
         """Command the vehicles for the next simulation step."""

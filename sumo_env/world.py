@@ -6,8 +6,7 @@ everybody's state is read, contacts on the way are looked for by SUMO and by geo
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -15,6 +14,7 @@ from numpy.typing import NDArray
 
 from networks.catalogue import Network
 from networks.roads import LaneIndex
+from sumo_env.cars import Cars
 from sumo_env.collision import (
     LENGTH,
     SUMO_TOLERANCE,
@@ -29,10 +29,11 @@ from sumo_env.collision import (
 from sumo_env.computed import Computed
 from sumo_env.config import Config
 from sumo_env.ego import Ego, coast
+from sumo_env.models.dangers import dangers
 from sumo_env.models.hazards import free_way, has_room
 from sumo_env.models.idm import driver_rows
 from sumo_env.models.motion import euler
-from sumo_env.safety import HORIZON, ego_ttc
+from sumo_env.safety import HORIZON
 from sumo_env.scenario import EGO, Scenario, VehicleSpec
 from sumo_env.scene import Scene
 from sumo_env.simulation import ALL_CHECKS_OFF, NO_LANE_CHANGES, Settings, Simulation, simulation
@@ -48,9 +49,9 @@ LANE_CHANGE_DURATION = 0.8
 class World:
     """The state of an episode. Arrays have one row a vehicle, row 0 the ego, in highway-env's coordinates.
 
-    Attributes that rules read: ids, row (id -> row), specs, x, y, speed, heading, crashed, target_speed, yielding,
-    drivers (columns of `models.idm`), lane (numbers in `sim.lane_ids`), time, dt, ego, road, network, config,
-    road_length, limit, sim. They are written in place: x, y, heading and speed are the rows of `state`.
+    Attributes that rules read: ids, row (id -> row), specs, cars (and some of its rows: x, y, speed, heading, crashed,
+    target_speed, yielding, lane), drivers (columns of `models.idm`), time, dt, ego, road, network, config,
+    road_length, limit, sim, fleet.
     """
 
     def __init__(self, task: Task, config: Config, network: Network) -> None:
@@ -125,44 +126,38 @@ class World:
             self.limit if is_ego else min(spec.target_speed, self.limit),
         )  # fmt: skip
 
-    def _set_rows(self, specs: list[VehicleSpec], keep: dict[str, int] | None = None) -> None:
-        """(Re)build the arrays for these vehicles; rows of `keep` (id -> old row) keep their state."""
-        keep = keep or {}
-        old = (
-            {
-                name: getattr(self, name)
-                for name in ("crashed", "target_speed", "yielding", "speed", "_own_speed")
-            }
-            if keep
-            else {}
-        )
+    def _set_rows(self, specs: list[VehicleSpec], stayed: Sequence[int] = ()) -> None:
+        """(Re)build the arrays for these vehicles; the first of them keep the state of the rows that `stayed`."""
+        first = len(stayed)
         self.specs = specs
         self.ids = tuple(spec.id for spec in specs)
-        self.spec_of = {spec.id: spec for spec in specs}
+        self.spec_of = dict(zip(self.ids, specs, strict=True))
         self.row = {name: row for row, name in enumerate(self.ids)}
-        n = len(specs)
-        self.state = np.empty((4, n))
-        self.x, self.y, self.heading, self.speed = self.state
-        self._before = np.empty((3, n))  # x, y, heading before the last sub-step
+        cars = Cars(len(specs))
+        if first:
+            cars.keep(self.cars, stayed)
+        self.cars = cars
+        self.x, self.y, self.heading, self.speed = cars.state
+        self.crashed, self.yielding, self.target_speed = cars.crashed, cars.yielding, cars.target_speed
+        self.lane = cars.lane
         self._reported: set[tuple[int, int]] = set()  # by SUMO after the last sub-step
-        self.lane = np.empty(n, np.int64)
-        self._own_speed = np.full(n, np.nan)  # speeds after the next sub-step that SUMO does not know
-        self._distance = np.full(n, np.nan)  # commanded where nobody is steered; never the ego's, which is row 0
         self.fleet = self.sim.fleet(self.ids)
-        self.fleet.read(self.state, self._before, self.lane, self._own_speed)
         if self.steering:
-            self.steering.start(self, keep)
-        self._before[:] = self.state[:3]
-        self.speed[:] = [spec.speed for spec in specs]
-        self.crashed = np.zeros(n, np.bool_)
-        self.yielding = np.array([spec.yielding for spec in specs])
-        self.target_speed = np.array([spec.target_speed for spec in specs])
+            self.steering.start(self, first)
+        else:
+            speed = cars.speed.copy()
+            self.fleet.read(cars.state, cars.before, cars.lane, cars.own_speed)
+            cars.speed[:] = speed  # SUMO does not know it before the next step
+        fresh = specs[first:]
+        cars.speed[first:] = [spec.speed for spec in fresh]
+        cars.target_speed[first:] = [spec.target_speed for spec in fresh]
+        cars.yielding[first:] = [spec.yielding for spec in fresh]
+        cars.before[:] = cars.pose
         self.drivers = driver_rows(spec.driver for spec in specs)
-        for name, old_row in keep.items():
-            for field, values in old.items():
-                getattr(self, field)[self.row[name]] = values[old_row]
-        self._wrecks = bool(self.crashed[1:].any())
-        self.rule.start(self)
+        self._wrecks = bool(cars.crashed[1:].any())
+        self.rule.start(self, first)
+        if self.steering:
+            self.steering.aim(self)
 
     # -- a policy step -------------------------------------------------------------------------------------
 
@@ -175,22 +170,24 @@ class World:
         self.sim.check(self)
         self.min_ttc = np.inf
         self.distance = 0.0
+        cars = self.cars
+        if self.steering:
+            self.steering.aim(self)  # the ego may have been commanded to another lane
         for substep in range(1, self.substeps + 1):
-            if self._events:
+            if self._events and self._events[0].time <= self.time + 1e-9:
                 self._start_events()
             self.rule.act(self)
-            if self._wrecks:
-                self._coast()
             self._drive_ego()
             if self.steering:
                 self.steering.act(self)
+            elif self._wrecks:
+                self._coast()
             self.sim.step()
             self.time += self.dt
-            self._own_speed[0] = self.ego.speed
             self._read()
-            self._look_for_contacts()
-            if not self.crashed[0]:
-                ttc = ego_ttc(self.x, self.y, self.speed, self.heading, HORIZON)
+            touching, ttc = dangers(cars.floats, cars.flags, HORIZON)
+            self._look_for_contacts(touching)
+            if not cars.crashed[0]:
                 self.min_ttc = min(self.min_ttc, ttc)
             if on_substep is not None and substep < self.substeps:
                 on_substep(self.scene())
@@ -210,13 +207,11 @@ class World:
         ]
         if not coming and len(staying) == len(self.ids):
             return
-        keep = {self.ids[row]: row for row in staying}
-        for name in self.ids:
-            if name not in keep:
-                self.sim.remove(name)
+        for row in set(range(len(self.ids))).difference(staying):
+            self.sim.remove(self.ids[row])
         for spec in coming:
             self._place(spec)
-        self._set_rows([self.specs[row] for row in staying] + coming, keep)
+        self._set_rows([self.specs[row] for row in staying] + coming, staying)
 
     def _has_left(self, row: int) -> bool:
         if self.task.name != "intersection":
@@ -229,7 +224,7 @@ class World:
 
     def scene(self) -> Scene:
         """The present state as a value."""
-        x, y, heading, speed = self.state.copy()
+        x, y, heading, speed = self.cars.state.copy()
         return Scene(self.ids, x, y, speed, heading, self.crashed.copy(), round(self.time, 6))
 
     # -- parts of a sub-step -------------------------------------------------------------------------------
@@ -277,53 +272,45 @@ class World:
                 self.sim.speed_mode(name, speed_mode if push < 0.0 else ALL_CHECKS_OFF)
                 self.sim.set_speed(name, max(float(self.speed[row]) + push * self.dt, 0.0))
 
-    def push(self, acceleration: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Risk events' braking and surging of vehicles whose acceleration [m/s2] is computed."""
+    def push(self, acceleration: NDArray[np.float64]) -> None:
+        """Risk events' braking and surging of vehicles whose acceleration [m/s2] is computed: changes it in place."""
         for row, push in self._pushed() if self._pushes else ():
             if push < 0.0:
                 standstill = -max(float(self.speed[row]), 0.0) / self.dt  # nobody brakes into reverse
                 acceleration[row] = min(acceleration[row], max(push, standstill))
             elif push > 0.0:
                 acceleration[row] = max(acceleration[row], push)
-        return acceleration
 
-    def accelerate(self, acceleration: NDArray[np.float64]) -> None:
-        """Drive all vehicles but the ego and the wrecks by these accelerations [m/s2]."""
+    def command_accelerations(self) -> None:
+        """Tell SUMO how fast all vehicles but the ego and the wrecks drive by their accelerations."""
+        cars = self.cars
         # highway-env moves by explicit Euler at 15 Hz; constant acceleration over our step moves as far as that
-        # highway-env's cars roll back to their distance; SUMO's own cannot
-        least = -math.inf if self.steering else 0.0
-        distance = self.steering.distance if self.steering else self._distance
-        euler(self.speed, acceleration, self.crashed, self.dt, least, self._own_speed, distance)
-        if not self.steering:  # SUMO knows one number for the distance and the speed: it is told the former
-            self.fleet.set_speeds(np.where(self.crashed, np.nan, distance / self.dt))
-
-    def _drive(self, row: int, speed: float, distance: float) -> None:
-        """Move a vehicle by `distance` [m] in the next step, after which its speed is `speed` [m/s].
-
-        SUMO knows one number for both: it is told the distance, and the speed proper is kept by us.
-        """
-        self._own_speed[row] = speed
-        if self.steering:
-            self.steering.distance[row] = distance
-            return
-        commanded = distance / self.dt
-        if self._uneven:  # lanes of one edge share one length in SUMO, so that metres are not metres in bends
-            commanded *= float(self._stretch[self.lane[row]])
-        self.sim.set_speed(self.ids[row], commanded)
+        euler(cars.speed, cars.acceleration, cars.crashed, self.dt, 0.0, cars.own_speed, cars.distance)
+        # SUMO knows one number for the distance and the speed: it is told the former
+        self.fleet.set_speeds(np.where(cars.crashed, np.nan, cars.distance / self.dt))
 
     def _coast(self) -> None:
         """Wrecks decelerate with a = -v and stay where they stop, as in highway-env."""
-        for row in np.flatnonzero(self.crashed[1:]) + 1:
-            self._drive(int(row), *coast(float(self.speed[row]), self.dt))
+        for row in (np.flatnonzero(self.crashed[1:]) + 1).tolist():
+            speed, distance = coast(float(self.speed[row]), self.dt)
+            self.cars.own_speed[row] = speed
+            commanded = distance / self.dt
+            if self._uneven:  # lanes of one edge share one length in SUMO, so that metres are not metres in bends
+                commanded *= float(self._stretch[self.lane[row]])
+            self.sim.set_speed(self.ids[row], commanded)
 
     def _drive_ego(self) -> None:
-        ego = self.ego
-        ego.follow_road(float(self.x[0]), float(self.y[0]))
+        ego, cars = self.ego, self.cars
+        if self.steering is None or self.steering.ego_near_end:
+            ego.follow_road(float(self.x[0]), float(self.y[0]))
         moved = ego.advance(self.dt)
         self.distance += moved
         if self.steering:
-            self.steering.distance[0] = moved
+            if self.steering.ego_near_end:
+                self.steering.aim(self)
+            cars.distance[0], cars.speed[0] = moved, ego.speed
             return
+        cars.own_speed[0] = ego.speed
         lane = int(self.lane[0])
         # lanes of one edge share one length in SUMO, so that metres are not metres in bends
         self.sim.set_speed(EGO, max(moved / self.dt, 0.0) * self._ego_stretch[lane])
@@ -338,16 +325,19 @@ class World:
             self.sim.change_lane(EGO, self.road.count(*here[:2]) - 1 - target[2])
 
     def _read(self) -> None:
-        self.fleet.read(self.state, self._before, self.lane, self._own_speed)
+        cars = self.cars
         if self.steering:
-            self.steering.look(self)
+            self.fleet.read_fronts(cars.front, cars.lane)
+        else:
+            self.fleet.read(cars.state, cars.before, cars.lane, cars.own_speed)
 
-    def _look_for_contacts(self) -> None:
-        pairs, moments = meetings(self._before, self.x, self.y, self.heading, ~self.crashed)
+    def _look_for_contacts(self, touching: int) -> None:
+        """Make wrecks of those who touched in the last sub-step; `touching`: pairs that did by geometry."""
         found = self.sim.collisions()
-        if not found and not len(pairs):
+        if not found and not touching:
             self._reported.clear()
             return
+        pairs, moments = meetings(self.cars.before, self.x, self.y, self.heading, ~self.crashed)
         met = dict(zip(map(tuple, pairs.tolist()), moments.tolist(), strict=True))
         reported = {
             (min(pair), max(pair))
@@ -364,7 +354,7 @@ class World:
         for pair in sorted(happened, key=lambda pair: (happened[pair], pair)):
             if pair[0] == 0 and self.crash is None:
                 by: Detector = "sumo" if pair not in met else "both" if pair in by_sumo else "geometry"
-                scene = scene_between(self._before, self.scene(), happened[pair], self.dt)
+                scene = scene_between(self.cars.before, self.scene(), happened[pair], self.dt)
                 self.crash = crash_record(scene, pair[1], by)
                 self.ego.crashed = True
             for row in pair:

@@ -16,6 +16,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from networks.lanes import VEHICLE_LENGTH
+from sumo_env.cars import (
+    ACCELERATION,
+    CHANGES,
+    CRASHED,
+    FORCED,
+    HEADING,
+    SPEED,
+    TARGET,
+    TARGET_SPEED,
+    TIMER,
+    Flags,
+    X,
+    Y,
+)
 from sumo_env.compiled import compiled
 from sumo_env.models.idm import A_MAX, S0, TAU, B, behind, desired_gap, strip_accelerations, strip_neighbours
 from sumo_env.models.lane_table import Floats, Integers
@@ -224,3 +238,23 @@ def drive(
     acceleration[:] = strip_accelerations(
         x, y, speed, heading, lane_y, target_y, np.ones(n), target_speed, drivers, length, limit
     )
+
+
+@compiled
+def act(
+    floats: Floats,
+    integers: Integers,
+    flags: Flags,
+    drivers: Floats,
+    lanes_count: int,
+    lane_width: float,
+    length: float,
+    limit: float,
+    dt: float,
+) -> None:
+    """`drive` with the matrices of `cars.Cars`; lanes are numbered from the left."""
+    drive(
+        floats[X], floats[Y], floats[SPEED], floats[HEADING], flags[CRASHED], floats[TARGET_SPEED], drivers,
+        integers[TARGET], floats[TIMER], flags[CHANGES], flags[FORCED], lanes_count, lane_width, length, limit, dt,
+        floats[ACCELERATION],
+    )  # fmt: skip

@@ -23,10 +23,10 @@ def euler(
     """Ways in the next `dt` [s] into `distance` [m] and speeds after it, at least `least`, into `own_speed` [m/s].
 
     Constant acceleration over `dt` moves as far as Euler steps of REFERENCE_STEP do. Nothing is written for row 0 and
-    wrecks. speed, acceleration, crashed, own_speed, distance: shape (n,).
+    wrecks. speed, acceleration, crashed, own_speed, distance: shape (n,); `own_speed` may be `speed` itself.
     """
     lead = (dt - REFERENCE_STEP) / 2.0
     for i in range(1, len(speed)):
         if not crashed[i]:
-            own_speed[i] = max(speed[i] + acceleration[i] * dt, least)
             distance[i] = max(speed[i] + acceleration[i] * lead, least) * dt
+            own_speed[i] = max(speed[i] + acceleration[i] * dt, least)

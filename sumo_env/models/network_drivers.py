@@ -17,6 +17,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from networks.lanes import VEHICLE_LENGTH, WIDTH
+from sumo_env.cars import (
+    ACCELERATION,
+    CHANGES,
+    CRASHED,
+    FORCED,
+    HEADING,
+    LEG,
+    ON,
+    PLANNED,
+    SPEED,
+    TARGET,
+    TARGET_SPEED,
+    TIMER,
+    Flags,
+    X,
+    Y,
+)
 from sumo_env.compiled import compiled
 from sumo_env.models.idm import A_MAX, ACC_MAX, NEAR, S0, TAU, B, behind, desired_gap
 from sumo_env.models.lane_table import (
@@ -335,3 +352,28 @@ def drive(
             a = min(a, _between(i, front, driver, roads, s, on, speed, heading, lane, target, target_speed))
         result[i] = min(max(a, -driver[ACC_MAX]), driver[ACC_MAX])
     return result
+
+
+@compiled
+def act(
+    roads: Net,
+    ways: Integers,
+    floats: Floats,
+    integers: Integers,
+    flags: Flags,
+    drivers: Floats,
+    moved: bool,
+    dt: float,
+) -> None:
+    """`drive` with the matrices of `cars.Cars`, and the time after it."""
+    on, target, timer, forced = integers[ON], integers[TARGET], floats[TIMER], flags[FORCED]
+    acts, changes = ~flags[CRASHED], flags[CHANGES].copy()
+    acts[0] = False
+    for i in range(len(on)):
+        forced[i] = forced[i] and on[i] != target[i]
+        changes[i] = changes[i] and not forced[i]
+    floats[ACCELERATION] = drive(
+        roads, ways, integers[LEG], integers[PLANNED], on, target, timer, floats[X], floats[Y], floats[SPEED],
+        floats[HEADING], floats[TARGET_SPEED], drivers, acts, changes, moved,
+    )  # fmt: skip
+    timer += dt

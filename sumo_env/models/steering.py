@@ -13,9 +13,29 @@ import numpy as np
 from numpy.typing import NDArray
 
 from networks.lanes import VEHICLE_LENGTH, WIDTH
+from sumo_env.cars import (
+    ACCELERATION,
+    BEFORE,
+    CHANGE,
+    COMMAND,
+    CRASHED,
+    DISTANCE,
+    FRONT_X,
+    FRONT_Y,
+    HEADING,
+    LANE,
+    LATERAL,
+    MOVED,
+    SPEED,
+    TARGET,
+    Flags,
+    X,
+    Y,
+)
 from sumo_env.compiled import compiled
-from sumo_env.ego import REFERENCE_STEP
-from sumo_env.models.lane_table import Floats, Integers, heading_at, local_coordinates
+from sumo_env.ego import REFERENCE_STEP, coast
+from sumo_env.models.lane_table import LENGTH, Floats, Integers, heading_at, local_coordinates
+from sumo_env.models.motion import euler
 
 TAU_HEADING = 0.2  # [s]
 TAU_LATERAL = 0.6  # [s]
@@ -23,6 +43,8 @@ TAU_PURSUIT = 0.1  # [s] look-ahead
 MAX_STEERING_ANGLE = math.pi / 3  # [rad]
 SMALL = 0.01
 HALF = VEHICLE_LENGTH / 2  # [m] from the centre to the front bumper
+STILL = 1e-4  # [m] sideways that SUMO need not be told
+NEARLY = 1e-3  # [m]
 
 
 @compiled
@@ -118,3 +140,48 @@ def follow(
         elif lateral[i] < -WIDTH / 2 and here + 1 < count[lane[i]]:
             lateral[i] += WIDTH
             change[i] = here + 1
+
+
+@compiled
+def move(
+    geometry: Floats,
+    lanes: Integers,
+    stretch: Floats,
+    floats: Floats,
+    integers: Integers,
+    flags: Flags,
+    dt: float,
+) -> tuple[bool, bool]:
+    """Move all cars by their accelerations (the ego by its distance), and find what SUMO is to be told.
+
+    Args:
+        geometry: of a `LaneTable`.
+        lanes: number, place and count of `follow`, by SUMO's lanes, shape (3, lanes); stretch: shape (lanes,).
+        floats, integers, flags: of `cars.Cars`.
+        dt: [s].
+
+    Returns:
+        whether somebody changes lane in SUMO, and whether the ego is about to reach the end of the lane it steers for.
+    """
+    speed, distance, crashed, target = floats[SPEED], floats[DISTANCE], flags[CRASHED], integers[TARGET]
+    x, y, heading, lateral = floats[X], floats[Y], floats[HEADING], floats[LATERAL]
+    floats[BEFORE : BEFORE + 3] = floats[:3]
+    # highway-env's cars roll back to their distance; SUMO's own cannot
+    euler(speed, floats[ACCELERATION], crashed, dt, -math.inf, speed, distance)
+    for i in range(1, len(x)):
+        if crashed[i]:
+            speed[i], distance[i] = coast(speed[i], dt)
+    steer(geometry, target, x, y, heading, distance, crashed, dt)
+    moved, change = flags[MOVED], integers[CHANGE]
+    for i in range(len(x)):
+        moved[i] = abs(lateral[i]) > STILL
+    follow(
+        geometry, integers[LANE], lanes[0], lanes[1], lanes[2], stretch, floats[FRONT_X : FRONT_Y + 1], x, y, heading,
+        dt, lateral, floats[COMMAND], change,
+    )  # fmt: skip
+    changes = False
+    for i in range(len(x)):
+        moved[i] = moved[i] or abs(lateral[i]) > STILL
+        changes = changes or change[i] >= 0
+    ahead = geometry[target[0], LENGTH] - local_coordinates(geometry, target[0], x[0], y[0])[0]
+    return changes, ahead < VEHICLE_LENGTH / 2 + NEARLY

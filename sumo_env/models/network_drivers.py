@@ -44,6 +44,7 @@ from sumo_env.models.lane_table import (
     LaneTable,
     heading_at,
     local_coordinates,
+    outside,
     position,
 )
 from sumo_env.models.mobil import DELAY, MIN_GAIN, MIN_SPEED, SAFE_BRAKING
@@ -99,46 +100,65 @@ def net(table: LaneTable) -> Net:
 
 
 @compiled
-def coordinates(geometry: Floats, x: Floats, y: Floats) -> tuple[Floats, Floats, NDArray[np.bool_]]:
-    """Coordinates s and lat [m] of every vehicle on every lane, and whether it is on it, shape (n, lanes) each.
+def coordinates(geometry: Floats, x: Floats, y: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+    """Coordinate s [m] of the vehicles along the lanes, and whether they are on them, shape (n, lanes) each.
 
-    On a lane as in ``AbstractLane.on_lane`` with a margin of 1 m.
+    On a lane as in ``AbstractLane.on_lane`` with a margin of 1 m. NaN for lanes that are far away: see `along`.
     """
     n, lanes = len(x), len(geometry)
-    s, lat, on = np.empty((n, lanes)), np.empty((n, lanes)), np.empty((n, lanes), np.bool_)
+    s, on = np.full((n, lanes), np.nan), np.zeros((n, lanes), np.bool_)
     for j in range(n):
         for lane in range(lanes):
-            along, beside = local_coordinates(geometry, lane, x[j], y[j])
-            s[j, lane], lat[j, lane] = along, beside
-            within = -VEHICLE_LENGTH <= along < geometry[lane, LENGTH] + VEHICLE_LENGTH
+            if outside(geometry, lane, x[j], y[j]) > VEHICLE_LENGTH + NEAR:
+                continue
+            s[j, lane], beside = local_coordinates(geometry, lane, x[j], y[j])
+            within = -VEHICLE_LENGTH <= s[j, lane] < geometry[lane, LENGTH] + VEHICLE_LENGTH
             on[j, lane] = within and abs(beside) <= NEAR
-    return s, lat, on
+    return s, on
 
 
 @compiled
-def closest_lane(geometry: Floats, s: Floats, lat: Floats, heading: float) -> int:
-    """``RoadNetwork.get_closest_lane_index`` with heading, of a vehicle with coordinates s, lat, shape (lanes,)."""
-    best, least = 0, math.inf
+def along(geometry: Floats, s: Floats, x: Floats, y: Floats, i: int, lane: int) -> float:
+    """Coordinate s [m] of vehicle `i` along a lane, by `coordinates` or, if that is far away, found now."""
+    if math.isnan(s[i, lane]):
+        s[i, lane] = local_coordinates(geometry, lane, x[i], y[i])[0]
+    return s[i, lane]
+
+
+@compiled
+def _far(geometry: Floats, lane: int, x: float, y: float, heading: float) -> float:
+    """Distance [m] and turn [rad] of a vehicle from a lane, added up (``AbstractLane.distance_with_heading``)."""
+    s, lat = local_coordinates(geometry, lane, x, y)
+    angle = heading - heading_at(geometry, lane, s)
+    distance = abs(lat) + max(s - geometry[lane, LENGTH], 0.0) + max(-s, 0.0)
+    return distance + abs((angle + math.pi) % (2.0 * math.pi) - math.pi)
+
+
+@compiled
+def closest_lane(geometry: Floats, likely: int, x: float, y: float, heading: float) -> int:
+    """``RoadNetwork.get_closest_lane_index`` with heading; of equals the first. `likely`: a lane to begin with."""
+    best, least = likely, _far(geometry, likely, x, y, heading)
     for lane in range(len(geometry)):
-        distance = abs(lat[lane]) + max(s[lane] - geometry[lane, LENGTH], 0.0) + max(-s[lane], 0.0)
-        if distance < least:  # the angle only adds to it
-            angle = heading - heading_at(geometry, lane, s[lane])
-            distance += abs((angle + math.pi) % (2.0 * math.pi) - math.pi)
-            if distance < least:
-                best, least = lane, distance
+        if lane == likely or outside(geometry, lane, x, y) > least:
+            continue
+        distance = _far(geometry, lane, x, y, heading)
+        if distance < least or (distance == least and lane < best):
+            best, least = lane, distance
     return best
 
 
 @compiled
-def neighbours(i: int, lane: int, roads: Net, s: Floats, on: NDArray[np.bool_]) -> tuple[int, int]:
+def neighbours(
+    i: int, lane: int, roads: Net, s: Floats, on: NDArray[np.bool_], x: Floats, y: Floats
+) -> tuple[int, int]:
     """``Road.neighbour_vehicles`` with connected lanes: who is ahead of and behind vehicle `i` on `lane`; -1: nobody.
 
     A vehicle is looked for on the lane, then on all that follow it, then on all that come before it; the first that
-    it is on decides. s, on: of `coordinates`.
+    it is on decides. s, on: of `coordinates`; x, y [m]: shape (n,).
     """
     front, rear = -1, -1
     s_front, s_rear = math.inf, -math.inf
-    s_own = s[i, lane]
+    s_own = along(roads.geometry, s, x, y, i, lane)
     for j in range(len(s)):
         if j == i:
             continue
@@ -158,7 +178,9 @@ def neighbours(i: int, lane: int, roads: Net, s: Floats, on: NDArray[np.bool_]) 
 
 
 @compiled
-def way_beyond(i: int, j: int, lane: int, target: int, roads: Net, s: Floats, on: NDArray[np.bool_]) -> float:
+def way_beyond(
+    i: int, j: int, lane: int, target: int, roads: Net, s: Floats, on: NDArray[np.bool_], x: Floats, y: Floats
+) -> float:
     """Way of vehicle `i` to vehicle `j` beyond the end of its `lane` [m]; nan if `j` is on its road or not ahead.
 
     At the end of a lane, where `target` is already on the next road, those that follow the target count as well.
@@ -170,12 +192,13 @@ def way_beyond(i: int, j: int, lane: int, target: int, roads: Net, s: Floats, on
     for k in range(1, 1 + roads.following[lane]):
         search = roads.joined[lane, k]
         if on[j, search]:
-            return s[j, search] - s[i, lane] + geometry[lane, LENGTH]
+            return s[j, search] - along(geometry, s, x, y, i, lane) + geometry[lane, LENGTH]
     if roads.first[target] != roads.first[lane]:
         for k in range(1 + roads.following[target]):
             search = roads.joined[target, k]
             if on[j, search]:
-                return s[j, search] - s[i, lane] + (geometry[lane, LENGTH] + roads.offsets[target, k])
+                beyond = geometry[lane, LENGTH] + roads.offsets[target, k]
+                return s[j, search] - along(geometry, s, x, y, i, lane) + beyond
     return math.nan
 
 
@@ -187,6 +210,8 @@ def _between(
     roads: Net,
     s: Floats,
     on: NDArray[np.bool_],
+    x: Floats,
+    y: Floats,
     speed: Floats,
     heading: Floats,
     lane: Integers,
@@ -199,9 +224,9 @@ def _between(
     own = lane[follower]
     gap, v_lead = math.inf, 0.0
     if leader >= 0:
-        gap, v_lead = way_beyond(follower, leader, own, target[follower], roads, s, on), speed[leader]
+        gap, v_lead = way_beyond(follower, leader, own, target[follower], roads, s, on, x, y), speed[leader]
         if math.isnan(gap):  # on the same road: measured on the lane, as in highway-env
-            gap = s[leader, own] - s[follower, own]
+            gap = along(roads.geometry, s, x, y, leader, own) - along(roads.geometry, s, x, y, follower, own)
             v_lead *= math.cos(heading[leader] - heading[follower])
     return behind(driver, speed[follower], target_speed[follower], roads.geometry[own, LIMIT], gap, v_lead)
 
@@ -225,7 +250,10 @@ def next_target(lane: int, following_road: int, roads: Net, x: float, y: float) 
 def _gives_up(
     i: int,
     driver: Floats,
+    geometry: Floats,
     s: Floats,
+    x: Floats,
+    y: Floats,
     speed: Floats,
     heading: Floats,
     lane: Integers,
@@ -237,7 +265,8 @@ def _gives_up(
             continue
         v_lead = speed[j] * math.cos(heading[j] - heading[i])
         gap = desired_gap(speed[i], v_lead, driver[A_MAX], driver[B], driver[S0], driver[TAU])
-        if 0.0 < s[j, lane[i]] - s[i, lane[i]] < gap:
+        ahead = along(geometry, s, x, y, j, lane[i]) - along(geometry, s, x, y, i, lane[i])
+        if 0.0 < ahead < gap:
             return True
     return False
 
@@ -250,6 +279,8 @@ def _mobil(
     roads: Net,
     s: Floats,
     on: NDArray[np.bool_],
+    x: Floats,
+    y: Floats,
     speed: Floats,
     heading: Floats,
     lane: Integers,
@@ -258,19 +289,19 @@ def _mobil(
     planned: Integers,
 ) -> bool:
     """``IDMVehicle.mobil``: may vehicle `i` change to lane `new`, and is it worth it or planned?"""
-    preceding, following = neighbours(i, new, roads, s, on)
-    imposed = _between(following, i, driver, roads, s, on, speed, heading, lane, target, target_speed)
+    preceding, following = neighbours(i, new, roads, s, on, x, y)
+    imposed = _between(following, i, driver, roads, s, on, x, y, speed, heading, lane, target, target_speed)
     if imposed < -SAFE_BRAKING:
         return False
-    after = _between(i, preceding, driver, roads, s, on, speed, heading, lane, target, target_speed)
+    after = _between(i, preceding, driver, roads, s, on, x, y, speed, heading, lane, target, target_speed)
     if planned[i] != NO_PLAN:
         # only toward the planned lane; who is there already stays
         here = target[i] - roads.first[target[i]]
         if np.sign(new - roads.first[new] - here) != np.sign(planned[i] - here):
             return False
         return after >= -SAFE_BRAKING
-    old = neighbours(i, lane[i], roads, s, on)[0]
-    before = _between(i, old, driver, roads, s, on, speed, heading, lane, target, target_speed)
+    old = neighbours(i, lane[i], roads, s, on, x, y)[0]
+    before = _between(i, old, driver, roads, s, on, x, y, speed, heading, lane, target, target_speed)
     return after - before >= MIN_GAIN
 
 
@@ -314,16 +345,16 @@ def drive(
     """
     n = len(x)
     geometry = roads.geometry
-    s, lat, on = coordinates(geometry, x, y)
+    s, on = coordinates(geometry, x, y)
     if moved:
         for i in range(n):
-            lane[i] = closest_lane(geometry, s[i], lat[i], heading[i])
+            lane[i] = closest_lane(geometry, lane[i], x[i], y[i], heading[i])
     result = np.zeros(n)
     for i in range(n):
         if not acts[i]:
             continue
         driver = drivers[i]
-        if s[i, target[i]] > geometry[target[i], LENGTH] - VEHICLE_LENGTH / 2:
+        if along(geometry, s, x, y, i, target[i]) > geometry[target[i], LENGTH] - VEHICLE_LENGTH / 2:
             planned[i] = NO_PLAN
             if leg[i] + 1 < ways.shape[1] and ways[i, leg[i] + 1] >= 0:
                 leg[i] += 1
@@ -333,23 +364,24 @@ def drive(
             pass
         elif own != target[i]:
             same_road = roads.first[own] == roads.first[target[i]]
-            if same_road and _gives_up(i, driver, s, speed, heading, lane, target):
+            if same_road and _gives_up(i, driver, geometry, s, x, y, speed, heading, lane, target):
                 target[i] = own
         elif timer[i] > DELAY:
             timer[i] = 0.0
             for new in (own - 1, own + 1):
                 if not roads.first[own] <= new < roads.first[own] + roads.abreast[own]:
                     continue
-                within = 0.0 <= s[i, new] < geometry[new, LENGTH] + VEHICLE_LENGTH
-                if not within or abs(lat[i, new]) > 2.0 * WIDTH or abs(speed[i]) < MIN_SPEED:
+                there, lat = local_coordinates(geometry, new, x[i], y[i])
+                within = 0.0 <= there < geometry[new, LENGTH] + VEHICLE_LENGTH
+                if not within or abs(lat) > 2.0 * WIDTH or abs(speed[i]) < MIN_SPEED:
                     continue
-                if _mobil(i, new, driver, roads, s, on, speed, heading, lane, target, target_speed, planned):
+                if _mobil(i, new, driver, roads, s, on, x, y, speed, heading, lane, target, target_speed, planned):
                     target[i] = new
-        front = neighbours(i, own, roads, s, on)[0]
-        a = _between(i, front, driver, roads, s, on, speed, heading, lane, target, target_speed)
+        front = neighbours(i, own, roads, s, on, x, y)[0]
+        a = _between(i, front, driver, roads, s, on, x, y, speed, heading, lane, target, target_speed)
         if own != target[i]:
-            front = neighbours(i, target[i], roads, s, on)[0]
-            a = min(a, _between(i, front, driver, roads, s, on, speed, heading, lane, target, target_speed))
+            front = neighbours(i, target[i], roads, s, on, x, y)[0]
+            a = min(a, _between(i, front, driver, roads, s, on, x, y, speed, heading, lane, target, target_speed))
         result[i] = min(max(a, -driver[ACC_MAX]), driver[ACC_MAX])
     return result
 

@@ -34,7 +34,7 @@ from sumo_env.cars import (
 )
 from sumo_env.compiled import compiled
 from sumo_env.ego import REFERENCE_STEP, coast
-from sumo_env.models.lane_table import LENGTH, Floats, Integers, heading_at, local_coordinates
+from sumo_env.models.lane_table import LENGTH, Floats, Integers, direction_at, heading_at, local_coordinates
 from sumo_env.models.motion import euler
 
 TAU_HEADING = 0.2  # [s]
@@ -60,6 +60,8 @@ def slip_angle(geometry: Floats, lane: int, x: float, y: float, heading: float, 
     s, lat = local_coordinates(geometry, lane, x, y)
     ahead = heading_at(geometry, lane, s + speed * TAU_PURSUIT)
     sideways = min(max(-lat / TAU_LATERAL / _not_zero(speed), -1.0), 1.0)
+    if sideways == 0.0 and ahead == heading:
+        return 0.0
     wanted = ahead + min(max(math.asin(sideways), -math.pi / 4), math.pi / 4)
     turn = (wanted - heading + math.pi) % (2.0 * math.pi) - math.pi
     slip = math.asin(min(max(VEHICLE_LENGTH / 2 / _not_zero(speed) * turn / TAU_HEADING, -1.0), 1.0))
@@ -129,8 +131,7 @@ def follow(
         dx, dy = to_x - front[0, i], to_y - front[1, i]
         # along and to the right of the lane, as it runs in between
         middle_x, middle_y = (front[0, i] + to_x) / 2.0, (front[1, i] + to_y) / 2.0
-        direction = heading_at(geometry, on, local_coordinates(geometry, on, middle_x, middle_y)[0])
-        cos, sin = math.cos(direction), math.sin(direction)
+        cos, sin = direction_at(geometry, on, middle_x, middle_y)
         speed[i] = max(dx * cos + dy * sin, 0.0) / dt * stretch[lane[i]]
         lateral[i] -= dy * cos - dx * sin
         change[i] = -1

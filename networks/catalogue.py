@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
@@ -75,6 +75,7 @@ class Network:
     following: Mapping[str, tuple[str, ...]]
     preceding: Mapping[str, tuple[str, ...]]
     _sumo_lanes: Mapping[str, SumoLane]
+    _beginnings: dict[tuple[LaneIndex, str | None], tuple[str, SumoLane, float, int]] = field(default_factory=dict)
 
     def sumo_lane(self, index: LaneIndex) -> str:
         """Id of the SUMO lane that is highway-env's lane `index`."""
@@ -122,13 +123,9 @@ class Network:
         """
         if self.task == "two-way" and index == ("a", "b", 0):
             raise ValueError('place on ("a", "b", 1) and change lane: SUMO has no eastbound lane at y = 0')
-        key = self.sumo_route(index, destination)
+        key, lane, first, edge = self._beginning(index, destination)
         edges = self.routes[key]
-        lane = self.lanes[index]
-        # Inside the intersection there is no edge: count from the entry, the first edge of the route.
-        edge = 0 if lane.id.startswith(":") else edges.index(_edge(lane.id))
-        here = self.road.lane(index)
-        ahead = _travelled(here, here.local_coordinates(*lane.start)[0], s) + VEHICLE_LENGTH / 2
+        ahead = _travelled(self.road.lane(index), first, s) + VEHICLE_LENGTH / 2
         while not 0 <= ahead <= lane.drawn:
             step = 1 if ahead > 0 else -1
             beside = self._beside(lane.id, edges, edge, step)
@@ -143,6 +140,18 @@ class Network:
                 lane = self._sumo_lanes[beside]
                 ahead += lane.drawn
         return key, lane.id, ahead * lane.length / lane.drawn
+
+    def _beginning(self, index: LaneIndex, destination: str | None) -> tuple[str, SumoLane, float, int]:
+        """For a vehicle on lane `index`: key of its route, SUMO's lane, s [m] where that begins, place of its edge."""
+        found = self._beginnings.get((index, destination))
+        if found is None:
+            key = self.sumo_route(index, destination)
+            lane = self.lanes[index]
+            # Inside the intersection there is no edge: count from the entry, the first edge of the route.
+            edge = 0 if lane.id.startswith(":") else self.routes[key].index(_edge(lane.id))
+            found = key, lane, self.road.lane(index).local_coordinates(*lane.start)[0], edge
+            self._beginnings[index, destination] = found
+        return found
 
     def _beside(self, lane: str, edges: tuple[str, ...], edge: int, step: int) -> str | None:
         """The lane or joint after (step 1) or before (-1) a SUMO lane on a route; the rightmost one."""

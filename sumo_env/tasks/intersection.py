@@ -11,9 +11,9 @@ import numpy as np
 from networks.roads import LaneIndex, Road, intersection
 from sumo_env.config import DISCRETE_META_ACTION, Config, ConfigError
 from sumo_env.drivers import CarFollowing, RiskRates
-from sumo_env.models.give_way import regulate
-from sumo_env.models.idm import driver_row, path_accelerations
+from sumo_env.models.idm import driver_rows
 from sumo_env.models.lane_table import LaneTable, lane_table
+from sumo_env.models.warm_up import warm_up
 from sumo_env.scenario import EGO, Spawn, VehicleSpec
 from sumo_env.streams import stream
 from sumo_env.tasks.base import Drivers, EgoState, Task, ego_driver, lmap, make_on_lane, speed_term, weighted
@@ -184,7 +184,7 @@ def _warm_up(road: Road, vehicles: list[VehicleSpec]) -> list[VehicleSpec]:
     n = len(vehicles)
     paths = [path(v.lane, v.destination or "") for v in vehicles]
     routes = np.array([table.route(lanes) for lanes in paths])
-    rows = np.array([driver_row(v.driver) for v in vehicles])
+    rows = driver_rows(v.driver for v in vehicles)
     exempt = np.array([not v.driver.gives_way for v in vehicles])
     stage = np.zeros(n, np.int64)
     s = np.array([v.s for v in vehicles])
@@ -193,23 +193,11 @@ def _warm_up(road: Road, vehicles: list[VehicleSpec]) -> list[VehicleSpec]:
         for name in ("x", "y", "heading", "speed", "target_speed")
     )
     yielding = np.zeros(n, np.bool_)
-    dt = 1.0 / WARM_UP_FREQUENCY
-    for step in range(1, int(WARM_UP * WARM_UP_FREQUENCY) + 1):
-        acceleration = path_accelerations(
-            table.geometry, table.successors, routes, stage, x, y, speed, heading, target_speed, rows
-        )
-        if step % REGULATION_INTERVAL == 0:
-            regulate(table.geometry, routes, stage, x, y, speed, heading, exempt, target_speed, yielding)
-        s += speed * dt
-        speed += acceleration * dt
-        for i in range(n):
-            lane = road.lane(paths[i][stage[i]])
-            if s[i] > lane.length and stage[i] < 2:
-                s[i] -= lane.length
-                stage[i] += 1
-                lane = road.lane(paths[i][stage[i]])
-            x[i], y[i] = lane.position(float(s[i]), 0.0)
-            heading[i] = lane.heading_at(float(s[i]))
+    steps = int(WARM_UP * WARM_UP_FREQUENCY)
+    warm_up(
+        table.geometry, table.successors, routes, stage, s, x, y, heading, speed, target_speed, rows, exempt,
+        yielding, steps, REGULATION_INTERVAL, 1.0 / WARM_UP_FREQUENCY,
+    )  # fmt: skip
     return [
         replace(
             vehicle,

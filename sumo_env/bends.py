@@ -9,12 +9,12 @@ from functools import lru_cache
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from networks.roads import LaneIndex, Road
 from sumo_env.computed import Computed
 from sumo_env.drivers import RiskEvent
-from sumo_env.models.give_way import PERIOD, regulate
+from sumo_env.loop import Progress, Traffic, Ways, bends
+from sumo_env.models.give_way import give_way
 from sumo_env.models.lane_table import advance
 from sumo_env.models.network_drivers import Net, act, net
 from sumo_env.tasks.intersection import REGULATION_INTERVAL, WARM_UP, WARM_UP_FREQUENCY, compiled_lanes, path
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from sumo_env.world import World
 
 
+NOBODY_GIVES_WAY = np.empty((0, 1), np.int64), np.empty(0, np.int64), np.empty(0, np.bool_), np.zeros(1)
 LONGEST_WAY = 14  # lanes: an entry, its curve, once around the ring, an exit
 
 @lru_cache(maxsize=4)
@@ -42,11 +43,10 @@ def _way(road: Road, lane: LaneIndex, destination: str | None) -> tuple[int, ...
 class Bends(Computed):
     """highway-env's IDM and MOBIL on a road of bends and joins."""
 
-    _ways: NDArray[np.int64]
+    _ways: Ways
 
     def start(self, world: World, first: int) -> None:
         cars, fresh = world.cars, world.specs[first:]
-        self._net = joined_lanes(world.road)
         self._names = list(world.road.lanes)
         self._number = {name: number for number, name in enumerate(self._names)}
         cars.on[first:] = cars.target[first:] = [self._number[spec.lane] for spec in fresh]
@@ -54,13 +54,17 @@ class Bends(Computed):
         cars.planned[first:] = [spec.lane[2] for spec in fresh]
         cars.timer[first:] = [spec.timer for spec in fresh]
         cars.changes[first:] = [spec.changes_lanes for spec in fresh]
-        self._ways = np.array([_way(world.road, spec.lane, spec.destination) for spec in world.specs])
+        ways = np.array([_way(world.road, spec.lane, spec.destination) for spec in world.specs])
+        self._ways = Ways(joined_lanes(world.road), ways, *NOBODY_GIVES_WAY)
 
     def accelerate(self, world: World) -> None:
-        cars = world.cars
+        cars, ways = world.cars, self._ways
         act(
-            self._net, self._ways, cars.floats, cars.integers, cars.flags, world.drivers, world.time > 0.0, world.dt
+            ways.roads, ways.ways, cars.floats, cars.integers, cars.flags, world.drivers, world.time > 0.0, world.dt
         )
+
+    def drive(self, world: World, traffic: Traffic, count: int, progress: Progress) -> Progress:
+        return bends(traffic, count, self._ways, progress, world.ego.target_speed, world.dt)
 
     def cut_in(self, world: World, row: int, event: RiskEvent) -> None:
         cars = world.cars
@@ -88,27 +92,23 @@ class GiveWay(Bends):
 
     def start(self, world: World, first: int) -> None:
         super().start(world, first)
-        self._table = compiled_lanes(world.road)
-        self._routes = np.array([_route(world.road, spec.lane, spec.destination) for spec in world.specs])
-        self._stage = np.zeros(len(world.ids), np.int64)
+        table = compiled_lanes(world.road)
+        routes = np.array([_route(world.road, spec.lane, spec.destination) for spec in world.specs])
+        stage = np.zeros(len(routes), np.int64)
         for _ in range(2):
-            advance(self._table.geometry, self._routes, self._stage, world.x, world.y)
-        self._exempt = np.array(
-            [row == 0 or not spec.driver.gives_way for row, spec in enumerate(world.specs)]
-        )
-        if world.time == 0.0:
-            self._clock = self.phase
+            advance(table.geometry, routes, stage, world.x, world.y)
+        exempt = np.array([row == 0 or not spec.driver.gives_way for row, spec in enumerate(world.specs)])
+        clock = np.array([self.phase]) if world.time == 0.0 else self._clock
+        self._clock = clock
+        self._ways = self._ways._replace(routes=routes, stage=stage, exempt=exempt, clock=clock)
+        self._geometry = table.geometry
 
     def accelerate(self, world: World) -> None:
         # wrecks do not decide, but the rule must not revive them either: they only coast
-        if self._clock >= PERIOD - 1e-9:
-            self._clock -= PERIOD
-            advance(self._table.geometry, self._routes, self._stage, world.x, world.y)
-            regulate(
-                self._table.geometry, self._routes, self._stage, world.x, world.y, world.speed, world.heading,
-                self._exempt, world.target_speed, world.yielding,
-            )  # fmt: skip
-        self._clock += world.dt
+        cars, ways = world.cars, self._ways
+        give_way(
+            self._geometry, ways.routes, ways.stage, ways.exempt, ways.clock, cars.floats, cars.flags, world.dt
+        )
         super().accelerate(world)
 
     def cut_in(self, world: World, row: int, event: RiskEvent) -> None:

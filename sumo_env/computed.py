@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from sumo_env.drivers import RiskEvent
+from sumo_env.loop import Progress, Traffic, straight
 from sumo_env.models.idm import strip_accelerations
 from sumo_env.models.mobil import act, closest_lanes
 from sumo_env.native import CENTRED
@@ -37,6 +38,10 @@ class Computed:
         """Write what the drivers want into ``world.cars.acceleration``, and the lanes they steer for into `target`."""
         raise NotImplementedError
 
+    def drive(self, world: World, traffic: Traffic, count: int, progress: Progress) -> Progress:
+        """Up to `count` sub-steps at once (`loop`); only where cars are steered."""
+        raise NotImplementedError
+
     def act(self, world: World) -> None:
         self.accelerate(world)
         world.push(world.cars.acceleration)
@@ -58,6 +63,12 @@ class Mobil(Computed):
         act(
             cars.floats, cars.integers, cars.flags, world.drivers, self._lanes, LANE_WIDTH, world.road_length,
             world.limit, world.dt,
+        )  # fmt: skip
+
+    def drive(self, world: World, traffic: Traffic, count: int, progress: Progress) -> Progress:
+        return straight(
+            traffic, count, self._lanes, LANE_WIDTH, world.road_length, world.limit, progress, world.ego.target_speed,
+            world.dt,
         )  # fmt: skip
 
     def cut_in(self, world: World, row: int, event: RiskEvent) -> None:

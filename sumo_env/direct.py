@@ -15,7 +15,7 @@ import ctypes
 import math
 import platform
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -47,6 +47,7 @@ SYMBOLS = (
     f"_ZN7libsumo6Helper10getVehicleE{_STRING}",
     f"_ZN6MSLane10dictionaryE{_STRING}",
     f"_ZN7libsumo7Vehicle22setLateralLanePositionE{_STRING}d",
+    f"_ZN7libsumo7Vehicle10changeLaneE{_STRING}id",
 )
 (
     ARRIVED,
@@ -62,12 +63,13 @@ SYMBOLS = (
     FIND_VEHICLE,
     FIND_LANE,
     SET_LATERAL,
+    CHANGE_LANE,
 ) = range(len(SYMBOLS))
 LAST_TIME = 2**63 - 1 - 1000  # [ms] SUMOTime_MAX
 
 
 def find(library: str, version: str) -> Integers | None:
-    """Addresses of SYMBOLS in the loaded extension module, shape (13,); None where they are not to be relied on."""
+    """Addresses of SYMBOLS in the loaded extension module, shape (14,); None where they are not to be relied on."""
     if version != VERSION or sys.platform != "linux" or platform.machine() != "x86_64":
         return None
     try:
@@ -190,6 +192,49 @@ def _give_double(typing: Any, address: Any, this: Any, value: Any) -> Any:
         return context.get_dummy_value()
 
     return types.void(types.int64, types.int64, types.float64), generate
+
+
+@_inline
+def _give_int_double(typing: Any, address: Any, this: Any, number: Any, value: Any) -> Any:
+    """Nothing of a pointer, an int and a double."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        address, this, number, value = arguments
+        _call(builder, address, _VOID, (this, builder.trunc(number, ir.IntType(32)), value))
+        return context.get_dummy_value()
+
+    return types.void(types.int64, types.int64, types.int64, types.float64), generate
+
+
+@_inline
+def _word_of_two(typing: Any, address: Any, first: Any, second: Any) -> Any:
+    """A pointer of two pointers."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return _call(builder, arguments[0], _WORD, arguments[1:])
+
+    return types.int64(types.int64, types.int64, types.int64), generate
+
+
+@_inline
+def _int(typing: Any, address: Any, this: Any) -> Any:
+    """An int of a pointer."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return builder.sext(_call(builder, arguments[0], ir.IntType(32), arguments[1:]), _WORD)
+
+    return types.int64(types.int64, types.int64), generate
+
+
+@_inline
+def _drop(typing: Any, address: Any, this: Any) -> Any:
+    """Nothing of a pointer."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        _call(builder, arguments[0], _VOID, arguments[1:])
+        return context.get_dummy_value()
+
+    return types.void(types.int64, types.int64), generate
 
 
 @compiled
@@ -330,3 +375,26 @@ def command(
         if moved[i]:
             _give_double(functions[SET_LATERAL], names[i], lateral[i])
     set_speeds(functions, vehicles, speeds, step)
+
+
+@compiled
+def change_lane(functions: Integers, name: int, index: int) -> None:
+    """Change to the lane of this SUMO index now (``libsumo::Vehicle::changeLane``); name: address of the string."""
+    _give_int_double(functions[CHANGE_LANE], name, index, 0.0)
+
+
+def python_calls(*functions: Callable[[], object]) -> Integers:
+    """What `call` needs for these functions, which must neither raise nor be deleted, shape (3 + functions,)."""
+    api = ctypes.pythonapi
+    found = [api.PyObject_CallObject, api.PyObject_IsTrue, api.Py_DecRef]
+    addresses = [ctypes.cast(function, ctypes.c_void_p).value for function in found]
+    return np.array([*addresses, *map(id, functions)], np.int64)
+
+
+@compiled
+def call(calls: Integers, which: int) -> bool:
+    """Call one of the functions of `python_calls`: whether it returns something true."""
+    result = _word_of_two(calls[0], calls[3 + which], 0)
+    truth = _int(calls[1], result)
+    _drop(calls[2], result)
+    return truth != 0

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -74,6 +75,9 @@ class Simulation:
         self.lane_ids: tuple[str, ...] = ()
         self.functions = direct.find(_native.__file__, self.version())
         self.lane_pointers: tuple[Integers, Integers]
+        self._called = self._try_step, _collisions  # keeps alive what compiled code calls
+        self.calls = direct.python_calls(*self._called)
+        self._error: Exception | None = None
         self.stepped = False  # since a vehicle was last removed
         self._limits: dict[str, float] = {}
 
@@ -186,6 +190,22 @@ class Simulation:
         _step(0.0)
         self.stepped = True
 
+    def _try_step(self) -> bool:
+        """`step` for compiled code, through which no exception gets: `check_step` raises it."""
+        try:
+            _step(0.0)
+        except Exception as error:
+            self._error = error
+            return False
+        return True
+
+    def check_step(self) -> None:
+        """Raise what a step of compiled code ended with."""
+        self.stepped = True
+        if self._error is not None:
+            error, self._error = self._error, None
+            raise error
+
     def fleet(self, names: Sequence[str]) -> Fleet:
         """These vehicles, which have to be on the road, to be read and commanded together."""
         return Fleet(self, tuple(names))
@@ -250,6 +270,14 @@ class Fleet:
             self._vehicles = direct.look_up(self._functions[direct.FIND_VEHICLE], self._strings.addresses)
             self._step = round(1000 * _native.simulation_getDeltaT())  # [ms]
             self._lanes = simulation.lane_pointers
+
+    def handles(self) -> tuple[Any, ...] | None:
+        """What `loop.Traffic` begins with; None where SUMO's functions are not called directly."""
+        if self._functions is None:
+            return None
+        return (
+            self._functions, self._vehicles, self._strings.addresses, *self._lanes, self._simulation.calls, self._step
+        )
 
     def read(self, state: Floats, before: Floats, lane: Integers, own_speed: Floats) -> None:
         """Read x, y [m] of the centres, headings [rad] and speeds [m/s] into the rows of `state`, shape (4, n).

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from networks.catalogue import Network
-from sumo_env.computed import Computed
+from sumo_env.loop import Traffic
 from sumo_env.models.steering import move
 from sumo_env.scene import Floats
 from sumo_env.tasks.intersection import compiled_lanes
@@ -25,11 +25,13 @@ if TYPE_CHECKING:
 
 class Steering:
     """Where every car is to be, and the commands that bring SUMO's there.
+
+    Attributes:
+        ego_near_end: whether the ego may have to be given the next lane of its way to steer for.
     """
 
-    def __init__(self, network: Network, rule: Computed) -> None:
+    def __init__(self, network: Network) -> None:
         self._network = network
-        self._rule = rule
         self._geometry = compiled_lanes(network.road).geometry
         self._number = {name: number for number, name in enumerate(network.road.lanes)}
         self.ego_near_end = True
@@ -56,6 +58,15 @@ class Steering:
     def aim(self, world: World) -> None:
         """Let the ego steer for its target lane."""
         world.cars.target[0] = self._number[world.ego.target_lane]
+
+    def traffic(self, world: World) -> Traffic | None:
+        """The vehicles for `loop`; None where SUMO's functions cannot be called directly."""
+        handles, cars = world.fleet.handles(), world.cars
+        if handles is None:
+            return None
+        return Traffic(
+            *handles, self._geometry, self._lanes, self._stretch, cars.floats, cars.integers, cars.flags, world.drivers
+        )
 
     def act(self, world: World) -> None:
         """Move the cars, and command SUMO's for the next step."""

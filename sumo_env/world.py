@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from networks.catalogue import Network
 from networks.roads import LaneIndex
+from sumo_env import loop
 from sumo_env.cars import Cars
 from sumo_env.collision import (
     LENGTH,
@@ -29,6 +30,7 @@ from sumo_env.collision import (
 from sumo_env.computed import Computed
 from sumo_env.config import Config
 from sumo_env.ego import Ego, coast
+from sumo_env.loop import Progress, Traffic
 from sumo_env.models.dangers import dangers
 from sumo_env.models.hazards import free_way, has_room
 from sumo_env.models.idm import driver_rows
@@ -65,7 +67,7 @@ class World:
         self.road_length, self.limit = first.length, first.speed_limit
         self.rule = rule_for(task.name, config["traffic_model"])
         rule = self.rule
-        self.steering = Steering(network, rule) if isinstance(rule, Computed) and rule.steers else None
+        self.steering = Steering(network) if isinstance(rule, Computed) and rule.steers else None
         self.lane_change_duration = 0.0 if self.steering else LANE_CHANGE_DURATION
         self.sim: Simulation = simulation()
         self._uneven = network.uneven
@@ -156,8 +158,10 @@ class World:
         self.drivers = driver_rows(spec.driver for spec in specs)
         self._wrecks = bool(cars.crashed[1:].any())
         self.rule.start(self, first)
+        self._traffic: Traffic | None = None
         if self.steering:
             self.steering.aim(self)
+            self._traffic = self.steering.traffic(self)
 
     # -- a policy step -------------------------------------------------------------------------------------
 
@@ -170,29 +174,64 @@ class World:
         self.sim.check(self)
         self.min_ttc = np.inf
         self.distance = 0.0
-        cars = self.cars
         if self.steering:
             self.steering.aim(self)  # the ego may have been commanded to another lane
-        for substep in range(1, self.substeps + 1):
-            if self._events and self._events[0].time <= self.time + 1e-9:
+        done = 0
+        while done < self.substeps:
+            if self._events:
                 self._start_events()
-            self.rule.act(self)
-            self._drive_ego()
-            if self.steering:
-                self.steering.act(self)
-            elif self._wrecks:
-                self._coast()
-            self.sim.step()
-            self.time += self.dt
-            self._read()
-            touching, ttc = dangers(cars.floats, cars.flags, HORIZON)
-            self._look_for_contacts(touching)
-            if not cars.crashed[0]:
-                self.min_ttc = min(self.min_ttc, ttc)
-            if on_substep is not None and substep < self.substeps:
+            undisturbed = 0 if on_substep or self._pushes else self._undisturbed(self.substeps - done)
+            done += self._advance(undisturbed) if undisturbed else self._substep()
+            if on_substep is not None and done < self.substeps:
                 on_substep(self.scene())
         self.policy_step += 1
         return self.scene()
+
+    def _substep(self) -> int:
+        """One sub-step; returns 1."""
+        self.rule.act(self)
+        self._drive_ego()
+        if self.steering:
+            self.steering.act(self)
+        elif self._wrecks:
+            self._coast()
+        self.sim.step()
+        self.time += self.dt
+        self._read()
+        self._look_for_contacts(*dangers(self.cars.floats, self.cars.flags, HORIZON))
+        return 1
+
+    def _undisturbed(self, most: int) -> int:
+        """Sub-steps, up to `most`, that can be driven in one call: until the next risk event. 0 if that cannot be."""
+        if self._traffic is None:
+            return 0
+        if not self._events:
+            return most
+        count, time = 0, self.time
+        while count < most and self._events[0].time > time + 1e-9:
+            count, time = count + 1, time + self.dt
+        return count
+
+    def _advance(self, count: int) -> int:
+        """`_substep` up to `count` times in one call; returns how many times."""
+        assert self.steering is not None and self._traffic is not None and isinstance(self.rule, Computed)
+        if self.steering.ego_near_end:
+            self._follow_road()
+        progress = Progress(0, loop.GOES_ON, 0, 0.0, self.time, self.distance, self.min_ttc)
+        progress = self.rule.drive(self, self._traffic, count, progress)
+        self.sim.check_step()
+        self.time, self.distance, self.min_ttc = progress.time, progress.distance, progress.least_ttc
+        self.ego.speed = float(self.speed[0])
+        self.steering.ego_near_end = progress.why != loop.GOES_ON
+        if progress.done > 1 or progress.why in (loop.GOES_ON, loop.NEAR_END):
+            self._reported.clear()
+        if progress.why == loop.TOUCHED:
+            self._look_for_contacts(progress.touching, progress.ttc)
+        elif progress.why == loop.LOST:
+            self._traffic = None
+            self._read()
+            self._look_for_contacts(*dangers(self.cars.floats, self.cars.flags, HORIZON))
+        return progress.done
 
     def come_and_go(self) -> None:
         """Remove vehicles that have left the scene and let new ones in (intersection; after the observation)."""
@@ -302,12 +341,10 @@ class World:
     def _drive_ego(self) -> None:
         ego, cars = self.ego, self.cars
         if self.steering is None or self.steering.ego_near_end:
-            ego.follow_road(float(self.x[0]), float(self.y[0]))
+            self._follow_road()
         moved = ego.advance(self.dt)
         self.distance += moved
         if self.steering:
-            if self.steering.ego_near_end:
-                self.steering.aim(self)
             cars.distance[0], cars.speed[0] = moved, ego.speed
             return
         cars.own_speed[0] = ego.speed
@@ -324,6 +361,11 @@ class World:
         elif self.road.count(*here[:2]) == self.road.count(*target[:2]):
             self.sim.change_lane(EGO, self.road.count(*here[:2]) - 1 - target[2])
 
+    def _follow_road(self) -> None:
+        self.ego.follow_road(float(self.x[0]), float(self.y[0]))
+        if self.steering:
+            self.steering.aim(self)
+
     def _read(self) -> None:
         cars = self.cars
         if self.steering:
@@ -331,12 +373,21 @@ class World:
         else:
             self.fleet.read(cars.state, cars.before, cars.lane, cars.own_speed)
 
-    def _look_for_contacts(self, touching: int) -> None:
-        """Make wrecks of those who touched in the last sub-step; `touching`: pairs that did by geometry."""
+    def _look_for_contacts(self, touching: int, ttc: float) -> None:
+        """Make wrecks of those who touched in the last sub-step, and note the time to collision [s] at its end.
+
+        touching: pairs that did by geometry.
+        """
         found = self.sim.collisions()
-        if not found and not touching:
+        if found or touching:
+            self._crash(found)
+        else:
             self._reported.clear()
-            return
+        if not self.crashed[0]:
+            self.min_ttc = min(self.min_ttc, ttc)
+
+    def _crash(self, found: list[tuple[str, str]]) -> None:
+        """Find out who touched whom; `found`: pairs that SUMO reports."""
         pairs, moments = meetings(self.cars.before, self.x, self.y, self.heading, ~self.crashed)
         met = dict(zip(map(tuple, pairs.tolist()), moments.tolist(), strict=True))
         reported = {

@@ -14,6 +14,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
+from sumo_env.cars import HEADING, SPEED, TARGET_SPEED, YIELDING, Flags, X, Y
 from sumo_env.compiled import compiled
 from sumo_env.models.lane_table import (
     LENGTH,
@@ -21,6 +22,7 @@ from sumo_env.models.lane_table import (
     PRIORITY,
     Floats,
     Integers,
+    advance,
     heading_at,
     local_coordinates,
     position,
@@ -145,3 +147,25 @@ def regulate(
             if not exempt[loser]:
                 target_speed[loser] = 0.0
                 yielding[loser] = True
+
+
+@compiled
+def give_way(
+    geometry: Floats,
+    routes: Integers,
+    stage: Integers,
+    exempt: Flags,
+    clock: Floats,
+    floats: Floats,
+    flags: Flags,
+    dt: float,
+) -> None:
+    """`regulate` when it is time to, with the matrices of `cars.Cars`; clock: time since then [s], shape (1,)."""
+    if clock[0] >= PERIOD - 1e-9:
+        clock[0] -= PERIOD
+        advance(geometry, routes, stage, floats[X], floats[Y])
+        regulate(
+            geometry, routes, stage, floats[X], floats[Y], floats[SPEED], floats[HEADING], exempt,
+            floats[TARGET_SPEED], flags[YIELDING],
+        )  # fmt: skip
+    clock[0] += dt

@@ -11,6 +11,7 @@ from sumo_env import direct
 from sumo_env.env import DrivingEnv
 from sumo_env.simulation import Fleet, simulation
 from sumo_env.tasks import TASKS
+from sumo_env.world import World
 from tests.sumo_env.rollout import record
 
 needs_direct = pytest.mark.skipif(simulation().functions is None, reason="another version or platform")
@@ -22,26 +23,52 @@ needs_direct = pytest.mark.skipif(simulation().functions is None, reason="anothe
 def test_episodes_are_the_same_bit_for_bit(
     task: str, traffic_model: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    calls = 0
-
-    def counted(*arguments: Any) -> bool:
-        nonlocal calls
-        calls += 1
-        return bool(read(*arguments))
-
-    read = direct.read
-    monkeypatch.setattr(direct, "read", counted)
     config = {**list(TASKS[task].levels.values())[1], "risk": 1.0, "traffic_model": traffic_model}
     env = DrivingEnv(task, config)
     directly = [(record(env, seed), env.scene) for seed in range(3)]
-    assert calls > 3
-    calls = 0
+    assert env._world is not None and env._world.fleet.handles() is not None
+
+    def check() -> None:
+        for seed, (rows, scene) in enumerate(directly):
+            np.testing.assert_array_equal(record(env, seed), rows)
+            for field in ("x", "y", "speed", "heading", "crashed"):
+                np.testing.assert_array_equal(getattr(env.scene, field), getattr(scene, field))
+
+    monkeypatch.setattr(World, "_undisturbed", lambda world, most: 0)  # one sub-step after another
+    check()
     monkeypatch.setattr(simulation(), "functions", None)
-    for seed, (rows, scene) in enumerate(directly):
-        np.testing.assert_array_equal(record(env, seed), rows)
-        for field in ("x", "y", "speed", "heading", "crashed"):
-            np.testing.assert_array_equal(getattr(env.scene, field), getattr(scene, field))
-    assert calls == 0
+    check()
+    assert env._world.fleet.handles() is None
+    env.close()
+
+
+@needs_direct
+@pytest.mark.parametrize("task", ["highway", "roundabout", "intersection", "u-turn"])
+def test_steered_traffic_drives_its_sub_steps_in_one_call(task: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    env = DrivingEnv(task)
+    env.reset(seed=0)
+    assert env._world is not None
+    monkeypatch.setattr(env._world, "_substep", lambda: pytest.fail("one after another"))
+    env.step(1)
+    env.close()
+
+
+@needs_direct
+def test_an_error_of_sumo_inside_the_compiled_call_is_raised(monkeypatch: pytest.MonkeyPatch) -> None:
+    env = DrivingEnv("highway")
+    env.reset(seed=0)
+    world = env._world
+    assert world is not None and world._traffic is not None
+
+    def broken(_: float) -> None:
+        raise RuntimeError("SUMO is broken")
+
+    with monkeypatch.context() as patch:
+        patch.setattr("sumo_env.simulation._step", broken)
+        with pytest.raises(RuntimeError, match="SUMO is broken"):
+            env.step(1)
+    env.reset(seed=0)
+    env.step(1)
     env.close()
 
 

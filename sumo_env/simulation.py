@@ -9,7 +9,7 @@ degrees clockwise from north) end here: everything above speaks highway-env's (y
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -75,17 +75,23 @@ class Simulation:
         self.lane_ids: tuple[str, ...] = ()
         self.functions = direct.find(_native.__file__, self.version())
         self.lane_pointers: tuple[Integers, Integers]
+        self._waiting: set[str] = set()  # vehicles of the last episode
         self._called = self._try_step, _collisions  # keeps alive what compiled code calls
         self.calls = direct.python_calls(*self._called)
         self._error: Exception | None = None
         self.stepped = False  # since a vehicle was last removed
         self._limits: dict[str, float] = {}
 
-    def acquire(self, owner: object, settings: Settings) -> None:
-        """Make `owner` the one who drives, in the network of `settings`, with an empty road."""
+    def acquire(self, owner: object, settings: Settings, names: Collection[str] = ()) -> None:
+        """Make `owner` the one who drives, in the network of `settings`, with a road that is empty when it is placed on.
+
+        Vehicles of the last episode that are among `names` may wait there to be placed again, which SUMO does in a
+        tenth of the time that it takes to make one. So it is done with steered cars on a road with one route: they
+        have no state of their own.
+        """
         self.owner = owner
         if settings is self._served:
-            self._clear()
+            self._clear(names if settings.steered and len(settings.routes) == 1 else ())
         elif self.settings is None or _without_drivers(self.settings) != _without_drivers(settings):
             self._load(settings)
         elif not {driver.type for driver in settings.drivers} <= self._types:
@@ -95,9 +101,12 @@ class Simulation:
             self._clear()
         self._served = settings
 
-    def _clear(self) -> None:
-        for vehicle in _native.vehicle_getIDList():
-            self.remove(vehicle)
+    def _clear(self, but: Collection[str] = ()) -> None:
+        present = _native.vehicle_getIDList()
+        self._waiting = set(present).intersection(but)
+        for vehicle in present:
+            if vehicle not in self._waiting:
+                self.remove(vehicle)
 
     def check(self, owner: object) -> None:
         """Raise `SimulationTaken` unless `owner` still drives."""
@@ -141,6 +150,7 @@ class Simulation:
             libsumo.load(options)
         self.settings = settings
         self.stepped = False
+        self._waiting.clear()
         self._types = {driver.type for driver in settings.drivers}
         self._limits.clear()
         self.lane_ids = tuple(sorted(_native.lane_getIDList()))
@@ -164,10 +174,15 @@ class Simulation:
         desired_speed: float,
     ) -> None:
         """Place a vehicle with its front bumper at `position` [m] of a lane; `desired_speed` [m/s] of its driver."""
-        _native.vehicle_add(name, route, driver, departSpeed="0")
+        if waiting := name in self._waiting:
+            self._waiting.discard(name)
+        else:
+            _native.vehicle_add(name, route, driver, departSpeed="0")
         _native.vehicle_moveTo(name, lane, position)
         # the start speed; sound because action step = simulation step
         _native.vehicle_setPreviousSpeed(name, speed)
+        if waiting:
+            return
         _native.vehicle_setSpeedMode(name, speed_mode)
         _native.vehicle_setLaneChangeMode(name, lane_change_mode)
         limit = self._limits.get(lane)

@@ -91,19 +91,19 @@ class World:
                 self.steering is not None,
                 drivers,
             )
-        self.sim.acquire(self, self._settings[scenario.risk])
         self.time = 0.0
         self.policy_step = 0
         self.crash: CrashRecord | None = None
         self._events = list(scenario.events)
         self._comes_and_goes = self.task.name == "intersection" or bool(scenario.spawns)
         self._pushes: dict[str, tuple[float, float]] = {}  # vehicle -> (end [s], acceleration [m/s2])
-        if self._lane_ids is not self.sim.lane_ids:
-            self._learn_lanes()
         specs = [scenario.ego]
         specs += [
             spec for spec in scenario.vehicles if self.task.concerns_ego(spec, scenario.ego, self.config)
         ]
+        self.sim.acquire(self, self._settings[scenario.risk], {spec.id for spec in specs})
+        if self._lane_ids is not self.sim.lane_ids:
+            self._learn_lanes()
         for spec in specs:
             self._place(spec)
         self._set_rows(specs)

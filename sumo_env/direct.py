@@ -47,7 +47,6 @@ SYMBOLS = (
     f"_ZN7libsumo6Helper10getVehicleE{_STRING}",
     f"_ZN6MSLane10dictionaryE{_STRING}",
     f"_ZN7libsumo7Vehicle22setLateralLanePositionE{_STRING}d",
-    f"_ZN7libsumo7Vehicle10changeLaneE{_STRING}id",
 )
 (
     ARRIVED,
@@ -63,13 +62,12 @@ SYMBOLS = (
     FIND_VEHICLE,
     FIND_LANE,
     SET_LATERAL,
-    CHANGE_LANE,
 ) = range(len(SYMBOLS))
 LAST_TIME = 2**63 - 1 - 1000  # [ms] SUMOTime_MAX
 
 
 def find(library: str, version: str) -> Integers | None:
-    """Addresses of SYMBOLS in the loaded extension module, shape (14,); None where they are not to be relied on."""
+    """Addresses of SYMBOLS in the loaded extension module, shape (13,); None where they are not to be relied on."""
     if version != VERSION or sys.platform != "linux" or platform.machine() != "x86_64":
         return None
     try:
@@ -192,18 +190,6 @@ def _give_double(typing: Any, address: Any, this: Any, value: Any) -> Any:
         return context.get_dummy_value()
 
     return types.void(types.int64, types.int64, types.float64), generate
-
-
-@_inline
-def _give_int_double(typing: Any, address: Any, this: Any, number: Any, value: Any) -> Any:
-    """Nothing of a pointer, an int and a double."""
-
-    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        address, this, number, value = arguments
-        _call(builder, address, _VOID, (this, builder.trunc(number, ir.IntType(32)), value))
-        return context.get_dummy_value()
-
-    return types.void(types.int64, types.int64, types.int64, types.float64), generate
 
 
 @_inline
@@ -375,12 +361,6 @@ def command(
         if moved[i]:
             _give_double(functions[SET_LATERAL], names[i], lateral[i])
     set_speeds(functions, vehicles, speeds, step)
-
-
-@compiled
-def change_lane(functions: Integers, name: int, index: int) -> None:
-    """Change to the lane of this SUMO index now (``libsumo::Vehicle::changeLane``); name: address of the string."""
-    _give_int_double(functions[CHANGE_LANE], name, index, 0.0)
 
 
 def python_calls(*functions: Callable[[], object]) -> Integers:

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from sumo_env import direct
-from sumo_env.cars import CHANGE, COMMAND, CRASHED, DISTANCE, FRONT_X, FRONT_Y, LANE, LATERAL, MOVED, SPEED, Flags
+from sumo_env.cars import COMMAND, CRASHED, DISTANCE, FRONT_X, FRONT_Y, LANE, LATERAL, MOVED, SPEED, Flags
 from sumo_env.compiled import compiled
 from sumo_env.ego import TAU, approach, coast
 from sumo_env.models import mobil, network_drivers
@@ -24,27 +24,29 @@ from sumo_env.models.steering import move
 from sumo_env.safety import HORIZON
 
 GOES_ON, TOUCHED, NEAR_END, LOST = range(4)  # why a call ended
+STEP, CONTACTS, CHANGE_LANES = range(3)  # Python functions that it calls
 
 
 class Traffic(NamedTuple):
     """What stays the same while the same vehicles drive.
 
     Attributes:
-        functions, vehicles, names, known_lanes, lane_order: as in `direct`.
-        calls: of `direct.python_calls`: SUMO's step, whether it could be made, and its contacts.
         delta: length of a step [ms].
+        functions, vehicles, names, known_lanes, lane_order: as in `direct`.
+        calls: of `direct.python_calls`: SUMO's step and changes of lane, false if they raised, and whether it reports
+            contacts.
         geometry, lanes, stretch: as in `models.steering.move`.
         floats, integers, flags: of `cars.Cars`.
         drivers: shape (n, 6).
     """
 
+    delta: int
     functions: Integers
     vehicles: Integers
     names: Integers
     known_lanes: Integers
     lane_order: Integers
     calls: Integers
-    delta: int
     geometry: Floats
     lanes: Integers
     stretch: Floats
@@ -93,23 +95,20 @@ class Progress(NamedTuple):
 def _substep(traffic: Traffic, ego_target: float, dt: float) -> tuple[int, int, float, float]:
     """From the accelerations on: why to stop, pairs touching, time to collision [s], and the ego's way [m]."""
     floats, integers, flags = traffic.floats, traffic.integers, traffic.flags
-    speed, change = floats[SPEED], integers[CHANGE]
+    speed = floats[SPEED]
     if flags[CRASHED, 0]:
         speed[0], moved = coast(speed[0], dt)
     else:
         speed[0], moved = approach(speed[0], ego_target, TAU, dt)
     floats[DISTANCE, 0] = moved
     changes, near_end = move(traffic.geometry, traffic.lanes, traffic.stretch, floats, integers, flags, dt)
-    if changes:
-        for i in range(len(change)):
-            if change[i] >= 0:
-                place = traffic.lanes[2, integers[LANE, i]] - 1 - change[i]
-                direct.change_lane(traffic.functions, traffic.names[i], place)
+    if changes and not direct.call(traffic.calls, CHANGE_LANES):
+        return LOST, 0, 0.0, moved
     direct.command(
         traffic.functions, traffic.vehicles, traffic.names, floats[COMMAND], floats[LATERAL], flags[MOVED],
         traffic.delta,
     )  # fmt: skip
-    if not direct.call(traffic.calls, 0):
+    if not direct.call(traffic.calls, STEP):
         return LOST, 0, 0.0, moved
     if not direct.read_fronts(
         traffic.functions, traffic.vehicles, traffic.known_lanes, traffic.lane_order, True,
@@ -117,7 +116,7 @@ def _substep(traffic: Traffic, ego_target: float, dt: float) -> tuple[int, int, 
     ):  # fmt: skip
         return LOST, 0, 0.0, moved
     touching, ttc = dangers(floats, flags, HORIZON)
-    if touching > 0 or direct.call(traffic.calls, 1):
+    if touching > 0 or direct.call(traffic.calls, CONTACTS):
         return TOUCHED, touching, ttc, moved
     return NEAR_END if near_end else GOES_ON, 0, ttc, moved
 

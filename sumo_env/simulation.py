@@ -9,7 +9,7 @@ degrees clockwise from north) end here: everything above speaks highway-env's (y
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
@@ -76,8 +76,6 @@ class Simulation:
         self.functions = direct.find(_native.__file__, self.version())
         self.lane_pointers: tuple[Integers, Integers]
         self._waiting: set[str] = set()  # vehicles of the last episode
-        self._called = self._try_step, _collisions  # keeps alive what compiled code calls
-        self.calls = direct.python_calls(*self._called)
         self._error: Exception | None = None
         self.stepped = False  # since a vehicle was last removed
         self._limits: dict[str, float] = {}
@@ -205,18 +203,21 @@ class Simulation:
         _step(0.0)
         self.stepped = True
 
-    def _try_step(self) -> bool:
-        """`step` for compiled code, through which no exception gets: `check_step` raises it."""
-        try:
-            _step(0.0)
-        except Exception as error:
-            self._error = error
-            return False
-        return True
+    def guarded(self, function: Callable[[], None]) -> Callable[[], bool]:
+        """`function` for compiled code, through which no exception gets: false if it raised (`raise_error`)."""
 
-    def check_step(self) -> None:
-        """Raise what a step of compiled code ended with."""
-        self.stepped = True
+        def call() -> bool:
+            try:
+                function()
+            except Exception as error:
+                self._error = error
+                return False
+            return True
+
+        return call
+
+    def raise_error(self) -> None:
+        """Raise what a `guarded` function raised since the last time."""
         if self._error is not None:
             error, self._error = self._error, None
             raise error
@@ -224,6 +225,10 @@ class Simulation:
     def fleet(self, names: Sequence[str]) -> Fleet:
         """These vehicles, which have to be on the road, to be read and commanded together."""
         return Fleet(self, tuple(names))
+
+    def any_contact(self) -> bool:
+        """Whether SUMO reports contacts after the last step."""
+        return bool(_collisions())
 
     def collisions(self) -> list[tuple[str, str]]:
         """Pairs of vehicles that SUMO reports in contact after the last step."""
@@ -245,6 +250,10 @@ class Simulation:
     def change_lane(self, name: str, index: int) -> None:
         """Change to the lane of this SUMO index (0 is the rightmost) now."""
         libsumo.vehicle.changeLane(name, index, 0.0)
+
+    def move_to_lane(self, name: str, lane: str) -> None:
+        """Put a vehicle on another lane of its edge now, as far along as it is."""
+        _native.vehicle_moveTo(name, lane, _native.vehicle_getLanePosition(name))
 
     def change_lane_relative(self, name: str, step: int) -> None:
         """Change by `step` lanes, +1 to the left; also onto the opposite lane of a two-way road."""
@@ -291,7 +300,7 @@ class Fleet:
         if self._functions is None:
             return None
         return (
-            self._functions, self._vehicles, self._strings.addresses, *self._lanes, self._simulation.calls, self._step
+            self._step, self._functions, self._vehicles, self._strings.addresses, *self._lanes
         )
 
     def read(self, state: Floats, before: Floats, lane: Integers, own_speed: Floats) -> None:
@@ -390,6 +399,8 @@ def _write_routes(path: Path, settings: Settings) -> None:
             # A box. SUMO checks contacts at junctions against the outline that it draws, and a passenger car's has
             # rounded corners: with it 17 of 400 contacts were missed, with this one none (docs/decisions.md).
             "guiShape": "delivery",
+            # a class that may not change lane by itself (networks.build)
+            "vClass": "custom1" if settings.steered else "passenger",
             "maxSpeed": "60",
             "carFollowModel": "IDM",
             "accel": f"{driver.accel:.6f}",

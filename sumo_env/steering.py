@@ -8,12 +8,14 @@ once when it has crossed the line. The world shows where cars were steered; SUMO
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from networks.catalogue import Network
+from sumo_env import direct
 from sumo_env.loop import Traffic
 from sumo_env.models.steering import move
 from sumo_env.scene import Floats
@@ -35,9 +37,11 @@ class Steering:
         self._geometry = compiled_lanes(network.road).geometry
         self._number = {name: number for number, name in enumerate(network.road.lanes)}
         self.ego_near_end = True
+        self._called: tuple[Callable[[], bool], ...] | None = None
 
     def learn_lanes(self, ids: Sequence[str], stretch: Floats) -> None:
         """What is to be known of each of SUMO's lanes, by number; `stretch` of each, shape (lanes,)."""
+        self._ids = ids
         road, indices = self._network.road, [self._network.indices.get(lane) for lane in ids]
         # of a joint: those of the lane that it leads to, without neighbours
         on = [-1 if index is None else self._number[index] for index in indices]
@@ -64,8 +68,12 @@ class Steering:
         handles, cars = world.fleet.handles(), world.cars
         if handles is None:
             return None
+        if self._called is None:  # and kept, because compiled code calls them
+            sim = world.sim
+            self._called = sim.guarded(sim.step), sim.any_contact, sim.guarded(partial(self._change_lanes, world))
+            self._calls = direct.python_calls(*self._called)
         return Traffic(
-            *handles, self._geometry, self._lanes, self._stretch, cars.floats, cars.integers, cars.flags, world.drivers
+            *handles, self._calls, self._geometry, self._lanes, self._stretch, cars.floats, cars.integers, cars.flags, world.drivers
         )
 
     def act(self, world: World) -> None:
@@ -74,7 +82,13 @@ class Steering:
         changes, self.ego_near_end = move(
             self._geometry, self._lanes, self._stretch, cars.floats, cars.integers, cars.flags, world.dt
         )
-        for row in np.flatnonzero(cars.change >= 0).tolist() if changes else ():
-            count = int(self._lanes[2, cars.lane[row]])
-            world.sim.change_lane(world.ids[row], count - 1 - int(cars.change[row]))
+        if changes:
+            self._change_lanes(world)
         world.fleet.command(cars.command, cars.lateral, cars.moved)
+
+    def _change_lanes(self, world: World) -> None:
+        cars = world.cars
+        for row in np.flatnonzero(cars.change >= 0).tolist():
+            beside = self._ids[cars.lane[row]].rsplit("_", 1)[0]
+            index = int(self._lanes[2, cars.lane[row]]) - 1 - int(cars.change[row])
+            world.sim.move_to_lane(world.ids[row], f"{beside}_{index}")

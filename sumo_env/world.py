@@ -219,7 +219,7 @@ class World:
             self._follow_road()
         progress = Progress(0, loop.GOES_ON, 0, 0.0, self.time, self.distance, self.min_ttc)
         progress = self.rule.drive(self, self._traffic, count, progress)
-        self.sim.check_step()
+        self.sim.raise_error()
         self.time, self.distance, self.min_ttc = progress.time, progress.distance, progress.least_ttc
         self.ego.speed = float(self.speed[0])
         self.steering.ego_near_end = progress.why != loop.GOES_ON

@@ -226,10 +226,6 @@ class Simulation:
         """These vehicles, which have to be on the road, to be read and commanded together."""
         return Fleet(self, tuple(names))
 
-    def any_contact(self) -> bool:
-        """Whether SUMO reports contacts after the last step."""
-        return bool(_collisions())
-
     def collisions(self) -> list[tuple[str, str]]:
         """Pairs of vehicles that SUMO reports in contact after the last step."""
         found = _collisions()

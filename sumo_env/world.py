@@ -378,13 +378,19 @@ class World:
 
         touching: pairs that did by geometry.
         """
-        found = self.sim.collisions()
-        if found or touching:
-            self._crash(found)
+        if touching or self.sumo_sees_contact():
+            self._crash(self.sim.collisions())
         else:
             self._reported.clear()
         if not self.crashed[0]:
             self.min_ttc = min(self.min_ttc, ttc)
+
+    def sumo_sees_contact(self) -> bool:
+        """Whether SUMO reports a contact that is not of wrecks alone, or the ego's crash may be seen by it as well."""
+        return any(
+            self.crash is not None or not (self.crashed[self.row.get(a, 0)] and self.crashed[self.row.get(b, 0)])
+            for a, b in self.sim.collisions()
+        )
 
     def _crash(self, found: list[tuple[str, str]]) -> None:
         """Find out who touched whom; `found`: pairs that SUMO reports."""

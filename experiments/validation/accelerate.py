@@ -1,7 +1,7 @@
 """highway-env faster, with the same result to the last bit: all vehicles of a road at once, compiled.
 
 highway-env asks vehicle after vehicle and multiplies arrays of two numbers to do so. Here a road gathers the numbers
-of its vehicles into arrays, `experiments.validation.kernels` computes what they do, and the road hands it back: where
+of its vehicles into arrays, `kernels` and `contacts` compute what they do, and the road hands it back: where
 each steers, how it accelerates, where it moves, which of them may touch or get into each other's way. What seldom
 happens (a lane change, the next road, a collision, a wreck) stays highway-env's code. Tested against the original,
 episode for episode (tests/experiments/test_accelerate.py).
@@ -24,10 +24,10 @@ from highway_env.vehicle.controller import MDPVehicle
 from highway_env.vehicle.kinematics import Vehicle
 
 from experiments.backends.highway_env_vehicle import PathVehicle, ScenarioVehicle
-from experiments.validation import kernels
+from experiments.validation import contacts, kernels
 from experiments.validation.kernels import Lanes
 from sumo_env.config import Config
-from sumo_env.models.lane_table import LENGTH, LIMIT
+from sumo_env.models.lane_table import LIMIT
 from sumo_env.scenario import Scenario
 from sumo_env.tasks import get_task
 from sumo_env.tasks.base import Task
@@ -46,7 +46,7 @@ class FastRoad(Road):
         vehicles = self.vehicles
         if self._known != vehicles:
             self._know()
-        positions = np.array([vehicle.position for vehicle in vehicles])
+        positions = np.concatenate([vehicle.position for vehicle in vehicles]).reshape(-1, 2)
         self._x, self._y = np.ascontiguousarray(positions[:, 0]), np.ascontiguousarray(positions[:, 1])
         self._heading = np.array([vehicle.heading for vehicle in vehicles], float)
         self._speed = np.array([vehicle.speed for vehicle in vehicles], float)
@@ -63,7 +63,9 @@ class FastRoad(Road):
              v.ACC_MAX) if drives else (1.0,) * 6
             for v, drives in zip(self.vehicles, self._drives, strict=True)
         ]  # fmt: skip
-        self._comfort, product, self._min_gap, self._headway, self._delta, self._most = np.array(numbers).T.copy()
+        self._comfort, product, self._min_gap, self._headway, self._delta, self._most = np.array(
+            numbers
+        ).T.copy()
         self._root = 2 * np.sqrt(product)
 
     def act(self) -> None:
@@ -73,8 +75,7 @@ class FastRoad(Road):
         self._rows = {id(vehicle): row for row, vehicle in enumerate(vehicles)}
         targets = [index[vehicle.target_lane_index] for vehicle in vehicles]
         geometry = self.lanes.geometry
-        s, _ = kernels.project(geometry, targets, self._x, self._y)
-        at_end = (s > geometry[targets, LENGTH] - kernels.VEHICLE_LENGTH / 2).tolist()
+        at_end = kernels.after_end(geometry, np.array(targets), self._x, self._y).tolist()
         for row, vehicle in enumerate(vehicles):
             if self._drives[row] and vehicle.crashed:
                 continue
@@ -99,27 +100,30 @@ class FastRoad(Road):
 
     def _accelerations(self, own: Any, targets: Any) -> list[float]:
         """``IDMVehicle.act``: what IDM wants behind the leader, and behind that on the target lane [m/s2]."""
-        lanes, x, y, n = self.lanes, self._x, self._y, len(own)
+        lanes = self.lanes
         wanted = np.array([vehicle.target_speed for vehicle in self.vehicles], float)
         base = kernels.speed_ratios(self._speed, wanted, lanes.geometry[own, LIMIT])
         free = self._comfort * (1 - np.power(base, self._delta))
-        leader, lane, begin, is_beyond = kernels.leaders(
-            lanes.geometry, lanes.road, lanes.following, lanes.searched, lanes.offsets, x, y, own, targets,
-            self._along_path,
+        leader, is_beyond, begin, *points = kernels.leaders(
+            lanes.geometry, lanes.road, lanes.following, lanes.searched, lanes.offsets, self._x, self._y, own,
+            targets, self._along_path,
         )  # fmt: skip
-        places, _ = kernels.project(
-            lanes.geometry, np.concatenate((own, lane)), np.concatenate((x, x[leader])), np.concatenate((y, y[leader]))
-        )
-        distance = places[n:] - np.concatenate((places[:n], places[:n])) + begin
+        places, _ = kernels.project(lanes.geometry, *points)
         ratio = kernels.gap_ratios(
-            leader, is_beyond, distance, self._heading, self._speed, self._min_gap, self._headway, self._root
+            leader,
+            is_beyond,
+            begin,
+            places,
+            self._heading,
+            self._speed,
+            self._min_gap,
+            self._headway,
+            self._root,
         )
         square = ratio * ratio
         for row in np.flatnonzero(is_beyond).tolist():
             square[row] = float(ratio[row]) ** 2  # a power of the C library, which may end in another bit
-        first = free - self._comfort * square[:n]
-        second = np.where(own == targets, first, free - self._comfort * square[n:])
-        result: list[float] = np.clip(np.minimum(first, second), -self._most, self._most).tolist()
+        result: list[float] = kernels.behind_both(free, self._comfort, square, self._most).tolist()
         return result
 
     def neighbour_vehicles(self, vehicle: Any, lane_index: Any = None) -> tuple[Any, Any]:
@@ -150,7 +154,9 @@ class FastRoad(Road):
         speed = self._speed + acceleration * dt
         closest = kernels.closest_of_all(lanes.geometry, x, y, heading).tolist()
         headings, speeds = heading.tolist(), speed.tolist()
-        for row, (vehicle, position) in enumerate(zip(vehicles, np.stack((x, y), axis=1), strict=True)):
+        positions = np.empty((len(x), 2))
+        positions[:, 0], positions[:, 1] = x, y
+        for row, (vehicle, position) in enumerate(zip(vehicles, positions, strict=True)):
             if _is_special(vehicle):
                 vehicle.step(dt)
                 x[row], y[row] = vehicle.position
@@ -160,7 +166,7 @@ class FastRoad(Road):
                 vehicle.timer += dt
             vehicle.position, vehicle.heading, vehicle.speed = position, headings[row], speeds[row]
             vehicle.lane_index, vehicle.lane = lanes.names[closest[row]], lanes.lanes[closest[row]]
-        pairs, touching, ways = kernels.collisions(x, y, heading, speed, dt)
+        pairs, touching, ways = contacts.collisions(x, y, heading, speed, dt)
         for (i, j), now, way in zip(pairs.tolist(), touching.tolist(), ways, strict=True):
             if not math.isnan(way[0]):
                 vehicles[i].impact, vehicles[j].impact = way / 2, -way / 2
@@ -181,7 +187,7 @@ class FastRegulatedRoad(RegulatedRoad, FastRoad):
                 [index[start, end, lane[2] if i is None else i] for start, end, i in vehicle.route or [lane]]
             )
         width = max(map(len, routes))
-        found = kernels.conflicts(
+        found = contacts.conflicts(
             self.lanes.geometry, np.array([route + [-1] * (width - len(route)) for route in routes]),
             np.array([index[vehicle.lane_index] for vehicle in self.vehicles]), self._x, self._y, self._speed,
         )  # fmt: skip
@@ -235,7 +241,9 @@ class FastIDM(IDMVehicle):
         if projected:
             heading, turned = ego_vehicle.heading, front_vehicle.heading
             cos, sin = math.cos(heading), math.sin(heading)
-            faster = (speed * cos - other * math.cos(turned)) * cos + (speed * sin - other * math.sin(turned)) * sin
+            faster = (speed * cos - other * math.cos(turned)) * cos + (
+                speed * sin - other * math.sin(turned)
+            ) * sin
         root = math.sqrt(-self.COMFORT_ACC_MAX * self.COMFORT_ACC_MIN)
         return float(self.DISTANCE_WANTED + speed * self.TIME_WANTED + speed * faster / (2 * root))
 

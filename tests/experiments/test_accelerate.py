@@ -1,0 +1,108 @@
+"""The faster highway-env drives the episodes of the original to the last bit."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from highway_env.vehicle.kinematics import Vehicle
+
+from experiments.backends import make_env
+from experiments.study.grid import TRAFFICS
+from experiments.validation import contacts
+from experiments.validation.accelerate import FastRoad, within_reach
+from experiments.validation.episodes import Recorder
+from experiments.validation.stage import open_env
+from sumo_env.tasks import TASKS, get_task
+
+TRAFFIC = {  # few enough vehicles for the original
+    "highway": {"vehicles_count": 12, "vehicles_density": 2.0},
+    "two-way": {"vehicles_count": 8},
+    "roundabout": {"vehicles_count": 8},
+    "intersection": {},
+    "u-turn": {"vehicles_count": 6},
+}
+
+
+def original(task: str, config: dict[str, Any]) -> Any:
+    env = make_env("highway-env", task, config)
+    env.unwrapped.task = within_reach(task)  # type: ignore[attr-defined]
+    return env
+
+
+def frames(env: Any, task: str, traffic: str, seed: int) -> list[Any]:
+    """Everything that an episode of random actions shows and measures, step by step."""
+    rng = np.random.default_rng(seed)
+    observation, info = env.reset(seed=seed, options={"config": {"risk": TRAFFICS[traffic]}})
+    inner = env.unwrapped
+    recorder = Recorder(task, get_task(task).road(inner.config))
+    seen, done = [(observation, 0.0, info, inner.scene)], False
+    recorder.see(inner.scene)
+    while not done:
+        observation, reward, terminated, truncated, info = env.step(int(rng.integers(len(inner.actions))))
+        recorder.see(inner.scene)
+        seen.append((observation, reward, info, inner.scene))
+        done = terminated or truncated
+    env.close()
+    return [*seen, recorder.row()]
+
+
+def assert_same(first: list[Any], second: list[Any]) -> None:
+    assert len(first) == len(second)
+    for (observation, reward, info, scene), (other, other_reward, other_info, other_scene) in zip(
+        first[:-1], second[:-1], strict=True
+    ):
+        np.testing.assert_array_equal(observation, other)
+        assert reward == other_reward
+        assert info == other_info
+        assert scene.ids == other_scene.ids
+        for name in ("x", "y", "speed", "heading", "crashed"):
+            np.testing.assert_array_equal(getattr(scene, name), getattr(other_scene, name), name)
+    assert str(first[-1]) == str(second[-1])  # nan where nothing was measured
+
+
+@pytest.mark.parametrize("traffic", ["regular", "risky"])
+@pytest.mark.parametrize("task", TASKS)
+def test_episodes_are_those_of_the_original(task: str, traffic: str) -> None:
+    config = {**next(iter(TASKS[task].levels.values())), **TRAFFIC[task], "variant": "path", "duration": 8}
+    for seed in range(2):
+        first, second = (
+            frames(make(task, config), task, traffic, seed)
+            for make in (original, lambda *of: open_env("highway-env", *of))
+        )
+        assert_same(first, second)
+
+
+@pytest.mark.parametrize("variant", ["v0", "connected"])
+def test_other_variants_and_frequencies(variant: str) -> None:
+    config = {"vehicles_count": 6, "variant": variant, "simulation_frequency": 10, "duration": 6}
+    first = frames(original("u-turn", config), "u-turn", "regular", 1)
+    assert_same(first, frames(open_env("highway-env", "u-turn", config), "u-turn", "regular", 1))
+
+
+def test_roads_are_the_fast_ones() -> None:
+    env: Any = open_env("highway-env", "intersection", {})
+    env.reset(seed=0)
+    assert isinstance(env.unwrapped.road, FastRoad)
+    env.close()
+
+
+def test_collisions_are_those_of_the_original() -> None:
+    rng = np.random.default_rng(0)
+    collided = 0
+    for _ in range(1500):
+        place, heading = rng.uniform(-100, 100, 2), rng.choice([0.0, rng.uniform(-4, 4)])
+        first = Vehicle(None, place, heading, rng.uniform(0, 35))
+        second = Vehicle(None, place + rng.uniform(-6, 6, 2), rng.uniform(-4, 4), rng.uniform(0, 35))
+        now, soon, way = first._is_colliding(second, 0.1)
+        both = (first, second)
+        x, y = np.array([vehicle.position for vehicle in both]).T.copy()
+        heading, speed = (np.array([getattr(v, name) for v in both]) for name in ("heading", "speed"))
+        pairs, touching, ways = contacts.collisions(x, y, heading, speed, 0.1)
+        assert len(pairs) == (now or soon)
+        if now or soon:
+            collided += 1
+            assert touching[0] == now
+            np.testing.assert_array_equal(ways[0], way if soon else [np.nan, np.nan])
+    assert collided > 300

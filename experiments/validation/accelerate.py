@@ -94,8 +94,6 @@ class FastRoad(Road):
         ):
             if not drives:
                 acceleration = vehicle.speed_control(vehicle.target_speed)
-            elif vehicle.crashed:
-                continue
             vehicle.action = {"steering": angle, "acceleration": acceleration}
 
     def _accelerations(self, own: Any, targets: Any) -> list[float]:
@@ -179,6 +177,13 @@ class FastRegulatedRoad(RegulatedRoad, FastRoad):
 
     def enforce_road_rules(self) -> None:
         """``RegulatedRoad.enforce_road_rules``."""
+        found = self.conflicts()
+        rows = {id(vehicle): row for row, vehicle in enumerate(self.vehicles)}
+        self.is_conflict_possible = lambda v1, v2: found[rows[id(v1)], rows[id(v2)]]
+        super().enforce_road_rules()
+
+    def conflicts(self) -> Any:
+        """``is_conflict_possible`` of each vehicle and those after it, shape (n, n)."""
         self._gather()
         index, routes = self.lanes.index, []
         for vehicle in self.vehicles:
@@ -186,14 +191,10 @@ class FastRegulatedRoad(RegulatedRoad, FastRoad):
             routes.append(
                 [index[start, end, lane[2] if i is None else i] for start, end, i in vehicle.route or [lane]]
             )
-        width = max(map(len, routes))
-        found = contacts.conflicts(
-            self.lanes.geometry, np.array([route + [-1] * (width - len(route)) for route in routes]),
+        return contacts.conflicts(
+            self.lanes.geometry, kernels.padded(routes),
             np.array([index[vehicle.lane_index] for vehicle in self.vehicles]), self._x, self._y, self._speed,
         )  # fmt: skip
-        rows = {id(vehicle): row for row, vehicle in enumerate(self.vehicles)}
-        self.is_conflict_possible = lambda v1, v2: found[rows[id(v1)], rows[id(v2)]]
-        super().enforce_road_rules()
 
 
 def _may_change(vehicle: ScenarioVehicle) -> bool:

@@ -94,13 +94,14 @@ class Lanes:
             searched.append([(index[name], 0.0), *(joined if connected else [])])
         return cls(
             list(named), index, list(named.values()), np.array([_row(lane) for lane in named.values()]),
-            np.array([roads[name[:2]] for name in named]), _padded(following),
-            _padded([[number for number, _ in row] for row in searched]),
-            _padded([[offset for _, offset in row] for row in searched], np.float64),
+            np.array([roads[name[:2]] for name in named]), padded(following),
+            padded([[number for number, _ in row] for row in searched]),
+            padded([[offset for _, offset in row] for row in searched], np.float64),
         )  # fmt: skip
 
 
-def _padded(rows: list[list[Any]], dtype: Any = np.int64) -> Any:
+def padded(rows: list[list[Any]], dtype: Any = np.int64) -> Any:
+    """Rows of unequal length as one array, filled up with -1."""
     width = max(1, *map(len, rows)) if rows else 1
     return np.array([row + [-1] * (width - len(row)) for row in rows], dtype)
 

@@ -6,9 +6,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from highway_env.road.regulation import RegulatedRoad
 from highway_env.vehicle.kinematics import Vehicle
 
 from experiments.backends import make_env
+from experiments.backends.highway_env_vehicle import PathVehicle, ScenarioVehicle
 from experiments.study.grid import TRAFFICS
 from experiments.validation import contacts
 from experiments.validation.accelerate import FastRoad, within_reach
@@ -23,6 +25,15 @@ TRAFFIC = {  # few enough vehicles for the original
     "intersection": {},
     "u-turn": {"vehicles_count": 6},
 }
+RUNS: dict[
+    str, tuple[tuple[int, str], ...]
+] = {  # seeds and egos that meet lane changes, cut-ins, swerves and wrecks
+    "highway": ((5, "random"), (2, "random")),
+    "two-way": ((9, "SLOWER"), (3, "random")),
+    "roundabout": ((7, "random"), (2, "random")),
+    "intersection": ((0, "random"), (1, "random")),
+    "u-turn": ((1, "random"), (3, "random")),
+}
 
 
 def original(task: str, config: dict[str, Any]) -> Any:
@@ -31,16 +42,18 @@ def original(task: str, config: dict[str, Any]) -> Any:
     return env
 
 
-def frames(env: Any, task: str, traffic: str, seed: int) -> list[Any]:
-    """Everything that an episode of random actions shows and measures, step by step."""
+def frames(env: Any, task: str, traffic: str, seed: int, ego: str = "random") -> list[Any]:
+    """Everything that an episode shows and measures, step by step; `ego`: random actions, or always this one."""
     rng = np.random.default_rng(seed)
     observation, info = env.reset(seed=seed, options={"config": {"risk": TRAFFICS[traffic]}})
     inner = env.unwrapped
     recorder = Recorder(task, get_task(task).road(inner.config))
     seen, done = [(observation, 0.0, info, inner.scene)], False
     recorder.see(inner.scene)
+    numbers = {name: number for number, name in inner.actions.items()}
     while not done:
-        observation, reward, terminated, truncated, info = env.step(int(rng.integers(len(inner.actions))))
+        action = numbers.get(ego, int(rng.integers(len(numbers))))
+        observation, reward, terminated, truncated, info = env.step(action)
         recorder.see(inner.scene)
         seen.append((observation, reward, info, inner.scene))
         done = terminated or truncated
@@ -66,9 +79,9 @@ def assert_same(first: list[Any], second: list[Any]) -> None:
 @pytest.mark.parametrize("task", TASKS)
 def test_episodes_are_those_of_the_original(task: str, traffic: str) -> None:
     config = {**next(iter(TASKS[task].levels.values())), **TRAFFIC[task], "variant": "path", "duration": 8}
-    for seed in range(2):
+    for seed, ego in RUNS[task]:
         first, second = (
-            frames(make(task, config), task, traffic, seed)
+            frames(make(task, config), task, traffic, seed, ego)
             for make in (original, lambda *of: open_env("highway-env", *of))
         )
         assert_same(first, second)
@@ -86,6 +99,46 @@ def test_roads_are_the_fast_ones() -> None:
     env.reset(seed=0)
     assert isinstance(env.unwrapped.road, FastRoad)
     env.close()
+
+
+@pytest.mark.parametrize("task", ["highway", "u-turn"])
+def test_accelerations_are_those_of_the_original(task: str) -> None:
+    env: Any = open_env("highway-env", task, {})
+    env.reset(seed=0)
+    env.step(1)
+    vehicles = env.unwrapped.road.vehicles[:12]
+    for vehicle in vehicles[1:]:
+        fast, slow = type(vehicle), PathVehicle if task == "u-turn" else ScenarioVehicle
+        for other in (*vehicles, None):
+            for ego in (vehicle, vehicles[0], None):
+                found = vehicle.acceleration(ego, other)
+                vehicle.__class__ = slow
+                assert found == vehicle.acceleration(ego, other)
+                vehicle.__class__ = fast
+    env.close()
+
+
+def test_conflicts_are_those_of_the_original() -> None:
+    config = list(TASKS["intersection"].levels.values())[-1]
+    env: Any = open_env("highway-env", "intersection", config)
+    env.reset(seed=0)
+    road, rng = env.unwrapped.road, np.random.default_rng(0)
+    n = len(road.vehicles)
+    possible = 0
+    for _ in range(12):
+        for vehicle in road.vehicles:
+            vehicle.lane_index = vehicle.route[0]
+            vehicle.lane = road.network.get_lane(vehicle.lane_index)
+            vehicle.position = vehicle.lane.position(rng.uniform(70, 100), rng.uniform(-1, 1))
+            vehicle.speed = rng.uniform(0, 10)
+        found = road.conflicts()
+        for i in range(n):
+            for j in range(i + 1, n):
+                expected = RegulatedRoad.is_conflict_possible(road.vehicles[i], road.vehicles[j])
+                assert bool(expected) == found[i, j]
+                possible += bool(expected)
+    env.close()
+    assert 20 < possible < 12 * n * (n - 1) / 4
 
 
 def test_collisions_are_those_of_the_original() -> None:

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 from highway_env.road.regulation import RegulatedRoad
+from highway_env.utils import has_corner_inside
 from highway_env.vehicle.kinematics import Vehicle
 
 from experiments.backends import make_env
@@ -101,6 +102,23 @@ def test_roads_are_the_fast_ones() -> None:
     env.close()
 
 
+def test_a_swerve_ends_as_in_the_original() -> None:
+    config = {"vehicles_count": 3, "simulation_frequency": 10}
+    ends = []
+    for env in (original("two-way", config), open_env("highway-env", "two-way", config)):
+        env.reset(seed=0)
+        road = env.unwrapped.road
+        driver = max(road.vehicles[1:], key=lambda v: (v.lane_index == ("a", "b", 1), v.position[0]))
+        driver.swerve(("a", "b", 0))
+        for _ in range(40):
+            road.act()
+            road.step(0.1)
+        ends.append((driver.lane_index, driver.target_lane_index, driver.position.tolist(), driver.crashed))
+        env.close()
+    assert ends[0] == ends[1]
+    assert ends[1][1] == ("a", "b", 1)
+
+
 @pytest.mark.parametrize("task", ["highway", "u-turn"])
 def test_accelerations_are_those_of_the_original(task: str) -> None:
     env: Any = open_env("highway-env", task, {})
@@ -139,6 +157,18 @@ def test_conflicts_are_those_of_the_original() -> None:
                 possible += bool(expected)
     env.close()
     assert 20 < possible < 12 * n * (n - 1) / 4
+
+
+def test_predicted_rectangles_meet_as_in_the_original() -> None:
+    rng = np.random.default_rng(0)
+    inside = []
+    for _ in range(400):
+        place, other = rng.uniform(-3, 3, 2), rng.uniform(-3, 3, 2)
+        heading, turned = rng.uniform(-4, 4, 2)
+        expected = has_corner_inside((place, 7.5, 1.8, heading), (other, 7.5, 1.8, turned))
+        inside.append(expected)
+        assert contacts.has_point_inside(*place, heading, *other, turned) == expected
+    assert 50 < sum(inside) < 350
 
 
 def test_collisions_are_those_of_the_original() -> None:

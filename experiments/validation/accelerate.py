@@ -1,10 +1,10 @@
 """highway-env faster, with the same result to the last bit: all vehicles of a road at once, compiled.
 
 highway-env asks vehicle after vehicle and multiplies arrays of two numbers to do so. Here a road gathers the numbers
-of its vehicles into arrays, `kernels` and `contacts` compute what they do, and the road hands it back: where
-each steers, how it accelerates, where it moves, which of them may touch or get into each other's way. What seldom
-happens (a lane change, the next road, a collision, a wreck) stays highway-env's code. Tested against the original,
-episode for episode (tests/experiments/test_accelerate.py).
+of its vehicles into arrays, `kernels` and `contacts` compute what they do, and the road hands it back: where each
+steers, how it accelerates, where it moves, which of them collide or get into each other's way. What seldom happens (a
+lane change, the next road, a wreck's way, a swerve) stays highway-env's code. Tested against the original, step for
+step (tests/experiments/test_accelerate.py).
 """
 
 from __future__ import annotations
@@ -139,7 +139,7 @@ class FastRoad(Road):
         )
 
     def step(self, dt: float) -> None:
-        """``Road.step``; cars that cannot touch are not asked."""
+        """``Road.step``, with ``RoadObject.handle_collisions`` of all pairs at once."""
         self._gather()
         vehicles, lanes = self.vehicles, self.lanes
         actions = [vehicle.action for vehicle in vehicles]

@@ -114,7 +114,7 @@ def open_env(backend: str, task: str, config: Mapping[str, Any]) -> gym.Env[Any,
     if backend == "highway-env":
         from experiments.validation.accelerate import accelerate, within_reach
 
-        accelerate(env.unwrapped, task)
+        accelerate(env.unwrapped)
         env.unwrapped.task = within_reach(task)  # type: ignore[attr-defined]
     return env
 

@@ -155,25 +155,6 @@ def test_a_scene_is_driven_alike_by_both_simulators() -> None:
         assert sumo.at(times, name, 1) == pytest.approx(other.at(times, name, 1), abs=0.2)
 
 
-@pytest.mark.parametrize("task", ["highway", "two-way", "roundabout", "intersection", "u-turn"])
-def test_compiled_searches_change_nothing(task: str) -> None:
-    from experiments.backends import make_env
-
-    level = {**next(iter(TASKS[task].levels.values()))}
-    if task == "highway":
-        level["vehicles_count"] = 15
-    scenes = []
-    for env in (make_env("highway-env", task, level), open_env("highway-env", task, level)):
-        env.reset(seed=3)
-        for _ in range(3):
-            env.step(1)
-        scenes.append(env.unwrapped.scene)  # type: ignore[attr-defined]
-        env.close()
-    assert scenes[0].ids == scenes[1].ids
-    for name in ("x", "y", "speed", "heading", "crashed"):
-        np.testing.assert_allclose(getattr(scenes[0], name), getattr(scenes[1], name), atol=1e-9)
-
-
 @pytest.mark.parametrize("task", ["two-way", "u-turn"])
 def test_stored_reference_is_what_highway_env_drives(task: str) -> None:
     stored = reference.read().episodes

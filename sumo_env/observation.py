@@ -16,6 +16,7 @@ from networks.lanes import CircularLane, StraightLane
 from networks.roads import LaneIndex, Road
 from sumo_env.compiled import compiled
 from sumo_env.config import ConfigError, nearest
+from sumo_env.models.lane_table import lane_at
 from sumo_env.scenario import VehicleSpec
 from sumo_env.scene import PERCEPTION_DISTANCE, VEHICLE_LENGTH, Floats, Scene
 from sumo_env.tasks.base import EgoState
@@ -260,7 +261,7 @@ class Kinematics:
     @staticmethod
     def _offsets(scene: Scene, road: Road, row: int) -> tuple[float, float, float]:
         x, y, heading = float(scene.x[row]), float(scene.y[row]), float(scene.heading[row])
-        lane = road.lane(road.closest_lane(x, y, heading))
+        lane = road.lane(lane_at(road, x, y, heading))
         s, lateral = lane.local_coordinates(x, y)
         angle = (heading - lane.heading_at(s) + math.pi) % (2.0 * math.pi) - math.pi
         return s, lateral, angle
@@ -324,7 +325,7 @@ class TimeToCollision:
         here = geometry.local_coordinates(float(scene.x[0]), float(scene.y[0]))[0]
         for row in range(1, len(scene)):
             x, y, heading = float(scene.x[row]), float(scene.y[row]), float(scene.heading[row])
-            other_lane = road.closest_lane(x, y, heading)
+            other_lane = lane_at(road, x, y, heading)
             if not _connected(road, ego.lane, other_lane, ahead):
                 continue
             same_width = road.count(*other_lane[:2]) == lanes

@@ -13,7 +13,6 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -81,11 +80,11 @@ class Simulation:
         self._limits: dict[str, float] = {}
 
     def acquire(self, owner: object, settings: Settings, names: Collection[str] = ()) -> None:
-        """Make `owner` the one who drives, in the network of `settings`, with a road that is empty when it is placed on.
+        """Make `owner` the one who drives, in the network of `settings`, with an empty road.
 
         Vehicles of the last episode that are among `names` may wait there to be placed again, which SUMO does in a
-        tenth of the time that it takes to make one. So it is done with steered cars on a road with one route: they
-        have no state of their own.
+        tenth of the time that it takes to make one: steered cars on a road with one route, which have no state of
+        their own.
         """
         self.owner = owner
         if settings is self._served:
@@ -291,7 +290,7 @@ class Fleet:
             self._step = round(1000 * _native.simulation_getDeltaT())  # [ms]
             self._lanes = simulation.lane_pointers
 
-    def handles(self) -> tuple[Any, ...] | None:
+    def handles(self) -> tuple[int, Integers, Integers, Integers, Integers, Integers] | None:
         """What `loop.Traffic` begins with; None where SUMO's functions are not called directly."""
         if self._functions is None:
             return None
@@ -336,7 +335,7 @@ class Fleet:
             lane[i] = self._simulation.lane_numbers[_lane(name)]
 
     def command(self, speeds: Floats, lateral: Floats, moved: NDArray[np.bool_]) -> None:
-        """`set_speeds`; those who `moved` are put `lateral` [m] to the left of the middle of their lane. Shapes (n,)."""
+        """`set_speeds`, and put who `moved` `lateral` [m] to the left of the middle of the lane; shapes (n,)."""
         if self._functions is not None:
             direct.command(
                 self._functions, self._vehicles, self._strings.addresses, speeds, lateral, moved, self._step

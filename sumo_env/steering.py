@@ -17,9 +17,9 @@ import numpy as np
 from networks.catalogue import Network
 from sumo_env import direct
 from sumo_env.loop import Traffic
+from sumo_env.models.lane_table import compiled_lanes
 from sumo_env.models.steering import move
 from sumo_env.scene import Floats
-from sumo_env.tasks.intersection import compiled_lanes
 
 if TYPE_CHECKING:
     from sumo_env.world import World
@@ -70,11 +70,13 @@ class Steering:
             return None
         if self._called is None:  # and kept, because compiled code calls them
             sim = world.sim
-            self._called = sim.guarded(sim.step), world.sumo_sees_contact, sim.guarded(partial(self._change_lanes, world))
+            change = sim.guarded(partial(self._change_lanes, world))
+            self._called = sim.guarded(sim.step), world.sumo_sees_contact, change
             self._calls = direct.python_calls(*self._called)
         return Traffic(
-            *handles, self._calls, self._geometry, self._lanes, self._stretch, cars.floats, cars.integers, cars.flags, world.drivers
-        )
+            *handles, self._calls, self._geometry, self._lanes, self._stretch, cars.floats, cars.integers, cars.flags,
+            world.drivers,
+        )  # fmt: skip
 
     def act(self, world: World) -> None:
         """Move the cars, and command SUMO's for the next step."""

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from networks.catalogue import Network
 from networks.roads import LaneIndex
 from sumo_env import loop
-from sumo_env.cars import Cars
+from sumo_env.cars import Cars, Flags
 from sumo_env.collision import (
     LENGTH,
     SUMO_TOLERANCE,
@@ -37,8 +37,8 @@ from sumo_env.models.idm import driver_rows
 from sumo_env.models.motion import euler
 from sumo_env.safety import HORIZON
 from sumo_env.scenario import EGO, Scenario, VehicleSpec
-from sumo_env.scene import Scene
-from sumo_env.simulation import ALL_CHECKS_OFF, NO_LANE_CHANGES, Settings, Simulation, simulation
+from sumo_env.scene import Floats, Scene
+from sumo_env.simulation import ALL_CHECKS_OFF, NO_LANE_CHANGES, Fleet, Settings, Simulation, simulation
 from sumo_env.steering import Steering
 from sumo_env.tasks.base import Task
 from sumo_env.tasks.intersection import fits
@@ -55,6 +55,17 @@ class World:
     target_speed, yielding, lane), drivers (columns of `models.idm`), time, dt, ego, road, network, config,
     road_length, limit, sim, fleet.
     """
+
+    cars: Cars
+    x: Floats
+    y: Floats
+    heading: Floats
+    speed: Floats
+    target_speed: Floats
+    drivers: Floats
+    crashed: Flags
+    yielding: Flags
+    fleet: Fleet
 
     def __init__(self, task: Task, config: Config, network: Network) -> None:
         self.task = task

@@ -47,6 +47,13 @@ class Driver:
     gives_way: bool = True
 
 
+# Of cars that are told where to drive: they need no parameters. The stronger SUMO thinks their brakes are, the less far
+# it looks ahead for them, and those who do not give way need not know who crosses (docs/performance.md).
+TOLD = Driver(
+    "told", delta=4.0, accel=50.0, decel=50.0, tau=0.1, min_gap=0.0, emergency_decel=50.0, assertive=1.0,
+    speed_gain=0.0, gives_way=False,
+)  # fmt: skip
+
 # The regular driver's LC2013: its changes satisfy MOBIL's criteria in 94 % of cases (docs/decisions.md).
 REGULAR: dict[str, float] = {"assertive": 0.7, "speed_gain": 2.0}
 

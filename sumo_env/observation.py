@@ -191,7 +191,7 @@ class Kinematics:
                         self._low[column], self._high[column] = -1.0, 1.0
 
     def visible(self, scene: Scene, road: Road, lane: LaneIndex) -> Integers:
-        """Rows of the scene that the ego sees, in the order of the table (without the ego), shape (m,).
+        """Rows of the scene in the order of the table, the ego's first, shape (m,).
 
         Distances are differences of longitudinal coordinates on the ego's lane, as in highway-env: projections
         on curved roads.
@@ -200,7 +200,7 @@ class Kinematics:
         behind = -math.inf if self.see_behind else -2.0 * VEHICLE_LENGTH
         axis = _axis(road, lane)
         count = _visible(axis, scene.x, scene.y, behind, self.order == "sorted", rows)
-        return rows[1 : min(count, self.vehicles_count)]
+        return rows[: min(count, self.vehicles_count)]
 
     def observe(
         self,
@@ -215,7 +215,7 @@ class Kinematics:
         `specs`: the vehicles by id, whose destinations cos_d and sin_d point to. `rng` shuffles the rows where
         the order says so.
         """
-        rows = np.append(0, self.visible(scene, road, ego.lane))
+        rows = self.visible(scene, road, ego.lane)
         table = np.zeros((self.vehicles_count, len(self.features)), np.float32)
         _fill(
             rows,

@@ -11,7 +11,6 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -168,9 +167,12 @@ class Simulation:
         speed: float,
         speed_mode: int,
         lane_change_mode: int,
-        desired_speed: float,
+        desired_speed: float | None,
     ) -> None:
-        """Place a vehicle with its front bumper at `position` [m] of a lane; `desired_speed` [m/s] of its driver."""
+        """Place a vehicle with its front bumper at `position` [m] of a lane.
+
+        desired_speed: of its driver [m/s], None if that is told.
+        """
         if waiting := name in self._waiting:
             self._waiting.discard(name)
         else:
@@ -182,6 +184,8 @@ class Simulation:
             return
         _native.vehicle_setSpeedMode(name, speed_mode)
         _native.vehicle_setLaneChangeMode(name, lane_change_mode)
+        if desired_speed is None:
+            return
         limit = self._limits.get(lane)
         if limit is None:
             limit = self._limits[lane] = libsumo.lane.getMaxSpeed(lane)
@@ -272,7 +276,13 @@ class Simulation:
         return str(libsumo.getVersion()[1])
 
 
-_strings = lru_cache(maxsize=64)(direct.Strings)  # episodes use the same names again and again
+_STRINGS: dict[str, direct.Strings] = {}  # the few names that vehicles have, for compiled code
+
+
+def _address(name: str) -> int:
+    if name not in _STRINGS:
+        _STRINGS[name] = direct.Strings([name])
+    return int(_STRINGS[name].addresses[0])
 
 
 class Fleet:
@@ -285,8 +295,8 @@ class Fleet:
             _lane(name)  # raises where there is no such vehicle, which must not happen in compiled code
         self._functions = simulation.functions
         if self._functions is not None:
-            self._strings = _strings(names)
-            self._vehicles = direct.look_up(self._functions[direct.FIND_VEHICLE], self._strings.addresses)
+            self._addresses = np.array([_address(name) for name in names], np.int64)
+            self._vehicles = direct.look_up(self._functions[direct.FIND_VEHICLE], self._addresses)
             self._step = round(1000 * _native.simulation_getDeltaT())  # [ms]
             self._lanes = simulation.lane_pointers
 
@@ -295,7 +305,7 @@ class Fleet:
         if self._functions is None:
             return None
         return (
-            self._step, self._functions, self._vehicles, self._strings.addresses, *self._lanes
+            self._step, self._functions, self._vehicles, self._addresses, *self._lanes
         )
 
     def read(self, state: Floats, before: Floats, lane: Integers, own_speed: Floats) -> None:
@@ -338,7 +348,7 @@ class Fleet:
         """`set_speeds`, and put who `moved` `lateral` [m] to the left of the middle of the lane; shapes (n,)."""
         if self._functions is not None:
             direct.command(
-                self._functions, self._vehicles, self._strings.addresses, speeds, lateral, moved, self._step
+                self._functions, self._vehicles, self._addresses, speeds, lateral, moved, self._step
             )
             return
         for row in np.flatnonzero(moved).tolist():

@@ -29,6 +29,7 @@ from sumo_env.collision import (
 )
 from sumo_env.computed import Computed
 from sumo_env.config import Config
+from sumo_env.drivers import TOLD
 from sumo_env.ego import Ego, coast
 from sumo_env.loop import Progress, Traffic
 from sumo_env.models.dangers import dangers
@@ -83,7 +84,7 @@ class World:
         self.sim: Simulation = simulation()
         self._uneven = network.uneven
         self._lane_ids: tuple[str, ...] = ()
-        self._settings: dict[float, Settings] = {}  # by risk
+        self._settings: dict[float | None, Settings] = {}  # by the risk of those who are not told where to drive
         self.time = 0.0
 
     # -- start of an episode -------------------------------------------------------------------------------
@@ -91,10 +92,11 @@ class World:
     def reset(self, scenario: Scenario, ego: Ego) -> Scene:
         """Place a scenario; the first scene."""
         self.scenario, self.ego = scenario, ego
-        if scenario.risk not in self._settings:
-            drivers = self.task.drivers(scenario.risk)
+        kind = None if self.steering else scenario.risk
+        if kind not in self._settings:
+            drivers = (TOLD,) if self.steering else self.task.drivers(scenario.risk)
             routes = tuple(self.network.routes.items())
-            self._settings[scenario.risk] = Settings(
+            self._settings[kind] = Settings(
                 self.network.net_file,
                 routes,
                 self.dt,
@@ -112,7 +114,7 @@ class World:
         specs += [
             spec for spec in scenario.vehicles if self.task.concerns_ego(spec, scenario.ego, self.config)
         ]
-        self.sim.acquire(self, self._settings[scenario.risk], {spec.id for spec in specs})
+        self.sim.acquire(self, self._settings[kind], {spec.id for spec in specs})
         if self._lane_ids is not self.sim.lane_ids:
             self._learn_lanes()
         for spec in specs:
@@ -132,6 +134,10 @@ class World:
     def _place(self, spec: VehicleSpec) -> None:
         route, lane, position = self.network.place(spec.lane, spec.s, spec.destination)
         is_ego = spec.id == EGO
+        if self.steering:
+            mode = ALL_CHECKS_OFF, NO_LANE_CHANGES
+            self.sim.add(spec.id, route, TOLD.type, lane, position, spec.speed, *mode, None)
+            return
         self.sim.add(
             spec.id, route, spec.driver.type, lane, position, spec.speed,
             ALL_CHECKS_OFF if is_ego else self.rule.speed_mode,

@@ -182,7 +182,7 @@ def nearest_index(speed: float, ladder: Iterable[float]) -> int:
     if len(rungs) == 1:
         return 0
     position = (speed - rungs[0]) / (rungs[-1] - rungs[0])
-    return int(np.clip(np.round(position * (len(rungs) - 1)), 0, len(rungs) - 1))
+    return min(max(round(position * (len(rungs) - 1)), 0), len(rungs) - 1)
 
 
 def lmap(value: float, source: tuple[float, float] | list[float], target: tuple[float, float]) -> float:

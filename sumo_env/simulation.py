@@ -9,9 +9,10 @@ degrees clockwise from north) end here: everything above speaks highway-env's (y
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from xml.etree import ElementTree
 
 import numpy as np
@@ -41,6 +42,8 @@ REGULAR = 31  # speed mode: SUMO's car following and right of way
 NO_RIGHT_OF_WAY = 55  # speed mode: car following, but nobody yields at junctions
 NO_LANE_CHANGES = 0  # lane-change mode: commanded changes only, and at once
 OWN_LANE_CHANGES = 1621  # lane-change mode: SUMO decides
+
+NOBODY: Mapping[str, str] = MappingProxyType({})
 
 Integers = NDArray[np.int64]
 
@@ -74,20 +77,20 @@ class Simulation:
         self.functions = direct.find(_native.__file__, self.version())
         self.lane_pointers: tuple[Integers, Integers]
         self._waiting: set[str] = set()  # vehicles of the last episode
+        self._routes: dict[str, str] = {}  # of the vehicles
         self._error: Exception | None = None
         self.stepped = False  # since a vehicle was last removed
         self._limits: dict[str, float] = {}
 
-    def acquire(self, owner: object, settings: Settings, names: Collection[str] = ()) -> None:
+    def acquire(self, owner: object, settings: Settings, coming: Mapping[str, str] = NOBODY) -> None:
         """Make `owner` the one who drives, in the network of `settings`, with an empty road.
 
-        Vehicles of the last episode that are among `names` may wait there to be placed again, which SUMO does in a
-        tenth of the time that it takes to make one: steered cars on a road with one route, which have no state of
-        their own.
+        Vehicles of the last episode that are `coming` again (id -> route) may wait there to be placed again, which SUMO
+        does in a tenth of the time that it takes to make one: steered cars, which have no state of their own.
         """
         self.owner = owner
         if settings is self._served:
-            self._clear(names if settings.steered and len(settings.routes) == 1 else ())
+            self._clear(coming if settings.steered else NOBODY)
         elif self.settings is None or _without_drivers(self.settings) != _without_drivers(settings):
             self._load(settings)
         elif not {driver.type for driver in settings.drivers} <= self._types:
@@ -97,11 +100,12 @@ class Simulation:
             self._clear()
         self._served = settings
 
-    def _clear(self, but: Collection[str] = ()) -> None:
-        present = _native.vehicle_getIDList()
-        self._waiting = set(present).intersection(but)
-        for vehicle in present:
-            if vehicle not in self._waiting:
+    def _clear(self, but: Mapping[str, str] = NOBODY) -> None:
+        self._waiting.clear()
+        for vehicle in _native.vehicle_getIDList():
+            if self._routes.get(vehicle) == but.get(vehicle, ""):
+                self._waiting.add(vehicle)
+            else:
                 self.remove(vehicle)
 
     def check(self, owner: object) -> None:
@@ -177,6 +181,7 @@ class Simulation:
             self._waiting.discard(name)
         else:
             _native.vehicle_add(name, route, driver, departSpeed="0")
+            self._routes[name] = route
         _native.vehicle_moveTo(name, lane, position)
         # the start speed; sound because action step = simulation step
         _native.vehicle_setPreviousSpeed(name, speed)

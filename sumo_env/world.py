@@ -114,11 +114,12 @@ class World:
         specs += [
             spec for spec in scenario.vehicles if self.task.concerns_ego(spec, scenario.ego, self.config)
         ]
-        self.sim.acquire(self, self._settings[kind], {spec.id for spec in specs})
+        places = {spec.id: self.network.place(spec.lane, spec.s, spec.destination) for spec in specs}
+        self.sim.acquire(self, self._settings[kind], {name: place[0] for name, place in places.items()})
         if self._lane_ids is not self.sim.lane_ids:
             self._learn_lanes()
         for spec in specs:
-            self._place(spec)
+            self._place(spec, places[spec.id])
         self._set_rows(specs)
         return self.scene()
 
@@ -131,8 +132,9 @@ class World:
         if self.steering:
             self.steering.learn_lanes(ids, self._stretch)
 
-    def _place(self, spec: VehicleSpec) -> None:
-        route, lane, position = self.network.place(spec.lane, spec.s, spec.destination)
+    def _place(self, spec: VehicleSpec, place: tuple[str, str, float]) -> None:
+        """Put a vehicle on the road; `place`: of `Network.place`."""
+        route, lane, position = place
         is_ego = spec.id == EGO
         if self.steering:
             mode = ALL_CHECKS_OFF, NO_LANE_CHANGES
@@ -266,7 +268,7 @@ class World:
         for row in set(range(len(self.ids))).difference(staying):
             self.sim.remove(self.ids[row])
         for spec in coming:
-            self._place(spec)
+            self._place(spec, self.network.place(spec.lane, spec.s, spec.destination))
         self._set_rows([self.specs[row] for row in staying] + coming, staying)
 
     def _has_left(self, row: int) -> bool:

@@ -186,6 +186,7 @@ class Simulation:
         # the start speed; sound because action step = simulation step
         _native.vehicle_setPreviousSpeed(name, speed)
         if waiting:
+            _set_lateral(name, 0.0)  # which stays what it was if the lane does
             return
         _native.vehicle_setSpeedMode(name, speed_mode)
         _native.vehicle_setLaneChangeMode(name, lane_change_mode)

@@ -18,7 +18,7 @@ from networks.catalogue import Network
 from sumo_env import direct
 from sumo_env.loop import Traffic
 from sumo_env.models.lane_table import compiled_lanes
-from sumo_env.models.steering import move
+from sumo_env.models.steering import HALF, move
 from sumo_env.scene import Floats
 
 if TYPE_CHECKING:
@@ -30,6 +30,7 @@ class Steering:
 
     Attributes:
         ego_near_end: whether the ego may have to be given the next lane of its way to steer for.
+        entered: SUMO's lanes of the vehicles that have been placed since the last `start`.
     """
 
     def __init__(self, network: Network) -> None:
@@ -37,6 +38,7 @@ class Steering:
         self._geometry = compiled_lanes(network.road).geometry
         self._number = {name: number for number, name in enumerate(network.road.lanes)}
         self.ego_near_end = True
+        self.entered: list[str] = []
         self._called: tuple[Callable[[], bool], ...] | None = None
 
     def learn_lanes(self, ids: Sequence[str], stretch: Floats) -> None:
@@ -56,7 +58,12 @@ class Steering:
         cars = world.cars
         for column, spec in enumerate(world.specs[first:], start=first):
             cars.pose[:, column] = spec.x, spec.y, spec.heading
-        world.fleet.read_fronts(cars.front, cars.lane)
+        # not read: SUMO remembers where a car was that is placed again, until it steps
+        numbers = world.sim.lane_numbers
+        cars.lane[first:] = [numbers[lane] for lane in self.entered]
+        self.entered.clear()
+        x, y, heading = cars.pose[:, first:]
+        cars.front[0, first:], cars.front[1, first:] = x + HALF * np.cos(heading), y + HALF * np.sin(heading)
         self.ego_near_end = True
 
     def aim(self, world: World) -> None:

@@ -139,6 +139,7 @@ class World:
         if self.steering:
             mode = ALL_CHECKS_OFF, NO_LANE_CHANGES
             self.sim.add(spec.id, route, TOLD.type, lane, position, spec.speed, *mode, None)
+            self.steering.entered.append(lane)
             return
         self.sim.add(
             spec.id, route, spec.driver.type, lane, position, spec.speed,

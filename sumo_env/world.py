@@ -109,7 +109,8 @@ class World:
         self.crash: CrashRecord | None = None
         self._events = list(scenario.events)
         self._comes_and_goes = self.task.name == "intersection" or bool(scenario.spawns)
-        self._pushes: dict[str, tuple[float, float]] = {}  # vehicle -> (end [s], acceleration [m/s2])
+        # vehicle -> (end [s], acceleration [m/s2], way that has to be free [m])
+        self._pushes: dict[str, tuple[float, float, float]] = {}
         specs = [scenario.ego]
         specs += [
             spec for spec in scenario.vehicles if self.task.concerns_ego(spec, scenario.ego, self.config)
@@ -298,7 +299,7 @@ class World:
                 self.rule.cut_in(self, row, event)
             else:
                 push = event.accel if event.kind == "surge" else -event.decel
-                self._pushes[event.vehicle] = (self.time + event.duration, push)
+                self._pushes[event.vehicle] = (self.time + event.duration, push, event.way)
 
     def has_room(self, row: int, lane: LaneIndex) -> bool:
         """Is nobody in the way of a vehicle that cuts in to this lane beside it?"""
@@ -310,13 +311,13 @@ class World:
     def _pushed(self) -> list[tuple[int, float]]:
         """(row, acceleration [m/s2]) of vehicles that brake or surge by a risk event; 0 where that ends or pauses."""
         rows = []
-        for name, (end, push) in list(self._pushes.items()):
+        for name, (end, push, way) in list(self._pushes.items()):
             row = self.row.get(name)
             ended = self.time >= end - 1e-9
             if ended or row is None or self.crashed[row]:
                 del self._pushes[name]
             if row is not None and not self.crashed[row]:
-                held = ended or (push > 0.0 and not free_way(self.x, self.y, self.heading, row))
+                held = ended or (push > 0.0 and not free_way(self.x, self.y, self.heading, row, way))
                 rows.append((row, 0.0 if held else push))
         return rows
 

@@ -13,7 +13,6 @@ from sumo_env.compiled import compiled
 from sumo_env.scene import Floats
 
 CUT_IN_GAP = 1.0  # [m] to everybody in the lane beside; who is nearer is waited out, that is, the event is dropped
-FREE_WAY = 40.0  # [m] from centre to centre
 HALF_CORRIDOR = 2.0  # [m] to either side of the centre: half a lane
 
 
@@ -35,14 +34,14 @@ def has_room(
 
 
 @compiled
-def free_way(x: Floats, y: Floats, heading: Floats, row: int) -> bool:
-    """Is no centre of another vehicle in the straight corridor of FREE_WAY ahead of vehicle `row`?
+def free_way(x: Floats, y: Floats, heading: Floats, row: int, way: float) -> bool:
+    """Is no centre of another vehicle in the straight corridor ahead of vehicle `row`?
 
-    x, y [m], heading [rad]: shape (n,).
+    x, y [m], heading [rad]: shape (n,). way: length of the corridor, from centre to centre [m].
     """
     cos, sin = math.cos(heading[row]), math.sin(heading[row])
     for j in range(len(x)):
         dx, dy = x[j] - x[row], y[j] - y[row]
-        if 0.0 < dx * cos + dy * sin < FREE_WAY and abs(dy * cos - dx * sin) < HALF_CORRIDOR:
+        if 0.0 < dx * cos + dy * sin < way and abs(dy * cos - dx * sin) < HALF_CORRIDOR:
             return False
     return True

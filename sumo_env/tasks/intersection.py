@@ -60,7 +60,7 @@ class Intersection(Task):
         for count, probability in zip((10, 15, 20, 25, 30), (0.6, 0.7, 0.8, 0.9, 1.0), strict=True)
     }
     car_following = CarFollowing(accel=6.0, decel=3.0, min_gap=2.0)
-    risk_rates = RiskRates(surge=0.25)
+    risk_rates = RiskRates(surge=0.2, surge_way=20.0)
     target_speeds = (0.0, 4.5, 9.0)
 
     def road(self, config: Config) -> Road:

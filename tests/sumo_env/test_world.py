@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from sumo_env.drivers import RiskEvent
+from sumo_env.drivers import FREE_WAY, RiskEvent
 from sumo_env.env import DrivingEnv
 from sumo_env.scenario import Scenario, VehicleSpec
 from sumo_env.scene import Scene
@@ -297,24 +297,25 @@ def test_a_cut_in_takes_any_gap_but_needs_one(
 )
 def test_a_surge_accelerates_where_the_way_is_free(make: Any, task: str, traffic_model: str) -> None:
     gained = {}
-    for blocked in (False, True):
+    for blocked, way in ((False, FREE_WAY), (True, FREE_WAY), (True, 10.0)):
 
-        def change(scenario: Scenario, blocked: bool = blocked) -> Scenario:
+        def change(scenario: Scenario, blocked: bool = blocked, way: float = way) -> Scenario:
             other = scenario.vehicles[0]
             vehicles = [replace(other, speed=8.0, target_speed=8.0)]
             if blocked:
                 dx, dy = 15 * np.cos(other.heading), 15 * np.sin(other.heading)
                 ahead = replace(vehicles[0], id="ahead", s=other.s + 15, x=other.x + dx, y=other.y + dy)
                 vehicles.append(ahead)
-            event = RiskEvent(0.0, other.id, "surge", accel=4.0, duration=2.0)
+            event = RiskEvent(0.0, other.id, "surge", accel=4.0, duration=2.0, way=way)
             return replace(scenario, vehicles=tuple(vehicles), events=(event,), spawns=())
 
         env = make(task, change, traffic_model=traffic_model)
         before = float(env.scene.speed[1])
         env.step(0)
-        gained[blocked] = float(env.scene.speed[1]) - before
-    assert gained[False] == pytest.approx(4.0, abs=0.5)
-    assert gained[True] < 2.0
+        gained[blocked, way] = float(env.scene.speed[1]) - before
+    assert gained[False, FREE_WAY] == pytest.approx(4.0, abs=0.5)
+    assert gained[True, FREE_WAY] < 2.0
+    assert gained[True, 10.0] > 2.0  # 15 m are enough for it
 
 
 def test_intersection_traffic_comes_and_goes() -> None:

@@ -10,7 +10,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from networks.catalogue import Network
 from networks.roads import LaneIndex
@@ -33,7 +32,7 @@ from sumo_env.drivers import TOLD
 from sumo_env.ego import Ego, coast
 from sumo_env.loop import Progress, Traffic
 from sumo_env.models.dangers import dangers
-from sumo_env.models.hazards import free_way, has_room
+from sumo_env.models.hazards import EARLY, free_way, has_room
 from sumo_env.models.idm import driver_rows
 from sumo_env.models.motion import euler
 from sumo_env.safety import HORIZON
@@ -110,7 +109,6 @@ class World:
         self._events = list(scenario.events)
         self._comes_and_goes = self.task.name == "intersection" or bool(scenario.spawns)
         # vehicle -> (end [s], acceleration [m/s2], way that has to be free [m])
-        self._pushes: dict[str, tuple[float, float, float]] = {}
         specs = [scenario.ego]
         specs += [
             spec for spec in scenario.vehicles if self.task.concerns_ego(spec, scenario.ego, self.config)
@@ -201,7 +199,7 @@ class World:
         while done < self.substeps:
             if self._events:
                 self._start_events()
-            undisturbed = 0 if on_substep or self._pushes else self._undisturbed(self.substeps - done)
+            undisturbed = 0 if on_substep else self._undisturbed(self.substeps - done)
             done += self._advance(undisturbed) if undisturbed else self._substep()
             if on_substep is not None and done < self.substeps:
                 on_substep(self.scene())
@@ -298,8 +296,9 @@ class World:
             if event.kind == "cut-in":
                 self.rule.cut_in(self, row, event)
             else:
-                push = event.accel if event.kind == "surge" else -event.decel
-                self._pushes[event.vehicle] = (self.time + event.duration, push, event.way)
+                cars = self.cars
+                cars.push[row] = event.accel if event.kind == "surge" else -event.decel
+                cars.push_end[row], cars.push_way[row] = self.time + event.duration, event.way
 
     def has_room(self, row: int, lane: LaneIndex) -> bool:
         """Is nobody in the way of a vehicle that cuts in to this lane beside it?"""
@@ -308,38 +307,22 @@ class World:
         there = (*geometry.position(s, 0.0), geometry.heading_at(s))
         return bool(has_room(self.x, self.y, self.heading, row, *map(float, there)))
 
-    def _pushed(self) -> list[tuple[int, float]]:
-        """(row, acceleration [m/s2]) of vehicles that brake or surge by a risk event; 0 where that ends or pauses."""
-        rows = []
-        for name, (end, push, way) in list(self._pushes.items()):
-            row = self.row.get(name)
-            ended = self.time >= end - 1e-9
-            if ended or row is None or self.crashed[row]:
-                del self._pushes[name]
-            if row is not None and not self.crashed[row]:
-                held = ended or (push > 0.0 and not free_way(self.x, self.y, self.heading, row, way))
-                rows.append((row, 0.0 if held else push))
-        return rows
-
     def push_by_event(self, speed_mode: int) -> None:
         """Risk events' braking and surging of vehicles that SUMO drives."""
-        for row, push in self._pushed() if self._pushes else ():
-            name = self.ids[row]
-            if push == 0.0:
+        cars = self.cars
+        for row in np.flatnonzero(cars.push).tolist() if self.scenario.risk else ():
+            name, push = self.ids[row], float(cars.push[row])
+            ended = self.time >= cars.push_end[row] - EARLY
+            if ended or self.crashed[row]:
+                cars.push[row] = 0.0
+            if self.crashed[row]:
+                continue
+            if ended or (push > 0.0 and not free_way(self.x, self.y, self.heading, row, float(cars.push_way[row]))):
                 self.sim.set_speed(name, -1.0)  # give the speed back to SUMO
                 self.sim.speed_mode(name, self.rule.speed_mode)
             else:
                 self.sim.speed_mode(name, speed_mode if push < 0.0 else ALL_CHECKS_OFF)
                 self.sim.set_speed(name, max(float(self.speed[row]) + push * self.dt, 0.0))
-
-    def push(self, acceleration: NDArray[np.float64]) -> None:
-        """Risk events' braking and surging of vehicles whose acceleration [m/s2] is computed: changes it in place."""
-        for row, push in self._pushed() if self._pushes else ():
-            if push < 0.0:
-                standstill = -max(float(self.speed[row]), 0.0) / self.dt  # nobody brakes into reverse
-                acceleration[row] = min(acceleration[row], max(push, standstill))
-            elif push > 0.0:
-                acceleration[row] = max(acceleration[row], push)
 
     def command_accelerations(self) -> None:
         """Tell SUMO how fast all vehicles but the ego and the wrecks drive by their accelerations."""

@@ -8,11 +8,13 @@ from __future__ import annotations
 
 import math
 
+from sumo_env.cars import ACCELERATION, CRASHED, HEADING, PUSH, PUSH_END, PUSH_WAY, SPEED, Flags, X, Y
 from sumo_env.collision import LENGTH, WIDTH, distance
 from sumo_env.compiled import compiled
 from sumo_env.scene import Floats
 
 CUT_IN_GAP = 1.0  # [m] to everybody in the lane beside; who is nearer is waited out, that is, the event is dropped
+EARLY = 1e-9  # [s] rounding of the time
 HALF_CORRIDOR = 2.0  # [m] to either side of the centre: half a lane
 
 
@@ -31,6 +33,25 @@ def has_room(
         if gap < CUT_IN_GAP:
             return False
     return True
+
+
+@compiled
+def push(floats: Floats, flags: Flags, time: float, dt: float) -> None:
+    """Brake and surge as risk events ask, on top of what drivers want: changes ACCELERATION and PUSH in place.
+
+    floats, flags: of `cars.Cars`; time, dt: [s].
+    """
+    acceleration, pushes, speed = floats[ACCELERATION], floats[PUSH], floats[SPEED]
+    for i in range(len(pushes)):
+        if pushes[i] == 0.0:
+            continue
+        if flags[CRASHED, i] or time >= floats[PUSH_END, i] - EARLY:
+            pushes[i] = 0.0
+        elif pushes[i] < 0.0:
+            standstill = -max(speed[i], 0.0) / dt  # nobody brakes into reverse
+            acceleration[i] = min(acceleration[i], max(pushes[i], standstill))
+        elif free_way(floats[X], floats[Y], floats[HEADING], i, floats[PUSH_WAY, i]):
+            acceleration[i] = max(acceleration[i], pushes[i])
 
 
 @compiled

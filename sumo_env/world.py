@@ -310,7 +310,7 @@ class World:
     def push_by_event(self, speed_mode: int) -> None:
         """Risk events' braking and surging of vehicles that SUMO drives."""
         cars = self.cars
-        for row in np.flatnonzero(cars.push).tolist() if self.scenario.risk else ():
+        for row in np.flatnonzero(cars.push).tolist() if self.scenario.events else ():
             name, push = self.ids[row], float(cars.push[row])
             ended = self.time >= cars.push_end[row] - EARLY
             if ended or self.crashed[row]:

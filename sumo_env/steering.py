@@ -78,7 +78,7 @@ class Steering:
         if self._called is None:  # and kept, because compiled code calls them
             sim = world.sim
             change = sim.guarded(partial(self._change_lanes, world))
-            self._called = sim.guarded(sim.step), world.sumo_sees_contact, change
+            self._called = sim.guarded(lambda: sim.step()), world.sumo_sees_contact, change
             self._calls = direct.python_calls(*self._called)
         return Traffic(
             *handles, self._calls, self._geometry, self._lanes, self._stretch, cars.floats, cars.integers, cars.flags,

@@ -390,11 +390,14 @@ class World:
             self.min_ttc = min(self.min_ttc, ttc)
 
     def sumo_sees_contact(self) -> bool:
-        """Whether SUMO reports a contact that is not of wrecks alone, or the ego's crash may be seen by it as well."""
-        return any(
-            self.crash is not None or not (self.crashed[self.row.get(a, 0)] and self.crashed[self.row.get(b, 0)])
-            for a, b in self.sim.collisions()
-        )
+        """Whether SUMO reports a contact that is not of wrecks alone, or may yet see the crash that geometry saw."""
+        found = self.sim.collisions()
+        if not found:
+            return False
+        if self.crash is not None and self.crash.detected_by != "both":
+            return True
+        wrecks = {name for name, row in self.row.items() if self.crashed[row]}
+        return any(a not in wrecks or b not in wrecks for a, b in found)
 
     def _crash(self, found: list[tuple[str, str]]) -> None:
         """Find out who touched whom; `found`: pairs that SUMO reports."""

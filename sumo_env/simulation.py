@@ -251,6 +251,15 @@ class Simulation:
         """Put a vehicle on another lane of its edge now, as far along as it is."""
         _native.vehicle_moveTo(name, lane, _native.vehicle_getLanePosition(name))
 
+    def put(self, name: str, lane: str, position: float) -> None:
+        """Put a vehicle with its front bumper at `position` [m] of a lane of its route (`can_be_on`) now."""
+        _native.vehicle_moveTo(name, lane, position)
+
+    def can_be_on(self, name: str, edge: str) -> bool:
+        """Whether a vehicle can be put on an edge and then goes its way: it is on its route, and not passed twice."""
+        route, index = _native.vehicle_getRoute(name), _native.vehicle_getRouteIndex(name)
+        return edge in route[index : index + 1] or (edge in route[:index] and edge not in route[index:])
+
     def change_lane_relative(self, name: str, step: int) -> None:
         """Change by `step` lanes, +1 to the left; also onto the opposite lane of a two-way road."""
         libsumo.vehicle.changeLaneRelative(name, step, 0.0)

@@ -17,6 +17,7 @@ from sumo_env.loop import Progress, Traffic, Ways, bends
 from sumo_env.models.give_way import give_way
 from sumo_env.models.lane_table import advance
 from sumo_env.models.network_drivers import Net, act, net
+from sumo_env.scene import Floats
 from sumo_env.tasks.intersection import REGULATION_INTERVAL, WARM_UP, WARM_UP_FREQUENCY, compiled_lanes, path
 
 if TYPE_CHECKING:
@@ -99,7 +100,7 @@ class GiveWay(Bends):
             advance(table.geometry, routes, stage, world.x, world.y)
         exempt = np.array([row == 0 or not spec.driver.gives_way for row, spec in enumerate(world.specs)])
         clock = np.array([self.phase]) if world.time == 0.0 else self._clock
-        self._clock = clock
+        self._clock: Floats = clock
         self._ways = self._ways._replace(routes=routes, stage=stage, exempt=exempt, clock=clock)
         self._geometry = table.geometry
 

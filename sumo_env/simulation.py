@@ -13,7 +13,6 @@ from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -64,9 +63,14 @@ class Settings:
 
 
 class Simulation:
-    """The session with libsumo. Use `simulation()`, there is one."""
+    """The session with libsumo. Use `simulation()`, there is one.
+
+    Attributes:
+        check_junctions: whether SUMO compares outlines inside junctions, from the next load of a network on.
+    """
 
     def __init__(self) -> None:
+        self.check_junctions = True
         self.settings: Settings | None = None
         self._served: Settings | None = None  # those last asked for, which `settings` suffice for
         self.owner: object | None = None
@@ -130,7 +134,7 @@ class Simulation:
             "--step-length", f"{settings.step_length:.6g}",
             "--lanechange.duration", f"{settings.lane_change_duration:g}",
             "--collision.action", "warn",
-            "--collision.check-junctions", "true",
+            "--collision.check-junctions", "true" if self.check_junctions else "false",
             "--collision.mingap-factor", "0",
             "--time-to-teleport", "-1",
             "--max-depart-delay", "-1",
@@ -300,7 +304,7 @@ class Fleet:
             self._step = round(1000 * _native.simulation_getDeltaT())  # [ms]
             self._lanes = simulation.lane_pointers
 
-    def handles(self) -> tuple[Any, ...] | None:
+    def handles(self) -> tuple[int, Integers, Integers, Integers, Integers, Integers] | None:
         """What `loop.Traffic` begins with; None where SUMO's functions are not called directly."""
         if self._functions is None:
             return None

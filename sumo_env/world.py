@@ -38,7 +38,7 @@ from sumo_env.models.motion import euler
 from sumo_env.safety import HORIZON
 from sumo_env.scenario import EGO, Scenario, VehicleSpec
 from sumo_env.scene import Scene
-from sumo_env.simulation import ALL_CHECKS_OFF, NO_LANE_CHANGES, Settings, Simulation, simulation
+from sumo_env.simulation import ALL_CHECKS_OFF, NO_LANE_CHANGES, Fleet, Settings, Simulation, simulation
 from sumo_env.steering import Steering
 from sumo_env.tasks.base import Task
 from sumo_env.tasks.intersection import fits
@@ -138,12 +138,12 @@ class World:
         cars = Cars(len(specs))
         if first:
             cars.keep(self.cars, stayed)
-        self.cars = cars
+        self.cars: Cars = cars
         self.x, self.y, self.heading, self.speed = cars.state
         self.crashed, self.yielding, self.target_speed = cars.crashed, cars.yielding, cars.target_speed
         self.lane = cars.lane
         self._reported: set[tuple[int, int]] = set()  # by SUMO after the last sub-step
-        self.fleet = self.sim.fleet(self.ids)
+        self.fleet: Fleet = self.sim.fleet(self.ids)
         if self.steering:
             self.steering.start(self, first)
         else:

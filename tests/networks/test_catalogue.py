@@ -42,9 +42,9 @@ def test_nobody_drives_off_an_end(task):
     for index, sumo_lane in net.lanes.items():
         lane = net.road.lane(index)
         if f"{index[0]}-{index[1]}" in last and (task, index) != ("two-way", ("a", "b", 0)):
-            assert lane.local_coordinates(*sumo_lane.end)[0] >= lane.length + 399
+            assert lane.local_coordinates(*sumo_lane.shape[-1])[0] >= lane.length + 399
         if not net.preceding[sumo_lane.id] and (task, index) != ("two-way", ("a", "b", 0)):
-            assert lane.local_coordinates(*sumo_lane.start)[0] <= -50
+            assert lane.local_coordinates(*sumo_lane.shape[0])[0] <= -50
 
 
 @pytest.mark.parametrize("task", TASKS)

@@ -350,12 +350,13 @@ def draw(corpus: pd.DataFrame, path: Path) -> None:
         missed = true.loc[~_detectors(true)[detector], "depth"].clip(upper=1.2)
         label = f"{detector} ({len(missed)} of {len(true)})"
         depths.hist(missed, bins=np.linspace(0, 1.2, 25), histtype="step", lw=1.4, color=colour, label=label)
+    depths.set_ylim(top=depths.get_ylim()[1] * 8)  # room for the legend
     depths.set_xlabel("depth of the contacts missed [m] (last bar: 1.2 and more)")
     for axis in (gaps, depths):
         axis.set_yscale("symlog", linthresh=1)
         axis.set_ylabel("cases of the ego")
         axis.spines[["top", "right"]].set_visible(False)
-        axis.legend(frameon=False, fontsize=8)
+        axis.legend(frameon=False, fontsize=8, loc="upper right")
     figure.tight_layout()
     figure.savefig(path, dpi=110)
     plt.close(figure)

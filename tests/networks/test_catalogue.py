@@ -63,7 +63,7 @@ def test_highways_of_any_width(lanes_count):
     assert net.net_file.name == f"highway-{lanes_count}.net.xml"
     for i in range(lanes_count):
         assert net.sumo_lane(("0", "1", i)) == f"0-1_{lanes_count - 1 - i}"
-        assert net.lanes["0", "1", i].start[1] == pytest.approx(4 * i)
+        assert net.lanes["0", "1", i].shape[0][1] == pytest.approx(4 * i)
 
 
 def test_two_way_road_of_any_length_keeps_x():

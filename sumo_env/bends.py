@@ -15,10 +15,10 @@ from sumo_env.computed import Computed
 from sumo_env.drivers import RiskEvent
 from sumo_env.loop import Progress, Traffic, Ways, bends
 from sumo_env.models.give_way import give_way
-from sumo_env.models.lane_table import advance
+from sumo_env.models.lane_table import advance, compiled_lanes
 from sumo_env.models.network_drivers import Net, act, net
 from sumo_env.scene import Floats
-from sumo_env.tasks.intersection import REGULATION_INTERVAL, WARM_UP, WARM_UP_FREQUENCY, compiled_lanes, path
+from sumo_env.tasks.intersection import REGULATION_INTERVAL, WARM_UP, WARM_UP_FREQUENCY, path
 
 if TYPE_CHECKING:
     from sumo_env.world import World
@@ -36,7 +36,7 @@ def joined_lanes(road: Road) -> Net:
 @lru_cache(maxsize=256)
 def _way(road: Road, lane: LaneIndex, destination: str | None) -> tuple[int, ...]:
     """The roads of a vehicle's way, by their first lanes, as a row of `ways`."""
-    number = {name: number for number, name in enumerate(road.lanes)}
+    number = compiled_lanes(road).index
     roads = [number[start, end, 0] for start, end, _ in road.way(lane, destination)]
     return (*roads, *[-1] * (LONGEST_WAY - len(roads)))
 
@@ -48,8 +48,8 @@ class Bends(Computed):
 
     def start(self, world: World, first: int) -> None:
         cars, fresh = world.cars, world.specs[first:]
-        self._names = list(world.road.lanes)
-        self._number = {name: number for number, name in enumerate(self._names)}
+        self._number = compiled_lanes(world.road).index
+        self._names = compiled_lanes(world.road).names
         cars.on[first:] = cars.target[first:] = [self._number[spec.lane] for spec in fresh]
         # a route in highway-env names the lane on which it begins, and MOBIL does not leave it
         cars.planned[first:] = [spec.lane[2] for spec in fresh]

@@ -27,7 +27,8 @@ TIMER = 11  # since the last decision on lane changes [s]
 FRONT_X, FRONT_Y = 12, 13  # front bumper of SUMO's car [m]
 LATERAL = 14  # of SUMO's car, to the left of the middle of its lane [m]
 COMMAND = 15  # speed that SUMO is told [m/s]
-FLOATS = 16
+PUSH, PUSH_END, PUSH_WAY = 16, 17, 18  # by a risk event [m/s2], 0 without one; until [s]; free way asked for [m]
+FLOATS = 19
 
 # Rows of `Cars.integers`.
 LANE = 0  # of SUMO, by its number in `Simulation.lane_ids`
@@ -66,6 +67,7 @@ class Cars:
         self.acceleration, self.target_speed = self.floats[ACCELERATION], self.floats[TARGET_SPEED]
         self.timer, self.lateral = self.floats[TIMER], self.floats[LATERAL]
         self.command = self.floats[COMMAND]
+        self.push, self.push_end, self.push_way = self.floats[PUSH : PUSH_WAY + 1]
         self.lane, self.on, self.target = self.integers[LANE], self.integers[ON], self.integers[TARGET]
         self.leg, self.planned, self.change = self.integers[LEG], self.integers[PLANNED], self.integers[CHANGE]
         self.crashed, self.yielding = self.flags[CRASHED], self.flags[YIELDING]

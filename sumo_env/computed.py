@@ -12,6 +12,7 @@ import numpy as np
 
 from sumo_env.drivers import RiskEvent
 from sumo_env.loop import Progress, Traffic, straight
+from sumo_env.models.hazards import push
 from sumo_env.models.idm import strip_accelerations
 from sumo_env.models.mobil import act, closest_lanes
 from sumo_env.native import CENTRED
@@ -44,7 +45,7 @@ class Computed:
 
     def act(self, world: World) -> None:
         self.accelerate(world)
-        world.push(world.cars.acceleration)
+        push(world.cars.floats, world.cars.flags, world.time, world.dt)
 
 
 class Mobil(Computed):

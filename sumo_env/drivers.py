@@ -47,6 +47,13 @@ class Driver:
     gives_way: bool = True
 
 
+# Of cars that are told where to drive: they need no parameters. The stronger SUMO thinks their brakes are, the less far
+# it looks ahead for them, and those who do not give way need not know who crosses (docs/performance.md).
+TOLD = Driver(
+    "told", delta=4.0, accel=50.0, decel=50.0, tau=0.1, min_gap=0.0, emergency_decel=50.0, assertive=1.0,
+    speed_gain=0.0, gives_way=False,
+)  # fmt: skip
+
 # The regular driver's LC2013: its changes satisfy MOBIL's criteria in 94 % of cases (docs/decisions.md).
 REGULAR: dict[str, float] = {"assertive": 0.7, "speed_gain": 2.0}
 
@@ -57,6 +64,7 @@ SPREAD = 0.5
 # "Acceleration" and "steering" of the paper's law: what the dose spreads.
 SPREAD_PARAMETERS = ("accel", "decel", "tau", "min_gap", "emergency_decel", "assertive", "speed_gain")
 RISKY_SHARE_NOT_GIVING_WAY = 0.5
+FREE_WAY = 40.0  # [m]
 
 
 @lru_cache(maxsize=64)
@@ -104,6 +112,7 @@ class RiskRates:
     surge: float = 0.0  # sudden acceleration [1/s]
     surge_accel: float = 4.0  # [m/s2]
     surge_duration: float = 2.0  # [s]
+    surge_way: float = FREE_WAY  # [m] free straight ahead, else a surge pauses
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,11 +124,12 @@ class RiskEvent:
         vehicle: id of the driver's vehicle.
         kind: ``cut-in``: change to the neighbouring lane at once; only who has nobody beside (`hazards.has_room`) does.
             ``brake``: brake for nothing. ``surge``: accelerate, whoever crosses the way, but pause while somebody is
-            straight ahead (`hazards.free_way`).
+            near straight ahead (`hazards.free_way`).
         direction: of a cut-in, -1 left or +1 right (the other one where there is no lane or no room).
         decel: of a brake [m/s2].
         accel: of a surge [m/s2].
         duration: of a brake or a surge [s].
+        way: of a surge, to the next vehicle straight ahead, from centre to centre [m]; it pauses while that is nearer.
     """
 
     time: float
@@ -129,6 +139,7 @@ class RiskEvent:
     decel: float = 0.0
     accel: float = 0.0
     duration: float = 0.0
+    way: float = FREE_WAY
 
 
 def draw_events(
@@ -157,5 +168,7 @@ def draw_events(
                     events.append(RiskEvent(time, vehicle, "brake", decel=decel, duration=seconds))
                 else:
                     accel, seconds = rates.surge_accel, rates.surge_duration
-                    events.append(RiskEvent(time, vehicle, "surge", accel=accel, duration=seconds))
+                    events.append(
+                        RiskEvent(time, vehicle, "surge", accel=accel, duration=seconds, way=rates.surge_way)
+                    )
     return tuple(sorted(events, key=lambda event: (event.time, event.vehicle, event.kind)))

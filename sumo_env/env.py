@@ -17,13 +17,12 @@ from sumo_env import safety
 from sumo_env.config import Config, ConfigError, resolve
 from sumo_env.ego import Ego
 from sumo_env.interface import interface
-from sumo_env.models.lane_table import closest_lane
+from sumo_env.models.lane_table import lane_at
 from sumo_env.observation import TimeToCollision
 from sumo_env.scenario import Scenario
 from sumo_env.scene import Scene
 from sumo_env.tasks import get_task
 from sumo_env.tasks.base import EgoState, Task
-from sumo_env.tasks.intersection import compiled_lanes
 from sumo_env.world import World
 
 if TYPE_CHECKING:
@@ -208,8 +207,6 @@ class DrivingEnv(gym.Env[Observation, Any]):
                 raise ConfigError(str(error)) from error
             self._world = World(self.task, self.config, built)
             self._world_key = key
-            self._lanes = compiled_lanes(self._world.road)
-            self._lane_names = list(self._lanes.index)
         self._world.config = self.config
         return self._world
 
@@ -217,8 +214,7 @@ class DrivingEnv(gym.Env[Observation, Any]):
         assert self._world is not None
         road, scene, ego = self._world.road, self.scene, self.ego
         x, y, heading = float(scene.x[0]), float(scene.y[0]), float(scene.heading[0])
-        number = closest_lane(self._lanes.geometry, x, y, heading)
-        index = self._lane_names[number] if number >= 0 else road.closest_lane(x, y, heading)
+        index = lane_at(road, x, y, heading)
         lane = road.lane(index)
         s, lateral = lane.local_coordinates(x, y)
         return EgoState(

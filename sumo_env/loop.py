@@ -19,6 +19,7 @@ from sumo_env.ego import TAU, approach, coast
 from sumo_env.models import mobil, network_drivers
 from sumo_env.models.dangers import dangers
 from sumo_env.models.give_way import give_way
+from sumo_env.models.hazards import push
 from sumo_env.models.lane_table import Floats, Integers
 from sumo_env.models.steering import move
 from sumo_env.safety import HORIZON
@@ -137,6 +138,7 @@ def straight(
             traffic.floats, traffic.integers, traffic.flags, traffic.drivers, lanes_count, lane_width, length, limit,
             dt,
         )  # fmt: skip
+        push(traffic.floats, traffic.flags, time, dt)
         why, touching, ttc, moved = _substep(traffic, ego_target, dt)
         done, time, distance = done + 1, time + dt, distance + moved
         if why in (GOES_ON, NEAR_END) and not traffic.flags[CRASHED, 0]:
@@ -157,6 +159,7 @@ def bends(traffic: Traffic, count: int, ways: Ways, progress: Progress, ego_targ
         network_drivers.act(
             ways.roads, ways.ways, traffic.floats, traffic.integers, traffic.flags, traffic.drivers, time > 0.0, dt
         )
+        push(traffic.floats, traffic.flags, time, dt)
         why, touching, ttc, moved = _substep(traffic, ego_target, dt)
         done, time, distance = done + 1, time + dt, distance + moved
         if why in (GOES_ON, NEAR_END) and not traffic.flags[CRASHED, 0]:

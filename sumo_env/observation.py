@@ -16,6 +16,7 @@ from networks.lanes import CircularLane, StraightLane
 from networks.roads import LaneIndex, Road
 from sumo_env.compiled import compiled
 from sumo_env.config import ConfigError, nearest
+from sumo_env.models.lane_table import lane_at
 from sumo_env.scenario import VehicleSpec
 from sumo_env.scene import PERCEPTION_DISTANCE, VEHICLE_LENGTH, Floats, Scene
 from sumo_env.tasks.base import EgoState
@@ -190,7 +191,7 @@ class Kinematics:
                         self._low[column], self._high[column] = -1.0, 1.0
 
     def visible(self, scene: Scene, road: Road, lane: LaneIndex) -> Integers:
-        """Rows of the scene that the ego sees, in the order of the table (without the ego), shape (m,).
+        """Rows of the scene in the order of the table, the ego's first, shape (m,).
 
         Distances are differences of longitudinal coordinates on the ego's lane, as in highway-env: projections
         on curved roads.
@@ -199,7 +200,7 @@ class Kinematics:
         behind = -math.inf if self.see_behind else -2.0 * VEHICLE_LENGTH
         axis = _axis(road, lane)
         count = _visible(axis, scene.x, scene.y, behind, self.order == "sorted", rows)
-        return rows[1 : min(count, self.vehicles_count)]
+        return rows[: min(count, self.vehicles_count)]
 
     def observe(
         self,
@@ -214,7 +215,7 @@ class Kinematics:
         `specs`: the vehicles by id, whose destinations cos_d and sin_d point to. `rng` shuffles the rows where
         the order says so.
         """
-        rows = np.append(0, self.visible(scene, road, ego.lane))
+        rows = self.visible(scene, road, ego.lane)
         table = np.zeros((self.vehicles_count, len(self.features)), np.float32)
         _fill(
             rows,
@@ -260,7 +261,7 @@ class Kinematics:
     @staticmethod
     def _offsets(scene: Scene, road: Road, row: int) -> tuple[float, float, float]:
         x, y, heading = float(scene.x[row]), float(scene.y[row]), float(scene.heading[row])
-        lane = road.lane(road.closest_lane(x, y, heading))
+        lane = road.lane(lane_at(road, x, y, heading))
         s, lateral = lane.local_coordinates(x, y)
         angle = (heading - lane.heading_at(s) + math.pi) % (2.0 * math.pi) - math.pi
         return s, lateral, angle
@@ -324,7 +325,7 @@ class TimeToCollision:
         here = geometry.local_coordinates(float(scene.x[0]), float(scene.y[0]))[0]
         for row in range(1, len(scene)):
             x, y, heading = float(scene.x[row]), float(scene.y[row]), float(scene.heading[row])
-            other_lane = road.closest_lane(x, y, heading)
+            other_lane = lane_at(road, x, y, heading)
             if not _connected(road, ego.lane, other_lane, ahead):
                 continue
             same_width = road.count(*other_lane[:2]) == lanes

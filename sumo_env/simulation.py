@@ -9,10 +9,10 @@ degrees clockwise from north) end here: everything above speaks highway-env's (y
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Collection, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import lru_cache
 from pathlib import Path
+from types import MappingProxyType
 from xml.etree import ElementTree
 
 import numpy as np
@@ -42,6 +42,8 @@ REGULAR = 31  # speed mode: SUMO's car following and right of way
 NO_RIGHT_OF_WAY = 55  # speed mode: car following, but nobody yields at junctions
 NO_LANE_CHANGES = 0  # lane-change mode: commanded changes only, and at once
 OWN_LANE_CHANGES = 1621  # lane-change mode: SUMO decides
+
+NOBODY: Mapping[str, str] = MappingProxyType({})
 
 Integers = NDArray[np.int64]
 
@@ -80,20 +82,20 @@ class Simulation:
         self.functions = direct.find(_native.__file__, self.version())
         self.lane_pointers: tuple[Integers, Integers]
         self._waiting: set[str] = set()  # vehicles of the last episode
+        self._routes: dict[str, str] = {}  # of the vehicles
         self._error: Exception | None = None
         self.stepped = False  # since a vehicle was last removed
         self._limits: dict[str, float] = {}
 
-    def acquire(self, owner: object, settings: Settings, names: Collection[str] = ()) -> None:
-        """Make `owner` the one who drives, in the network of `settings`, with a road that is empty when it is placed on.
+    def acquire(self, owner: object, settings: Settings, coming: Mapping[str, str] = NOBODY) -> None:
+        """Make `owner` the one who drives, in the network of `settings`, with an empty road.
 
-        Vehicles of the last episode that are among `names` may wait there to be placed again, which SUMO does in a
-        tenth of the time that it takes to make one. So it is done with steered cars on a road with one route: they
-        have no state of their own.
+        Vehicles of the last episode that are `coming` again (id -> route) may wait there to be placed again, which SUMO
+        does in a tenth of the time that it takes to make one: steered cars, which have no state of their own.
         """
         self.owner = owner
         if settings is self._served:
-            self._clear(names if settings.steered and len(settings.routes) == 1 else ())
+            self._clear(coming if settings.steered else NOBODY)
         elif self.settings is None or _without_drivers(self.settings) != _without_drivers(settings):
             self._load(settings)
         elif not {driver.type for driver in settings.drivers} <= self._types:
@@ -103,11 +105,12 @@ class Simulation:
             self._clear()
         self._served = settings
 
-    def _clear(self, but: Collection[str] = ()) -> None:
-        present = _native.vehicle_getIDList()
-        self._waiting = set(present).intersection(but)
-        for vehicle in present:
-            if vehicle not in self._waiting:
+    def _clear(self, but: Mapping[str, str] = NOBODY) -> None:
+        self._waiting.clear()
+        for vehicle in _native.vehicle_getIDList():
+            if self._routes.get(vehicle) == but.get(vehicle, ""):
+                self._waiting.add(vehicle)
+            else:
                 self.remove(vehicle)
 
     def check(self, owner: object) -> None:
@@ -173,20 +176,27 @@ class Simulation:
         speed: float,
         speed_mode: int,
         lane_change_mode: int,
-        desired_speed: float,
+        desired_speed: float | None,
     ) -> None:
-        """Place a vehicle with its front bumper at `position` [m] of a lane; `desired_speed` [m/s] of its driver."""
+        """Place a vehicle with its front bumper at `position` [m] of a lane.
+
+        desired_speed: of its driver [m/s], None if that is told.
+        """
         if waiting := name in self._waiting:
             self._waiting.discard(name)
         else:
             _native.vehicle_add(name, route, driver, departSpeed="0")
+            self._routes[name] = route
         _native.vehicle_moveTo(name, lane, position)
         # the start speed; sound because action step = simulation step
         _native.vehicle_setPreviousSpeed(name, speed)
         if waiting:
+            _set_lateral(name, 0.0)  # which stays what it was if the lane does
             return
         _native.vehicle_setSpeedMode(name, speed_mode)
         _native.vehicle_setLaneChangeMode(name, lane_change_mode)
+        if desired_speed is None:
+            return
         limit = self._limits.get(lane)
         if limit is None:
             limit = self._limits[lane] = libsumo.lane.getMaxSpeed(lane)
@@ -286,7 +296,13 @@ class Simulation:
         return str(libsumo.getVersion()[1])
 
 
-_strings = lru_cache(maxsize=64)(direct.Strings)  # episodes use the same names again and again
+_STRINGS: dict[str, direct.Strings] = {}  # the few names that vehicles have, for compiled code
+
+
+def _address(name: str) -> int:
+    if name not in _STRINGS:
+        _STRINGS[name] = direct.Strings([name])
+    return int(_STRINGS[name].addresses[0])
 
 
 class Fleet:
@@ -299,8 +315,8 @@ class Fleet:
             _lane(name)  # raises where there is no such vehicle, which must not happen in compiled code
         self._functions = simulation.functions
         if self._functions is not None:
-            self._strings = _strings(names)
-            self._vehicles = direct.look_up(self._functions[direct.FIND_VEHICLE], self._strings.addresses)
+            self._addresses = np.array([_address(name) for name in names], np.int64)
+            self._vehicles = direct.look_up(self._functions[direct.FIND_VEHICLE], self._addresses)
             self._step = round(1000 * _native.simulation_getDeltaT())  # [ms]
             self._lanes = simulation.lane_pointers
 
@@ -309,7 +325,7 @@ class Fleet:
         if self._functions is None:
             return None
         return (
-            self._step, self._functions, self._vehicles, self._strings.addresses, *self._lanes
+            self._step, self._functions, self._vehicles, self._addresses, *self._lanes
         )
 
     def read(self, state: Floats, before: Floats, lane: Integers, own_speed: Floats) -> None:
@@ -349,10 +365,10 @@ class Fleet:
             lane[i] = self._simulation.lane_numbers[_lane(name)]
 
     def command(self, speeds: Floats, lateral: Floats, moved: NDArray[np.bool_]) -> None:
-        """`set_speeds`; those who `moved` are put `lateral` [m] to the left of the middle of their lane. Shapes (n,)."""
+        """`set_speeds`, and put who `moved` `lateral` [m] to the left of the middle of the lane; shapes (n,)."""
         if self._functions is not None:
             direct.command(
-                self._functions, self._vehicles, self._strings.addresses, speeds, lateral, moved, self._step
+                self._functions, self._vehicles, self._addresses, speeds, lateral, moved, self._step
             )
             return
         for row in np.flatnonzero(moved).tolist():

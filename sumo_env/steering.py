@@ -20,9 +20,9 @@ import numpy as np
 from networks.catalogue import Network
 from sumo_env import direct
 from sumo_env.loop import Traffic
+from sumo_env.models.lane_table import compiled_lanes
 from sumo_env.models.steering import BACK, HALF, move
 from sumo_env.scene import Floats
-from sumo_env.tasks.intersection import compiled_lanes
 
 if TYPE_CHECKING:
     from sumo_env.world import World
@@ -35,6 +35,7 @@ class Steering:
 
     Attributes:
         ego_near_end: whether the ego may have to be given the next lane of its way to steer for.
+        entered: SUMO's lanes of the vehicles that have been placed since the last `start`.
     """
 
     def __init__(self, network: Network) -> None:
@@ -42,6 +43,7 @@ class Steering:
         self._geometry = compiled_lanes(network.road).geometry
         self._number = {name: number for number, name in enumerate(network.road.lanes)}
         self.ego_near_end = True
+        self.entered: list[str] = []
         self._called: tuple[Callable[[], bool], ...] | None = None
 
     def learn_lanes(self, ids: Sequence[str], stretch: Floats) -> None:
@@ -66,7 +68,12 @@ class Steering:
         cars = world.cars
         for column, spec in enumerate(world.specs[first:], start=first):
             cars.pose[:, column] = spec.x, spec.y, spec.heading
-        world.fleet.read_fronts(cars.front, cars.lane)
+        # not read: SUMO remembers where a car was that is placed again, until it steps
+        numbers = world.sim.lane_numbers
+        cars.lane[first:] = [numbers[lane] for lane in self.entered]
+        self.entered.clear()
+        x, y, heading = cars.pose[:, first:]
+        cars.front[0, first:], cars.front[1, first:] = x + HALF * np.cos(heading), y + HALF * np.sin(heading)
         self.ego_near_end = True
 
     def aim(self, world: World) -> None:
@@ -80,11 +87,8 @@ class Steering:
             return None
         if self._called is None:  # and kept, because compiled code calls them
             sim = world.sim
-            self._called = (
-                sim.guarded(sim.step),
-                world.sumo_sees_contact,
-                sim.guarded(partial(self._change_lanes, world)),
-            )
+            change = sim.guarded(partial(self._change_lanes, world))
+            self._called = sim.guarded(lambda: sim.step()), world.sumo_sees_contact, change
             self._calls = direct.python_calls(*self._called)
         return Traffic(
             *handles, self._calls, self._geometry, self._lanes, self._joints, self._stretch, cars.floats,

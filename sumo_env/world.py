@@ -10,12 +10,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from networks.catalogue import Network
 from networks.roads import LaneIndex
 from sumo_env import loop
-from sumo_env.cars import Cars
+from sumo_env.cars import Cars, Flags
 from sumo_env.collision import (
     LENGTH,
     SUMO_TOLERANCE,
@@ -29,15 +28,16 @@ from sumo_env.collision import (
 )
 from sumo_env.computed import Computed
 from sumo_env.config import Config
+from sumo_env.drivers import TOLD
 from sumo_env.ego import Ego, coast
 from sumo_env.loop import Progress, Traffic
 from sumo_env.models.dangers import dangers
-from sumo_env.models.hazards import free_way, has_room
+from sumo_env.models.hazards import EARLY, free_way, has_room
 from sumo_env.models.idm import driver_rows
 from sumo_env.models.motion import euler
 from sumo_env.safety import HORIZON
 from sumo_env.scenario import EGO, Scenario, VehicleSpec
-from sumo_env.scene import Scene
+from sumo_env.scene import Floats, Scene
 from sumo_env.simulation import ALL_CHECKS_OFF, NO_LANE_CHANGES, Fleet, Settings, Simulation, simulation
 from sumo_env.steering import Steering
 from sumo_env.tasks.base import Task
@@ -56,6 +56,17 @@ class World:
     road_length, limit, sim, fleet.
     """
 
+    cars: Cars
+    x: Floats
+    y: Floats
+    heading: Floats
+    speed: Floats
+    target_speed: Floats
+    drivers: Floats
+    crashed: Flags
+    yielding: Flags
+    fleet: Fleet
+
     def __init__(self, task: Task, config: Config, network: Network) -> None:
         self.task = task
         self.config = config
@@ -72,7 +83,7 @@ class World:
         self.sim: Simulation = simulation()
         self._uneven = network.uneven
         self._lane_ids: tuple[str, ...] = ()
-        self._settings: dict[float, Settings] = {}  # by risk
+        self._settings: dict[float | None, Settings] = {}  # by the risk of those who are not told where to drive
         self.time = 0.0
 
     # -- start of an episode -------------------------------------------------------------------------------
@@ -80,10 +91,11 @@ class World:
     def reset(self, scenario: Scenario, ego: Ego) -> Scene:
         """Place a scenario; the first scene."""
         self.scenario, self.ego = scenario, ego
-        if scenario.risk not in self._settings:
-            drivers = self.task.drivers(scenario.risk)
+        kind = None if self.steering else scenario.risk
+        if kind not in self._settings:
+            drivers = (TOLD,) if self.steering else self.task.drivers(scenario.risk)
             routes = tuple(self.network.routes.items())
-            self._settings[scenario.risk] = Settings(
+            self._settings[kind] = Settings(
                 self.network.net_file,
                 routes,
                 self.dt,
@@ -96,16 +108,17 @@ class World:
         self.crash: CrashRecord | None = None
         self._events = list(scenario.events)
         self._comes_and_goes = self.task.name == "intersection" or bool(scenario.spawns)
-        self._pushes: dict[str, tuple[float, float]] = {}  # vehicle -> (end [s], acceleration [m/s2])
+        # vehicle -> (end [s], acceleration [m/s2], way that has to be free [m])
         specs = [scenario.ego]
         specs += [
             spec for spec in scenario.vehicles if self.task.concerns_ego(spec, scenario.ego, self.config)
         ]
-        self.sim.acquire(self, self._settings[scenario.risk], {spec.id for spec in specs})
+        places = {spec.id: self.network.place(spec.lane, spec.s, spec.destination) for spec in specs}
+        self.sim.acquire(self, self._settings[kind], {name: place[0] for name, place in places.items()})
         if self._lane_ids is not self.sim.lane_ids:
             self._learn_lanes()
         for spec in specs:
-            self._place(spec)
+            self._place(spec, places[spec.id])
         self._set_rows(specs)
         return self.scene()
 
@@ -118,9 +131,15 @@ class World:
         if self.steering:
             self.steering.learn_lanes(ids, self._stretch)
 
-    def _place(self, spec: VehicleSpec) -> None:
-        route, lane, position = self.network.place(spec.lane, spec.s, spec.destination)
+    def _place(self, spec: VehicleSpec, place: tuple[str, str, float]) -> None:
+        """Put a vehicle on the road; `place`: of `Network.place`."""
+        route, lane, position = place
         is_ego = spec.id == EGO
+        if self.steering:
+            mode = ALL_CHECKS_OFF, NO_LANE_CHANGES
+            self.sim.add(spec.id, route, TOLD.type, lane, position, spec.speed, *mode, None)
+            self.steering.entered.append(lane)
+            return
         self.sim.add(
             spec.id, route, spec.driver.type, lane, position, spec.speed,
             ALL_CHECKS_OFF if is_ego else self.rule.speed_mode,
@@ -180,7 +199,7 @@ class World:
         while done < self.substeps:
             if self._events:
                 self._start_events()
-            undisturbed = 0 if on_substep or self._pushes else self._undisturbed(self.substeps - done)
+            undisturbed = 0 if on_substep else self._undisturbed(self.substeps - done)
             done += self._advance(undisturbed) if undisturbed else self._substep()
             if on_substep is not None and done < self.substeps:
                 on_substep(self.scene())
@@ -249,7 +268,7 @@ class World:
         for row in set(range(len(self.ids))).difference(staying):
             self.sim.remove(self.ids[row])
         for spec in coming:
-            self._place(spec)
+            self._place(spec, self.network.place(spec.lane, spec.s, spec.destination))
         self._set_rows([self.specs[row] for row in staying] + coming, staying)
 
     def _has_left(self, row: int) -> bool:
@@ -277,8 +296,9 @@ class World:
             if event.kind == "cut-in":
                 self.rule.cut_in(self, row, event)
             else:
-                push = event.accel if event.kind == "surge" else -event.decel
-                self._pushes[event.vehicle] = (self.time + event.duration, push)
+                cars = self.cars
+                cars.push[row] = event.accel if event.kind == "surge" else -event.decel
+                cars.push_end[row], cars.push_way[row] = self.time + event.duration, event.way
 
     def has_room(self, row: int, lane: LaneIndex) -> bool:
         """Is nobody in the way of a vehicle that cuts in to this lane beside it?"""
@@ -287,38 +307,22 @@ class World:
         there = (*geometry.position(s, 0.0), geometry.heading_at(s))
         return bool(has_room(self.x, self.y, self.heading, row, *map(float, there)))
 
-    def _pushed(self) -> list[tuple[int, float]]:
-        """(row, acceleration [m/s2]) of vehicles that brake or surge by a risk event; 0 where that ends or pauses."""
-        rows = []
-        for name, (end, push) in list(self._pushes.items()):
-            row = self.row.get(name)
-            ended = self.time >= end - 1e-9
-            if ended or row is None or self.crashed[row]:
-                del self._pushes[name]
-            if row is not None and not self.crashed[row]:
-                held = ended or (push > 0.0 and not free_way(self.x, self.y, self.heading, row))
-                rows.append((row, 0.0 if held else push))
-        return rows
-
     def push_by_event(self, speed_mode: int) -> None:
         """Risk events' braking and surging of vehicles that SUMO drives."""
-        for row, push in self._pushed() if self._pushes else ():
-            name = self.ids[row]
-            if push == 0.0:
+        cars = self.cars
+        for row in np.flatnonzero(cars.push).tolist() if self.scenario.events else ():
+            name, push = self.ids[row], float(cars.push[row])
+            ended = self.time >= cars.push_end[row] - EARLY
+            if ended or self.crashed[row]:
+                cars.push[row] = 0.0
+            if self.crashed[row]:
+                continue
+            if ended or (push > 0.0 and not free_way(self.x, self.y, self.heading, row, float(cars.push_way[row]))):
                 self.sim.set_speed(name, -1.0)  # give the speed back to SUMO
                 self.sim.speed_mode(name, self.rule.speed_mode)
             else:
                 self.sim.speed_mode(name, speed_mode if push < 0.0 else ALL_CHECKS_OFF)
                 self.sim.set_speed(name, max(float(self.speed[row]) + push * self.dt, 0.0))
-
-    def push(self, acceleration: NDArray[np.float64]) -> None:
-        """Risk events' braking and surging of vehicles whose acceleration [m/s2] is computed: changes it in place."""
-        for row, push in self._pushed() if self._pushes else ():
-            if push < 0.0:
-                standstill = -max(float(self.speed[row]), 0.0) / self.dt  # nobody brakes into reverse
-                acceleration[row] = min(acceleration[row], max(push, standstill))
-            elif push > 0.0:
-                acceleration[row] = max(acceleration[row], push)
 
     def command_accelerations(self) -> None:
         """Tell SUMO how fast all vehicles but the ego and the wrecks drive by their accelerations."""
@@ -386,11 +390,14 @@ class World:
             self.min_ttc = min(self.min_ttc, ttc)
 
     def sumo_sees_contact(self) -> bool:
-        """Whether SUMO reports a contact that is not of wrecks alone, or the ego's crash may be seen by it as well."""
-        return any(
-            self.crash is not None or not (self.crashed[self.row.get(a, 0)] and self.crashed[self.row.get(b, 0)])
-            for a, b in self.sim.collisions()
-        )
+        """Whether SUMO reports a contact that is not of wrecks alone, or may yet see the crash that geometry saw."""
+        found = self.sim.collisions()
+        if not found:
+            return False
+        if self.crash is not None and self.crash.detected_by != "both":
+            return True
+        wrecks = {name for name, row in self.row.items() if self.crashed[row]}
+        return any(a not in wrecks or b not in wrecks for a, b in found)
 
     def _crash(self, found: list[tuple[str, str]]) -> None:
         """Find out who touched whom; `found`: pairs that SUMO reports."""

@@ -146,7 +146,8 @@ class ScenarioEnv(AbstractEnv):
     def _reset(self) -> None:
         self.scenario: Scenario = self.task.scenario(self.config, int(self.np_random.integers(2**31)))
         self._events = list(self.scenario.events)
-        self._pushes: dict[str, tuple[float, float]] = {}  # vehicle -> (end [s], acceleration [m/s2])
+        # vehicle -> (end [s], acceleration [m/s2], way that has to be free [m])
+        self._pushes: dict[str, tuple[float, float, float]] = {}
         self.crash: CrashRecord | None = None
         self.min_ttc, self.distance = math.inf, 0.0
         super()._reset()
@@ -202,7 +203,7 @@ class ScenarioEnv(AbstractEnv):
                     self._cut_in(vehicle, event.direction)
                 else:
                     push = event.accel if event.kind == "surge" else -event.decel
-                    self._pushes[event.vehicle] = (time + event.duration, push)
+                    self._pushes[event.vehicle] = (time + event.duration, push, event.way)
 
     def _cut_in(self, vehicle: ScenarioVehicle, direction: int) -> None:
         for lane in vehicle.lanes_beside(direction):
@@ -225,11 +226,12 @@ class ScenarioEnv(AbstractEnv):
         for vehicle in self.road.vehicles:
             if vehicle.id not in self._pushes or vehicle.crashed:
                 continue
-            push, wanted = self._pushes[vehicle.id][1], vehicle.action["acceleration"]
+            _, push, way = self._pushes[vehicle.id]
+            wanted = vehicle.action["acceleration"]
             if push < 0.0:  # to a standstill, never backwards
                 hardest = max(float(vehicle.speed), 0.0) * self.config["simulation_frequency"]
                 vehicle.action["acceleration"] = min(wanted, -min(-push, hardest))
-            elif free_way(scene.x, scene.y, scene.heading, scene.ids.index(vehicle.id)):
+            elif free_way(scene.x, scene.y, scene.heading, scene.ids.index(vehicle.id), way):
                 vehicle.action["acceleration"] = max(wanted, push)
 
     def _measure(self) -> None:

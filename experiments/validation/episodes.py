@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from agents.rules import make_policy
 from experiments.study.evaluate import play
 from networks.roads import LaneIndex, Road
-from sumo_env.models.lane_table import closest_lane, lane_table
+from sumo_env.models.lane_table import lane_at
 from sumo_env.safety import DENSITY_RADIUS, headways
 from sumo_env.scenario import Scenario
 from sumo_env.scene import Scene
@@ -54,10 +54,6 @@ class Recorder:
     vehicle_seconds: float = 0.0
     _lanes: dict[str, LaneIndex] = field(default_factory=dict)
 
-    def __post_init__(self) -> None:
-        self._table = lane_table(self.road.lanes)
-        self._names = list(self._table.index)
-
     def see(self, scene: Scene) -> None:
         """Take one scene down."""
         dx, dy = scene.x - scene.x[0], scene.y - scene.y[0]
@@ -95,8 +91,7 @@ class Recorder:
         if self.task == "highway":
             return ("0", "1", min(max(round(y / 4.0), 0), self.road.count("0", "1") - 1))
         heading = float(scene.heading[row])
-        number = closest_lane(self._table.geometry, x, y, heading)
-        return self._names[number] if number >= 0 else self.road.closest_lane(x, y, heading)
+        return lane_at(self.road, x, y, heading)
 
     def row(self) -> dict[str, Any]:
         """What was seen: means over vehicles and steps, nan where there was nothing to see."""

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import math
 
+from sumo_env.cars import ACCELERATION, CRASHED, HEADING, PUSH, PUSH_END, PUSH_WAY, SPEED, Flags, X, Y
 from sumo_env.collision import LENGTH, WIDTH, distance
 from sumo_env.compiled import compiled
 from sumo_env.scene import Floats
 
 CUT_IN_GAP = 1.0  # [m] to everybody in the lane beside; who is nearer is waited out, that is, the event is dropped
-FREE_WAY = 40.0  # [m] from centre to centre
+EARLY = 1e-9  # [s] rounding of the time
 HALF_CORRIDOR = 2.0  # [m] to either side of the centre: half a lane
 
 
@@ -35,14 +36,33 @@ def has_room(
 
 
 @compiled
-def free_way(x: Floats, y: Floats, heading: Floats, row: int) -> bool:
-    """Is no centre of another vehicle in the straight corridor of FREE_WAY ahead of vehicle `row`?
+def push(floats: Floats, flags: Flags, time: float, dt: float) -> None:
+    """Brake and surge as risk events ask, on top of what drivers want: changes ACCELERATION and PUSH in place.
 
-    x, y [m], heading [rad]: shape (n,).
+    floats, flags: of `cars.Cars`; time, dt: [s].
+    """
+    acceleration, pushes, speed = floats[ACCELERATION], floats[PUSH], floats[SPEED]
+    for i in range(len(pushes)):
+        if pushes[i] == 0.0:
+            continue
+        if flags[CRASHED, i] or time >= floats[PUSH_END, i] - EARLY:
+            pushes[i] = 0.0
+        elif pushes[i] < 0.0:
+            standstill = -max(speed[i], 0.0) / dt  # nobody brakes into reverse
+            acceleration[i] = min(acceleration[i], max(pushes[i], standstill))
+        elif free_way(floats[X], floats[Y], floats[HEADING], i, floats[PUSH_WAY, i]):
+            acceleration[i] = max(acceleration[i], pushes[i])
+
+
+@compiled
+def free_way(x: Floats, y: Floats, heading: Floats, row: int, way: float) -> bool:
+    """Is no centre of another vehicle in the straight corridor ahead of vehicle `row`?
+
+    x, y [m], heading [rad]: shape (n,). way: length of the corridor, from centre to centre [m].
     """
     cos, sin = math.cos(heading[row]), math.sin(heading[row])
     for j in range(len(x)):
         dx, dy = x[j] - x[row], y[j] - y[row]
-        if 0.0 < dx * cos + dy * sin < FREE_WAY and abs(dy * cos - dx * sin) < HALF_CORRIDOR:
+        if 0.0 < dx * cos + dy * sin < way and abs(dy * cos - dx * sin) < HALF_CORRIDOR:
             return False
     return True

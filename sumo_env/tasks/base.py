@@ -12,6 +12,7 @@ import numpy as np
 from networks.roads import LaneIndex, Road
 from sumo_env.config import Config
 from sumo_env.drivers import POOL, CarFollowing, Driver, RiskRates, draw_events, driver_pool
+from sumo_env.models.lane_table import lane_at
 from sumo_env.scenario import EGO, Scenario, Spawn, VehicleSpec
 from sumo_env.streams import stream
 
@@ -157,7 +158,7 @@ def make_on_lane(
     x, y = geometry.position(s, 0.0)
     heading = geometry.heading_at(s)
     if not 0.0 <= s <= geometry.length:  # on another lane really, as highway-env finds out as well
-        lane = road.closest_lane(x, y, heading)
+        lane = lane_at(road, x, y, heading)
         s = road.lane(lane).local_coordinates(x, y)[0]
     return VehicleSpec(
         id=id,
@@ -181,7 +182,7 @@ def nearest_index(speed: float, ladder: Iterable[float]) -> int:
     if len(rungs) == 1:
         return 0
     position = (speed - rungs[0]) / (rungs[-1] - rungs[0])
-    return int(np.clip(np.round(position * (len(rungs) - 1)), 0, len(rungs) - 1))
+    return min(max(round(position * (len(rungs) - 1)), 0), len(rungs) - 1)
 
 
 def lmap(value: float, source: tuple[float, float] | list[float], target: tuple[float, float]) -> float:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
-from functools import lru_cache
 
 import numpy as np
 
@@ -12,7 +11,7 @@ from networks.roads import LaneIndex, Road, intersection
 from sumo_env.config import DISCRETE_META_ACTION, Config, ConfigError
 from sumo_env.drivers import CarFollowing, RiskRates
 from sumo_env.models.idm import driver_rows
-from sumo_env.models.lane_table import LaneTable, lane_table
+from sumo_env.models.lane_table import compiled_lanes
 from sumo_env.models.warm_up import warm_up
 from sumo_env.scenario import EGO, Spawn, VehicleSpec
 from sumo_env.streams import stream
@@ -61,7 +60,7 @@ class Intersection(Task):
         for count, probability in zip((10, 15, 20, 25, 30), (0.6, 0.7, 0.8, 0.9, 1.0), strict=True)
     }
     car_following = CarFollowing(accel=6.0, decel=3.0, min_gap=2.0)
-    risk_rates = RiskRates(surge=0.25)
+    risk_rates = RiskRates(surge=0.2, surge_way=20.0)
     target_speeds = (0.0, 4.5, 9.0)
 
     def road(self, config: Config) -> Road:
@@ -125,12 +124,6 @@ class Intersection(Task):
 
     def arrived(self, ego: EgoState) -> bool:
         return ego.lane[0].startswith("il") and ego.lane[1].startswith("o") and ego.s >= 25.0
-
-
-@lru_cache(maxsize=4)
-def compiled_lanes(road: Road) -> LaneTable:
-    """The road for the compiled models."""
-    return lane_table(road.lanes)
 
 
 def path(start: LaneIndex, destination: str) -> list[LaneIndex]:

@@ -55,7 +55,10 @@ class Roundabout(Task):
         "10": {"vehicles_count": 10},
         "15": {"vehicles_count": 15},
     }
-    risk_rates = RiskRates(cut_in=0.2, surge=0.3)
+    # Surges alone empty the ring before a slow ego: some brake to a standstill in it.
+    risk_rates = RiskRates(
+        cut_in=0.2, brake=0.2, brake_decel=8.0, brake_duration=3.0, surge=0.2, surge_way=10.0
+    )
     target_speeds = (0.0, 8.0, 16.0)
 
     def road(self, config: Config) -> Road:

@@ -52,7 +52,7 @@ class UTurn(Task):
         "screen_height": 290,
     }
     levels = {str(count): {"vehicles_count": count} for count in (3, 6, 9, 12)}
-    risk_rates = RiskRates(cut_in=0.1, brake=0.05)
+    risk_rates = RiskRates(cut_in=0.3, brake=0.1, brake_duration=2.0)
     fixed_delta = True
     target_speeds = (8.0, 16.0, 24.0)
 

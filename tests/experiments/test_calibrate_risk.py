@@ -41,6 +41,20 @@ def test_risky_drivers_brake_harder(task: str) -> None:
     assert table.loc[1.0, "acceleration_p1"] < table.loc[0.0, "acceleration_p1"]
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("task", sorted(set(TASKS) - {"two-way"}))  # where nearly every ego crashes
+def test_risk_endangers_egos_that_keep_to_the_rules(task: str) -> None:
+    crashes = {
+        dose: sum(
+            row["crash_rate"]
+            for row in measure("sumo", task, 1, dose, 25)
+            if row["policy"] in ("idm", "careful")
+        )
+        for dose in (0.0, 1.0)
+    }
+    assert crashes[1.0] > crashes[0.0] + 0.1
+
+
 def test_the_command_writes_a_row_for_each_simulator_dose_and_driver_and_a_picture(tmp_path: Path) -> None:
     assert run(Options(tmp_path, tasks=("u-turn",), doses=(0.0,), backends=("highway-env",), episodes=2)) == 0
     first = pd.read_csv(tmp_path / "risk.csv")

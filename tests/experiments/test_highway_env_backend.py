@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
+from dataclasses import replace
 from typing import Any
 
 import gymnasium as gym
@@ -301,6 +302,11 @@ def test_a_surge_accelerates_and_pauses_behind_another_vehicle() -> None:
     named(env, "v1").position[0] = named(env, "v0").position[0] + 20.0
     named(env, "v1").on_state_update()
     assert all(row["acceleration"] < 4.0 for row in drive(env, [event], 1, "v0"))
+    env.reset(seed=0)
+    named(env, "v1").position[0] = named(env, "v0").position[0] + 20.0
+    named(env, "v1").on_state_update()
+    first = drive(env, [replace(event, way=15.0)], 1, "v0")[0]
+    assert first["acceleration"] >= 4.0  # 20 m are enough for it
 
 
 def test_a_cut_in_on_the_two_way_road_comes_back() -> None:

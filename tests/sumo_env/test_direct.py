@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from sumo_env import direct
+from sumo_env.drivers import TOLD
 from sumo_env.env import DrivingEnv
 from sumo_env.simulation import Fleet, simulation
 from sumo_env.tasks import TASKS
@@ -129,7 +130,7 @@ def test_names_of_any_length_are_found() -> None:
     functions = sim.functions
     assert functions is not None
     for name in ("v", "a_vehicle_of_15", "a_vehicle_of_16_", "a vehicle with a very long name ä"):
-        sim.add(name, "0-1>1", "d0@0", "0-1_0", 5000.0, 20.0, 31, 0, 25.0)
+        sim.add(name, "0-1>1", TOLD.type, "0-1_0", 5000.0, 20.0, 31, 0, 25.0)
         fleet = sim.fleet([name])
         state, before, lane, own = rows_for(fleet, 1)
         fleet.read(state, before, lane, own)

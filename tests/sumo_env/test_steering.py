@@ -156,3 +156,27 @@ def test_sumo_cars_are_where_they_are_steered(task: str, level: int, risk: float
     assert np.quantile(apart, 0.95) < 0.05
     assert np.quantile(apart, 0.99) < 0.2
     assert max(np.array(apart)[back], default=0.0) < 0.1
+
+
+@pytest.mark.parametrize("task", ["highway", "roundabout", "intersection", "u-turn"])
+def test_a_car_that_is_placed_again_stands_where_a_new_one_would(task: str) -> None:
+    inner: Any = gym.make(f"sumo/{task}-v0").unwrapped
+
+    def reset_and_step(seed: int) -> Any:
+        """What SUMO knows of its cars after its first step."""
+        inner.reset(seed=seed)
+        world = inner._world
+        world._substep()
+        state, n = np.empty((4, len(world.ids))), len(world.ids)
+        world.fleet.read(state, np.empty((3, n)), np.empty(n, np.int64), np.full(n, np.nan))
+        return [*state.ravel(), *(world.sim.lateral_position(name) for name in world.ids)]
+
+    inner.reset(seed=0)
+    inner._world.sim._clear()
+    new = reset_and_step(1)
+    inner.reset(seed=0)
+    for _ in range(3):
+        inner.step(0)
+    assert inner._world.sim.present()
+    np.testing.assert_allclose(reset_and_step(1), new, rtol=0, atol=1e-9)
+    inner.close()

@@ -27,7 +27,7 @@ import math
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
@@ -50,6 +50,7 @@ from sumo_env.collision import (
     meetings,
 )
 from sumo_env.env import DrivingEnv
+from sumo_env.simulation import simulation
 from sumo_env.tasks import TASKS, get_task
 from sumo_env.world import World
 
@@ -71,6 +72,10 @@ class Options:
     """Some of highway, two-way, roundabout, intersection, u-turn (default: all)."""
     cases: int = 1000
     """Cases of each task with the ego in them; half of them in risky traffic."""
+    level: Literal["lowest", "highest"] = "lowest"
+    """The level of each task."""
+    check_junctions: bool = True
+    """Whether SUMO also compares outlines inside junctions."""
 
 
 @dataclass
@@ -167,7 +172,8 @@ class WatchedEnv(DrivingEnv):
 
     def _open_world(self) -> World:
         world = super()._open_world()
-        world._look_for_contacts = lambda: self._watch(world)  # type: ignore[method-assign]
+        world._undisturbed = lambda most: 0  # type: ignore[method-assign]  # every sub-step is looked at here
+        world._look_for_contacts = lambda touching, ttc: self._watch(world)  # type: ignore[method-assign]
         return world
 
     def _watch(self, world: World) -> None:
@@ -183,18 +189,18 @@ class WatchedEnv(DrivingEnv):
         everybody = np.ones(len(world.ids), np.bool_)
         for i, j in contacts(world.x, world.y, world.heading, everybody):
             self.encounters[world.ids[i], world.ids[j]].steps.append(world.time)
-        pairs, moments = meetings(world._before, world.x, world.y, world.heading, everybody)
+        pairs, moments = meetings(world.cars.before, world.x, world.y, world.heading, everybody)
         for (i, j), moment in zip(pairs, moments, strict=True):
             time = world.time - world.dt * (1.0 - float(moment))
             self.encounters[world.ids[i], world.ids[j]].seen.append(time)
-        for i, j in _near(world._before, now):
+        for i, j in _near(world.cars.before, now):
             encounter = self.encounters[world.ids[i], world.ids[j]]
             if world.time <= encounter.contact + FOLLOW_UP:
                 self._measure(encounter, world, now, i, j)
 
     def _measure(self, encounter: Encounter, world: World, now: NDArray[np.float64], i: int, j: int) -> None:
         """The truth of one sub-step."""
-        ends = [(world._before[:, row].tolist(), now[:, row].tolist()) for row in (i, j)]
+        ends = [(world.cars.before[:, row].tolist(), now[:, row].tolist()) for row in (i, j)]
         ways = [between(*poses) for poses in ends]
         gaps = shapely.distance(*map(polygons, ways))
         if gaps.min() == 0.0:
@@ -222,9 +228,12 @@ class WatchedEnv(DrivingEnv):
         return classify(dx * cos + dy * sin, dy * cos - dx * sin, turn)
 
 
-def collect(task: str, dose: float, cases: int) -> list[dict[str, Any]]:
-    """At least so many cases of a task, as rows of corpus.csv; more where an episode brings several."""
-    env = WatchedEnv(task, {**next(iter(get_task(task).levels.values())), "risk": dose})
+def collect(task: str, dose: float, cases: int, level: int = 0) -> list[dict[str, Any]]:
+    """At least so many cases at the `level`-th level of a task, as rows of corpus.csv.
+
+    More where an episode brings several.
+    """
+    env = WatchedEnv(task, {**list(get_task(task).levels.values())[level], "risk": dose})
     rows: list[dict[str, Any]] = []
     found = episode = 0
     while found < cases:
@@ -341,12 +350,13 @@ def draw(corpus: pd.DataFrame, path: Path) -> None:
         missed = true.loc[~_detectors(true)[detector], "depth"].clip(upper=1.2)
         label = f"{detector} ({len(missed)} of {len(true)})"
         depths.hist(missed, bins=np.linspace(0, 1.2, 25), histtype="step", lw=1.4, color=colour, label=label)
+    depths.set_ylim(top=depths.get_ylim()[1] * 8)  # room for the legend
     depths.set_xlabel("depth of the contacts missed [m] (last bar: 1.2 and more)")
     for axis in (gaps, depths):
         axis.set_yscale("symlog", linthresh=1)
         axis.set_ylabel("cases of the ego")
         axis.spines[["top", "right"]].set_visible(False)
-        axis.legend(frameon=False, fontsize=8)
+        axis.legend(frameon=False, fontsize=8, loc="upper right")
     figure.tight_layout()
     figure.savefig(path, dpi=110)
     plt.close(figure)
@@ -355,10 +365,11 @@ def draw(corpus: pd.DataFrame, path: Path) -> None:
 def run(options: Options) -> int:
     """Collect, judge and write; the exit status."""
     options.out.mkdir(parents=True, exist_ok=True)
+    simulation().check_junctions = options.check_junctions
     rows: list[dict[str, Any]] = []
     for task in choose_tasks(options.tasks or tuple(TASKS)):
         for dose in (0.0, 1.0):
-            rows += collect(task, dose, math.ceil(options.cases / 2))
+            rows += collect(task, dose, math.ceil(options.cases / 2), 0 if options.level == "lowest" else -1)
         corpus = pd.DataFrame(rows)
         corpus.round(4).to_csv(options.out / "corpus.csv", index=False)
         table = summarise(corpus)

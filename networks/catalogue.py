@@ -50,8 +50,7 @@ class SumoLane:
     id: str
     length: float  # [m], in which SUMO counts positions
     drawn: float  # [m], along the shape
-    start: tuple[float, float]  # first and last point of the shape, highway-env's coordinates
-    end: tuple[float, float]
+    shape: tuple[tuple[float, float], ...]  # points of its middle, highway-env's coordinates
 
 
 @dataclass(frozen=True)
@@ -80,6 +79,10 @@ class Network:
     def sumo_lane(self, index: LaneIndex) -> str:
         """Id of the SUMO lane that is highway-env's lane `index`."""
         return self.lanes[index].id
+
+    def shape(self, sumo_lane: str) -> tuple[tuple[float, float], ...]:
+        """Points of the middle of a lane [m]."""
+        return self._sumo_lanes[sumo_lane].shape
 
     def stretch(self, sumo_lane: str) -> float:
         """SUMO's length of a lane over its drawn length: the factor for a commanded ground speed."""
@@ -149,7 +152,7 @@ class Network:
             lane = self.lanes[index]
             # Inside the intersection there is no edge: count from the entry, the first edge of the route.
             edge = 0 if lane.id.startswith(":") else self.routes[key].index(_edge(lane.id))
-            found = key, lane, self.road.lane(index).local_coordinates(*lane.start)[0], edge
+            found = key, lane, self.road.lane(index).local_coordinates(*lane.shape[0])[0], edge
             self._beginnings[index, destination] = found
         return found
 
@@ -219,11 +222,10 @@ def _read(net_file: Path) -> tuple[dict[str, SumoLane], dict[str, tuple[str, ...
     root = ElementTree.parse(net_file).getroot()
     lanes: dict[str, SumoLane] = {}
     for item in root.iter("lane"):
-        shape = [
-            (float(x), -float(y)) for x, y in (point.split(",") for point in item.attrib["shape"].split())
-        ]
+        points = (point.split(",") for point in item.attrib["shape"].split())
+        shape = tuple((float(x), -float(y)) for x, y in points)
         drawn = sum(math.dist(a, b) for a, b in pairwise(shape))
-        lane = SumoLane(item.attrib["id"], float(item.attrib["length"]), drawn, shape[0], shape[-1])
+        lane = SumoLane(item.attrib["id"], float(item.attrib["length"]), drawn, shape)
         lanes[lane.id] = lane
     following: dict[str, tuple[str, ...]] = dict.fromkeys(lanes, ())
     for item in root.iter("connection"):

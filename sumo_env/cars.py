@@ -34,7 +34,7 @@ FLOATS = 19
 LANE = 0  # of SUMO, by its number in `Simulation.lane_ids`
 ON, TARGET = 1, 2  # lanes of highway-env, by their numbers in a `LaneTable`: on it, steered for
 LEG, PLANNED = 3, 4  # see `models.network_drivers.drive`
-CHANGE = 5  # place of the lane that SUMO's car is to be on, -1: as it is
+CHANGE = 5  # of SUMO's car: as in `models.steering.follow`
 INTEGERS = 6
 
 # Rows of `Cars.flags`.

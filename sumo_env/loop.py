@@ -36,7 +36,7 @@ class Traffic(NamedTuple):
         functions, vehicles, names, known_lanes, lane_order: as in `direct`.
         calls: of `direct.python_calls`: SUMO's step and changes of lane, false if they raised, and whether it reports
             contacts.
-        geometry, lanes, stretch: as in `models.steering.move`.
+        geometry, lanes, joints, stretch: as in `models.steering.move`.
         floats, integers, flags: of `cars.Cars`.
         drivers: shape (n, 6).
     """
@@ -50,6 +50,7 @@ class Traffic(NamedTuple):
     calls: Integers
     geometry: Floats
     lanes: Integers
+    joints: Floats
     stretch: Floats
     floats: Floats
     integers: Integers
@@ -102,7 +103,9 @@ def _substep(traffic: Traffic, ego_target: float, dt: float) -> tuple[int, int, 
     else:
         speed[0], moved = approach(speed[0], ego_target, TAU, dt)
     floats[DISTANCE, 0] = moved
-    changes, near_end = move(traffic.geometry, traffic.lanes, traffic.stretch, floats, integers, flags, dt)
+    changes, near_end = move(
+        traffic.geometry, traffic.lanes, traffic.joints, traffic.stretch, floats, integers, flags, dt
+    )
     if changes and not direct.call(traffic.calls, CHANGE_LANES):
         return LOST, 0, 0.0, moved
     direct.command(

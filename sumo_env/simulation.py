@@ -65,9 +65,14 @@ class Settings:
 
 
 class Simulation:
-    """The session with libsumo. Use `simulation()`, there is one."""
+    """The session with libsumo. Use `simulation()`, there is one.
+
+    Attributes:
+        check_junctions: whether SUMO compares outlines inside junctions, from the next load of a network on.
+    """
 
     def __init__(self) -> None:
+        self.check_junctions = True
         self.settings: Settings | None = None
         self._served: Settings | None = None  # those last asked for, which `settings` suffice for
         self.owner: object | None = None
@@ -132,7 +137,7 @@ class Simulation:
             "--step-length", f"{settings.step_length:.6g}",
             "--lanechange.duration", f"{settings.lane_change_duration:g}",
             "--collision.action", "warn",
-            "--collision.check-junctions", "true",
+            "--collision.check-junctions", "true" if self.check_junctions else "false",
             "--collision.mingap-factor", "0",
             "--time-to-teleport", "-1",
             "--max-depart-delay", "-1",
@@ -259,6 +264,15 @@ class Simulation:
     def move_to_lane(self, name: str, lane: str) -> None:
         """Put a vehicle on another lane of its edge now, as far along as it is."""
         _native.vehicle_moveTo(name, lane, _native.vehicle_getLanePosition(name))
+
+    def put(self, name: str, lane: str, position: float) -> None:
+        """Put a vehicle with its front bumper at `position` [m] of a lane of its route (`can_be_on`) now."""
+        _native.vehicle_moveTo(name, lane, position)
+
+    def can_be_on(self, name: str, edge: str) -> bool:
+        """Whether a vehicle can be put on an edge and then goes its way: it is on its route, and not passed twice."""
+        route, index = _native.vehicle_getRoute(name), _native.vehicle_getRouteIndex(name)
+        return edge in route[index : index + 1] or (edge in route[:index] and edge not in route[index:])
 
     def change_lane_relative(self, name: str, step: int) -> None:
         """Change by `step` lanes, +1 to the left; also onto the opposite lane of a two-way road."""

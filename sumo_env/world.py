@@ -157,12 +157,12 @@ class World:
         cars = Cars(len(specs))
         if first:
             cars.keep(self.cars, stayed)
-        self.cars = cars
+        self.cars: Cars = cars
         self.x, self.y, self.heading, self.speed = cars.state
         self.crashed, self.yielding, self.target_speed = cars.crashed, cars.yielding, cars.target_speed
         self.lane = cars.lane
         self._reported: set[tuple[int, int]] = set()  # by SUMO after the last sub-step
-        self.fleet = self.sim.fleet(self.ids)
+        self.fleet: Fleet = self.sim.fleet(self.ids)
         if self.steering:
             self.steering.start(self, first)
         else:

@@ -34,7 +34,17 @@ from sumo_env.cars import (
 )
 from sumo_env.compiled import compiled
 from sumo_env.ego import REFERENCE_STEP, coast
-from sumo_env.models.lane_table import LENGTH, Floats, Integers, direction_at, heading_at, local_coordinates
+from sumo_env.models.lane_table import (
+    CIRCULAR,
+    KIND,
+    LENGTH,
+    RADIUS,
+    Floats,
+    Integers,
+    direction_at,
+    heading_at,
+    local_coordinates,
+)
 from sumo_env.models.motion import euler
 
 TAU_HEADING = 0.2  # [s]
@@ -45,6 +55,8 @@ SMALL = 0.01
 HALF = VEHICLE_LENGTH / 2  # [m] from the centre to the front bumper
 STILL = 1e-4  # [m] sideways that SUMO need not be told
 NEARLY = 1e-3  # [m]
+OFF = 0.05  # [m] that SUMO's car may be ahead: its speed is not negative, so that it has to be put back
+STAYS, BACK = -1, -2  # instead of the place of a lane
 
 
 @compiled
@@ -97,12 +109,31 @@ def steer(
 
 
 @compiled
+def _on_line(points: Floats, x: float, y: float) -> tuple[float, float]:
+    """How far along a line of points [m], shape (n, 2), (x, y) is, and how far to the right of it."""
+    s, right, nearest, begin = 0.0, 0.0, math.inf, 0.0
+    for i in range(len(points) - 1):
+        dx, dy = points[i + 1, 0] - points[i, 0], points[i + 1, 1] - points[i, 1]
+        length = math.sqrt(dx * dx + dy * dy)
+        cos, sin = dx / length, dy / length
+        rx, ry = x - points[i, 0], y - points[i, 1]
+        along = min(max(rx * cos + ry * sin, 0.0), length)
+        apart = (rx - along * cos) ** 2 + (ry - along * sin) ** 2
+        if apart < nearest:
+            s, right, nearest = begin + along, ry * cos - rx * sin, apart
+        begin += length
+    return s, right
+
+
+@compiled
 def follow(
     geometry: Floats,
     lane: Integers,
     number: Integers,
     place: Integers,
     count: Integers,
+    joint: Integers,
+    joints: Floats,
     stretch: Floats,
     front: Floats,
     x: Floats,
@@ -117,25 +148,40 @@ def follow(
 
     Args:
         lane: SUMO's lane of each car, shape (n,).
-        number, place, count, stretch: by SUMO's lanes: row in `geometry`, place from the left, lanes beside each other
-            (0 where none can be changed to), factor for speeds.
+        number, place, count, joint, stretch: by SUMO's lanes: row in `geometry`, place from the left, lanes beside each
+            other (0 where none can be changed to), row in `joints` or -1, factor for speeds.
+        joints: points of joints, which turn where no lane of highway-env's does [m], shape (joints, points, 2).
         front: front bumpers of SUMO's cars [m], shape (2, n).
         lateral: to the left of the middle of the lane [m], shape (n,): as it is, and then as it is to be.
         speed: is given the speed to command [m/s], shape (n,).
-        change: is given the place of the lane that the car is on from now on, -1 if it stays, shape (n,).
+        change: is given the place of the lane that the car is on from now on, STAYS, or BACK if it has to be put where
+            it is to be, shape (n,).
     """
     for i in range(len(x)):
         on, here = number[lane[i]], place[lane[i]]
         # front bumpers are what SUMO moves along its lanes
         to_x, to_y = x[i] + HALF * math.cos(heading[i]), y[i] + HALF * math.sin(heading[i])
-        dx, dy = to_x - front[0, i], to_y - front[1, i]
-        # along and to the right of the lane, as it runs in between
-        middle_x, middle_y = (front[0, i] + to_x) / 2.0, (front[1, i] + to_y) / 2.0
-        cos, sin = direction_at(geometry, on, middle_x, middle_y)
-        speed[i] = max(dx * cos + dy * sin, 0.0) / dt * stretch[lane[i]]
-        lateral[i] -= dy * cos - dx * sin
-        change[i] = -1
-        if lateral[i] > WIDTH / 2 and 0 < here < count[lane[i]]:
+        if joint[lane[i]] >= 0:
+            line = joints[joint[lane[i]]]
+            ahead, right = _on_line(line, to_x, to_y)
+            ahead -= _on_line(line, front[0, i], front[1, i])[0]
+            lateral[i] = -right
+        elif geometry[on, KIND] == CIRCULAR:
+            ahead, right = local_coordinates(geometry, on, to_x, to_y)
+            ahead -= local_coordinates(geometry, on, front[0, i], front[1, i])[0]
+            half = math.pi * geometry[on, RADIUS]
+            ahead = (ahead + half) % (2.0 * half) - half
+            lateral[i] = -right
+        else:  # as the lane runs in between
+            dx, dy = to_x - front[0, i], to_y - front[1, i]
+            cos, sin = direction_at(geometry, on, front[0, i] + dx / 2.0, front[1, i] + dy / 2.0)
+            ahead = dx * cos + dy * sin
+            lateral[i] -= dy * cos - dx * sin
+        speed[i] = max(ahead, 0.0) / dt * stretch[lane[i]]
+        change[i] = STAYS
+        if ahead < -OFF:
+            change[i] = BACK
+        elif lateral[i] > WIDTH / 2 and 0 < here < count[lane[i]]:
             lateral[i] -= WIDTH
             change[i] = here - 1
         elif lateral[i] < -WIDTH / 2 and here + 1 < count[lane[i]]:
@@ -147,6 +193,7 @@ def follow(
 def move(
     geometry: Floats,
     lanes: Integers,
+    joints: Floats,
     stretch: Floats,
     floats: Floats,
     integers: Integers,
@@ -157,12 +204,14 @@ def move(
 
     Args:
         geometry: of a `LaneTable`.
-        lanes: number, place and count of `follow`, by SUMO's lanes, shape (3, lanes); stretch: shape (lanes,).
+        lanes: number, place, count and joint of `follow`, by SUMO's lanes, shape (4, lanes).
+        joints, stretch: as there.
         floats, integers, flags: of `cars.Cars`.
         dt: [s].
 
     Returns:
-        whether somebody changes lane in SUMO, and whether the ego is about to reach the end of the lane it steers for.
+        whether somebody changes lane in SUMO or is put back, and whether the ego is about to reach the end of the lane
+        it steers for.
     """
     speed, distance, crashed, target = floats[SPEED], floats[DISTANCE], flags[CRASHED], integers[TARGET]
     x, y, heading, lateral = floats[X], floats[Y], floats[HEADING], floats[LATERAL]
@@ -177,12 +226,12 @@ def move(
     for i in range(len(x)):
         moved[i] = abs(lateral[i]) > STILL
     follow(
-        geometry, integers[LANE], lanes[0], lanes[1], lanes[2], stretch, floats[FRONT_X : FRONT_Y + 1], x, y, heading,
-        dt, lateral, floats[COMMAND], change,
+        geometry, integers[LANE], lanes[0], lanes[1], lanes[2], lanes[3], joints, stretch,
+        floats[FRONT_X : FRONT_Y + 1], x, y, heading, dt, lateral, floats[COMMAND], change,
     )  # fmt: skip
     changes = False
     for i in range(len(x)):
         moved[i] = moved[i] or abs(lateral[i]) > STILL
-        changes = changes or change[i] >= 0
+        changes = changes or change[i] != STAYS
     ahead = geometry[target[0], LENGTH] - local_coordinates(geometry, target[0], x[0], y[0])[0]
     return changes, ahead < VEHICLE_LENGTH / 2 + NEARLY

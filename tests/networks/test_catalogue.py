@@ -42,9 +42,9 @@ def test_nobody_drives_off_an_end(task):
     for index, sumo_lane in net.lanes.items():
         lane = net.road.lane(index)
         if f"{index[0]}-{index[1]}" in last and (task, index) != ("two-way", ("a", "b", 0)):
-            assert lane.local_coordinates(*sumo_lane.end)[0] >= lane.length + 399
+            assert lane.local_coordinates(*sumo_lane.shape[-1])[0] >= lane.length + 399
         if not net.preceding[sumo_lane.id] and (task, index) != ("two-way", ("a", "b", 0)):
-            assert lane.local_coordinates(*sumo_lane.start)[0] <= -50
+            assert lane.local_coordinates(*sumo_lane.shape[0])[0] <= -50
 
 
 @pytest.mark.parametrize("task", TASKS)
@@ -63,7 +63,7 @@ def test_highways_of_any_width(lanes_count):
     assert net.net_file.name == f"highway-{lanes_count}.net.xml"
     for i in range(lanes_count):
         assert net.sumo_lane(("0", "1", i)) == f"0-1_{lanes_count - 1 - i}"
-        assert net.lanes["0", "1", i].start[1] == pytest.approx(4 * i)
+        assert net.lanes["0", "1", i].shape[0][1] == pytest.approx(4 * i)
 
 
 def test_two_way_road_of_any_length_keeps_x():

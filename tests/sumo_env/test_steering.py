@@ -14,7 +14,9 @@ from highway_env.vehicle.controller import ControlledVehicle
 import sumo_env  # noqa: F401  (registers the ids)
 from networks.roads import ROADS
 from sumo_env.models.lane_table import lane_table
-from sumo_env.models.steering import REFERENCE_STEP, follow, steer
+from sumo_env.models.steering import BACK, REFERENCE_STEP, follow, steer
+from sumo_env.steering import nearest
+from sumo_env.tasks import get_task
 
 from .reference import intersection_network
 
@@ -65,12 +67,12 @@ def test_half_a_lane_change_takes_as_long_as_in_highway_env_at_our_step() -> Non
 def bring(road: Any, lane: Any, front: tuple[float, float], to: tuple[float, float, float], lateral: float) -> Any:
     """What `follow` commands a car on a lane: speed [m/s], distance to the middle [m], place of its lane or -1."""
     table = lane_table(road.lanes)
-    numbers = [np.array([value]) for value in (table.index[lane], lane[2], road.count(*lane[:2]))]
+    numbers = [np.array([value]) for value in (table.index[lane], lane[2], road.count(*lane[:2]), -1)]
     pose = np.array([[to[0] - 2.5 * np.cos(to[2])], [to[1] - 2.5 * np.sin(to[2])], [to[2]]])
     beside, speed, change = np.array([lateral]), np.empty(1), np.empty(1, np.int64)
     follow(
-        table.geometry, np.zeros(1, np.int64), *numbers, np.ones(1), np.array(front).reshape(2, 1), *pose, 0.1, beside,
-        speed, change,
+        table.geometry, np.zeros(1, np.int64), *numbers, np.empty((0, 0, 2)), np.ones(1),
+        np.array(front).reshape(2, 1), *pose, 0.1, beside, speed, change,
     )  # fmt: skip
     return speed[0], beside[0], change[0]
 
@@ -101,21 +103,39 @@ def test_who_crosses_the_line_is_on_the_next_lane(place: int, moved: float, chan
     assert beside == pytest.approx(lateral, abs=1e-6)
 
 
-@pytest.mark.parametrize(
-    ("task", "config"),
-    [
-        ("highway", {"vehicles_count": 30, "duration": 15}),
-        ("u-turn", {"vehicles_count": 12}),
-        ("roundabout", {"vehicles_count": 10}),
-        ("intersection", {"initial_vehicle_count": 20, "spawn_probability": 0.8}),
-    ],
-)
-def test_sumo_cars_are_where_they_are_steered(task: str, config: dict[str, Any]) -> None:
-    """Front bumpers, of cars that do not roll back: half of them within 2 cm, 95 % within 0.5 m."""
-    env = gym.make(f"sumo/{task}-v0", config=config)
+def test_a_car_that_rolls_back_is_put_where_it_is_to_be() -> None:
+    road = ROADS["u-turn"]()
+    lane = ("b", "c", 1)
+    to = (*lane_point(road, lane, 9.0, 0.0), road.lane(lane).heading_at(9.0))
+    speed, lateral, change = bring(road, lane, lane_point(road, lane, 10.0, 0.0), to, 0.0)
+    assert (speed, change) == (0.0, BACK)
+    assert lateral == pytest.approx(0.0, abs=1e-6)
+
+
+def lane_point(road: Any, lane: Any, s: float, lat: float) -> tuple[float, float]:
+    x, y = road.lane(lane).position(s, lat)
+    return float(x), float(y)
+
+
+def test_where_a_point_is_on_a_line() -> None:
+    corner = ((0.0, 0.0), (4.0, 0.0), (4.0, 3.0))  # y points down: it turns to the right
+    assert nearest(corner, 3.0, -1.0) == pytest.approx((1.0, 3.0, 1.0))
+    assert nearest(corner, 3.5, 2.0) == pytest.approx((0.5, 6.0, -0.5))
+    assert nearest(corner, -2.0, 0.5)[1] == 0.0
+
+
+LEVELS = [(task, level) for task in ("highway", "u-turn", "roundabout", "intersection") for level in (0, -1)]
+
+
+@pytest.mark.parametrize(("task", "level"), LEVELS)
+@pytest.mark.parametrize("risk", [0.0, 1.0])
+def test_sumo_cars_are_where_they_are_steered(task: str, level: int, risk: float) -> None:
+    """Front bumpers: half of them within 1 mm, 95 % within 5 cm, 99 % within 0.2 m, also of cars that roll back."""
+    settings = list(get_task(task).levels.values())[level]
+    env = gym.make(f"sumo/{task}-v0", config={**settings, "risk": risk})
     inner: Any = env.unwrapped
-    apart = []
-    for seed in range(3):
+    apart, back = [], []
+    for seed in range(12):
         env.reset(seed=seed)
         rng = np.random.default_rng(seed)
         over = False
@@ -128,11 +148,14 @@ def test_sumo_cars_are_where_they_are_steered(task: str, config: dict[str, Any])
             x, y, heading, _ = state
             dx = x + 2.5 * np.cos(heading) - world.x - 2.5 * np.cos(world.heading)
             dy = y + 2.5 * np.sin(heading) - world.y - 2.5 * np.sin(world.heading)
-            apart += np.hypot(dx, dy)[world.speed > 0.5].tolist()
+            apart += np.hypot(dx, dy).tolist()
+            back += (world.speed < 0.0).tolist()
     env.close()
-    assert len(apart) > 100
-    assert np.median(apart) < 0.02
-    assert np.quantile(apart, 0.95) < 0.5
+    assert len(apart) > 200
+    assert np.median(apart) < 0.001
+    assert np.quantile(apart, 0.95) < 0.05
+    assert np.quantile(apart, 0.99) < 0.2
+    assert max(np.array(apart)[back], default=0.0) < 0.1
 
 
 @pytest.mark.parametrize("task", ["highway", "roundabout", "intersection", "u-turn"])

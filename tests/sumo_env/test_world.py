@@ -195,6 +195,8 @@ def test_a_contact_that_is_over_within_a_sub_step_is_a_crash(
             world.x[1], world.y[1], world.heading[1] = world.x[0], world.y[0] + 6.0, np.pi / 2
 
     monkeypatch.setattr(World, "_read", passes_through)
+    # SUMO's car is put where the other is shown, a sub-step late, and may be reported there
+    monkeypatch.setattr(env._world.sim, "collisions", lambda: [])
     monkeypatch.setattr(World, "_undisturbed", lambda world, most: 0)
     _, _, terminated, _, info = env.step(1)
     assert terminated and info["crash"]["other"] == other

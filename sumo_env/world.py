@@ -46,6 +46,7 @@ from sumo_env.traffic import CENTRED, rule_for
 
 # [s] where SUMO changes lanes; the ego's centre then crosses the line when highway-env's does, after 0.45 to 0.5 s
 LANE_CHANGE_DURATION = 0.8
+NEAR = 1.0  # [m] further apart than this, SUMO's report of a contact is none: it reports cars up to 180 m apart
 
 
 class World:
@@ -396,8 +397,8 @@ class World:
             return False
         if self.crash is not None and self.crash.detected_by != "both":
             return True
-        wrecks = {name for name, row in self.row.items() if self.crashed[row]}
-        return any(a not in wrecks or b not in wrecks for a, b in found)
+        rows = ((self.row.get(a, 0), self.row.get(b, 0)) for a, b in found)
+        return any(not (self.crashed[i] and self.crashed[j]) and self._apart(i, j) <= NEAR for i, j in rows)
 
     def _crash(self, found: list[tuple[str, str]]) -> None:
         """Find out who touched whom; `found`: pairs that SUMO reports."""
@@ -414,7 +415,8 @@ class World:
             pair = (0, self.row.get(self.crash.other, -1))
             if pair in (reported if self.crash.detected_by == "geometry" else met):
                 self.crash = replace(self.crash, detected_by="both")
-        happened = met | {pair: 1.0 for pair in reported if pair not in met and self._nearly_touch(*pair)}
+        # SUMO looks at lanes, not at corners
+        happened = met | {p: 1.0 for p in reported if p not in met and self._apart(*p) <= SUMO_TOLERANCE}
         for pair in sorted(happened, key=lambda pair: (happened[pair], pair)):
             if pair[0] == 0 and self.crash is None:
                 by: Detector = "sumo" if pair not in met else "both" if pair in by_sumo else "geometry"
@@ -427,9 +429,7 @@ class World:
                 self.crashed[row] = True
                 self._wrecks = self._wrecks or row > 0
 
-    def _nearly_touch(self, i: int, j: int) -> bool:
-        """Is SUMO's report of a contact right within `SUMO_TOLERANCE`? It looks at lanes, not at corners."""
-        apart = distance(
-            self.x[i], self.y[i], self.heading[i], self.x[j], self.y[j], self.heading[j], LENGTH, WIDTH
-        )
-        return bool(apart <= SUMO_TOLERANCE)
+    def _apart(self, i: int, j: int) -> float:
+        """Distance of the outlines of two vehicles [m]."""
+        x, y, heading = self.x, self.y, self.heading
+        return distance(x[i], y[i], heading[i], x[j], y[j], heading[j], LENGTH, WIDTH)

@@ -98,9 +98,7 @@ def parts(options: Options, size: Size) -> dict[str, Callable[[Note], Any]]:
 
     functions: dict[str, Callable[[Note], Any]] = {
         "env": env,
-        "learner": lambda note: learner.measure_learner(
-            (1, 8, 16), size.learner_turns, size.learner_updates, note
-        ),
+        "learner": lambda note: learner.measure_learner((1, 8, 16), size.learner_turns, note),
         "sweep": sweep,
         "vector": vector,
         "growth": lambda note: scaling.measure_growth(size.growth, size.effort, note),

@@ -15,7 +15,6 @@ class Size:
     effort: Effort
     all_levels: bool
     learner_turns: int
-    learner_updates: int
     sweep_updates: int
     sweep_episodes: int
     vector_tasks: tuple[str, ...]
@@ -29,7 +28,6 @@ FULL = Size(
     effort=Effort(turns=5, seconds=1.0, reference_seconds=2.0, reference_steps=3),
     all_levels=True,
     learner_turns=9,
-    learner_updates=320,
     sweep_updates=400,
     sweep_episodes=10,
     vector_tasks=("highway", "two-way", "roundabout", "intersection", "u-turn"),
@@ -42,7 +40,6 @@ QUICK = Size(
     effort=Effort(turns=3, seconds=0.1, reference_seconds=0.25, reference_steps=1),
     all_levels=False,
     learner_turns=3,
-    learner_updates=100,
     sweep_updates=40,
     sweep_episodes=2,
     vector_tasks=("highway",),

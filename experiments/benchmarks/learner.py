@@ -52,6 +52,7 @@ class Ours:
         for number, agent in enumerate(agents):
             for _ in range(STORED):
                 self._step(agent)
+            agent.update()  # which evaluates all that is stored
             agent.updates = number * each
         self._turns = itertools.cycle([agent for agent in agents for _ in range(each)])
 
@@ -231,15 +232,16 @@ class Learners:
 
     def measure(self, turns: int) -> list[Record]:
         """One record a number of agents; rates are medians over the turns, ratios those of each turn."""
+        for variant in self._variants.values():
+            variant.work(STRETCH)  # warms up
         slices: dict[Any, list[Slice]] = {name: [] for name in self._variants}
-        for turn in range(turns + 1):
+        for _ in range(turns):
             parts: dict[Any, list[Slice]] = {name: [] for name in self._variants}
             for _ in range(CONFIG.target_lag // STRETCH):
                 for name, variant in self._variants.items():
                     parts[name].append(variant.work(STRETCH))
-            if turn > 0:  # the first one warms up
-                for name in parts:
-                    slices[name].append(total(parts[name]))
+            for name in parts:
+                slices[name].append(total(parts[name]))
         return [
             {
                 "variant": "own",

@@ -34,7 +34,7 @@ FULL = Size(
     vector_seconds=3.0,
     growth=(25, 50, 75, 100, 125, 150),
     memory=10_000,
-    seconds={"env": 720, "learner": 45, "sweep": 240, "vector": 60, "growth": 75, "memory": 110},
+    seconds={"env": 720, "learner": 50, "sweep": 240, "vector": 60, "growth": 75, "memory": 110},
 )
 QUICK = Size(
     effort=Effort(turns=3, seconds=0.1, reference_seconds=0.25, reference_steps=1),
@@ -46,5 +46,5 @@ QUICK = Size(
     vector_seconds=0.7,
     growth=(25, 50, 100),
     memory=300,
-    seconds={"env": 60, "learner": 10, "sweep": 25, "vector": 7, "growth": 9, "memory": 5},
+    seconds={"env": 60, "learner": 18, "sweep": 25, "vector": 7, "growth": 9, "memory": 5},
 )

@@ -80,7 +80,9 @@ def compare(results: Results) -> list[Target]:
         Target("update over its matrix products", OVER_FLOOR, one[0]["over_floor"] if one else None, True),
     ]
     rates = [record["agents_per_hour_on_free_cores"] for record in results.get("sweep", ())]
-    targets.append(Target("agents an hour, paper grid, free cores", AGENTS_PER_HOUR, max(rates, default=None)))
+    targets.append(
+        Target("agents an hour, paper grid, free cores", AGENTS_PER_HOUR, max(rates, default=None))
+    )
     return targets
 
 

@@ -207,7 +207,7 @@ def test_a_restored_agent_goes_on_bit_for_bit(capacity: int) -> None:
         agent.update()
     state = {name: array.copy() for name, array in agent.state_dict().items()}
     other = DQN(config, 6, 3, seed=99)
-    fill(other, 40, seed=9)
+    fill(other, 300, seed=9)  # more than the state holds: nothing may be left of it
     other.update()
     other.load_state_dict(state)
     observation = np.ones(6)

@@ -5,9 +5,10 @@ Knows gymnasium, numpy and numba; knows no simulator and no task by name.
     architecture   sizes of the dueling network
     policy         the greedy policy of a trained network, numpy only
     network        forward and hand-written backward pass over a batch
-    kernels        its compiled element-wise parts, and Adam
+    kernels        its compiled parts between the products, and Adam
     threads        one thread for numpy's products
     replay         uniform replay memory
+    bootstrap      the target network's values of the stored transitions
     dqn            configuration and learner
     training       the loop: whole episodes, then updates; resumable bit for bit
     checkpoint     atomic files that detect damage

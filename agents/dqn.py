@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from agents.architecture import Architecture
+from agents.bootstrap import TargetValues
 from agents.kernels import adam
 from agents.network import Activations, Network
 from agents.policy import GreedyPolicy, q_values
@@ -129,8 +130,8 @@ class DQN:
         self._observations = np.zeros((2 * batch, inputs), np.float32)  # s, then s': one pass serves both
         self._error = np.zeros(batch, np.float32)
         self._q_gradient = np.zeros((batch, actions), np.float32)
-        self._online_pass = Activations(self.architecture, 2 * batch, gradient_rows=batch)
-        self._target_pass = Activations(self.architecture, batch)
+        self._online_pass = Activations(self.architecture, 2 * batch, gradient_rows=batch, ranked_rows=batch)
+        self._target_values = TargetValues(self._target, self.replay, config.target_lag, batch)
 
     def q(self, observation: np.ndarray) -> np.ndarray:
         """Q of every action, float32 (actions,), for one observation."""
@@ -154,7 +155,7 @@ class DQN:
         actions = replay.actions[rows]
 
         q = self._online.forward(self._observations, self._online_pass)
-        target_q = self._target.forward(self._observations[batch:], self._target_pass)
+        target_q = self._target_values.q(rows)
         chooser = q[batch:] if config.double else target_q
         bootstrap = target_q[each, chooser.argmax(1)]
         goal = replay.rewards[rows] + config.gamma * (1.0 - replay.terminated[rows]) * bootstrap
@@ -168,6 +169,7 @@ class DQN:
         self._adam_step()
         if self.updates % config.target_lag == 0:
             self._target.flat[:] = self._online.flat
+            self._target_values.forget()
 
     def _adam_step(self) -> None:
         config = self.config
@@ -220,6 +222,7 @@ class DQN:
         self.replay.load_state_dict(
             {k.removeprefix(prefix): v for k, v in state.items() if k.startswith(prefix)}
         )
+        self._target_values.forget()
         restore_generator(self._exploration, str(state["exploration"]))
         restore_generator(self._sampling, str(state["sampling"]))
         self.updates = int(state["updates"])

@@ -38,10 +38,38 @@ def back_through_bias(delta: np.ndarray, output: np.ndarray, relu: bool, bias_gr
     """Set delta (rows, n) to 0 where the ReLU's output (rows, n) is not positive, and sum it over the rows."""
     bias_gradient[:] = 0
     for row in range(len(delta)):
-        for i in range(len(bias_gradient)):
-            value = delta[row, i] if output[row, i] > 0 or not relu else 0
-            delta[row, i] = value
-            bias_gradient[i] += value
+        if relu:  # asked for each row and not each number: the loops are vectorised then
+            for i in range(len(bias_gradient)):
+                value = delta[row, i] if output[row, i] > 0 else 0
+                delta[row, i] = value
+                bias_gradient[i] += value
+        else:
+            for i in range(len(bias_gradient)):
+                bias_gradient[i] += delta[row, i]
+
+
+@compiled
+def join_streams(value: np.ndarray, advantage: np.ndarray, centred: bool, q: np.ndarray) -> None:
+    """Q (rows, actions) = V + A, less the mean of A if it is centred; V (fewer or equal rows, 1) or else 0."""
+    for row in range(len(q)):
+        offset = value[row, 0] if row < len(value) else 0
+        if centred:
+            offset -= advantage[row].mean()
+        for action in range(q.shape[1]):
+            q[row, action] = advantage[row, action] + offset
+
+
+@compiled
+def split_gradient(
+    q_gradient: np.ndarray, centred: bool, value_gradient: np.ndarray, advantage_gradient: np.ndarray
+) -> None:
+    """The way back through `join_streams`; q_gradient (rows, actions)."""
+    for row in range(len(q_gradient)):
+        total = q_gradient[row].sum()
+        value_gradient[row, 0] = total
+        mean = total / q_gradient.shape[1] if centred else 0
+        for action in range(q_gradient.shape[1]):
+            advantage_gradient[row, action] = q_gradient[row, action] - mean
 
 
 @njit(cache=True, error_model="numpy")

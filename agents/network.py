@@ -11,21 +11,32 @@ import numpy as np
 from numpy.typing import DTypeLike
 
 from agents.architecture import Architecture
-from agents.kernels import add_bias, back_through_bias
+from agents.kernels import add_bias, back_through_bias, join_streams, split_gradient
 
 
 class Activations:
     """Room for the layer outputs of one forward pass over ``rows`` observations.
 
     gradient_rows: how many of the first rows a backward pass differentiates.
+    ranked_rows: how many of the last rows only the best action is wanted of. The value of a state does not
+        change the order of its actions and is not computed for them: their ``q`` is the advantage.
     q: the Q-values (rows, actions) of the last forward pass.
     """
 
     def __init__(
-        self, architecture: Architecture, rows: int, gradient_rows: int = 0, dtype: DTypeLike = np.float32
+        self,
+        architecture: Architecture,
+        rows: int,
+        gradient_rows: int = 0,
+        ranked_rows: int = 0,
+        dtype: DTypeLike = np.float32,
     ) -> None:
         layers = architecture.layers
-        self.outputs = [np.empty((rows, layer.fan_out), dtype) for layer in layers]
+        shared, value = len(architecture.hidden), architecture.value_output
+        self.outputs = [
+            np.empty((rows - ranked_rows if shared <= index <= value else rows, layer.fan_out), dtype)
+            for index, layer in enumerate(layers)
+        ]
         self.deltas = [np.empty((gradient_rows, layer.fan_out), dtype) for layer in layers]
         self.spare = np.empty((gradient_rows, architecture.hidden[-1]), dtype)
         self.q = np.empty((rows, architecture.actions), dtype)
@@ -46,12 +57,10 @@ class Network:
         architecture, outputs = self.architecture, activations.outputs
         for layer, (weight, bias), output in zip(architecture.layers, self.layers, outputs, strict=True):
             x = observations if layer.source < 0 else outputs[layer.source]
-            np.dot(x, weight, out=output)
+            np.dot(x[: len(output)], weight, out=output)
             add_bias(output, bias, layer.relu)
         value, advantage = outputs[architecture.value_output], outputs[-1]
-        np.add(value, advantage, out=activations.q)
-        if architecture.head == "mean":
-            activations.q -= advantage.mean(-1, keepdims=True)
+        join_streams(value, advantage, architecture.head == "mean", activations.q)
         return activations.q
 
     def backward(
@@ -64,10 +73,8 @@ class Network:
         """
         architecture, deltas = self.architecture, activations.deltas
         outputs = [output[: len(q_gradient)] for output in activations.outputs]
-        np.sum(q_gradient, -1, keepdims=True, out=deltas[architecture.value_output])
-        deltas[-1][:] = q_gradient
-        if architecture.head == "mean":
-            deltas[-1] -= q_gradient.mean(-1, keepdims=True)
+        value, advantage = deltas[architecture.value_output], deltas[-1]
+        split_gradient(q_gradient, architecture.head == "mean", value, advantage)
         reached: set[int] = set()
         for index, layer in reversed(list(enumerate(architecture.layers))):
             delta, weight = deltas[index], self.layers[index][0]

@@ -17,9 +17,10 @@ class Replay:
             raise ValueError(f"The replay needs a capacity of at least 1, got {capacity}.")
         self.capacity = capacity
         self.added = 0  # transitions ever added; the newest lies at (added - 1) % capacity
-        # Untouched pages of np.empty cost no memory, so a short run does not pay for the capacity.
-        self.observations = np.empty((capacity, inputs), dtype=np.float32)
-        self.next_observations = np.empty((capacity, inputs), dtype=np.float32)
+        # Untouched pages cost no memory, so a short run does not pay for the capacity. Zeros, because next
+        # observations are evaluated in blocks that need not be full.
+        self.observations = np.zeros((capacity, inputs), dtype=np.float32)
+        self.next_observations = np.zeros((capacity, inputs), dtype=np.float32)
         self.actions = np.empty(capacity, dtype=np.int64)
         self.rewards = np.empty(capacity, dtype=np.float32)
         self.terminated = np.empty(capacity, dtype=np.float32)

@@ -98,9 +98,7 @@ def parts(options: Options, size: Size) -> dict[str, Callable[[Note], Any]]:
 
     functions: dict[str, Callable[[Note], Any]] = {
         "env": env,
-        "learner": lambda note: learner.measure_learner(
-            (1, 8, 16), size.learner_turns, size.learner_updates, note
-        ),
+        "learner": lambda note: learner.measure_learner((1, 8, 16), size.learner_turns, note),
         "sweep": sweep,
         "vector": vector,
         "growth": lambda note: scaling.measure_growth(size.growth, size.effort, note),
@@ -187,16 +185,21 @@ class Watch:
 
 
 def summary(goals: Sequence[Target]) -> None:
-    """Print the targets beside what was measured."""
-    table = Table(title="Targets")
-    for name, side in (("", "left"), ("target", "right"), ("measured", "right"), ("", "left")):
-        table.add_column(name, justify=side)  # type: ignore[arg-type]
+    """Print the targets that were measured, beside what was measured."""
+    table = Table(box=None, padding=(0, 2, 0, 0))
+    table.add_column("", no_wrap=True)
+    for name in ("target", "measured"):
+        table.add_column(name, justify="right", no_wrap=True)
+    table.add_column("", no_wrap=True)
     for goal in goals:
-        measured = "not measured" if goal.measured is None else f"{goal.measured:.3g}"
-        verdict = {True: "met", False: "missed", None: ""}[goal.met]
-        sign = "<= " if goal.at_most else ""
-        table.add_row(goal.name, f"{sign}{goal.wanted:g}", measured, verdict)
-    Console().print(table)
+        if goal.measured is not None:
+            sign = "<= " if goal.at_most else ""
+            verdict = "met" if goal.met else "missed"
+            table.add_row(goal.name, f"{sign}{goal.wanted:g}", page.number(goal.measured), verdict)
+    if table.row_count:
+        Console().print(table)
+    if left := len(goals) - table.row_count:
+        print(f"{left} targets belong to what was not measured.")
 
 
 def main() -> int:

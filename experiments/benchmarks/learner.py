@@ -2,12 +2,13 @@
 
 All of them work on batches of the same size, from networks of the same layers, in one process and on one
 thread, in turn. Stable-Baselines3 has no dueling network; it gets one here, built of its own parts, so that
-both do the same arithmetic but for the next action: ours is chosen by the online network (double DQN), which
-costs us one forward pass more.
+both learn the same but for the next action: ours is chosen by the online network (double DQN), which costs us
+one forward pass more; Stable-Baselines3 copies its target network outside of the function that is timed.
 """
 
 from __future__ import annotations
 
+import itertools
 import time
 import timeit
 from collections.abc import Callable, Sequence
@@ -22,72 +23,100 @@ from torch import Tensor, nn
 
 from agents.architecture import Architecture
 from agents.dqn import DQN, DQNConfig
-from experiments.benchmarks.remote import Remote, Slice, Stopwatch, median_rate, median_ratio
+from experiments.benchmarks.remote import Remote, Slice, Stopwatch, median_rate, median_ratio, total
 
 OBSERVATION = (5, 5)  # of four of the five tasks
 ACTIONS = 5
-STORED = 1000  # random transitions in every replay
+# Random transitions in every replay: as many as the default budget holds on average. How many there are decides
+# what the target network costs us.
+STORED = 10_000
+STRETCH = 20  # updates that one variant makes before the next one takes over: a block of the training
+CONFIG = DQNConfig(replay_capacity=STORED)
 SPACE = gym.spaces.Box(-1.0, 1.0, OBSERVATION, np.float32)
 
 Record = dict[str, Any]
 
 
 class Ours:
-    """`count` agents of `agents.dqn` that learn in turn, a block of updates each, as in training."""
+    """`count` agents of `agents.dqn` that learn in turn.
+
+    Their next target copies are spread evenly: as many updates of all of them as lie between two copies of one
+    hold one copy, however many agents there are.
+    """
 
     def __init__(self, config: DQNConfig, count: int) -> None:
         inputs = int(np.prod(OBSERVATION))
-        self._agents = [DQN(config, inputs, ACTIONS, seed) for seed in range(count)]
-        self._block = config.block
-        rng = np.random.default_rng(0)
-        for agent in self._agents:
+        agents = [DQN(config, inputs, ACTIONS, seed) for seed in range(count)]
+        self._rng = np.random.default_rng(0)
+        each = config.target_lag // count
+        for number, agent in enumerate(agents):
             for _ in range(STORED):
-                before, after = rng.uniform(-1.0, 1.0, (2, inputs))
-                agent.replay.add(before, int(rng.integers(ACTIONS)), rng.random(), after, rng.random() < 0.1)
+                self._step(agent)
+            agent.update()  # which evaluates all that is stored
+            agent.updates = number * each
+        self._turns = itertools.cycle([agent for agent in agents for _ in range(each)])
 
     def work(self, updates: int) -> Slice:
-        """At least `updates` updates, the same number for every agent."""
-        rounds = max(round(updates / (self._block * len(self._agents))), 1)
+        """So many updates, after as many steps, which are not timed but have to be evaluated in the updates."""
+        agents = list(itertools.islice(self._turns, updates))
+        for agent in agents:
+            self._step(agent)
         watch = Stopwatch()
-        for _ in range(rounds):
-            for agent in self._agents:
-                for _ in range(self._block):
-                    agent.update()
-        return watch.slice(rounds * self._block * len(self._agents))
+        for agent in agents:
+            agent.update()
+        return watch.slice(updates)
+
+    def _step(self, agent: DQN) -> None:
+        rng = self._rng
+        before, after = rng.uniform(-1.0, 1.0, (2, agent.architecture.inputs))
+        agent.replay.add(before, int(rng.integers(ACTIONS)), rng.random(), after, rng.random() < 0.1)
 
 
 class Floor:
     """The matrix products of one update and nothing else: the least time that the arithmetic can take.
 
-    Forward of the online network on s and, in double DQN, on s', forward of the target network on s', and two
-    products a layer backward; each by the quicker of numpy and torch.
+    Forward of the online network on s and, in double DQN, its advantage on s', two products a layer backward, and
+    forward of the target network on every stored s' between two of its copies. Each by the quicker of numpy and
+    torch, which is found out in use.
     """
 
     def __init__(self, config: DQNConfig) -> None:
         architecture = config.architecture(int(np.prod(OBSERVATION)), ACTIONS)
         batch = config.batch_size
-        rows = 2 * batch if config.double else batch
-        self._products = [
-            *_products(architecture, rows, batch, backward=True),
-            *_products(architecture, batch, batch, backward=False),
-        ]
-        self._calls = [
-            min(
-                partial(np.dot, a, b, out=out),
-                partial(torch.mm, *map(torch.from_numpy, (a, b)), out=torch.from_numpy(out)),
-                key=_seconds,
-            )
-            for a, b, out in self._products
-        ]
+        ranked = batch if config.double else 0
+        self.online = _products(architecture, batch, ranked, backward=True)
+        self.target = _products(architecture, batch, 0, backward=False)
+        self.target_passes = STORED / batch / config.target_lag  # in an update
+        self._online, self._target = _calls(self.online), _calls(self.target)
+        self._owed = 0.0  # passes of the target network
 
     def work(self, updates: int) -> Slice:
         """The products of so many updates."""
-        calls = self._calls
         watch = Stopwatch()
         for _ in range(updates):
-            for call in calls:
+            for call in self._online:
                 call()
+            self._owed += self.target_passes
+            while self._owed >= 1.0:
+                self._owed -= 1.0
+                for call in self._target:
+                    call()
         return watch.slice(updates)
+
+
+Product = tuple[np.ndarray, np.ndarray, np.ndarray]  # operands and result
+
+
+def _calls(products: Sequence[Product]) -> list[Callable[[], object]]:
+    """Each product by the quicker of numpy and torch."""
+    return [
+        min(
+            partial(np.dot, a, b, out=out),
+            partial(torch.mm, *map(torch.from_numpy, (a, b)), out=torch.from_numpy(out)),
+            key=_seconds,
+        )
+        for a, b, out in products
+    ]
 
 
 def _seconds(product: Callable[[], object]) -> float:
@@ -95,17 +124,17 @@ def _seconds(product: Callable[[], object]) -> float:
     return min(timeit.repeat(product, timer=time.process_time, number=20, repeat=9))
 
 
-def _products(
-    architecture: Architecture, rows: int, batch: int, backward: bool
-) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Operands and result of every product of a pass over `rows` observations, `batch` of them differentiated."""
+def _products(architecture: Architecture, batch: int, ranked: int, backward: bool) -> list[Product]:
+    """Every product of a pass over `batch` observations, and over `ranked` more without the value stream."""
     rng = np.random.default_rng(0)
 
     def normal(*shape: int) -> np.ndarray:
         return rng.standard_normal(shape, np.float32)
 
+    shared = len(architecture.hidden)
     products = []
-    for layer in architecture.layers:
+    for index, layer in enumerate(architecture.layers):
+        rows = batch if shared <= index <= architecture.value_output else batch + ranked
         x, weight = normal(rows, layer.fan_in), normal(layer.fan_in, layer.fan_out)
         products.append((x, weight, normal(rows, layer.fan_out)))
         if backward:
@@ -188,24 +217,31 @@ class StableBaselines:
 
 
 class Learners:
-    """All variants in one process, timed in turn; lives in its own process."""
+    """All variants in one process, timed in turn; lives in its own process.
+
+    A turn is as many updates as lie between two target copies, in short stretches of one variant after the other:
+    what slows the machine down for a moment slows all of them.
+    """
 
     def __init__(self, agents: Sequence[int]) -> None:
         torch.set_num_threads(1)
-        config = DQNConfig()
         self._counts = tuple(agents)
-        self._variants: dict[Any, Any] = {"sb3": StableBaselines(config), "floor": Floor(config)}
+        self._variants: dict[Any, Any] = {"sb3": StableBaselines(CONFIG), "floor": Floor(CONFIG)}
         for count in self._counts:
-            self._variants[count] = Ours(config, count)
+            self._variants[count] = Ours(CONFIG, count)
 
-    def measure(self, turns: int, updates: int) -> list[Record]:
+    def measure(self, turns: int) -> list[Record]:
         """One record a number of agents; rates are medians over the turns, ratios those of each turn."""
+        for variant in self._variants.values():
+            variant.work(STRETCH)  # warms up
         slices: dict[Any, list[Slice]] = {name: [] for name in self._variants}
-        for turn in range(turns + 1):
-            for name, variant in self._variants.items():
-                part = variant.work(updates)
-                if turn > 0:  # the first one warms up
-                    slices[name].append(part)
+        for _ in range(turns):
+            parts: dict[Any, list[Slice]] = {name: [] for name in self._variants}
+            for _ in range(CONFIG.target_lag // STRETCH):
+                for name, variant in self._variants.items():
+                    parts[name].append(variant.work(STRETCH))
+            for name in parts:
+                slices[name].append(total(parts[name]))
         return [
             {
                 "variant": "own",
@@ -221,11 +257,9 @@ class Learners:
         ]
 
 
-def measure_learner(
-    agents: Sequence[int], turns: int, updates: int, note: Callable[[str], None]
-) -> list[Record]:
+def measure_learner(agents: Sequence[int], turns: int, note: Callable[[str], None]) -> list[Record]:
     """Records of the learner for several numbers of agents in one process."""
     note("learner")
     with Remote(Learners, agents) as learners:
-        records: list[Record] = learners.call("measure", turns, updates)
+        records: list[Record] = learners.call("measure", turns)
     return records

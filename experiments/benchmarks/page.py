@@ -143,7 +143,7 @@ def _growth(growth: Record) -> Figure:
 
 def _learner(records: Sequence[Record]) -> Figure:
     """Milliseconds an update of one agent."""
-    figure, axes = plt.subplots(figsize=(5.2, 3.0))
+    figure, axes = plt.subplots(figsize=(6.6, 3.0))
     names = [f"this project,\n{record['agents']} agent{'s' * (record['agents'] > 1)}" for record in records]
     times = [1e3 / (record["updates_per_s"] * record["agents"]) for record in records]
     names += ["Stable-\nBaselines3", "matrix\nproducts alone"]

@@ -11,7 +11,7 @@ import multiprocessing
 import statistics
 import time
 import traceback
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -63,6 +63,12 @@ class Stopwatch:
     def slice(self, count: int) -> Slice:
         """The stretch up to now."""
         return Slice(count, self.wall, self.cpu)
+
+
+def total(slices: Iterable[Slice]) -> Slice:
+    """All of them together."""
+    parts = list(slices)
+    return Slice(sum(p.count for p in parts), sum(p.wall for p in parts), sum(p.cpu for p in parts))
 
 
 def median_rate(slices: Sequence[Slice]) -> float:

@@ -15,7 +15,6 @@ class Size:
     effort: Effort
     all_levels: bool
     learner_turns: int
-    learner_updates: int
     sweep_updates: int
     sweep_episodes: int
     vector_tasks: tuple[str, ...]
@@ -29,25 +28,23 @@ FULL = Size(
     effort=Effort(turns=5, seconds=1.0, reference_seconds=2.0, reference_steps=3),
     all_levels=True,
     learner_turns=9,
-    learner_updates=320,
     sweep_updates=400,
     sweep_episodes=10,
     vector_tasks=("highway", "two-way", "roundabout", "intersection", "u-turn"),
     vector_seconds=3.0,
     growth=(25, 50, 75, 100, 125, 150),
     memory=10_000,
-    seconds={"env": 720, "learner": 45, "sweep": 240, "vector": 60, "growth": 75, "memory": 110},
+    seconds={"env": 720, "learner": 50, "sweep": 240, "vector": 60, "growth": 75, "memory": 110},
 )
 QUICK = Size(
     effort=Effort(turns=3, seconds=0.1, reference_seconds=0.25, reference_steps=1),
     all_levels=False,
     learner_turns=3,
-    learner_updates=100,
     sweep_updates=40,
     sweep_episodes=2,
     vector_tasks=("highway",),
     vector_seconds=0.7,
     growth=(25, 50, 100),
     memory=300,
-    seconds={"env": 60, "learner": 10, "sweep": 25, "vector": 7, "growth": 9, "memory": 5},
+    seconds={"env": 60, "learner": 18, "sweep": 25, "vector": 7, "growth": 9, "memory": 5},
 )

@@ -30,7 +30,7 @@ ENGINE_SHARES = {"sumo": 0.85, "matched": 0.65}  # on the highway with 50 vehicl
 LEARNER_RATIO = 2.6  # one agent, times as fast as Stable-Baselines3
 COHORT_RATIO = 3.5  # each of 8 to 16 agents in one process
 OVER_FLOOR = 1.25  # time of an update over that of its matrix products, at most
-AGENTS_PER_HOUR = 40  # over the paper's grid
+AGENTS_PER_HOUR = 40  # over the paper's grid, on two cores
 
 
 @dataclass(frozen=True)
@@ -79,8 +79,10 @@ def compare(results: Results) -> list[Target]:
         Target("times Stable-Baselines3, each of 8 to 16 agents", COHORT_RATIO, max(many, default=None)),
         Target("update over its matrix products", OVER_FLOOR, one[0]["over_floor"] if one else None, True),
     ]
-    rates = [record["agents_per_hour"] for record in results.get("sweep", ())]
-    targets.append(Target("agents an hour, paper grid", AGENTS_PER_HOUR, max(rates, default=None)))
+    rates = [record["agents_per_hour_on_free_cores"] for record in results.get("sweep", ())]
+    targets.append(
+        Target("agents an hour, paper grid, free cores", AGENTS_PER_HOUR, max(rates, default=None))
+    )
     return targets
 
 

@@ -67,10 +67,11 @@ class AutogradDQN:
 @pytest.mark.parametrize("double", [True, False])
 @pytest.mark.parametrize("head", ["mean", "sum"])
 @pytest.mark.parametrize("clamp", [1.0, 0.01])
-def test_updates_equal_those_of_autograd_and_adam(double: bool, head: str, clamp: float) -> None:
+@pytest.mark.parametrize("stored", [150, 100])  # more transitions than draws between two copies, and fewer
+def test_updates_equal_those_of_autograd_and_adam(double: bool, head: str, clamp: float, stored: int) -> None:
     config = dataclasses.replace(SMALL, double=double, head=head, gradient_clamp=clamp)
     agent = DQN(config, 6, 3, seed=1)
-    fill(agent, 150)
+    fill(agent, stored)
     reference = AutogradDQN(agent)
     for _ in range(20):  # two target copies on the way
         agent.update()
@@ -197,13 +198,17 @@ def test_equal_seeds_give_equal_bits_and_others_do_not() -> None:
     assert trained[0] == trained[1] != trained[2]
 
 
-def test_a_restored_agent_goes_on_bit_for_bit() -> None:
-    agent = DQN(SMALL, 6, 3, seed=5)
+@pytest.mark.parametrize("capacity", [200, 90])  # values of the target network are not kept, and are
+def test_a_restored_agent_goes_on_bit_for_bit(capacity: int) -> None:
+    config = dataclasses.replace(SMALL, replay_capacity=capacity)
+    agent = DQN(config, 6, 3, seed=5)
     fill(agent, 250)  # the replay has wrapped
     for _ in range(11):
         agent.update()
     state = {name: array.copy() for name, array in agent.state_dict().items()}
-    other = DQN(SMALL, 6, 3, seed=99)
+    other = DQN(config, 6, 3, seed=99)
+    fill(other, 300, seed=9)  # more than the state holds: nothing may be left of it
+    other.update()
     other.load_state_dict(state)
     observation = np.ones(6)
     for each in (agent, other):

@@ -49,7 +49,7 @@ def test_gradient_equals_autograd(architecture: Architecture, rows: int, gradien
     generator = torch.Generator().manual_seed(1)
     network, gradient = Network(architecture, np.float64), Network(architecture, np.float64)
     network.flat[:] = architecture.initial(np.random.default_rng(0))
-    activations = Activations(architecture, rows, gradient_rows, np.float64)
+    activations = Activations(architecture, rows, gradient_rows, dtype=np.float64)
     x = torch.randn(rows, architecture.inputs, generator=generator, dtype=torch.float64)
     weighting = torch.randn(gradient_rows, architecture.actions, generator=generator, dtype=torch.float64)
     for _ in range(2):  # twice: nothing may be left over from the pass before
@@ -60,6 +60,20 @@ def test_gradient_equals_autograd(architecture: Architecture, rows: int, gradien
     (expected[:gradient_rows] * weighting).sum().backward()
     torch.testing.assert_close(torch.from_numpy(q), expected.detach(), rtol=0, atol=1e-10)
     torch.testing.assert_close(torch.from_numpy(gradient.flat), vector.grad, rtol=0, atol=1e-10)
+
+
+@pytest.mark.parametrize("architecture", ARCHITECTURES, ids=str)
+def test_ranked_rows_have_the_order_of_their_q_values_and_leave_the_others_alone(
+    architecture: Architecture,
+) -> None:
+    network = Network(architecture, np.float64)
+    network.flat[:] = architecture.initial(np.random.default_rng(0))
+    x = np.random.default_rng(1).normal(size=(20, architecture.inputs))
+    q = network.forward(x, Activations(architecture, 20, dtype=np.float64))
+    ranked = network.forward(x, Activations(architecture, 20, ranked_rows=8, dtype=np.float64))
+    np.testing.assert_allclose(ranked[:12], q[:12], atol=1e-12)
+    np.testing.assert_array_equal(ranked[12:].argsort(1), q[12:].argsort(1))
+    assert np.abs(ranked[12:] - q[12:]).max() > 1e-3
 
 
 def test_paper_network_has_the_published_number_of_parameters() -> None:

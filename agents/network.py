@@ -55,6 +55,8 @@ class Network:
     def forward(self, observations: np.ndarray, activations: Activations) -> np.ndarray:
         """Q-values (rows, actions) of observations (rows, inputs); the array belongs to ``activations``."""
         architecture, outputs = self.architecture, activations.outputs
+        if len(observations) != len(outputs[-1]):
+            raise ValueError(f"{len(observations)} observations for activations of {len(outputs[-1])} rows")
         for layer, (weight, bias), output in zip(architecture.layers, self.layers, outputs, strict=True):
             x = observations if layer.source < 0 else outputs[layer.source]
             np.dot(x[: len(output)], weight, out=output)

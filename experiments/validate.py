@@ -38,7 +38,7 @@ from experiments.validation.jobs import Job, Size
 ROOT = Path(__file__).resolve().parents[1]
 # What parts depend on: those driven by other code are not used again. (That the scenarios are the same is checked.)
 SOURCES = {"highway-env": ("experiments/backends",), "sumo": ("sumo_env", "networks")}
-QUICK = Size(lowest=20, others=20, highway=(12, 4, 3), changes=6)
+QUICK = Size(lowest=40, others=30, highway=(30, 12, 8), changes=6)
 
 
 @dataclass(frozen=True)
@@ -51,11 +51,11 @@ class Options:
     """Drive SUMO only, in few scenarios, against the stored reference: two minutes."""
     tasks: Annotated[tuple[str, ...], tyro.conf.arg(metavar="TASK ...")] = ()
     """Some of highway, two-way, roundabout, intersection, u-turn (default: all)."""
-    lowest: int = 30
+    lowest: int = 200
     """Scenarios of the lowest traffic level; every ego drives each."""
-    others: int = 12
+    others: int = 200
     """Scenarios of each other level."""
-    highway: tuple[int, int, int] = (12, 4, 3)
+    highway: tuple[int, int, int] = (200, 100, 60)
     """Scenarios of the highway's three levels, where highway-env is slowest."""
     traffics: Annotated[tuple[str, ...], tyro.conf.arg(metavar="TRAFFIC ...")] = ("regular", "risky")
     """Traffic to drive: regular (which has the targets), risky or both."""

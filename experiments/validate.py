@@ -38,7 +38,7 @@ from experiments.validation.jobs import Job, Size
 ROOT = Path(__file__).resolve().parents[1]
 # What parts depend on: those driven by other code are not used again. (That the scenarios are the same is checked.)
 SOURCES = {"highway-env": ("experiments/backends",), "sumo": ("sumo_env", "networks")}
-QUICK = Size(lowest=40, others=30, highway=(30, 12, 8), changes=6)
+QUICK = Size(lowest=30, others=24, highway=(30, 12, 8), changes=6)
 
 
 @dataclass(frozen=True)

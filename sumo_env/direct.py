@@ -223,6 +223,17 @@ def _drop(typing: Any, address: Any, this: Any) -> Any:
     return types.void(types.int64, types.int64), generate
 
 
+@_inline
+def _fetch(typing: Any, address: Any, first: Any, second: Any, third: Any) -> Any:
+    """Nothing of three pointers."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        _call(builder, arguments[0], _VOID, arguments[1:])
+        return context.get_dummy_value()
+
+    return types.void(types.int64, types.int64, types.int64, types.int64), generate
+
+
 @compiled
 def look_up(function: int, strings: Integers) -> Integers:
     """Pointers to what the strings name, shape (n,)."""
@@ -364,17 +375,35 @@ def command(
 
 
 def python_calls(*functions: Callable[[], object]) -> Integers:
-    """What `call` needs for these functions, which must neither raise nor be deleted, shape (3 + functions,)."""
+    """What `call` needs for these functions, which must be kept, shape (7 + functions,).
+
+    Four functions of Python's interface, room for an error, and the functions.
+    """
     api = ctypes.pythonapi
-    found = [api.PyObject_CallObject, api.PyObject_IsTrue, api.Py_DecRef]
+    found = [api.PyObject_CallObject, api.PyObject_IsTrue, api.Py_DecRef, api.PyErr_Fetch]
     addresses = [ctypes.cast(function, ctypes.c_void_p).value for function in found]
-    return np.array([*addresses, *map(id, functions)], np.int64)
+    return np.array([*addresses, 0, 0, 0, *map(id, functions)], np.int64)
 
 
 @compiled
-def call(calls: Integers, which: int) -> bool:
-    """Call one of the functions of `python_calls`: whether it returns something true."""
-    result = _word_of_two(calls[0], calls[3 + which], 0)
+def call(calls: Integers, which: int) -> int:
+    """Call one of the functions of `python_calls`: 1 if it returns something true, 0 if not; -1 if it raises.
+
+    What it raised, Ctrl-C included, is put aside: `raise_error` raises it, and has to be called.
+    """
+    result = _word_of_two(calls[0], calls[7 + which], 0)
+    if result == 0:
+        error = np.int64(calls.ctypes.data) + 32
+        _fetch(calls[3], error, error + 8, error + 16)
+        return -1
     truth = _int(calls[1], result)
     _drop(calls[2], result)
-    return truth != 0
+    return truth
+
+
+def raise_error(calls: Integers) -> None:
+    """Raise what a function raised in `call` since the last time."""
+    if calls[4]:
+        error = [ctypes.c_void_p(int(word) or None) for word in calls[4:7]]
+        calls[4:7] = 0
+        ctypes.pythonapi.PyErr_Restore(*error)  # ctypes raises what it finds

@@ -34,8 +34,7 @@ class Traffic(NamedTuple):
     Attributes:
         delta: length of a step [ms].
         functions, vehicles, names, known_lanes, lane_order: as in `direct`.
-        calls: of `direct.python_calls`: SUMO's step and changes of lane, false if they raised, and whether it reports
-            contacts.
+        calls: of `direct.python_calls`: SUMO's step, whether it reports contacts, and changes of lane.
         geometry, lanes, joints, stretch: as in `models.steering.move`.
         floats, integers, flags: of `cars.Cars`.
         drivers: shape (n, 6).
@@ -106,13 +105,13 @@ def _substep(traffic: Traffic, ego_target: float, dt: float) -> tuple[int, int, 
     changes, near_end = move(
         traffic.geometry, traffic.lanes, traffic.joints, traffic.stretch, floats, integers, flags, dt
     )
-    if changes and not direct.call(traffic.calls, CHANGE_LANES):
+    if changes and direct.call(traffic.calls, CHANGE_LANES) < 0:
         return LOST, 0, 0.0, moved
     direct.command(
         traffic.functions, traffic.vehicles, traffic.names, floats[COMMAND], floats[LATERAL], flags[MOVED],
         traffic.delta,
     )  # fmt: skip
-    if not direct.call(traffic.calls, STEP):
+    if direct.call(traffic.calls, STEP) < 0:
         return LOST, 0, 0.0, moved
     if not direct.read_fronts(
         traffic.functions, traffic.vehicles, traffic.known_lanes, traffic.lane_order, True,
@@ -120,7 +119,7 @@ def _substep(traffic: Traffic, ego_target: float, dt: float) -> tuple[int, int, 
     ):  # fmt: skip
         return LOST, 0, 0.0, moved
     touching, ttc = dangers(floats, flags, HORIZON)
-    if touching > 0 or direct.call(traffic.calls, CONTACTS):
+    if touching > 0 or direct.call(traffic.calls, CONTACTS) != 0:
         return TOUCHED, touching, ttc, moved
     return NEAR_END if near_end else GOES_ON, 0, ttc, moved
 

@@ -9,7 +9,7 @@ degrees clockwise from north) end here: everything above speaks highway-env's (y
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -84,7 +84,6 @@ class Simulation:
         self.lane_pointers: tuple[Integers, Integers]
         self._waiting: set[str] = set()  # vehicles of the last episode
         self._routes: dict[str, str] = {}  # of the vehicles
-        self._error: Exception | None = None
         self.stepped = False  # since a vehicle was last removed
         self._limits: dict[str, float] = {}
 
@@ -218,25 +217,6 @@ class Simulation:
         """Advance by one simulation step."""
         _step(0.0)
         self.stepped = True
-
-    def guarded(self, function: Callable[[], None]) -> Callable[[], bool]:
-        """`function` for compiled code, through which no exception gets: false if it raised (`raise_error`)."""
-
-        def call() -> bool:
-            try:
-                function()
-            except Exception as error:
-                self._error = error
-                return False
-            return True
-
-        return call
-
-    def raise_error(self) -> None:
-        """Raise what a `guarded` function raised since the last time."""
-        if self._error is not None:
-            error, self._error = self._error, None
-            raise error
 
     def fleet(self, names: Sequence[str]) -> Fleet:
         """These vehicles, which have to be on the road, to be read and commanded together."""

@@ -44,7 +44,7 @@ class Steering:
         self._number = {name: number for number, name in enumerate(network.road.lanes)}
         self.ego_near_end = True
         self.entered: list[str] = []
-        self._called: tuple[Callable[[], bool], ...] | None = None
+        self._called: tuple[Callable[[], object], ...] | None = None
 
     def learn_lanes(self, ids: Sequence[str], stretch: Floats) -> None:
         """What is to be known of each of SUMO's lanes, by number; `stretch` of each, shape (lanes,)."""
@@ -87,8 +87,7 @@ class Steering:
             return None
         if self._called is None:  # and kept, because compiled code calls them
             sim = world.sim
-            change = sim.guarded(partial(self._change_lanes, world))
-            self._called = sim.guarded(lambda: sim.step()), world.sumo_sees_contact, change
+            self._called = (lambda: sim.step()), world.sumo_sees_contact, partial(self._change_lanes, world)
             self._calls = direct.python_calls(*self._called)
         return Traffic(
             *handles, self._calls, self._geometry, self._lanes, self._joints, self._stretch, cars.floats,

@@ -13,7 +13,7 @@ import numpy as np
 
 from networks.catalogue import Network
 from networks.roads import LaneIndex
-from sumo_env import loop
+from sumo_env import direct, loop
 from sumo_env.cars import Cars, Flags
 from sumo_env.collision import (
     LENGTH,
@@ -239,7 +239,7 @@ class World:
             self._follow_road()
         progress = Progress(0, loop.GOES_ON, 0, 0.0, self.time, self.distance, self.min_ttc)
         progress = self.rule.drive(self, self._traffic, count, progress)
-        self.sim.raise_error()
+        direct.raise_error(self._traffic.calls)
         self.time, self.distance, self.min_ttc = progress.time, progress.distance, progress.least_ttc
         self.ego.speed = float(self.speed[0])
         self.steering.ego_near_end = progress.why != loop.GOES_ON

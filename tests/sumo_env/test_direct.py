@@ -55,18 +55,21 @@ def test_steered_traffic_drives_its_sub_steps_in_one_call(task: str, monkeypatch
 
 
 @needs_direct
-def test_an_error_of_sumo_inside_the_compiled_call_is_raised(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt])
+def test_what_is_raised_inside_the_compiled_call_is_raised(
+    error: type[BaseException], monkeypatch: pytest.MonkeyPatch
+) -> None:
     env = DrivingEnv("highway")
     env.reset(seed=0)
     world = env._world
     assert world is not None and world._traffic is not None
 
     def broken(_: float) -> None:
-        raise RuntimeError("SUMO is broken")
+        raise error("SUMO is broken")
 
     with monkeypatch.context() as patch:
         patch.setattr("sumo_env.simulation._step", broken)
-        with pytest.raises(RuntimeError, match="SUMO is broken"):
+        with pytest.raises(error, match="SUMO is broken"):
             env.step(1)
     env.reset(seed=0)
     env.step(1)

@@ -118,6 +118,8 @@ class World:
         self.sim.acquire(self, self._settings[kind], {name: place[0] for name, place in places.items()})
         if self._lane_ids is not self.sim.lane_ids:
             self._learn_lanes()
+        if self.steering:
+            self.steering.entered.clear()  # of a reset that was interrupted
         for spec in specs:
             self._place(spec, places[spec.id])
         self._set_rows(specs)

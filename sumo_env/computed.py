@@ -6,15 +6,17 @@ bumpers): in stop-and-go traffic its speeds are 1.6 m/s from highway-env's, thes
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from sumo_env.drivers import RiskEvent
-from sumo_env.loop import Progress, Traffic, straight
+from sumo_env.loop import Progress, Traffic, straight, strip
 from sumo_env.models.hazards import push
-from sumo_env.models.idm import strip_accelerations
+from sumo_env.models.idm import act_on_strip
 from sumo_env.models.mobil import act, closest_lanes
+from sumo_env.models.motion import euler
 from sumo_env.native import CENTRED
 from sumo_env.simulation import ALL_CHECKS_OFF, NO_LANE_CHANGES
 
@@ -40,8 +42,12 @@ class Computed:
         raise NotImplementedError
 
     def drive(self, world: World, traffic: Traffic, count: int, progress: Progress) -> Progress:
-        """Up to `count` sub-steps at once (`loop`); only where cars are steered."""
+        """Up to `count` sub-steps at once (`loop`)."""
         raise NotImplementedError
+
+    def busy_from(self, world: World) -> float:
+        """Braking and surging are compiled as well."""
+        return math.inf
 
     def act(self, world: World) -> None:
         self.accelerate(world)
@@ -87,29 +93,37 @@ class Strip(Computed):
     steers = False  # SUMO's opposite lanes know no position between the lanes
 
     def start(self, world: World, first: int) -> None:
-        self._direction = np.array([1.0 if spec.lane[0] == "a" else -1.0 for spec in world.specs])
-        self._lane_y = np.where(world.y < LANE_WIDTH / 2, 0.0, LANE_WIDTH)
-        self._target_y = self._lane_y.copy()
-        self._return: dict[int, float] = {}
+        lane_y = np.where(world.y < LANE_WIDTH / 2, 0.0, LANE_WIDTH)
+        direction = [1.0 if spec.lane[0] == "a" else -1.0 for spec in world.specs]
+        self._sides = np.array([lane_y, lane_y, direction])
+        _, self._target_y, self._direction = self._sides
+        self._return: dict[int, float] = {}  # row -> from when on it changes back [s]
 
     def accelerate(self, world: World) -> None:
-        np.multiply(world.y >= LANE_WIDTH / 2, LANE_WIDTH, out=self._lane_y)
-        returning = [row for row, time in self._return.items() if world.time >= time] if self._return else ()
-        for row in returning:
+        for row in [row for row, time in self._return.items() if world.time >= time]:
             if world.crashed[row]:
                 del self._return[row]
-            elif self._lane_y[row] == 0.0 and abs(world.y[row]) < CENTRED:
+            elif abs(world.y[row]) < CENTRED:
                 del self._return[row]
                 self._target_y[row] = LANE_WIDTH
                 world.sim.change_lane_relative(world.ids[row], -1)
-        world.cars.acceleration[:] = strip_accelerations(
-            world.x, world.y, world.speed, world.heading, self._lane_y, self._target_y, self._direction,
-            world.target_speed, world.drivers, world.road_length, world.limit,
-        )  # fmt: skip
+        act_on_strip(world.cars.floats, self._sides, world.drivers, world.road_length, world.limit)
 
     def act(self, world: World) -> None:
         super().act(world)
-        world.command_accelerations()
+        cars = world.cars
+        euler(cars.speed, cars.acceleration, cars.crashed, world.dt, 0.0, cars.own_speed, cars.distance)
+
+    def drive(self, world: World, traffic: Traffic, count: int, progress: Progress) -> Progress:
+        ego = world.ego
+        return strip(
+            traffic, count, self._sides, world.road_length, world.limit, progress, ego.target_speed,
+            ego.target_lane[2], world.dt,
+        )  # fmt: skip
+
+    def busy_from(self, world: World) -> float:
+        """Who cut in has to be told to change back."""
+        return min(self._return.values(), default=math.inf)
 
     def cut_in(self, world: World, row: int, event: RiskEvent) -> None:
         on_lane = self._direction[row] > 0 and abs(world.y[row] - LANE_WIDTH) < CENTRED

@@ -1,27 +1,45 @@
-"""The sub-steps of steered traffic in one compiled call, for as long as Python has nothing to decide.
+"""The sub-steps of a policy step in one compiled call, for as long as Python has nothing to decide.
 
 What `world.World.step` does one sub-step after another, and the same bits: drivers decide, cars move, SUMO is told and
-steps, contacts are looked for. It stops early where Python goes on: somebody touched, the ego is about to reach the end
-of its lane, a vehicle has left the road, or SUMO raised an error. SUMO's step and its list of contacts are called as
-Python functions, which may raise.
+steps, contacts are looked for. Cars are steered (`straight`, `bends`) or keep to SUMO's lanes (`strip`, `native`). A
+call stops early where Python goes on: somebody touched, the ego is about to reach the end of its lane, a vehicle has
+left the road, or SUMO raised an error. SUMO's step, its list of contacts and changes of lane are called as Python
+functions, which may raise.
 """
 
 from __future__ import annotations
 
 from typing import NamedTuple
 
-import numpy as np
-
 from sumo_env import direct
-from sumo_env.cars import COMMAND, CRASHED, DISTANCE, FRONT_X, FRONT_Y, LANE, LATERAL, MOVED, SPEED, Flags
+from sumo_env.cars import (
+    ACCELERATION,
+    BEFORE,
+    COMMAND,
+    CRASHED,
+    DISTANCE,
+    FRONT_X,
+    FRONT_Y,
+    LANE,
+    LATERAL,
+    MOVED,
+    OWN_SPEED,
+    SPEED,
+    TARGET,
+    Flags,
+    X,
+    Y,
+)
 from sumo_env.compiled import compiled
 from sumo_env.ego import TAU, approach, coast
 from sumo_env.models import mobil, network_drivers
 from sumo_env.models.dangers import dangers
 from sumo_env.models.give_way import give_way
 from sumo_env.models.hazards import push
+from sumo_env.models.idm import act_on_strip
 from sumo_env.models.lane_table import Floats, Integers
-from sumo_env.models.steering import move
+from sumo_env.models.motion import euler, keep_to_lanes
+from sumo_env.models.steering import is_near_end, move
 from sumo_env.safety import HORIZON
 
 GOES_ON, TOUCHED, NEAR_END, LOST = range(4)  # why a call ended
@@ -35,7 +53,7 @@ class Traffic(NamedTuple):
         delta: length of a step [ms].
         functions, vehicles, names, known_lanes, lane_order: as in `direct`.
         calls: of `direct.python_calls`: SUMO's step, whether it reports contacts, and changes of lane.
-        geometry, lanes, joints, stretch: as in `models.steering.move`.
+        geometry, lanes, joints, stretch: of `motion.Motion`.
         floats, integers, flags: of `cars.Cars`.
         drivers: shape (n, 6).
     """
@@ -93,74 +111,127 @@ class Progress(NamedTuple):
 
 
 @compiled
-def _substep(traffic: Traffic, ego_target: float, dt: float) -> tuple[int, int, float, float]:
-    """From the accelerations on: why to stop, pairs touching, time to collision [s], and the ego's way [m]."""
+def _ego(traffic: Traffic, target_speed: float, dt: float) -> tuple[float, float]:
+    """As `ego.Ego.advance`: its speed [m/s] after the sub-step, and how far it drives [m]."""
+    speed = traffic.floats[SPEED, 0]
+    if traffic.flags[CRASHED, 0]:
+        return coast(speed, dt)
+    return approach(speed, target_speed, TAU, dt)
+
+
+@compiled
+def _steered(traffic: Traffic, progress: Progress, ego_speed: float, dt: float) -> Progress:
+    """A sub-step of steered cars, from their accelerations on."""
     floats, integers, flags = traffic.floats, traffic.integers, traffic.flags
-    speed = floats[SPEED]
-    if flags[CRASHED, 0]:
-        speed[0], moved = coast(speed[0], dt)
-    else:
-        speed[0], moved = approach(speed[0], ego_target, TAU, dt)
-    floats[DISTANCE, 0] = moved
+    floats[SPEED, 0], floats[DISTANCE, 0] = _ego(traffic, ego_speed, dt)
     changes, near_end = move(
         traffic.geometry, traffic.lanes, traffic.joints, traffic.stretch, floats, integers, flags, dt
     )
-    if changes and direct.call(traffic.calls, CHANGE_LANES) < 0:
-        return LOST, 0, 0.0, moved
-    direct.command(
-        traffic.functions, traffic.vehicles, traffic.names, floats[COMMAND], floats[LATERAL], flags[MOVED],
-        traffic.delta,
+    known = not changes or direct.call(traffic.calls, CHANGE_LANES) >= 0
+    if known:
+        direct.command(
+            traffic.functions, traffic.vehicles, traffic.names, floats[COMMAND], floats[LATERAL], flags[MOVED],
+            traffic.delta,
+        )  # fmt: skip
+        known = direct.call(traffic.calls, STEP) >= 0 and direct.read_fronts(
+            traffic.functions, traffic.vehicles, traffic.known_lanes, traffic.lane_order, True,
+            floats[FRONT_X : FRONT_Y + 1], integers[LANE],
+        )  # fmt: skip
+    return _judged(traffic, progress, known, near_end, dt)
+
+
+@compiled
+def _on_lanes(traffic: Traffic, progress: Progress, ego_speed: float, ego_place: int, dt: float) -> Progress:
+    """A sub-step of cars that keep to SUMO's lanes, from the ways of those who are told them on."""
+    floats, integers, flags = traffic.floats, traffic.integers, traffic.flags
+    floats[OWN_SPEED, 0], floats[DISTANCE, 0] = _ego(traffic, ego_speed, dt)
+    keep_to_lanes(floats, integers, flags, traffic.stretch, dt)
+    direct.set_speeds(traffic.functions, traffic.vehicles, floats[COMMAND], traffic.delta)
+    _, place, count = traffic.lanes[:, integers[LANE, 0]]
+    changes = count > 0 and place != ego_place and not flags[CRASHED, 0]
+    known = (
+        (not changes or direct.call(traffic.calls, CHANGE_LANES) >= 0)
+        and direct.call(traffic.calls, STEP) >= 0
+        and direct.read(
+            traffic.functions, traffic.vehicles, traffic.known_lanes, traffic.lane_order, True,
+            floats[OWN_SPEED], floats[: SPEED + 1], floats[BEFORE : BEFORE + 3], integers[LANE],
+        )
     )  # fmt: skip
-    if direct.call(traffic.calls, STEP) < 0:
-        return LOST, 0, 0.0, moved
-    if not direct.read_fronts(
-        traffic.functions, traffic.vehicles, traffic.known_lanes, traffic.lane_order, True,
-        floats[FRONT_X : FRONT_Y + 1], integers[LANE],
-    ):  # fmt: skip
-        return LOST, 0, 0.0, moved
-    touching, ttc = dangers(floats, flags, HORIZON)
-    if touching > 0 or direct.call(traffic.calls, CONTACTS) != 0:
-        return TOUCHED, touching, ttc, moved
-    return NEAR_END if near_end else GOES_ON, 0, ttc, moved
+    near_end = is_near_end(traffic.geometry, integers[TARGET, 0], floats[X, 0], floats[Y, 0])
+    return _judged(traffic, progress, known, near_end, dt)
+
+
+@compiled
+def _judged(traffic: Traffic, progress: Progress, known: bool, near_end: bool, dt: float) -> Progress:
+    """The progress with one more sub-step, after which it is `known` where everybody is, or an error was raised."""
+    why, touching, ttc, least = LOST, 0, 0.0, progress.least_ttc
+    if known:
+        touching, ttc = dangers(traffic.floats, traffic.flags, HORIZON)
+        if touching > 0 or direct.call(traffic.calls, CONTACTS) != 0:
+            why = TOUCHED
+        else:
+            why = NEAR_END if near_end else GOES_ON
+            if not traffic.flags[CRASHED, 0]:
+                least = min(least, ttc)
+    distance = progress.distance + traffic.floats[DISTANCE, 0]
+    return Progress(progress.done + 1, why, touching, ttc, progress.time + dt, distance, least)
 
 
 @compiled
 def straight(
     traffic: Traffic, count: int, lanes_count: int, lane_width: float, length: float, limit: float, progress: Progress,
-    ego_target: float, dt: float,
+    ego_speed: float, dt: float,
 ) -> Progress:  # fmt: skip
     """Up to `count` sub-steps on the highway (`models.mobil`), going on from `progress`."""
-    _, _, _, _, time, distance, least = progress
-    done, why, touching, ttc = 0, GOES_ON, 0, np.inf
-    while done < count and why == GOES_ON:
+    while progress.done < count and progress.why == GOES_ON:
         mobil.act(
             traffic.floats, traffic.integers, traffic.flags, traffic.drivers, lanes_count, lane_width, length, limit,
             dt,
         )  # fmt: skip
-        push(traffic.floats, traffic.flags, time, dt)
-        why, touching, ttc, moved = _substep(traffic, ego_target, dt)
-        done, time, distance = done + 1, time + dt, distance + moved
-        if why in (GOES_ON, NEAR_END) and not traffic.flags[CRASHED, 0]:
-            least = min(least, ttc)
-    return Progress(done, why, touching, ttc, time, distance, least)
+        push(traffic.floats, traffic.flags, progress.time, dt)
+        progress = _steered(traffic, progress, ego_speed, dt)
+    return progress
 
 
 @compiled
-def bends(traffic: Traffic, count: int, ways: Ways, progress: Progress, ego_target: float, dt: float) -> Progress:
+def bends(traffic: Traffic, count: int, ways: Ways, progress: Progress, ego_speed: float, dt: float) -> Progress:
     """Up to `count` sub-steps on a road of bends (`models.network_drivers`), going on from `progress`."""
-    _, _, _, _, time, distance, least = progress
-    done, why, touching, ttc = 0, GOES_ON, 0, np.inf
-    while done < count and why == GOES_ON:
+    while progress.done < count and progress.why == GOES_ON:
         if len(ways.routes) > 0:
             give_way(
                 traffic.geometry, ways.routes, ways.stage, ways.exempt, ways.clock, traffic.floats, traffic.flags, dt
             )
         network_drivers.act(
-            ways.roads, ways.ways, traffic.floats, traffic.integers, traffic.flags, traffic.drivers, time > 0.0, dt
-        )
-        push(traffic.floats, traffic.flags, time, dt)
-        why, touching, ttc, moved = _substep(traffic, ego_target, dt)
-        done, time, distance = done + 1, time + dt, distance + moved
-        if why in (GOES_ON, NEAR_END) and not traffic.flags[CRASHED, 0]:
-            least = min(least, ttc)
-    return Progress(done, why, touching, ttc, time, distance, least)
+            ways.roads, ways.ways, traffic.floats, traffic.integers, traffic.flags, traffic.drivers,
+            progress.time > 0.0, dt,
+        )  # fmt: skip
+        push(traffic.floats, traffic.flags, progress.time, dt)
+        progress = _steered(traffic, progress, ego_speed, dt)
+    return progress
+
+
+@compiled
+def strip(
+    traffic: Traffic, count: int, sides: Floats, length: float, limit: float, progress: Progress, ego_speed: float,
+    ego_place: int, dt: float,
+) -> Progress:  # fmt: skip
+    """Up to `count` sub-steps on the two-way road (`models.idm.act_on_strip`), going on from `progress`."""
+    while progress.done < count and progress.why == GOES_ON:
+        act_on_strip(traffic.floats, sides, traffic.drivers, length, limit)
+        push(traffic.floats, traffic.flags, progress.time, dt)
+        euler(
+            traffic.floats[SPEED], traffic.floats[ACCELERATION], traffic.flags[CRASHED], dt, 0.0,
+            traffic.floats[OWN_SPEED], traffic.floats[DISTANCE],
+        )  # fmt: skip
+        progress = _on_lanes(traffic, progress, ego_speed, ego_place, dt)
+    return progress
+
+
+@compiled
+def native(
+    traffic: Traffic, count: int, progress: Progress, ego_speed: float, ego_place: int, dt: float
+) -> Progress:
+    """Up to `count` sub-steps of traffic that SUMO drives, going on from `progress`."""
+    while progress.done < count and progress.why == GOES_ON:
+        progress = _on_lanes(traffic, progress, ego_speed, ego_place, dt)
+    return progress

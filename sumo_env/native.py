@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 from sumo_env.drivers import RiskEvent
+from sumo_env.loop import Progress, Traffic, native
 from sumo_env.simulation import NO_LANE_CHANGES, REGULAR
 
 if TYPE_CHECKING:
@@ -29,6 +31,17 @@ class Native:
     def act(self, world: World) -> None:
         world.push_by_event(KEEP_DECEL_FREE)
         self.end_cut_ins(world)
+
+    def drive(self, world: World, traffic: Traffic, count: int, progress: Progress) -> Progress:
+        """Up to `count` sub-steps at once, in which nobody is commanded but the ego and the wrecks (`loop`)."""
+        ego = world.ego
+        return native(traffic, count, progress, ego.target_speed, ego.target_lane[2], world.dt)
+
+    def busy_from(self, world: World) -> float:
+        """At once while events make somebody brake or surge, else when the next cut-in is over."""
+        if world.scenario.events and world.cars.push.any():
+            return -math.inf
+        return min(self._forced.values(), default=math.inf)
 
     def end_cut_ins(self, world: World) -> None:
         """Give the lane back to the drivers whose forced change is over."""

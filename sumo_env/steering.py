@@ -10,18 +10,15 @@ The world shows where cars were steered; SUMO's follow, 99 % of them within 0.2 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from functools import partial
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from networks.catalogue import Network
-from sumo_env import direct
-from sumo_env.loop import Traffic
-from sumo_env.models.lane_table import compiled_lanes
 from sumo_env.models.steering import BACK, HALF, move
+from sumo_env.motion import Motion
 from sumo_env.scene import Floats
 
 if TYPE_CHECKING:
@@ -30,38 +27,26 @@ if TYPE_CHECKING:
 REACH = 30  # times its last piece that a joint is taken to go on
 
 
-class Steering:
+class Steering(Motion):
     """Where every car is to be, and the commands that bring SUMO's there.
 
     Attributes:
-        ego_near_end: whether the ego may have to be given the next lane of its way to steer for.
         entered: SUMO's lanes of the vehicles that have been placed since the last `start`.
     """
 
     def __init__(self, network: Network) -> None:
-        self._network = network
-        self._geometry = compiled_lanes(network.road).geometry
-        self._number = {name: number for number, name in enumerate(network.road.lanes)}
-        self.ego_near_end = True
+        super().__init__(network)
         self.entered: list[str] = []
-        self._called: tuple[Callable[[], object], ...] | None = None
 
     def learn_lanes(self, ids: Sequence[str], stretch: Floats) -> None:
-        """What is to be known of each of SUMO's lanes, by number; `stretch` of each, shape (lanes,)."""
-        self._ids = ids
-        road, indices = self._network.road, [self._network.indices.get(lane) for lane in ids]
-        # of a joint: those of the lane that it leads to, without neighbours
-        on = [-1 if index is None else self._number[index] for index in indices]
-        place = [-1 if index is None else index[2] for index in indices]
-        beside = [0 if index is None else road.count(*index[:2]) for index in indices]
-        count = [0 if lane[0] == ":" else n for lane, n in zip(ids, beside, strict=True)]
+        """Also the row in `_joints` of each, -1 for none."""
+        super().learn_lanes(ids, stretch)
         shapes = {lane: self._network.shape(lane) for lane in ids}
         named = {lane.id for lane in self._network.lanes.values()}
         turning = [lane for lane in ids if lane not in named and len(shapes[lane]) > 2]
         joint = [turning.index(lane) if lane in turning else -1 for lane in ids]
-        self._lanes = np.array([on, place, count, joint])
+        self._lanes = np.vstack((self._lanes, joint))
         self._joints = _prolonged([shapes[lane] for lane in turning])
-        self._stretch = stretch
 
     def start(self, world: World, first: int) -> None:
         """Take in the vehicles in columns from `first` on."""
@@ -76,36 +61,20 @@ class Steering:
         cars.front[0, first:], cars.front[1, first:] = x + HALF * np.cos(heading), y + HALF * np.sin(heading)
         self.ego_near_end = True
 
-    def aim(self, world: World) -> None:
-        """Let the ego steer for its target lane."""
-        world.cars.target[0] = self._number[world.ego.target_lane]
-
-    def traffic(self, world: World) -> Traffic | None:
-        """The vehicles for `loop`; None where SUMO's functions cannot be called directly."""
-        handles, cars = world.fleet.handles(), world.cars
-        if handles is None:
-            return None
-        if self._called is None:  # and kept, because compiled code calls them
-            sim = world.sim
-            self._called = (lambda: sim.step()), world.sumo_sees_contact, partial(self._change_lanes, world)
-            self._calls = direct.python_calls(*self._called)
-        return Traffic(
-            *handles, self._calls, self._geometry, self._lanes, self._joints, self._stretch, cars.floats,
-            cars.integers, cars.flags, world.drivers,
-        )  # fmt: skip
-
     def act(self, world: World) -> None:
-        """Move the cars, and command SUMO's for the next step."""
+        """Also moves the cars."""
         cars = world.cars
+        cars.speed[0] = world.ego.speed
         changes, self.ego_near_end = move(
             self._geometry, self._lanes, self._joints, self._stretch, cars.floats, cars.integers, cars.flags,
             world.dt,
         )  # fmt: skip
         if changes:
-            self._change_lanes(world)
+            self.change_lanes(world)
         world.fleet.command(cars.command, cars.lateral, cars.moved)
 
-    def _change_lanes(self, world: World) -> None:
+    def change_lanes(self, world: World) -> None:
+        """Also put back those who are to be behind where SUMO has them."""
         cars = world.cars
         for row in np.flatnonzero(cars.change >= 0).tolist():
             beside = self._ids[cars.lane[row]].rsplit("_", 1)[0]

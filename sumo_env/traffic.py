@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Protocol
 from sumo_env.bends import Bends, GiveWay
 from sumo_env.computed import SWERVE_TIME, Mobil, Strip
 from sumo_env.drivers import RiskEvent
+from sumo_env.loop import Progress, Traffic
 from sumo_env.native import CENTRED, Native
 from sumo_env.simulation import NO_LANE_CHANGES, OWN_LANE_CHANGES, REGULAR
 
@@ -29,6 +30,12 @@ class Rule(Protocol):
 
     def act(self, world: World) -> None:
         """Command the vehicles for the next simulation step."""
+
+    def drive(self, world: World, traffic: Traffic, count: int, progress: Progress) -> Progress:
+        """Drive up to `count` simulation steps at once (`loop`), going on from `progress`."""
+
+    def busy_from(self, world: World) -> float:
+        """From when on `act` has to be called before every step [s]: `drive` must not be used then."""
 
     def cut_in(self, world: World, row: int, event: RiskEvent) -> None:
         """Make a vehicle change lane at once, if nobody is beside it."""

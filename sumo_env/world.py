@@ -29,12 +29,12 @@ from sumo_env.collision import (
 from sumo_env.computed import Computed
 from sumo_env.config import Config
 from sumo_env.drivers import TOLD
-from sumo_env.ego import Ego, coast
+from sumo_env.ego import Ego
 from sumo_env.loop import Progress, Traffic
 from sumo_env.models.dangers import dangers
 from sumo_env.models.hazards import EARLY, free_way, has_room
 from sumo_env.models.idm import driver_rows
-from sumo_env.models.motion import euler
+from sumo_env.motion import OnLanes
 from sumo_env.safety import HORIZON
 from sumo_env.scenario import EGO, Scenario, VehicleSpec
 from sumo_env.scene import Floats, Scene
@@ -42,7 +42,7 @@ from sumo_env.simulation import ALL_CHECKS_OFF, NO_LANE_CHANGES, Fleet, Settings
 from sumo_env.steering import Steering
 from sumo_env.tasks.base import Task
 from sumo_env.tasks.intersection import fits
-from sumo_env.traffic import CENTRED, rule_for
+from sumo_env.traffic import rule_for
 
 # [s] where SUMO changes lanes; the ego's centre then crosses the line when highway-env's does, after 0.45 to 0.5 s
 LANE_CHANGE_DURATION = 0.8
@@ -80,9 +80,9 @@ class World:
         self.rule = rule_for(task.name, config["traffic_model"])
         rule = self.rule
         self.steering = Steering(network) if isinstance(rule, Computed) and rule.steers else None
+        self.motion = self.steering or OnLanes(network)
         self.lane_change_duration = 0.0 if self.steering else LANE_CHANGE_DURATION
         self.sim: Simulation = simulation()
-        self._uneven = network.uneven
         self._lane_ids: tuple[str, ...] = ()
         self._settings: dict[float | None, Settings] = {}  # by the risk of those who are not told where to drive
         self.time = 0.0
@@ -129,10 +129,7 @@ class World:
         """What is to be known of each of SUMO's lanes, by number."""
         self._lane_ids = ids = self.sim.lane_ids
         self._lane_index = [self.network.indices.get(lane) for lane in ids]  # highway-env's
-        self._ego_stretch = [self.network.stretch(lane) for lane in ids]
-        self._stretch = np.array(self._ego_stretch)
-        if self.steering:
-            self.steering.learn_lanes(ids, self._stretch)
+        self.motion.learn_lanes(ids, np.array([self.network.stretch(lane) for lane in ids]))
 
     def _place(self, spec: VehicleSpec, place: tuple[str, str, float]) -> None:
         """Put a vehicle on the road; `place`: of `Network.place`."""
@@ -178,12 +175,9 @@ class World:
         cars.yielding[first:] = [spec.yielding for spec in fresh]
         cars.before[:] = cars.pose
         self.drivers = driver_rows(spec.driver for spec in specs)
-        self._wrecks = bool(cars.crashed[1:].any())
         self.rule.start(self, first)
-        self._traffic: Traffic | None = None
-        if self.steering:
-            self.steering.aim(self)
-            self._traffic = self.steering.traffic(self)
+        self.motion.aim(self)
+        self._traffic: Traffic | None = self.motion.traffic(self)
 
     # -- a policy step -------------------------------------------------------------------------------------
 
@@ -196,8 +190,7 @@ class World:
         self.sim.check(self)
         self.min_ttc = np.inf
         self.distance = 0.0
-        if self.steering:
-            self.steering.aim(self)  # the ego may have been commanded to another lane
+        self.motion.aim(self)  # the ego may have been commanded to another lane
         done = 0
         while done < self.substeps:
             if self._events:
@@ -213,10 +206,7 @@ class World:
         """One sub-step; returns 1."""
         self.rule.act(self)
         self._drive_ego()
-        if self.steering:
-            self.steering.act(self)
-        elif self._wrecks:
-            self._coast()
+        self.motion.act(self)
         self.sim.step()
         self.time += self.dt
         self._read()
@@ -224,34 +214,37 @@ class World:
         return 1
 
     def _undisturbed(self, most: int) -> int:
-        """Sub-steps, up to `most`, that can be driven in one call: until the next risk event. 0 if that cannot be."""
+        """Sub-steps, up to `most`, that can be driven in one call: until the next risk event, or until
+        the rule has something else to see to. 0 if that cannot be."""
         if self._traffic is None:
             return 0
-        if not self._events:
-            return most
+        until = self.rule.busy_from(self)
+        if self._events:
+            until = min(until, self._events[0].time)
         count, time = 0, self.time
-        while count < most and self._events[0].time > time + 1e-9:
+        while count < most and until > time + 1e-9:
             count, time = count + 1, time + self.dt
         return count
 
     def _advance(self, count: int) -> int:
         """`_substep` up to `count` times in one call; returns how many times."""
-        assert self.steering is not None and self._traffic is not None and isinstance(self.rule, Computed)
-        if self.steering.ego_near_end:
+        assert self._traffic is not None
+        if self.motion.ego_near_end:
             self._follow_road()
         progress = Progress(0, loop.GOES_ON, 0, 0.0, self.time, self.distance, self.min_ttc)
         progress = self.rule.drive(self, self._traffic, count, progress)
         direct.raise_error(self._traffic.calls)
         self.time, self.distance, self.min_ttc = progress.time, progress.distance, progress.least_ttc
+        if progress.why == loop.LOST:
+            self._traffic = None
+            self._read()
         self.ego.speed = float(self.speed[0])
-        self.steering.ego_near_end = progress.why != loop.GOES_ON
+        self.motion.ego_near_end = progress.why != loop.GOES_ON
         if progress.done > 1 or progress.why in (loop.GOES_ON, loop.NEAR_END):
             self._reported.clear()
         if progress.why == loop.TOUCHED:
             self._look_for_contacts(progress.touching, progress.ttc)
         elif progress.why == loop.LOST:
-            self._traffic = None
-            self._read()
             self._look_for_contacts(*dangers(self.cars.floats, self.cars.flags, HORIZON))
         return progress.done
 
@@ -327,51 +320,15 @@ class World:
                 self.sim.speed_mode(name, speed_mode if push < 0.0 else ALL_CHECKS_OFF)
                 self.sim.set_speed(name, max(float(self.speed[row]) + push * self.dt, 0.0))
 
-    def command_accelerations(self) -> None:
-        """Tell SUMO how fast all vehicles but the ego and the wrecks drive by their accelerations."""
-        cars = self.cars
-        # highway-env moves by explicit Euler at 15 Hz; constant acceleration over our step moves as far as that
-        euler(cars.speed, cars.acceleration, cars.crashed, self.dt, 0.0, cars.own_speed, cars.distance)
-        # SUMO knows one number for the distance and the speed: it is told the former
-        self.fleet.set_speeds(np.where(cars.crashed, np.nan, cars.distance / self.dt))
-
-    def _coast(self) -> None:
-        """Wrecks decelerate with a = -v and stay where they stop, as in highway-env."""
-        for row in (np.flatnonzero(self.crashed[1:]) + 1).tolist():
-            speed, distance = coast(float(self.speed[row]), self.dt)
-            self.cars.own_speed[row] = speed
-            commanded = distance / self.dt
-            if self._uneven:  # lanes of one edge share one length in SUMO, so that metres are not metres in bends
-                commanded *= float(self._stretch[self.lane[row]])
-            self.sim.set_speed(self.ids[row], commanded)
-
     def _drive_ego(self) -> None:
-        ego, cars = self.ego, self.cars
-        if self.steering is None or self.steering.ego_near_end:
+        if self.motion.ego_near_end:
             self._follow_road()
-        moved = ego.advance(self.dt)
+        self.cars.distance[0] = moved = self.ego.advance(self.dt)
         self.distance += moved
-        if self.steering:
-            cars.distance[0], cars.speed[0] = moved, ego.speed
-            return
-        cars.own_speed[0] = ego.speed
-        lane = int(self.lane[0])
-        # lanes of one edge share one length in SUMO, so that metres are not metres in bends
-        self.sim.set_speed(EGO, max(moved / self.dt, 0.0) * self._ego_stretch[lane])
-        if ego.crashed or (here := self._lane_index[lane]) is None or self._lane_ids[lane][0] == ":":
-            return
-        target = ego.target_lane
-        if here[2] == target[2] or abs(self.sim.lateral_position(EGO)) >= CENTRED:
-            return
-        if self.task.name == "two-way":  # the strip at y = 0 is SUMO's opposite lane
-            self.sim.change_lane_relative(EGO, 1 if target[2] == 0 else -1)
-        elif self.road.count(*here[:2]) == self.road.count(*target[:2]):
-            self.sim.change_lane(EGO, self.road.count(*here[:2]) - 1 - target[2])
 
     def _follow_road(self) -> None:
         self.ego.follow_road(float(self.x[0]), float(self.y[0]))
-        if self.steering:
-            self.steering.aim(self)
+        self.motion.aim(self)
 
     def _read(self) -> None:
         cars = self.cars
@@ -429,7 +386,6 @@ class World:
                 if row > 0 and not self.crashed[row]:
                     self.sim.set_modes(self.ids[row], ALL_CHECKS_OFF, NO_LANE_CHANGES)
                 self.crashed[row] = True
-                self._wrecks = self._wrecks or row > 0
 
     def _apart(self, i: int, j: int) -> float:
         """Distance of the outlines of two vehicles [m]."""

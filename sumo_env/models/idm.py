@@ -18,6 +18,7 @@ from collections.abc import Iterable
 import numpy as np
 
 from networks.lanes import VEHICLE_LENGTH, WIDTH
+from sumo_env.cars import ACCELERATION, HEADING, SPEED, TARGET_SPEED, X, Y
 from sumo_env.compiled import compiled
 from sumo_env.drivers import Driver
 from sumo_env.models.lane_table import LENGTH, LIMIT, Floats, Integers, local_coordinates, target_stage
@@ -162,6 +163,21 @@ def strip_accelerations(
             a = min(a, behind(drivers[i], speed[i], target_speed[i], limit, gap, v_lead))
         result[i] = min(max(a, -drivers[i, ACC_MAX]), drivers[i, ACC_MAX])
     return result
+
+
+@compiled
+def act_on_strip(floats: Floats, sides: Floats, drivers: Floats, length: float, limit: float) -> None:
+    """`strip_accelerations` on the two-way road, of the cars in `floats` (`cars.Cars`) into ACCELERATION.
+
+    sides: `lane_y`, which is written here, `target_y` and `direction` of each car, shape (3, n).
+    """
+    lane_y, target_y, direction = sides
+    for i in range(len(lane_y)):
+        lane_y[i] = WIDTH if floats[Y, i] >= WIDTH / 2 else 0.0
+    floats[ACCELERATION] = strip_accelerations(
+        floats[X], floats[Y], floats[SPEED], floats[HEADING], lane_y, target_y, direction, floats[TARGET_SPEED],
+        drivers, length, limit,
+    )  # fmt: skip
 
 
 @compiled

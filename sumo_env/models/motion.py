@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from sumo_env.cars import COMMAND, CRASHED, DISTANCE, LANE, OWN_SPEED, SPEED, Flags
 from sumo_env.compiled import compiled
-from sumo_env.ego import REFERENCE_STEP
-from sumo_env.models.lane_table import Floats
+from sumo_env.ego import REFERENCE_STEP, coast
+from sumo_env.models.lane_table import Floats, Integers
 
 
 @compiled
@@ -30,3 +31,23 @@ def euler(
         if not crashed[i]:
             distance[i] = max(speed[i] + acceleration[i] * lead, least) * dt
             own_speed[i] = max(speed[i] + acceleration[i] * dt, least)
+
+
+@compiled
+def keep_to_lanes(floats: Floats, integers: Integers, flags: Flags, stretch: Floats, dt: float) -> None:
+    """Wrecks' next ways and speeds, and the speeds to COMMAND to cars that are to cover DISTANCE on SUMO's lanes.
+
+    Wrecks decelerate with a = -v and stay where they stop, as in highway-env. NaN, which commands nothing, is for those
+    whose way is NaN: SUMO drives them.
+
+    Args:
+        floats, integers, flags: of `cars.Cars`.
+        stretch: lanes of one edge share one length in SUMO, so that metres are not metres in bends: factors for the
+            speed of the ego and those of the others, by SUMO's lanes, shape (2, lanes).
+        dt: [s].
+    """
+    for i in range(floats.shape[1]):
+        if i > 0 and flags[CRASHED, i]:
+            floats[OWN_SPEED, i], floats[DISTANCE, i] = coast(floats[SPEED, i], dt)
+        speed = floats[DISTANCE, i] / dt
+        floats[COMMAND, i] = (0.0 if speed < 0.0 else speed) * stretch[min(i, 1), integers[LANE, i]]

@@ -190,6 +190,12 @@ def follow(
 
 
 @compiled
+def is_near_end(geometry: Floats, lane: int, x: float, y: float) -> bool:
+    """Is a car at (x, y) [m] about to be due for its next lane (`networks.lanes.Lane.after_end`)?"""
+    return geometry[lane, LENGTH] - local_coordinates(geometry, lane, x, y)[0] < VEHICLE_LENGTH / 2 + NEARLY
+
+
+@compiled
 def move(
     geometry: Floats,
     lanes: Integers,
@@ -233,5 +239,4 @@ def move(
     for i in range(len(x)):
         moved[i] = moved[i] or abs(lateral[i]) > STILL
         changes = changes or change[i] != STAYS
-    ahead = geometry[target[0], LENGTH] - local_coordinates(geometry, target[0], x[0], y[0])[0]
-    return changes, ahead < VEHICLE_LENGTH / 2 + NEARLY
+    return changes, is_near_end(geometry, target[0], x[0], y[0])

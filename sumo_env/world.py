@@ -214,8 +214,7 @@ class World:
         return 1
 
     def _undisturbed(self, most: int) -> int:
-        """Sub-steps, up to `most`, that can be driven in one call: until the next risk event, or until
-        the rule has something else to see to. 0 if that cannot be."""
+        """Sub-steps, up to `most`, driven in one call: until there is a risk event or the rule has to act."""
         if self._traffic is None:
             return 0
         until = self.rule.busy_from(self)

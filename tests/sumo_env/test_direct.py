@@ -15,25 +15,35 @@ from sumo_env.tasks import TASKS
 from sumo_env.world import World
 from tests.sumo_env.rollout import record
 
+SEEDS = 0, 1, 25  # 25: in two traffics a cut-in ends while compiled code could drive on
 needs_direct = pytest.mark.skipif(simulation().functions is None, reason="another version or platform")
 
 
 @needs_direct
+@pytest.mark.parametrize("risk", [0.0, 1.0])
 @pytest.mark.parametrize("traffic_model", ["matched", "sumo"])
 @pytest.mark.parametrize("task", TASKS)
 def test_episodes_are_the_same_bit_for_bit(
-    task: str, traffic_model: str, monkeypatch: pytest.MonkeyPatch
+    task: str, traffic_model: str, risk: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    config = {**list(TASKS[task].levels.values())[1], "risk": 1.0, "traffic_model": traffic_model}
+    config = {**list(TASKS[task].levels.values())[1], "risk": risk, "traffic_model": traffic_model}
     env = DrivingEnv(task, config)
-    directly = [(record(env, seed), env.scene) for seed in range(3)]
+
+    def drive(seed: int) -> tuple[Any, ...]:
+        rows, world = record(env, seed), env._world
+        assert world is not None
+        return rows, env.scene, (env.ego.target_lane, world.time, world.crash)
+
+    directly = [drive(seed) for seed in SEEDS]
     assert env._world is not None and env._world.fleet.handles() is not None
 
     def check() -> None:
-        for seed, (rows, scene) in enumerate(directly):
-            np.testing.assert_array_equal(record(env, seed), rows)
+        for seed, (rows, scene, rest) in zip(SEEDS, directly, strict=True):
+            again = drive(seed)
+            np.testing.assert_array_equal(again[0], rows)
             for field in ("x", "y", "speed", "heading", "crashed"):
-                np.testing.assert_array_equal(getattr(env.scene, field), getattr(scene, field))
+                np.testing.assert_array_equal(getattr(again[1], field), getattr(scene, field))
+            assert again[2] == rest
 
     monkeypatch.setattr(World, "_undisturbed", lambda world, most: 0)  # one sub-step after another
     check()
@@ -44,33 +54,64 @@ def test_episodes_are_the_same_bit_for_bit(
 
 
 @needs_direct
-@pytest.mark.parametrize("task", ["highway", "roundabout", "intersection", "u-turn"])
-def test_steered_traffic_drives_its_sub_steps_in_one_call(task: str, monkeypatch: pytest.MonkeyPatch) -> None:
-    env = DrivingEnv(task)
+@pytest.mark.parametrize("traffic_model", ["matched", "sumo"])
+@pytest.mark.parametrize("task", TASKS)
+def test_sub_steps_are_driven_in_one_call(
+    task: str, traffic_model: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    env = DrivingEnv(task, {"traffic_model": traffic_model})
     env.reset(seed=0)
     assert env._world is not None
     monkeypatch.setattr(env._world, "_substep", lambda: pytest.fail("one after another"))
+    for action in (0, 2, 1):  # changes of lane where there are some
+        env.step(action)
+    env.close()
+
+
+@needs_direct
+def test_the_road_is_followed_after_a_command(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The ego may have been commanded to a lane that ends sooner than the one it was on."""
+    env = DrivingEnv("roundabout", {"traffic_model": "sumo"})
+    env.reset(seed=0)
     env.step(1)
+    calls = []
+    follow = env.ego.follow_road
+    monkeypatch.setattr(env.ego, "command", lambda *_: None)
+    monkeypatch.setattr(env.ego, "follow_road", lambda x, y: calls.append((x, y)) or follow(x, y))
+    before = env.scene
+    env.step(1)
+    assert calls[0] == (before.x[0], before.y[0])
     env.close()
 
 
 @needs_direct
 @pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt])
+@pytest.mark.parametrize(
+    ("broken", "task", "traffic_model"),
+    [
+        ("sumo_env.simulation._step", "highway", "matched"),
+        ("sumo_env.simulation._step", "highway", "sumo"),
+        ("sumo_env.simulation._step", "two-way", "matched"),
+        ("sumo_env.simulation.Simulation.change_lane", "highway", "sumo"),
+        ("sumo_env.simulation.Simulation.change_lane_relative", "two-way", "matched"),
+    ],
+)
 def test_what_is_raised_inside_the_compiled_call_is_raised(
-    error: type[BaseException], monkeypatch: pytest.MonkeyPatch
+    broken: str, task: str, traffic_model: str, error: type[BaseException], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    env = DrivingEnv("highway")
+    env = DrivingEnv(task, {"traffic_model": traffic_model})
     env.reset(seed=0)
     world = env._world
     assert world is not None and world._traffic is not None
+    there = world.ego.target_lane[2]
 
-    def broken(_: float) -> None:
+    def fail(*_: object) -> None:
         raise error("SUMO is broken")
 
     with monkeypatch.context() as patch:
-        patch.setattr("sumo_env.simulation._step", broken)
+        patch.setattr(broken, fail)
         with pytest.raises(error, match="SUMO is broken"):
-            env.step(1)
+            env.step(0 if there else 2)
     env.reset(seed=0)
     env.step(1)
     env.close()

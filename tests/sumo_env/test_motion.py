@@ -7,7 +7,8 @@ import math
 import numpy as np
 import pytest
 
-from sumo_env.models.motion import euler
+from sumo_env.cars import Cars
+from sumo_env.models.motion import euler, keep_to_lanes
 
 REFERENCE = 1.0 / 15.0
 
@@ -43,3 +44,26 @@ def test_wrecks_are_not_moved() -> None:
     own, distance = np.full(2, np.nan), np.full(2, np.nan)
     euler(np.ones(2), np.ones(2), np.array([False, True]), 0.1, 0.0, own, distance)
     assert np.isnan(distance[1]) and np.isnan(own[1])
+
+
+def test_speeds_are_told_to_those_whose_way_is_known() -> None:
+    cars = Cars(4)
+    cars.speed[:] = 20.0
+    cars.distance[:] = 2.0, 1.0, np.nan, np.nan
+    cars.crashed[3] = True
+    cars.lane[:] = 1
+    stretch = np.array([[1.0, 1.1], [1.0, 1.2]])  # of the ego and of the others
+    keep_to_lanes(cars.floats, cars.integers, cars.flags, stretch, 0.1)
+    assert cars.command[:2] == pytest.approx([2.0 / 0.1 * 1.1, 1.0 / 0.1 * 1.2])
+    assert np.isnan(cars.command[2]) and np.isnan(cars.own_speed[:3]).all()  # SUMO drives
+    assert cars.own_speed[3] == pytest.approx(20.0 * (14 / 15) ** 1.5)  # a wreck: explicit Euler at 15 Hz
+    way = 20.0 - cars.own_speed[3]  # what it loses, by a = -v
+    assert cars.command[3] == pytest.approx(way / 0.1 * 1.2)
+
+
+def test_a_wrecked_ego_is_told_the_way_that_it_coasts() -> None:
+    cars = Cars(2)
+    cars.crashed[:] = True
+    cars.distance[0] = 1.5
+    keep_to_lanes(cars.floats, cars.integers, cars.flags, np.ones((2, 1)), 0.1)
+    assert cars.command.tolist() == [1.5 / 0.1, 0.0] and np.isnan(cars.own_speed[0])

@@ -111,19 +111,16 @@ class Progress(NamedTuple):
 
 
 @compiled
-def _ego(traffic: Traffic, target_speed: float, dt: float) -> tuple[float, float]:
+def _ego(speed: float, crashed: bool, target_speed: float, dt: float) -> tuple[float, float]:
     """As `ego.Ego.advance`: its speed [m/s] after the sub-step, and how far it drives [m]."""
-    speed = traffic.floats[SPEED, 0]
-    if traffic.flags[CRASHED, 0]:
-        return coast(speed, dt)
-    return approach(speed, target_speed, TAU, dt)
+    return coast(speed, dt) if crashed else approach(speed, target_speed, TAU, dt)
 
 
 @compiled
 def _steered(traffic: Traffic, progress: Progress, ego_speed: float, dt: float) -> Progress:
     """A sub-step of steered cars, from their accelerations on."""
     floats, integers, flags = traffic.floats, traffic.integers, traffic.flags
-    floats[SPEED, 0], floats[DISTANCE, 0] = _ego(traffic, ego_speed, dt)
+    floats[SPEED, 0], floats[DISTANCE, 0] = _ego(floats[SPEED, 0], flags[CRASHED, 0], ego_speed, dt)
     changes, near_end = move(
         traffic.geometry, traffic.lanes, traffic.joints, traffic.stretch, floats, integers, flags, dt
     )
@@ -137,14 +134,14 @@ def _steered(traffic: Traffic, progress: Progress, ego_speed: float, dt: float) 
             traffic.functions, traffic.vehicles, traffic.known_lanes, traffic.lane_order, True,
             floats[FRONT_X : FRONT_Y + 1], integers[LANE],
         )  # fmt: skip
-    return _judged(traffic, progress, known, near_end, dt)
+    return _judged(progress, known, near_end, floats, flags, traffic.calls, dt)
 
 
 @compiled
 def _on_lanes(traffic: Traffic, progress: Progress, ego_speed: float, ego_place: int, dt: float) -> Progress:
     """A sub-step of cars that keep to SUMO's lanes, from the ways of those who are told them on."""
     floats, integers, flags = traffic.floats, traffic.integers, traffic.flags
-    floats[OWN_SPEED, 0], floats[DISTANCE, 0] = _ego(traffic, ego_speed, dt)
+    floats[OWN_SPEED, 0], floats[DISTANCE, 0] = _ego(floats[SPEED, 0], flags[CRASHED, 0], ego_speed, dt)
     keep_to_lanes(floats, integers, flags, traffic.stretch, dt)
     direct.set_speeds(traffic.functions, traffic.vehicles, floats[COMMAND], traffic.delta)
     _, place, count = traffic.lanes[:, integers[LANE, 0]]
@@ -158,22 +155,24 @@ def _on_lanes(traffic: Traffic, progress: Progress, ego_speed: float, ego_place:
         )
     )  # fmt: skip
     near_end = is_near_end(traffic.geometry, integers[TARGET, 0], floats[X, 0], floats[Y, 0])
-    return _judged(traffic, progress, known, near_end, dt)
+    return _judged(progress, known, near_end, floats, flags, traffic.calls, dt)
 
 
 @compiled
-def _judged(traffic: Traffic, progress: Progress, known: bool, near_end: bool, dt: float) -> Progress:
+def _judged(
+    progress: Progress, known: bool, near_end: bool, floats: Floats, flags: Flags, calls: Integers, dt: float
+) -> Progress:
     """The progress with one more sub-step, after which it is `known` where everybody is, or an error was raised."""
     why, touching, ttc, least = LOST, 0, 0.0, progress.least_ttc
     if known:
-        touching, ttc = dangers(traffic.floats, traffic.flags, HORIZON)
-        if touching > 0 or direct.call(traffic.calls, CONTACTS) != 0:
+        touching, ttc = dangers(floats, flags, HORIZON)
+        if touching > 0 or direct.call(calls, CONTACTS) != 0:
             why = TOUCHED
         else:
             why = NEAR_END if near_end else GOES_ON
-            if not traffic.flags[CRASHED, 0]:
+            if not flags[CRASHED, 0]:
                 least = min(least, ttc)
-    distance = progress.distance + traffic.floats[DISTANCE, 0]
+    distance = progress.distance + floats[DISTANCE, 0]
     return Progress(progress.done + 1, why, touching, ttc, progress.time + dt, distance, least)
 
 

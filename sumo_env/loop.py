@@ -13,11 +13,26 @@ from typing import NamedTuple
 import numpy as np
 
 from sumo_env import direct
-from sumo_env.cars import COMMAND, CRASHED, DISTANCE, FRONT_X, FRONT_Y, LANE, LATERAL, MOVED, SPEED, Flags
+from sumo_env.cars import (
+    COMMAND,
+    CRASHED,
+    DISTANCE,
+    FRONT_X,
+    FRONT_Y,
+    HEADING,
+    LANE,
+    LATERAL,
+    MOVED,
+    SPEED,
+    Flags,
+    X,
+    Y,
+)
+from sumo_env.collision import NEAR
 from sumo_env.compiled import compiled
 from sumo_env.ego import TAU, approach, coast
 from sumo_env.models import mobil, network_drivers
-from sumo_env.models.dangers import dangers
+from sumo_env.models.dangers import anybody_near, dangers
 from sumo_env.models.give_way import give_way
 from sumo_env.models.hazards import push
 from sumo_env.models.lane_table import Floats, Integers
@@ -111,7 +126,11 @@ def _substep(traffic: Traffic, ego_target: float, dt: float) -> tuple[int, int, 
         traffic.functions, traffic.vehicles, traffic.names, floats[COMMAND], floats[LATERAL], flags[MOVED],
         traffic.delta,
     )  # fmt: skip
-    if direct.call(traffic.calls, STEP) < 0:
+    near = anybody_near(floats[X], floats[Y], floats[HEADING], NEAR)
+    direct.look_for_collisions(traffic.functions, near)  # a tenth of SUMO's step
+    stepped = direct.call(traffic.calls, STEP)
+    direct.look_for_collisions(traffic.functions, True)
+    if stepped < 0:
         return LOST, 0, 0.0, moved
     if not direct.read_fronts(
         traffic.functions, traffic.vehicles, traffic.known_lanes, traffic.lane_order, True,
@@ -119,7 +138,7 @@ def _substep(traffic: Traffic, ego_target: float, dt: float) -> tuple[int, int, 
     ):  # fmt: skip
         return LOST, 0, 0.0, moved
     touching, ttc = dangers(floats, flags, HORIZON)
-    if touching > 0 or direct.call(traffic.calls, CONTACTS) != 0:
+    if touching > 0 or (near and direct.call(traffic.calls, CONTACTS) != 0):
         return TOUCHED, touching, ttc, moved
     return NEAR_END if near_end else GOES_ON, 0, ttc, moved
 

@@ -28,6 +28,7 @@ DIAGONAL = math.hypot(LENGTH, WIDTH)  # centres further apart than this are not 
 SAME_DIRECTION = math.pi / 4  # headings that differ by less are those of cars driving side by side [rad]
 OPPOSITE_DIRECTION = 3 * math.pi / 4  # ... by more, of cars driving towards each other [rad]
 SUMO_TOLERANCE = 0.1  # [m] how far apart cars may be for SUMO's report to count on its own
+NEAR = 1.0  # [m] further apart than this, SUMO's report of a contact is none: it reports cars up to 180 m apart
 ROUNDING = 1e-9  # [m] a look meant for the first touch is off by less
 FINEST = 0.01  # of a sub-step: a contact that is shorter (1 ms of 0.1 s) may be missed
 

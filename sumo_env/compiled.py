@@ -31,6 +31,14 @@ def compiled(function: Function) -> Function:
         return cast(Function, njit(function))  # no directory is writable: compile in each process
 
 
+def inlined(function: Function) -> Function:
+    """As `compiled`, and built into the functions that call it.
+
+    For those that take many arrays: handing over an array takes as long as some ten operations.
+    """
+    return cast(Function, njit(inline="always")(function))
+
+
 def drop_outdated(package: Path) -> int:
     """Delete the indexes of machine code under `package` older than a file with kernels; returns how many."""
     indexes = [path for path in package.rglob("__pycache__/*.nbi") if os.access(path.parent, os.W_OK)]

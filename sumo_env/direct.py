@@ -47,6 +47,7 @@ SYMBOLS = (
     f"_ZN7libsumo6Helper10getVehicleE{_STRING}",
     f"_ZN6MSLane10dictionaryE{_STRING}",
     f"_ZN7libsumo7Vehicle22setLateralLanePositionE{_STRING}d",
+    "_ZN6MSLane17myCollisionActionE",  # not a function: what SUMO does about collisions, an int
 )
 (
     ARRIVED,
@@ -62,12 +63,14 @@ SYMBOLS = (
     FIND_VEHICLE,
     FIND_LANE,
     SET_LATERAL,
+    COLLISION_ACTION,
 ) = range(len(SYMBOLS))
+NOTHING, WARN = 0, 1  # MSLane::CollisionAction
 LAST_TIME = 2**63 - 1 - 1000  # [ms] SUMOTime_MAX
 
 
 def find(library: str, version: str) -> Integers | None:
-    """Addresses of SYMBOLS in the loaded extension module, shape (13,); None where they are not to be relied on."""
+    """Addresses of SYMBOLS in the loaded extension module, shape (14,); None where they are not to be relied on."""
     if version != VERSION or sys.platform != "linux" or platform.machine() != "x86_64":
         return None
     try:
@@ -232,6 +235,24 @@ def _fetch(typing: Any, address: Any, first: Any, second: Any, third: Any) -> An
         return context.get_dummy_value()
 
     return types.void(types.int64, types.int64, types.int64, types.int64), generate
+
+
+@_inline
+def _store_int(typing: Any, address: Any, value: Any) -> Any:
+    """Write an int."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        value = builder.trunc(arguments[1], ir.IntType(32))
+        builder.store(value, builder.inttoptr(arguments[0], value.type.as_pointer()))
+        return context.get_dummy_value()
+
+    return types.void(types.int64, types.int64), generate
+
+
+@compiled
+def look_for_collisions(functions: Integers, wanted: bool) -> None:
+    """Whether SUMO looks for collisions in its next steps."""
+    _store_int(functions[COLLISION_ACTION], WARN if wanted else NOTHING)
 
 
 @compiled

@@ -20,6 +20,7 @@ from sumo_env.cars import (
     DISTANCE,
     FRONT_X,
     FRONT_Y,
+    HEADING,
     LANE,
     LATERAL,
     MOVED,
@@ -30,10 +31,11 @@ from sumo_env.cars import (
     X,
     Y,
 )
+from sumo_env.collision import NEAR
 from sumo_env.compiled import compiled
 from sumo_env.ego import TAU, approach, coast
 from sumo_env.models import mobil, network_drivers
-from sumo_env.models.dangers import dangers
+from sumo_env.models.dangers import anybody_near, dangers
 from sumo_env.models.give_way import give_way
 from sumo_env.models.hazards import push
 from sumo_env.models.idm import act_on_strip
@@ -124,17 +126,20 @@ def _steered(traffic: Traffic, progress: Progress, ego_speed: float, dt: float) 
     changes, near_end = move(
         traffic.geometry, traffic.lanes, traffic.joints, traffic.stretch, floats, integers, flags, dt
     )
+    near = anybody_near(floats[X], floats[Y], floats[HEADING], NEAR)
     known = not changes or direct.call(traffic.calls, CHANGE_LANES) >= 0
     if known:
         direct.command(
             traffic.functions, traffic.vehicles, traffic.names, floats[COMMAND], floats[LATERAL], flags[MOVED],
             traffic.delta,
         )  # fmt: skip
+        direct.look_for_collisions(traffic.functions, near)  # a tenth of SUMO's step
         known = direct.call(traffic.calls, STEP) >= 0 and direct.read_fronts(
             traffic.functions, traffic.vehicles, traffic.known_lanes, traffic.lane_order, True,
             floats[FRONT_X : FRONT_Y + 1], integers[LANE],
         )  # fmt: skip
-    return _judged(progress, known, near_end, floats, flags, traffic.calls, dt)
+        direct.look_for_collisions(traffic.functions, True)
+    return _judged(progress, known, near, near_end, floats, flags, traffic.calls, dt)
 
 
 @compiled
@@ -155,18 +160,22 @@ def _on_lanes(traffic: Traffic, progress: Progress, ego_speed: float, ego_place:
         )
     )  # fmt: skip
     near_end = is_near_end(traffic.geometry, integers[TARGET, 0], floats[X, 0], floats[Y, 0])
-    return _judged(progress, known, near_end, floats, flags, traffic.calls, dt)
+    return _judged(progress, known, True, near_end, floats, flags, traffic.calls, dt)
 
 
 @compiled
 def _judged(
-    progress: Progress, known: bool, near_end: bool, floats: Floats, flags: Flags, calls: Integers, dt: float
-) -> Progress:
-    """The progress with one more sub-step, after which it is `known` where everybody is, or an error was raised."""
+    progress: Progress, known: bool, looked: bool, near_end: bool, floats: Floats, flags: Flags, calls: Integers,
+    dt: float,
+) -> Progress:  # fmt: skip
+    """The progress with one more sub-step, after which it is `known` where everybody is, or an error was raised.
+
+    looked: whether SUMO did, for contacts.
+    """
     why, touching, ttc, least = LOST, 0, 0.0, progress.least_ttc
     if known:
         touching, ttc = dangers(floats, flags, HORIZON)
-        if touching > 0 or direct.call(calls, CONTACTS) != 0:
+        if touching > 0 or (looked and direct.call(calls, CONTACTS) != 0):
             why = TOUCHED
         else:
             why = NEAR_END if near_end else GOES_ON

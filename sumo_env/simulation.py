@@ -409,7 +409,9 @@ def _write_routes(path: Path, settings: Settings) -> None:
             # a class that may not change lane by itself (networks.build)
             "vClass": "custom1" if settings.steered else "passenger",
             "maxSpeed": "60",
-            "carFollowModel": "IDM",
+            # Who drives on command is also moved the same by the cheapest model: KraussOrig1 takes a seventh off SUMO's
+            # step (docs/performance.md).
+            "carFollowModel": "KraussOrig1" if settings.steered else "IDM",
             "accel": f"{driver.accel:.6f}",
             "decel": f"{driver.decel:.6f}",
             "apparentDecel": f"{driver.decel:.6f}",

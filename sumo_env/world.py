@@ -17,6 +17,7 @@ from sumo_env import direct, loop
 from sumo_env.cars import Cars, Flags
 from sumo_env.collision import (
     LENGTH,
+    NEAR,
     SUMO_TOLERANCE,
     WIDTH,
     CrashRecord,
@@ -46,7 +47,6 @@ from sumo_env.traffic import rule_for
 
 # [s] where SUMO changes lanes; the ego's centre then crosses the line when highway-env's does, after 0.45 to 0.5 s
 LANE_CHANGE_DURATION = 0.8
-NEAR = 1.0  # [m] further apart than this, SUMO's report of a contact is none: it reports cars up to 180 m apart
 
 
 class World:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from sumo_env.cars import BEFORE, CRASHED, HEADING, SPEED, Flags, X, Y
-from sumo_env.collision import meetings
+from sumo_env.collision import DIAGONAL, LENGTH, WIDTH, meetings, separation
 from sumo_env.compiled import compiled
 from sumo_env.safety import ego_ttc
 from sumo_env.scene import Floats
@@ -18,3 +18,19 @@ def dangers(floats: Floats, flags: Flags, horizon: float) -> tuple[int, float]:
     x, y, heading = floats[X], floats[Y], floats[HEADING]
     pairs, _ = meetings(floats[BEFORE : BEFORE + 3], x, y, heading, ~flags[CRASHED])
     return len(pairs), ego_ttc(x, y, floats[SPEED], heading, horizon)
+
+
+@compiled
+def anybody_near(x: Floats, y: Floats, heading: Floats, margin: float) -> bool:
+    """Whether the outlines of two vehicles may be `margin` [m] apart or less; x, y [m], heading [rad], shape (n,)."""
+    reach = DIAGONAL + margin
+    for i in range(len(x)):
+        for j in range(i + 1, len(x)):
+            dx, dy = x[j] - x[i], y[j] - y[i]
+            if (
+                abs(dx) <= reach
+                and dx * dx + dy * dy <= reach * reach
+                and separation(x[i], y[i], heading[i], x[j], y[j], heading[j], LENGTH, WIDTH) <= margin
+            ):
+                return True
+    return False

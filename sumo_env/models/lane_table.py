@@ -30,8 +30,7 @@ X, Y = 4, 5  # start of a straight or sine lane, centre of a circular one [m]
 COS, SIN, HEADING = 6, 7, 8  # of the axis of a straight or sine lane [rad]
 AMPLITUDE, PULSATION, PHASE = 9, 10, 11  # of a sine lane [m, rad/m, rad]
 RADIUS, START_PHASE, TURN = 6, 7, 8  # of a circular lane [m, rad], +1 clockwise (to the right) or -1
-LEFT, RIGHT, TOP, BOTTOM = 12, 13, 14, 15  # a box that holds the centre line [m]
-COLUMNS = 16
+COLUMNS = 12
 
 STRAIGHT, SINE, CIRCULAR = 0.0, 1.0, 2.0
 CLOSE = 1e-6  # [m]
@@ -102,19 +101,7 @@ def _row(lane: Lane) -> Floats:
             row[[AMPLITUDE, PULSATION, PHASE]] = lane.amplitude, lane.pulsation, lane.phase
     else:
         raise TypeError(f"no table columns for a {type(lane).__name__}")
-    points = np.array([lane.position(s, 0.0) for s in np.linspace(0.0, lane.length, 2 + round(lane.length))])
-    # a waving lane's own coordinates go on waving beyond its ends: a wider box keeps `outside` a lower bound there
-    margin = 20.0 if row[KIND] == SINE else 1.0
-    row[[LEFT, TOP]], row[[RIGHT, BOTTOM]] = points.min(axis=0) - margin, points.max(axis=0) + margin
     return row
-
-
-@compiled
-def outside(geometry: Floats, lane: int, x: float, y: float) -> float:
-    """How far a point is from the box around a lane [m], 0 inside: it is no nearer to the lane itself."""
-    g = geometry[lane]
-    dx, dy = max(g[LEFT] - x, x - g[RIGHT], 0.0), max(g[TOP] - y, y - g[BOTTOM], 0.0)
-    return max(dx, dy)
 
 
 @compiled

@@ -34,8 +34,9 @@ from sumo_env.cars import (
     X,
     Y,
 )
-from sumo_env.compiled import compiled
+from sumo_env.compiled import compiled, inlined
 from sumo_env.models.idm import A_MAX, ACC_MAX, NEAR, S0, TAU, B, behind, desired_gap
+from sumo_env.models.lane_grid import lane_grid, lanes_near
 from sumo_env.models.lane_table import (
     LENGTH,
     LIMIT,
@@ -44,7 +45,6 @@ from sumo_env.models.lane_table import (
     LaneTable,
     heading_at,
     local_coordinates,
-    outside,
     position,
 )
 from sumo_env.models.mobil import DELAY, MIN_GAIN, MIN_SPEED, SAFE_BRAKING
@@ -61,6 +61,8 @@ class Net(NamedTuple):
         offsets: where each of these begins, measured on the first [m], shape (lanes, k).
         following: how many of them follow, shape (lanes,).
         first, abreast: first lane of the road that a lane is part of, and number of its lanes, shape (lanes,).
+        corner, near: of `lane_grid`: the lanes that vehicles are on by `NEAR`, and on up to their own length before and
+            after the ends.
     """
 
     geometry: Floats
@@ -69,6 +71,8 @@ class Net(NamedTuple):
     following: Integers
     first: Integers
     abreast: Integers
+    corner: Floats
+    near: Integers
 
 
 def net(table: LaneTable) -> Net:
@@ -96,65 +100,75 @@ def net(table: LaneTable) -> Net:
         following.astype(np.int64),
         np.array([lanes[0] for lanes in of_road], dtype=np.int64),
         np.array([len(lanes) for lanes in of_road], dtype=np.int64),
+        *lane_grid(table.geometry, VEHICLE_LENGTH, NEAR),
     )
 
 
-@compiled
-def coordinates(geometry: Floats, x: Floats, y: Floats) -> tuple[Floats, NDArray[np.bool_]]:
-    """Coordinate s [m] of the vehicles along the lanes, and whether they are on them, shape (n, lanes) each.
-
-    On a lane as in ``AbstractLane.on_lane`` with a margin of 1 m. NaN for lanes that are far away: see `along`.
-    """
-    n, lanes = len(x), len(geometry)
-    s, on = np.full((n, lanes), np.nan), np.zeros((n, lanes), np.bool_)
-    for j in range(n):
-        for lane in range(lanes):
-            if outside(geometry, lane, x[j], y[j]) > VEHICLE_LENGTH + NEAR:
-                continue
-            s[j, lane], beside = local_coordinates(geometry, lane, x[j], y[j])
-            within = -VEHICLE_LENGTH <= s[j, lane] < geometry[lane, LENGTH] + VEHICLE_LENGTH
-            on[j, lane] = within and abs(beside) <= NEAR
-    return s, on
-
-
-@compiled
+@inlined
 def along(geometry: Floats, s: Floats, x: Floats, y: Floats, i: int, lane: int) -> float:
-    """Coordinate s [m] of vehicle `i` along a lane, by `coordinates` or, if that is far away, found now."""
+    """Coordinate s [m] of vehicle `i` along a lane, by `locate` or, if that is not near, found now."""
     if math.isnan(s[i, lane]):
         s[i, lane] = local_coordinates(geometry, lane, x[i], y[i])[0]
     return s[i, lane]
 
 
 @compiled
-def _far(geometry: Floats, lane: int, x: float, y: float, heading: float) -> float:
+def _far(geometry: Floats, lane: int, s: float, lat: float, heading: float) -> float:
     """Distance [m] and turn [rad] of a vehicle from a lane, added up (``AbstractLane.distance_with_heading``)."""
-    s, lat = local_coordinates(geometry, lane, x, y)
     angle = heading - heading_at(geometry, lane, s)
     distance = abs(lat) + max(s - geometry[lane, LENGTH], 0.0) + max(-s, 0.0)
     return distance + abs((angle + math.pi) % (2.0 * math.pi) - math.pi)
 
 
 @compiled
-def closest_lane(geometry: Floats, likely: int, x: float, y: float, heading: float) -> int:
-    """``RoadNetwork.get_closest_lane_index`` with heading; of equals the first. `likely`: a lane to begin with."""
-    best, least = likely, _far(geometry, likely, x, y, heading)
+def _closest_of_all(geometry: Floats, x: float, y: float, heading: float) -> int:
+    """``RoadNetwork.get_closest_lane_index`` with heading; of equals the first."""
+    best, least = 0, math.inf
     for lane in range(len(geometry)):
-        if lane == likely or outside(geometry, lane, x, y) > least:
-            continue
-        distance = _far(geometry, lane, x, y, heading)
-        if distance < least or (distance == least and lane < best):
+        s, lat = local_coordinates(geometry, lane, x, y)
+        distance = _far(geometry, lane, s, lat, heading)
+        if distance < least:
             best, least = lane, distance
     return best
 
 
-@compiled
+@inlined
+def locate(
+    roads: Net, x: Floats, y: Floats, heading: Floats, lane: Integers, moved: bool
+) -> tuple[Floats, NDArray[np.bool_]]:
+    """Coordinate s [m] of the vehicles along the lanes, and whether they are on them, shape (n, lanes) each.
+
+    On a lane as in ``AbstractLane.on_lane`` with a margin of 1 m. NaN for lanes that are not near: see `along`. If they
+    have `moved`, `lane`, shape (n,), is given the closest one of each.
+    """
+    geometry = roads.geometry
+    n, lanes = len(x), len(geometry)
+    s, on = np.full((n, lanes), np.nan), np.zeros((n, lanes), np.bool_)
+    for j in range(n):
+        best, least = 0, math.inf
+        for number in lanes_near(roads.corner, roads.near, x[j], y[j]):
+            if number < 0:
+                break
+            s[j, number], lat = local_coordinates(geometry, number, x[j], y[j])
+            within = -VEHICLE_LENGTH <= s[j, number] < geometry[number, LENGTH] + VEHICLE_LENGTH
+            on[j, number] = within and abs(lat) <= NEAR
+            if moved:
+                distance = _far(geometry, number, s[j, number], lat, heading[j])
+                if distance < least:
+                    best, least = number, distance
+        if moved:  # lanes that are not near are further away than NEAR
+            lane[j] = best if least <= NEAR else _closest_of_all(geometry, x[j], y[j], heading[j])
+    return s, on
+
+
+@inlined
 def neighbours(
     i: int, lane: int, roads: Net, s: Floats, on: NDArray[np.bool_], x: Floats, y: Floats
 ) -> tuple[int, int]:
     """``Road.neighbour_vehicles`` with connected lanes: who is ahead of and behind vehicle `i` on `lane`; -1: nobody.
 
     A vehicle is looked for on the lane, then on all that follow it, then on all that come before it; the first that
-    it is on decides. s, on: of `coordinates`; x, y [m]: shape (n,).
+    it is on decides. s, on: of `locate`; x, y [m]: shape (n,).
     """
     front, rear = -1, -1
     s_front, s_rear = math.inf, -math.inf
@@ -177,7 +191,7 @@ def neighbours(
     return front, rear
 
 
-@compiled
+@inlined
 def way_beyond(
     i: int, j: int, lane: int, target: int, roads: Net, s: Floats, on: NDArray[np.bool_], x: Floats, y: Floats
 ) -> float:
@@ -202,7 +216,7 @@ def way_beyond(
     return math.nan
 
 
-@compiled
+@inlined
 def _between(
     follower: int,
     leader: int,
@@ -305,7 +319,7 @@ def _mobil(
     return after - before >= MIN_GAIN
 
 
-@compiled
+@inlined
 def drive(
     roads: Net,
     ways: Integers,
@@ -341,14 +355,11 @@ def drive(
         drivers: shape (n, 6), the columns of `idm`.
         acts: who is driven here (neither the ego nor wrecks), shape (n,).
         changes: who of them decides on lane changes, shape (n,).
-        moved: whether vehicles have moved since `lane` was true; then it is found anew (`closest_lane`).
+        moved: whether vehicles have moved since `lane` was true; then it is found anew (`locate`).
     """
     n = len(x)
     geometry = roads.geometry
-    s, on = coordinates(geometry, x, y)
-    if moved:
-        for i in range(n):
-            lane[i] = closest_lane(geometry, lane[i], x[i], y[i], heading[i])
+    s, on = locate(roads, x, y, heading, lane, moved)
     result = np.zeros(n)
     for i in range(n):
         if not acts[i]:

@@ -26,7 +26,7 @@ TARGET_SPEED = 10  # [m/s]
 TIMER = 11  # since the last decision on lane changes [s]
 FRONT_X, FRONT_Y = 12, 13  # front bumper of SUMO's car [m]
 LATERAL = 14  # of SUMO's car, to the left of the middle of its lane [m]
-COMMAND = 15  # speed that SUMO is told [m/s]
+COMMAND = 15  # speed that SUMO is told [m/s], NaN for none, negative: drive by yourself
 PUSH, PUSH_END, PUSH_WAY = 16, 17, 18  # by a risk event [m/s2], 0 without one; until [s]; free way asked for [m]
 FLOATS = 19
 
@@ -35,7 +35,8 @@ LANE = 0  # of SUMO, by its number in `Simulation.lane_ids`
 ON, TARGET = 1, 2  # lanes of highway-env, by their numbers in a `LaneTable`: on it, steered for
 LEG, PLANNED = 3, 4  # see `models.network_drivers.drive`
 CHANGE = 5  # of SUMO's car: as in `models.steering.follow`
-INTEGERS = 6
+MODE = 6  # speed mode that SUMO is told, -1 for none
+INTEGERS = 7
 
 # Rows of `Cars.flags`.
 CRASHED, YIELDING = 0, 1
@@ -70,6 +71,7 @@ class Cars:
         self.push, self.push_end, self.push_way = self.floats[PUSH : PUSH_WAY + 1]
         self.lane, self.on, self.target = self.integers[LANE], self.integers[ON], self.integers[TARGET]
         self.leg, self.planned, self.change = self.integers[LEG], self.integers[PLANNED], self.integers[CHANGE]
+        self.mode = self.integers[MODE]
         self.crashed, self.yielding = self.flags[CRASHED], self.flags[YIELDING]
         self.changes, self.forced, self.moved = self.flags[CHANGES], self.flags[FORCED], self.flags[MOVED]
 

@@ -47,6 +47,7 @@ SYMBOLS = (
     f"_ZN7libsumo6Helper10getVehicleE{_STRING}",
     f"_ZN6MSLane10dictionaryE{_STRING}",
     f"_ZN7libsumo7Vehicle22setLateralLanePositionE{_STRING}d",
+    "_ZN9MSVehicle10Influencer12setSpeedModeEi",
     "_ZN6MSLane17myCollisionActionE",  # not a function: what SUMO does about collisions, an int
 )
 (
@@ -63,6 +64,7 @@ SYMBOLS = (
     FIND_VEHICLE,
     FIND_LANE,
     SET_LATERAL,
+    SET_MODE,
     COLLISION_ACTION,
 ) = range(len(SYMBOLS))
 NOTHING, WARN = 0, 1  # MSLane::CollisionAction
@@ -70,7 +72,7 @@ LAST_TIME = 2**63 - 1 - 1000  # [ms] SUMOTime_MAX
 
 
 def find(library: str, version: str) -> Integers | None:
-    """Addresses of SYMBOLS in the loaded extension module, shape (14,); None where they are not to be relied on."""
+    """Addresses of SYMBOLS in the loaded extension module, shape (15,); None where they are not to be relied on."""
     if version != VERSION or sys.platform != "linux" or platform.machine() != "x86_64":
         return None
     try:
@@ -193,6 +195,17 @@ def _give_double(typing: Any, address: Any, this: Any, value: Any) -> Any:
         return context.get_dummy_value()
 
     return types.void(types.int64, types.int64, types.float64), generate
+
+
+@_inline
+def _give_int(typing: Any, address: Any, this: Any, value: Any) -> Any:
+    """Nothing of a pointer and an int."""
+
+    def generate(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        _call(builder, arguments[0], _VOID, (arguments[1], builder.trunc(arguments[2], ir.IntType(32))))
+        return context.get_dummy_value()
+
+    return types.void(types.int64, types.int64, types.int64), generate
 
 
 @_inline
@@ -358,10 +371,10 @@ def read_fronts(
 
 @compiled
 def set_speeds(functions: Integers, vehicles: Integers, speeds: Floats, step: int) -> None:
-    """Command speeds [m/s], shape (n,), to those for whom they are neither NaN nor negative; steps are of `step` [ms].
+    """Command speeds [m/s], shape (n,), from now on; NaN is none, a negative one gives it back. `step`: of SUMO [ms].
 
     As ``libsumo::Vehicle::setSpeed``: a line of (time, speed) from now to the end of time, here written into one
-    vector for all.
+    vector for all; or an empty one.
     """
     line = np.empty(4, np.int64)
     values = line.view(np.float64)
@@ -370,9 +383,18 @@ def set_speeds(functions: Integers, vehicles: Integers, speeds: Floats, step: in
     vector_at = np.int64(vector.ctypes.data)
     line[0], line[2] = _count(functions[TIME]), LAST_TIME - step
     for i in range(len(vehicles)):
-        if speeds[i] >= 0.0:
+        if not math.isnan(speeds[i]):
             values[1] = values[3] = speeds[i]
+            vector[1] = begin + 32 if speeds[i] >= 0.0 else begin
             _give(functions[SET_SPEEDS], _word(functions[INFLUENCER], vehicles[i]), vector_at)
+
+
+@compiled
+def set_speed_modes(functions: Integers, vehicles: Integers, modes: Integers) -> None:
+    """Tell speed modes, shape (n,), to those for whom they are not negative."""
+    for i in range(len(vehicles)):
+        if modes[i] >= 0:
+            _give_int(functions[SET_MODE], _word(functions[INFLUENCER], vehicles[i]), modes[i])
 
 
 @compiled

@@ -23,6 +23,7 @@ from sumo_env.cars import (
     HEADING,
     LANE,
     LATERAL,
+    MODE,
     MOVED,
     OWN_SPEED,
     SPEED,
@@ -37,7 +38,7 @@ from sumo_env.ego import TAU, approach, coast
 from sumo_env.models import mobil, network_drivers
 from sumo_env.models.dangers import anybody_near, dangers
 from sumo_env.models.give_way import give_way
-from sumo_env.models.hazards import push
+from sumo_env.models.hazards import push, push_native
 from sumo_env.models.idm import act_on_strip
 from sumo_env.models.lane_table import Floats, Integers
 from sumo_env.models.motion import euler, keep_to_lanes
@@ -237,9 +238,12 @@ def strip(
 
 @compiled
 def native(
-    traffic: Traffic, count: int, progress: Progress, ego_speed: float, ego_place: int, dt: float
-) -> Progress:
-    """Up to `count` sub-steps of traffic that SUMO drives, going on from `progress`."""
+    traffic: Traffic, count: int, modes: tuple[int, int, int], progress: Progress, ego_speed: float, ego_place: int,
+    dt: float,
+) -> Progress:  # fmt: skip
+    """Up to `count` sub-steps of traffic that SUMO drives (`models.hazards.push_native`), going on from `progress`."""
     while progress.done < count and progress.why == GOES_ON:
+        push_native(traffic.floats, traffic.integers, traffic.flags, modes, progress.time, dt)
+        direct.set_speed_modes(traffic.functions, traffic.vehicles, traffic.integers[MODE])
         progress = _on_lanes(traffic, progress, ego_speed, ego_place, dt)
     return progress

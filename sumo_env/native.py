@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 from sumo_env.drivers import RiskEvent
 from sumo_env.loop import Progress, Traffic, native
-from sumo_env.simulation import NO_LANE_CHANGES, REGULAR
+from sumo_env.models.hazards import push_native
+from sumo_env.simulation import ALL_CHECKS_OFF, NO_LANE_CHANGES, REGULAR
 
 if TYPE_CHECKING:
     from sumo_env.world import World
@@ -22,6 +23,7 @@ class Native:
     def __init__(self, speed_mode: int, lane_change_mode: int) -> None:
         self.speed_mode = speed_mode
         self.lane_change_mode = lane_change_mode
+        self._modes = speed_mode, KEEP_DECEL_FREE, ALL_CHECKS_OFF  # of `push_native`
         self._forced: dict[str, float] = {}  # vehicle -> end of its cut-in [s]
 
     def start(self, world: World, first: int) -> None:
@@ -29,18 +31,18 @@ class Native:
             self._forced.clear()
 
     def act(self, world: World) -> None:
-        world.push_by_event(KEEP_DECEL_FREE)
+        cars = world.cars
+        push_native(cars.floats, cars.integers, cars.flags, self._modes, world.time, world.dt)
+        world.fleet.set_speed_modes(cars.mode)
         self.end_cut_ins(world)
 
     def drive(self, world: World, traffic: Traffic, count: int, progress: Progress) -> Progress:
-        """Up to `count` sub-steps at once, in which nobody is commanded but the ego and the wrecks (`loop`)."""
+        """Up to `count` sub-steps at once (`loop`)."""
         ego = world.ego
-        return native(traffic, count, progress, ego.target_speed, ego.target_lane[2], world.dt)
+        return native(traffic, count, self._modes, progress, ego.target_speed, ego.target_lane[2], world.dt)
 
     def busy_from(self, world: World) -> float:
-        """At once while events make somebody brake or surge, else when the next cut-in is over."""
-        if world.scenario.events and world.cars.push.any():
-            return -math.inf
+        """Whose cut-in is over gets the lane back."""
         return min(self._forced.values(), default=math.inf)
 
     def end_cut_ins(self, world: World) -> None:

@@ -8,6 +8,7 @@ degrees clockwise from north) end here: everything above speaks highway-env's (y
 
 from __future__ import annotations
 
+import math
 import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -265,10 +266,6 @@ class Simulation:
         libsumo.vehicle.setSpeedMode(name, speed_mode)
         libsumo.vehicle.setLaneChangeMode(name, lane_change_mode)
 
-    def speed_mode(self, name: str, mode: int) -> None:
-        """Who checks a commanded speed."""
-        libsumo.vehicle.setSpeedMode(name, mode)
-
     def lane_change_mode(self, name: str, mode: int) -> None:
         """Who decides on lane changes."""
         libsumo.vehicle.setLaneChangeMode(name, mode)
@@ -358,13 +355,22 @@ class Fleet:
         self.set_speeds(speeds)
 
     def set_speeds(self, speeds: Floats) -> None:
-        """Command speeds [m/s], shape (n,), from now on; NaN or a negative number is no command."""
+        """Command speeds [m/s], shape (n,), from now on; NaN is no command, a negative one gives it back to SUMO."""
         if self._functions is not None:
             direct.set_speeds(self._functions, self._vehicles, speeds, self._step)
             return
         for name, speed in zip(self._names, speeds.tolist(), strict=True):
-            if speed >= 0.0:
+            if not math.isnan(speed):
                 _set_speed(name, speed)
+
+    def set_speed_modes(self, modes: Integers) -> None:
+        """Who checks a commanded speed, shape (n,): the constants above; negative: as it was."""
+        if self._functions is not None:
+            direct.set_speed_modes(self._functions, self._vehicles, modes)
+            return
+        for name, mode in zip(self._names, modes.tolist(), strict=True):
+            if mode >= 0:
+                libsumo.vehicle.setSpeedMode(name, mode)
 
 
 _SIMULATION: Simulation | None = None

@@ -33,7 +33,7 @@ from sumo_env.drivers import TOLD
 from sumo_env.ego import Ego
 from sumo_env.loop import Progress, Traffic
 from sumo_env.models.dangers import dangers
-from sumo_env.models.hazards import EARLY, free_way, has_room
+from sumo_env.models.hazards import has_room
 from sumo_env.models.idm import driver_rows
 from sumo_env.motion import OnLanes
 from sumo_env.safety import HORIZON
@@ -301,23 +301,6 @@ class World:
         s, _ = geometry.local_coordinates(float(self.x[row]), float(self.y[row]))
         there = (*geometry.position(s, 0.0), geometry.heading_at(s))
         return bool(has_room(self.x, self.y, self.heading, row, *map(float, there)))
-
-    def push_by_event(self, speed_mode: int) -> None:
-        """Risk events' braking and surging of vehicles that SUMO drives."""
-        cars = self.cars
-        for row in np.flatnonzero(cars.push).tolist() if self.scenario.events else ():
-            name, push = self.ids[row], float(cars.push[row])
-            ended = self.time >= cars.push_end[row] - EARLY
-            if ended or self.crashed[row]:
-                cars.push[row] = 0.0
-            if self.crashed[row]:
-                continue
-            if ended or (push > 0.0 and not free_way(self.x, self.y, self.heading, row, float(cars.push_way[row]))):
-                self.sim.set_speed(name, -1.0)  # give the speed back to SUMO
-                self.sim.speed_mode(name, self.rule.speed_mode)
-            else:
-                self.sim.speed_mode(name, speed_mode if push < 0.0 else ALL_CHECKS_OFF)
-                self.sim.set_speed(name, max(float(self.speed[row]) + push * self.dt, 0.0))
 
     def _drive_ego(self) -> None:
         if self.motion.ego_near_end:

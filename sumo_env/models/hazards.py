@@ -8,9 +8,23 @@ from __future__ import annotations
 
 import math
 
-from sumo_env.cars import ACCELERATION, CRASHED, HEADING, PUSH, PUSH_END, PUSH_WAY, SPEED, Flags, X, Y
+from sumo_env.cars import (
+    ACCELERATION,
+    COMMAND,
+    CRASHED,
+    HEADING,
+    MODE,
+    PUSH,
+    PUSH_END,
+    PUSH_WAY,
+    SPEED,
+    Flags,
+    X,
+    Y,
+)
 from sumo_env.collision import LENGTH, WIDTH, distance
 from sumo_env.compiled import compiled
+from sumo_env.models.lane_table import Integers
 from sumo_env.scene import Floats
 
 CUT_IN_GAP = 1.0  # [m] to everybody in the lane beside; who is nearer is waited out, that is, the event is dropped
@@ -52,6 +66,33 @@ def push(floats: Floats, flags: Flags, time: float, dt: float) -> None:
             acceleration[i] = min(acceleration[i], max(pushes[i], standstill))
         elif free_way(floats[X], floats[Y], floats[HEADING], i, floats[PUSH_WAY, i]):
             acceleration[i] = max(acceleration[i], pushes[i])
+
+
+@compiled
+def push_native(
+    floats: Floats, integers: Integers, flags: Flags, modes: tuple[int, int, int], time: float, dt: float
+) -> None:
+    """As `push`, of cars that SUMO drives: writes COMMAND and MODE of all, which say nothing to those not pushed.
+
+    floats, integers, flags: of `cars.Cars`; modes: of driving by oneself, braking and surging; time, dt: [s].
+    """
+    pushes, speed = floats[PUSH], floats[SPEED]
+    itself, brakes, surges = modes
+    for i in range(len(pushes)):
+        pushed = pushes[i]
+        floats[COMMAND, i], integers[MODE, i] = math.nan, -1
+        ended = time >= floats[PUSH_END, i] - EARLY
+        if ended or flags[CRASHED, i]:
+            pushes[i] = 0.0
+        if pushed == 0.0 or flags[CRASHED, i]:
+            continue
+        if ended or (
+            pushed > 0.0 and not free_way(floats[X], floats[Y], floats[HEADING], i, floats[PUSH_WAY, i])
+        ):
+            floats[COMMAND, i], integers[MODE, i] = -1.0, itself
+        else:
+            floats[COMMAND, i] = max(speed[i] + pushed * dt, 0.0)
+            integers[MODE, i] = brakes if pushed < 0.0 else surges
 
 
 @compiled

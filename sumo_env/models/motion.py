@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -37,8 +39,8 @@ def euler(
 def keep_to_lanes(floats: Floats, integers: Integers, flags: Flags, stretch: Floats, dt: float) -> None:
     """Wrecks' next ways and speeds, and the speeds to COMMAND to cars that are to cover DISTANCE on SUMO's lanes.
 
-    Wrecks decelerate with a = -v and stay where they stop, as in highway-env. NaN, which commands nothing, is for those
-    whose way is NaN: SUMO drives them.
+    Wrecks decelerate with a = -v and stay where they stop, as in highway-env. Nothing is written for those whose way is
+    NaN: SUMO drives them.
 
     Args:
         floats, integers, flags: of `cars.Cars`.
@@ -49,5 +51,6 @@ def keep_to_lanes(floats: Floats, integers: Integers, flags: Flags, stretch: Flo
     for i in range(floats.shape[1]):
         if i > 0 and flags[CRASHED, i]:
             floats[OWN_SPEED, i], floats[DISTANCE, i] = coast(floats[SPEED, i], dt)
-        speed = floats[DISTANCE, i] / dt
-        floats[COMMAND, i] = (0.0 if speed < 0.0 else speed) * stretch[min(i, 1), integers[LANE, i]]
+        if not math.isnan(floats[DISTANCE, i]):
+            speed = max(floats[DISTANCE, i] / dt, 0.0)
+            floats[COMMAND, i] = speed * stretch[min(i, 1), integers[LANE, i]]

@@ -52,10 +52,11 @@ def test_speeds_are_told_to_those_whose_way_is_known() -> None:
     cars.distance[:] = 2.0, 1.0, np.nan, np.nan
     cars.crashed[3] = True
     cars.lane[:] = 1
+    cars.command[2] = -1.0
     stretch = np.array([[1.0, 1.1], [1.0, 1.2]])  # of the ego and of the others
     keep_to_lanes(cars.floats, cars.integers, cars.flags, stretch, 0.1)
     assert cars.command[:2] == pytest.approx([2.0 / 0.1 * 1.1, 1.0 / 0.1 * 1.2])
-    assert np.isnan(cars.command[2]) and np.isnan(cars.own_speed[:3]).all()  # SUMO drives
+    assert cars.command[2] == -1.0 and np.isnan(cars.own_speed[:3]).all()  # SUMO drives
     assert cars.own_speed[3] == pytest.approx(20.0 * (14 / 15) ** 1.5)  # a wreck: explicit Euler at 15 Hz
     way = 20.0 - cars.own_speed[3]  # what it loses, by a = -v
     assert cars.command[3] == pytest.approx(way / 0.1 * 1.2)

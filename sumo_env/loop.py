@@ -56,7 +56,8 @@ class Traffic(NamedTuple):
         delta: length of a step [ms].
         functions, vehicles, names, known_lanes, lane_order: as in `direct`.
         calls: of `direct.python_calls`: SUMO's step, whether it reports contacts, and changes of lane.
-        geometry, lanes, joints, stretch: of `motion.Motion`.
+        geometry, lanes, joints, stretch: as in `models.steering.move`; for cars on SUMO's lanes three rows of `lanes`,
+            no `joints`, and `stretch` as in `models.motion.keep_to_lanes`.
         floats, integers, flags: of `cars.Cars`.
         drivers: shape (n, 6).
     """

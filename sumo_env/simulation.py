@@ -84,6 +84,7 @@ class Simulation:
         self.lane_pointers: tuple[Integers, Integers]
         self._waiting: set[str] = set()  # vehicles of the last episode
         self._routes: dict[str, str] = {}  # of the vehicles
+        self._shared: dict[tuple[str, str], str | None] = {}  # edge that two routes share
         self.stepped = False  # since a vehicle was last removed
         self._limits: dict[str, float] = {}
 
@@ -91,7 +92,8 @@ class Simulation:
         """Make `owner` the one who drives, in the network of `settings`, with an empty road.
 
         Vehicles of the last episode that are `coming` again (id -> route) may wait there to be placed again, which SUMO
-        does in a tenth of the time that it takes to make one: steered cars, which have no state of their own.
+        does in a tenth of the time that it takes to make one: steered cars, which have no state of their own. They are
+        given their new routes when they are placed.
         """
         self.owner = owner
         if settings is self._served:
@@ -108,10 +110,27 @@ class Simulation:
     def _clear(self, but: Mapping[str, str] = NOBODY) -> None:
         self._waiting.clear()
         for vehicle in _native.vehicle_getIDList():
-            if self._routes.get(vehicle) == but.get(vehicle, ""):
+            old, new = self._routes.get(vehicle), but.get(vehicle)
+            if old is not None and new is not None and self._shared_edge(old, new) is not None:
                 self._waiting.add(vehicle)
             else:
                 self.remove(vehicle)
+
+    def _shared_edge(self, one: str, other: str) -> str | None:
+        """An edge that two routes share."""
+        if (one, other) not in self._shared:
+            assert self.settings is not None
+            routes = dict(self.settings.routes)
+            self._shared[one, other] = next((edge for edge in routes[one] if edge in routes[other]), None)
+        return self._shared[one, other]
+
+    def _change_route(self, name: str, route: str) -> None:
+        """Give a vehicle another route, which SUMO allows where it is on an edge of both."""
+        old = self._routes.pop(name)  # not known if it is interrupted here
+        if route != old:
+            _native.vehicle_moveTo(name, f"{self._shared_edge(old, route)}_0", 0.0)
+            _native.vehicle_setRouteID(name, route)
+        self._routes[name] = route
 
     def check(self, owner: object) -> None:
         """Raise `SimulationTaken` unless `owner` still drives."""
@@ -159,6 +178,8 @@ class Simulation:
         self._waiting.clear()
         self._types = {driver.type for driver in settings.drivers}
         self._limits.clear()
+        self._routes.clear()
+        self._shared.clear()
         self.lane_ids = tuple(sorted(_native.lane_getIDList()))
         self.lane_numbers = {lane: number for number, lane in enumerate(self.lane_ids)}
         if self.functions is not None:
@@ -185,6 +206,7 @@ class Simulation:
         """
         if waiting := name in self._waiting:
             self._waiting.discard(name)
+            self._change_route(name, route)
         else:
             _native.vehicle_add(name, route, driver, departSpeed="0")
             self._routes[name] = route
@@ -206,6 +228,7 @@ class Simulation:
 
     def remove(self, name: str) -> None:
         """Take a vehicle off the road."""
+        self._routes.pop(name, None)
         _native.vehicle_remove(name)
         self.stepped = False
 

@@ -160,19 +160,11 @@ def make_on_lane(
     if not 0.0 <= s <= geometry.length:  # on another lane really, as highway-env finds out as well
         lane = lane_at(road, x, y, heading)
         s = road.lane(lane).local_coordinates(x, y)[0]
+    if target_speed is None:
+        target_speed = speed
+    timer = ((x + y) * math.pi) % 1.0  # IDMVehicle.timer: spreads MOBIL's decisions over time
     return VehicleSpec(
-        id=id,
-        lane=lane,
-        s=s,
-        x=x,
-        y=y,
-        heading=heading,
-        speed=speed,
-        target_speed=speed if target_speed is None else target_speed,
-        destination=destination,
-        driver=driver,
-        changes_lanes=changes_lanes,
-        timer=((x + y) * math.pi) % 1.0,  # IDMVehicle.timer: spreads MOBIL's decisions over time
+        id, lane, s, x, y, heading, speed, target_speed, destination, driver, changes_lanes, timer
     )
 
 

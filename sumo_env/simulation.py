@@ -70,7 +70,10 @@ class Simulation:
     Attributes:
         check_junctions: whether SUMO compares outlines inside junctions, from the next load of a network on. None: not
             those of steered cars, whose contacts geometry finds without exception (docs/collisions.md).
+        step_length: [ms].
     """
+
+    step_length: int
 
     def __init__(self) -> None:
         self.check_junctions: bool | None = None
@@ -177,6 +180,7 @@ class Simulation:
         self.stepped = False
         self._waiting.clear()
         self._types = {driver.type for driver in settings.drivers}
+        self.step_length = round(1000 * _native.simulation_getDeltaT())
         self._limits.clear()
         self._routes.clear()
         self._shared.clear()
@@ -301,13 +305,19 @@ class Simulation:
         return str(libsumo.getVersion()[1])
 
 
-_STRINGS: dict[str, direct.Strings] = {}  # the few names that vehicles have, for compiled code
+class _Addresses(dict[str, int]):
+    """Addresses of the few names that vehicles have, as C++ strings for compiled code."""
+
+    def __init__(self) -> None:
+        self._strings: list[direct.Strings] = []
+
+    def __missing__(self, name: str) -> int:
+        self._strings.append(direct.Strings([name]))
+        self[name] = address = int(self._strings[-1].addresses[0])
+        return address
 
 
-def _address(name: str) -> int:
-    if name not in _STRINGS:
-        _STRINGS[name] = direct.Strings([name])
-    return int(_STRINGS[name].addresses[0])
+_ADDRESSES = _Addresses()
 
 
 class Fleet:
@@ -320,9 +330,9 @@ class Fleet:
             _lane(name)  # raises where there is no such vehicle, which must not happen in compiled code
         self._functions = simulation.functions
         if self._functions is not None:
-            self._addresses = np.array([_address(name) for name in names], np.int64)
+            self._addresses = np.array([_ADDRESSES[name] for name in names], np.int64)
             self._vehicles = direct.look_up(self._functions[direct.FIND_VEHICLE], self._addresses)
-            self._step = round(1000 * _native.simulation_getDeltaT())  # [ms]
+            self._step = simulation.step_length
             self._lanes = simulation.lane_pointers
 
     def handles(self) -> tuple[int, Integers, Integers, Integers, Integers, Integers] | None:

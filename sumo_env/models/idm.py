@@ -38,7 +38,7 @@ def driver_rows(drivers: Iterable[Driver]) -> Floats:
     """The table of these drivers, shape (n, 6)."""
     return np.array(
         [(d.accel, d.decel, d.min_gap + VEHICLE_LENGTH, d.tau, d.delta, d.emergency_decel) for d in drivers]
-    )
+    ).reshape(-1, 6)
 
 
 def driver_row(driver: Driver) -> Floats:

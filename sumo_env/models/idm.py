@@ -20,7 +20,15 @@ import numpy as np
 from networks.lanes import VEHICLE_LENGTH, WIDTH
 from sumo_env.compiled import compiled
 from sumo_env.drivers import Driver
-from sumo_env.models.lane_table import LENGTH, LIMIT, Floats, Integers, local_coordinates, outside, target_stage
+from sumo_env.models.lane_table import (
+    LENGTH,
+    LIMIT,
+    Floats,
+    Integers,
+    local_coordinates,
+    outside,
+    target_stage,
+)
 
 # Columns of a table of drivers.
 A_MAX = 0  # A, comfortable acceleration [m/s2]

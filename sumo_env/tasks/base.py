@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
@@ -15,9 +14,10 @@ from sumo_env.drivers import POOL, CarFollowing, Driver, RiskRates, draw_events,
 from sumo_env.models.lane_table import lane_at
 from sumo_env.scenario import EGO, Scenario, Spawn, VehicleSpec
 from sumo_env.streams import stream
+from sumo_env.values import value
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class EgoState:
     """The ego as rewards and endings see it, after a policy step.
 

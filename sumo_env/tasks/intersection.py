@@ -206,12 +206,12 @@ def _warm_up(road: Road, vehicles: list[VehicleSpec]) -> list[VehicleSpec]:
         table.geometry, table.successors, routes, stage, s, x, y, heading, speed, target_speed, rows, exempt,
         yielding, steps, REGULATION_INTERVAL, 1.0 / WARM_UP_FREQUENCY,
     )  # fmt: skip
-    state = zip(*(array.tolist() for array in (stage, s, x, y, heading, speed, target_speed, yielding)), strict=True)
     return [
         VehicleSpec(
-            v.id, lanes[k], along, *place, v.destination, v.driver, v.changes_lanes, v.timer, gives_way
+            v.id, lanes[stage[i]], s.item(i), x.item(i), y.item(i), heading.item(i), speed.item(i),
+            target_speed.item(i), v.destination, v.driver, v.changes_lanes, v.timer, yielding.item(i),
         )
-        for v, lanes, (k, along, *place, gives_way) in zip(vehicles, paths, state, strict=True)
+        for i, (v, lanes) in enumerate(zip(vehicles, paths, strict=True))
         # those that have left, as highway-env removes them after the first step
-        if not (k == 2 and along >= road.lane(lanes[2]).length - 20.0)
-    ]
+        if not (stage[i] == 2 and s[i] >= road.lane(lanes[2]).length - 20.0)
+    ]  # fmt: skip

@@ -20,15 +20,7 @@ import numpy as np
 from networks.lanes import VEHICLE_LENGTH, WIDTH
 from sumo_env.compiled import compiled
 from sumo_env.drivers import Driver
-from sumo_env.models.lane_table import (
-    LENGTH,
-    LIMIT,
-    Floats,
-    Integers,
-    local_coordinates,
-    outside,
-    target_stage,
-)
+from sumo_env.models.lane_table import LENGTH, LIMIT, Floats, Integers, local_coordinates, target_stage
 
 # Columns of a table of drivers.
 A_MAX = 0  # A, comfortable acceleration [m/s2]
@@ -242,13 +234,33 @@ def path_accelerations(
                 for lane in successors[routes[i, k]]:
                     if lane >= 0:
                         looked_at[lane] = True
-    s, lat = np.full((n, lanes), math.inf), np.empty((n, lanes))  # on no lane where it is not worked out
-    for j in range(n):
-        for lane in range(lanes):
-            near = looked_at[lane] and outside(geometry, lane, x[j], y[j]) <= VEHICLE_LENGTH + NEAR
-            if near or lane == routes[j, stage[j]]:
-                s[j, lane], lat[j, lane] = local_coordinates(geometry, lane, x[j], y[j])
+    s, lat = np.empty((n, lanes)), np.empty((n, lanes))
+    for lane in range(lanes):
+        for j in range(n if looked_at[lane] else 0):
+            s[j, lane], lat[j, lane] = local_coordinates(geometry, lane, x[j], y[j])
+    return accelerations_along(
+        geometry, successors, routes, stage, s, lat, speed, heading, target_speed, drivers
+    )
 
+
+@compiled
+def accelerations_along(
+    geometry: Floats,
+    successors: Integers,
+    routes: Integers,
+    stage: Integers,
+    s: Floats,
+    lat: Floats,
+    speed: Floats,
+    heading: Floats,
+    target_speed: Floats,
+    drivers: Floats,
+) -> Floats:
+    """`path_accelerations` by coordinates of the vehicles on lanes [m], shape (n, lanes).
+
+    They have to be there for a vehicle's own lane and for those that it is on; elsewhere `s` may be inf.
+    """
+    n = len(s)
     result = np.empty(n)
     for i in range(n):
         own = routes[i, stage[i]]

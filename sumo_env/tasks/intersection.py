@@ -7,11 +7,13 @@ from functools import lru_cache
 
 import numpy as np
 
+from networks.lanes import VEHICLE_LENGTH
 from networks.roads import LaneIndex, Road, intersection
 from sumo_env.config import DISCRETE_META_ACTION, Config, ConfigError
 from sumo_env.drivers import CarFollowing, RiskRates
-from sumo_env.models.idm import driver_rows
-from sumo_env.models.lane_table import Integers, compiled_lanes
+from sumo_env.models.idm import NEAR, driver_rows
+from sumo_env.models.lane_grid import lane_grid
+from sumo_env.models.lane_table import Floats, Integers, compiled_lanes
 from sumo_env.models.warm_up import warm_up
 from sumo_env.scenario import EGO, Spawn, VehicleSpec
 from sumo_env.streams import stream
@@ -174,6 +176,12 @@ def _two_arms(rng: np.random.Generator) -> tuple[int, int]:
     return (first, second) if rng.integers(2) else (second, first)
 
 
+@lru_cache(maxsize=2)
+def _grid(road: Road) -> tuple[Floats, Integers]:
+    """`lane_grid` of the lanes on which vehicles are leaders."""
+    return lane_grid(compiled_lanes(road).geometry, VEHICLE_LENGTH, NEAR)
+
+
 @lru_cache(maxsize=64)
 def _path(road: Road, lane: LaneIndex, destination: str) -> tuple[list[LaneIndex], Integers]:
     """`path`, and the numbers of its lanes."""
@@ -203,8 +211,8 @@ def _warm_up(road: Road, vehicles: list[VehicleSpec]) -> list[VehicleSpec]:
     yielding = np.zeros(n, np.bool_)
     steps = int(WARM_UP * WARM_UP_FREQUENCY)
     warm_up(
-        table.geometry, table.successors, routes, stage, s, x, y, heading, speed, target_speed, rows, exempt,
-        yielding, steps, REGULATION_INTERVAL, 1.0 / WARM_UP_FREQUENCY,
+        table.geometry, table.successors, routes, stage, s, x, y, heading, speed, target_speed, rows,
+        *_grid(road), exempt, yielding, steps, REGULATION_INTERVAL, 1.0 / WARM_UP_FREQUENCY,
     )  # fmt: skip
     return [
         VehicleSpec(

@@ -87,7 +87,7 @@ class Simulation:
         self.lane_pointers: tuple[Integers, Integers]
         self._waiting: set[str] = set()  # vehicles of the last episode
         self._routes: dict[str, str] = {}  # of the vehicles
-        self._shared: dict[tuple[str, str], str | None] = {}  # edge that two routes share
+        self._shared: dict[tuple[str, str], tuple[str, ...]] = {}  # edges that two routes share
         self.stepped = False  # since a vehicle was last removed
         self._limits: dict[str, float] = {}
 
@@ -113,26 +113,28 @@ class Simulation:
     def _clear(self, but: Mapping[str, str] = NOBODY) -> None:
         self._waiting.clear()
         for vehicle in _native.vehicle_getIDList():
-            old, new = self._routes.get(vehicle), but.get(vehicle)
-            if old is not None and new is not None and self._shared_edge(old, new) is not None:
+            old, new = self._routes.get(vehicle, ""), but.get(vehicle, "")
+            if old and new and (old == new or self._shared_edges(old, new)):
                 self._waiting.add(vehicle)
             else:
                 self.remove(vehicle)
 
-    def _shared_edge(self, one: str, other: str) -> str | None:
-        """An edge that two routes share."""
+    def _shared_edges(self, one: str, other: str) -> tuple[str, ...]:
+        """The edges that two routes share."""
         if (one, other) not in self._shared:
             assert self.settings is not None
             routes = dict(self.settings.routes)
-            self._shared[one, other] = next((edge for edge in routes[one] if edge in routes[other]), None)
+            self._shared[one, other] = tuple(edge for edge in routes[one] if edge in routes[other])
         return self._shared[one, other]
 
     def _change_route(self, name: str, route: str) -> None:
-        """Give a vehicle another route, which SUMO allows where it is on an edge of both."""
+        """Give a vehicle another route, which SUMO allows where it is on an edge of both.
+
+        Before it is placed: SUMO would draw one that changes its route there a little beside where a new one stands.
+        """
         old = self._routes.pop(name)  # not known if it is interrupted here
-        if route != old:
-            _native.vehicle_moveTo(name, f"{self._shared_edge(old, route)}_0", 0.0)
-            _native.vehicle_setRouteID(name, route)
+        _native.vehicle_moveTo(name, f"{self._shared_edges(old, route)[0]}_0", 0.0)
+        _native.vehicle_setRouteID(name, route)
         self._routes[name] = route
 
     def check(self, owner: object) -> None:
@@ -210,7 +212,8 @@ class Simulation:
         """
         if waiting := name in self._waiting:
             self._waiting.discard(name)
-            self._change_route(name, route)
+            if self._routes[name] != route:
+                self._change_route(name, route)
         else:
             _native.vehicle_add(name, route, driver, departSpeed="0")
             self._routes[name] = route

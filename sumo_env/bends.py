@@ -48,9 +48,9 @@ class Rows:
         keys = [(spec.lane, spec.destination) for spec in specs]
         for key in keys:
             if key not in self._number:
-                row = np.array([self._row(self._road, *key)])
-                self._rows = np.concatenate((self._rows, row)) if self._number else row
-                self._number[key] = len(self._number)
+                row, number = np.array([self._row(self._road, *key)]), len(self._rows)
+                self._rows = np.concatenate((self._rows, row)) if number else row
+                self._number[key] = number
         return self._rows.take([self._number[key] for key in keys], axis=0)
 
 

@@ -126,7 +126,8 @@ class Network:
         """
         if self.task == "two-way" and index == ("a", "b", 0):
             raise ValueError('place on ("a", "b", 1) and change lane: SUMO has no eastbound lane at y = 0')
-        key, lane, first, edge = self._beginning(index, destination)
+        beginning = self._beginnings.get((index, destination))
+        key, lane, first, edge = beginning or self._begin(index, destination)
         edges = self.routes[key]
         ahead = _travelled(self.road.lane(index), first, s) + VEHICLE_LENGTH / 2
         while not 0 <= ahead <= lane.drawn:
@@ -144,16 +145,14 @@ class Network:
                 ahead += lane.drawn
         return key, lane.id, ahead * lane.length / lane.drawn
 
-    def _beginning(self, index: LaneIndex, destination: str | None) -> tuple[str, SumoLane, float, int]:
+    def _begin(self, index: LaneIndex, destination: str | None) -> tuple[str, SumoLane, float, int]:
         """For a vehicle on lane `index`: key of its route, SUMO's lane, s [m] where that begins, place of its edge."""
-        found = self._beginnings.get((index, destination))
-        if found is None:
-            key = self.sumo_route(index, destination)
-            lane = self.lanes[index]
-            # Inside the intersection there is no edge: count from the entry, the first edge of the route.
-            edge = 0 if lane.id.startswith(":") else self.routes[key].index(_edge(lane.id))
-            found = key, lane, self.road.lane(index).local_coordinates(*lane.shape[0])[0], edge
-            self._beginnings[index, destination] = found
+        key = self.sumo_route(index, destination)
+        lane = self.lanes[index]
+        # Inside the intersection there is no edge: count from the entry, the first edge of the route.
+        edge = 0 if lane.id.startswith(":") else self.routes[key].index(_edge(lane.id))
+        found = key, lane, self.road.lane(index).local_coordinates(*lane.shape[0])[0], edge
+        self._beginnings[index, destination] = found
         return found
 
     def _beside(self, lane: str, edges: tuple[str, ...], edge: int, step: int) -> str | None:

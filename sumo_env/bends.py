@@ -5,6 +5,7 @@ Decisions and accelerations are `models.network_drivers`', right of way is `mode
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
@@ -15,8 +16,9 @@ from sumo_env.computed import Computed
 from sumo_env.drivers import RiskEvent
 from sumo_env.loop import Progress, Traffic, Ways, bends
 from sumo_env.models.give_way import give_way
-from sumo_env.models.lane_table import advance, compiled_lanes
+from sumo_env.models.lane_table import Integers, advance, compiled_lanes
 from sumo_env.models.network_drivers import Net, act, net
+from sumo_env.scenario import VehicleSpec
 from sumo_env.scene import Floats
 from sumo_env.tasks.intersection import REGULATION_INTERVAL, WARM_UP, WARM_UP_FREQUENCY, path
 
@@ -33,12 +35,30 @@ def joined_lanes(road: Road) -> Net:
     return net(compiled_lanes(road))
 
 
-@lru_cache(maxsize=256)
-def _way(road: Road, lane: LaneIndex, destination: str | None) -> tuple[int, ...]:
+class Rows:
+    """A row of numbers for each first lane and destination, worked out at first use; kept in one array, to be quick."""
+
+    def __init__(self, row: Callable[[Road, LaneIndex, str | None], list[int]], road: Road) -> None:
+        self._row, self._road = row, road
+        self._number: dict[tuple[LaneIndex, str | None], int] = {}
+        self._rows: Integers = np.empty((0, 0), np.int64)
+
+    def of(self, specs: Sequence[VehicleSpec]) -> Integers:
+        """The rows of these vehicles, shape (n, length of a row)."""
+        keys = [(spec.lane, spec.destination) for spec in specs]
+        for key in keys:
+            if key not in self._number:
+                row, number = np.array([self._row(self._road, *key)]), len(self._rows)
+                self._rows = np.concatenate((self._rows, row)) if number else row
+                self._number[key] = number
+        return self._rows.take([self._number[key] for key in keys], axis=0)
+
+
+def _way(road: Road, lane: LaneIndex, destination: str | None) -> list[int]:
     """The roads of a vehicle's way, by their first lanes, as a row of `ways`."""
     number = compiled_lanes(road).index
     roads = [number[start, end, 0] for start, end, _ in road.way(lane, destination)]
-    return (*roads, *[-1] * (LONGEST_WAY - len(roads)))
+    return roads + [-1] * (LONGEST_WAY - len(roads))
 
 
 class Bends(Computed):
@@ -46,17 +66,21 @@ class Bends(Computed):
 
     _ways: Ways
 
+    def __init__(self, road: Road) -> None:
+        lanes = compiled_lanes(road)
+        self._number, self._names, self._geometry = lanes.index, lanes.names, lanes.geometry
+        self._net = joined_lanes(road)
+        self._rows = Rows(_way, road)
+
     def start(self, world: World, first: int) -> None:
         cars, fresh = world.cars, world.specs[first:]
-        self._number = compiled_lanes(world.road).index
-        self._names = compiled_lanes(world.road).names
-        cars.on[first:] = cars.target[first:] = [self._number[spec.lane] for spec in fresh]
+        cars.on[first:] = [self._number[spec.lane] for spec in fresh]
+        cars.target[first:] = cars.on[first:]
         # a route in highway-env names the lane on which it begins, and MOBIL does not leave it
         cars.planned[first:] = [spec.lane[2] for spec in fresh]
         cars.timer[first:] = [spec.timer for spec in fresh]
         cars.changes[first:] = [spec.changes_lanes for spec in fresh]
-        ways = np.array([_way(world.road, spec.lane, spec.destination) for spec in world.specs])
-        self._ways = Ways(joined_lanes(world.road), ways, *NOBODY_GIVES_WAY)
+        self._ways = Ways(self._net, self._rows.of(world.specs), *NOBODY_GIVES_WAY)
 
     def accelerate(self, world: World) -> None:
         cars, ways = world.cars, self._ways
@@ -77,12 +101,11 @@ class Bends(Computed):
                 return
 
 
-@lru_cache(maxsize=256)
-def _route(road: Road, lane: LaneIndex, destination: str | None) -> tuple[int, ...]:
+def _route(road: Road, lane: LaneIndex, destination: str | None) -> list[int]:
     """The lanes of a vehicle's way through the intersection, as a row of `routes`."""
     start = (f"o{lane[0][2:]}", lane[0], 0) if lane[0].startswith("ir") else lane
     lanes = [start] if start[0].startswith("il") else path(start, destination or "o1")  # already on the exit
-    return tuple(compiled_lanes(road).route(lanes).tolist())
+    return compiled_lanes(road).route(lanes).tolist()
 
 
 class GiveWay(Bends):
@@ -91,18 +114,19 @@ class GiveWay(Bends):
     # The rule's clock runs through the warm-up: 45 steps of it, one application every 7.
     phase = ((int(WARM_UP * WARM_UP_FREQUENCY) % REGULATION_INTERVAL) - 1) / WARM_UP_FREQUENCY
 
+    def __init__(self, road: Road) -> None:
+        super().__init__(road)
+        self._routes = Rows(_route, road)
+
     def start(self, world: World, first: int) -> None:
         super().start(world, first)
-        table = compiled_lanes(world.road)
-        routes = np.array([_route(world.road, spec.lane, spec.destination) for spec in world.specs])
+        routes = self._routes.of(world.specs)
         stage = np.zeros(len(routes), np.int64)
-        for _ in range(2):
-            advance(table.geometry, routes, stage, world.x, world.y)
+        advance(self._geometry, routes, stage, world.x, world.y)
         exempt = np.array([row == 0 or not spec.driver.gives_way for row, spec in enumerate(world.specs)])
         clock = np.array([self.phase]) if world.time == 0.0 else self._clock
         self._clock: Floats = clock
-        self._ways = self._ways._replace(routes=routes, stage=stage, exempt=exempt, clock=clock)
-        self._geometry = table.geometry
+        self._ways = Ways(self._net, self._ways.ways, routes, stage, exempt, clock)
 
     def accelerate(self, world: World) -> None:
         # wrecks do not decide, but the rule must not revive them either: they only coast

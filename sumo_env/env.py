@@ -131,7 +131,7 @@ class DrivingEnv(gym.Env[Observation, Any]):
         except (KeyError, TypeError):
             raise ValueError(f"action must be one of {self.actions}, not {action!r}") from None
         world = self._world
-        self.ego.command(name, float(self.scene.x[0]), float(self.scene.y[0]))
+        self.ego.command(name, self.scene.x.item(0), self.scene.y.item(0))
         self.scene = world.step(self._on_substep if self._video or self._shows_trajectories() else None)
         self.steps += 1
         self.ego_state = state = self._ego_state(int(action))
@@ -213,7 +213,7 @@ class DrivingEnv(gym.Env[Observation, Any]):
     def _ego_state(self, action: int | None) -> EgoState:
         assert self._world is not None
         road, scene, ego = self._world.road, self.scene, self.ego
-        x, y, heading = float(scene.x[0]), float(scene.y[0]), float(scene.heading[0])
+        x, y, heading = scene.x.item(0), scene.y.item(0), scene.heading.item(0)
         index = lane_at(road, x, y, heading)
         lane = road.lane(index)
         s, lateral = lane.local_coordinates(x, y)
@@ -221,13 +221,13 @@ class DrivingEnv(gym.Env[Observation, Any]):
             lane=index,
             s=s,
             lateral=lateral,
-            speed=float(scene.speed[0]),
+            speed=scene.speed.item(0),
             heading=heading,
             target_lane=ego.target_lane,
             speed_index=ego.speed_index,
             speed_count=len(self.target_speeds),
             action=action,
-            crashed=bool(scene.crashed[0]),
+            crashed=scene.crashed.item(0),
             on_road=lane.covers(s, lateral),
         )
 

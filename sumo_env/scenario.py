@@ -11,11 +11,12 @@ from typing import Literal
 
 from networks.roads import LaneIndex
 from sumo_env.drivers import Driver, RiskEvent
+from sumo_env.values import value
 
 EGO = "ego"
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class VehicleSpec:
     """One vehicle at the start of its life.
 

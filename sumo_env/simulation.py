@@ -71,7 +71,10 @@ class Simulation:
     Attributes:
         check_junctions: whether SUMO compares outlines inside junctions, from the next load of a network on. None: not
             those of steered cars, whose contacts geometry finds without exception (docs/collisions.md).
+        step_length: [ms].
     """
+
+    step_length: int
 
     def __init__(self) -> None:
         self.check_junctions: bool | None = None
@@ -85,6 +88,7 @@ class Simulation:
         self.lane_pointers: tuple[Integers, Integers]
         self._waiting: set[str] = set()  # vehicles of the last episode
         self._routes: dict[str, str] = {}  # of the vehicles
+        self._shared: dict[tuple[str, str], tuple[str, ...]] = {}  # edges that two routes share
         self.stepped = False  # since a vehicle was last removed
         self._limits: dict[str, float] = {}
 
@@ -92,7 +96,8 @@ class Simulation:
         """Make `owner` the one who drives, in the network of `settings`, with an empty road.
 
         Vehicles of the last episode that are `coming` again (id -> route) may wait there to be placed again, which SUMO
-        does in a tenth of the time that it takes to make one: steered cars, which have no state of their own.
+        does in a tenth of the time that it takes to make one: steered cars, which have no state of their own. They are
+        given their new routes when they are placed.
         """
         self.owner = owner
         if settings is self._served:
@@ -109,10 +114,29 @@ class Simulation:
     def _clear(self, but: Mapping[str, str] = NOBODY) -> None:
         self._waiting.clear()
         for vehicle in _native.vehicle_getIDList():
-            if self._routes.get(vehicle) == but.get(vehicle, ""):
+            old, new = self._routes.get(vehicle, ""), but.get(vehicle, "")
+            if old and new and (old == new or self._shared_edges(old, new)):
                 self._waiting.add(vehicle)
             else:
                 self.remove(vehicle)
+
+    def _shared_edges(self, one: str, other: str) -> tuple[str, ...]:
+        """The edges that two routes share."""
+        if (one, other) not in self._shared:
+            assert self.settings is not None
+            routes = dict(self.settings.routes)
+            self._shared[one, other] = tuple(edge for edge in routes[one] if edge in routes[other])
+        return self._shared[one, other]
+
+    def _change_route(self, name: str, route: str) -> None:
+        """Give a vehicle another route, which SUMO allows where it is on an edge of both.
+
+        Before it is placed: SUMO would draw one that changes its route there a little beside where a new one stands.
+        """
+        old = self._routes.pop(name)  # not known if it is interrupted here
+        _native.vehicle_moveTo(name, f"{self._shared_edges(old, route)[0]}_0", 0.0)
+        _native.vehicle_setRouteID(name, route)
+        self._routes[name] = route
 
     def check(self, owner: object) -> None:
         """Raise `SimulationTaken` unless `owner` still drives."""
@@ -159,7 +183,10 @@ class Simulation:
         self.stepped = False
         self._waiting.clear()
         self._types = {driver.type for driver in settings.drivers}
+        self.step_length = round(1000 * _native.simulation_getDeltaT())
         self._limits.clear()
+        self._routes.clear()
+        self._shared.clear()
         self.lane_ids = tuple(sorted(_native.lane_getIDList()))
         self.lane_numbers = {lane: number for number, lane in enumerate(self.lane_ids)}
         if self.functions is not None:
@@ -186,6 +213,8 @@ class Simulation:
         """
         if waiting := name in self._waiting:
             self._waiting.discard(name)
+            if self._routes[name] != route:
+                self._change_route(name, route)
         else:
             _native.vehicle_add(name, route, driver, departSpeed="0")
             self._routes[name] = route
@@ -207,6 +236,7 @@ class Simulation:
 
     def remove(self, name: str) -> None:
         """Take a vehicle off the road."""
+        self._routes.pop(name, None)
         _native.vehicle_remove(name)
         self.stepped = False
 
@@ -275,13 +305,19 @@ class Simulation:
         return str(libsumo.getVersion()[1])
 
 
-_STRINGS: dict[str, direct.Strings] = {}  # the few names that vehicles have, for compiled code
+class _Addresses(dict[str, int]):
+    """Addresses of the few names that vehicles have, as C++ strings for compiled code."""
+
+    def __init__(self) -> None:
+        self._strings: list[direct.Strings] = []
+
+    def __missing__(self, name: str) -> int:
+        self._strings.append(direct.Strings([name]))
+        self[name] = address = int(self._strings[-1].addresses[0])
+        return address
 
 
-def _address(name: str) -> int:
-    if name not in _STRINGS:
-        _STRINGS[name] = direct.Strings([name])
-    return int(_STRINGS[name].addresses[0])
+_ADDRESSES = _Addresses()
 
 
 class Fleet:
@@ -294,9 +330,9 @@ class Fleet:
             _lane(name)  # raises where there is no such vehicle, which must not happen in compiled code
         self._functions = simulation.functions
         if self._functions is not None:
-            self._addresses = np.array([_address(name) for name in names], np.int64)
+            self._addresses = np.array([_ADDRESSES[name] for name in names], np.int64)
             self._vehicles = direct.look_up(self._functions[direct.FIND_VEHICLE], self._addresses)
-            self._step = round(1000 * _native.simulation_getDeltaT())  # [ms]
+            self._step = simulation.step_length
             self._lanes = simulation.lane_pointers
 
     def handles(self) -> tuple[int, Integers, Integers, Integers, Integers, Integers] | None:

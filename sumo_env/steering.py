@@ -50,9 +50,10 @@ class Steering(Motion):
 
     def start(self, world: World, first: int) -> None:
         """Take in the vehicles in columns from `first` on."""
-        cars = world.cars
-        for column, spec in enumerate(world.specs[first:], start=first):
-            cars.pose[:, column] = spec.x, spec.y, spec.heading
+        cars, fresh = world.cars, world.specs[first:]
+        cars.x[first:] = [spec.x for spec in fresh]
+        cars.y[first:] = [spec.y for spec in fresh]
+        cars.heading[first:] = [spec.heading for spec in fresh]
         # not read: SUMO remembers where a car was that is placed again, until it steps
         numbers = world.sim.lane_numbers
         cars.lane[first:] = [numbers[lane] for lane in self.entered]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Protocol
 
+from networks.roads import Road
 from sumo_env.bends import Bends, GiveWay
 from sumo_env.computed import SWERVE_TIME, Mobil, Strip
 from sumo_env.drivers import RiskEvent
@@ -41,17 +42,17 @@ class Rule(Protocol):
         """Make a vehicle change lane at once, if nobody is beside it."""
 
 
-def rule_for(task: str, traffic_model: str) -> Rule:
+def rule_for(task: str, traffic_model: str, road: Road) -> Rule:
     """The rule that drives the traffic of a task (reference: docs/decisions.md, "traffic model")."""
     if task == "highway":
         return Mobil() if traffic_model == "matched" else Native(REGULAR, OWN_LANE_CHANGES)
     if task == "two-way":
         return Strip() if traffic_model == "matched" else Native(REGULAR, NO_LANE_CHANGES)
     if task == "roundabout":
-        return Bends() if traffic_model == "matched" else Native(REGULAR, OWN_LANE_CHANGES)
+        return Bends(road) if traffic_model == "matched" else Native(REGULAR, OWN_LANE_CHANGES)
     if task == "intersection":
-        return GiveWay() if traffic_model == "matched" else Native(REGULAR, NO_LANE_CHANGES)
-    return Bends() if traffic_model == "matched" else Native(REGULAR, OWN_LANE_CHANGES)
+        return GiveWay(road) if traffic_model == "matched" else Native(REGULAR, NO_LANE_CHANGES)
+    return Bends(road) if traffic_model == "matched" else Native(REGULAR, OWN_LANE_CHANGES)
 
 
 __all__ = ["CENTRED", "SWERVE_TIME", "Rule", "rule_for"]

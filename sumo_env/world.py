@@ -77,7 +77,7 @@ class World:
         self.substeps = round(config["simulation_frequency"] / config["policy_frequency"])
         first = next(iter(self.road.lanes.values()))
         self.road_length, self.limit = first.length, first.speed_limit
-        self.rule = rule_for(task.name, config["traffic_model"])
+        self.rule = rule_for(task.name, config["traffic_model"], self.road)
         rule = self.rule
         self.steering = Steering(network) if isinstance(rule, Computed) and rule.steers else None
         self.motion = self.steering or OnLanes(network)
@@ -86,6 +86,7 @@ class World:
         self._lane_ids: tuple[str, ...] = ()
         self._settings: dict[float | None, Settings] = {}  # by the risk of those who are not told where to drive
         self.time = 0.0
+        self.cars = Cars(0)
 
     # -- start of an episode -------------------------------------------------------------------------------
 
@@ -154,13 +155,17 @@ class World:
         self.ids = tuple(spec.id for spec in specs)
         self.spec_of = dict(zip(self.ids, specs, strict=True))
         self.row = {name: row for row, name in enumerate(self.ids)}
-        cars = Cars(len(specs))
-        if first:
-            cars.keep(self.cars, stayed)
-        self.cars: Cars = cars
-        self.x, self.y, self.heading, self.speed = cars.state
-        self.crashed, self.yielding, self.target_speed = cars.crashed, cars.yielding, cars.target_speed
-        self.lane = cars.lane
+        if first or len(self.cars) != len(specs):
+            cars = Cars(len(specs))
+            if first:
+                cars.keep(self.cars, stayed)
+            self.cars = cars
+            self.x, self.y, self.heading, self.speed = cars.x, cars.y, cars.heading, cars.speed
+            self.crashed, self.yielding, self.target_speed = cars.crashed, cars.yielding, cars.target_speed
+            self.lane = cars.lane
+        else:
+            cars = self.cars
+            cars.clear()
         self._reported: set[tuple[int, int]] = set()  # by SUMO after the last sub-step
         self.fleet: Fleet = self.sim.fleet(self.ids)
         if self.steering:
@@ -174,7 +179,8 @@ class World:
         cars.target_speed[first:] = [spec.target_speed for spec in fresh]
         cars.yielding[first:] = [spec.yielding for spec in fresh]
         cars.before[:] = cars.pose
-        self.drivers = driver_rows(spec.driver for spec in specs)
+        drivers = driver_rows([spec.driver for spec in fresh])
+        self.drivers = np.concatenate((self.drivers[list(stayed)], drivers)) if first else drivers
         self.rule.start(self, first)
         self.motion.aim(self)
         self._traffic: Traffic | None = self.motion.traffic(self)

@@ -39,7 +39,7 @@ def driver_rows(drivers: Iterable[Driver]) -> Floats:
     """The table of these drivers, shape (n, 6)."""
     return np.array(
         [(d.accel, d.decel, d.min_gap + VEHICLE_LENGTH, d.tau, d.delta, d.emergency_decel) for d in drivers]
-    )
+    ).reshape(-1, 6)
 
 
 def driver_row(driver: Driver) -> Floats:
@@ -254,7 +254,29 @@ def path_accelerations(
     for lane in range(lanes):
         for j in range(n if looked_at[lane] else 0):
             s[j, lane], lat[j, lane] = local_coordinates(geometry, lane, x[j], y[j])
+    return accelerations_along(
+        geometry, successors, routes, stage, s, lat, speed, heading, target_speed, drivers
+    )
 
+
+@compiled
+def accelerations_along(
+    geometry: Floats,
+    successors: Integers,
+    routes: Integers,
+    stage: Integers,
+    s: Floats,
+    lat: Floats,
+    speed: Floats,
+    heading: Floats,
+    target_speed: Floats,
+    drivers: Floats,
+) -> Floats:
+    """`path_accelerations` by coordinates of the vehicles on lanes [m], shape (n, lanes).
+
+    They have to be there for a vehicle's own lane and for those that it is on; elsewhere `s` may be inf.
+    """
+    n = len(s)
     result = np.empty(n)
     for i in range(n):
         own = routes[i, stage[i]]

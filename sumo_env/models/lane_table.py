@@ -158,8 +158,10 @@ def closest_lane(geometry: Floats, x: float, y: float, heading: float) -> int:
     best, least, second = -1, math.inf, math.inf
     for lane in range(len(geometry)):
         s, lat = local_coordinates(geometry, lane, x, y)
-        turn = abs((heading - heading_at(geometry, lane, s) + math.pi) % (2.0 * math.pi) - math.pi)
-        distance = abs(lat) + max(s - geometry[lane, LENGTH], 0.0) + max(-s, 0.0) + turn
+        distance = abs(lat) + max(s - geometry[lane, LENGTH], 0.0) + max(-s, 0.0)
+        if distance > second:
+            continue
+        distance += abs((heading - heading_at(geometry, lane, s) + math.pi) % (2.0 * math.pi) - math.pi)
         if distance < least:
             best, least, second = lane, distance, least
         elif distance < second:

@@ -7,8 +7,9 @@ from numpy.typing import NDArray
 
 from sumo_env.compiled import compiled
 from sumo_env.models.give_way import regulate
-from sumo_env.models.idm import path_accelerations
-from sumo_env.models.lane_table import LENGTH, Floats, Integers, heading_at, position
+from sumo_env.models.idm import accelerations_along
+from sumo_env.models.lane_grid import lanes_near
+from sumo_env.models.lane_table import LENGTH, Floats, Integers, heading_at, local_coordinates, position
 
 
 @compiled
@@ -24,6 +25,8 @@ def warm_up(
     speed: Floats,
     target_speed: Floats,
     drivers: Floats,
+    corner: Floats,
+    near: Integers,
     exempt: NDArray[np.bool_],
     yielding: NDArray[np.bool_],
     steps: int,
@@ -32,11 +35,20 @@ def warm_up(
 ) -> None:
     """Drive `steps` steps of `dt` [s] by IDM, with `regulate` every `interval` steps; changes everything in place.
 
-    s: along the lanes [m], shape (n,); the others as in `path_accelerations` and `regulate`.
+    s: along the lanes [m], shape (n,); corner, near: of a `lane_grid` of the lanes on which vehicles are leaders; the
+    others as in `path_accelerations` and `regulate`.
     """
+    on, lat = np.empty((len(x), len(geometry))), np.empty((len(x), len(geometry)))
     for step in range(1, steps + 1):
-        acceleration = path_accelerations(
-            geometry, successors, routes, stage, x, y, speed, heading, target_speed, drivers
+        on[:] = np.inf
+        for i in range(len(x)):
+            own = routes[i, stage[i]]
+            on[i, own], lat[i, own] = local_coordinates(geometry, own, x[i], y[i])
+            for lane in lanes_near(corner, near, x[i], y[i]):
+                if lane >= 0:
+                    on[i, lane], lat[i, lane] = local_coordinates(geometry, lane, x[i], y[i])
+        acceleration = accelerations_along(
+            geometry, successors, routes, stage, on, lat, speed, heading, target_speed, drivers
         )
         if step % interval == 0:
             regulate(geometry, routes, stage, x, y, speed, heading, exempt, target_speed, yielding)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
@@ -15,9 +14,10 @@ from sumo_env.drivers import POOL, CarFollowing, Driver, RiskRates, draw_events,
 from sumo_env.models.lane_table import lane_at
 from sumo_env.scenario import EGO, Scenario, Spawn, VehicleSpec
 from sumo_env.streams import stream
+from sumo_env.values import value
 
 
-@dataclass(frozen=True, slots=True)
+@value
 class EgoState:
     """The ego as rewards and endings see it, after a policy step.
 
@@ -160,19 +160,11 @@ def make_on_lane(
     if not 0.0 <= s <= geometry.length:  # on another lane really, as highway-env finds out as well
         lane = lane_at(road, x, y, heading)
         s = road.lane(lane).local_coordinates(x, y)[0]
+    if target_speed is None:
+        target_speed = speed
+    timer = ((x + y) * math.pi) % 1.0  # IDMVehicle.timer: spreads MOBIL's decisions over time
     return VehicleSpec(
-        id=id,
-        lane=lane,
-        s=s,
-        x=x,
-        y=y,
-        heading=heading,
-        speed=speed,
-        target_speed=speed if target_speed is None else target_speed,
-        destination=destination,
-        driver=driver,
-        changes_lanes=changes_lanes,
-        timer=((x + y) * math.pi) % 1.0,  # IDMVehicle.timer: spreads MOBIL's decisions over time
+        id, lane, s, x, y, heading, speed, target_speed, destination, driver, changes_lanes, timer
     )
 
 

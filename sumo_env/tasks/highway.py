@@ -10,7 +10,7 @@ from networks.roads import Road, highway
 from sumo_env.config import DISCRETE_META_ACTION, Config, ConfigError
 from sumo_env.drivers import RiskRates
 from sumo_env.scenario import EGO, VehicleSpec
-from sumo_env.scene import PERCEPTION_DISTANCE
+from sumo_env.scene import PERCEPTION_DISTANCE, Floats
 from sumo_env.tasks.base import Drivers, EgoState, Task, ego_driver, lmap, make_on_lane, speed_term, weighted
 
 
@@ -51,7 +51,7 @@ class Highway(Task):
         if lane is not None and lane not in range(int(config["lanes_count"])):
             raise ConfigError(f"'initial_lane_id' must be None or a lane below 'lanes_count', not {lane!r}")
         lane = int(rng.integers(config["lanes_count"])) if lane is None else int(lane)
-        spacing = _spacing(25.0, config["ego_spacing"], config)
+        spacing = float(_spacing(np.array(25.0), config["ego_spacing"], config))
         s = spacing * (3.0 + rng.uniform(0.9, 1.1))
         return make_on_lane(road, EGO, ("0", "1", lane), s, 25.0, ego_driver(self))
 
@@ -63,14 +63,13 @@ class Highway(Task):
         lanes = rng.integers(config["lanes_count"], size=count)
         speeds = rng.uniform(21.0, 24.0, size=count)  # 0.7 to 0.8 of the speed limit
         jitter = rng.uniform(0.9, 1.1, size=count)
-        vehicles = []
-        s = ego.s
-        for k in range(count):
-            speed = float(speeds[k])
-            s += _spacing(speed, 1.0 / config["vehicles_density"], config) * float(jitter[k])
-            lane = ("0", "1", int(lanes[k]))
-            vehicles.append(make_on_lane(road, f"v{k}", lane, s, speed, drivers.next()))
-        return vehicles
+        gaps = _spacing(speeds, 1.0 / config["vehicles_density"], config) * jitter
+        places = np.cumsum(np.append(ego.s, gaps))[1:]
+        cars = zip(lanes.tolist(), places.tolist(), speeds.tolist(), strict=True)
+        return [
+            make_on_lane(road, f"v{k}", ("0", "1", lane), s, speed, drivers.next())
+            for k, (lane, s, speed) in enumerate(cars)
+        ]
 
     def concerns_ego(self, vehicle: VehicleSpec, ego: VehicleSpec, config: Config) -> bool:
         # Even at full speed the ego gets no closer than 200 m to a wreck further ahead than this. Leaving such
@@ -94,6 +93,6 @@ class Highway(Task):
         return reward * rewards["on_road_reward"]
 
 
-def _spacing(speed: float, spacing: float, config: Config) -> float:
-    """Distance to the vehicle before, before jitter [m]; shrinks with the number of lanes."""
+def _spacing(speed: Floats, spacing: float, config: Config) -> Floats:
+    """Distances to the vehicle before by speeds [m/s], before jitter [m]; they shrink with the number of lanes."""
     return spacing * (12.0 + 1.0 * speed) * math.exp(-5.0 / 40.0 * config["lanes_count"])

@@ -3,15 +3,17 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 
+from networks.lanes import VEHICLE_LENGTH
 from networks.roads import LaneIndex, Road, intersection
 from sumo_env.config import DISCRETE_META_ACTION, Config, ConfigError
 from sumo_env.drivers import CarFollowing, RiskRates
-from sumo_env.models.idm import driver_rows
-from sumo_env.models.lane_table import compiled_lanes
+from sumo_env.models.idm import NEAR, driver_rows
+from sumo_env.models.lane_grid import lane_grid
+from sumo_env.models.lane_table import Floats, Integers, compiled_lanes
 from sumo_env.models.warm_up import warm_up
 from sumo_env.scenario import EGO, Spawn, VehicleSpec
 from sumo_env.streams import stream
@@ -147,9 +149,9 @@ def _attempt(
     straight: bool = False,
 ) -> VehicleSpec | None:
     """One try of highway-env's ``_spawn_vehicle``; draws the same numbers whether it succeeds or not."""
-    success = rng.uniform() <= probability
-    start, goal = (int(arm) for arm in rng.choice(4, size=2, replace=False))
-    place, speed = (float(value) for value in rng.normal(size=2))
+    success = rng.random() <= probability
+    start, goal = _two_arms(rng)
+    place, speed = rng.standard_normal(), rng.standard_normal()
     driver = drivers.next()
     if straight:
         goal, place, speed = (start + 2) % 4, 0.1 * place, 0.0
@@ -166,6 +168,27 @@ def _attempt(
     )
 
 
+def _two_arms(rng: np.random.Generator) -> tuple[int, int]:
+    """What ``rng.choice(4, size=2, replace=False)`` draws, by the same algorithm in a third of the time."""
+    first, second = int(rng.integers(3)), int(rng.integers(4))
+    if second == first:
+        second = 3
+    return (first, second) if rng.integers(2) else (second, first)
+
+
+@lru_cache(maxsize=2)
+def _grid(road: Road) -> tuple[Floats, Integers]:
+    """`lane_grid` of the lanes on which vehicles are leaders."""
+    return lane_grid(compiled_lanes(road).geometry, VEHICLE_LENGTH, NEAR)
+
+
+@lru_cache(maxsize=64)
+def _path(road: Road, lane: LaneIndex, destination: str) -> tuple[list[LaneIndex], Integers]:
+    """`path`, and the numbers of its lanes."""
+    lanes = path(lane, destination)
+    return lanes, compiled_lanes(road).route(lanes)
+
+
 def _warm_up(road: Road, vehicles: list[VehicleSpec]) -> list[VehicleSpec]:
     """Let the first vehicles drive for 3 s by highway-env's rules, on paths, without any simulator.
 
@@ -175,8 +198,8 @@ def _warm_up(road: Road, vehicles: list[VehicleSpec]) -> list[VehicleSpec]:
         return []
     table = compiled_lanes(road)
     n = len(vehicles)
-    paths = [path(v.lane, v.destination or "") for v in vehicles]
-    routes = np.array([table.route(lanes) for lanes in paths])
+    paths, numbers = zip(*[_path(road, v.lane, v.destination or "") for v in vehicles], strict=True)
+    routes = np.array(numbers)
     rows = driver_rows(v.driver for v in vehicles)
     exempt = np.array([not v.driver.gives_way for v in vehicles])
     stage = np.zeros(n, np.int64)
@@ -188,22 +211,15 @@ def _warm_up(road: Road, vehicles: list[VehicleSpec]) -> list[VehicleSpec]:
     yielding = np.zeros(n, np.bool_)
     steps = int(WARM_UP * WARM_UP_FREQUENCY)
     warm_up(
-        table.geometry, table.successors, routes, stage, s, x, y, heading, speed, target_speed, rows, exempt,
-        yielding, steps, REGULATION_INTERVAL, 1.0 / WARM_UP_FREQUENCY,
+        table.geometry, table.successors, routes, stage, s, x, y, heading, speed, target_speed, rows,
+        *_grid(road), exempt, yielding, steps, REGULATION_INTERVAL, 1.0 / WARM_UP_FREQUENCY,
     )  # fmt: skip
     return [
-        replace(
-            vehicle,
-            lane=paths[i][stage[i]],
-            s=float(s[i]),
-            x=float(x[i]),
-            y=float(y[i]),
-            heading=float(heading[i]),
-            speed=float(speed[i]),
-            target_speed=float(target_speed[i]),
-            yielding=bool(yielding[i]),
+        VehicleSpec(
+            v.id, lanes[stage[i]], s.item(i), x.item(i), y.item(i), heading.item(i), speed.item(i),
+            target_speed.item(i), v.destination, v.driver, v.changes_lanes, v.timer, yielding.item(i),
         )
-        for i, vehicle in enumerate(vehicles)
+        for i, (v, lanes) in enumerate(zip(vehicles, paths, strict=True))
         # those that have left, as highway-env removes them after the first step
-        if not (stage[i] == 2 and s[i] >= road.lane(paths[i][2]).length - 20.0)
-    ]
+        if not (stage[i] == 2 and s[i] >= road.lane(lanes[2]).length - 20.0)
+    ]  # fmt: skip

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 import gymnasium as gym
+import libsumo
 import numpy as np
 import pytest
 from highway_env.envs import IntersectionEnv, RoundaboutEnv, UTurnEnv
@@ -156,6 +157,25 @@ def test_sumo_cars_are_where_they_are_steered(task: str, level: int, risk: float
     assert np.quantile(apart, 0.95) < 0.05
     assert np.quantile(apart, 0.99) < 0.2
     assert max(np.array(apart)[back], default=0.0) < 0.1
+
+
+@pytest.mark.parametrize("task", ["roundabout", "intersection"])
+def test_a_car_that_is_placed_again_has_the_route_of_its_new_way(task: str) -> None:
+    inner: Any = gym.make(f"sumo/{task}-v0").unwrapped
+    before: dict[str, str] = {}
+    changed = 0
+    for seed in range(20):
+        inner.reset(seed=seed)
+        world = inner._world
+        routes = {name: libsumo.vehicle.getRouteID(name) for name in libsumo.vehicle.getIDList()}
+        assert routes == {
+            spec.id: world.network.sumo_route(spec.lane, spec.destination) for spec in world.specs
+        }
+        changed += sum(before.get(name, route) != route for name, route in routes.items())
+        before = routes
+        inner.step(0)
+    assert changed > 5
+    inner.close()
 
 
 @pytest.mark.parametrize("task", ["highway", "roundabout", "intersection", "u-turn"])

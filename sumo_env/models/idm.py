@@ -88,13 +88,14 @@ def acceleration(
 
 @compiled
 def behind(
-    driver: Floats, v: float, target_speed: float, limit: float, gap_centre: float, v_lead: float
+    drivers: Floats, i: int, v: float, target_speed: float, limit: float, gap_centre: float, v_lead: float
 ) -> float:
-    """`acceleration` of a row of the table of drivers; `target_speed` is taken within 0 and `limit` [m/s]."""
+    """`acceleration` of row `i` of the table of drivers; `target_speed` is taken within 0 and `limit` [m/s]."""
     v0 = min(max(target_speed, 0.0), limit)
     return acceleration(
-        v, v0, driver[DELTA], gap_centre, v_lead, driver[A_MAX], driver[B], driver[S0], driver[TAU]
-    )
+        v, v0, drivers[i, DELTA], gap_centre, v_lead, drivers[i, A_MAX], drivers[i, B], drivers[i, S0],
+        drivers[i, TAU],
+    )  # fmt: skip
 
 
 @compiled
@@ -160,7 +161,7 @@ def strip_accelerations(
             if leader >= 0:
                 gap = direction[i] * (x[leader] - x[i])
                 v_lead = speed[leader] * math.cos(heading[leader] - heading[i])
-            a = min(a, behind(drivers[i], speed[i], target_speed[i], limit, gap, v_lead))
+            a = min(a, behind(drivers, i, speed[i], target_speed[i], limit, gap, v_lead))
         result[i] = min(max(a, -drivers[i, ACC_MAX]), drivers[i, ACC_MAX])
     return result
 
@@ -291,6 +292,6 @@ def accelerations_along(
                 v_lead = speed[leader]
                 if k == stage[i] and not beyond:
                     v_lead *= math.cos(heading[leader] - heading[i])
-            a = min(a, behind(drivers[i], speed[i], target_speed[i], geometry[own, LIMIT], gap, v_lead))
+            a = min(a, behind(drivers, i, speed[i], target_speed[i], geometry[own, LIMIT], gap, v_lead))
         result[i] = min(max(a, -drivers[i, ACC_MAX]), drivers[i, ACC_MAX])
     return result

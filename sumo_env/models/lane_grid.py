@@ -63,8 +63,8 @@ def lane_grid(geometry: Floats, beyond: float, beside: float) -> tuple[Floats, I
 
 
 @compiled
-def lanes_near(corner: Floats, near: Integers, x: float, y: float) -> Integers:
-    """Numbers of the lanes that (x, y) [m] may be near, rising, then -1; `corner`, `near`: of `lane_grid`."""
+def cell(corner: Floats, near: Integers, x: float, y: float) -> tuple[int, int]:
+    """Column and row in `near` of (x, y) [m]; `corner`, `near`: of `lane_grid`."""
     column = min(max(math.floor((x - corner[0]) / CELL), 0), near.shape[0] - 1)
     row = min(max(math.floor((y - corner[1]) / CELL), 0), near.shape[1] - 1)
-    return near[column, row]
+    return column, row

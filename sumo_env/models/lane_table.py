@@ -104,26 +104,39 @@ def _row(lane: Lane) -> Floats:
     return row
 
 
+# What is read often is read by its number in the table: a row of its own costs more than what is done with it, because
+# compiled code counts the references to arrays.
+
+
 @compiled
 def position(geometry: Floats, lane: int, s: float) -> tuple[float, float]:
     """World position (x, y) [m] of the point `s` [m] along a lane's centre line."""
-    g = geometry[lane]
-    if g[KIND] == CIRCULAR:
-        phi = g[TURN] * s / g[RADIUS] + g[START_PHASE]
-        return g[X] + g[RADIUS] * math.cos(phi), g[Y] + g[RADIUS] * math.sin(phi)
-    lat = g[AMPLITUDE] * math.sin(g[PULSATION] * s + g[PHASE]) if g[KIND] == SINE else 0.0
-    return g[X] + s * g[COS] - lat * g[SIN], g[Y] + s * g[SIN] + lat * g[COS]
+    x, y = geometry[lane, X], geometry[lane, Y]
+    if geometry[lane, KIND] == CIRCULAR:
+        radius = geometry[lane, RADIUS]
+        phi = geometry[lane, TURN] * s / radius + geometry[lane, START_PHASE]
+        return x + radius * math.cos(phi), y + radius * math.sin(phi)
+    lat = _wave(geometry, lane, s) if geometry[lane, KIND] == SINE else 0.0
+    cos, sin = geometry[lane, COS], geometry[lane, SIN]
+    return x + s * cos - lat * sin, y + s * sin + lat * cos
+
+
+@compiled
+def _wave(geometry: Floats, lane: int, s: float) -> float:
+    """How far a waving lane is to the right of its axis [m]."""
+    return geometry[lane, AMPLITUDE] * math.sin(geometry[lane, PULSATION] * s + geometry[lane, PHASE])
 
 
 @compiled
 def heading_at(geometry: Floats, lane: int, s: float) -> float:
     """Heading [rad] of a lane's centre line at `s` [m]; not wrapped."""
-    g = geometry[lane]
-    if g[KIND] == CIRCULAR:
-        return g[TURN] * (s / g[RADIUS] + math.pi / 2) + g[START_PHASE]
-    if g[KIND] == SINE:
-        return g[HEADING] + math.atan(g[AMPLITUDE] * g[PULSATION] * math.cos(g[PULSATION] * s + g[PHASE]))
-    return g[HEADING]
+    if geometry[lane, KIND] == CIRCULAR:
+        turned = s / geometry[lane, RADIUS] + math.pi / 2
+        return geometry[lane, TURN] * turned + geometry[lane, START_PHASE]
+    if geometry[lane, KIND] == SINE:
+        steepest, pulsation = geometry[lane, AMPLITUDE] * geometry[lane, PULSATION], geometry[lane, PULSATION]
+        return geometry[lane, HEADING] + math.atan(steepest * math.cos(pulsation * s + geometry[lane, PHASE]))
+    return geometry[lane, HEADING]
 
 
 @compiled
@@ -138,14 +151,15 @@ def direction_at(geometry: Floats, lane: int, x: float, y: float) -> tuple[float
 @compiled
 def local_coordinates(geometry: Floats, lane: int, x: float, y: float) -> tuple[float, float]:
     """Coordinates (s, lat) [m] on a lane of the world position (x, y) [m]."""
-    g = geometry[lane]
-    dx, dy = x - g[X], y - g[Y]
-    if g[KIND] == CIRCULAR:
-        turned = (math.atan2(dy, dx) - g[START_PHASE] + math.pi) % (2.0 * math.pi) - math.pi
-        return g[TURN] * turned * g[RADIUS], g[TURN] * (g[RADIUS] - math.sqrt(dx * dx + dy * dy))
-    s, lat = dx * g[COS] + dy * g[SIN], dy * g[COS] - dx * g[SIN]
-    if g[KIND] == SINE:
-        lat -= g[AMPLITUDE] * math.sin(g[PULSATION] * s + g[PHASE])
+    dx, dy = x - geometry[lane, X], y - geometry[lane, Y]
+    if geometry[lane, KIND] == CIRCULAR:
+        radius, turn = geometry[lane, RADIUS], geometry[lane, TURN]
+        turned = (math.atan2(dy, dx) - geometry[lane, START_PHASE] + math.pi) % (2.0 * math.pi) - math.pi
+        return turn * turned * radius, turn * (radius - math.sqrt(dx * dx + dy * dy))
+    cos, sin = geometry[lane, COS], geometry[lane, SIN]
+    s, lat = dx * cos + dy * sin, dy * cos - dx * sin
+    if geometry[lane, KIND] == SINE:
+        lat -= _wave(geometry, lane, s)
     return s, lat
 
 

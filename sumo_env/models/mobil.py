@@ -53,21 +53,22 @@ def closest_lanes(y: Floats, lanes_count: int, lane_width: float) -> Integers:
 def _between(
     follower: int,
     leader: int,
-    driver: Floats,
+    drivers: Floats,
+    i: int,
     x: Floats,
     speed: Floats,
     heading: Floats,
     target_speed: Floats,
     limit: float,
 ) -> float:
-    """IDM acceleration [m/s2] of `follower` behind `leader` if it drove like `driver`; -1: there is none."""
+    """IDM acceleration [m/s2] of `follower` behind `leader` if it drove like driver `i`; -1: there is none."""
     if follower < 0:
         return 0.0
     gap, v_lead = math.inf, 0.0
     if leader >= 0:
         gap = x[leader] - x[follower]
         v_lead = speed[leader] * math.cos(heading[leader] - heading[follower])
-    return behind(driver, speed[follower], target_speed[follower], limit, gap, v_lead)
+    return behind(drivers, i, speed[follower], target_speed[follower], limit, gap, v_lead)
 
 
 @compiled
@@ -92,10 +93,9 @@ def criteria(
     """
     preceding, following = strip_neighbours(i, new_lane * lane_width, 1.0, x, y, length)
     old_preceding, _ = strip_neighbours(i, lane[i] * lane_width, 1.0, x, y, length)
-    driver = drivers[i]
-    imposed = _between(following, i, driver, x, speed, heading, target_speed, limit)
-    after = _between(i, preceding, driver, x, speed, heading, target_speed, limit)
-    before = _between(i, old_preceding, driver, x, speed, heading, target_speed, limit)
+    imposed = _between(following, i, drivers, i, x, speed, heading, target_speed, limit)
+    after = _between(i, preceding, drivers, i, x, speed, heading, target_speed, limit)
+    before = _between(i, old_preceding, drivers, i, x, speed, heading, target_speed, limit)
     return imposed, after - before
 
 
@@ -107,14 +107,16 @@ def _aborts(
     heading: Floats,
     lane: Integers,
     target: Integers,
-    driver: Floats,
+    drivers: Floats,
 ) -> bool:
     """Is somebody ahead, closer than vehicle `i` likes and not there yet, changing to the same lane?"""
     for j in range(len(x)):
         if j == i or lane[j] == target[i] or target[j] != target[i]:
             continue
         v_lead = speed[j] * math.cos(heading[j] - heading[i])
-        gap = desired_gap(speed[i], v_lead, driver[A_MAX], driver[B], driver[S0], driver[TAU])
+        gap = desired_gap(
+            speed[i], v_lead, drivers[i, A_MAX], drivers[i, B], drivers[i, S0], drivers[i, TAU]
+        )
         if 0.0 < x[j] - x[i] < gap:
             return True
     return False
@@ -165,7 +167,7 @@ def desired_lanes(
         if not changes[i]:
             continue
         if lane[i] != target[i]:
-            if _aborts(i, x, speed, heading, lane, target, drivers[i]):
+            if _aborts(i, x, speed, heading, lane, target, drivers):
                 result[i] = lane[i]
         elif due[i] and abs(speed[i]) >= MIN_SPEED and 0.0 <= x[i] < length + VEHICLE_LENGTH:
             for new_lane in (lane[i] - 1, lane[i] + 1):

@@ -36,7 +36,7 @@ from sumo_env.cars import (
 )
 from sumo_env.compiled import compiled, inlined
 from sumo_env.models.idm import A_MAX, ACC_MAX, NEAR, S0, TAU, B, behind, desired_gap
-from sumo_env.models.lane_grid import lane_grid, lanes_near
+from sumo_env.models.lane_grid import cell, lane_grid
 from sumo_env.models.lane_table import (
     LENGTH,
     LIMIT,
@@ -146,7 +146,9 @@ def locate(
     s, on = np.full((n, lanes), np.nan), np.zeros((n, lanes), np.bool_)
     for j in range(n):
         best, least = 0, math.inf
-        for number in lanes_near(roads.corner, roads.near, x[j], y[j]):
+        column, row = cell(roads.corner, roads.near, x[j], y[j])
+        for k in range(roads.near.shape[2]):
+            number = roads.near[column, row, k]
             if number < 0:
                 break
             s[j, number], lat = local_coordinates(geometry, number, x[j], y[j])
@@ -220,7 +222,8 @@ def way_beyond(
 def _between(
     follower: int,
     leader: int,
-    driver: Floats,
+    drivers: Floats,
+    i: int,
     roads: Net,
     s: Floats,
     on: NDArray[np.bool_],
@@ -232,7 +235,7 @@ def _between(
     target: Integers,
     target_speed: Floats,
 ) -> float:
-    """IDM acceleration [m/s2] of `follower` behind `leader` (-1: nobody) if it drove like `driver`; 0 of nobody."""
+    """IDM acceleration [m/s2] of `follower` behind `leader` (-1: nobody) if it drove like driver `i`; 0 of nobody."""
     if follower < 0:
         return 0.0
     own = lane[follower]
@@ -242,7 +245,7 @@ def _between(
         if math.isnan(gap):  # on the same road: measured on the lane, as in highway-env
             gap = along(roads.geometry, s, x, y, leader, own) - along(roads.geometry, s, x, y, follower, own)
             v_lead *= math.cos(heading[leader] - heading[follower])
-    return behind(driver, speed[follower], target_speed[follower], roads.geometry[own, LIMIT], gap, v_lead)
+    return behind(drivers, i, speed[follower], target_speed[follower], roads.geometry[own, LIMIT], gap, v_lead)
 
 
 @compiled
@@ -263,7 +266,7 @@ def next_target(lane: int, following_road: int, roads: Net, x: float, y: float) 
 @compiled
 def _gives_up(
     i: int,
-    driver: Floats,
+    drivers: Floats,
     geometry: Floats,
     s: Floats,
     x: Floats,
@@ -278,7 +281,9 @@ def _gives_up(
         if j == i or lane[j] == target[i] or target[j] != target[i]:
             continue
         v_lead = speed[j] * math.cos(heading[j] - heading[i])
-        gap = desired_gap(speed[i], v_lead, driver[A_MAX], driver[B], driver[S0], driver[TAU])
+        gap = desired_gap(
+            speed[i], v_lead, drivers[i, A_MAX], drivers[i, B], drivers[i, S0], drivers[i, TAU]
+        )
         ahead = along(geometry, s, x, y, j, lane[i]) - along(geometry, s, x, y, i, lane[i])
         if 0.0 < ahead < gap:
             return True
@@ -289,7 +294,7 @@ def _gives_up(
 def _mobil(
     i: int,
     new: int,
-    driver: Floats,
+    drivers: Floats,
     roads: Net,
     s: Floats,
     on: NDArray[np.bool_],
@@ -304,10 +309,10 @@ def _mobil(
 ) -> bool:
     """``IDMVehicle.mobil``: may vehicle `i` change to lane `new`, and is it worth it or planned?"""
     preceding, following = neighbours(i, new, roads, s, on, x, y)
-    imposed = _between(following, i, driver, roads, s, on, x, y, speed, heading, lane, target, target_speed)
+    imposed = _between(following, i, drivers, i, roads, s, on, x, y, speed, heading, lane, target, target_speed)
     if imposed < -SAFE_BRAKING:
         return False
-    after = _between(i, preceding, driver, roads, s, on, x, y, speed, heading, lane, target, target_speed)
+    after = _between(i, preceding, drivers, i, roads, s, on, x, y, speed, heading, lane, target, target_speed)
     if planned[i] != NO_PLAN:
         # only toward the planned lane; who is there already stays
         here = target[i] - roads.first[target[i]]
@@ -315,7 +320,7 @@ def _mobil(
             return False
         return after >= -SAFE_BRAKING
     old = neighbours(i, lane[i], roads, s, on, x, y)[0]
-    before = _between(i, old, driver, roads, s, on, x, y, speed, heading, lane, target, target_speed)
+    before = _between(i, old, drivers, i, roads, s, on, x, y, speed, heading, lane, target, target_speed)
     return after - before >= MIN_GAIN
 
 
@@ -364,7 +369,6 @@ def drive(
     for i in range(n):
         if not acts[i]:
             continue
-        driver = drivers[i]
         if along(geometry, s, x, y, i, target[i]) > geometry[target[i], LENGTH] - VEHICLE_LENGTH / 2:
             planned[i] = NO_PLAN
             if leg[i] + 1 < ways.shape[1] and ways[i, leg[i] + 1] >= 0:
@@ -375,7 +379,7 @@ def drive(
             pass
         elif own != target[i]:
             same_road = roads.first[own] == roads.first[target[i]]
-            if same_road and _gives_up(i, driver, geometry, s, x, y, speed, heading, lane, target):
+            if same_road and _gives_up(i, drivers, geometry, s, x, y, speed, heading, lane, target):
                 target[i] = own
         elif timer[i] > DELAY:
             timer[i] = 0.0
@@ -386,14 +390,14 @@ def drive(
                 within = 0.0 <= there < geometry[new, LENGTH] + VEHICLE_LENGTH
                 if not within or abs(lat) > 2.0 * WIDTH or abs(speed[i]) < MIN_SPEED:
                     continue
-                if _mobil(i, new, driver, roads, s, on, x, y, speed, heading, lane, target, target_speed, planned):
+                if _mobil(i, new, drivers, roads, s, on, x, y, speed, heading, lane, target, target_speed, planned):
                     target[i] = new
         front = neighbours(i, own, roads, s, on, x, y)[0]
-        a = _between(i, front, driver, roads, s, on, x, y, speed, heading, lane, target, target_speed)
+        a = _between(i, front, drivers, i, roads, s, on, x, y, speed, heading, lane, target, target_speed)
         if own != target[i]:
             front = neighbours(i, target[i], roads, s, on, x, y)[0]
-            a = min(a, _between(i, front, driver, roads, s, on, x, y, speed, heading, lane, target, target_speed))
-        result[i] = min(max(a, -driver[ACC_MAX]), driver[ACC_MAX])
+            a = min(a, _between(i, front, drivers, i, roads, s, on, x, y, speed, heading, lane, target, target_speed))
+        result[i] = min(max(a, -drivers[i, ACC_MAX]), drivers[i, ACC_MAX])
     return result
 
 

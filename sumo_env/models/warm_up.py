@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from sumo_env.compiled import compiled
 from sumo_env.models.give_way import regulate
 from sumo_env.models.idm import accelerations_along
-from sumo_env.models.lane_grid import lanes_near
+from sumo_env.models.lane_grid import cell
 from sumo_env.models.lane_table import LENGTH, Floats, Integers, heading_at, local_coordinates, position
 
 
@@ -44,7 +44,9 @@ def warm_up(
         for i in range(len(x)):
             own = routes[i, stage[i]]
             on[i, own], lat[i, own] = local_coordinates(geometry, own, x[i], y[i])
-            for lane in lanes_near(corner, near, x[i], y[i]):
+            column, row = cell(corner, near, x[i], y[i])
+            for k in range(near.shape[2]):
+                lane = near[column, row, k]
                 if lane >= 0:
                     on[i, lane], lat[i, lane] = local_coordinates(geometry, lane, x[i], y[i])
         acceleration = accelerations_along(

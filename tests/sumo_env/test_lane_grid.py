@@ -7,7 +7,7 @@ import pytest
 
 from networks.roads import ROADS
 from sumo_env.models.idm import NEAR
-from sumo_env.models.lane_grid import CELL, lane_grid, lanes_near
+from sumo_env.models.lane_grid import CELL, cell, lane_grid
 from sumo_env.models.lane_table import LENGTH, compiled_lanes, lane_table, local_coordinates
 from sumo_env.models.network_drivers import locate, net
 
@@ -22,7 +22,7 @@ def test_every_lane_that_is_near_is_found(task: str) -> None:
     rng = np.random.default_rng(3)
     found = 0
     for x, y in rng.uniform(corner - 20.0, high + 20.0, (20_000, 2)):
-        listed = [lane for lane in lanes_near(corner, near, x, y).tolist() if lane >= 0]
+        listed = [lane for lane in near[cell(corner, near, x, y)].tolist() if lane >= 0]
         assert listed == sorted(set(listed))
         for lane in range(len(table.geometry)):
             s, lat = local_coordinates(table.geometry, lane, x, y)

@@ -15,7 +15,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from sumo_env.compiled import compiled
+from sumo_env.compiled import borrowing, compiled
 from sumo_env.scene import VEHICLE_LENGTH, VEHICLE_WIDTH, Floats, Scene
 
 Integers = NDArray[np.int64]
@@ -33,7 +33,7 @@ ROUNDING = 1e-9  # [m] a look meant for the first touch is off by less
 FINEST = 0.01  # of a sub-step: a contact that is shorter (1 ms of 0.1 s) may be missed
 
 
-@compiled
+@borrowing
 def separation(
     x1: float, y1: float, h1: float, x2: float, y2: float, h2: float, length: float, width: float
 ) -> float:
@@ -55,7 +55,7 @@ def separation(
     return gap
 
 
-@compiled
+@borrowing
 def contact(
     x1: float, y1: float, h1: float, x2: float, y2: float, h2: float, length: float, width: float
 ) -> bool:
@@ -63,7 +63,7 @@ def contact(
     return separation(x1, y1, h1, x2, y2, h2, length, width) <= 0.0
 
 
-@compiled
+@borrowing
 def _corner_distance(
     x1: float, y1: float, h1: float, x2: float, y2: float, h2: float, length: float, width: float
 ) -> float:
@@ -80,7 +80,7 @@ def _corner_distance(
     return math.sqrt(nearest)
 
 
-@compiled
+@borrowing
 def distance(
     x1: float, y1: float, h1: float, x2: float, y2: float, h2: float, length: float, width: float
 ) -> float:
@@ -94,7 +94,7 @@ def distance(
     )
 
 
-@compiled
+@borrowing
 def meeting(i: int, j: int, before: Floats, x: Floats, y: Floats, heading: Floats) -> float:
     """When two vehicles first touch on their way through a sub-step, 0 (its start) to 1; inf if they do not.
 

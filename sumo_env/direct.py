@@ -24,7 +24,7 @@ from numba import types
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from sumo_env.compiled import compiled
+from sumo_env.compiled import borrowing, compiled
 from sumo_env.scene import VEHICLE_LENGTH, Floats
 
 Integers = NDArray[np.int64]
@@ -262,7 +262,7 @@ def _store_int(typing: Any, address: Any, value: Any) -> Any:
     return types.void(types.int64, types.int64), generate
 
 
-@compiled
+@borrowing
 def look_for_collisions(functions: Integers, wanted: bool) -> None:
     """Whether SUMO looks for collisions in its next steps."""
     _store_int(functions[COLLISION_ACTION], WARN if wanted else NOTHING)
@@ -277,7 +277,7 @@ def look_up(function: int, strings: Integers) -> Integers:
     return found
 
 
-@compiled
+@borrowing
 def _write_centre(x: float, y: float, degrees: float, state: Floats, i: int) -> None:
     """From SUMO's front bumper [m] and angle [deg] to highway-env's centre and heading, rows 0, 1 and 2."""
     heading = math.radians(degrees - 90.0)
@@ -389,7 +389,7 @@ def set_speeds(functions: Integers, vehicles: Integers, speeds: Floats, step: in
             _give(functions[SET_SPEEDS], _word(functions[INFLUENCER], vehicles[i]), vector_at)
 
 
-@compiled
+@borrowing
 def set_speed_modes(functions: Integers, vehicles: Integers, modes: Integers) -> None:
     """Tell speed modes, shape (n,), to those for whom they are not negative."""
     for i in range(len(vehicles)):
@@ -397,7 +397,7 @@ def set_speed_modes(functions: Integers, vehicles: Integers, modes: Integers) ->
             _give_int(functions[SET_MODE], _word(functions[INFLUENCER], vehicles[i]), modes[i])
 
 
-@compiled
+@borrowing
 def command(
     functions: Integers,
     vehicles: Integers,
@@ -428,7 +428,7 @@ def python_calls(*functions: Callable[[], object]) -> Integers:
     return np.array([*addresses, 0, 0, 0, *map(id, functions)], np.int64)
 
 
-@compiled
+@borrowing
 def call(calls: Integers, which: int) -> int:
     """Call one of the functions of `python_calls`: 1 if it returns something true, 0 if not; -1 if it raises.
 

@@ -7,7 +7,7 @@ limit on acceleration; the target lane is kept until reached. The lateral motion
 from __future__ import annotations
 
 from networks.roads import LaneIndex, Road
-from sumo_env.compiled import compiled
+from sumo_env.compiled import borrowing
 from sumo_env.config import ConfigError
 from sumo_env.tasks.base import nearest_index
 
@@ -94,7 +94,7 @@ class Ego:
         return distance
 
 
-@compiled
+@borrowing
 def approach(speed: float, target: float, tau: float, dt: float) -> tuple[float, float]:
     """Speed [m/s] after `dt` [s] of first-order lag `tau` [s], and the distance covered [m]."""
     kept = (1.0 - REFERENCE_STEP / tau) ** (dt / REFERENCE_STEP)
@@ -102,7 +102,7 @@ def approach(speed: float, target: float, tau: float, dt: float) -> tuple[float,
     return target + difference * kept, target * dt + difference * tau * (1.0 - kept)
 
 
-@compiled
+@borrowing
 def coast(speed: float, dt: float) -> tuple[float, float]:
     """Speed [m/s] of a wreck after `dt` [s], and the distance covered [m]: it decelerates with a = -v."""
     return approach(speed, 0.0, 1.0, dt)

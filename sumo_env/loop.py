@@ -33,7 +33,7 @@ from sumo_env.cars import (
     Y,
 )
 from sumo_env.collision import NEAR
-from sumo_env.compiled import compiled
+from sumo_env.compiled import borrowing
 from sumo_env.ego import TAU, approach, coast
 from sumo_env.models import mobil, network_drivers
 from sumo_env.models.dangers import anybody_near, dangers, may_touch
@@ -114,13 +114,13 @@ class Progress(NamedTuple):
     least_ttc: float
 
 
-@compiled
+@borrowing
 def _ego(speed: float, crashed: bool, target_speed: float, dt: float) -> tuple[float, float]:
     """As `ego.Ego.advance`: its speed [m/s] after the sub-step, and how far it drives [m]."""
     return coast(speed, dt) if crashed else approach(speed, target_speed, TAU, dt)
 
 
-@compiled
+@borrowing
 def _steered(traffic: Traffic, progress: Progress, ego_speed: float, dt: float) -> Progress:
     """A sub-step of steered cars, from their accelerations on."""
     floats, integers, flags = traffic.floats, traffic.integers, traffic.flags
@@ -144,7 +144,7 @@ def _steered(traffic: Traffic, progress: Progress, ego_speed: float, dt: float) 
     return _judged(progress, known, near, near_end, floats, flags, traffic.calls, dt)
 
 
-@compiled
+@borrowing
 def _on_lanes(traffic: Traffic, progress: Progress, ego_speed: float, ego_place: int, dt: float) -> Progress:
     """A sub-step of cars that keep to SUMO's lanes, from the ways of those who are told them on."""
     floats, integers, flags = traffic.floats, traffic.integers, traffic.flags
@@ -168,7 +168,7 @@ def _on_lanes(traffic: Traffic, progress: Progress, ego_speed: float, ego_place:
     return _judged(progress, known, near, near_end, floats, flags, traffic.calls, dt)
 
 
-@compiled
+@borrowing
 def _judged(
     progress: Progress, known: bool, looked: bool, near_end: bool, floats: Floats, flags: Flags, calls: Integers,
     dt: float,
@@ -190,7 +190,7 @@ def _judged(
     return Progress(progress.done + 1, why, touching, ttc, progress.time + dt, distance, least)
 
 
-@compiled
+@borrowing
 def straight(
     traffic: Traffic, count: int, lanes_count: int, lane_width: float, length: float, limit: float, progress: Progress,
     ego_speed: float, dt: float,
@@ -206,7 +206,7 @@ def straight(
     return progress
 
 
-@compiled
+@borrowing
 def bends(traffic: Traffic, count: int, ways: Ways, progress: Progress, ego_speed: float, dt: float) -> Progress:
     """Up to `count` sub-steps on a road of bends (`models.network_drivers`), going on from `progress`."""
     while progress.done < count and progress.why == GOES_ON:
@@ -223,7 +223,7 @@ def bends(traffic: Traffic, count: int, ways: Ways, progress: Progress, ego_spee
     return progress
 
 
-@compiled
+@borrowing
 def strip(
     traffic: Traffic, count: int, sides: Floats, length: float, limit: float, progress: Progress, ego_speed: float,
     ego_place: int, dt: float,
@@ -240,7 +240,7 @@ def strip(
     return progress
 
 
-@compiled
+@borrowing
 def native(
     traffic: Traffic, count: int, modes: tuple[int, int, int], progress: Progress, ego_speed: float, ego_place: int,
     dt: float,

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from networks.lanes import CircularLane, StraightLane
 from networks.roads import LaneIndex, Road
-from sumo_env.compiled import compiled
+from sumo_env.compiled import borrowing, compiled
 from sumo_env.config import ConfigError, nearest
 from sumo_env.models.lane_table import lane_at
 from sumo_env.scenario import VehicleSpec
@@ -40,7 +40,7 @@ def _axis(road: Road, index: LaneIndex) -> Floats:
     return np.array([0.0, *lane.start, lane._dx, lane._dy, 0.0])
 
 
-@compiled
+@borrowing
 def _longitudinal(axis: Floats, x: float, y: float) -> float:
     """Coordinate s [m] of the position (x, y) [m] along a lane (`Lane.local_coordinates`, bit for bit)."""
     dx, dy = x - axis[1], y - axis[2]
@@ -73,7 +73,7 @@ def _visible(axis: Floats, x: Floats, y: Floats, behind: float, by_distance: boo
     return count
 
 
-@compiled
+@borrowing
 def _fill(
     rows: Integers,
     x: Floats,

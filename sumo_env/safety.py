@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from sumo_env.compiled import compiled
+from sumo_env.compiled import borrowing, compiled
 from sumo_env.scene import VEHICLE_LENGTH, VEHICLE_WIDTH, Floats
 
 NEAR_MISS_TTC = 1.5  # a smaller time to collision without a crash is a near-miss [s]
@@ -20,7 +20,7 @@ CORRIDOR_HALF_WIDTH, CORRIDOR_LENGTH = 2.0, 60.0  # where a leader is looked for
 MIN_SPEED = 0.1  # below it a headway means nothing [m/s]
 
 
-@compiled
+@borrowing
 def _touch_time(dx: float, dy: float, wx: float, wy: float, h1: float, h2: float, horizon: float) -> float:
     """Time [s] until two vehicles touch, inf if not within `horizon`; 0 if they do already.
 
@@ -52,7 +52,7 @@ def _touch_time(dx: float, dy: float, wx: float, wy: float, h1: float, h2: float
     return begin
 
 
-@compiled
+@borrowing
 def _pair_ttc(
     i: int, j: int, x: Floats, y: Floats, vx: Floats, vy: Floats, heading: Floats, horizon: float
 ) -> float:
@@ -79,7 +79,7 @@ def time_to_collision(
     return result
 
 
-@compiled
+@borrowing
 def min_ttc(x: Floats, y: Floats, vx: Floats, vy: Floats, heading: Floats, ego: int, horizon: float) -> float:
     """The least `time_to_collision` of vehicle `ego` [s], inf if there is none within `horizon`."""
     least = math.inf
@@ -89,7 +89,7 @@ def min_ttc(x: Floats, y: Floats, vx: Floats, vy: Floats, heading: Floats, ego: 
     return least
 
 
-@compiled
+@borrowing
 def ego_ttc(x: Floats, y: Floats, speed: Floats, heading: Floats, horizon: float) -> float:
     """`min_ttc` of row 0 by speeds [m/s] and headings [rad], shape (n,): no cosine for those far away."""
     least = math.inf
@@ -143,7 +143,7 @@ def headways(x: Floats, y: Floats, speed: Floats, heading: Floats) -> Floats:
     return result
 
 
-@compiled
+@borrowing
 def density(x: Floats, y: Floats, ego: int, radius: float) -> int:
     """Number of other vehicles whose centre is within `radius` [m] of the centre of vehicle `ego`."""
     count = 0

@@ -6,7 +6,7 @@ import math
 
 from sumo_env.cars import BEFORE, CRASHED, HEADING, SPEED, Flags, X, Y
 from sumo_env.collision import DIAGONAL, LENGTH, NEAR, WIDTH, meetings, separation
-from sumo_env.compiled import compiled
+from sumo_env.compiled import borrowing, compiled
 from sumo_env.safety import ego_ttc
 from sumo_env.scene import Floats
 
@@ -27,7 +27,7 @@ def dangers(floats: Floats, flags: Flags, horizon: float) -> tuple[int, float]:
     return len(pairs), ego_ttc(x, y, floats[SPEED], heading, horizon)
 
 
-@compiled
+@borrowing
 def anybody_near(x: Floats, y: Floats, heading: Floats, margin: float) -> bool:
     """Whether the outlines of two vehicles may be `margin` [m] apart or less; x, y [m], heading [rad], shape (n,)."""
     reach = DIAGONAL + margin

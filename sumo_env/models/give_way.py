@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sumo_env.cars import HEADING, SPEED, TARGET_SPEED, YIELDING, Flags, X, Y
-from sumo_env.compiled import compiled
+from sumo_env.compiled import borrowing, compiled
 from sumo_env.models.lane_table import (
     LENGTH,
     LIMIT,
@@ -38,7 +38,7 @@ HALF_LENGTH = 1.5 * 5.0 / 2  # [m]
 HALF_WIDTH = 0.9 * 2.0 / 2  # [m]
 
 
-@compiled
+@borrowing
 def _reaches_into(dx: float, dy: float, h1: float, h2: float) -> bool:
     """Is one of nine points of rectangle 1 (corners, midpoints, centre) in rectangle 2, (dx, dy) away?
 
@@ -85,7 +85,7 @@ def _predict(
     return result
 
 
-@compiled
+@borrowing
 def _meet(first: Floats, second: Floats) -> bool:
     """Do two predicted vehicles meet? Shapes (SAMPLES, 3)."""
     for k in range(SAMPLES):
@@ -149,7 +149,7 @@ def regulate(
                 yielding[loser] = True
 
 
-@compiled
+@borrowing
 def give_way(
     geometry: Floats,
     routes: Integers,

@@ -23,7 +23,7 @@ from sumo_env.cars import (
     Y,
 )
 from sumo_env.collision import LENGTH, WIDTH, distance
-from sumo_env.compiled import compiled
+from sumo_env.compiled import borrowing
 from sumo_env.models.lane_table import Integers
 from sumo_env.scene import Floats
 
@@ -32,7 +32,7 @@ EARLY = 1e-9  # [s] rounding of the time
 HALF_CORRIDOR = 2.0  # [m] to either side of the centre: half a lane
 
 
-@compiled
+@borrowing
 def has_room(
     x: Floats, y: Floats, heading: Floats, row: int, there_x: float, there_y: float, there_heading: float
 ) -> bool:
@@ -49,7 +49,7 @@ def has_room(
     return True
 
 
-@compiled
+@borrowing
 def push(floats: Floats, flags: Flags, time: float, dt: float) -> None:
     """Brake and surge as risk events ask, on top of what drivers want: changes ACCELERATION and PUSH in place.
 
@@ -68,7 +68,7 @@ def push(floats: Floats, flags: Flags, time: float, dt: float) -> None:
             acceleration[i] = max(acceleration[i], pushes[i])
 
 
-@compiled
+@borrowing
 def push_native(
     floats: Floats, integers: Integers, flags: Flags, modes: tuple[int, int, int], time: float, dt: float
 ) -> None:
@@ -95,7 +95,7 @@ def push_native(
             integers[MODE, i] = brakes if pushed < 0.0 else surges
 
 
-@compiled
+@borrowing
 def free_way(x: Floats, y: Floats, heading: Floats, row: int, way: float) -> bool:
     """Is no centre of another vehicle in the straight corridor ahead of vehicle `row`?
 

@@ -19,7 +19,7 @@ import numpy as np
 
 from networks.lanes import VEHICLE_LENGTH, WIDTH
 from sumo_env.cars import ACCELERATION, HEADING, SPEED, TARGET_SPEED, X, Y
-from sumo_env.compiled import compiled
+from sumo_env.compiled import borrowing, compiled
 from sumo_env.drivers import Driver
 from sumo_env.models.lane_table import LENGTH, LIMIT, Floats, Integers, local_coordinates, target_stage
 
@@ -48,13 +48,13 @@ def driver_row(driver: Driver) -> Floats:
     return row
 
 
-@compiled
+@borrowing
 def desired_gap(v: float, v_lead: float, a_max: float, b: float, s0_centre: float, tau: float) -> float:
     """d*, the distance of centres [m] wanted at speed `v` behind a leader that drives at `v_lead` [m/s]."""
     return s0_centre + v * tau + v * (v - v_lead) / (2.0 * math.sqrt(a_max * b))
 
 
-@compiled
+@borrowing
 def acceleration(
     v: float,
     v0: float,
@@ -86,7 +86,7 @@ def acceleration(
     return result
 
 
-@compiled
+@borrowing
 def behind(
     drivers: Floats, i: int, v: float, target_speed: float, limit: float, gap_centre: float, v_lead: float
 ) -> float:
@@ -98,7 +98,7 @@ def behind(
     )  # fmt: skip
 
 
-@compiled
+@borrowing
 def strip_neighbours(
     i: int, centre: float, direction: float, x: Floats, y: Floats, length: float
 ) -> tuple[int, int]:
@@ -181,7 +181,7 @@ def act_on_strip(floats: Floats, sides: Floats, drivers: Floats, length: float, 
     )  # fmt: skip
 
 
-@compiled
+@borrowing
 def _path_leader(
     i: int,
     lane: int,

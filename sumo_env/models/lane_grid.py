@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from sumo_env.compiled import compiled
+from sumo_env.compiled import borrowing, compiled
 from sumo_env.models.lane_table import (
     CIRCULAR,
     COS,
@@ -62,7 +62,7 @@ def lane_grid(geometry: Floats, beyond: float, beside: float) -> tuple[Floats, I
     return corner, numbers
 
 
-@compiled
+@borrowing
 def cell(corner: Floats, near: Integers, x: float, y: float) -> tuple[int, int]:
     """Column and row in `near` of (x, y) [m]; `corner`, `near`: of `lane_grid`."""
     column = min(max(math.floor((x - corner[0]) / CELL), 0), near.shape[0] - 1)

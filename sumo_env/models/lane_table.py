@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from networks.lanes import VEHICLE_LENGTH, CircularLane, Lane, SineLane, StraightLane
 from networks.roads import Road
-from sumo_env.compiled import compiled
+from sumo_env.compiled import borrowing
 
 LaneIndex = tuple[str, str, int]
 Floats = NDArray[np.float64]
@@ -108,7 +108,7 @@ def _row(lane: Lane) -> Floats:
 # compiled code counts the references to arrays.
 
 
-@compiled
+@borrowing
 def position(geometry: Floats, lane: int, s: float) -> tuple[float, float]:
     """World position (x, y) [m] of the point `s` [m] along a lane's centre line."""
     x, y = geometry[lane, X], geometry[lane, Y]
@@ -121,13 +121,13 @@ def position(geometry: Floats, lane: int, s: float) -> tuple[float, float]:
     return x + s * cos - lat * sin, y + s * sin + lat * cos
 
 
-@compiled
+@borrowing
 def _wave(geometry: Floats, lane: int, s: float) -> float:
     """How far a waving lane is to the right of its axis [m]."""
     return geometry[lane, AMPLITUDE] * math.sin(geometry[lane, PULSATION] * s + geometry[lane, PHASE])
 
 
-@compiled
+@borrowing
 def heading_at(geometry: Floats, lane: int, s: float) -> float:
     """Heading [rad] of a lane's centre line at `s` [m]; not wrapped."""
     if geometry[lane, KIND] == CIRCULAR:
@@ -139,7 +139,7 @@ def heading_at(geometry: Floats, lane: int, s: float) -> float:
     return geometry[lane, HEADING]
 
 
-@compiled
+@borrowing
 def direction_at(geometry: Floats, lane: int, x: float, y: float) -> tuple[float, float]:
     """Cosine and sine of the heading of a lane beside the point (x, y) [m]."""
     if geometry[lane, KIND] == STRAIGHT:
@@ -148,7 +148,7 @@ def direction_at(geometry: Floats, lane: int, x: float, y: float) -> tuple[float
     return math.cos(heading), math.sin(heading)
 
 
-@compiled
+@borrowing
 def local_coordinates(geometry: Floats, lane: int, x: float, y: float) -> tuple[float, float]:
     """Coordinates (s, lat) [m] on a lane of the world position (x, y) [m]."""
     dx, dy = x - geometry[lane, X], y - geometry[lane, Y]
@@ -163,7 +163,7 @@ def local_coordinates(geometry: Floats, lane: int, x: float, y: float) -> tuple[
     return s, lat
 
 
-@compiled
+@borrowing
 def closest_lane(geometry: Floats, x: float, y: float, heading: float) -> int:
     """Number of the lane with the least distance and turn (`Road.closest_lane`); -1 if others are as close.
 
@@ -190,7 +190,7 @@ def lane_at(road: Road, x: float, y: float, heading: float) -> LaneIndex:
     return table.names[number] if number >= 0 else road.closest_lane(x, y, heading)
 
 
-@compiled
+@borrowing
 def advance(geometry: Floats, routes: Integers, stage: Integers, x: Floats, y: Floats) -> None:
     """Move each vehicle's `stage`, in place, on to the lane of its route that its centre has reached.
 
@@ -205,7 +205,7 @@ def advance(geometry: Floats, routes: Integers, stage: Integers, x: Floats, y: F
             stage[i] += 1
 
 
-@compiled
+@borrowing
 def target_stage(geometry: Floats, routes: Integers, stage: Integers, i: int, s: float) -> int:
     """Stage of the lane that vehicle `i`, at `s` [m] on its own, steers for: the next one 2.5 m early.
 

@@ -30,7 +30,7 @@ from sumo_env.cars import (
     X,
     Y,
 )
-from sumo_env.compiled import compiled
+from sumo_env.compiled import borrowing, compiled
 from sumo_env.models.idm import A_MAX, S0, TAU, B, behind, desired_gap, strip_accelerations, strip_neighbours
 from sumo_env.models.lane_table import Floats, Integers
 
@@ -49,7 +49,7 @@ def closest_lanes(y: Floats, lanes_count: int, lane_width: float) -> Integers:
     return result
 
 
-@compiled
+@borrowing
 def _between(
     follower: int,
     leader: int,
@@ -71,7 +71,7 @@ def _between(
     return behind(drivers, i, speed[follower], target_speed[follower], limit, gap, v_lead)
 
 
-@compiled
+@borrowing
 def criteria(
     i: int,
     new_lane: int,
@@ -99,7 +99,7 @@ def criteria(
     return imposed, after - before
 
 
-@compiled
+@borrowing
 def _aborts(
     i: int,
     x: Floats,

@@ -8,12 +8,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sumo_env.cars import COMMAND, CRASHED, DISTANCE, LANE, OWN_SPEED, SPEED, Flags
-from sumo_env.compiled import compiled
+from sumo_env.compiled import borrowing
 from sumo_env.ego import REFERENCE_STEP, coast
 from sumo_env.models.lane_table import Floats, Integers
 
 
-@compiled
+@borrowing
 def euler(
     speed: Floats,
     acceleration: Floats,
@@ -35,7 +35,7 @@ def euler(
             own_speed[i] = max(speed[i] + acceleration[i] * dt, least)
 
 
-@compiled
+@borrowing
 def keep_to_lanes(floats: Floats, integers: Integers, flags: Flags, stretch: Floats, dt: float) -> None:
     """Wrecks' next ways and speeds, and the speeds to COMMAND to cars that are to cover DISTANCE on SUMO's lanes.
 

@@ -34,7 +34,7 @@ from sumo_env.cars import (
     X,
     Y,
 )
-from sumo_env.compiled import compiled, inlined
+from sumo_env.compiled import borrowing, compiled
 from sumo_env.models.idm import A_MAX, ACC_MAX, NEAR, S0, TAU, B, behind, desired_gap
 from sumo_env.models.lane_grid import cell, lane_grid
 from sumo_env.models.lane_table import (
@@ -104,7 +104,7 @@ def net(table: LaneTable) -> Net:
     )
 
 
-@inlined
+@borrowing
 def along(geometry: Floats, s: Floats, x: Floats, y: Floats, i: int, lane: int) -> float:
     """Coordinate s [m] of vehicle `i` along a lane, by `locate` or, if that is not near, found now."""
     if math.isnan(s[i, lane]):
@@ -112,7 +112,7 @@ def along(geometry: Floats, s: Floats, x: Floats, y: Floats, i: int, lane: int) 
     return s[i, lane]
 
 
-@compiled
+@borrowing
 def _far(geometry: Floats, lane: int, s: float, lat: float, heading: float) -> float:
     """Distance [m] and turn [rad] of a vehicle from a lane, added up (``AbstractLane.distance_with_heading``)."""
     angle = heading - heading_at(geometry, lane, s)
@@ -120,7 +120,7 @@ def _far(geometry: Floats, lane: int, s: float, lat: float, heading: float) -> f
     return distance + abs((angle + math.pi) % (2.0 * math.pi) - math.pi)
 
 
-@compiled
+@borrowing
 def _closest_of_all(geometry: Floats, x: float, y: float, heading: float) -> int:
     """``RoadNetwork.get_closest_lane_index`` with heading; of equals the first."""
     best, least = 0, math.inf
@@ -132,19 +132,17 @@ def _closest_of_all(geometry: Floats, x: float, y: float, heading: float) -> int
     return best
 
 
-@inlined
+@borrowing
 def locate(
-    roads: Net, x: Floats, y: Floats, heading: Floats, lane: Integers, moved: bool
-) -> tuple[Floats, NDArray[np.bool_]]:
-    """Coordinate s [m] of the vehicles along the lanes, and whether they are on them, shape (n, lanes) each.
+    roads: Net, x: Floats, y: Floats, heading: Floats, lane: Integers, moved: bool, s: Floats, on: NDArray[np.bool_]
+) -> None:
+    """Write coordinates of the vehicles along the lanes near them [m] into `s`, and whether they are on them into `on`.
 
-    On a lane as in ``AbstractLane.on_lane`` with a margin of 1 m. NaN for lanes that are not near: see `along`. If they
-    have `moved`, `lane`, shape (n,), is given the closest one of each.
+    Shapes (n, lanes); beforehand NaN (see `along`) and False. On a lane is meant as in ``AbstractLane.on_lane`` with a
+    margin of 1 m. If they have `moved`, `lane`, shape (n,), is given the closest one of each.
     """
     geometry = roads.geometry
-    n, lanes = len(x), len(geometry)
-    s, on = np.full((n, lanes), np.nan), np.zeros((n, lanes), np.bool_)
-    for j in range(n):
+    for j in range(len(x)):
         best, least = 0, math.inf
         column, row = cell(roads.corner, roads.near, x[j], y[j])
         for k in range(roads.near.shape[2]):
@@ -160,10 +158,9 @@ def locate(
                     best, least = number, distance
         if moved:  # lanes that are not near are further away than NEAR
             lane[j] = best if least <= NEAR else _closest_of_all(geometry, x[j], y[j], heading[j])
-    return s, on
 
 
-@inlined
+@borrowing
 def neighbours(
     i: int, lane: int, roads: Net, s: Floats, on: NDArray[np.bool_], x: Floats, y: Floats
 ) -> tuple[int, int]:
@@ -193,7 +190,7 @@ def neighbours(
     return front, rear
 
 
-@inlined
+@borrowing
 def way_beyond(
     i: int, j: int, lane: int, target: int, roads: Net, s: Floats, on: NDArray[np.bool_], x: Floats, y: Floats
 ) -> float:
@@ -218,7 +215,7 @@ def way_beyond(
     return math.nan
 
 
-@inlined
+@borrowing
 def _between(
     follower: int,
     leader: int,
@@ -248,7 +245,7 @@ def _between(
     return behind(drivers, i, speed[follower], target_speed[follower], roads.geometry[own, LIMIT], gap, v_lead)
 
 
-@compiled
+@borrowing
 def next_target(lane: int, following_road: int, roads: Net, x: float, y: float) -> int:
     """``RoadNetwork.next_lane``: the lane of the next road of the way, whose first lane is `following_road`."""
     if roads.abreast[lane] == roads.abreast[following_road]:
@@ -263,7 +260,7 @@ def next_target(lane: int, following_road: int, roads: Net, x: float, y: float) 
     return best
 
 
-@compiled
+@borrowing
 def _gives_up(
     i: int,
     drivers: Floats,
@@ -290,7 +287,7 @@ def _gives_up(
     return False
 
 
-@compiled
+@borrowing
 def _mobil(
     i: int,
     new: int,
@@ -324,7 +321,7 @@ def _mobil(
     return after - before >= MIN_GAIN
 
 
-@inlined
+@compiled
 def drive(
     roads: Net,
     ways: Integers,
@@ -362,11 +359,40 @@ def drive(
         changes: who of them decides on lane changes, shape (n,).
         moved: whether vehicles have moved since `lane` was true; then it is found anew (`locate`).
     """
-    n = len(x)
+    n, lanes = len(x), len(roads.geometry)
+    s, on, result = np.full((n, lanes), np.nan), np.zeros((n, lanes), np.bool_), np.zeros(n)
+    locate(roads, x, y, heading, lane, moved, s, on)
+    _drive(
+        roads, ways, leg, planned, lane, target, timer, x, y, speed, heading, target_speed, drivers, acts, changes, s,
+        on, result,
+    )  # fmt: skip
+    return result
+
+
+@borrowing
+def _drive(
+    roads: Net,
+    ways: Integers,
+    leg: Integers,
+    planned: Integers,
+    lane: Integers,
+    target: Integers,
+    timer: Floats,
+    x: Floats,
+    y: Floats,
+    speed: Floats,
+    heading: Floats,
+    target_speed: Floats,
+    drivers: Floats,
+    acts: NDArray[np.bool_],
+    changes: NDArray[np.bool_],
+    s: Floats,
+    on: NDArray[np.bool_],
+    result: Floats,
+) -> None:
+    """`drive` of vehicles that `locate` has found."""
     geometry = roads.geometry
-    s, on = locate(roads, x, y, heading, lane, moved)
-    result = np.zeros(n)
-    for i in range(n):
+    for i in range(len(x)):
         if not acts[i]:
             continue
         if along(geometry, s, x, y, i, target[i]) > geometry[target[i], LENGTH] - VEHICLE_LENGTH / 2:
@@ -398,7 +424,6 @@ def drive(
             front = neighbours(i, target[i], roads, s, on, x, y)[0]
             a = min(a, _between(i, front, drivers, i, roads, s, on, x, y, speed, heading, lane, target, target_speed))
         result[i] = min(max(a, -drivers[i, ACC_MAX]), drivers[i, ACC_MAX])
-    return result
 
 
 @compiled

@@ -32,7 +32,7 @@ from sumo_env.cars import (
     X,
     Y,
 )
-from sumo_env.compiled import compiled
+from sumo_env.compiled import borrowing
 from sumo_env.ego import REFERENCE_STEP, coast
 from sumo_env.models.lane_table import (
     CIRCULAR,
@@ -59,14 +59,14 @@ OFF = 0.05  # [m] that SUMO's car may be ahead: its speed is not negative, so th
 STAYS, BACK = -1, -2  # instead of the place of a lane
 
 
-@compiled
+@borrowing
 def _not_zero(value: float) -> float:
     if abs(value) > SMALL:
         return value
     return SMALL if value >= 0.0 else -SMALL
 
 
-@compiled
+@borrowing
 def slip_angle(geometry: Floats, lane: int, x: float, y: float, heading: float, speed: float) -> float:
     """Angle [rad] from the heading to the direction of motion, of a car that steers for a lane's middle."""
     s, lat = local_coordinates(geometry, lane, x, y)
@@ -81,7 +81,7 @@ def slip_angle(geometry: Floats, lane: int, x: float, y: float, heading: float, 
     return math.atan(0.5 * math.tan(steering))
 
 
-@compiled
+@borrowing
 def steer(
     geometry: Floats,
     target: Integers,
@@ -108,7 +108,7 @@ def steer(
             heading[i] += speed * math.sin(slip) / (VEHICLE_LENGTH / 2) * step
 
 
-@compiled
+@borrowing
 def _on_line(points: Floats, x: float, y: float) -> tuple[float, float]:
     """How far along a line of points [m], shape (n, 2), (x, y) is, and how far to the right of it."""
     s, right, nearest, begin = 0.0, 0.0, math.inf, 0.0
@@ -125,7 +125,7 @@ def _on_line(points: Floats, x: float, y: float) -> tuple[float, float]:
     return s, right
 
 
-@compiled
+@borrowing
 def follow(
     geometry: Floats,
     lane: Integers,
@@ -189,13 +189,13 @@ def follow(
             change[i] = here + 1
 
 
-@compiled
+@borrowing
 def is_near_end(geometry: Floats, lane: int, x: float, y: float) -> bool:
     """Is a car at (x, y) [m] about to be due for its next lane (`networks.lanes.Lane.after_end`)?"""
     return geometry[lane, LENGTH] - local_coordinates(geometry, lane, x, y)[0] < VEHICLE_LENGTH / 2 + NEARLY
 
 
-@compiled
+@borrowing
 def move(
     geometry: Floats,
     lanes: Integers,
@@ -221,7 +221,8 @@ def move(
     """
     speed, distance, crashed, target = floats[SPEED], floats[DISTANCE], flags[CRASHED], integers[TARGET]
     x, y, heading, lateral = floats[X], floats[Y], floats[HEADING], floats[LATERAL]
-    floats[BEFORE : BEFORE + 3] = floats[:3]
+    for i in range(len(x)):
+        floats[BEFORE, i], floats[BEFORE + 1, i], floats[BEFORE + 2, i] = x[i], y[i], heading[i]
     # highway-env's cars roll back to their distance; SUMO's own cannot
     euler(speed, floats[ACCELERATION], crashed, dt, -math.inf, speed, distance)
     for i in range(1, len(x)):

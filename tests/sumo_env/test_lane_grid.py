@@ -45,7 +45,8 @@ def test_cars_are_located_as_by_looking_at_all_lanes(task: str) -> None:
         px, py = lane.position(s, rng.normal(0.0, 0.5 + k / 50.0))
         x.append(px), y.append(py), heading.append(lane.heading_at(s) + rng.normal(0.0, 0.5))
     closest = np.zeros(len(x), np.int64)
-    s, on = locate(roads, np.array(x), np.array(y), np.array(heading), closest, True)
+    s, on = np.full((len(x), len(names)), np.nan), np.zeros((len(x), len(names)), np.bool_)
+    locate(roads, np.array(x), np.array(y), np.array(heading), closest, True, s, on)
     for j in range(len(x)):
         for number in range(len(names)):
             along, lat = local_coordinates(roads.geometry, number, x[j], y[j])

@@ -12,7 +12,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
-from numba import njit
+import numba
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -36,12 +36,13 @@ def borrowing(function: Function) -> Function:
 
 
 def _compiled(function: Function, counts: bool) -> Function:
+    options: dict[str, Any] = {"_nrt": counts}  # else the function has what the first one to call it has
     try:
-        return cast(Function, njit(cache=True, _nrt=counts)(function))
+        return cast(Function, numba.njit(cache=True, **options)(function))
     except RuntimeError as error:
         if "no locator available" not in str(error):
             raise
-        return cast(Function, njit(_nrt=counts)(function))  # no directory is writable: compile in each process
+        return cast(Function, numba.njit(**options)(function))  # no directory is writable: compile in each process
 
 
 def drop_outdated(package: Path) -> int:

@@ -285,7 +285,8 @@ class Simulation:
     def can_be_on(self, name: str, edge: str) -> bool:
         """Whether a vehicle can be put on an edge and then goes its way: it is on its route, and not passed twice."""
         route, index = _native.vehicle_getRoute(name), _native.vehicle_getRouteIndex(name)
-        return edge in route[index : index + 1] or (edge in route[:index] and edge not in route[index:])
+        # of an edge that was passed twice SUMO would take the first time, from where the way is another one
+        return edge in route[index : index + 1] or (route[:index].count(edge) == 1 and edge not in route[index:])
 
     def change_lane_relative(self, name: str, step: int) -> None:
         """Change by `step` lanes, +1 to the left; also onto the opposite lane of a two-way road."""

@@ -118,6 +118,15 @@ def lane_point(road: Any, lane: Any, s: float, lat: float) -> tuple[float, float
     return float(x), float(y)
 
 
+def test_a_car_that_went_around_the_ring_is_not_put_back_to_its_first_time_there() -> None:
+    """It rolls back at an exit, and has passed the road before it twice: SUMO takes the first time, and refuses."""
+    config = {**get_task("roundabout").levels["10"], "simulation_frequency": 15}
+    env = gym.make("sumo/roundabout-v0", config=config)
+    env.reset(seed=1013357)
+    for action in (4, 4, 3, 4, 1, 1, 3, 1, 2, 2, 1):
+        env.step(action)
+
+
 def test_where_a_point_is_on_a_line() -> None:
     corner = ((0.0, 0.0), (4.0, 0.0), (4.0, 3.0))  # y points down: it turns to the right
     assert nearest(corner, 3.0, -1.0) == pytest.approx((1.0, 3.0, 1.0))

@@ -73,7 +73,7 @@ class Highway(Task):
 
     def concerns_ego(self, vehicle: VehicleSpec, ego: VehicleSpec, config: Config) -> bool:
         # Even at full speed the ego gets no closer than 200 m to a wreck further ahead than this. Leaving such
-        # vehicles out changes what the ego sees by less than 1e-4 (docs/performance.md).
+        # vehicles out changes what the ego sees by less than 1e-4, nearly always (docs/decisions.md).
         fastest = max(config["action"].get("target_speeds") or self.target_speeds)
         return vehicle.s - ego.s <= fastest * config["duration"] + PERCEPTION_DISTANCE
 

@@ -39,10 +39,10 @@ _set_lateral = _native.vehicle_setLateralLanePosition
 _step, _collisions = _native.simulation_step, _native.simulation_getCollisions
 
 ALL_CHECKS_OFF = 32  # speed mode: drive the commanded speed whatever is ahead
-REGULAR = 31  # speed mode: SUMO's car following and right of way
+REGULAR = 31  # speed mode: SUMO's car following and right of way, which is how vehicles begin
 NO_RIGHT_OF_WAY = 55  # speed mode: car following, but nobody yields at junctions
 NO_LANE_CHANGES = 0  # lane-change mode: commanded changes only, and at once
-OWN_LANE_CHANGES = 1621  # lane-change mode: SUMO decides
+OWN_LANE_CHANGES = 1621  # lane-change mode: SUMO decides, which is how vehicles begin
 
 NOBODY: Mapping[str, str] = MappingProxyType({})
 
@@ -224,8 +224,11 @@ class Simulation:
         if waiting:
             _set_lateral(name, 0.0)  # which stays what it was if the lane does
             return
-        _native.vehicle_setSpeedMode(name, speed_mode)
-        _native.vehicle_setLaneChangeMode(name, lane_change_mode)
+        # SUMO asks at every step about a vehicle that it was told anything of, and be it the mode that it has
+        if speed_mode != REGULAR:
+            _native.vehicle_setSpeedMode(name, speed_mode)
+        if lane_change_mode != OWN_LANE_CHANGES:
+            _native.vehicle_setLaneChangeMode(name, lane_change_mode)
         if desired_speed is None:
             return
         limit = self._limits.get(lane)

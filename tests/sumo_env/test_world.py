@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
+import libsumo
 import numpy as np
 import pytest
 
@@ -13,6 +14,7 @@ from sumo_env.drivers import FREE_WAY, RiskEvent
 from sumo_env.env import DrivingEnv
 from sumo_env.scenario import Scenario, VehicleSpec
 from sumo_env.scene import Scene
+from sumo_env.simulation import NO_LANE_CHANGES, OWN_LANE_CHANGES, REGULAR
 from sumo_env.tasks import TASKS
 from sumo_env.world import World
 
@@ -357,6 +359,17 @@ def test_vehicles_out_of_reach_make_no_difference(monkeypatch: pytest.MonkeyPatc
     for short, whole in zip(runs[0][0], runs[1][0], strict=True):
         assert short.shape == whole.shape
         assert np.abs(short - whole).max() < 1e-4
+
+
+@pytest.mark.parametrize(
+    ("task", "lane_changes"), [("highway", OWN_LANE_CHANGES), ("intersection", NO_LANE_CHANGES)]
+)
+def test_sumo_drives_its_own_traffic_in_the_modes_of_the_rule(make: Any, task: str, lane_changes: int) -> None:
+    """Vehicles are not told what SUMO's default is; it has to be that."""
+    env = make(task, traffic_model="sumo")
+    others = env.scene.ids[1:]
+    assert {libsumo.vehicle.getSpeedMode(name) for name in others} == {REGULAR}
+    assert {libsumo.vehicle.getLaneChangeMode(name) for name in others} == {lane_changes}
 
 
 def test_swerves_into_oncoming_traffic_do_not_end_the_process() -> None:

@@ -135,7 +135,7 @@ def _steered(traffic: Traffic, progress: Progress, ego_speed: float, dt: float) 
             traffic.functions, traffic.vehicles, traffic.names, floats[COMMAND], floats[LATERAL], flags[MOVED],
             traffic.delta,
         )  # fmt: skip
-        direct.look_for_collisions(traffic.functions, near)  # a tenth of SUMO's step
+        direct.look_for_collisions(traffic.functions, near)  # 7 % of SUMO's step on the highway
         known = direct.call(traffic.calls, STEP) >= 0 and direct.read_fronts(
             traffic.functions, traffic.vehicles, traffic.known_lanes, traffic.lane_order, True,
             floats[FRONT_X : FRONT_Y + 1], integers[LANE],

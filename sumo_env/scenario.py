@@ -11,12 +11,11 @@ from typing import Literal
 
 from networks.roads import LaneIndex
 from sumo_env.drivers import Driver, RiskEvent
-from sumo_env.values import value
 
 EGO = "ego"
 
 
-@value
+@dataclass(frozen=True, slots=True)
 class VehicleSpec:
     """One vehicle at the start of its life.
 

@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
-
-from sumo_env.values import value
 
 VEHICLE_LENGTH = 5.0  # [m] highway_env.vehicle.kinematics.Vehicle.LENGTH
 VEHICLE_WIDTH = 2.0  # [m] Vehicle.WIDTH
@@ -14,7 +14,7 @@ PERCEPTION_DISTANCE = 200.0  # [m] 5 * Vehicle.MAX_SPEED, AbstractEnv.PERCEPTION
 Floats = NDArray[np.float64]
 
 
-@value
+@dataclass(frozen=True, slots=True)
 class Scene:
     """Struct of arrays, one row a vehicle, row 0 the ego; highway-env's coordinates (x east, y *down*).
 

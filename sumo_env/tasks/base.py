@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
+from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
@@ -14,10 +15,9 @@ from sumo_env.drivers import POOL, CarFollowing, Driver, RiskRates, draw_events,
 from sumo_env.models.lane_table import lane_at
 from sumo_env.scenario import EGO, Scenario, Spawn, VehicleSpec
 from sumo_env.streams import stream
-from sumo_env.values import value
 
 
-@value
+@dataclass(frozen=True, slots=True)
 class EgoState:
     """The ego as rewards and endings see it, after a policy step.
 

@@ -150,7 +150,7 @@ def _attempt(
 ) -> VehicleSpec | None:
     """One try of highway-env's ``_spawn_vehicle``; draws the same numbers whether it succeeds or not."""
     success = rng.random() <= probability
-    start, goal = _two_arms(rng)
+    start, goal = rng.choice(4, size=2, replace=False).tolist()
     place, speed = rng.standard_normal(), rng.standard_normal()
     driver = drivers.next()
     if straight:
@@ -166,14 +166,6 @@ def _attempt(
         driver,
         destination=f"o{goal}",
     )
-
-
-def _two_arms(rng: np.random.Generator) -> tuple[int, int]:
-    """What ``rng.choice(4, size=2, replace=False)`` draws, by the same algorithm in a third of the time."""
-    first, second = int(rng.integers(3)), int(rng.integers(4))
-    if second == first:
-        second = 3
-    return (first, second) if rng.integers(2) else (second, first)
 
 
 @lru_cache(maxsize=2)

@@ -1,14 +1,16 @@
 """Updates a second of the learner, against Stable-Baselines3's DQN and against the bare arithmetic.
 
 All of them work on batches of the same size, from networks of the same layers, in one process and on one
-thread, in turn. Stable-Baselines3 has no dueling network; it gets one here, built of its own parts, so that
-both learn the same but for the next action: ours is chosen by the online network (double DQN), which costs us
-one forward pass more; Stable-Baselines3 copies its target network outside of the function that is timed.
+thread, in turn; numpy's products with the quickest kernels that its OpenBLAS has for the processor.
+Stable-Baselines3 has no dueling network; it gets one here, built of its own parts, so that both learn the same
+but for the next action: ours is chosen by the online network (double DQN), which costs us one forward pass more;
+Stable-Baselines3 copies its target network outside of the function that is timed.
 """
 
 from __future__ import annotations
 
 import itertools
+import os
 import time
 import timeit
 from collections.abc import Callable, Sequence
@@ -24,6 +26,7 @@ from torch import Tensor, nn
 from agents.architecture import Architecture
 from agents.dqn import DQN, DQNConfig
 from experiments.benchmarks.remote import Remote, Slice, Stopwatch, median_rate, median_ratio, total
+from experiments.support.threads import KERNELS, quickest_kernels
 
 OBSERVATION = (5, 5)  # of four of the five tasks
 ACTIONS = 5
@@ -230,21 +233,21 @@ class Learners:
         for count in self._counts:
             self._variants[count] = Ours(CONFIG, count)
 
-    def measure(self, turns: int) -> list[Record]:
+    def measure(self, turns: int, variant: str) -> list[Record]:
         """One record a number of agents; rates are medians over the turns, ratios those of each turn."""
-        for variant in self._variants.values():
-            variant.work(STRETCH)  # warms up
+        for one in self._variants.values():
+            one.work(STRETCH)  # warms up
         slices: dict[Any, list[Slice]] = {name: [] for name in self._variants}
         for _ in range(turns):
             parts: dict[Any, list[Slice]] = {name: [] for name in self._variants}
             for _ in range(CONFIG.target_lag // STRETCH):
-                for name, variant in self._variants.items():
-                    parts[name].append(variant.work(STRETCH))
+                for name, one in self._variants.items():
+                    parts[name].append(one.work(STRETCH))
             for name in parts:
                 slices[name].append(total(parts[name]))
         return [
             {
-                "variant": "own",
+                "variant": variant,
                 "agents": count,
                 "updates_per_s": median_rate(slices[count]) / count,
                 "updates_per_s_together": median_rate(slices[count]),
@@ -258,8 +261,21 @@ class Learners:
 
 
 def measure_learner(agents: Sequence[int], turns: int, note: Callable[[str], None]) -> list[Record]:
-    """Records of the learner for several numbers of agents in one process."""
-    note("learner")
-    with Remote(Learners, agents) as learners:
-        records: list[Record] = learners.call("measure", turns)
+    """Records of the learner for several numbers of agents in one process, with OpenBLAS's quickest kernels.
+
+    Where the user's environment names other kernels, which training obeys, one agent is measured with these as well.
+    """
+    quickest, named = quickest_kernels() or "", os.environ.get(KERNELS, "")
+    records = _measure(agents, turns, "own", quickest, note)
+    if named.lower() not in ("", quickest.lower()):
+        records += _measure(agents[:1], turns, f"own, {KERNELS}={named}", named, note)
+    return records
+
+
+def _measure(
+    agents: Sequence[int], turns: int, variant: str, kernels: str, note: Callable[[str], None]
+) -> list[Record]:
+    note(f"learner, {variant}")
+    with Remote(Learners, agents, kernels=kernels) as learners:
+        records: list[Record] = learners.call("measure", turns, variant)
     return records

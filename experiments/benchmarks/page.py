@@ -145,6 +145,9 @@ def _learner(records: Sequence[Record]) -> Figure:
     """Milliseconds an update of one agent."""
     figure, axes = plt.subplots(figsize=(6.6, 3.0))
     names = [f"this project,\n{record['agents']} agent{'s' * (record['agents'] > 1)}" for record in records]
+    for k, record in enumerate(records):
+        if record["variant"] != "own":
+            names[k] += f"\n({record['variant'].partition('=')[2]})"
     times = [1e3 / (record["updates_per_s"] * record["agents"]) for record in records]
     names += ["Stable-\nBaselines3", "matrix\nproducts alone"]
     times += [1e3 / records[0]["sb3_updates_per_s"], 1e3 / records[0]["floor_updates_per_s"]]

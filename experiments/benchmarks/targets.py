@@ -71,7 +71,7 @@ def compare(results: Results) -> list[Target]:
         record = _find(env, "highway", "50", model, False)
         name = f"engine's share of the loop, highway 50, {model}"
         targets.append(Target(name, wanted, None if record is None else record["engine_share"]))
-    learner: Sequence[Record] = results.get("learner", ())
+    learner = [record for record in results.get("learner", ()) if record["variant"] == "own"]
     one = [record for record in learner if record["agents"] == 1]
     many = [record["ratio"] for record in learner if 8 <= record["agents"] <= 16]
     targets += [

@@ -12,18 +12,27 @@ VARIABLES = (
     "NUMEXPR_NUM_THREADS",
     "NUMBA_NUM_THREADS",
 )
+KERNELS = "OPENBLAS_CORETYPE"  # the variable that names the kernels of OpenBLAS
 
 
 def limit_threads() -> None:
     """Tell every numerical library to use one thread; call it before any of them is imported.
 
-    And let numpy's OpenBLAS use AVX-512 where the processor has it: by itself it does so on Intel's processors
-    and those of AMD's that it knows by name, and products take 1.6 times as long without.
+    And let numpy's OpenBLAS use the quickest kernels, unless the user's environment names others.
     """
     for name in VARIABLES:
         os.environ[name] = "1"
-    if _has_avx512():
-        os.environ.setdefault("OPENBLAS_CORETYPE", "SkylakeX")
+    if (kernels := quickest_kernels()) is not None:
+        os.environ.setdefault(KERNELS, kernels)
+
+
+def quickest_kernels() -> str | None:
+    """OpenBLAS's kernels for AVX-512 where the processor has it, None for what OpenBLAS chooses by itself.
+
+    That is AVX-512 as well on Intel's processors and those of AMD's that it knows by name, and products take
+    1.6 times as long without.
+    """
+    return "SkylakeX" if _has_avx512() else None
 
 
 def _has_avx512() -> bool:

@@ -26,6 +26,7 @@ from experiments.benchmarks.remote import (
 )
 from experiments.study.presets import PRESETS
 from experiments.support.errors import UserError
+from experiments.support.threads import KERNELS
 from tests.experiments.counter import Counter
 
 
@@ -39,9 +40,9 @@ def env_record(**changes) -> dict:
     }  # fmt: skip
 
 
-def learner_record(agents: int, ratio: float) -> dict:
+def learner_record(agents: int, ratio: float, variant: str = "own") -> dict:
     return {
-        "variant": "own", "agents": agents, "updates_per_s": 500.0 / agents, "updates_per_s_together": 500.0,
+        "variant": variant, "agents": agents, "updates_per_s": 500.0 / agents, "updates_per_s_together": 500.0,
         "sb3_updates_per_s": 250.0, "ratio": ratio, "floor_updates_per_s": 600.0, "over_floor": 1.2,
     }  # fmt: skip
 
@@ -64,7 +65,10 @@ def results() -> dict:
             env_record(task="u-turn", level="3", ratio=70.0),
             env_record(task="u-turn", level="12", ratio=20.0),
         ],
-        "learner": [learner_record(1, 2.0), learner_record(8, 3.4), learner_record(16, 3.6)],
+        "learner": [
+            learner_record(1, 2.0), learner_record(8, 3.4), learner_record(16, 3.6),
+            learner_record(1, 1.5, "own, OPENBLAS_CORETYPE=Haswell"),
+        ],
         "sweep": [
             {"workers": n, "agents_per_hour": 30.0 * n, "agents_per_hour_on_free_cores": 40.0 * n,
              "measured_updates": 60, "extrapolated": True, "costs": [
@@ -100,6 +104,14 @@ def test_remote_objects_work_at_the_same_time():
         first.start("add", 1)
         second.start("add", 1)
         assert (first.result(), second.result()) == (1, 11)
+
+
+def test_measuring_process_has_the_kernels_that_it_is_given_and_this_one_keeps_its_own(monkeypatch):
+    monkeypatch.setenv(KERNELS, "Haswell")
+    with Remote(Counter, 0, kernels="Nehalem") as counter, Remote(Counter, 0) as other:
+        assert counter.call("variable", KERNELS) == "Nehalem"
+        assert other.call("variable", KERNELS) == "Haswell"
+    assert os.environ[KERNELS] == "Haswell"
 
 
 def test_error_in_another_process_is_raised_here_and_ends_nothing():
@@ -224,6 +236,7 @@ def test_page_is_one_file_with_its_pictures_inside(results):
     assert html.count("<svg") == 6
     assert not re.search(r"(?:src|href)=\"https?://", html)
     assert "a &lt;fast&gt; one" in html
+    assert html.count("OPENBLAS_CORETYPE=Haswell is set here") == 1 and "<td>1 (Haswell)</td>" in html
     identifiers = re.findall(r' id="([^"]+)"', html)
     assert len(identifiers) == len(set(identifiers))
 
@@ -293,6 +306,17 @@ def test_vector_counts_the_steps_of_all_its_environments():
         vectors.close()
 
 
+def test_learner_is_measured_with_the_quickest_kernels_and_with_those_that_the_user_named(monkeypatch):
+    monkeypatch.setattr(learner, "quickest_kernels", lambda: "SkylakeX")
+    monkeypatch.setattr(learner, "_measure", lambda agents, _, variant, kernels, note: [(agents, variant, kernels)])
+    for same in ("", "SKYLAKEX"):
+        monkeypatch.setenv(KERNELS, same)
+        assert learner.measure_learner((1, 8), 3, print) == [((1, 8), "own", "SkylakeX")]
+    monkeypatch.setenv(KERNELS, "Haswell")
+    named = ((1,), "own, OPENBLAS_CORETYPE=Haswell", "Haswell")
+    assert learner.measure_learner((1, 8), 3, print) == [((1, 8), "own", "SkylakeX"), named]
+
+
 @pytest.mark.slow
 def test_command_writes_both_files(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(scaling, "SAMPLES", 3)
@@ -301,7 +325,7 @@ def test_command_writes_both_files(tmp_path, monkeypatch, capsys):
     options = benchmark.Options(tmp_path / "new", quick=True, parts=("learner", "memory"))
     assert benchmark.run(options) == 0
     results = json.loads((tmp_path / "new" / "benchmark.json").read_text())
-    assert [record["agents"] for record in results["learner"]] == [1, 8, 16]
+    assert [record["agents"] for record in results["learner"] if record["variant"] == "own"] == [1, 8, 16]
     assert all(record["ratio"] > 0.0 and record["over_floor"] > 0.0 for record in results["learner"])
     assert results["memory"]["episodes"] == [2, 4, 6]
     assert (tmp_path / "new" / "benchmark.html").read_text().count("<svg") == 2

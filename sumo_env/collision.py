@@ -15,6 +15,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from sumo_env.angles import wrapped
 from sumo_env.compiled import borrowing, compiled
 from sumo_env.scene import VEHICLE_LENGTH, VEHICLE_WIDTH, Floats, Scene
 
@@ -109,8 +110,8 @@ def meeting(i: int, j: int, before: Floats, x: Floats, y: Floats, heading: Float
     if (rx + nearest * ux) ** 2 + (ry + nearest * uy) ** 2 > DIAGONAL * DIAGONAL:
         return math.inf  # not even their circumscribed circles meet
     hi, hj = before[2, i], before[2, j]
-    turn_i = (heading[i] - hi + math.pi) % (2 * math.pi) - math.pi
-    turn_j = (heading[j] - hj + math.pi) % (2 * math.pi) - math.pi
+    turn_i = wrapped(heading[i] - hi)
+    turn_j = wrapped(heading[j] - hj)
     fastest = math.sqrt(way) + DIAGONAL / 2.0 * (abs(turn_i) + abs(turn_j))
     t = 0.0
     while True:

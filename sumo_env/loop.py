@@ -2,9 +2,9 @@
 
 What `world.World.step` does one sub-step after another, and the same bits: drivers decide, cars move, SUMO is told and
 steps, contacts are looked for. Cars are steered (`straight`, `bends`) or keep to SUMO's lanes (`strip`, `native`). A
-call stops early where Python goes on: somebody touched, the ego is about to reach the end of its lane, a vehicle has
-left the road, or SUMO raised an error. SUMO's step, its list of contacts and changes of lane are called as Python
-functions, which may raise.
+call stops early where Python goes on: somebody touched, the ego is about to reach the end of its lane (not in `bends`),
+a vehicle has left the road, or SUMO raised an error. SUMO's step, its list of contacts, changes of lane and the ego's
+next lane are called as Python functions, which may raise.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ from sumo_env.models.steering import is_near_end, move
 from sumo_env.safety import HORIZON
 
 GOES_ON, TOUCHED, NEAR_END, LOST = range(4)  # why a call ended
-STEP, CONTACTS, CHANGE_LANES = range(3)  # Python functions that it calls
+STEP, CONTACTS, CHANGE_LANES, FOLLOW_ROAD = range(4)  # Python functions that it calls
 
 
 class Traffic(NamedTuple):
@@ -55,7 +55,8 @@ class Traffic(NamedTuple):
     Attributes:
         delta: length of a step [ms].
         functions, vehicles, names, known_lanes, lane_order: as in `direct`.
-        calls: of `direct.python_calls`: SUMO's step, whether it reports contacts, and changes of lane.
+        calls: of `direct.python_calls`: SUMO's step, whether it reports contacts, changes of lane, and the ego's next
+            lane.
         geometry, lanes, joints, stretch: as in `models.steering.move`; for cars on SUMO's lanes three rows of `lanes`,
             no `joints`, and `stretch` as in `models.motion.keep_to_lanes`.
         floats, integers, flags: of `cars.Cars`.
@@ -208,8 +209,13 @@ def straight(
 
 @borrowing
 def bends(traffic: Traffic, count: int, ways: Ways, progress: Progress, ego_speed: float, dt: float) -> Progress:
-    """Up to `count` sub-steps on a road of bends (`models.network_drivers`), going on from `progress`."""
-    while progress.done < count and progress.why == GOES_ON:
+    """Up to `count` sub-steps on a road of bends (`models.network_drivers`), going on from `progress`.
+
+    Lanes are short there: the ego is given the next one in between.
+    """
+    while progress.done < count and progress.why in (GOES_ON, NEAR_END):
+        if progress.why == NEAR_END and direct.call(traffic.calls, FOLLOW_ROAD) < 0:
+            break
         if len(ways.routes) > 0:
             give_way(
                 traffic.geometry, ways.routes, ways.stage, ways.exempt, ways.clock, traffic.floats, traffic.flags, dt

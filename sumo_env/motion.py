@@ -67,7 +67,8 @@ class Motion:
             return None
         if self._called is None:  # and kept, because compiled code calls them
             sim = world.sim
-            self._called = (lambda: sim.step()), world.sumo_sees_contact, partial(self.change_lanes, world)
+            changes = partial(self.change_lanes, world)
+            self._called = (lambda: sim.step()), world.sumo_sees_contact, changes, world.follow_road
             self._calls = direct.python_calls(*self._called)
         return Traffic(
             *handles, self._calls, self._geometry, self._lanes, self._joints, self._stretch, cars.floats,

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from networks.lanes import CircularLane, StraightLane
 from networks.roads import LaneIndex, Road
+from sumo_env.angles import wrapped
 from sumo_env.compiled import borrowing, compiled
 from sumo_env.config import ConfigError, nearest
 from sumo_env.models.lane_table import lane_at
@@ -46,7 +47,7 @@ def _longitudinal(axis: Floats, x: float, y: float) -> float:
     dx, dy = x - axis[1], y - axis[2]
     if axis[0] == 0.0:
         return dx * axis[3] + dy * axis[4]
-    turned = (math.atan2(dy, dx) - axis[3] + math.pi) % (2.0 * math.pi) - math.pi
+    turned = wrapped(math.atan2(dy, dx) - axis[3])
     return axis[4] * turned * axis[5]
 
 

@@ -235,7 +235,7 @@ class World:
         """`_substep` up to `count` times in one call; returns how many times."""
         assert self._traffic is not None
         if self.motion.ego_near_end:
-            self._follow_road()
+            self.follow_road()
         progress = Progress(0, loop.GOES_ON, 0, 0.0, self.time, self.distance, self.min_ttc)
         progress = self.rule.drive(self, self._traffic, count, progress)
         direct.raise_error(self._traffic.calls)
@@ -310,11 +310,12 @@ class World:
 
     def _drive_ego(self) -> None:
         if self.motion.ego_near_end:
-            self._follow_road()
+            self.follow_road()
         self.cars.distance[0] = moved = self.ego.advance(self.dt)
         self.distance += moved
 
-    def _follow_road(self) -> None:
+    def follow_road(self) -> None:
+        """Give the ego the next lane of its way, if it is at the end of the one that it steers for."""
         self.ego.follow_road(float(self.x[0]), float(self.y[0]))
         self.motion.aim(self)
 

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from networks.lanes import VEHICLE_LENGTH, CircularLane, Lane, SineLane, StraightLane
 from networks.roads import Road
+from sumo_env.angles import wrapped
 from sumo_env.compiled import borrowing
 
 LaneIndex = tuple[str, str, int]
@@ -154,7 +155,7 @@ def local_coordinates(geometry: Floats, lane: int, x: float, y: float) -> tuple[
     dx, dy = x - geometry[lane, X], y - geometry[lane, Y]
     if geometry[lane, KIND] == CIRCULAR:
         radius, turn = geometry[lane, RADIUS], geometry[lane, TURN]
-        turned = (math.atan2(dy, dx) - geometry[lane, START_PHASE] + math.pi) % (2.0 * math.pi) - math.pi
+        turned = wrapped(math.atan2(dy, dx) - geometry[lane, START_PHASE])
         return turn * turned * radius, turn * (radius - math.sqrt(dx * dx + dy * dy))
     cos, sin = geometry[lane, COS], geometry[lane, SIN]
     s, lat = dx * cos + dy * sin, dy * cos - dx * sin
@@ -175,7 +176,7 @@ def closest_lane(geometry: Floats, x: float, y: float, heading: float) -> int:
         distance = abs(lat) + max(s - geometry[lane, LENGTH], 0.0) + max(-s, 0.0)
         if distance > second:
             continue
-        distance += abs((heading - heading_at(geometry, lane, s) + math.pi) % (2.0 * math.pi) - math.pi)
+        distance += abs(wrapped(heading - heading_at(geometry, lane, s)))
         if distance < least:
             best, least, second = lane, distance, least
         elif distance < second:

@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from networks.lanes import VEHICLE_LENGTH, WIDTH
+from sumo_env.angles import wrapped
 from sumo_env.cars import (
     ACCELERATION,
     CHANGES,
@@ -117,7 +118,7 @@ def _far(geometry: Floats, lane: int, s: float, lat: float, heading: float) -> f
     """Distance [m] and turn [rad] of a vehicle from a lane, added up (``AbstractLane.distance_with_heading``)."""
     angle = heading - heading_at(geometry, lane, s)
     distance = abs(lat) + max(s - geometry[lane, LENGTH], 0.0) + max(-s, 0.0)
-    return distance + abs((angle + math.pi) % (2.0 * math.pi) - math.pi)
+    return distance + abs(wrapped(angle))
 
 
 @borrowing

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from networks.lanes import VEHICLE_LENGTH, WIDTH
+from sumo_env.angles import wrapped
 from sumo_env.cars import (
     ACCELERATION,
     BEFORE,
@@ -75,7 +76,7 @@ def slip_angle(geometry: Floats, lane: int, x: float, y: float, heading: float, 
     if sideways == 0.0 and ahead == heading:
         return 0.0
     wanted = ahead + min(max(math.asin(sideways), -math.pi / 4), math.pi / 4)
-    turn = (wanted - heading + math.pi) % (2.0 * math.pi) - math.pi
+    turn = wrapped(wanted - heading)
     slip = math.asin(min(max(VEHICLE_LENGTH / 2 / _not_zero(speed) * turn / TAU_HEADING, -1.0), 1.0))
     steering = min(max(math.atan(2.0 * math.tan(slip)), -MAX_STEERING_ANGLE), MAX_STEERING_ANGLE)
     return math.atan(0.5 * math.tan(steering))
@@ -169,8 +170,7 @@ def follow(
         elif geometry[on, KIND] == CIRCULAR:
             ahead, right = local_coordinates(geometry, on, to_x, to_y)
             ahead -= local_coordinates(geometry, on, front[0, i], front[1, i])[0]
-            half = math.pi * geometry[on, RADIUS]
-            ahead = (ahead + half) % (2.0 * half) - half
+            ahead = wrapped(ahead, math.pi * geometry[on, RADIUS])
             lateral[i] = -right
         else:  # as the lane runs in between
             dx, dy = to_x - front[0, i], to_y - front[1, i]

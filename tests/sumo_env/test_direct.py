@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from sumo_env import direct
+from sumo_env import simulation as simulation_module
 from sumo_env.drivers import TOLD
 from sumo_env.env import DrivingEnv
 from sumo_env.simulation import Fleet, simulation
@@ -112,6 +113,31 @@ def test_what_is_raised_inside_the_compiled_call_is_raised(
         patch.setattr(broken, fail)
         with pytest.raises(error, match="SUMO is broken"):
             env.step(0 if there else 2)
+    env.reset(seed=0)
+    env.step(1)
+    env.close()
+
+
+@needs_direct
+@pytest.mark.parametrize("error", [RuntimeError, KeyboardInterrupt])
+def test_the_ego_is_given_its_next_lane_inside_the_compiled_call_which_may_raise(
+    error: type[BaseException], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    env = DrivingEnv("roundabout")
+    env.reset(seed=0)
+    monkeypatch.setattr(env._world, "_substep", lambda: pytest.fail("one after another"))
+    step, steps = simulation_module._step, []
+
+    def follow(x: float, y: float) -> None:
+        if steps:
+            raise error("there is no road")
+
+    monkeypatch.setattr(simulation_module, "_step", lambda until: steps.append(until) or step(until))
+    monkeypatch.setattr(env.ego, "follow_road", follow)
+    with pytest.raises(error, match="there is no road"):
+        for _ in range(10):
+            steps.clear()
+            env.step(1)
     env.reset(seed=0)
     env.step(1)
     env.close()

@@ -78,11 +78,12 @@ class Driver:
         self._done = True
         self._seed = 0
         self._resets: dict[Key, list[float]] = {}
-        self._actions = np.random.default_rng(0)
+        self._actions: dict[Key, Iterator[int]] = {}
 
     def open(self, key: Key, config: Mapping[str, Any]) -> None:
         """Make an environment and take the first steps in it, which compile."""
-        self._envs[key] = make_env(self._backend, self._task, config)
+        env: Any = make_env(self._backend, self._task, config)
+        self._envs[key], self._actions[key] = env, _random_actions(env.action_space.n)
         self._resets[key] = []
         self.drive(key, 0.0, WARM_UP_STEPS)
         self._resets[key].clear()
@@ -94,7 +95,7 @@ class Driver:
         An episode goes on in the next slice, unless another environment was driven meanwhile; `whole`
         episodes are driven to their end, so that a slice holds the resets that its steps deserve.
         """
-        env = self._envs[key]
+        env, actions = self._envs[key], self._actions[key]
         if self._running != key:
             env.reset(seed=self._seed)  # loads the network, if it is another one: no part of the slice
             self._running, self._done = key, True
@@ -103,7 +104,7 @@ class Driver:
             if self._done:
                 self._reset(key)
                 episodes += 1
-            _, _, terminated, truncated, _ = env.step(int(self._actions.integers(env.action_space.n)))
+            _, _, terminated, truncated, _ = env.step(next(actions))
             self._done = terminated or truncated
             steps += 1
         return watch.slice(steps), episodes
@@ -162,6 +163,13 @@ class Driver:
     def resident(self) -> float:
         """Resident memory of this process [MiB]."""
         return resident_mib()
+
+
+def _random_actions(count: int) -> Iterator[int]:
+    """Uniform ones of so many actions; drawn in blocks, to take no time of the loop."""
+    rng = np.random.default_rng(0)
+    while True:
+        yield from rng.integers(count, size=4096).tolist()
 
 
 def measure_task(

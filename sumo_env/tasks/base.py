@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable
-from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
@@ -17,8 +16,7 @@ from sumo_env.scenario import EGO, Scenario, Spawn, VehicleSpec
 from sumo_env.streams import stream
 
 
-@dataclass(frozen=True, slots=True)
-class EgoState:
+class EgoState(NamedTuple):
     """The ego as rewards and endings see it, after a policy step.
 
     Attributes:

@@ -48,8 +48,7 @@ def with_leader(distance: float, speed: float) -> Any:
 
     def change(scenario: Scenario) -> Scenario:
         ego, other = scenario.ego, scenario.vehicles[0]
-        leader = replace(
-            other,
+        leader = other._replace(
             lane=ego.lane,
             s=ego.s + distance,
             x=ego.x + distance,
@@ -237,8 +236,7 @@ def test_frontal_crash_on_the_two_way_road(make: Any) -> None:
 def test_a_follower_brakes_for_the_ego(make: Any) -> None:
     def change(scenario: Scenario) -> Scenario:
         ego, other = scenario.ego, scenario.vehicles[0]
-        follower = replace(
-            other,
+        follower = other._replace(
             lane=ego.lane,
             s=ego.s - 40,
             x=ego.x - 40,
@@ -282,8 +280,8 @@ def test_a_cut_in_takes_any_gap_but_needs_one(
     def change(scenario: Scenario) -> Scenario:
         ego, other = scenario.ego, scenario.vehicles[0]
         x, speed = ego.x + ahead, 20.0 if happens else 25.0
-        beside = replace(other, lane=("0", "1", 1), s=x, x=x, y=4.0, speed=speed, target_speed=speed)
-        beside = replace(beside, changes_lanes=False)
+        beside = other._replace(lane=("0", "1", 1), s=x, x=x, y=4.0, speed=speed, target_speed=speed)
+        beside = beside._replace(changes_lanes=False)
         return replace(
             scenario, vehicles=(beside,), events=(RiskEvent(0.5, beside.id, "cut-in", direction=-1),)
         )
@@ -305,10 +303,10 @@ def test_a_surge_accelerates_where_the_way_is_free(make: Any, task: str, traffic
 
         def change(scenario: Scenario, blocked: bool = blocked, way: float = way) -> Scenario:
             other = scenario.vehicles[0]
-            vehicles = [replace(other, speed=8.0, target_speed=8.0)]
+            vehicles = [other._replace(speed=8.0, target_speed=8.0)]
             if blocked:
                 dx, dy = 15 * np.cos(other.heading), 15 * np.sin(other.heading)
-                ahead = replace(vehicles[0], id="ahead", s=other.s + 15, x=other.x + dx, y=other.y + dy)
+                ahead = vehicles[0]._replace(id="ahead", s=other.s + 15, x=other.x + dx, y=other.y + dy)
                 vehicles.append(ahead)
             event = RiskEvent(0.0, other.id, "surge", accel=4.0, duration=2.0, way=way)
             return replace(scenario, vehicles=tuple(vehicles), events=(event,), spawns=())

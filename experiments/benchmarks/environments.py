@@ -46,6 +46,11 @@ class Effort:
     reference_seconds: float
     reference_steps: int
 
+    @property
+    def engine_seconds(self) -> float:
+        """Of a slice of the engine alone [s]."""
+        return self.seconds / self.turns
+
 
 def level_config(
     backend: str, task: str, level: int, model: str = "", frequency: int | None = None
@@ -187,7 +192,9 @@ def measure_task(
                 ours.call("open", key, level_config("sumo", task, *key))
             slow: list[Slice] = []
             fast: dict[Key, list[Slice]] = {key: [] for key in keys}
-            episodes = dict.fromkeys(keys, 0)
+            bare: dict[Key, list[Slice]] = {key: [] for key in keys}
+            shares: dict[Key, list[float]] = {key: [] for key in keys}
+            episodes, lengths = dict.fromkeys(keys, 0), dict.fromkeys(keys, 1)
             for _ in range(effort.turns):
                 slow.append(
                     theirs.call("drive", reference, effort.reference_seconds, effort.reference_steps)[0]
@@ -196,10 +203,11 @@ def measure_task(
                     part, begun = ours.call("drive", key, effort.seconds, 1, True)
                     fast[key].append(part)
                     episodes[key] += begun
+                    lengths[key] = max(round(sum(part.count for part in fast[key]) / max(episodes[key], 1)), 1)
+                    bare[key].append(ours.call("engine", key, effort.engine_seconds, lengths[key]))
+                    shares[key].append(ours.call("engine_share", key, effort.engine_seconds))
             memory = ours.call("resident")
             for key in keys:
-                length = max(round(sum(part.count for part in fast[key]) / max(episodes[key], 1)), 1)
-                engine = ours.call("engine", key, effort.seconds, length)
                 yield {
                     "task": task,
                     "level": level_names(task)[level - 1],
@@ -212,11 +220,12 @@ def measure_task(
                     "ratio": median_ratio(fast[key], slow),
                     "sumo_wall_steps_per_s": median_wall_rate(fast[key]),
                     "highway_env_wall_steps_per_s": median_wall_rate(slow),
-                    "engine_steps_per_s": engine.per_second,
-                    "engine_share": ours.call("engine_share", key, effort.seconds),
+                    "engine_steps_per_s": median_rate(bare[key]),
+                    "of_engine_alone": median_ratio(fast[key], bare[key]),
+                    "engine_share": statistics.median(shares[key]),
                     "reset_ms": ours.call("reset_ms", key),
                     "highway_env_reset_ms": theirs.call("reset_ms", reference),
-                    "episode_steps": length,
+                    "episode_steps": lengths[key],
                     "highway_env_steps": sum(part.count for part in slow),
                     "rss_mib": memory,
                 }

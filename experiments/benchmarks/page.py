@@ -86,7 +86,7 @@ def _bars(
             places, values, width, label=name, color=colour, alpha=0.55 if "15 Hz" in name else 1.0
         )
         axes.bar_label(bars, [form.format(value) for value in values], fontsize=7, padding=1)
-    axes.set_xticks(np.arange(len(labels)), labels)
+    axes.set_xticks(np.arange(len(labels)), labels, fontsize=8)
 
 
 def _places(records: Sequence[Record]) -> list[tuple[str, str]]:
@@ -143,7 +143,7 @@ def _growth(growth: Record) -> Figure:
 
 def _learner(records: Sequence[Record]) -> Figure:
     """Milliseconds an update of one agent."""
-    figure, axes = plt.subplots(figsize=(6.6, 3.0))
+    figure, axes = plt.subplots(figsize=(7.5, 3.0))
     names = [f"this project,\n{record['agents']} agent{'s' * (record['agents'] > 1)}" for record in records]
     for k, record in enumerate(records):
         if record["variant"] != "own":

@@ -35,6 +35,7 @@ def env_record(**changes) -> dict:
         "task": "highway", "level": "50", "traffic_model": "matched", "simulation_frequency": 10,
         "equal_work": False, "sumo_steps_per_s": 700.0, "highway_env_steps_per_s": 5.0, "ratio": 140.0,
         "sumo_wall_steps_per_s": 650.0, "highway_env_wall_steps_per_s": 4.8, "engine_steps_per_s": 1800.0,
+        "of_engine_alone": 0.4,
         "engine_share": 0.6, "reset_ms": 1.7, "highway_env_reset_ms": 20.0, "episode_steps": 12,
         "highway_env_steps": 30, "rss_mib": 200.0, **changes,
     }  # fmt: skip

@@ -6,8 +6,8 @@ with three properties that matter: d is the distance of *centres*, so d0 holds a
 floored, so a much faster leader brakes its follower; and a leader is whoever is near the centre line of the
 lane, whatever its heading, so that oncoming and crossing cars are leaders too.
 
-Two searches for the leader: `strip_accelerations` on a straight road of parallel lanes, `path_accelerations`
-on a network. Drivers are rows of a table, shape (n, 6), with the columns below; `driver_row` makes one.
+Two searches for the leader: `strip_accelerations` on a straight road of parallel lanes, `accelerations_along`
+a path on a network. Drivers are rows of a table, shape (n, 6), with the columns below; `driver_row` makes one.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from networks.lanes import VEHICLE_LENGTH, WIDTH
 from sumo_env.cars import ACCELERATION, HEADING, SPEED, TARGET_SPEED, X, Y
 from sumo_env.compiled import borrowing, compiled
 from sumo_env.drivers import Driver
-from sumo_env.models.lane_table import LENGTH, LIMIT, Floats, Integers, local_coordinates, target_stage
+from sumo_env.models.lane_table import LENGTH, LIMIT, Floats, Integers, target_stage
 
 # Columns of a table of drivers.
 A_MAX = 0  # A, comfortable acceleration [m/s2]
@@ -215,13 +215,13 @@ def _path_leader(
 
 
 @compiled
-def path_accelerations(
+def accelerations_along(
     geometry: Floats,
     successors: Integers,
     routes: Integers,
     stage: Integers,
-    x: Floats,
-    y: Floats,
+    s: Floats,
+    lat: Floats,
     speed: Floats,
     heading: Floats,
     target_speed: Floats,
@@ -239,43 +239,10 @@ def path_accelerations(
     Args:
         geometry, successors: of a `LaneTable`.
         routes, stage: shapes (n, lanes of a route) and (n,); call `advance` first.
-        x, y, speed, heading, target_speed: shape (n,) [m, m, m/s, rad, m/s].
+        s, lat: coordinates of the vehicles on the lanes [m], shape (n, lanes). They have to be there for a
+            vehicle's own lane and for those that it is on; elsewhere `s` may be inf.
+        speed, heading, target_speed: shape (n,) [m/s, rad, m/s].
         drivers: shape (n, 6).
-    """
-    n, lanes = len(x), len(geometry)
-    looked_at = np.zeros(lanes, np.bool_)
-    for i in range(n):
-        for k in range(stage[i], min(stage[i] + 2, routes.shape[1])):
-            if routes[i, k] >= 0:
-                looked_at[routes[i, k]] = True
-                for lane in successors[routes[i, k]]:
-                    if lane >= 0:
-                        looked_at[lane] = True
-    s, lat = np.empty((n, lanes)), np.empty((n, lanes))
-    for lane in range(lanes):
-        for j in range(n if looked_at[lane] else 0):
-            s[j, lane], lat[j, lane] = local_coordinates(geometry, lane, x[j], y[j])
-    return accelerations_along(
-        geometry, successors, routes, stage, s, lat, speed, heading, target_speed, drivers
-    )
-
-
-@compiled
-def accelerations_along(
-    geometry: Floats,
-    successors: Integers,
-    routes: Integers,
-    stage: Integers,
-    s: Floats,
-    lat: Floats,
-    speed: Floats,
-    heading: Floats,
-    target_speed: Floats,
-    drivers: Floats,
-) -> Floats:
-    """`path_accelerations` by coordinates of the vehicles on lanes [m], shape (n, lanes).
-
-    They have to be there for a vehicle's own lane and for those that it is on; elsewhere `s` may be inf.
     """
     n = len(s)
     result = np.empty(n)

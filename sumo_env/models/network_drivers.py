@@ -322,56 +322,8 @@ def _mobil(
     return after - before >= MIN_GAIN
 
 
-@compiled
-def drive(
-    roads: Net,
-    ways: Integers,
-    leg: Integers,
-    planned: Integers,
-    lane: Integers,
-    target: Integers,
-    timer: Floats,
-    x: Floats,
-    y: Floats,
-    speed: Floats,
-    heading: Floats,
-    target_speed: Floats,
-    drivers: Floats,
-    acts: NDArray[np.bool_],
-    changes: NDArray[np.bool_],
-    moved: bool,
-) -> Floats:
-    """What ``IDMVehicle.act`` commands every vehicle [m/s2], shape (n,); 0 for those that do not act.
-
-    Changes `lane`, `leg`, `planned`, `target` and `timer` in place. The caller adds the time to `timer` afterwards.
-
-    Args:
-        roads: of `net`.
-        ways: roads of each vehicle's way, by their first lanes, padded with -1, shape (n, roads of a way).
-        leg: which of them the target lane is on, shape (n,).
-        planned: id of the lane of its first road that a vehicle was put on, which it does not leave of its own
-            accord; NO_PLAN once it is beyond, shape (n,).
-        lane: number of the lane that each vehicle is on, shape (n,).
-        target: number of the lane that it steers for, shape (n,); also of vehicles that do not act.
-        timer: time since the last decision on lane changes [s], shape (n,).
-        x, y, speed, heading, target_speed: shape (n,) [m, m, m/s, rad, m/s].
-        drivers: shape (n, 6), the columns of `idm`.
-        acts: who is driven here (neither the ego nor wrecks), shape (n,).
-        changes: who of them decides on lane changes, shape (n,).
-        moved: whether vehicles have moved since `lane` was true; then it is found anew (`locate`).
-    """
-    n, lanes = len(x), len(roads.geometry)
-    s, on, result = np.full((n, lanes), np.nan), np.zeros((n, lanes), np.bool_), np.zeros(n)
-    locate(roads, x, y, heading, lane, moved, s, on)
-    _drive(
-        roads, ways, leg, planned, lane, target, timer, x, y, speed, heading, target_speed, drivers, acts, changes, s,
-        on, result,
-    )  # fmt: skip
-    return result
-
-
 @borrowing
-def _drive(
+def drive(
     roads: Net,
     ways: Integers,
     leg: Integers,
@@ -389,9 +341,27 @@ def _drive(
     changes: NDArray[np.bool_],
     s: Floats,
     on: NDArray[np.bool_],
-    result: Floats,
+    acceleration: Floats,
 ) -> None:
-    """`drive` of vehicles that `locate` has found."""
+    """What ``IDMVehicle.act`` commands every vehicle that acts, into `acceleration` [m/s2], shape (n,).
+
+    Changes `leg`, `planned`, `target` and `timer` in place. The caller adds the time to `timer` afterwards.
+
+    Args:
+        roads: of `net`.
+        ways: roads of each vehicle's way, by their first lanes, padded with -1, shape (n, roads of a way).
+        leg: which of them the target lane is on, shape (n,).
+        planned: id of the lane of its first road that a vehicle was put on, which it does not leave of its own
+            accord; NO_PLAN once it is beyond, shape (n,).
+        lane: number of the lane that each vehicle is on, shape (n,).
+        target: number of the lane that it steers for, shape (n,); also of vehicles that do not act.
+        timer: time since the last decision on lane changes [s], shape (n,).
+        x, y, speed, heading, target_speed: shape (n,) [m, m, m/s, rad, m/s].
+        drivers: shape (n, 6), the columns of `idm`.
+        acts: who is driven here (neither the ego nor wrecks), shape (n,).
+        changes: who of them decides on lane changes, shape (n,).
+        s, on: of `locate`.
+    """
     geometry = roads.geometry
     for i in range(len(x)):
         if not acts[i]:
@@ -424,7 +394,7 @@ def _drive(
         if own != target[i]:
             front = neighbours(i, target[i], roads, s, on, x, y)[0]
             a = min(a, _between(i, front, drivers, i, roads, s, on, x, y, speed, heading, lane, target, target_speed))
-        result[i] = min(max(a, -drivers[i, ACC_MAX]), drivers[i, ACC_MAX])
+        acceleration[i] = min(max(a, -drivers[i, ACC_MAX]), drivers[i, ACC_MAX])
 
 
 @compiled
@@ -438,15 +408,22 @@ def act(
     moved: bool,
     dt: float,
 ) -> None:
-    """`drive` with the matrices of `cars.Cars`, and the time after it."""
+    """`drive` with the matrices of `cars.Cars`, and the time after it; 0 is commanded to those that do not act.
+
+    moved: whether vehicles have moved since the lanes that they are `ON` were found.
+    """
     on, target, timer, forced = integers[ON], integers[TARGET], floats[TIMER], flags[FORCED]
     acts, changes = ~flags[CRASHED], flags[CHANGES].copy()
     acts[0] = False
     for i in range(len(on)):
         forced[i] = forced[i] and on[i] != target[i]
         changes[i] = changes[i] and not forced[i]
-    floats[ACCELERATION] = drive(
+    shape = len(on), len(roads.geometry)
+    s, located = np.full(shape, np.nan), np.zeros(shape, np.bool_)
+    locate(roads, floats[X], floats[Y], floats[HEADING], on, moved, s, located)
+    floats[ACCELERATION] = 0.0
+    drive(
         roads, ways, integers[LEG], integers[PLANNED], on, target, timer, floats[X], floats[Y], floats[SPEED],
-        floats[HEADING], floats[TARGET_SPEED], drivers, acts, changes, moved,
+        floats[HEADING], floats[TARGET_SPEED], drivers, acts, changes, s, located, floats[ACCELERATION],
     )  # fmt: skip
     timer += dt

@@ -36,7 +36,7 @@ def warm_up(
     """Drive `steps` steps of `dt` [s] by IDM, with `regulate` every `interval` steps; changes everything in place.
 
     s: along the lanes [m], shape (n,); corner, near: of a `lane_grid` of the lanes on which vehicles are leaders; the
-    others as in `path_accelerations` and `regulate`.
+    others as in `accelerations_along` and `regulate`.
     """
     on, lat = np.empty((len(x), len(geometry))), np.empty((len(x), len(geometry)))
     for step in range(1, steps + 1):

@@ -25,11 +25,10 @@ from experiments.backends.highway_env_vehicle import (
 from networks.roads import intersection
 from sumo_env.config import ConfigError
 from sumo_env.drivers import RiskEvent
-from sumo_env.models.idm import path_accelerations
 from sumo_env.models.lane_table import lane_table
 from sumo_env.tasks import TASKS
 
-from ..sumo_env.reference import fill_intersection, intersection_network, state
+from ..sumo_env.reference import fill_intersection, intersection_network, path_accelerations, state
 
 SMALL: dict[str, Any] = {"vehicles_count": 12}
 BASE_ATTRIBUTES = ("COMFORT_ACC_MAX", "COMFORT_ACC_MIN", "DISTANCE_WANTED", "TIME_WANTED", "DELTA", "ACC_MAX")

@@ -9,7 +9,8 @@ from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.controller import MDPVehicle
 from highway_env.vehicle.kinematics import Vehicle
 
-from sumo_env.models.lane_table import LaneTable
+from sumo_env.models.idm import accelerations_along
+from sumo_env.models.lane_table import LaneTable, local_coordinates
 
 LEAKED = ("DISTANCE_WANTED", "COMFORT_ACC_MAX", "COMFORT_ACC_MIN")
 
@@ -83,3 +84,22 @@ def fill_intersection(
         stage.append(on)
         drivers.append(randomise(vehicle, rng))
     return np.array(routes), np.array(stage, dtype=np.int64), np.array(drivers)
+
+
+def path_accelerations(
+    geometry: np.ndarray,
+    successors: np.ndarray,
+    routes: np.ndarray,
+    stage: np.ndarray,
+    x: np.ndarray,
+    y: np.ndarray,
+    speed: np.ndarray,
+    heading: np.ndarray,
+    target_speed: np.ndarray,
+    drivers: np.ndarray,
+) -> np.ndarray:
+    """`accelerations_along` of vehicles at (x, y), which are looked for on all lanes."""
+    lanes = range(len(geometry))
+    found = np.array([[local_coordinates(geometry, lane, *at) for lane in lanes] for at in zip(x, y, strict=True)])
+    s, lat = np.ascontiguousarray(found.transpose(2, 0, 1))
+    return accelerations_along(geometry, successors, routes, stage, s, lat, speed, heading, target_speed, drivers)

@@ -12,10 +12,10 @@ from highway_env.vehicle.behavior import IDMVehicle
 
 from networks.roads import intersection
 from sumo_env.drivers import CarFollowing, driver_pool
-from sumo_env.models.idm import acceleration, driver_row, path_accelerations, strip_accelerations
+from sumo_env.models.idm import acceleration, driver_row, strip_accelerations
 from sumo_env.models.lane_table import lane_table
 
-from .reference import fill_intersection, intersection_network, randomise, state
+from .reference import fill_intersection, intersection_network, path_accelerations, randomise, state
 
 ROAD = intersection()
 TABLE = lane_table(ROAD.lanes)

@@ -13,7 +13,7 @@ from highway_env.vehicle.controller import MDPVehicle
 from experiments.backends.highway_env_vehicle import PathVehicle
 from networks.roads import ROADS
 from sumo_env.models.lane_table import lane_table
-from sumo_env.models.network_drivers import NO_PLAN, drive, net
+from sumo_env.models.network_drivers import NO_PLAN, drive, locate, net
 
 from .reference import randomise, state
 
@@ -59,9 +59,18 @@ def traffic(task: str, rng: np.random.Generator, count: int) -> tuple[Road, dict
         "roads": net(table), "ways": np.array(ways), "leg": np.array(legs), "planned": np.array(planned),
         "lane": np.zeros(count, np.int64), "target": np.array(targets), "drivers": np.array(drivers),
         "timer": np.array([v.timer for v in road.vehicles]), "acts": acts, "changes": acts.copy(),
-        "moved": True,
     }  # fmt: skip
     return road, arguments
+
+
+def command(arguments: dict[str, Any]) -> np.ndarray:
+    """The accelerations of vehicles that have moved [m/s2]."""
+    roads, lane, x, y, heading = (arguments[name] for name in ("roads", "lane", "x", "y", "heading"))
+    s = np.full((len(x), len(roads.geometry)), np.nan)
+    on, acceleration = np.zeros(s.shape, np.bool_), np.zeros(len(x))
+    locate(roads, x, y, heading, lane, True, s, on)
+    drive(**arguments, s=s, on=on, acceleration=acceleration)
+    return acceleration
 
 
 @pytest.mark.parametrize("task", NETWORKS)
@@ -73,7 +82,7 @@ def test_drivers_do_what_highway_env_does(task: str) -> None:
     for _ in range(120):
         road, arguments = traffic(task, rng, 14)
         before = arguments["target"].copy()
-        acceleration = drive(**arguments)
+        acceleration = command(arguments)
         assert [names[k] for k in arguments["lane"]] == [v.lane_index for v in road.vehicles]
         for vehicle in road.vehicles[1:]:
             vehicle.act()

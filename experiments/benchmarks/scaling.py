@@ -23,40 +23,30 @@ def slope(x: Sequence[float], y: Sequence[float]) -> float:
 
 
 def measure_growth(vehicles: Sequence[int], effort: Effort, note: Callable[[str], None]) -> Record:
-    """Milliseconds a policy step on the highway by the number of other vehicles, and the exponents.
+    """Milliseconds a policy step on the highway by the number of other vehicles, which take turns, and the exponents.
 
     `highway_env` is measured up to 100 vehicles: its cost grows with their square.
     """
-    series: dict[str, list[float]] = {"highway_env": [], **{model: [] for model in MODELS}}
     few = [count for count in vehicles if count <= 100]
+    slow: dict[int, list[Slice]] = {count: [] for count in few}
+    fast: dict[Key, list[Slice]] = {(count, model, None): [] for model in MODELS for count in vehicles}
     with Remote(Driver, "sumo", GROWTH_TASK) as ours, Remote(Driver, "highway-env", GROWTH_TASK) as theirs:
-        for count in vehicles:
-            note(f"growth, {count} vehicles")
-            slow: list[Slice] = []
-            reference: Key = (count, "", None)
-            keys: list[Key] = [(count, model, None) for model in MODELS]
-            fast: dict[Key, list[Slice]] = {key: [] for key in keys}
-            if count in few:
-                theirs.call(
-                    "open",
-                    reference,
-                    {**level_config("highway-env", GROWTH_TASK, 1), "vehicles_count": count},
-                )
-            for key in keys:
-                config = level_config("sumo", GROWTH_TASK, 1, key[1])
-                ours.call("open", key, {**config, "vehicles_count": count})
-            for _ in range(effort.turns):
-                if count in few:
-                    part, _ = theirs.call(
-                        "drive", reference, effort.reference_seconds, effort.reference_steps
-                    )
-                    slow.append(part)
-                for key in keys:
-                    fast[key].append(ours.call("drive", key, effort.seconds, 1, True)[0])
-            if slow:
-                series["highway_env"].append(1e3 / median_rate(slow))
-            for key in keys:
-                series[key[1]].append(1e3 / median_rate(fast[key]))
+        for count in few:
+            config = level_config("highway-env", GROWTH_TASK, 1)
+            theirs.call("open", (count, "", None), {**config, "vehicles_count": count})
+        for key in fast:
+            config = level_config("sumo", GROWTH_TASK, 1, key[1])
+            ours.call("open", key, {**config, "vehicles_count": key[0]})
+        for turn in range(effort.turns):
+            note(f"growth, turn {turn + 1} of {effort.turns}")
+            for count in few:
+                drive = "drive", (count, "", None), effort.reference_seconds, effort.reference_steps
+                slow[count].append(theirs.call(*drive)[0])
+            for key in fast:
+                fast[key].append(ours.call("drive", key, effort.seconds, 1, True)[0])
+    series = {"highway_env": [1e3 / median_rate(slow[count]) for count in few]}
+    for model in MODELS:
+        series[model] = [1e3 / median_rate(fast[count, model, None]) for count in vehicles]
     logs = [math.log(count) for count in vehicles]
     return {
         "vehicles": list(vehicles),

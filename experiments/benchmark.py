@@ -31,7 +31,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from experiments.benchmarks import environments, learner, page, scaling, targets, throughput
+from experiments.benchmarks import environments, scaling, targets, throughput
 from experiments.benchmarks.sizes import FULL, QUICK, Size
 from experiments.benchmarks.targets import Target
 from experiments.study.estimate import duration
@@ -94,11 +94,17 @@ def parts(options: Options, size: Size) -> dict[str, Callable[[Note], Any]]:
 
     def vector(note: Note) -> list[Any]:
         chosen = [task for task in size.vector_tasks if task in tasks]
-        return scaling.measure_vector(chosen, (1, 2, 4), size.vector_seconds, note)
+        return scaling.measure_vector(chosen, size.vector_sizes, size.vector_seconds, note)
+
+    def learner(note: Note) -> list[Any]:
+        # Not at the top: torch takes seconds to import, and each measuring process imports this file.
+        from experiments.benchmarks.learner import measure_learner
+
+        return measure_learner(size.agents, size.learner_turns, note)
 
     functions: dict[str, Callable[[Note], Any]] = {
         "env": env,
-        "learner": lambda note: learner.measure_learner((1, 8, 16), size.learner_turns, note),
+        "learner": learner,
         "sweep": sweep,
         "vector": vector,
         "growth": lambda note: scaling.measure_growth(size.growth, size.effort, note),
@@ -129,6 +135,8 @@ def run(options: Options) -> int:
         goals = targets.compare(results)
         results["targets"] = [goal.as_dict() for goal in goals]
         write_json(options.out / "benchmark.json", results)
+        from experiments.benchmarks import page  # draws with matplotlib, which takes as long to import
+
         write_file(options.out / "benchmark.html", page.render(results).encode())
     except OSError as error:
         raise disk_error(error, options.out) from None
@@ -186,6 +194,8 @@ class Watch:
 
 def summary(goals: Sequence[Target]) -> None:
     """Print the targets that were measured, beside what was measured."""
+    from experiments.benchmarks import page
+
     table = Table(box=None, padding=(0, 2, 0, 0))
     table.add_column("", no_wrap=True)
     for name in ("target", "measured"):

@@ -137,3 +137,8 @@ def test_using_an_environment_loads_nothing_of_the_study() -> None:
 
 def test_steering_vector_environments_loads_no_sumo() -> None:
     assert "libsumo" not in loaded_by("import sumo_env.vector")
+
+
+def test_the_benchmark_loads_what_is_slow_only_where_it_is_used() -> None:
+    """Each of its measuring processes imports the command's file."""
+    assert loaded_by("import experiments.benchmark").isdisjoint({"torch", "matplotlib", "stable_baselines3"})

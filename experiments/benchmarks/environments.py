@@ -29,7 +29,7 @@ from experiments.study.grid import env_config, level_names
 MODELS = ("matched", "sumo")
 EQUAL_WORK = 15  # [Hz] highway-env's simulation_frequency: as many sub-steps on both sides
 VARIANT = "connected"  # of highway-env: its own code alone, cars see beyond the ends of their lanes
-WARM_UP_STEPS = 3  # compile, load the network, fill caches, before anything is timed
+WARM_UP_STEPS = {"sumo": 3, "highway-env": 1}  # compile, load the network, fill caches, before anything is timed
 
 Record = dict[str, Any]
 Key = tuple[
@@ -90,7 +90,7 @@ class Driver:
         env: Any = make_env(self._backend, self._task, config)
         self._envs[key], self._actions[key] = env, _random_actions(env.action_space.n)
         self._resets[key] = []
-        self.drive(key, 0.0, WARM_UP_STEPS)
+        self.drive(key, 0.0, WARM_UP_STEPS[self._backend])
         self._resets[key].clear()
         self._reset(key)
 
@@ -186,10 +186,11 @@ def measure_task(
         for level in levels:
             note(f"{task} {level_names(task)[level - 1]}")
             reference: Key = (level, "", None)
-            theirs.call("open", reference, level_config("highway-env", task, level))
+            theirs.start("open", reference, level_config("highway-env", task, level))
             keys: list[Key] = [(level, model, frequency) for model, frequency in variants]
             for key in keys:
                 ours.call("open", key, level_config("sumo", task, *key))
+            theirs.result()
             slow: list[Slice] = []
             fast: dict[Key, list[Slice]] = {key: [] for key in keys}
             bare: dict[Key, list[Slice]] = {key: [] for key in keys}

@@ -268,7 +268,7 @@ def measure_learner(agents: Sequence[int], turns: int, note: Callable[[str], Non
     quickest, named = quickest_kernels() or "", os.environ.get(KERNELS, "")
     records = _measure(agents, turns, "own", quickest, note)
     if named.lower() not in ("", quickest.lower()):
-        records += _measure(agents[:1], turns, f"own, {KERNELS}={named}", named, note)
+        records += _measure(agents[:1], max(turns // 3, 1), f"own, {KERNELS}={named}", named, note)
     return records
 
 

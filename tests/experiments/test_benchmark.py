@@ -326,7 +326,7 @@ def test_command_writes_both_files(tmp_path, monkeypatch, capsys):
     options = benchmark.Options(tmp_path / "new", quick=True, parts=("learner", "memory"))
     assert benchmark.run(options) == 0
     results = json.loads((tmp_path / "new" / "benchmark.json").read_text())
-    assert [record["agents"] for record in results["learner"] if record["variant"] == "own"] == [1, 8, 16]
+    assert [record["agents"] for record in results["learner"] if record["variant"] == "own"] == [1, 8]
     assert all(record["ratio"] > 0.0 and record["over_floor"] > 0.0 for record in results["learner"])
     assert results["memory"]["episodes"] == [2, 4, 6]
     assert (tmp_path / "new" / "benchmark.html").read_text().count("<svg") == 2

@@ -194,8 +194,6 @@ class Watch:
 
 def summary(goals: Sequence[Target]) -> None:
     """Print the targets that were measured, beside what was measured."""
-    from experiments.benchmarks import page
-
     table = Table(box=None, padding=(0, 2, 0, 0))
     table.add_column("", no_wrap=True)
     for name in ("target", "measured"):
@@ -205,7 +203,7 @@ def summary(goals: Sequence[Target]) -> None:
         if goal.measured is not None:
             sign = "<= " if goal.at_most else ""
             verdict = "met" if goal.met else "missed"
-            table.add_row(goal.name, f"{sign}{goal.wanted:g}", page.number(goal.measured), verdict)
+            table.add_row(goal.name, f"{sign}{goal.wanted:g}", targets.number(goal.measured), verdict)
     if table.row_count:
         Console().print(table)
     if left := len(goals) - table.row_count:

@@ -16,8 +16,9 @@ from sumo_env.computed import Computed
 from sumo_env.drivers import RiskEvent
 from sumo_env.loop import Progress, Traffic, Ways, bends
 from sumo_env.models.give_way import give_way
+from sumo_env.models.lane_net import Net, net
 from sumo_env.models.lane_table import Integers, advance, compiled_lanes
-from sumo_env.models.network_drivers import Net, act, net
+from sumo_env.models.network_drivers import act
 from sumo_env.scenario import VehicleSpec
 from sumo_env.scene import Floats
 from sumo_env.tasks.intersection import REGULATION_INTERVAL, WARM_UP, WARM_UP_FREQUENCY, path
@@ -31,7 +32,7 @@ LONGEST_WAY = 14  # lanes: an entry, its curve, once around the ring, an exit
 
 @lru_cache(maxsize=4)
 def joined_lanes(road: Road) -> Net:
-    """The road for `models.network_drivers`."""
+    """The road for `models.lane_net`."""
     return net(compiled_lanes(road))
 
 

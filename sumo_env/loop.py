@@ -40,6 +40,7 @@ from sumo_env.models.dangers import anybody_near, dangers, may_touch
 from sumo_env.models.give_way import give_way
 from sumo_env.models.hazards import push, push_native
 from sumo_env.models.idm import act_on_strip
+from sumo_env.models.lane_net import Net
 from sumo_env.models.lane_table import Floats, Integers
 from sumo_env.models.motion import euler, keep_to_lanes
 from sumo_env.models.steering import is_near_end, move
@@ -88,7 +89,7 @@ class Ways(NamedTuple):
         routes, stage, exempt, clock: as in `models.give_way.give_way`; no rows of `routes` where nobody gives way.
     """
 
-    roads: network_drivers.Net
+    roads: Net
     ways: Integers
     routes: Integers
     stage: Integers

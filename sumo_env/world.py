@@ -226,8 +226,6 @@ class World:
         until = self.rule.busy_from(self)
         if self._events:
             until = min(until, self._events[0].time)
-        if until == np.inf:
-            return most
         count, time = 0, self.time
         while count < most and until > time + 1e-9:
             count, time = count + 1, time + self.dt

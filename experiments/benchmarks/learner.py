@@ -35,6 +35,7 @@ ACTIONS = 5
 STORED = 10_000
 STRETCH = 20  # updates that one variant makes before the next one takes over: a block of the training
 CONFIG = DQNConfig(replay_capacity=STORED)
+DEFAULT = "OpenBLAS's choice"  # of kernels
 SPACE = gym.spaces.Box(-1.0, 1.0, OBSERVATION, np.float32)
 
 Record = dict[str, Any]
@@ -233,21 +234,21 @@ class Learners:
         for count in self._counts:
             self._variants[count] = Ours(CONFIG, count)
 
-    def measure(self, turns: int, variant: str) -> list[Record]:
+    def measure(self, turns: int) -> list[Record]:
         """One record a number of agents; rates are medians over the turns, ratios those of each turn."""
-        for one in self._variants.values():
-            one.work(STRETCH)  # warms up
+        for variant in self._variants.values():
+            variant.work(STRETCH)  # warms up
         slices: dict[Any, list[Slice]] = {name: [] for name in self._variants}
         for _ in range(turns):
             parts: dict[Any, list[Slice]] = {name: [] for name in self._variants}
             for _ in range(CONFIG.target_lag // STRETCH):
-                for name, one in self._variants.items():
-                    parts[name].append(one.work(STRETCH))
+                for name, variant in self._variants.items():
+                    parts[name].append(variant.work(STRETCH))
             for name in parts:
                 slices[name].append(total(parts[name]))
         return [
             {
-                "variant": variant,
+                "variant": "own",
                 "agents": count,
                 "updates_per_s": median_rate(slices[count]) / count,
                 "updates_per_s_together": median_rate(slices[count]),
@@ -266,16 +267,15 @@ def measure_learner(agents: Sequence[int], turns: int, note: Callable[[str], Non
     Where the user's environment names other kernels, which training obeys, one agent is measured with these as well.
     """
     quickest, named = quickest_kernels() or "", os.environ.get(KERNELS, "")
-    records = _measure(agents, turns, "own", quickest, note)
+    records = _measure(agents, turns, quickest, note)
     if named.lower() not in ("", quickest.lower()):
-        records += _measure(agents[:1], max(turns // 3, 1), f"own, {KERNELS}={named}", named, note)
+        slower = _measure(agents[:1], max(turns // 3, 1), named, note)
+        records += [{**record, "variant": "named kernels"} for record in slower]
     return records
 
 
-def _measure(
-    agents: Sequence[int], turns: int, variant: str, kernels: str, note: Callable[[str], None]
-) -> list[Record]:
-    note(f"learner, {variant}")
+def _measure(agents: Sequence[int], turns: int, kernels: str, note: Callable[[str], None]) -> list[Record]:
+    note(f"learner, kernels {kernels or DEFAULT}")
     with Remote(Learners, agents, kernels=kernels) as learners:
-        records: list[Record] = learners.call("measure", turns, variant)
-    return records
+        records: list[Record] = learners.call("measure", turns)
+    return [{**record, "kernels": kernels or DEFAULT} for record in records]

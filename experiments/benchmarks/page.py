@@ -18,6 +18,8 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from experiments.benchmarks.targets import number
+
 Results = Mapping[str, Any]
 Record = Mapping[str, Any]
 
@@ -51,13 +53,6 @@ def render(results: Results) -> str:
     )  # fmt: skip
     environment.filters["number"] = number
     return environment.get_template(TEMPLATE).render(results=results, pictures=pictures)
-
-
-def number(value: float | None) -> str:
-    """Three significant digits, without an exponent."""
-    if value is None:
-        return "not measured"
-    return f"{value:,.0f}" if abs(value) >= 100 else f"{value:.3g}"
 
 
 def _svg(figure: Figure) -> str:
@@ -145,9 +140,8 @@ def _learner(records: Sequence[Record]) -> Figure:
     """Milliseconds an update of one agent."""
     figure, axes = plt.subplots(figsize=(7.5, 3.0))
     names = [f"this project,\n{record['agents']} agent{'s' * (record['agents'] > 1)}" for record in records]
-    for k, record in enumerate(records):
-        if record["variant"] != "own":
-            names[k] += f"\n({record['variant'].partition('=')[2]})"
+    if len({record["kernels"] for record in records}) > 1:
+        names = [f"{name},\n{record['kernels']}" for name, record in zip(names, records, strict=True)]
     times = [1e3 / (record["updates_per_s"] * record["agents"]) for record in records]
     names += ["Stable-\nBaselines3", "matrix\nproducts alone"]
     times += [1e3 / records[0]["sb3_updates_per_s"], 1e3 / records[0]["floor_updates_per_s"]]

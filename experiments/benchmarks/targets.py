@@ -33,6 +33,13 @@ OVER_FLOOR = 1.25  # time of an update over that of its matrix products, at most
 AGENTS_PER_HOUR = 40  # over the paper's grid, on two cores
 
 
+def number(value: float | None) -> str:
+    """Three significant digits, without an exponent."""
+    if value is None:
+        return "not measured"
+    return f"{value:,.0f}" if abs(value) >= 100 else f"{value:.3g}"
+
+
 @dataclass(frozen=True)
 class Target:
     """One promise. `at_most`: smaller is better. `measured`: None where it was not measured."""

@@ -1,6 +1,6 @@
-"""Build SUMO's networks: `python -m networks.build` rewrites them, `--check` compares.
+"""Build SUMO's networks: `python -m sumo_env.networks.build` rewrites them, `--check` compares.
 
-Of each plan in `networks.plans` the plain XML is written and given to netconvert (of the `eclipse-sumo`
+Of each plan in `sumo_env.networks.plans` the plain XML is written and given to netconvert (of the `eclipse-sumo`
 wheel, which only this module needs). In what netconvert returns all lane speeds are then overwritten,
 those inside junctions included: it limits bends to 8-10 m/s by a comfort rule, while highway-env's cars
 take them at any speed. The header, which carries a date and paths of the machine, is dropped, so that
@@ -16,7 +16,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from networks import plans
+from sumo_env.networks import plans
 
 HERE = Path(__file__).resolve().parent
 SUFFIXES = (".nod.xml", ".edg.xml", ".con.xml", ".net.xml")
@@ -83,7 +83,7 @@ def stale(folder: Path = HERE) -> list[str]:
 
 def main(arguments: list[str] | None = None) -> int:
     """The command line; returns the exit status, 1 when `--check` finds a difference."""
-    parser = argparse.ArgumentParser(prog="python -m networks.build", description=__doc__.split("\n")[0])
+    parser = argparse.ArgumentParser(prog="python -m sumo_env.networks.build", description=__doc__.split("\n")[0])
     parser.add_argument("--check", action="store_true", help="compare with a fresh build, write nothing")
     if parser.parse_args(arguments).check:
         differing = stale()

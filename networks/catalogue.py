@@ -18,9 +18,9 @@ from pathlib import Path
 from types import MappingProxyType
 from xml.etree import ElementTree
 
-from networks import plans, roads
-from networks.lanes import VEHICLE_LENGTH, Lane, SineLane
-from networks.roads import LaneIndex, Road
+from sumo_env.networks import plans, roads
+from sumo_env.networks.lanes import VEHICLE_LENGTH, Lane, SineLane
+from sumo_env.networks.roads import LaneIndex, Road
 
 FOLDER = Path(__file__).resolve().parent
 TASKS = tuple(roads.ROADS)

@@ -1,4 +1,4 @@
-"""What netconvert is told to build: nodes, edges and connections of each task, derived from `networks.roads`.
+"""What netconvert is told to build: nodes, edges and connections of each task, derived from `sumo_env.networks.roads`.
 
 Everything here is in highway-env's coordinates (y down); `Plan.write` turns y over. Straight ends are
 longer than highway-env's, where vehicles keep driving along the extrapolated lane: here they need a lane
@@ -13,9 +13,9 @@ from itertools import pairwise
 from pathlib import Path
 from xml.etree import ElementTree
 
-from networks import roads
-from networks.lanes import WIDTH, CircularLane, Lane, Point, SineLane
-from networks.roads import LaneIndex, Road
+from sumo_env.networks import roads
+from sumo_env.networks.lanes import WIDTH, CircularLane, Lane, Point, SineLane
+from sumo_env.networks.roads import LaneIndex, Road
 
 Line = tuple[Point, ...]
 

@@ -2,7 +2,7 @@
 
 A lane is named by highway-env's index (from node, to node, lane id); id 0 is the left lane of a road.
 `Road` answers geometric questions; it holds no vehicles. Where each number comes from: `_make_road` of
-highway_env/envs/{highway,two_way,roundabout,intersection,u_turn}_env.py. In SUMO: `networks.catalogue`.
+highway_env/envs/{highway,two_way,roundabout,intersection,u_turn}_env.py. In SUMO: `sumo_env.networks.catalogue`.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from types import MappingProxyType
 
-from networks.lanes import WIDTH, CircularLane, Lane, Point, SineLane, StraightLane
+from sumo_env.networks.lanes import WIDTH, CircularLane, Lane, Point, SineLane, StraightLane
 
 LaneIndex = tuple[str, str, int]
 

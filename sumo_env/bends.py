@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from networks.roads import LaneIndex, Road
 from sumo_env.computed import Computed
 from sumo_env.drivers import RiskEvent
 from sumo_env.loop import Progress, Traffic, Ways, bends
@@ -19,6 +18,7 @@ from sumo_env.models.give_way import give_way
 from sumo_env.models.lane_net import Net, net
 from sumo_env.models.lane_table import Integers, advance, compiled_lanes
 from sumo_env.models.network_drivers import act
+from sumo_env.networks.roads import LaneIndex, Road
 from sumo_env.scenario import VehicleSpec
 from sumo_env.scene import Floats
 from sumo_env.tasks.intersection import REGULATION_INTERVAL, WARM_UP, WARM_UP_FREQUENCY, path

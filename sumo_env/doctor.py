@@ -74,7 +74,7 @@ def sumo() -> str:
 
 def networks() -> str:
     """The built roads are where they should be."""
-    from networks.catalogue import network
+    from sumo_env.networks.catalogue import network
 
     for id in sumo_env.IDS:
         task = sumo_env.task_of(id)
@@ -85,7 +85,7 @@ def networks() -> str:
         except OSError as error:
             raise Problem(
                 f"the network of {task} cannot be read: {error}",
-                "install the package again; from a checkout: python -m networks.build (needs eclipse-sumo)",
+                "install the package again; from a checkout: python -m sumo_env.networks.build (needs eclipse-sumo)",
             ) from error
     return f"{len(sumo_env.IDS)} tasks"
 

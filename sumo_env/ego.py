@@ -6,9 +6,9 @@ limit on acceleration; the target lane is kept until reached. The lateral motion
 
 from __future__ import annotations
 
-from networks.roads import LaneIndex, Road
 from sumo_env.compiled import borrowing
 from sumo_env.config import ConfigError
+from sumo_env.networks.roads import LaneIndex, Road
 from sumo_env.tasks.base import nearest_index
 
 TAU = 0.6  # [s] ControlledVehicle.TAU_ACC

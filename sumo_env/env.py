@@ -12,12 +12,12 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from networks.catalogue import network
 from sumo_env import safety
 from sumo_env.config import Config, ConfigError, resolve
 from sumo_env.ego import Ego
 from sumo_env.interface import interface
 from sumo_env.models.lane_table import lane_at
+from sumo_env.networks.catalogue import network
 from sumo_env.observation import TimeToCollision
 from sumo_env.scenario import Scenario
 from sumo_env.scene import Scene

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from networks.lanes import Lane, StraightLane, wrap_to_pi
-from networks.roads import LaneIndex, Road
+from sumo_env.networks.lanes import Lane, StraightLane, wrap_to_pi
+from sumo_env.networks.roads import LaneIndex, Road
 
 Points = NDArray[np.float64]  # shape (k, 2) [m]
 

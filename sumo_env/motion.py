@@ -12,12 +12,12 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from networks.catalogue import Network
 from sumo_env import direct
 from sumo_env.loop import Traffic
 from sumo_env.models.lane_table import compiled_lanes
 from sumo_env.models.motion import keep_to_lanes
 from sumo_env.native import CENTRED
+from sumo_env.networks.catalogue import Network
 from sumo_env.scenario import EGO
 from sumo_env.scene import Floats
 

@@ -12,12 +12,12 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from networks.lanes import CircularLane, StraightLane
-from networks.roads import LaneIndex, Road
 from sumo_env.angles import wrapped
 from sumo_env.compiled import borrowing, compiled
 from sumo_env.config import ConfigError, nearest
 from sumo_env.models.lane_table import lane_at
+from sumo_env.networks.lanes import CircularLane, StraightLane
+from sumo_env.networks.roads import LaneIndex, Road
 from sumo_env.scenario import VehicleSpec
 from sumo_env.scene import PERCEPTION_DISTANCE, VEHICLE_LENGTH, Floats, Scene
 from sumo_env.tasks.base import EgoState

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from networks.roads import Road
 from sumo_env.markings import Points, markings
+from sumo_env.networks.roads import Road
 from sumo_env.scene import VEHICLE_LENGTH, VEHICLE_WIDTH, Scene
 
 Colour = tuple[int, int, int]

@@ -9,8 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
-from networks.roads import LaneIndex
 from sumo_env.drivers import Driver, RiskEvent
+from sumo_env.networks.roads import LaneIndex
 
 EGO = "ego"
 

@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from networks.catalogue import Network
 from sumo_env.models.steering import BACK, HALF, move
 from sumo_env.motion import Motion
+from sumo_env.networks.catalogue import Network
 from sumo_env.scene import Floats
 
 if TYPE_CHECKING:

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Protocol
 
-from networks.roads import Road
 from sumo_env.bends import Bends, GiveWay
 from sumo_env.computed import SWERVE_TIME, Mobil, Strip
 from sumo_env.drivers import RiskEvent
 from sumo_env.loop import Progress, Traffic
 from sumo_env.native import CENTRED, Native
+from sumo_env.networks.roads import Road
 from sumo_env.simulation import NO_LANE_CHANGES, OWN_LANE_CHANGES, REGULAR
 
 if TYPE_CHECKING:

@@ -11,8 +11,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from networks.catalogue import Network
-from networks.roads import LaneIndex
 from sumo_env import direct, loop
 from sumo_env.cars import Cars, Flags
 from sumo_env.collision import (
@@ -36,6 +34,8 @@ from sumo_env.models.dangers import dangers
 from sumo_env.models.hazards import has_room
 from sumo_env.models.idm import driver_rows
 from sumo_env.motion import OnLanes
+from sumo_env.networks.catalogue import Network
+from sumo_env.networks.roads import LaneIndex
 from sumo_env.safety import HORIZON
 from sumo_env.scenario import EGO, Scenario, VehicleSpec
 from sumo_env.scene import Floats, Scene

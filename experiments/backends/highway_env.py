@@ -29,12 +29,12 @@ from highway_env.road.regulation import RegulatedRoad
 from highway_env.vehicle.kinematics import Vehicle
 
 from experiments.backends.highway_env_vehicle import PathVehicle, ScenarioVehicle
-from networks.roads import LaneIndex
 from sumo_env import safety
 from sumo_env.collision import LENGTH, WIDTH, CrashRecord, crash_record, separation
 from sumo_env.config import Config, ConfigError, nearest, resolve
 from sumo_env.interface import interface
 from sumo_env.models.hazards import free_way, has_room
+from sumo_env.networks.roads import LaneIndex
 from sumo_env.scenario import EGO, Scenario
 from sumo_env.scene import Scene
 from sumo_env.tasks import TASKS

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from agents.rules import make_policy
 from experiments.study.evaluate import play
-from networks.roads import LaneIndex, Road
 from sumo_env.models.lane_table import lane_at
+from sumo_env.networks.roads import LaneIndex, Road
 from sumo_env.safety import DENSITY_RADIUS, headways
 from sumo_env.scenario import Scenario
 from sumo_env.scene import Scene

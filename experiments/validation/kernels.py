@@ -15,7 +15,6 @@ import numpy as np
 from highway_env.road.lane import CircularLane, SineLane, StraightLane
 from highway_env.road.road import RoadNetwork
 
-from networks.roads import LaneIndex
 from sumo_env.compiled import compiled
 from sumo_env.models import lane_table as columns
 from sumo_env.models.lane_table import (
@@ -38,6 +37,7 @@ from sumo_env.models.lane_table import (
     heading_at,
     local_coordinates,
 )  # fmt: skip
+from sumo_env.networks.roads import LaneIndex
 
 VEHICLE_LENGTH, VEHICLE_WIDTH = 5.0, 2.0  # [m] of Vehicle
 NEAR = 3.0  # [m] from the centre line, half a lane's width and a margin of 1 m

@@ -11,9 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from experiments.backends import make_env
-from networks.roads import LaneIndex
 from sumo_env.config import Config
 from sumo_env.drivers import driver_pool
+from sumo_env.networks.roads import LaneIndex
 from sumo_env.scenario import EGO, Scenario, VehicleSpec
 from sumo_env.tasks import get_task
 from sumo_env.tasks.base import Task, ego_driver, make_on_lane

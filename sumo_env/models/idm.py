@@ -17,11 +17,11 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from networks.lanes import VEHICLE_LENGTH, WIDTH
 from sumo_env.cars import ACCELERATION, HEADING, SPEED, TARGET_SPEED, X, Y
 from sumo_env.compiled import borrowing, compiled
 from sumo_env.drivers import Driver
 from sumo_env.models.lane_table import LENGTH, LIMIT, Floats, Integers, target_stage
+from sumo_env.networks.lanes import VEHICLE_LENGTH, WIDTH
 
 # Columns of a table of drivers.
 A_MAX = 0  # A, comfortable acceleration [m/s2]

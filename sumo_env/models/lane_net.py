@@ -14,7 +14,6 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from networks.lanes import VEHICLE_LENGTH
 from sumo_env.angles import wrapped
 from sumo_env.compiled import borrowing
 from sumo_env.models.idm import NEAR
@@ -28,6 +27,7 @@ from sumo_env.models.lane_table import (
     local_coordinates,
     position,
 )
+from sumo_env.networks.lanes import VEHICLE_LENGTH
 
 
 class Net(NamedTuple):

@@ -16,10 +16,10 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from networks.lanes import VEHICLE_LENGTH, CircularLane, Lane, SineLane, StraightLane
-from networks.roads import Road
 from sumo_env.angles import wrapped
 from sumo_env.compiled import borrowing
+from sumo_env.networks.lanes import VEHICLE_LENGTH, CircularLane, Lane, SineLane, StraightLane
+from sumo_env.networks.roads import Road
 
 LaneIndex = tuple[str, str, int]
 Floats = NDArray[np.float64]
@@ -63,7 +63,7 @@ class LaneTable:
 
 
 def lane_table(lanes: Mapping[LaneIndex, Lane]) -> LaneTable:
-    """Tabulate the lanes of a road, in their order (for example ``networks.roads.intersection().lanes``).
+    """Tabulate the lanes of a road, in their order (for example ``sumo_env.networks.roads.intersection().lanes``).
 
     Onto each road that begins at its end, a lane is followed by the lane of the same id, or by lane 0 where
     there is none (``Road.neighbour_vehicles`` of highway-env, with connected lanes).

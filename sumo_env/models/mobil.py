@@ -15,7 +15,6 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from networks.lanes import VEHICLE_LENGTH
 from sumo_env.cars import (
     ACCELERATION,
     CHANGES,
@@ -33,6 +32,7 @@ from sumo_env.cars import (
 from sumo_env.compiled import borrowing, compiled
 from sumo_env.models.idm import A_MAX, S0, TAU, B, behind, desired_gap, strip_accelerations, strip_neighbours
 from sumo_env.models.lane_table import Floats, Integers
+from sumo_env.networks.lanes import VEHICLE_LENGTH
 
 SAFE_BRAKING = 2.0  # LANE_CHANGE_MAX_BRAKING_IMPOSED [m/s2]
 MIN_GAIN = 0.2  # LANE_CHANGE_MIN_ACC_GAIN [m/s2]

@@ -14,7 +14,6 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from networks.lanes import VEHICLE_LENGTH, WIDTH
 from sumo_env.cars import (
     ACCELERATION,
     CHANGES,
@@ -43,6 +42,7 @@ from sumo_env.models.lane_table import (
     local_coordinates,
 )
 from sumo_env.models.mobil import DELAY, MIN_GAIN, MIN_SPEED, SAFE_BRAKING
+from sumo_env.networks.lanes import VEHICLE_LENGTH, WIDTH
 
 NO_PLAN = -1  # the way does not ask for a lane of the road
 

@@ -12,7 +12,6 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from networks.lanes import VEHICLE_LENGTH, WIDTH
 from sumo_env.angles import wrapped
 from sumo_env.cars import (
     ACCELERATION,
@@ -47,6 +46,7 @@ from sumo_env.models.lane_table import (
     local_coordinates,
 )
 from sumo_env.models.motion import euler
+from sumo_env.networks.lanes import VEHICLE_LENGTH, WIDTH
 
 TAU_HEADING = 0.2  # [s]
 TAU_LATERAL = 0.6  # [s]
@@ -191,7 +191,7 @@ def follow(
 
 @borrowing
 def is_near_end(geometry: Floats, lane: int, x: float, y: float) -> bool:
-    """Is a car at (x, y) [m] about to be due for its next lane (`networks.lanes.Lane.after_end`)?"""
+    """Is a car at (x, y) [m] about to be due for its next lane (`sumo_env.networks.lanes.Lane.after_end`)?"""
     return geometry[lane, LENGTH] - local_coordinates(geometry, lane, x, y)[0] < VEHICLE_LENGTH / 2 + NEARLY
 
 

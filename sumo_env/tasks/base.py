@@ -8,10 +8,10 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from networks.roads import LaneIndex, Road
 from sumo_env.config import Config
 from sumo_env.drivers import POOL, CarFollowing, Driver, RiskRates, draw_events, driver_pool
 from sumo_env.models.lane_table import lane_at
+from sumo_env.networks.roads import LaneIndex, Road
 from sumo_env.scenario import EGO, Scenario, Spawn, VehicleSpec
 from sumo_env.streams import stream
 

@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
-from networks.roads import Road, highway
 from sumo_env.config import DISCRETE_META_ACTION, Config, ConfigError
 from sumo_env.drivers import RiskRates
+from sumo_env.networks.roads import Road, highway
 from sumo_env.scenario import EGO, VehicleSpec
 from sumo_env.scene import PERCEPTION_DISTANCE, Floats
 from sumo_env.tasks.base import Drivers, EgoState, Task, ego_driver, lmap, make_on_lane, speed_term, weighted

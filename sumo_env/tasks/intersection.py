@@ -7,14 +7,14 @@ from functools import lru_cache
 
 import numpy as np
 
-from networks.lanes import VEHICLE_LENGTH
-from networks.roads import LaneIndex, Road, intersection
 from sumo_env.config import DISCRETE_META_ACTION, Config, ConfigError
 from sumo_env.drivers import CarFollowing, RiskRates
 from sumo_env.models.idm import NEAR, driver_rows
 from sumo_env.models.lane_grid import lane_grid
 from sumo_env.models.lane_table import Floats, Integers, compiled_lanes
 from sumo_env.models.warm_up import warm_up
+from sumo_env.networks.lanes import VEHICLE_LENGTH
+from sumo_env.networks.roads import LaneIndex, Road, intersection
 from sumo_env.scenario import EGO, Spawn, VehicleSpec
 from sumo_env.streams import stream
 from sumo_env.tasks.base import Drivers, EgoState, Task, ego_driver, lmap, make_on_lane, speed_term, weighted

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from networks.roads import LaneIndex, Road, u_turn
 from sumo_env.config import DISCRETE_META_ACTION, Config, ConfigError
 from sumo_env.drivers import RiskRates
+from sumo_env.networks.roads import LaneIndex, Road, u_turn
 from sumo_env.scenario import EGO, VehicleSpec
 from sumo_env.tasks.base import Drivers, EgoState, Task, ego_driver, lmap, make_on_lane, speed_term, weighted
 

@@ -22,10 +22,10 @@ from experiments.backends.highway_env_vehicle import (
     ScenarioVehicle,
     distance_beyond,
 )
-from networks.roads import intersection
 from sumo_env.config import ConfigError
 from sumo_env.drivers import RiskEvent
 from sumo_env.models.lane_table import lane_table
+from sumo_env.networks.roads import intersection
 from sumo_env.tasks import TASKS
 
 from ..sumo_env.reference import fill_intersection, intersection_network, path_accelerations, state

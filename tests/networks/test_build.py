@@ -7,7 +7,7 @@ from xml.etree import ElementTree
 
 import pytest
 
-from networks import build, plans
+from sumo_env.networks import build, plans
 
 SPEEDS = {"highway": 30.0, "two-way": 20.0, "roundabout": 20.0, "intersection": 10.0, "u-turn": 20.0}
 PLANS = {plan.name: plan for plan in plans.all_plans()}

@@ -8,8 +8,8 @@ from xml.etree import ElementTree
 
 import pytest
 
-from networks import plans
-from networks.catalogue import TASKS, network
+from sumo_env.networks import plans
+from sumo_env.networks.catalogue import TASKS, network
 
 
 def _shape(net, lane_id):

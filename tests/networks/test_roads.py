@@ -10,7 +10,7 @@ import highway_env.envs as envs
 import numpy as np
 import pytest
 
-from networks import roads
+from sumo_env.networks import roads
 
 
 def _reference(task: str):

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from networks.roads import highway, u_turn
 from sumo_env.config import ConfigError
 from sumo_env.ego import Ego, action_names
+from sumo_env.networks.roads import highway, u_turn
 
 LADDER = (20.0, 25.0, 30.0)
 

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from highway_env.road.regulation import RegulatedRoad
 
-from networks.roads import intersection
 from sumo_env.models.give_way import PERIOD, regulate
 from sumo_env.models.lane_table import lane_table
+from sumo_env.networks.roads import intersection
 
 from .reference import fill_intersection, intersection_network, state
 

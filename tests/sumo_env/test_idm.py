@@ -10,10 +10,10 @@ from highway_env.road.lane import StraightLane
 from highway_env.road.road import Road, RoadNetwork
 from highway_env.vehicle.behavior import IDMVehicle
 
-from networks.roads import intersection
 from sumo_env.drivers import CarFollowing, driver_pool
 from sumo_env.models.idm import acceleration, driver_row, strip_accelerations
 from sumo_env.models.lane_table import lane_table
+from sumo_env.networks.roads import intersection
 
 from .reference import fill_intersection, intersection_network, path_accelerations, randomise, state
 

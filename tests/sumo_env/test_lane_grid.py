@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from networks.roads import ROADS
 from sumo_env.models.idm import NEAR
 from sumo_env.models.lane_grid import CELL, cell, lane_grid
 from sumo_env.models.lane_net import locate, net
 from sumo_env.models.lane_table import LENGTH, compiled_lanes, lane_table, local_coordinates
+from sumo_env.networks.roads import ROADS
 
 BEYOND, BESIDE = 5.0, 3.0  # [m]
 

@@ -1,11 +1,10 @@
-"""Lanes as numbers: the same geometry as `networks.lanes`, and progress along a route."""
+"""Lanes as numbers: the same geometry as `sumo_env.networks.lanes`, and progress along a route."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from networks.roads import ROADS, intersection
 from sumo_env.models.lane_table import (
     advance,
     closest_lane,
@@ -14,6 +13,7 @@ from sumo_env.models.lane_table import (
     local_coordinates,
     position,
 )
+from sumo_env.networks.roads import ROADS, intersection
 
 ENTRY, LEFT, EXIT = ("o0", "ir0", 0), ("ir0", "il1", 0), ("il1", "o1", 0)
 

@@ -11,10 +11,10 @@ from highway_env.road.road import Road
 from highway_env.vehicle.controller import MDPVehicle
 
 from experiments.backends.highway_env_vehicle import PathVehicle
-from networks.roads import ROADS
 from sumo_env.models.lane_net import locate, net
 from sumo_env.models.lane_table import lane_table
 from sumo_env.models.network_drivers import NO_PLAN, drive
+from sumo_env.networks.roads import ROADS
 
 from .reference import randomise, state
 

@@ -13,9 +13,9 @@ import pytest
 from gymnasium.wrappers import RecordVideo
 
 import sumo_env
-from networks.roads import highway, intersection, roundabout, two_way, u_turn
 from sumo_env.config import COMMON
 from sumo_env.markings import markings
+from sumo_env.networks.roads import highway, intersection, roundabout, two_way, u_turn
 from sumo_env.rendering import ASPHALT, EGO, GROUND, OTHER, WHITE, WRECK, Renderer
 from sumo_env.scene import Scene
 from sumo_env.tasks import TASKS

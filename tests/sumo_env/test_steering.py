@@ -13,9 +13,9 @@ from highway_env.road.road import Road
 from highway_env.vehicle.controller import ControlledVehicle
 
 import sumo_env  # noqa: F401  (registers the ids)
-from networks.roads import ROADS
 from sumo_env.models.lane_table import lane_table
 from sumo_env.models.steering import BACK, REFERENCE_STEP, follow, steer
+from sumo_env.networks.roads import ROADS
 from sumo_env.steering import nearest
 from sumo_env.tasks import get_task
 

@@ -289,3 +289,16 @@ ROADS: Mapping[str, Callable[[], Road]] = MappingProxyType(
         "u-turn": u_turn,
     }
 )
+
+
+def road(task: str, lanes_count: int = 4, road_length: float = 800.0) -> Road:
+    """The road of a task; the number of lanes is the highway's, the length [m] the two-way road's.
+
+    Raises:
+        KeyError: unknown task.
+    """
+    if task == "highway":
+        return highway(lanes_count)
+    if task == "two-way":
+        return two_way(road_length)
+    return ROADS[task]()

@@ -46,6 +46,20 @@ class Driver:
     speed_gain: float  # lcSpeedGain: eagerness of LC2013 to change for speed
     gives_way: bool = True
 
+    @property
+    def safe_braking(self) -> float:
+        """MOBIL's limit on the braking that a lane change may impose [m/s2]: what `assertive` is in highway-env."""
+        return SAFE_BRAKING * self.assertive / REGULAR["assertive"]
+
+    @property
+    def min_gain(self) -> float:
+        """MOBIL's least advantage of a lane change [m/s2]: what `speed_gain` is in highway-env."""
+        return MIN_GAIN * REGULAR["speed_gain"] / self.speed_gain
+
+
+SAFE_BRAKING = 2.0  # [m/s2] IDMVehicle.LANE_CHANGE_MAX_BRAKING_IMPOSED
+MIN_GAIN = 0.2  # [m/s2] IDMVehicle.LANE_CHANGE_MIN_ACC_GAIN
+
 
 # Of cars that are told where to drive: they need no parameters. The stronger SUMO thinks their brakes are, the less far
 # it looks ahead for them, and those who do not give way need not know who crosses (docs/performance.md).

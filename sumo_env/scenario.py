@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 from sumo_env.drivers import Driver, RiskEvent
-from sumo_env.networks.roads import LaneIndex
+from sumo_env.networks.roads import LaneIndex, Road, road
 
 EGO = "ego"
 
@@ -58,7 +58,20 @@ class Spawn:
 
 @dataclass(frozen=True, slots=True)
 class Scenario:
-    """All that an episode's traffic owes to chance."""
+    """An episode before it is driven: all that a simulator has to know, and all that the traffic owes to chance.
+
+    Attributes:
+        task: name of the task, which is also that of its road.
+        seed: that the scenario was drawn from.
+        risk: dose of risky traffic, 0 to 1.
+        ego, vehicles: at the start.
+        spawns: attempts to add a vehicle later.
+        events: of risky drivers, sorted by time.
+        lanes_count: of the highway.
+        road_length: of the two-way road [m].
+        simulation_frequency, policy_frequency: sub-steps and policy steps per second [Hz]; the former is a multiple of
+            the latter.
+    """
 
     task: str
     seed: int
@@ -66,7 +79,16 @@ class Scenario:
     ego: VehicleSpec
     vehicles: tuple[VehicleSpec, ...]
     spawns: tuple[Spawn, ...] = ()
-    events: tuple[RiskEvent, ...] = ()  # sorted by time
+    events: tuple[RiskEvent, ...] = ()
+    lanes_count: int = 4
+    road_length: float = 800.0
+    simulation_frequency: int = 10
+    policy_frequency: int = 1
+
+    @property
+    def road(self) -> Road:
+        """The road in highway-env's geometry."""
+        return road(self.task, self.lanes_count, self.road_length)
 
     @property
     def specs(self) -> tuple[VehicleSpec, ...]:

@@ -112,7 +112,19 @@ class Task:
         lifetimes = [(spec.id, 0.0) for spec in vehicles]
         lifetimes += [(spawn.vehicle.id, spawn.step / config["policy_frequency"]) for spawn in spawns]
         events = draw_events(self.risk_rates, config["risk"], tuple(lifetimes), seed, config["duration"])
-        return Scenario(self.name, seed, config["risk"], ego, tuple(vehicles), tuple(spawns), events)
+        return Scenario(
+            task=self.name,
+            seed=seed,
+            risk=config["risk"],
+            ego=ego,
+            vehicles=tuple(vehicles),
+            spawns=tuple(spawns),
+            events=events,
+            lanes_count=int(config.get("lanes_count", 4)),
+            road_length=float(config.get("road_length", 800.0)),
+            simulation_frequency=int(config["simulation_frequency"]),
+            policy_frequency=int(config["policy_frequency"]),
+        )
 
 
 class Drivers:

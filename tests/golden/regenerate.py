@@ -1,57 +1,85 @@
-"""Write the golden trajectories anew: python tests/golden/regenerate.py, then look at the diff before committing it."""
+"""Write the golden results anew, then review the difference: see README.md in this folder.
+
+python tests/golden/regenerate.py                     # everything, half a minute
+python tests/golden/regenerate.py scenes outcomes     # some of: scenes outcomes analysis learner
+"""
 
 from __future__ import annotations
 
 import json
+import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-import gymnasium as gym
+ROOT = Path(__file__).resolve().parents[2]
+if __name__ == "__main__":  # run as a file: import from the project, not from this folder
+    sys.path[0] = str(ROOT)
 
-import sumo_env  # noqa: F401  (registers the environments)
+from experiments.support.threads import limit_threads
+
+limit_threads()
+
 from sumo_env.tasks import TASKS
+from tests.golden import outcomes, scenes, study
 
 FOLDER = Path(__file__).resolve().parent
-TRAFFICS = {"regular": 0.0, "risky": 1.0}
-SEED = 7
-STEPS = 5
-# Left, faster, idle, right, slower; the intersection's three actions in turn.
-ACTIONS = {"intersection": (2, 0, 1, 2, 1)}
-DEFAULT_ACTIONS = (0, 3, 1, 2, 4)
+WIDTH = 110
 
 
-def trajectory(task: str, traffic: str) -> dict[str, Any]:
-    """A few seconds of the lowest level: every vehicle's place and speed, and the ego's reward, after each step."""
-    level = next(iter(TASKS[task].levels.values()))
-    env = gym.make(f"sumo/{task}-v0", config={**level, "risk": TRAFFICS[traffic]})
-    inner: Any = env.unwrapped
-    env.reset(seed=SEED)
-    steps = [_frame(inner.scene, None)]
-    for action in ACTIONS.get(task, DEFAULT_ACTIONS)[:STEPS]:
-        _, reward, terminated, _, _ = env.step(action)
-        steps.append(_frame(inner.scene, float(reward)))
-        if terminated:
-            break
-    env.close()
-    return {"task": task, "traffic": traffic, "seed": SEED, "steps": steps}
+def every(part: str, drive: Callable[[str, str], Any]) -> Iterator[tuple[str, Any]]:
+    """One file a traffic model and task."""
+    for traffic_model in scenes.TRAFFIC_MODELS:
+        for task in TASKS:
+            yield f"{part}/{traffic_model}/{task}.json", drive(task, traffic_model)
 
 
-def _frame(scene: Any, reward: float | None) -> dict[str, Any]:
-    columns = zip(scene.ids, scene.x, scene.y, scene.speed, scene.heading, strict=True)
-    return {
-        "time": scene.time,
-        "reward": None if reward is None else round(reward, 6),
-        "vehicles": {name: [round(float(value), 6) + 0.0 for value in values] for name, *values in columns},
-    }
+PARTS: dict[str, Callable[[], Iterator[tuple[str, Any]]]] = {
+    "scenes": lambda: every("scenes", scenes.drive),
+    "outcomes": lambda: every("outcomes", outcomes.table),
+    "analysis": lambda: iter([("analysis.json", significant(study.analysis()))]),
+    "learner": lambda: iter([("learner.json", study.curves())]),
+}
 
 
-def main() -> None:
-    """Write one file a task and traffic."""
-    for task in TASKS:
-        for traffic in TRAFFICS:
-            text = json.dumps(trajectory(task, traffic), indent=0)
-            (FOLDER / f"{task}-{traffic}.json").write_text(text + "\n")
+def significant(value: Any) -> Any:
+    """Numbers to ten significant digits: what is beyond differs between processors."""
+    if isinstance(value, dict):
+        return {key: significant(item) for key, item in value.items()}
+    if isinstance(value, list):
+        return [significant(item) for item in value]
+    return float(f"{value:.10g}") if isinstance(value, float) else value
+
+
+def pretty(value: Any, indent: int = 0) -> str:
+    """JSON with one line for everything that fits into one, so that a difference shows which value changed."""
+    line = json.dumps(value)
+    if len(line) + indent <= WIDTH or not isinstance(value, dict | list) or not value:
+        return line
+    pad, end = "\n" + " " * (indent + 1), "\n" + " " * indent
+    if isinstance(value, dict):
+        items = [f"{json.dumps(key)}: {pretty(item, indent + 1)}" for key, item in value.items()]
+        return "{" + pad + f",{pad}".join(items) + end + "}"
+    return "[" + pad + f",{pad}".join(pretty(item, indent + 1) for item in value) + end + "]"
+
+
+def read(name: str) -> Any:
+    """A golden result by the name of its file."""
+    return json.loads((FOLDER / name).read_text())
+
+
+def main(parts: list[str]) -> None:
+    """Write the files of some parts; of all by default."""
+    unknown = set(parts) - set(PARTS)
+    if unknown:
+        raise SystemExit(f"unknown: {', '.join(sorted(unknown))}; there are {', '.join(PARTS)}")
+    for part in parts or PARTS:
+        for name, value in PARTS[part]():
+            path = FOLDER / name
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(pretty(value) + "\n")
+            print(name, flush=True)
 
 
 if __name__ == "__main__":
-    main()
+    main(sys.argv[1:])

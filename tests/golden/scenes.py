@@ -1,0 +1,117 @@
+"""The first policy steps of an episode under fixed actions: what the environment shows and where the vehicles are."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+import sumo_env  # noqa: F401  (registers the environments)
+from sumo_env.scene import Scene
+from sumo_env.tasks import TASKS
+
+TRAFFIC_MODELS = ("matched", "sumo")
+RISKS = (0.0, 1.0)
+SEEDS = (7, 8)
+# Left, faster, right, slower; the intersection's three actions: faster, slower, idle, faster.
+ACTIONS = {"intersection": (2, 0, 1, 2)}
+DEFAULT_ACTIONS = (0, 3, 2, 4)
+NEAREST = 8  # vehicles that are written down one by one
+DIGITS = 7
+TOLERANCE = 1e-6  # [m, m/s, rad] and of observations and rewards
+
+
+def cells(task: str) -> Iterator[tuple[str, float]]:
+    """The lowest and the highest traffic level of a task, by name, each with regular and risky traffic."""
+    levels = list(TASKS[task].levels)
+    for level in (levels[0], levels[-1]):
+        for risk in RISKS:
+            yield level, risk
+
+
+def make(task: str, level: str, risk: float, traffic_model: str) -> gym.Env[Any, Any]:
+    """The environment of a cell."""
+    config = {**TASKS[task].levels[level], "risk": risk, "traffic_model": traffic_model}
+    return gym.make(f"sumo/{task}-v0", config=config)
+
+
+def drive(task: str, traffic_model: str) -> dict[str, Any]:
+    """All cells and seeds of a task: name of the episode -> its steps, the state after the reset first."""
+    result = {}
+    for level, risk in cells(task):
+        env = make(task, level, risk, traffic_model)
+        for seed in SEEDS:
+            result[f"level {level}, risk {risk:g}, seed {seed}"] = episode(
+                env, seed, ACTIONS.get(task, DEFAULT_ACTIONS)
+            )
+        env.close()
+    return result
+
+
+def episode(env: gym.Env[Any, Any], seed: int, actions: tuple[int, ...]) -> list[dict[str, Any]]:
+    """The steps of one episode, until it ends or the actions do."""
+    inner: Any = env.unwrapped
+    observation, _ = env.reset(seed=seed)
+    scene = inner.scene
+    distance = np.hypot(scene.x - scene.x[0], scene.y - scene.y[0])
+    followed = [scene.ids[row] for row in np.argsort(distance, kind="stable")[: NEAREST + 1]]
+    steps = [{**state(scene, followed, scene), "observation": rounded(observation)}]
+    for action in actions:
+        before = inner.scene
+        observation, reward, terminated, truncated, _ = env.step(action)
+        steps.append(
+            {
+                "reward": rounded(reward),
+                "terminated": bool(terminated),
+                "truncated": bool(truncated),
+                **state(inner.scene, followed, before),
+                "observation": rounded(observation),
+            }
+        )
+        if terminated or truncated:
+            break
+    return steps
+
+
+def state(scene: Scene, followed: list[str], before: Scene) -> dict[str, Any]:
+    """A scene in few numbers.
+
+    Returns:
+        time [s]; number of vehicles; names that appeared and disappeared; mean of x, y, speed and heading over all
+        vehicles; crashed: names of the wrecks; vehicles: x, y, speed, heading of the followed ones.
+    """
+    columns = np.stack([scene.x, scene.y, scene.speed, scene.heading])
+    rows = {name: row for row, name in enumerate(scene.ids)}
+    return {
+        "time": rounded(scene.time),
+        "count": len(scene.ids),
+        "appeared": [name for name in scene.ids if name not in before.ids],
+        "disappeared": [name for name in before.ids if name not in scene.ids],
+        "crashed": [name for name, crashed in zip(scene.ids, scene.crashed, strict=True) if crashed],
+        "mean": rounded(columns.mean(axis=1)),
+        "vehicles": {name: rounded(columns[:, rows[name]]) for name in followed if name in rows},
+    }
+
+
+def rounded(values: Any) -> Any:
+    """Numbers as JSON has them; never minus zero."""
+    return (np.round(np.asarray(values, dtype=float), DIGITS) + 0.0).tolist()
+
+
+def differences(now: Any, then: Any, tolerance: float = TOLERANCE, where: str = "") -> list[str]:
+    """Every place at which two JSON values differ: numbers by more than the tolerance, all else at all."""
+    if isinstance(now, Mapping) and isinstance(then, Mapping):
+        if list(now) != list(then):
+            return [f"{where}: {sorted(set(now) ^ set(then))} on one side only, or in another order"]
+        pairs = [(f"{where} / {key}" if where else str(key), now[key], then[key]) for key in now]
+    elif isinstance(now, list) and isinstance(then, list):
+        if len(now) != len(then):
+            return [f"{where}: {len(now)} entries, {len(then)} in the golden result"]
+        pairs = [(f"{where}[{k}]", *both) for k, both in enumerate(zip(now, then, strict=True))]
+    else:
+        numbers = all(isinstance(value, int | float) and not isinstance(value, bool) for value in (now, then))
+        equal = abs(now - then) <= tolerance if numbers else now == then
+        return [] if equal else [f"{where}: {now!r}, golden {then!r}"]
+    return [line for name, *both in pairs for line in differences(*both, tolerance, name)]

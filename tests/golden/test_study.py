@@ -1,0 +1,23 @@
+"""What the study computes from given results stays what it was (README.md says how to change it)."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.golden import study
+from tests.golden.regenerate import read, significant
+from tests.golden.scenes import differences
+from tests.golden.test_golden import report
+
+
+def test_the_analysis_of_made_up_cells_is_the_golden_one() -> None:
+    found = differences(significant(study.analysis()), read("analysis.json"))
+    assert not found, report(found)
+
+
+@pytest.mark.slow
+def test_the_learner_learns_as_fast_as_the_golden_one() -> None:
+    now, golden = study.curves(), read("learner.json")
+    for name, floor in study.FLOOR.items():
+        for part, ((mean, _), (then, error)) in enumerate(zip(now[name], golden[name], strict=True)):
+            assert mean == pytest.approx(then, abs=max(2 * error, floor)), f"{name} in part {part}"

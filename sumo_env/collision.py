@@ -1,37 +1,28 @@
-"""Contacts between vehicles, and what is written down about one.
-
-Vehicles are oriented rectangles. Two convex shapes are apart if, and only if, a line separates them, and for
-rectangles it is enough to try the directions of their four sides (separating axis theorem; figure 4 of the
-paper). Rectangles that touch are in contact. A look every 0.1 s would miss a corner that is grazed in between, so
-contacts are looked for all along the way of a sub-step (`meetings`). Figures: docs/collisions.md.
-"""
+"""Compiled contact tests, for the traffic model "matched"; everybody else uses `sumo_env.contacts`."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
-from typing import Any, Literal
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sumo_env.angles import wrapped
 from sumo_env.compiled import borrowing, compiled
-from sumo_env.scene import VEHICLE_LENGTH, VEHICLE_WIDTH, Floats, Scene
+from sumo_env.contacts.crash import (  # noqa: F401 (kept here for the modules that go together with this one)
+    SUMO_TOLERANCE,
+    CrashRecord,
+    Detector,
+    classify,
+    crash_record,
+)
+from sumo_env.contacts.rectangles import DIAGONAL, FINEST, LENGTH, ROUNDING, WIDTH
+from sumo_env.scene import Floats, Scene
 
 Integers = NDArray[np.int64]
-CrashType = Literal["rear-end", "side", "frontal", "junction"]
-Detector = Literal["sumo", "geometry", "both", "highway-env"]
 
-LENGTH: float = VEHICLE_LENGTH
-WIDTH: float = VEHICLE_WIDTH
-DIAGONAL = math.hypot(LENGTH, WIDTH)  # centres further apart than this are not in contact [m]
-SAME_DIRECTION = math.pi / 4  # headings that differ by less are those of cars driving side by side [rad]
-OPPOSITE_DIRECTION = 3 * math.pi / 4  # ... by more, of cars driving towards each other [rad]
-SUMO_TOLERANCE = 0.1  # [m] how far apart cars may be for SUMO's report to count on its own
 NEAR = 1.0  # [m] further apart than this, SUMO's report of a contact is none: it reports cars up to 180 m apart
-ROUNDING = 1e-9  # [m] a look meant for the first touch is off by less
-FINEST = 0.01  # of a sub-step: a contact that is shorter (1 ms of 0.1 s) may be missed
 
 
 @borrowing
@@ -163,52 +154,6 @@ def contacts(x: Floats, y: Floats, heading: Floats, active: NDArray[np.bool_]) -
     return meetings(np.stack((x, y, heading)), x, y, heading, active)[0]
 
 
-@dataclass(frozen=True, slots=True)
-class CrashRecord:
-    """A crash of the ego. "Relative" is in the ego's frame: x ahead of it, y to its right.
-
-    Attributes:
-        other: id of the other vehicle.
-        time: of the first contact, since the start of the episode [s].
-        x, y: centre of the ego then [m].
-        relative_x, relative_y: centre of the other vehicle [m].
-        relative_heading: of the other vehicle [rad], in [-pi, pi).
-        closing_speed: magnitude of the relative velocity [m/s] (0 for two cars side by side at one speed).
-        type: see `classify`.
-        detected_by: who noticed it.
-    """
-
-    other: str
-    time: float
-    x: float
-    y: float
-    relative_x: float
-    relative_y: float
-    relative_heading: float
-    closing_speed: float
-    type: CrashType
-    detected_by: Detector
-
-    def as_dict(self) -> dict[str, Any]:
-        """The record as plain values, as in ``info["crash"]``."""
-        return {field: getattr(self, field) for field in self.__slots__}
-
-
-def classify(relative_x: float, relative_y: float, relative_heading: float) -> CrashType:
-    """Name a crash by the other vehicle's pose in the ego's frame [m, m, rad].
-
-    Headings within 45 degrees: ``rear-end`` if the other is rather ahead or behind than beside (each measured
-    in vehicle sizes), ``side`` otherwise. Opposite within 45 degrees: ``frontal``. In between: ``junction``,
-    of paths that cross.
-    """
-    angle = abs((relative_heading + math.pi) % (2 * math.pi) - math.pi)
-    if angle > OPPOSITE_DIRECTION:
-        return "frontal"
-    if angle > SAME_DIRECTION:
-        return "junction"
-    return "rear-end" if abs(relative_x) / LENGTH >= abs(relative_y) / WIDTH else "side"
-
-
 def scene_between(before: Floats, scene: Scene, moment: float, dt: float) -> Scene:
     """The scene at a moment of the sub-step of `dt` [s] that it ends, 0 to 1: poses in between, speeds of its end.
 
@@ -221,26 +166,4 @@ def scene_between(before: Floats, scene: Scene, moment: float, dt: float) -> Sce
         y=before[1] + moment * (scene.y - before[1]),
         heading=before[2] + moment * turn,
         time=round(scene.time - (1.0 - moment) * dt, 6),
-    )
-
-
-def crash_record(scene: Scene, other: int, detected_by: Detector) -> CrashRecord:
-    """What is written down about the ego's crash with row `other` of the scene."""
-    dx, dy = float(scene.x[other] - scene.x[0]), float(scene.y[other] - scene.y[0])
-    cos, sin = math.cos(scene.heading[0]), math.sin(scene.heading[0])
-    relative_x, relative_y = dx * cos + dy * sin, dy * cos - dx * sin
-    turn = float(scene.heading[other] - scene.heading[0])
-    turn = (turn + math.pi) % (2 * math.pi) - math.pi
-    v, w = float(scene.speed[0]), float(scene.speed[other])
-    return CrashRecord(
-        other=scene.ids[other],
-        time=scene.time,
-        x=float(scene.x[0]),
-        y=float(scene.y[0]),
-        relative_x=relative_x,
-        relative_y=relative_y,
-        relative_heading=turn,
-        closing_speed=math.hypot(w * math.cos(turn) - v, w * math.sin(turn)),
-        type=classify(relative_x, relative_y, turn),
-        detected_by=detected_by,
     )

@@ -10,7 +10,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
-from sumo_env.collision import CrashRecord
+from sumo_env.contacts.crash import CrashRecord
 from sumo_env.networks.roads import LaneIndex
 from sumo_env.scenario import Scenario
 from sumo_env.scene import Scene

@@ -29,9 +29,10 @@ from highway_env.road.regulation import RegulatedRoad
 from highway_env.vehicle.kinematics import Vehicle
 
 from experiments.backends.highway_env_vehicle import PathVehicle, ScenarioVehicle
-from sumo_env import safety
-from sumo_env.collision import LENGTH, WIDTH, CrashRecord, crash_record, separation
 from sumo_env.config import Config, ConfigError, nearest, resolve
+from sumo_env.contacts import measures
+from sumo_env.contacts.crash import CrashRecord, crash_record
+from sumo_env.contacts.rectangles import separation, state_of, states
 from sumo_env.interface import interface
 from sumo_env.models.hazards import free_way, has_room
 from sumo_env.networks.roads import LaneIndex
@@ -129,9 +130,9 @@ class ScenarioEnv(AbstractEnv):
             "on_road": bool(ego.on_road),
             "rewards": {name: float(value) for name, value in self._rewards(action).items()},
             "crash": {} if self.crash is None else self.crash.as_dict(),
-            "density": int(safety.density(scene.x, scene.y, 0, safety.DENSITY_RADIUS)),
+            "density": measures.density(scene.x, scene.y),
             "min_ttc": float(self.min_ttc),
-            "near_miss": bool(self.min_ttc < safety.NEAR_MISS_TTC and not ego.crashed),
+            "near_miss": bool(self.min_ttc < measures.NEAR_MISS_TTC and not ego.crashed),
             "distance": float(self.distance),
         }
         if action is not None:
@@ -237,16 +238,15 @@ class ScenarioEnv(AbstractEnv):
     def _measure(self) -> None:
         scene = self.scene
         if not scene.crashed[0]:
-            ttc = safety.min_ttc(scene.x, scene.y, scene.vx, scene.vy, scene.heading, 0, safety.HORIZON)
-            self.min_ttc = min(self.min_ttc, float(ttc))
+            ego, *others = states(scene)
+            self.min_ttc = min(self.min_ttc, measures.ego_ttc(ego, others))
         elif self.crash is None:
             # highway-env says that the ego crashed, not with whom: with the nearest of the wrecks
             other = min(range(1, len(scene)), key=lambda row: (not scene.crashed[row], self._gap(row)))
             self.crash = crash_record(scene, other, "highway-env")
 
     def _gap(self, row: int) -> float:
-        x, y, heading = self.scene.x, self.scene.y, self.scene.heading
-        return float(separation(x[0], y[0], heading[0], x[row], y[row], heading[row], LENGTH, WIDTH))
+        return separation(state_of(self.scene, 0), state_of(self.scene, row))
 
     def _scene(self) -> Scene:
         ego = self.vehicle

@@ -1,8 +1,7 @@
-"""Contacts against shapely's polygons and highway-env's own test; the record of a crash."""
+"""Contacts against shapely's polygons and highway-env's own test."""
 
 from __future__ import annotations
 
-import dataclasses
 import math
 
 import numpy as np
@@ -12,11 +11,8 @@ from highway_env import utils
 from numba import njit
 
 from sumo_env.collision import (
-    CrashRecord,
-    classify,
     contact,
     contacts,
-    crash_record,
     distance,
     meeting,
     meetings,
@@ -221,41 +217,3 @@ def test_the_scene_between_is_that_of_the_moment() -> None:
     assert moment.x.tolist() == [0.5, 10.0] and moment.time == pytest.approx(1.025)
     assert moment.heading[0] == pytest.approx(3.1 + 0.25 * (2 * math.pi - 6.2))  # the short way
     assert scene_between(before, scene, 1.0, 0.1).time == 1.1
-
-
-@pytest.mark.parametrize(
-    ("pose", "expected"),
-    [
-        ((4.9, 0.3, 0.1), "rear-end"),
-        ((-4.9, 0.3, -0.1), "rear-end"),
-        ((1.0, 1.9, 0.05), "side"),
-        ((3.0, -1.8, 2 * math.pi - 0.2), "side"),
-        ((4.8, 0.5, math.pi), "frontal"),
-        ((4.8, 0.5, -3.0), "frontal"),
-        ((3.4, 0.0, math.pi / 2), "junction"),
-        ((2.0, 2.0, -math.pi / 2), "junction"),
-    ],
-)
-def test_types_of_crash(pose, expected) -> None:
-    assert classify(*pose) == expected
-
-
-def test_record_is_in_the_frame_of_the_ego() -> None:
-    scene = Scene(
-        ids=("ego", "v3"),
-        x=np.array([10.0, 10.0]),
-        y=np.array([20.0, 16.0]),
-        speed=np.array([12.0, 5.0]),
-        heading=np.array([-math.pi / 2, math.pi]),
-        crashed=np.array([True, True]),
-        time=3.2,
-    )
-    record = crash_record(scene, 1, "both")
-    assert (record.other, record.time, record.x, record.y) == ("v3", 3.2, 10.0, 20.0)
-    assert (record.relative_x, record.relative_y) == pytest.approx((4.0, 0.0))
-    assert record.relative_heading == pytest.approx(-math.pi / 2)
-    assert record.closing_speed == pytest.approx(13.0)  # 12 m/s north against 5 m/s west
-    assert (record.type, record.detected_by) == ("junction", "both")
-    assert CrashRecord(**record.as_dict()) == record
-    with pytest.raises(dataclasses.FrozenInstanceError):
-        record.time = 0.0  # type: ignore[misc]

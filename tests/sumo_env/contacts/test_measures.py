@@ -1,0 +1,148 @@
+"""Time to collision against stepping through time with shapely; headway and density by hand."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import shapely
+
+from sumo_env.contacts.measures import density, ego_ttc, headways, time_to_collision
+from sumo_env.contacts.rectangles import State
+
+from .shapes import polygons, state
+
+HORIZON = 4.0
+STEP = 0.02
+
+
+@pytest.fixture(scope="module")
+def traffic() -> np.ndarray:
+    """States of an ego and 1500 others; some are parallel to it, touch it or stand still, two thirds meet it."""
+    rng = np.random.default_rng(11)
+    n = 1501
+    heading = rng.uniform(-math.pi, math.pi, n)
+    heading[: n // 5] = heading[0]
+    speed = rng.uniform(-3, 25, n)
+    speed[n // 2 : n // 2 + 100] = 0.0
+    x, y = rng.uniform(-50, 50, (2, n))
+    x[0], y[0], speed[0] = 1.0, -2.0, 14.0
+    vx, vy = speed * np.cos(heading), speed * np.sin(heading)
+    near = slice(n // 3, n)  # their centres pass within 5 m or so of the ego's
+    when = rng.uniform(0.3, HORIZON, n)[near]
+    x[near] = x[0] + (vx[0] - vx[near]) * when + rng.uniform(-4, 4, len(when))
+    y[near] = y[0] + (vy[0] - vy[near]) * when + rng.uniform(-4, 4, len(when))
+    return np.column_stack([x, y, speed, heading])
+
+
+def states_of(traffic: np.ndarray) -> list[State]:
+    return [tuple(row) for row in traffic.tolist()]
+
+
+def ttc(traffic: np.ndarray, horizon: float = HORIZON) -> np.ndarray:
+    """Of the first row with each of the others."""
+    ego, *others = states_of(traffic)
+    return np.array([time_to_collision(ego, other, horizon) for other in others])
+
+
+def moved(traffic: np.ndarray, times: np.ndarray) -> np.ndarray:
+    """Polygons after `times` [s], which has one axis more than the rows of `traffic` or broadcasts to them."""
+    x, y, speed, heading = (column.reshape(-1, *[1] * (times.ndim - 1)) for column in traffic.T)
+    x, y = x + speed * np.cos(heading) * times, y + speed * np.sin(heading) * times
+    return polygons(x, y, np.broadcast_to(heading, x.shape))
+
+
+def test_equals_stepping_through_time(traffic) -> None:
+    times = np.arange(0.0, HORIZON, STEP)[None]
+    shapes = moved(traffic, times)
+    touching = shapely.intersects(shapes[1:], shapes[:1])
+    first = np.where(touching.any(axis=1), times[0][touching.argmax(axis=1)], np.inf)
+    ours = ttc(traffic)
+    assert 0.1 < np.isfinite(first).mean() < 0.9
+    assert (ours <= first + 1e-9).all()  # never later than the first sample in contact
+    seen = np.isfinite(first)
+    # ... and at most one step earlier, except for grazes that begin and end between two samples
+    assert (first[seen] - ours[seen] < STEP + 1e-9).mean() > 0.995
+    assert np.isfinite(ours[~seen]).mean() < 0.02
+
+
+def test_at_that_time_they_touch_and_before_they_do_not(traffic) -> None:
+    ours = ttc(traffic)
+    hits = np.flatnonzero(np.isfinite(ours) & (ours > 0))
+    assert len(hits) > 200
+    for share, touch in ((1.0, True), (0.999, False), (0.5, False)):
+        t = ours[hits] * share
+        gap = shapely.distance(moved(traffic[1:][hits], t), moved(traffic[:1], t))
+        assert (gap < 1e-8).all() if touch else (gap > 0).all()
+
+
+def test_contact_is_zero(traffic) -> None:
+    shapes = moved(traffic, np.zeros(1))
+    touching = shapely.intersects(shapes[1:], shapes[0])
+    assert touching.any()
+    np.testing.assert_array_equal(ttc(traffic) == 0.0, touching)
+
+
+def test_the_time_of_the_ego_is_the_least_of_all(traffic) -> None:
+    ego, *others = states_of(traffic)
+    everybody = ttc(traffic)
+    for start in range(0, 1500, 50):
+        assert ego_ttc(ego, others[start : start + 50], HORIZON) == everybody[start : start + 50].min()
+    assert ego_ttc(ego, []) == math.inf
+
+
+@pytest.mark.parametrize(
+    "other, speed, expected",
+    [
+        (state(25.0, 0.0, 0.0, 10.0), 20.0, 2.0),  # (25 - 5) / (20 - 10)
+        (state(25.0, 1.9, 0.0, 10.0), 20.0, 2.0),  # the sides overlap by 0.1 m
+        (state(25.0, 2.1, 0.0, 10.0), 20.0, math.inf),  # next to each other
+        (state(25.0, 0.0, 0.0, 20.0), 10.0, math.inf),  # the leader is faster
+        (state(65.0, 0.0, math.pi, 10.0), 20.0, 2.0),  # head on
+        (state(20.0, -20.0, math.pi / 2, 10.0), 10.0, 1.65),  # crossing
+        (state(30.0, 0.0, 0.0, 0.0), 0.0, math.inf),  # both stand
+    ],
+)
+def test_textbook_cases(other: State, speed: float, expected: float) -> None:
+    assert ego_ttc(state(0.0, 0.0, 0.0, speed), [other]) == pytest.approx(expected)
+
+
+def test_nothing_counts_beyond_the_horizon() -> None:
+    ego, leader = state(0.0, 0.0, 0.0, 20.0), state(25.0, 0.0, 0.0, 10.0)
+    assert ego_ttc(ego, [leader], 1.9) == math.inf
+    assert ego_ttc(ego, [leader], 2.1) == pytest.approx(2.0)
+
+
+def test_time_to_collision_does_not_depend_on_the_frame(traffic) -> None:
+    angle, cos, sin = 0.7, math.cos(0.7), math.sin(0.7)
+    x, y, speed, heading = traffic.T
+    turned = np.column_stack([cos * x - sin * y + 30.0, sin * x + cos * y - 4.0, speed, heading + angle])
+    np.testing.assert_allclose(ttc(turned), ttc(traffic), atol=1e-6)
+
+
+def test_headway_is_to_the_nearest_in_the_corridor() -> None:
+    x = np.array([0.0, 30.0, 20.0, 25.0, -10.0, 95.0])
+    y = np.array([0.0, 0.5, 2.5, -1.9, 0.0, 0.0])
+    speed = np.array([10.0, 20.0, 0.0, 10.0, 10.0, 10.0])
+    # the third is beside the corridor of the first and stands; 95 is more than 60 m ahead of 30
+    assert headways(x, y, speed, np.zeros(6)) == pytest.approx(
+        [2.0, math.inf, math.inf, math.inf, 0.5, math.inf]
+    )
+
+
+def test_headway_follows_the_heading() -> None:
+    x, y = np.array([0.0, 0.0, 0.0]), np.array([0.0, -15.0, 15.0])
+    ours = headways(x, y, np.full(3, 5.0), np.full(3, -math.pi / 2))  # all drive north, y is down
+    assert ours == pytest.approx([2.0, math.inf, 2.0])
+
+
+def test_an_empty_road_has_no_headways() -> None:
+    none = np.empty(0)
+    assert headways(none, none, none, none).shape == (0,)
+
+
+def test_density_counts_the_others_within_the_radius() -> None:
+    x, y = np.array([0.0, 199.9, -150.0, 150.0]), np.array([0.0, 0.0, 150.0, 100.0])
+    assert density(x, y) == 2
+    assert density(x[:1], y[:1]) == 0

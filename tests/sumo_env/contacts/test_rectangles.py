@@ -1,0 +1,167 @@
+"""Contacts against shapely's polygons and highway-env's own test."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+import shapely
+from highway_env import utils
+
+from sumo_env.contacts.rectangles import (
+    FINEST,
+    LENGTH,
+    WIDTH,
+    distance,
+    first_touch,
+    separation,
+    state_between,
+    touch_moment,
+)
+
+from .shapes import polygons, rows, state
+
+
+@pytest.fixture(scope="module")
+def pairs() -> tuple[np.ndarray, np.ndarray]:
+    """20,000 pairs of poses (x, y, heading); a fifth of them with equal or perpendicular headings."""
+    rng = np.random.default_rng(7)
+    n = 20_000
+    first = np.column_stack([rng.uniform(-50, 50, (n, 2)), rng.uniform(-7, 7, n)])
+    turn = rng.uniform(-math.pi, math.pi, n)
+    aligned = rng.random(n) < 0.2
+    turn[aligned] = rng.integers(-2, 3, aligned.sum()) * math.pi / 2
+    offset = rng.uniform(-7, 7, (n, 2))
+    return first, np.column_stack([first[:, :2] + offset, first[:, 2] + turn])
+
+
+def over(function, first: np.ndarray, second: np.ndarray) -> np.ndarray:
+    return np.array([function(a, b) for a, b in zip(rows(first), rows(second), strict=True)])
+
+
+def test_distance_equals_shapely(pairs) -> None:
+    first, second = pairs
+    one, two = polygons(*first.T), polygons(*second.T)
+    expected = shapely.distance(one, two)
+    ours = over(distance, first, second)
+    apart = expected > 1e-9
+    assert 0.3 < apart.mean() < 0.8
+    np.testing.assert_allclose(ours[apart], expected[apart], atol=1e-9)
+    assert (ours[~apart] <= 1e-9).all()
+    inside = shapely.area(shapely.intersection(one, two)) > 1e-9
+    assert (over(separation, first, second)[inside] <= 0.0).all()
+
+
+def test_separation_never_exceeds_the_distance(pairs) -> None:
+    assert (over(separation, *pairs) <= over(distance, *pairs) + 1e-12).all()
+
+
+def test_penetration_is_the_shortest_way_out(pairs) -> None:
+    first, second = (poses[:3000] for poses in pairs)
+    depth = -over(distance, first, second)
+    deep = depth > 0.01
+    first, second, depth = first[deep], second[deep], depth[deep]
+    freed = np.zeros(len(depth), dtype=bool)
+    for axis in range(4):
+        heading = (first if axis < 2 else second)[:, 2] + (axis % 2) * math.pi / 2
+        direction = np.column_stack([np.cos(heading), np.sin(heading), np.zeros(len(depth))])
+        for sign in (-1, 1):
+            less = second + sign * (depth - 1e-6)[:, None] * direction
+            assert (over(separation, first, less) <= 0.0).all()  # no side of either offers a shorter way
+            more = second + sign * (depth + 1e-6)[:, None] * direction
+            freed |= over(separation, first, more) > 0.0
+    assert freed.all()
+
+
+def test_contact_equals_highway_env(pairs) -> None:
+    first, second = (poses[:4000] for poses in pairs)
+    ours = over(separation, first, second) <= 0.0
+    for k in range(len(first)):
+        a, b = (
+            np.vstack([corners := utils.rect_corners(pose[:2], LENGTH, WIDTH, pose[2]), corners[:1]])
+            for pose in (first[k], second[k])
+        )
+        assert utils.are_polygons_intersecting(a, b, np.zeros(2), np.zeros(2))[0] == ours[k]
+
+
+def test_touching_is_contact() -> None:
+    assert separation(state(0.0, 0.0), state(5.0, 0.0)) <= 0.0
+    assert separation(state(0.0, 0.0), state(0.0, 2.0, math.pi)) <= 0.0
+    assert separation(state(0.0, 0.0), state(5.0 + 1e-9, 0.0)) > 0.0
+
+
+@pytest.fixture(scope="module")
+def ways() -> tuple[np.ndarray, np.ndarray]:
+    """Poses of 4000 pairs of vehicles before and after a sub-step, shape (2, 3, n) each."""
+    rng = np.random.default_rng(11)
+    n = 4000
+    before = np.stack(
+        [rng.uniform(-6, 6, (2, n)), rng.uniform(-6, 6, (2, n)), rng.uniform(-7, 7, (2, n))], axis=1
+    )
+    move = np.stack(
+        [rng.uniform(-4, 4, (2, n)), rng.uniform(-4, 4, (2, n)), rng.uniform(-0.5, 0.5, (2, n))], axis=1
+    )
+    return before, before + move
+
+
+def test_touches_on_the_way_equal_shapely_with_a_recall_of_999(ways) -> None:
+    before, after = ways
+    looks = 400
+    states = [rows(poses[i].T) for i in (0, 1) for poses in ways]
+    ours = np.array([touch_moment(*four) for four in zip(*states, strict=True)])
+    gaps = np.array(
+        [
+            shapely.distance(*(polygons(*pose) for pose in before + look / looks * (after - before)))
+            for look in range(looks + 1)
+        ]
+    )
+    met = gaps.min(axis=0) == 0.0
+    grazed = met & (gaps[0] > 0.0) & (gaps[-1] > 0.0)
+    assert 0.3 < met.mean() < 0.9 and grazed.sum() > 20  # contacts between two looks are among them
+    assert np.isfinite(ours[met]).mean() >= 0.999
+    longer = (gaps == 0.0).sum(axis=0) / looks >= FINEST
+    assert np.isfinite(ours[met & longer]).all()
+    assert (gaps.min(axis=0)[np.isfinite(ours)] < 0.03).all()  # none where shapely sees a gap all the way
+    both = met & np.isfinite(ours)
+    assert np.abs(ours[both] - (gaps[:, both] == 0.0).argmax(axis=0) / looks).max() <= FINEST + 1e-4
+
+
+def test_a_contact_between_two_looks_is_found() -> None:
+    # the ego stands, the other's corner passes by the ego's within the sub-step
+    ego, before, after = state(0.0, 0.0), state(2.4, -4.2, -math.pi / 4), state(6.0, -0.6, -math.pi / 4)
+    assert separation(ego, before) > 0.0 and separation(ego, after) > 0.0
+    moment = touch_moment(ego, ego, before, after)
+    assert 0.0 < moment < 1.0
+    assert separation(ego, state_between(before, after, moment)) <= 1e-9
+
+
+def test_vehicles_that_exchange_their_places_within_a_sub_step_meet() -> None:
+    near, far = state(0.0, 0.0), state(8.0, 0.0, math.pi)
+    moment = touch_moment(near, state(8.0, 0.0), far, state(0.0, 0.0, math.pi))
+    assert moment == pytest.approx(3.0 / 16.0, abs=1e-9)  # 3 m between the bumpers, 16 m travelled
+
+
+def test_vehicles_side_by_side_do_not_meet() -> None:
+    assert touch_moment(state(0.0, 0.0), state(3.0, 0.0), state(1.0, 2.001), state(4.5, 2.001)) == math.inf
+
+
+def test_turning_the_short_way_through_the_half_turn() -> None:
+    # Nobody turns: 2 pi apart is the same heading. A vehicle that spun round would touch.
+    before, after = state(0.0, 0.0, math.pi - 0.01), state(0.0, 0.0, -math.pi - 0.01)
+    assert touch_moment(before, after, state(0.0, 2.2), state(0.0, 2.2)) == math.inf
+
+
+def test_the_first_touch_is_that_of_the_vehicle_that_is_met_first() -> None:
+    ego, ego_after = state(0.0, 0.0), state(4.0, 0.0)
+    others = [state(50.0, 0.0), state(8.0, 0.0), state(7.0, 1.0), state(0.0, 4.0)]
+    assert first_touch(ego, ego_after, others, others) == (2, pytest.approx(0.5))
+    assert first_touch(ego, ego_after, others[:1], others[:1]) is None
+    assert first_touch(ego, ego_after, [], []) is None
+
+
+def test_the_state_between_is_that_of_the_moment() -> None:
+    before, after = state(0.0, 0.0, 3.1, 19.0), state(2.0, 1.0, -3.1, 20.0)
+    x, y, speed, heading = state_between(before, after, 0.25)
+    assert (x, y, speed) == (0.5, 0.25, 20.0)
+    assert heading == pytest.approx(3.1 + 0.25 * (2 * math.pi - 6.2))  # the short way

@@ -13,7 +13,7 @@ Config = dict[str, Any]
 COMMON: Config = {
     "simulation_frequency": 10,  # [Hz] SUMO's step is its inverse (highway-env: 15)
     "policy_frequency": 1,  # [Hz]
-    "traffic_model": "matched",  # or "sumo": SUMO's own lane changes and junction rules
+    "traffic_model": "sumo",  # accepted for older code; SUMO's own drivers are the only ones
     "risk": 0.0,  # dose of risky traffic, 0 (regular) to 1
     "screen_width": 600,  # [px]
     "screen_height": 150,  # [px]
@@ -100,10 +100,13 @@ def _check(task: str, config: Config, defaults: Config) -> None:
             raise ConfigError(f"config key {key!r} must be {wanted}, not {value!r}")
         if key.endswith("_count") and (value != int(value) or value < 0):
             raise ConfigError(f"config key {key!r} must be a whole number of at least 0, not {value!r}")
-    if config["traffic_model"] not in ("matched", "sumo"):
+    if config["traffic_model"] == "matched":
         raise ConfigError(
-            f"config key 'traffic_model' must be 'matched' or 'sumo', not {config['traffic_model']!r}"
+            "traffic_model 'matched' is gone: SUMO's own drivers drive now. highway-env's physics is the backend "
+            "'replica' of the experiments, which is equal to highway-env and faster"
         )
+    if config["traffic_model"] != "sumo":
+        raise ConfigError(f"config key 'traffic_model' can only be 'sumo', not {config['traffic_model']!r}")
     for key in ("risk", "spawn_probability"):
         if not 0.0 <= config.get(key, 0.0) <= 1.0:
             raise ConfigError(f"config key {key!r} must lie in [0, 1], not {config[key]!r}")

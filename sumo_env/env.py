@@ -1,4 +1,4 @@
-"""The gymnasium environment: highway-env's interface over an episode on SUMO (`world.World`)."""
+"""The gymnasium environment: highway-env's interface over a `Simulator`, which is SUMO unless another is given."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from sumo_env import safety
+from sumo_env.actions import ego_route, target_lane, target_speed_index
 from sumo_env.config import Config, ConfigError, resolve
-from sumo_env.ego import Ego
+from sumo_env.contacts.measures import NEAR_MISS_TTC, density
 from sumo_env.interface import interface
-from sumo_env.models.lane_table import lane_at
 from sumo_env.networks.catalogue import network
 from sumo_env.observation import TimeToCollision
-from sumo_env.scenario import Scenario
 from sumo_env.scene import Scene
+from sumo_env.simulator import EgoCommand, Simulator, Step
+from sumo_env.sumo import open_simulator
 from sumo_env.tasks import get_task
-from sumo_env.tasks.base import EgoState, Task
-from sumo_env.world import World
+from sumo_env.tasks.base import EgoState, Task, nearest_index
+from sumo_env.traffic.scenario import Scenario
 
 if TYPE_CHECKING:
     from gymnasium.wrappers import RecordVideo
@@ -37,13 +37,14 @@ class DrivingEnv(gym.Env[Observation, Any]):
     """One of the five driving tasks on SUMO.
 
     Observations, actions, rewards, endings and `config` keys are highway-env's (see `tasks`); one policy step is
-    ``1 / policy_frequency`` s. libsumo holds one simulation a process: of several environments in one process,
-    the one that was reset last drives, and an earlier one that steps on raises `SimulationTaken`.
+    ``1 / policy_frequency`` s. Any number of environments may live in one process: libsumo supports one simulation per
+    process, so the first environment has it and every further one gets a worker process of its own.
 
     Args:
         task: highway, two-way, roundabout, intersection or u-turn.
         config: keys to change, see `config.COMMON` and the task's `defaults`.
         render_mode: None or ``"rgb_array"``.
+        simulator: that drives the traffic; None for SUMO. The environment closes it.
 
     Raises:
         ConfigError: unknown task or key, wrong value.
@@ -52,7 +53,11 @@ class DrivingEnv(gym.Env[Observation, Any]):
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 5}  # noqa: RUF012 (gymnasium's way)
 
     def __init__(
-        self, task: str, config: Mapping[str, Any] | None = None, render_mode: str | None = None
+        self,
+        task: str,
+        config: Mapping[str, Any] | None = None,
+        render_mode: str | None = None,
+        simulator: Simulator | None = None,
     ) -> None:
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ValueError(
@@ -60,8 +65,7 @@ class DrivingEnv(gym.Env[Observation, Any]):
             )
         self.task: Task = get_task(task)
         self.render_mode = render_mode
-        self._world: World | None = None
-        self._world_key: tuple[Any, ...] = ()
+        self._given = self._simulator = simulator
         self._renderer: Renderer | None = None
         self._video: RecordVideo[Any, Any] | None = None
         self._configured: Config | None = None
@@ -89,27 +93,33 @@ class DrivingEnv(gym.Env[Observation, Any]):
         """Start an episode. ``options={"config": {...}}`` changes the configuration first, as in highway-env.
 
         The traffic is a function of the seed alone (or of the environment's own generator when no seed is given),
-        never of earlier episodes or of the agent.
+        never of earlier episodes or of the agent. ``options={"scenario": Scenario(...)}`` starts from that scenario.
         """
         super().reset(seed=seed)
         # also when no options are given: users of highway-env write to env.unwrapped.config directly
         override = (options or {}).get("config")
         if override or self.config != self._configured:
             self.configure(override)
-        config = self.config
-        self.scenario = self.task.scenario(config, int(self.np_random.integers(2**31)))
-        world = self._open_world()
-        spec = self.scenario.ego
-        route: tuple[str, ...] = (spec.lane[0], spec.lane[1])
-        if spec.destination is not None and spec.destination != spec.lane[1]:
-            route = (spec.lane[0], *world.road.route(spec.lane[1], spec.destination))
-        self.ego = Ego(world.road, spec.lane, spec.speed, self.target_speeds, route)
+        seed = int(self.np_random.integers(2**31))
+        try:
+            scenario = (options or {}).get("scenario") or self.task.scenario(self.config, seed)
+            network(scenario.task, scenario.lanes_count, scenario.road_length)
+        except ValueError as error:
+            raise ConfigError(str(error)) from error
+        self.scenario = scenario
+        self._road, self._route = scenario.road, ego_route(scenario.road, scenario.ego)
+        self._spec_of = {spec.id: spec for spec in scenario.specs}
+        self._spec_of |= {spawn.vehicle.id: spawn.vehicle for spawn in scenario.spawns}
+        self._speed_index = nearest_index(scenario.ego.speed, self.target_speeds)
+        if self._simulator is None:
+            self._simulator = open_simulator()
+        self.scene: Scene = self._simulator.reset(scenario)
         self.steps = 0
-        self.scene: Scene = world.reset(self.scenario, self.ego)
-        world.min_ttc, world.distance = math.inf, 0.0
+        step = Step(self.scene, scenario.ego.lane, None, math.inf, 0.0)
+        self._target_lane = step.target_lane
         self.ego_state = self._ego_state(None)
         observation = self._observe()
-        return observation, self._info(None, self.task.rewards(self.ego_state, config))
+        return observation, self._info(None, step, self.task.rewards(self.ego_state, self.config))
 
     def step(self, action: int) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Drive one policy step.
@@ -121,18 +131,26 @@ class DrivingEnv(gym.Env[Observation, Any]):
             distance [m] of this step.
 
         Raises:
-            SimulationTaken: another environment of this process was reset meanwhile.
+            SimulatorError: the simulator cannot go on with this episode; `reset` begins another one.
             ValueError: the action is not in the action space.
         """
-        if self._world is None or self.scenario is None:
+        if self._simulator is None or self.scenario is None:
             raise gym.error.ResetNeeded("call reset() before step()")
         try:
             name = self.actions[index(action)]
         except (KeyError, TypeError):
             raise ValueError(f"action must be one of {self.actions}, not {action!r}") from None
-        world = self._world
-        self.ego.command(name, self.scene.x.item(0), self.scene.y.item(0))
-        self.scene = world.step(self._on_substep if self._video or self._shows_trajectories() else None)
+        x, y, speed = self.scene.x.item(0), self.scene.y.item(0), self.scene.speed.item(0)
+        self._speed_index = target_speed_index(name, self._speed_index, speed, self.target_speeds)
+        command = EgoCommand(
+            self.target_speeds[self._speed_index],
+            target_lane(name, self._road, self._target_lane, self._route, x, y),
+        )
+        films = self._video is not None and self._video.recording
+        step = self._simulator.step(command, trace=films or self._shows_trajectories())
+        for scene in step.trace[:-1]:
+            self._on_substep(scene)
+        self.scene, self._target_lane = step.scene, step.target_lane
         self.steps += 1
         self.ego_state = state = self._ego_state(int(action))
         observation = self._observe()
@@ -140,9 +158,7 @@ class DrivingEnv(gym.Env[Observation, Any]):
         reward = float(self.task.reward(rewards, self.config))
         terminated = bool(self.task.terminated(state, self.config))
         truncated = bool(self.steps / self.config["policy_frequency"] >= self.config["duration"])
-        info = self._info(int(action), rewards)
-        world.come_and_go()
-        return observation, reward, terminated, truncated, info
+        return observation, reward, terminated, truncated, self._info(int(action), step, rewards)
 
     def render(self) -> NDArray[np.uint8] | None:
         """The scene as a picture, uint8 of shape (screen_height, screen_width, 3); None without a render mode."""
@@ -188,34 +204,19 @@ class DrivingEnv(gym.Env[Observation, Any]):
         return self._renderer
 
     def close(self) -> None:
-        """Give SUMO back; the environment can be reset again all the same."""
-        if self._world is not None:
-            self._world.sim.release(self._world)
-            self._world = None
+        """Give the simulator back; the environment can be reset again all the same."""
+        if self._simulator is not None:
+            self._simulator.close()
+            self._simulator = self._given
         super().close()
 
     # -- parts ---------------------------------------------------------------------------------------------
 
-    def _open_world(self) -> World:
-        keys = ("simulation_frequency", "policy_frequency", "traffic_model", "lanes_count", "road_length")
-        key = tuple(self.config.get(name) for name in keys)
-        if self._world is None or key != self._world_key:
-            lanes, length = self.config.get("lanes_count", 4), self.config.get("road_length", 800.0)
-            try:
-                built = network(self.task.name, lanes_count=int(lanes), road_length=float(length))
-            except ValueError as error:
-                raise ConfigError(str(error)) from error
-            self._world = World(self.task, self.config, built)
-            self._world_key = key
-        self._world.config = self.config
-        return self._world
-
     def _ego_state(self, action: int | None) -> EgoState:
-        assert self._world is not None
-        road, scene, ego = self._world.road, self.scene, self.ego
+        scene = self.scene
         x, y, heading = scene.x.item(0), scene.y.item(0), scene.heading.item(0)
-        index = lane_at(road, x, y, heading)
-        lane = road.lane(index)
+        index = self._road.closest_lane(x, y, heading)
+        lane = self._road.lane(index)
         s, lateral = lane.local_coordinates(x, y)
         return EgoState(
             lane=index,
@@ -223,8 +224,8 @@ class DrivingEnv(gym.Env[Observation, Any]):
             lateral=lateral,
             speed=scene.speed.item(0),
             heading=heading,
-            target_lane=ego.target_lane,
-            speed_index=ego.speed_index,
+            target_lane=self._target_lane,
+            speed_index=self._speed_index,
             speed_count=len(self.target_speeds),
             action=action,
             crashed=scene.crashed.item(0),
@@ -232,20 +233,16 @@ class DrivingEnv(gym.Env[Observation, Any]):
         )
 
     def _observe(self) -> Observation:
-        assert self._world is not None
-        road = self._world.road
         if isinstance(self.observation_type, TimeToCollision):
             return self.observation_type.observe(
-                self.scene, road, self.ego_state, self.target_speeds, self.ego.route
+                self.scene, self._road, self.ego_state, self.target_speeds, self._route
             )
         return self.observation_type.observe(
-            self.scene, road, self.ego_state, self._world.spec_of, self.np_random
+            self.scene, self._road, self.ego_state, self._spec_of, self.np_random
         )
 
-    def _info(self, action: int | None, rewards: dict[str, float]) -> dict[str, Any]:
-        assert self._world is not None
-        world, state, scene = self._world, self.ego_state, self.scene
-        ttc = float(world.min_ttc)
+    def _info(self, action: int | None, step: Step, rewards: dict[str, float]) -> dict[str, Any]:
+        state, scene = self.ego_state, step.scene
         info = {
             "speed": state.speed,
             "crashed": state.crashed,
@@ -253,11 +250,11 @@ class DrivingEnv(gym.Env[Observation, Any]):
             "on_road": state.on_road,
             "rewards": rewards,
             # always a dict: vector environments cannot merge None with a dict
-            "crash": {} if world.crash is None else world.crash.as_dict(),
-            "density": int(safety.density(scene.x, scene.y, 0, 200.0)),
-            "min_ttc": ttc,
-            "near_miss": ttc < safety.NEAR_MISS_TTC and not state.crashed,
-            "distance": float(world.distance),
+            "crash": {} if step.crash is None else step.crash.as_dict(),
+            "density": density(scene.x, scene.y),
+            "min_ttc": float(step.min_ttc),
+            "near_miss": step.min_ttc < NEAR_MISS_TTC and not state.crashed,
+            "distance": float(step.distance),
         }
         if action is not None:  # at a reset there is none, not even None: vector environments merge by type
             info["action"] = action

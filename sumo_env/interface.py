@@ -11,8 +11,8 @@ from typing import Any
 
 from gymnasium import spaces
 
+from sumo_env.actions import action_names
 from sumo_env.config import Config, ConfigError
-from sumo_env.ego import action_names
 from sumo_env.observation import Kinematics, TimeToCollision
 from sumo_env.tasks.base import Task
 

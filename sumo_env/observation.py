@@ -18,9 +18,9 @@ from sumo_env.config import ConfigError, nearest
 from sumo_env.models.lane_table import lane_at
 from sumo_env.networks.lanes import CircularLane, StraightLane
 from sumo_env.networks.roads import LaneIndex, Road
-from sumo_env.scenario import VehicleSpec
 from sumo_env.scene import PERCEPTION_DISTANCE, VEHICLE_LENGTH, Floats, Scene
 from sumo_env.tasks.base import EgoState
+from sumo_env.traffic.scenario import VehicleSpec
 
 MAX_SPEED = 40.0  # [m/s] Vehicle.MAX_SPEED
 

@@ -12,8 +12,12 @@ from typing import NamedTuple, Protocol
 
 from sumo_env.contacts.crash import CrashRecord
 from sumo_env.networks.roads import LaneIndex
-from sumo_env.scenario import Scenario
 from sumo_env.scene import Scene
+from sumo_env.traffic.scenario import Scenario
+
+
+class SimulatorError(RuntimeError):
+    """A simulator cannot go on with an episode; the next `reset` begins another one."""
 
 
 class EgoCommand(NamedTuple):

@@ -17,6 +17,7 @@ from sumo_env.scene import VEHICLE_LENGTH, Floats
 NEAR_MISS_TTC = 1.5  # [s] a smaller time to collision without a crash is a near-miss
 HORIZON = 10.0  # [s] how far ahead the time to collision is looked for
 DENSITY_RADIUS = 200.0  # [m]
+TTC_RADIUS = 100.0  # [m] vehicles that are further from the ego are not looked at
 CORRIDOR_HALF_WIDTH, CORRIDOR_LENGTH = 2.0, 60.0  # [m] where a leader is looked for, from centre to centre
 MIN_SPEED = 0.1  # [m/s] below it a headway means nothing
 PARALLEL = 1e-12  # [m/s] relative speed along an axis that counts as none

@@ -9,11 +9,11 @@ from typing import Any, ClassVar, NamedTuple
 import numpy as np
 
 from sumo_env.config import Config
-from sumo_env.drivers import POOL, CarFollowing, Driver, RiskRates, draw_events, driver_pool
-from sumo_env.models.lane_table import lane_at
 from sumo_env.networks.roads import LaneIndex, Road
-from sumo_env.scenario import EGO, Scenario, Spawn, VehicleSpec
 from sumo_env.streams import stream
+from sumo_env.traffic.drivers import POOL, Calibration, CarFollowing, Driver, driver_pool
+from sumo_env.traffic.risk import RiskRates, draw_events
+from sumo_env.traffic.scenario import EGO, Scenario, Spawn, VehicleSpec
 
 
 class EgoState(NamedTuple):
@@ -51,6 +51,8 @@ class Task:
     ego_road: ClassVar[tuple[str, str]]  # where the ego starts
     levels: ClassVar[dict[str, Config]]  # the paper's traffic levels, lowest first
     car_following: ClassVar[CarFollowing] = CarFollowing()
+    calibration: ClassVar[Calibration] = Calibration()
+    warm_up: ClassVar[float] = 0.0  # [s] that the traffic drives before the ego is placed
     risk_rates: ClassVar[RiskRates]
     fixed_delta: ClassVar[bool] = False  # IDM exponent 4 for all (no randomize_behavior in highway-env)
     target_speeds: ClassVar[tuple[float, ...]] = (20.0, 25.0, 30.0)  # MDPVehicle.DEFAULT_TARGET_SPEEDS [m/s]
@@ -70,12 +72,8 @@ class Task:
         raise NotImplementedError
 
     def spawns(self, config: Config, road: Road, seed: int, drivers: Drivers) -> list[Spawn]:
-        """Vehicles that come later (intersection only)."""
+        """Vehicles that come later, or at the end of the warm-up (intersection only)."""
         return []
-
-    def concerns_ego(self, vehicle: VehicleSpec, ego: VehicleSpec, config: Config) -> bool:
-        """Whether the ego can ever see the vehicle; SUMO need not simulate the others."""
-        return True
 
     def drivers(self, dose: float) -> tuple[Driver, ...]:
         """Every driver that a scenario of this dose may hold, the ego's included."""
@@ -124,6 +122,7 @@ class Task:
             road_length=float(config.get("road_length", 800.0)),
             simulation_frequency=int(config["simulation_frequency"]),
             policy_frequency=int(config["policy_frequency"]),
+            warm_up=self.warm_up,
         )
 
 
@@ -162,19 +161,20 @@ def make_on_lane(
     destination: str | None = None,
     target_speed: float | None = None,
     changes_lanes: bool = True,
+    concerns_ego: bool = True,
 ) -> VehicleSpec:
     """A vehicle in the middle of a lane, aligned with it (highway-env's ``Vehicle.make_on_lane``)."""
     geometry = road.lane(lane)
     x, y = geometry.position(s, 0.0)
     heading = geometry.heading_at(s)
     if not 0.0 <= s <= geometry.length:  # on another lane really, as highway-env finds out as well
-        lane = lane_at(road, x, y, heading)
+        lane = road.closest_lane(x, y, heading)
         s = road.lane(lane).local_coordinates(x, y)[0]
     if target_speed is None:
         target_speed = speed
     timer = ((x + y) * math.pi) % 1.0  # IDMVehicle.timer: spreads MOBIL's decisions over time
     return VehicleSpec(
-        id, lane, s, x, y, heading, speed, target_speed, destination, driver, changes_lanes, timer
+        id, lane, s, x, y, heading, speed, target_speed, destination, driver, changes_lanes, timer, concerns_ego
     )
 
 

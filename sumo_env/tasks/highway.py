@@ -7,11 +7,11 @@ import math
 import numpy as np
 
 from sumo_env.config import DISCRETE_META_ACTION, Config, ConfigError
-from sumo_env.drivers import RiskRates
 from sumo_env.networks.roads import Road, highway
-from sumo_env.scenario import EGO, VehicleSpec
 from sumo_env.scene import PERCEPTION_DISTANCE, Floats
 from sumo_env.tasks.base import Drivers, EgoState, Task, ego_driver, lmap, make_on_lane, speed_term, weighted
+from sumo_env.traffic.risk import RiskRates
+from sumo_env.traffic.scenario import EGO, VehicleSpec
 
 
 class Highway(Task):
@@ -65,17 +65,17 @@ class Highway(Task):
         jitter = rng.uniform(0.9, 1.1, size=count)
         gaps = _spacing(speeds, 1.0 / config["vehicles_density"], config) * jitter
         places = np.cumsum(np.append(ego.s, gaps))[1:]
-        cars = zip(lanes.tolist(), places.tolist(), speeds.tolist(), strict=True)
-        return [
-            make_on_lane(road, f"v{k}", ("0", "1", lane), s, speed, drivers.next())
-            for k, (lane, s, speed) in enumerate(cars)
-        ]
-
-    def concerns_ego(self, vehicle: VehicleSpec, ego: VehicleSpec, config: Config) -> bool:
-        # Even at full speed the ego gets no closer than 200 m to a wreck further ahead than this. Leaving such
+        # Even at full speed the ego gets no closer than 200 m to a crashed vehicle further ahead than this. Leaving such
         # vehicles out changes what the ego sees by less than 1e-4, nearly always (docs/decisions.md).
         fastest = max(config["action"].get("target_speeds") or self.target_speeds)
-        return vehicle.s - ego.s <= fastest * config["duration"] + PERCEPTION_DISTANCE
+        reach = ego.s + fastest * config["duration"] + PERCEPTION_DISTANCE
+        vehicles = zip(lanes.tolist(), places.tolist(), speeds.tolist(), strict=True)
+        return [
+            make_on_lane(
+                road, f"v{k}", ("0", "1", lane), s, speed, drivers.next(), concerns_ego=s <= reach
+            )
+            for k, (lane, s, speed) in enumerate(vehicles)
+        ]
 
     def rewards(self, ego: EgoState, config: Config) -> dict[str, float]:
         return {

@@ -3,26 +3,17 @@
 from __future__ import annotations
 
 import math
-from functools import lru_cache
 
 import numpy as np
 
 from sumo_env.config import DISCRETE_META_ACTION, Config, ConfigError
-from sumo_env.drivers import CarFollowing, RiskRates
-from sumo_env.models.idm import NEAR, driver_rows
-from sumo_env.models.lane_grid import lane_grid
-from sumo_env.models.lane_table import Floats, Integers, compiled_lanes
-from sumo_env.models.warm_up import warm_up
-from sumo_env.networks.lanes import VEHICLE_LENGTH
-from sumo_env.networks.roads import LaneIndex, Road, intersection
-from sumo_env.scenario import EGO, Spawn, VehicleSpec
+from sumo_env.networks.roads import Road, intersection
 from sumo_env.streams import stream
 from sumo_env.tasks.base import Drivers, EgoState, Task, ego_driver, lmap, make_on_lane, speed_term, weighted
+from sumo_env.traffic.drivers import CarFollowing
+from sumo_env.traffic.risk import RiskRates
+from sumo_env.traffic.scenario import EGO, Spawn, VehicleSpec, fits
 
-MIN_SPACING = 15.0  # [m] between centres when a vehicle is added
-WARM_UP = 3.0  # [s] of traffic before the ego arrives
-WARM_UP_FREQUENCY = 15  # [Hz]
-REGULATION_INTERVAL = 7  # steps of the warm-up between two applications of the give-way rule
 INITIAL_SPAWN_PROBABILITY = 0.6  # hard-coded in highway-env, whatever the config's spawn_probability
 
 
@@ -62,6 +53,7 @@ class Intersection(Task):
         for count, probability in zip((10, 15, 20, 25, 30), (0.6, 0.7, 0.8, 0.9, 1.0), strict=True)
     }
     car_following = CarFollowing(accel=6.0, decel=3.0, min_gap=2.0)
+    warm_up = 3.0  # highway-env drives three seconds before it places the ego
     risk_rates = RiskRates(surge=0.2, surge_way=20.0)
     target_speeds = (0.0, 4.5, 9.0)
 
@@ -93,20 +85,19 @@ class Intersection(Task):
             attempt = _attempt(f"v{k}", road, rng, drivers, INITIAL_SPAWN_PROBABILITY, float(place))
             if attempt is not None and fits(attempt, [(v.x, v.y) for v in vehicles]):
                 vehicles.append(attempt)
-        vehicles = _warm_up(road, vehicles)
-        challenger = _attempt("challenger", road, rng, drivers, 1.0, 60.0, straight=True)
-        if challenger is not None and fits(challenger, [(v.x, v.y) for v in vehicles]):
-            vehicles.append(challenger)
-        return [v for v in vehicles if math.hypot(v.x - ego.x, v.y - ego.y) >= 20.0]
+        return vehicles
 
     def spawns(self, config: Config, road: Road, seed: int, drivers: Drivers) -> list[Spawn]:
         rng = stream(seed, "spawns")
         steps = math.ceil(config["duration"] * config["policy_frequency"])
+        challenger = _attempt("challenger", road, rng, drivers, 1.0, 60.0, straight=True)
+        assert challenger is not None  # its probability is 1
         attempts = (
             (step, _attempt(f"s{step}", road, rng, drivers, config["spawn_probability"], 0.0))
             for step in range(1, steps + 1)
         )
-        return [Spawn(step, vehicle) for step, vehicle in attempts if vehicle is not None]
+        later = [Spawn(step, vehicle) for step, vehicle in attempts if vehicle is not None]
+        return [Spawn(0, challenger), *later]
 
     def rewards(self, ego: EgoState, config: Config) -> dict[str, float]:
         return {
@@ -126,17 +117,6 @@ class Intersection(Task):
 
     def arrived(self, ego: EgoState) -> bool:
         return ego.lane[0].startswith("il") and ego.lane[1].startswith("o") and ego.s >= 25.0
-
-
-def path(start: LaneIndex, destination: str) -> list[LaneIndex]:
-    """Lanes of the way from an arm's entry lane to the exit node `destination`."""
-    entry, out = start[1], f"il{destination[1:]}"
-    return [start, (entry, out, 0), (out, destination, 0)]
-
-
-def fits(vehicle: VehicleSpec, centres: list[tuple[float, float]]) -> bool:
-    """highway-env's spawn rule: no vehicle within 15 m."""
-    return all(math.hypot(vehicle.x - x, vehicle.y - y) >= MIN_SPACING for x, y in centres)
 
 
 def _attempt(
@@ -166,52 +146,3 @@ def _attempt(
         driver,
         destination=f"o{goal}",
     )
-
-
-@lru_cache(maxsize=2)
-def _grid(road: Road) -> tuple[Floats, Integers]:
-    """`lane_grid` of the lanes on which vehicles are leaders."""
-    return lane_grid(compiled_lanes(road).geometry, VEHICLE_LENGTH, NEAR)
-
-
-@lru_cache(maxsize=64)
-def _path(road: Road, lane: LaneIndex, destination: str) -> tuple[list[LaneIndex], Integers]:
-    """`path`, and the numbers of its lanes."""
-    lanes = path(lane, destination)
-    return lanes, compiled_lanes(road).route(lanes)
-
-
-def _warm_up(road: Road, vehicles: list[VehicleSpec]) -> list[VehicleSpec]:
-    """Let the first vehicles drive for 3 s by highway-env's rules, on paths, without any simulator.
-
-    So both simulators start from the same traffic. Contacts are not looked for: they are rare (docs/decisions.md).
-    """
-    if not vehicles:
-        return []
-    table = compiled_lanes(road)
-    n = len(vehicles)
-    paths, numbers = zip(*[_path(road, v.lane, v.destination or "") for v in vehicles], strict=True)
-    routes = np.array(numbers)
-    rows = driver_rows(v.driver for v in vehicles)
-    exempt = np.array([not v.driver.gives_way for v in vehicles])
-    stage = np.zeros(n, np.int64)
-    s = np.array([v.s for v in vehicles])
-    x, y, heading, speed, target_speed = (
-        np.array([getattr(v, name) for v in vehicles])
-        for name in ("x", "y", "heading", "speed", "target_speed")
-    )
-    yielding = np.zeros(n, np.bool_)
-    steps = int(WARM_UP * WARM_UP_FREQUENCY)
-    warm_up(
-        table.geometry, table.successors, routes, stage, s, x, y, heading, speed, target_speed, rows,
-        *_grid(road), exempt, yielding, steps, REGULATION_INTERVAL, 1.0 / WARM_UP_FREQUENCY,
-    )  # fmt: skip
-    return [
-        VehicleSpec(
-            v.id, lanes[stage[i]], s.item(i), x.item(i), y.item(i), heading.item(i), speed.item(i),
-            target_speed.item(i), v.destination, v.driver, v.changes_lanes, v.timer, yielding.item(i),
-        )
-        for i, (v, lanes) in enumerate(zip(vehicles, paths, strict=True))
-        # those that have left, as highway-env removes them after the first step
-        if not (stage[i] == 2 and s[i] >= road.lane(lanes[2]).length - 20.0)
-    ]  # fmt: skip

@@ -7,10 +7,10 @@ import math
 import numpy as np
 
 from sumo_env.config import DISCRETE_META_ACTION, Config, ConfigError
-from sumo_env.drivers import RiskRates
 from sumo_env.networks.roads import LaneIndex, Road, roundabout
-from sumo_env.scenario import EGO, VehicleSpec
 from sumo_env.tasks.base import Drivers, EgoState, Task, ego_driver, lmap, make_on_lane, weighted
+from sumo_env.traffic.risk import RiskRates
+from sumo_env.traffic.scenario import EGO, VehicleSpec
 
 DESTINATIONS = ("exr", "sxr", "nxr")
 # Vehicles beyond highway-env's four stand anywhere on these (RoundaboutGenericEnv's law).

@@ -10,10 +10,10 @@ from itertools import count as count_from
 import numpy as np
 
 from sumo_env.config import DISCRETE_META_ACTION, Config, ConfigError
-from sumo_env.drivers import RiskRates
 from sumo_env.networks.roads import Road, two_way
-from sumo_env.scenario import EGO, VehicleSpec
 from sumo_env.tasks.base import Drivers, EgoState, Task, ego_driver, make_on_lane, weighted
+from sumo_env.traffic.risk import RiskRates
+from sumo_env.traffic.scenario import EGO, VehicleSpec
 
 OWN, ONCOMING = ("a", "b", 1), ("b", "a", 0)
 MIN_SPACING = 6.0  # [m] between centres in a column

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from sumo_env.config import DISCRETE_META_ACTION, Config, ConfigError
-from sumo_env.drivers import RiskRates
 from sumo_env.networks.roads import LaneIndex, Road, u_turn
-from sumo_env.scenario import EGO, VehicleSpec
 from sumo_env.tasks.base import Drivers, EgoState, Task, ego_driver, lmap, make_on_lane, speed_term, weighted
+from sumo_env.traffic.risk import RiskRates
+from sumo_env.traffic.scenario import EGO, VehicleSpec
 
 # (lane, s [m], speed [m/s]); each with a deviation of 2 m and 2 m/s. The first six are highway-env's, the
 # others continue its pattern, so that the paper's levels of 9 and 12 exist.

@@ -6,13 +6,18 @@ the same value is placed into SUMO and into highway-env, which makes their compa
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
-from sumo_env.drivers import Driver, RiskEvent
 from sumo_env.networks.roads import LaneIndex, Road, road
+from sumo_env.traffic.drivers import Driver
+from sumo_env.traffic.risk import RiskEvent
 
 EGO = "ego"
+SPAWN_DISTANCE = 15.0  # [m] between centres when a vehicle is added (IntersectionEnv._spawn_vehicle)
+EGO_DISTANCE = 20.0  # [m] vehicles closer than this to the ego are removed when it is placed after a warm-up
 
 
 class VehicleSpec(NamedTuple):  # dozens are made in every episode, a dataclass takes five times as long
@@ -30,7 +35,7 @@ class VehicleSpec(NamedTuple):  # dozens are made in every episode, a dataclass 
         driver: who drives.
         changes_lanes: whether the driver may change lane (highway-env's ``enable_lane_change``).
         timer: time since the last MOBIL decision at the start [s].
-        yielding: whether the driver is stopping for others at the start (intersection).
+        concerns_ego: whether the ego can ever see the vehicle; simulators may leave the others out.
     """
 
     id: str
@@ -45,12 +50,15 @@ class VehicleSpec(NamedTuple):  # dozens are made in every episode, a dataclass 
     driver: Driver
     changes_lanes: bool = True
     timer: float = 0.0
-    yielding: bool = False
+    concerns_ego: bool = True
 
 
 @dataclass(frozen=True, slots=True)
 class Spawn:
-    """An attempt to add a vehicle after policy step `step`; refused where another vehicle is within 15 m."""
+    """An attempt to add a vehicle after policy step `step`, or at the end of the warm-up if `step` is 0.
+
+    It is refused where another vehicle is within 15 m (`fits`).
+    """
 
     step: int
     vehicle: VehicleSpec
@@ -69,6 +77,7 @@ class Scenario:
         events: of risky drivers, sorted by time.
         lanes_count: of the highway.
         road_length: of the two-way road [m].
+        warm_up: time that the traffic drives before the ego is placed [s], see `Simulator.reset`.
         simulation_frequency, policy_frequency: sub-steps and policy steps per second [Hz]; the former is a multiple of
             the latter.
     """
@@ -84,6 +93,7 @@ class Scenario:
     road_length: float = 800.0
     simulation_frequency: int = 10
     policy_frequency: int = 1
+    warm_up: float = 0.0
 
     @property
     def road(self) -> Road:
@@ -96,4 +106,6 @@ class Scenario:
         return (self.ego, *self.vehicles)
 
 
-TrafficModel = Literal["matched", "sumo"]
+def fits(vehicle: VehicleSpec, centres: Iterable[tuple[float, float]]) -> bool:
+    """Whether a vehicle may be added among vehicles with these centres [m] (highway-env's spawn rule)."""
+    return all(math.hypot(vehicle.x - x, vehicle.y - y) >= SPAWN_DISTANCE for x, y in centres)

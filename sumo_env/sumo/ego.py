@@ -1,0 +1,82 @@
+"""The ego in SUMO: highway-env's low-level driver as speeds and lane changes that SUMO is commanded.
+
+Speed follows the target with a first-order lag of 0.6 s, without a limit on acceleration, as in highway-env; the
+sideways motion of a lane change is SUMO's.
+"""
+
+from __future__ import annotations
+
+from sumo_env.actions import ego_route, follow_road
+from sumo_env.networks.catalogue import Network
+from sumo_env.simulator import EgoCommand
+from sumo_env.sumo.session import Session
+from sumo_env.traffic.scenario import EGO, Scenario
+
+TAU = 0.6  # [s] ControlledVehicle.TAU_ACC
+REFERENCE_STEP = 1.0 / 15.0  # [s] highway-env's step, whose Euler lag is reproduced at any step length
+CENTRED = 0.05  # [m] from the middle of a lane: no lane change is running
+
+
+class Ego:
+    """The ego during one episode.
+
+    Attributes:
+        speed: [m/s].
+        target_speed: [m/s].
+        target_lane: lane that it steers for.
+        crashed: since contact it only coasts to a stop.
+    """
+
+    def __init__(self, scenario: Scenario, network: Network) -> None:
+        spec = scenario.ego
+        self._network, self._road = network, scenario.road
+        self._route = ego_route(self._road, spec)
+        self.speed, self.target_speed, self.target_lane = spec.speed, spec.target_speed, spec.lane
+        self.crashed = False
+
+    def obey(self, command: EgoCommand) -> None:
+        """Take over the command of a policy step."""
+        self.target_speed, self.target_lane = command
+
+    def drive(self, session: Session, x: float, y: float, dt: float) -> float:
+        """Command the next `dt` [s] from the centre (x, y) [m]; returns the distance that will be covered [m]."""
+        self.target_lane = follow_road(self._road, self.target_lane, self._route, x, y)
+        if self.crashed:
+            self.speed, distance = coast(self.speed, dt)
+        else:
+            self.speed, distance = approach(self.speed, self.target_speed, TAU, dt)
+        lane = session.lane_of(EGO)
+        # lanes of one edge share one length in SUMO, so a metre in a bend is not a metre on the road
+        session.set_speed(EGO, distance / dt * self._network.stretch(lane))
+        if not self.crashed:
+            self._change_lane(session, lane)
+        return distance
+
+    def _change_lane(self, session: Session, lane: str) -> None:
+        """Begin a lane change where the ego is on another lane than it steers for, and no change is running."""
+        if lane.startswith(":"):
+            return
+        start, end, place = self._network.indices[lane]
+        target = self.target_lane[2]
+        if place == target or session.lateral_offset(EGO) >= CENTRED:
+            return
+        count = self._road.count(start, end)
+        if self._network.task == "two-way":  # the lane of oncoming traffic is SUMO's opposite lane
+            session.change_lane_relative(EGO, 1 if target == 0 else -1)
+        elif count == self._road.count(*self.target_lane[:2]):
+            session.change_lane(EGO, count - 1 - target)
+
+
+def approach(speed: float, target: float, tau: float, dt: float) -> tuple[float, float]:
+    """Speed [m/s] after `dt` [s] of first-order lag `tau` [s], and the distance covered [m].
+
+    highway-env integrates v' = (target - v) / tau by explicit Euler at 15 Hz; speed and distance are those at any `dt`.
+    """
+    kept = (1.0 - REFERENCE_STEP / tau) ** (dt / REFERENCE_STEP)
+    difference = speed - target
+    return target + difference * kept, target * dt + difference * tau * (1.0 - kept)
+
+
+def coast(speed: float, dt: float) -> tuple[float, float]:
+    """Speed [m/s] of a crashed vehicle after `dt` [s], and the distance covered [m]: it decelerates with a = -v."""
+    return approach(speed, 0.0, 1.0, dt)

@@ -1,0 +1,162 @@
+"""Where the dose acts while an episode runs: the risk events of a scenario as commands to SUMO's vehicles.
+
+A cut-in is a lane change that SUMO executes without asking its lane-change model; braking and surges are commanded
+speeds, where braking keeps SUMO's car following and a surge switches it off. Afterwards the vehicle is SUMO's again.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Container, Mapping
+from dataclasses import dataclass
+
+from sumo_env.networks.catalogue import Network
+from sumo_env.networks.roads import LaneIndex
+from sumo_env.sumo.session import (
+    ALL_CHECKS_OFF,
+    COMMANDED_LANE_CHANGES,
+    HARD_BRAKING,
+    NO_RIGHT_OF_WAY,
+    OWN_LANE_CHANGES,
+    REGULAR,
+    Session,
+)
+from sumo_env.traffic.drivers import Calibration
+from sumo_env.traffic.risk import RiskEvent, free_way, has_room
+from sumo_env.traffic.scenario import Scenario, VehicleSpec
+
+CENTRED = 0.05  # [m] from the middle of a lane: no lane change is running
+CUT_IN_TIME = 1.3  # [s] until SUMO's lane-change model decides again, a little longer than the change takes
+SWERVE_TIME = 3.0  # [s] that a cut-in into the lane of oncoming traffic lasts
+EARLY = 1e-9  # [s] rounding of sums of steps
+
+
+def modes(spec: VehicleSpec, calibration: Calibration) -> tuple[int, int]:
+    """Speed mode and lane-change mode of a vehicle that SUMO drives."""
+    return (
+        REGULAR if calibration.waits_for_approaching else NO_RIGHT_OF_WAY,
+        OWN_LANE_CHANGES if spec.changes_lanes and calibration.lane_changes else COMMANDED_LANE_CHANGES,
+    )
+
+
+@dataclass
+class Push:
+    """A brake or a surge that is running; `commanded` is whether the vehicle has a commanded speed at present."""
+
+    event: RiskEvent
+    end: float  # [s]
+    commanded: bool = False
+
+
+class Events:
+    """The risk events of one episode."""
+
+    def __init__(self, scenario: Scenario, network: Network, calibration: Calibration) -> None:
+        self._coming = list(reversed(scenario.events))
+        self._network, self._calibration = network, calibration
+        self._cut_ins: dict[str, float] = {}  # vehicle -> end of its forced lane change [s]
+        self._pushes: dict[str, Push] = {}
+
+    def act(
+        self,
+        session: Session,
+        time: float,
+        dt: float,
+        specs: Mapping[str, VehicleSpec],
+        crashed: Container[str],
+    ) -> None:
+        """Begin, continue and end events before the sub-step from `time` to `time` + `dt` [s].
+
+        specs: of the vehicles on the road; crashed: those for whom all events are over.
+        """
+        while self._coming and self._coming[-1].time <= time + EARLY:
+            event = self._coming.pop()
+            if event.vehicle in specs and event.vehicle not in crashed:
+                if event.kind == "cut-in":
+                    self._cut_in(session, event, time, specs)
+                else:
+                    self._pushes[event.vehicle] = Push(event, time + event.duration)
+        for running in (self._cut_ins, self._pushes):
+            for name in [name for name in running if name not in specs or name in crashed]:
+                del running[name]
+        for name in [name for name, end in self._cut_ins.items() if time >= end - EARLY]:
+            del self._cut_ins[name]
+            self._end_cut_in(session, name, specs[name])
+        for name, push in list(self._pushes.items()):
+            self._push(session, name, push, time, dt, specs)
+
+    # -- cut-ins -------------------------------------------------------------------------------------------
+
+    def _cut_in(
+        self, session: Session, event: RiskEvent, time: float, specs: Mapping[str, VehicleSpec]
+    ) -> None:
+        """Change to a neighbouring lane at once, where there is one with room."""
+        name = event.vehicle
+        lane = session.lane_of(name)
+        if lane.startswith(":") or session.lateral_offset(name) > CENTRED:
+            return
+        start, end, place = self._network.indices[lane]
+        count = self._network.road.count(start, end)
+        two_way = self._network.task == "two-way"
+        targets = (0,) if two_way else (place + event.direction, place - event.direction)
+        for target in targets:
+            if target == place or not 0 <= target < count or not self._has_room(
+                session, name, (start, end, target), specs
+            ):
+                continue
+            session.set_modes(name, lane_change_mode=COMMANDED_LANE_CHANGES)
+            if two_way:
+                session.change_lane_relative(name, 1)
+            else:
+                session.change_lane(name, count - 1 - target)
+            self._cut_ins[name] = time + (SWERVE_TIME if two_way else CUT_IN_TIME)
+            return
+
+    def _has_room(
+        self, session: Session, name: str, lane: LaneIndex, specs: Mapping[str, VehicleSpec]
+    ) -> bool:
+        states = session.read(specs)
+        x, y, speed, _ = states.pop(name)
+        geometry = self._network.road.lane(lane)
+        s, _ = geometry.local_coordinates(x, y)
+        return has_room((*geometry.position(s, 0.0), speed, geometry.heading_at(s)), list(states.values()))
+
+    def _end_cut_in(self, session: Session, name: str, spec: VehicleSpec) -> None:
+        if self._network.task == "two-way":
+            session.change_lane_relative(name, -1)
+        else:
+            session.set_modes(name, lane_change_mode=modes(spec, self._calibration)[1])
+
+    # -- braking and surges --------------------------------------------------------------------------------
+
+    def _push(
+        self,
+        session: Session,
+        name: str,
+        push: Push,
+        time: float,
+        dt: float,
+        specs: Mapping[str, VehicleSpec],
+    ) -> None:
+        """Command the speed of a braking or surging vehicle for one sub-step, or give it back to SUMO."""
+        event = push.event
+        ended = time >= push.end - EARLY
+        if ended or not self._may_push(session, event, specs):
+            if push.commanded:
+                session.set_modes(name, speed_mode=modes(specs[name], self._calibration)[0])
+                session.set_speed(name, -1.0)
+                push.commanded = False
+            if ended:
+                del self._pushes[name]
+            return
+        if not push.commanded:
+            session.set_modes(name, speed_mode=HARD_BRAKING if event.kind == "brake" else ALL_CHECKS_OFF)
+            push.commanded = True
+        session.set_speed(name, max(session.speed_of(name) + event.accel * dt, 0.0))
+
+    def _may_push(self, session: Session, event: RiskEvent, specs: Mapping[str, VehicleSpec]) -> bool:
+        """A surge pauses while somebody is near straight ahead; a brake never does."""
+        if event.kind == "brake":
+            return True
+        states = session.read(specs)
+        vehicle = states.pop(event.vehicle)
+        return free_way(vehicle, list(states.values()), event.way)

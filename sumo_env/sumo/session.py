@@ -1,0 +1,239 @@
+"""The session with libsumo: SUMO in its own words, through libsumo's public functions. No other module imports it.
+
+libsumo supports one simulation per process, so a process has one `Session` at most. SUMO's coordinates (y up, front
+bumper, degrees clockwise from north) end here: everything above uses highway-env's (y down, centre, radians).
+"""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree import ElementTree
+
+from sumo_env.contacts.rectangles import State
+from sumo_env.scene import VEHICLE_LENGTH
+
+try:
+    import libsumo
+except ImportError as error:
+    raise ImportError(
+        "SUMO is missing: libsumo cannot be imported. Install it with 'pip install libsumo==1.28.0' "
+        f"(the wheel brings SUMO along; no system-wide SUMO is needed). Python says: {error}"
+    ) from error
+
+_vehicle, _simulation = libsumo.vehicle, libsumo.simulation
+_FRONT, _ANGLE, _SPEED = libsumo.VAR_POSITION, libsumo.VAR_ANGLE, libsumo.VAR_SPEED
+SumoErrors = (libsumo.TraCIException, libsumo.FatalTraCIError)
+
+# Speed modes (https://sumo.dlr.de/docs/TraCI/Change_Vehicle_State.html#speed_mode_0xb3)
+ALL_CHECKS_OFF = 32  # drive at the commanded speed, whatever is ahead
+REGULAR = 31  # car following and right of way; how SUMO's vehicles begin
+HARD_BRAKING = REGULAR & ~4  # as REGULAR, but a commanded speed may need more than the vehicle type's `decel`
+NO_RIGHT_OF_WAY = 23  # car following; foes that approach a junction are ignored, those inside it are not
+# Lane-change modes (https://sumo.dlr.de/docs/TraCI/Change_Vehicle_State.html#lane_change_mode_0xb6)
+COMMANDED_LANE_CHANGES = 0  # commanded changes only, without regard to others
+OWN_LANE_CHANGES = 1621  # the lane-change model decides; how SUMO's vehicles begin
+
+HALF_LENGTH = VEHICLE_LENGTH / 2.0
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What a network is loaded with; a change means a reload (about 20 ms).
+
+    Attributes:
+        net_file: SUMO's network.
+        routes: (id, edges).
+        step_length: [s].
+        lane_change_duration: time that a lane change takes [s].
+        vehicle_types: (id, attributes of SUMO's vType).
+        options: further options of SUMO.
+    """
+
+    net_file: Path
+    routes: tuple[tuple[str, tuple[str, ...]], ...]
+    step_length: float
+    lane_change_duration: float
+    vehicle_types: tuple[tuple[str, Mapping[str, str]], ...]
+    options: tuple[str, ...] = ()
+
+
+class Session:
+    """One simulation. `load` first; every method may raise one of `SumoErrors`."""
+
+    def __init__(self) -> None:
+        self._settings: Settings | None = None
+        self._folder: tempfile.TemporaryDirectory[str] | None = None
+        self._limits: dict[str, float] = {}
+
+    def load(self, settings: Settings) -> None:
+        """Load a network with its vehicle types and an empty road; only an empty road where it is loaded already."""
+        if settings == self._settings:
+            for name in _vehicle.getIDList():
+                _vehicle.remove(name)
+            return
+        self._settings = None  # until the new network is loaded
+        if self._folder is None:
+            self._folder = tempfile.TemporaryDirectory(prefix="sumo_env-")
+        additional = Path(self._folder.name) / "types.rou.xml"
+        _write_routes(additional, settings)
+        options = [
+            "-n", str(settings.net_file),
+            "-r", str(additional),
+            "--step-length", f"{settings.step_length:.6g}",
+            "--lanechange.duration", f"{settings.lane_change_duration:g}",
+            "--collision.action", "warn",
+            "--collision.check-junctions", "true",
+            "--collision.mingap-factor", "0",
+            "--time-to-teleport", "-1",
+            "--max-depart-delay", "-1",
+            "--default.speeddev", "0",
+            "--xml-validation", "never",
+            "--xml-validation.net", "never",
+            "--no-step-log", "true",
+            "--no-warnings", "true",
+            "--duration-log.disable", "true",
+            "--seed", "42",
+            *settings.options,
+        ]  # fmt: skip
+        if libsumo.isLoaded():
+            libsumo.load(options)
+        else:
+            libsumo.start(["sumo", *options])
+        self._limits.clear()
+        self._settings = settings
+
+    def forget(self) -> None:
+        """Load anew at the next `load`, whatever is loaded (somebody else may have changed it)."""
+        self._settings = None
+
+    def close(self) -> None:
+        """End the simulation."""
+        self._settings = None
+        if libsumo.isLoaded():
+            libsumo.close()
+        if self._folder is not None:
+            self._folder.cleanup()
+            self._folder = None
+
+    # -- vehicles ------------------------------------------------------------------------------------------
+
+    def add(
+        self,
+        name: str,
+        route: str,
+        vehicle_type: str,
+        lane: str,
+        position: float,
+        speed: float,
+        desired_speed: float,
+        speed_mode: int = REGULAR,
+        lane_change_mode: int = OWN_LANE_CHANGES,
+    ) -> None:
+        """Place a vehicle with its front bumper at `position` [m] of a lane, driving at `speed` [m/s].
+
+        desired_speed: that it follows on a free road [m/s].
+        """
+        _vehicle.add(name, route, vehicle_type, departSpeed="0")
+        _vehicle.moveTo(name, lane, position)
+        _vehicle.setPreviousSpeed(name, speed)
+        # SUMO asks every vehicle whose mode was ever set for commands at every step, so the defaults are not set
+        if speed_mode != REGULAR:
+            _vehicle.setSpeedMode(name, speed_mode)
+        if lane_change_mode != OWN_LANE_CHANGES:
+            _vehicle.setLaneChangeMode(name, lane_change_mode)
+        limit = self._limits.get(lane)
+        if limit is None:
+            limit = self._limits[lane] = libsumo.lane.getMaxSpeed(lane)
+        # a factor on the lane's limit: unlike setMaxSpeed it does not copy the vehicle's type
+        _vehicle.setSpeedFactor(name, max(desired_speed, 0.01) / limit)
+
+    def remove(self, name: str) -> None:
+        """Take a vehicle off the road."""
+        _vehicle.remove(name)
+
+    def set_speed(self, name: str, speed: float) -> None:
+        """Command a speed [m/s] from now on; -1 gives it back to the car-following model."""
+        _vehicle.setSpeed(name, speed)
+
+    def set_modes(self, name: str, speed_mode: int | None = None, lane_change_mode: int | None = None) -> None:
+        """Which checks apply to commands, and whether the lane-change model decides: the constants of this module."""
+        if speed_mode is not None:
+            _vehicle.setSpeedMode(name, speed_mode)
+        if lane_change_mode is not None:
+            _vehicle.setLaneChangeMode(name, lane_change_mode)
+
+    def change_lane(self, name: str, index: int) -> None:
+        """Begin a change to the lane of this SUMO index (0 is the rightmost)."""
+        _vehicle.changeLane(name, index, 0.0)
+
+    def change_lane_relative(self, name: str, step: int) -> None:
+        """Begin a change by `step` lanes, +1 to the left; also onto the opposite lane of a two-way road."""
+        _vehicle.changeLaneRelative(name, step, 0.0)
+
+    # -- reading -------------------------------------------------------------------------------------------
+
+    def lane_of(self, name: str) -> str:
+        """Id of the lane that the front bumper is on; ids of lanes inside junctions begin with a colon."""
+        return str(_vehicle.getLaneID(name))
+
+    def lateral_offset(self, name: str) -> float:
+        """Distance of a vehicle from the middle of its lane [m]; not 0 during a lane change."""
+        return abs(float(_vehicle.getLateralLanePosition(name)))
+
+    def speed_of(self, name: str) -> float:
+        """Speed of a vehicle [m/s]."""
+        return float(_vehicle.getSpeed(name))
+
+    def vehicles(self) -> tuple[str, ...]:
+        """Names of the vehicles on the road."""
+        return _vehicle.getIDList()
+
+    def read(self, names: Iterable[str]) -> dict[str, State]:
+        """States of these vehicles, in this order."""
+        position, angle, speed = _vehicle.getPosition, _vehicle.getAngle, _vehicle.getSpeed
+        return {name: _state(position(name), angle(name), speed(name)) for name in names}
+
+    def watch(self, name: str, radius: float) -> None:
+        """From now on, `near` tells what is within `radius` [m] of this vehicle after every step."""
+        _vehicle.subscribeContext(name, libsumo.CMD_GET_VEHICLE_VARIABLE, radius, (_FRONT, _ANGLE, _SPEED))
+
+    def near(self, name: str) -> dict[str, State]:
+        """States of a watched vehicle and of those near it."""
+        found = _vehicle.getContextSubscriptionResults(name)
+        return {other: _state(values[_FRONT], values[_ANGLE], values[_SPEED]) for other, values in found.items()}
+
+    # -- time ----------------------------------------------------------------------------------------------
+
+    def step(self) -> Sequence[tuple[str, str]]:
+        """Advance by one step; returns the pairs of vehicles that SUMO reports in collision."""
+        libsumo.simulationStep()
+        found = _simulation.getCollisions()
+        return [(contact.collider, contact.victim) for contact in found] if found else ()
+
+
+def _state(front: tuple[float, float], angle: float, speed: float) -> State:
+    """A vehicle's centre, speed and heading in highway-env's coordinates from SUMO's front bumper and angle [deg]."""
+    heading = math.radians(angle - 90.0)
+    if heading > math.pi:
+        heading -= 2.0 * math.pi
+    return front[0] - HALF_LENGTH * math.cos(heading), -front[1] - HALF_LENGTH * math.sin(heading), speed, heading
+
+
+def _write_routes(path: Path, settings: Settings) -> None:
+    """A route file with every vehicle type and every route."""
+    root = ElementTree.Element("routes")
+    for name, attributes in settings.vehicle_types:
+        ElementTree.SubElement(root, "vType", {"id": name, **attributes})
+    for name, edges in settings.routes:
+        ElementTree.SubElement(root, "route", {"id": name, "edges": " ".join(edges)})
+    ElementTree.ElementTree(root).write(path, encoding="unicode")
+
+
+def version() -> str:
+    """SUMO's version, such as ``SUMO 1.28.0``."""
+    return str(libsumo.getVersion()[1])
+

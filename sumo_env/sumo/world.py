@@ -1,0 +1,271 @@
+"""An episode in SUMO: a scenario in, then one `Step` after every policy step.
+
+SUMO drives the traffic. In every sub-step only the ego, crashed vehicles and vehicles in a risk event are commanded;
+then SUMO steps, and what is near the ego is read for contacts and time to collision. All vehicles are read once per
+policy step.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from math import inf
+
+import numpy as np
+
+from sumo_env.contacts.crash import CrashDetector, is_confirmed
+from sumo_env.contacts.measures import TTC_RADIUS, ego_ttc
+from sumo_env.networks.catalogue import network
+from sumo_env.scene import Scene
+from sumo_env.simulator import EgoCommand, SimulatorError, Step
+from sumo_env.sumo.ego import Ego, coast
+from sumo_env.sumo.events import Events, modes
+from sumo_env.sumo.session import (
+    ALL_CHECKS_OFF,
+    COMMANDED_LANE_CHANGES,
+    Session,
+    Settings,
+    SumoErrors,
+)
+from sumo_env.tasks import get_task
+from sumo_env.traffic.drivers import Calibration, Driver, vehicle_type
+from sumo_env.traffic.scenario import EGO, EGO_DISTANCE, Scenario, VehicleSpec, fits
+
+# [s] The ego's centre then crosses the line between two lanes when highway-env's does, after 0.45 to 0.5 s.
+LANE_CHANGE_DURATION = 0.8
+EXIT_LENGTH = 20.0  # [m] from the end of the intersection's exits, where vehicles leave (_clear_vehicles)
+
+
+class SumoSimulator:
+    """SUMO as a `Simulator`; a process may hold one of them (`open_simulator` cares for that).
+
+    Args:
+        calibration: of SUMO's drivers, in place of the task's own.
+        options: further options of SUMO, such as ``("--tripinfo-output", "trips.xml")``.
+    """
+
+    def __init__(self, calibration: Calibration | None = None, options: tuple[str, ...] = ()) -> None:
+        self._session = Session()
+        self._calibration, self._options = calibration, options
+        self._drivers: dict[str, Driver] = {}  # whose vehicle types are loaded
+        self._loaded: Settings | None = None
+
+    # -- Simulator -----------------------------------------------------------------------------------------
+
+    def reset(self, scenario: Scenario) -> Scene:
+        """Place a scenario, drive its warm-up, and return the first scene."""
+        try:
+            return self._begin(scenario)
+        except SumoErrors:
+            # SUMO was closed, or loaded with something else, behind our back
+            self._session.forget()
+            return self._begin(scenario)
+
+    def step(self, command: EgoCommand, trace: bool = False) -> Step:
+        """Drive one policy step."""
+        try:
+            return self._step(command, trace)
+        except SumoErrors as error:
+            raise SimulatorError(
+                f"SUMO cannot go on with this episode ({self._scenario.task}, seed {self._scenario.seed}, "
+                f"{self._time:.1f} s): {error}. Was libsumo called from elsewhere in this process? "
+                "Call reset() to begin another episode."
+            ) from error
+
+    def close(self) -> None:
+        """End the simulation."""
+        self._loaded = None
+        self._session.close()
+
+    # -- start of an episode -------------------------------------------------------------------------------
+
+    def _begin(self, scenario: Scenario) -> Scene:
+        self._scenario = scenario
+        self._network = network(scenario.task, scenario.lanes_count, scenario.road_length)
+        self._set_up = self._calibration or get_task(scenario.task).calibration
+        self._dt = 1.0 / scenario.simulation_frequency
+        self._substeps = scenario.simulation_frequency // scenario.policy_frequency
+        self._session.load(self._settings(scenario))
+        self._specs: dict[str, VehicleSpec] = {}  # vehicles on the road
+        self._crashed: dict[str, float] = {}  # crashed vehicles but the ego -> speed [m/s]
+        self._events = Events(scenario, self._network, self._set_up)
+        self._detector = CrashDetector()
+        self._steps_done = 0
+        self._drive_warm_up()
+        self._ego = Ego(scenario, self._network)
+        self._place(scenario.ego)
+        self._session.watch(EGO, TTC_RADIUS)
+        self._near = self._session.near(EGO)
+        return self._read()
+
+    def _settings(self, scenario: Scenario) -> Settings:
+        """What has to be loaded: the network, and every driver that may come; those loaded before are kept."""
+        pool = get_task(scenario.task).drivers(scenario.risk)
+        loaded = self._loaded
+        if loaded is None or (loaded.net_file, loaded.step_length) != (self._network.net_file, self._dt):
+            self._drivers = {}
+        elif all(driver.type in self._drivers for driver in pool):
+            return loaded
+        self._drivers.update({driver.type: driver for driver in pool})
+        self._loaded = Settings(
+            self._network.net_file,
+            tuple(self._network.routes.items()),
+            self._dt,
+            LANE_CHANGE_DURATION,
+            tuple((name, vehicle_type(driver, self._set_up)) for name, driver in self._drivers.items()),
+            self._options,
+        )
+        return self._loaded
+
+    def _place(self, spec: VehicleSpec) -> None:
+        """Put a vehicle on the road; SUMO drives all but the ego."""
+        route, lane, position = self._network.place(spec.lane, spec.s, spec.destination)
+        limit = self._network.road.lane(spec.lane).speed_limit
+        speed_mode, lane_change_mode, desired = ALL_CHECKS_OFF, COMMANDED_LANE_CHANGES, limit
+        if spec.id != EGO:
+            speed_mode, lane_change_mode = modes(spec, self._set_up)
+            desired = min(spec.target_speed, limit)
+        self._session.add(
+            spec.id, route, spec.driver.type, lane, position, spec.speed, desired, speed_mode, lane_change_mode
+        )
+        self._specs[spec.id] = spec
+
+    def _drive_warm_up(self) -> None:
+        """Let the traffic drive before the ego comes, then make room for it (IntersectionEnv._make_vehicles)."""
+        scenario = self._scenario
+        for spec in scenario.vehicles:
+            if spec.concerns_ego:
+                self._place(spec)
+        self._time = -scenario.warm_up
+        if not scenario.warm_up:
+            return
+        for _ in range(round(scenario.warm_up / self._dt)):
+            self._note_crashes(self._advance())
+        self._time = 0.0
+        self._let_in()
+        for name, state in self._session.read(self._specs).items():
+            if math.hypot(state[0] - scenario.ego.x, state[1] - scenario.ego.y) < EGO_DISTANCE:
+                self._remove(name)
+
+    # -- a policy step -------------------------------------------------------------------------------------
+
+    def _step(self, command: EgoCommand, trace: bool) -> Step:
+        if self._steps_done:
+            self._let_out()
+            self._let_in()
+        self._steps_done += 1
+        ego = self._ego
+        ego.obey(command)
+        least_ttc, distance, scenes = inf, 0.0, []
+        for _ in range(self._substeps):
+            self._events.act(self._session, self._time, self._dt, self._specs, self._crashed)
+            x, y, _, _ = self._near[EGO]
+            distance += ego.drive(self._session, x, y, self._dt)
+            self._look(self._advance())
+            if not ego.crashed:
+                others = (state for name, state in self._near.items() if name != EGO)
+                least_ttc = min(least_ttc, ego_ttc(self._near[EGO], others))
+            if trace:
+                scenes.append(self._read())
+        scene = scenes[-1] if trace else self._read()
+        return Step(scene, ego.target_lane, self._detector.crash, least_ttc, distance, tuple(scenes))
+
+    def _advance(self) -> Sequence[tuple[str, str]]:
+        """One step of SUMO; returns the pairs that it reports in collision."""
+        for name, speed in self._crashed.items():
+            self._crashed[name], distance = coast(speed, self._dt)
+            stretch = self._network.stretch(self._session.lane_of(name))
+            self._session.set_speed(name, distance / self._dt * stretch)
+        self._time += self._dt
+        return self._session.step()
+
+    def _look(self, reported: Sequence[tuple[str, str]]) -> None:
+        """After a sub-step: who is near the ego, and who has crashed."""
+        before, self._near = self._near, self._session.near(EGO)
+        ego = self._ego
+        x, y, _, heading = self._near[EGO]
+        self._near[EGO] = (x, y, ego.speed, heading)
+        ids = [EGO, *(name for name in self._near if name != EGO and name in before)]
+        crash = self._detector.look(
+            self._time,
+            self._dt,
+            ids,
+            [before[name] for name in ids],
+            [self._near[name] for name in ids],
+            {first if second == EGO else second for first, second in reported if EGO in (first, second)},
+        )
+        if crash is not None and not ego.crashed:
+            ego.crashed = True
+            self._crash(crash.other)
+        if reported:
+            self._note_crashes(reported)
+
+    def _note_crashes(self, reported: Sequence[tuple[str, str]]) -> None:
+        """Crashes of the other traffic are those that SUMO reports; the ego's first one is the detector's."""
+        for pair in reported:
+            if EGO in pair and not self._ego_has_crashed():
+                continue
+            if all(name == EGO or name in self._crashed for name in pair):
+                continue
+            states = self._session.read(pair)
+            if is_confirmed(states[pair[0]], states[pair[1]]):
+                for name in pair:
+                    if name != EGO:
+                        self._crash(name)
+
+    def _ego_has_crashed(self) -> bool:
+        return self._detector.crash is not None
+
+    def _crash(self, name: str) -> None:
+        """From now on a vehicle coasts to a stop and stays where it is, as in highway-env."""
+        if name not in self._crashed:
+            self._crashed[name] = self._session.speed_of(name)
+            self._session.set_modes(name, ALL_CHECKS_OFF, COMMANDED_LANE_CHANGES)
+
+    # -- vehicles that come and go (intersection) ----------------------------------------------------------
+
+    def _let_out(self) -> None:
+        """Remove vehicles near the end of an exit, and those that SUMO has removed at the end of their route."""
+        present = self._session.vehicles()
+        if len(present) != len(self._specs):
+            for name in set(self._specs).difference(present):
+                self._forget(name)
+        if self._scenario.task != "intersection":
+            return
+        for name, state in self._session.read(n for n in self._specs if n != EGO).items():
+            start, end, place = self._network.indices[self._session.lane_of(name)]
+            lane = self._network.road.lane((start, end, place))
+            if start.startswith("il") and lane.local_coordinates(state[0], state[1])[0] >= lane.length - EXIT_LENGTH:
+                self._remove(name)
+
+    def _let_in(self) -> None:
+        """Try to add the vehicles that the scenario sends now."""
+        coming = [spawn.vehicle for spawn in self._scenario.spawns if spawn.step == self._steps_done]
+        if coming:
+            centres = [state[:2] for state in self._session.read(self._specs).values()]
+            for spec in coming:
+                if fits(spec, centres):
+                    self._place(spec)
+                    centres.append((spec.x, spec.y))
+
+    def _remove(self, name: str) -> None:
+        self._session.remove(name)
+        self._forget(name)
+
+    def _forget(self, name: str) -> None:
+        del self._specs[name]
+        self._crashed.pop(name, None)
+
+    # -- reading -------------------------------------------------------------------------------------------
+
+    def _read(self) -> Scene:
+        """The scene by SUMO's vehicles, the ego first."""
+        ids = (EGO, *(name for name in self._specs if name != EGO))
+        states = np.array(list(self._session.read(ids).values()))
+        x, y, speed, heading = np.ascontiguousarray(states.T)
+        crashed = np.array([name in self._crashed for name in ids])
+        # A commanded speed covers the way of a sub-step; the speed at its end is known here only.
+        speed[0], crashed[0] = self._ego.speed, self._ego.crashed
+        for row in np.flatnonzero(crashed[1:]) + 1:
+            speed[row] = self._crashed[ids[row]]
+        return Scene(ids, x, y, speed, heading, crashed, round(self._time, 6))

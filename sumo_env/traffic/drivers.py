@@ -1,0 +1,180 @@
+"""Who drives: a driver is a SUMO vehicle type.
+
+Car following is SUMO's IDM with highway-env's own numbers; lane changes are SUMO's LC2013; right of way is SUMO's
+junction model. Three settings per task (`Calibration`) bring their traffic close to highway-env's (docs/validation.md).
+Risky drivers have the same parameters from wider ranges (`spread`, the paper's law), so dose 0 *is* regular traffic.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+
+import numpy as np
+
+from sumo_env.scene import VEHICLE_LENGTH, VEHICLE_WIDTH
+from sumo_env.streams import stream
+
+POOL = 64  # drivers of one dose; SUMO holds one vehicle type for each, so the pool is finite
+SAFE_BRAKING = 2.0  # [m/s2] IDMVehicle.LANE_CHANGE_MAX_BRAKING_IMPOSED
+MIN_GAIN = 0.2  # [m/s2] IDMVehicle.LANE_CHANGE_MIN_ACC_GAIN
+MAX_SPEED = 60.0  # [m/s] more than anybody drives
+
+
+@dataclass(frozen=True, slots=True)
+class CarFollowing:
+    """The regular IDM driver of a task (Treiber et al. 2000; values of highway-env's IDMVehicle)."""
+
+    accel: float = 3.0  # COMFORT_ACC_MAX [m/s2]
+    decel: float = 5.0  # -COMFORT_ACC_MIN [m/s2]
+    tau: float = 1.5  # TIME_WANTED [s]
+    min_gap: float = 5.0  # DISTANCE_WANTED less one vehicle length [m]
+    emergency_decel: float = 6.0  # ACC_MAX [m/s2]
+
+
+@dataclass(frozen=True, slots=True)
+class Calibration:
+    """What SUMO's drivers of a task are told once, so that their traffic is like highway-env's.
+
+    Attributes:
+        lane_changes: whether LC2013 decides on lane changes; else nobody changes but by a risk event.
+        speed_gain: lcSpeedGain, eagerness to change for speed.
+        speed_gain_lookahead: lcSpeedGainLookahead [s], over which LC2013 compares the speeds of lanes.
+        assertive: lcAssertive, divides the gap that LC2013 asks for.
+        waits_for_approaching: whether vehicles that only approach a junction have right of way at all.
+        ignores_approaching: share of the drivers that do not wait for vehicles approaching a junction (jmIgnoreFoeProb).
+        ignores_inside: share of the drivers that do not wait for vehicles inside a junction (jmIgnoreJunctionFoeProb).
+    """
+
+    lane_changes: bool = True
+    speed_gain: float = 2.0
+    speed_gain_lookahead: float = 0.0
+    assertive: float = 0.7
+    waits_for_approaching: bool = True
+    ignores_approaching: float = 0.0
+    ignores_inside: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Driver:
+    """One driver's parameters, SI units. `type` names the driver in the pool of its dose.
+
+    Those that highway-env has too mean the same there. `assertive` and `speed_gain` are relative to the task's
+    calibrated value; their counterparts in highway-env are `safe_braking` and `min_gain`.
+
+    Attributes:
+        type: name of the vehicle type.
+        delta: IDM's exponent.
+        accel, decel, emergency_decel: [m/s2].
+        tau: desired time gap [s].
+        min_gap: at a standstill [m].
+        assertive: factor on lcAssertive.
+        speed_gain: factor on lcSpeedGain.
+        attention: in [0, 1), decides who is among the share that ignores others at junctions.
+        gives_way: whether the driver obeys right of way.
+    """
+
+    type: str
+    delta: float
+    accel: float
+    decel: float
+    tau: float
+    min_gap: float
+    emergency_decel: float
+    assertive: float = 1.0
+    speed_gain: float = 1.0
+    attention: float = 0.5
+    gives_way: bool = True
+
+    @property
+    def safe_braking(self) -> float:
+        """MOBIL's limit on the braking that a lane change may impose [m/s2]: what `assertive` is in highway-env."""
+        return SAFE_BRAKING * self.assertive
+
+    @property
+    def min_gain(self) -> float:
+        """MOBIL's least advantage of a lane change [m/s2]: what `speed_gain` is in highway-env."""
+        return MIN_GAIN / self.speed_gain
+
+
+# Half the width of a parameter's range at dose 1, relative to the regular value: highway-env's own ranges for risky
+# behaviour reach from 0.5 to 1.5 times the mean (LinearVehicle.ACCELERATION_RANGE). Ranges are symmetric because
+# one-sided ones (short headways, strong brakes) make traffic that leaves gaps, and the ego safer (docs/decisions.md).
+SPREAD = 0.5
+SPREAD_PARAMETERS = ("accel", "decel", "tau", "min_gap", "emergency_decel", "assertive", "speed_gain")
+RISKY_SHARE_NOT_GIVING_WAY = 0.5
+
+
+@lru_cache(maxsize=64)
+def driver_pool(base: CarFollowing, dose: float, fixed_delta: bool = False) -> tuple[Driver, ...]:
+    """The drivers of one dose; driver k of any two doses differs only by the dose.
+
+    `fixed_delta`: the IDM exponent is 4 for all, as where highway-env does not call ``randomize_behavior``;
+    otherwise U(3.5, 4.5) (``IDMVehicle.DELTA_RANGE``).
+    """
+    rng = stream(0, "driver pool")
+
+    def uniform() -> np.ndarray:
+        """A stratified uniform sample over the pool (one draw in each of POOL equal parts)."""
+        return (rng.permutation(POOL) + 0.5) / POOL
+
+    exponent = uniform()
+    draws = {name: uniform() for name in SPREAD_PARAMETERS}
+    gives_way = uniform() >= RISKY_SHARE_NOT_GIVING_WAY * dose
+    attention = uniform()
+
+    def parameter(name: str, k: int) -> float:
+        regular = float(getattr(base, name, 1.0))
+        low, high = regular * (1.0 - SPREAD * dose), regular * (1.0 + SPREAD * dose)
+        return low + float(draws[name][k]) * (high - low)
+
+    kind = "f" if fixed_delta else "d"
+    return tuple(
+        Driver(
+            type=f"{kind}{k}@{dose:g}",
+            delta=4.0 if fixed_delta else 3.5 + float(exponent[k]),
+            attention=float(attention[k]),
+            gives_way=bool(gives_way[k]),
+            **{name: parameter(name, k) for name in SPREAD_PARAMETERS},
+        )
+        for k in range(POOL)
+    )
+
+
+def vehicle_type(driver: Driver, calibration: Calibration) -> dict[str, str]:
+    """Attributes of the SUMO vType that is this driver (https://sumo.dlr.de/docs/Definition_of_Vehicles.html)."""
+    # Probabilities are 0 or 1, drawn beforehand: SUMO would redraw fractional ones from its own generator.
+    ignores_approaching = not driver.gives_way or driver.attention < calibration.ignores_approaching
+    ignores_inside = not driver.gives_way or driver.attention < calibration.ignores_inside
+    return {
+        "length": f"{VEHICLE_LENGTH:g}",
+        "width": f"{VEHICLE_WIDTH:g}",
+        # A box. SUMO checks contacts at junctions against the outline that it draws, and a passenger car's has rounded
+        # corners: with it 17 of 400 contacts were missed, with this one none (docs/decisions.md).
+        "guiShape": "delivery",
+        "maxSpeed": f"{MAX_SPEED:g}",
+        "speedFactor": "1",
+        "speedDev": "0",
+        "sigma": "0",
+        "carFollowModel": "IDM",
+        "accel": f"{driver.accel:.6f}",
+        "decel": f"{driver.decel:.6f}",
+        "apparentDecel": f"{driver.decel:.6f}",
+        "emergencyDecel": f"{max(driver.emergency_decel, driver.decel):.6f}",
+        "tau": f"{driver.tau:.6f}",
+        "minGap": f"{driver.min_gap:.6f}",
+        "delta": f"{driver.delta:.6f}",
+        "laneChangeModel": "LC2013",
+        # no preference for a side, no courtesy: MOBIL's symmetric rule with politeness 0
+        "lcKeepRight": "0",
+        "lcSpeedGainRight": "1",
+        "lcOvertakeRight": "1",
+        "lcCooperative": "0",
+        "lcStrategic": "1",
+        "lcSpeedGain": f"{calibration.speed_gain * driver.speed_gain:.6f}",
+        "lcSpeedGainLookahead": f"{calibration.speed_gain_lookahead:g}",
+        "lcAssertive": f"{calibration.assertive * driver.assertive:.6f}",
+        "jmIgnoreFoeProb": str(int(ignores_approaching)),
+        "jmIgnoreFoeSpeed": "100" if ignores_approaching else "0",
+        "jmIgnoreJunctionFoeProb": str(int(ignores_inside)),
+    }

@@ -1,0 +1,111 @@
+"""What risky drivers do at times fixed in advance, whatever the ego does: cut-ins, sudden braking, surges.
+
+Parameters of drivers alone (`drivers.driver_pool`) do not make every road more dangerous, so a dose of risk also brings
+seeded events. Even a risky driver looks whether there is room to cut in and whether the way straight ahead is free;
+without that, most events would be crashes among the traffic itself, far from the ego.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from math import cos, sin
+from typing import Literal
+
+from sumo_env.contacts.rectangles import LENGTH, State, distance
+from sumo_env.streams import stream
+
+FREE_WAY = 40.0  # [m]
+CUT_IN_GAP = 1.0  # [m] that a cut-in leaves to every other vehicle; where there is less room, it does not happen
+HALF_CORRIDOR = 2.0  # [m] to either side of the centre: half a lane
+
+
+@dataclass(frozen=True, slots=True)
+class RiskRates:
+    """What the drivers of a task do at dose 1, per vehicle and second (calibration: docs/decisions.md)."""
+
+    cut_in: float = 0.0  # unsafe lane changes [1/s]
+    brake: float = 0.0  # sudden braking [1/s]
+    brake_decel: float = 6.0  # [m/s2]
+    brake_duration: float = 1.0  # [s]
+    surge: float = 0.0  # sudden acceleration [1/s]
+    surge_accel: float = 4.0  # [m/s2]
+    surge_duration: float = 2.0  # [s]
+    surge_way: float = FREE_WAY  # [m] free straight ahead, else a surge pauses
+
+
+@dataclass(frozen=True, slots=True)
+class RiskEvent:
+    """Something dangerous that a driver does at a time fixed in advance.
+
+    Attributes:
+        time: since the start of the episode [s].
+        vehicle: id of the driver's vehicle.
+        kind: ``cut-in``: change to the neighbouring lane at once, where `has_room`. ``brake``: brake for nothing.
+            ``surge``: accelerate, whoever crosses the way, but pause while there is no `free_way`.
+        direction: of a cut-in, -1 left or +1 right (the other one where there is no lane or no room).
+        accel: of a surge, or of a brake (negative) [m/s2].
+        duration: of a brake or a surge [s].
+        way: of a surge, to the next vehicle straight ahead, from centre to centre [m]; it pauses while that is nearer.
+    """
+
+    time: float
+    vehicle: str
+    kind: Literal["cut-in", "brake", "surge"]
+    direction: int = 0
+    accel: float = 0.0
+    duration: float = 0.0
+    way: float = FREE_WAY
+
+
+def draw_events(
+    rates: RiskRates, dose: float, vehicles: tuple[tuple[str, float], ...], seed: int, duration: float
+) -> tuple[RiskEvent, ...]:
+    """Events of an episode, sorted by time; none at dose 0.
+
+    Poisson processes of the rates at dose 1, thinned by the dose: the events of a smaller dose are a subset
+    of those of a larger one. `vehicles`: (id, time from which it is on the road [s]).
+    """
+    if dose <= 0.0:
+        return ()
+    rng = stream(seed, "risk events")
+    events: list[RiskEvent] = []
+    for vehicle, start in vehicles:
+        for kind, rate in (("cut-in", rates.cut_in), ("brake", rates.brake), ("surge", rates.surge)):
+            for _ in range(rng.poisson(rate * duration)):
+                time, keep, side = rng.random(3)
+                time *= duration
+                if keep >= dose or time < start:
+                    continue
+                if kind == "cut-in":
+                    event = RiskEvent(time, vehicle, "cut-in", direction=-1 if side < 0.5 else 1)
+                elif kind == "brake":
+                    event = RiskEvent(
+                        time, vehicle, "brake", accel=-rates.brake_decel, duration=rates.brake_duration
+                    )
+                else:
+                    event = RiskEvent(
+                        time, vehicle, "surge",
+                        accel=rates.surge_accel, duration=rates.surge_duration, way=rates.surge_way,
+                    )  # fmt: skip
+                events.append(event)
+    return tuple(sorted(events, key=lambda event: (event.time, event.vehicle, event.kind)))
+
+
+def has_room(there: State, others: Sequence[State]) -> bool:
+    """Would a vehicle in the state `there`, in the lane beside, be at least CUT_IN_GAP from every other vehicle?"""
+    return all(
+        abs(other[0] - there[0]) + abs(other[1] - there[1]) > 4.0 * LENGTH
+        or distance(there, other) >= CUT_IN_GAP
+        for other in others
+    )
+
+
+def free_way(vehicle: State, others: Sequence[State], way: float) -> bool:
+    """Is no centre of another vehicle in the straight corridor of `way` [m] ahead of a vehicle?"""
+    x, y, _, heading = vehicle
+    c, s = cos(heading), sin(heading)
+    return not any(
+        0.0 < (dx := other[0] - x) * c + (dy := other[1] - y) * s < way and abs(dy * c - dx * s) < HALF_CORRIDOR
+        for other in others
+    )

@@ -34,9 +34,7 @@ def action_names(action: dict[str, Any]) -> dict[int, str]:
     raise ConfigError("the action must be longitudinal, lateral or both")
 
 
-def target_speed_index(
-    action: str, index: int, speed: float, target_speeds: tuple[float, ...]
-) -> int:
+def target_speed_index(action: str, index: int, speed: float, target_speeds: tuple[float, ...]) -> int:
     """Index of the target speed after a meta-action; `index` is the one before, `speed` the measured one [m/s]."""
     if action not in ("FASTER", "SLOWER"):
         return index

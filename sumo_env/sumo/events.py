@@ -99,8 +99,10 @@ class Events:
         two_way = self._network.task == "two-way"
         targets = (0,) if two_way else (place + event.direction, place - event.direction)
         for target in targets:
-            if target == place or not 0 <= target < count or not self._has_room(
-                session, name, (start, end, target), specs
+            if (
+                target == place
+                or not 0 <= target < count
+                or not self._has_room(session, name, (start, end, target), specs)
             ):
                 continue
             session.set_modes(name, lane_change_mode=COMMANDED_LANE_CHANGES)

@@ -159,7 +159,9 @@ class Session:
         """Command a speed [m/s] from now on; -1 gives it back to the car-following model."""
         _vehicle.setSpeed(name, speed)
 
-    def set_modes(self, name: str, speed_mode: int | None = None, lane_change_mode: int | None = None) -> None:
+    def set_modes(
+        self, name: str, speed_mode: int | None = None, lane_change_mode: int | None = None
+    ) -> None:
         """Which checks apply to commands, and whether the lane-change model decides: the constants of this module."""
         if speed_mode is not None:
             _vehicle.setSpeedMode(name, speed_mode)
@@ -204,7 +206,9 @@ class Session:
     def near(self, name: str) -> dict[str, State]:
         """States of a watched vehicle and of those near it."""
         found = _vehicle.getContextSubscriptionResults(name)
-        return {other: _state(values[_FRONT], values[_ANGLE], values[_SPEED]) for other, values in found.items()}
+        return {
+            other: _state(values[_FRONT], values[_ANGLE], values[_SPEED]) for other, values in found.items()
+        }
 
     # -- time ----------------------------------------------------------------------------------------------
 
@@ -220,7 +224,12 @@ def _state(front: tuple[float, float], angle: float, speed: float) -> State:
     heading = math.radians(angle - 90.0)
     if heading > math.pi:
         heading -= 2.0 * math.pi
-    return front[0] - HALF_LENGTH * math.cos(heading), -front[1] - HALF_LENGTH * math.sin(heading), speed, heading
+    return (
+        front[0] - HALF_LENGTH * math.cos(heading),
+        -front[1] - HALF_LENGTH * math.sin(heading),
+        speed,
+        heading,
+    )
 
 
 def _write_routes(path: Path, settings: Settings) -> None:
@@ -236,4 +245,3 @@ def _write_routes(path: Path, settings: Settings) -> None:
 def version() -> str:
     """SUMO's version, such as ``SUMO 1.28.0``."""
     return str(libsumo.getVersion()[1])
-

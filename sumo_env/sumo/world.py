@@ -126,7 +126,15 @@ class SumoSimulator:
             speed_mode, lane_change_mode = modes(spec, self._set_up)
             desired = min(spec.target_speed, limit)
         self._session.add(
-            spec.id, route, spec.driver.type, lane, position, spec.speed, desired, speed_mode, lane_change_mode
+            spec.id,
+            route,
+            spec.driver.type,
+            lane,
+            position,
+            spec.speed,
+            desired,
+            speed_mode,
+            lane_change_mode,
         )
         self._specs[spec.id] = spec
 
@@ -235,7 +243,10 @@ class SumoSimulator:
         for name, state in self._session.read(n for n in self._specs if n != EGO).items():
             start, end, place = self._network.indices[self._session.lane_of(name)]
             lane = self._network.road.lane((start, end, place))
-            if start.startswith("il") and lane.local_coordinates(state[0], state[1])[0] >= lane.length - EXIT_LENGTH:
+            if (
+                start.startswith("il")
+                and lane.local_coordinates(state[0], state[1])[0] >= lane.length - EXIT_LENGTH
+            ):
                 self._remove(name)
 
     def _let_in(self) -> None:

@@ -65,7 +65,7 @@ class Highway(Task):
         jitter = rng.uniform(0.9, 1.1, size=count)
         gaps = _spacing(speeds, 1.0 / config["vehicles_density"], config) * jitter
         places = np.cumsum(np.append(ego.s, gaps))[1:]
-        # Even at full speed the ego gets no closer than 200 m to a crashed vehicle further ahead than this. Leaving such
+        # Even at full speed the ego gets no closer than 200 m to a crashed vehicle further ahead. Leaving such
         # vehicles out changes what the ego sees by less than 1e-4, nearly always (docs/decisions.md).
         fastest = max(config["action"].get("target_speeds") or self.target_speeds)
         reach = ego.s + fastest * config["duration"] + PERCEPTION_DISTANCE

@@ -42,8 +42,8 @@ class Calibration:
         speed_gain_lookahead: lcSpeedGainLookahead [s], over which LC2013 compares the speeds of lanes.
         assertive: lcAssertive, divides the gap that LC2013 asks for.
         waits_for_approaching: whether vehicles that only approach a junction have right of way at all.
-        ignores_approaching: share of the drivers that do not wait for vehicles approaching a junction (jmIgnoreFoeProb).
-        ignores_inside: share of the drivers that do not wait for vehicles inside a junction (jmIgnoreJunctionFoeProb).
+        ignores_approaching: share of drivers that do not wait for vehicles approaching a junction (jmIgnoreFoeProb).
+        ignores_inside: share of drivers that do not wait for vehicles inside a junction (jmIgnoreJunctionFoeProb).
     """
 
     lane_changes: bool = True

@@ -16,7 +16,9 @@ from sumo_env.contacts.rectangles import LENGTH, State, distance
 from sumo_env.streams import stream
 
 FREE_WAY = 40.0  # [m]
-CUT_IN_GAP = 1.0  # [m] that a cut-in leaves to every other vehicle; where there is less room, it does not happen
+CUT_IN_GAP = (
+    1.0  # [m] that a cut-in leaves to every other vehicle; where there is less room, it does not happen
+)
 HALF_CORRIDOR = 2.0  # [m] to either side of the centre: half a lane
 
 
@@ -106,6 +108,7 @@ def free_way(vehicle: State, others: Sequence[State], way: float) -> bool:
     x, y, _, heading = vehicle
     c, s = cos(heading), sin(heading)
     return not any(
-        0.0 < (dx := other[0] - x) * c + (dy := other[1] - y) * s < way and abs(dy * c - dx * s) < HALF_CORRIDOR
+        0.0 < (dx := other[0] - x) * c + (dy := other[1] - y) * s < way
+        and abs(dy * c - dx * s) < HALF_CORRIDOR
         for other in others
     )

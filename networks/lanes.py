@@ -105,6 +105,11 @@ class StraightLane(Lane):
         object.__setattr__(self, "_dx", dx / length)
         object.__setattr__(self, "_dy", dy / length)
 
+    @property
+    def direction(self) -> Point:
+        """Unit vector along the axis."""
+        return self._dx, self._dy
+
     def position(self, s: float, lat: float) -> Point:
         """See `Lane.position`."""
         return (

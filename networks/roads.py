@@ -13,9 +13,19 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from types import MappingProxyType
 
+import numpy as np
+from numpy.typing import NDArray
+
 from sumo_env.networks.lanes import WIDTH, CircularLane, Lane, Point, SineLane, StraightLane
 
 LaneIndex = tuple[str, str, int]
+
+CELL = 4.0  # [m] side of the squares for which `closest_lane` keeps lanes in the order of their distance
+SAMPLE = 1.0  # [m] between the points that stand for a lane there
+FEW = 6  # lanes that are all looked at: ordering them would cost more
+
+
+_Candidate = tuple[float, int, LaneIndex, Lane]  # lower bound of its distance [m], place among the lanes
 
 
 class Road:
@@ -24,12 +34,14 @@ class Road:
     `lanes` keeps the order in which highway-env stores them, which decides ties in `closest_lane`.
     """
 
-    __slots__ = ("_counts", "_items", "lanes", "name", "successors")
+    __slots__ = ("_cells", "_counts", "_items", "_samples", "lanes", "name", "successors")
 
     def __init__(self, name: str, lanes: Mapping[LaneIndex, Lane]) -> None:
         self.name = name
         self.lanes: Mapping[LaneIndex, Lane] = MappingProxyType(dict(_graph_order(lanes)))
-        self._items = tuple(self.lanes.items())
+        self._items = tuple((0.0, rank, *item) for rank, item in enumerate(self.lanes.items()))
+        self._cells: dict[tuple[float, float], tuple[_Candidate, ...]] = {}
+        self._samples: tuple[NDArray[np.float64], NDArray[np.int64]] | None = None
         self._counts: dict[tuple[str, str], int] = {}
         successors: dict[str, list[str]] = {}
         for start, end, _ in self.lanes:
@@ -114,13 +126,47 @@ class Road:
         return lanes
 
     def closest_lane(self, x: float, y: float, heading: float | None = None) -> LaneIndex:
-        """Index of the lane with the least `distance_with_heading` (1 m a radian), first of equals."""
-        best, best_distance = self._items[0][0], math.inf
-        for index, lane in self._items:
+        """Index of the lane with the least `distance_with_heading` (1 m a radian), first of equals.
+
+        highway-env's ``RoadNetwork.get_closest_lane_index``.
+        """
+        candidates = self._items
+        if len(candidates) > FEW:
+            cell = x // CELL, y // CELL
+            candidates = self._cells.get(cell) or self._by_distance(cell)
+        best, best_rank, best_distance = candidates[0][2], len(candidates), math.inf
+        for least, rank, index, lane in candidates:
+            if least > best_distance:
+                break
             distance = lane.distance_with_heading(x, y, heading)
-            if distance < best_distance:
-                best, best_distance = index, distance
+            if distance < best_distance or (distance == best_distance and rank < best_rank):
+                best, best_rank, best_distance = index, rank, distance
         return best
+
+    def _by_distance(self, cell: tuple[float, float]) -> tuple[_Candidate, ...]:
+        """The lanes by a lower bound of their distance from all points of a cell, which is kept for the next time."""
+        if self._samples is None:
+            lanes = [_points(lane) for lane in self.lanes.values()]
+            starts = np.cumsum([0, *(len(points) for points in lanes[:-1])])
+            self._samples = np.concatenate(lanes), starts
+        points, starts = self._samples
+        centre = (np.array(cell) + 0.5) * CELL
+        nearest = np.minimum.reduceat(np.hypot(*(points - centre).T), starts)
+        # The distance in a lane's frame is at least that as the crow flies, but for a sine lane, whose s is measured
+        # along its axis: 7 % may be missing.
+        bounds = 0.9 * (nearest - CELL / math.sqrt(2.0) - SAMPLE)
+        order = [
+            (bound, rank, index, lane)
+            for bound, (_, rank, index, lane) in zip(bounds.tolist(), self._items, strict=True)
+        ]
+        self._cells[cell] = tuple(sorted(order))
+        return self._cells[cell]
+
+
+def _points(lane: Lane) -> NDArray[np.float64]:
+    """Points along a lane, ends included, shape (n, 2) [m]."""
+    places = np.linspace(0.0, lane.length, math.ceil(lane.length / SAMPLE) + 1)
+    return np.array([lane.position(s, 0.0) for s in places.tolist()])
 
 
 def _first(pair: tuple[float, LaneIndex]) -> float:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from functools import lru_cache
 from itertools import pairwise
 from typing import Any
 
@@ -12,11 +11,8 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from sumo_env.angles import wrapped
-from sumo_env.compiled import borrowing, compiled
 from sumo_env.config import ConfigError, nearest
-from sumo_env.models.lane_table import lane_at
-from sumo_env.networks.lanes import CircularLane, StraightLane
+from sumo_env.networks.lanes import CircularLane, Lane, StraightLane, wrap_to_pi
 from sumo_env.networks.roads import LaneIndex, Road
 from sumo_env.scene import PERCEPTION_DISTANCE, VEHICLE_LENGTH, Floats, Scene
 from sumo_env.tasks.base import EgoState
@@ -28,102 +24,20 @@ Array = NDArray[np.float32]
 Integers = NDArray[np.int64]
 FEATURES = ("presence", "x", "y", "vx", "vy", "heading", "cos_h", "sin_h", "cos_d", "sin_d", "long_off",
             "lat_off", "ang_off")  # fmt: skip
-BASIC = FEATURES[:8]  # those that depend on the vehicle alone
+RELATIVE = ("x", "y", "vx", "vy")  # to the ego, unless they are absolute
+_DIRECTION, _OFFSETS = {"cos_d", "sin_d"}, {"long_off", "lat_off", "ang_off"}
+_EGO = np.zeros(1, np.int64)  # its row
 
 
-@lru_cache(maxsize=256)
-def _axis(road: Road, index: LaneIndex) -> Floats:
-    """What `_longitudinal` needs of a lane, shape (6,)."""
-    lane = road.lane(index)
+def _longitudinal(lane: Lane, x: Floats, y: Floats) -> Floats:
+    """Coordinates s [m] of positions (x, y) [m] along a lane: `Lane.local_coordinates` for shape (n,)."""
     if isinstance(lane, CircularLane):
-        return np.array([1.0, *lane.center, lane.start_phase, 1.0 if lane.clockwise else -1.0, lane.radius])
+        turned = np.arctan2(y - lane.center[1], x - lane.center[0]) - lane.start_phase
+        turned = (turned + math.pi) % (2.0 * math.pi) - math.pi
+        return turned * (lane.radius if lane.clockwise else -lane.radius)
     assert isinstance(lane, StraightLane)
-    return np.array([0.0, *lane.start, lane._dx, lane._dy, 0.0])
-
-
-@borrowing
-def _longitudinal(axis: Floats, x: float, y: float) -> float:
-    """Coordinate s [m] of the position (x, y) [m] along a lane (`Lane.local_coordinates`, bit for bit)."""
-    dx, dy = x - axis[1], y - axis[2]
-    if axis[0] == 0.0:
-        return dx * axis[3] + dy * axis[4]
-    turned = wrapped(math.atan2(dy, dx) - axis[3])
-    return axis[4] * turned * axis[5]
-
-
-@compiled
-def _visible(axis: Floats, x: Floats, y: Floats, behind: float, by_distance: bool, rows: Integers) -> int:
-    """Write the rows that are seen into `rows`, shape (n,), 0 first; returns how many. See `Kinematics.visible`."""
-    here = _longitudinal(axis, x[0], y[0])
-    distance = np.empty(len(x))
-    rows[0] = 0
-    count = 1
-    for j in range(1, len(x)):
-        if math.hypot(x[j] - x[0], y[j] - y[0]) >= PERCEPTION_DISTANCE:
-            continue
-        ahead = _longitudinal(axis, x[j], y[j]) - here
-        if ahead <= behind:
-            continue
-        k = count
-        if by_distance:
-            while k > 1 and abs(ahead) < distance[k - 1]:
-                rows[k], distance[k] = rows[k - 1], distance[k - 1]
-                k -= 1
-        rows[k], distance[k] = j, abs(ahead)
-        count += 1
-    return count
-
-
-@borrowing
-def _fill(
-    rows: Integers,
-    x: Floats,
-    y: Floats,
-    speed: Floats,
-    heading: Floats,
-    features: Integers,
-    absolute: bool,
-    affine: Floats,
-    table: Array,
-) -> None:
-    """Write the basic features of the vehicles `rows`, shape (m,), into the first m rows of `table`.
-
-    features: of each column the number in FEATURES; affine: scale, shift, low and high of each, shape (4, columns).
-    """
-    for k in range(len(rows)):
-        j = rows[k]
-        cos, sin = math.cos(heading[j]), math.sin(heading[j])
-        for column in range(len(features)):
-            feature = features[column]
-            if feature == 0:
-                value = 1.0
-            elif feature == 1:
-                value = x[j]
-            elif feature == 2:
-                value = y[j]
-            elif feature == 3:
-                value = speed[j] * cos
-            elif feature == 4:
-                value = speed[j] * sin
-            elif feature == 5:
-                value = heading[j]
-            elif feature == 6:
-                value = cos
-            elif feature == 7:
-                value = sin
-            else:
-                continue
-            if k > 0 and not absolute and 1 <= feature <= 4:
-                if feature == 1:
-                    value -= x[0]
-                elif feature == 2:
-                    value -= y[0]
-                elif feature == 3:
-                    value -= speed[0] * math.cos(heading[0])
-                else:
-                    value -= speed[0] * math.sin(heading[0])
-            value = value * affine[0, column] + affine[1, column]
-            table[k, column] = min(max(value, affine[2, column]), affine[3, column])
+    along_x, along_y = lane.direction
+    return (x - lane.start[0]) * along_x + (y - lane.start[1]) * along_y
 
 
 class Kinematics:
@@ -177,11 +91,10 @@ class Kinematics:
         shape = (self.vehicles_count, len(self.features))
         self.space = spaces.Box(-np.inf, np.inf, shape, np.float32)
         # One affine map for the whole table: columns without a range keep their values.
-        self._affine = np.empty((4, len(self.features)))
-        self._scale, self._shift, self._low, self._high = self._affine
-        self._affine[:] = np.array([[1.0], [0.0], [-np.inf], [np.inf]])
-        self._numbers = np.array([FEATURES.index(feature) for feature in self.features])
-        self._others = [k for k, feature in enumerate(self.features) if feature not in BASIC]
+        columns = len(self.features)
+        self._scale, self._shift = np.ones(columns), np.zeros(columns)
+        self._low, self._high = np.full(columns, -np.inf), np.full(columns, np.inf)
+        self._relative = np.array([feature in RELATIVE for feature in self.features])
         if self.normalize:
             for column, feature in enumerate(self.features):
                 if feature in self.ranges:
@@ -197,11 +110,17 @@ class Kinematics:
         Distances are differences of longitudinal coordinates on the ego's lane, as in highway-env: projections
         on curved roads.
         """
-        rows = np.empty(len(scene), np.int64)
-        behind = -math.inf if self.see_behind else -2.0 * VEHICLE_LENGTH
-        axis = _axis(road, lane)
-        count = _visible(axis, scene.x, scene.y, behind, self.order == "sorted", rows)
-        return rows[: min(count, self.vehicles_count)]
+        x, y = scene.x, scene.y
+        ahead = _longitudinal(road.lane(lane), x, y)
+        ahead -= ahead[0]
+        seen = np.hypot(x - x[0], y - y[0]) < PERCEPTION_DISTANCE
+        if not self.see_behind:
+            seen &= ahead > -2.0 * VEHICLE_LENGTH
+        seen[0] = False
+        rows = np.flatnonzero(seen)
+        if self.order == "sorted":
+            rows = rows[np.abs(ahead[rows]).argsort(kind="stable")]
+        return np.concatenate((_EGO, rows[: self.vehicles_count - 1]))
 
     def observe(
         self,
@@ -217,34 +136,45 @@ class Kinematics:
         the order says so.
         """
         rows = self.visible(scene, road, ego.lane)
+        columns = self._columns(scene, road, rows, specs)
+        values = np.stack([columns[feature] for feature in self.features], axis=1)
+        if not self.absolute:
+            values[1:] -= values[0] * self._relative
+        values *= self._scale
+        values += self._shift
+        values.clip(self._low, self._high, out=values)
         table = np.zeros((self.vehicles_count, len(self.features)), np.float32)
-        _fill(
-            rows,
-            scene.x,
-            scene.y,
-            scene.speed,
-            scene.heading,
-            self._numbers,
-            self.absolute,
-            self._affine,
-            table,
-        )
-        if self._others:
-            columns = self._other_columns(scene, road, rows.tolist(), specs)
-            for column in self._others:
-                feature = self.features[column]
-                values = columns[feature] * self._scale[column] + self._shift[column]
-                table[: len(rows), column] = values.clip(self._low[column], self._high[column])
+        table[: len(rows)] = values
         if self.order == "shuffled":
             rng.shuffle(table[1:])
         return table
+
+    def _columns(
+        self, scene: Scene, road: Road, rows: Integers, specs: Mapping[str, VehicleSpec]
+    ) -> dict[str, Floats]:
+        """Values of all features of these rows of the scene, shape (m,) each."""
+        speed, heading = scene.speed[rows], scene.heading[rows]
+        cos, sin = np.cos(heading), np.sin(heading)
+        columns = {
+            "presence": np.ones(len(rows)),
+            "x": scene.x[rows],
+            "y": scene.y[rows],
+            "vx": speed * cos,
+            "vy": speed * sin,
+            "heading": heading,
+            "cos_h": cos,
+            "sin_h": sin,
+        }
+        if any(feature not in columns for feature in self.features):
+            columns |= self._other_columns(scene, road, rows.tolist(), specs)
+        return columns
 
     def _other_columns(
         self, scene: Scene, road: Road, rows: list[int], specs: Mapping[str, VehicleSpec]
     ) -> dict[str, Floats]:
         """Values of the features that depend on roads and destinations, shape (m,) each."""
         columns: dict[str, Floats] = {}
-        if "cos_d" in self.features or "sin_d" in self.features:
+        if not _DIRECTION.isdisjoint(self.features):
             # the ego always knows where it is going; what others intend is seen if that is asked for
             known = [row == 0 or self.observe_intentions for row in rows]
             direction = np.array(
@@ -254,7 +184,7 @@ class Kinematics:
                 ]
             )
             columns["cos_d"], columns["sin_d"] = direction[:, 0], direction[:, 1]
-        if any(feature.endswith("_off") for feature in self.features):
+        if not _OFFSETS.isdisjoint(self.features):
             offsets = np.array([self._offsets(scene, road, row) for row in rows])
             columns["long_off"], columns["lat_off"], columns["ang_off"] = offsets.T
         return columns
@@ -262,10 +192,9 @@ class Kinematics:
     @staticmethod
     def _offsets(scene: Scene, road: Road, row: int) -> tuple[float, float, float]:
         x, y, heading = float(scene.x[row]), float(scene.y[row]), float(scene.heading[row])
-        lane = road.lane(lane_at(road, x, y, heading))
+        lane = road.lane(road.closest_lane(x, y, heading))
         s, lateral = lane.local_coordinates(x, y)
-        angle = (heading - lane.heading_at(s) + math.pi) % (2.0 * math.pi) - math.pi
-        return s, lateral, angle
+        return s, lateral, wrap_to_pi(heading - lane.heading_at(s))
 
 
 def _direction(scene: Scene, road: Road, row: int, spec: VehicleSpec | None) -> tuple[float, float]:
@@ -326,7 +255,7 @@ class TimeToCollision:
         here = geometry.local_coordinates(float(scene.x[0]), float(scene.y[0]))[0]
         for row in range(1, len(scene)):
             x, y, heading = float(scene.x[row]), float(scene.y[row]), float(scene.heading[row])
-            other_lane = lane_at(road, x, y, heading)
+            other_lane = road.closest_lane(x, y, heading)
             if not _connected(road, ego.lane, other_lane, ahead):
                 continue
             same_width = road.count(*other_lane[:2]) == lanes

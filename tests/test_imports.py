@@ -131,6 +131,11 @@ def test_importing_the_environments_is_light() -> None:
     assert loaded_by("import sumo_env").isdisjoint({*HEAVY, "libsumo", "numba", "PIL"})
 
 
+@pytest.mark.parametrize("module", ["contacts.crash", "contacts.measures", "networks.roads"])
+def test_contacts_and_roads_compile_nothing(module: str) -> None:
+    assert "numba" not in loaded_by(f"import sumo_env.{module}")
+
+
 def test_using_an_environment_loads_nothing_of_the_study() -> None:
     use = (
         "import gymnasium as gym, sumo_env\nenv = gym.make('sumo/highway-v0')\nenv.reset(seed=0)\nenv.step(1)"

@@ -103,6 +103,21 @@ def test_same_closest_lane(pair):
         assert ours.closest_lane(x, y) == theirs.get_closest_lane_index(position, None)
 
 
+@pytest.mark.parametrize("task", OURS)
+def test_the_closest_lane_is_the_first_of_all_with_the_least_distance(task):
+    """Also far from the road, and where lanes are equally close, which is decided by their order."""
+    road = OURS[task]()
+    rng = np.random.default_rng(5)
+    anywhere = rng.uniform((-180, -180, -7), (180, 180, 7), (1500, 3))
+    ties = rng.integers((-90, -15, -4), (90, 15, 4), (1500, 3)) * (1.0, 2.0, np.pi / 2)
+    for x, y, heading in [*anywhere.tolist(), *ties.tolist()]:
+        for direction in (heading, None):
+            expected = min(
+                road.lanes, key=lambda index: road.lane(index).distance_with_heading(x, y, direction)
+            )
+            assert road.closest_lane(x, y, direction) == expected
+
+
 def test_same_graph(pair):
     ours, theirs = pair
     nodes = sorted(set(theirs.graph) | {end for ends in theirs.graph.values() for end in ends})

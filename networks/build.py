@@ -51,20 +51,13 @@ def build(plan: plans.Plan, folder: Path) -> Path:
     if done.returncode or "Warning" in done.stderr:
         raise RuntimeError(f"netconvert on {plan.name}: {done.stderr.strip() or done.stdout.strip()}")
     text = re.sub(r"<!--.*?-->\s*", "", net.read_text(encoding="utf-8"), count=1, flags=re.DOTALL)
-    net.write_text(_with_lane_rules(text, plan), encoding="utf-8")
+    net.write_text(_with_speed_limit(text, plan), encoding="utf-8")
     return net
 
 
-def _with_lane_rules(net: str, plan: plans.Plan) -> str:
-    """The network with the plan's speed limit on every lane, internal ones included, and who may change lane.
-
-    Only cars of the class "passenger" look for lane changes, except where there is an opposite lane: for those that are
-    told their lane (class "custom1"), SUMO's search for neighbours would be in vain.
-    """
-    net = re.sub(r'(<lane [^>]*\bspeed=")[^"]*', rf"\g<1>{plan.edges[0].speed:.4f}", net)
-    if any(edge.neigh for edge in plan.edges):
-        return net
-    return re.sub(r"(<lane [^>]*?)(\s*/?>)", r'\1 changeLeft="passenger" changeRight="passenger"\2', net)
+def _with_speed_limit(net: str, plan: plans.Plan) -> str:
+    """The network with the plan's speed limit on every lane, internal ones included."""
+    return re.sub(r'(<lane [^>]*\bspeed=")[^"]*', rf"\g<1>{plan.edges[0].speed:.4f}", net)
 
 
 def stale(folder: Path = HERE) -> list[str]:

@@ -101,6 +101,9 @@ class Plan:
                 fromLane=str(c.from_lane), toLane=str(c.to_lane), shape=_text(c.shape),
                 # no internal junction, which would split a left turn in two lanes with a stop between them
                 contPos="0",
+                # by default SUMO's drivers slow down before a minor connection until they are 4.5 m from it, in order
+                # to see whether somebody comes; highway-env's see everywhere
+                visibility="200",
             )  # fmt: skip
         paths = []
         for suffix, tree in (("nod", nodes), ("edg", edges), ("con", connections)):

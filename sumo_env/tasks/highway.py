@@ -10,6 +10,7 @@ from sumo_env.config import DISCRETE_META_ACTION, Config, ConfigError
 from sumo_env.networks.roads import Road, highway
 from sumo_env.scene import PERCEPTION_DISTANCE, Floats
 from sumo_env.tasks.base import Drivers, EgoState, Task, ego_driver, lmap, make_on_lane, speed_term, weighted
+from sumo_env.traffic.drivers import Calibration
 from sumo_env.traffic.risk import RiskRates
 from sumo_env.traffic.scenario import EGO, VehicleSpec
 
@@ -41,6 +42,7 @@ class Highway(Task):
         "100": {"vehicles_count": 100, "vehicles_density": 1.5, "duration": 20},
         "150": {"vehicles_count": 150, "vehicles_density": 2.0, "duration": 20},
     }
+    calibration = Calibration(speed_gain=100.0, speed_gain_lookahead=20.0, assertive=0.75)
     risk_rates = RiskRates(cut_in=0.035, brake=0.02, brake_decel=3.0)
 
     def road(self, config: Config) -> Road:

@@ -10,7 +10,7 @@ from sumo_env.config import DISCRETE_META_ACTION, Config, ConfigError
 from sumo_env.networks.roads import Road, intersection
 from sumo_env.streams import stream
 from sumo_env.tasks.base import Drivers, EgoState, Task, ego_driver, lmap, make_on_lane, speed_term, weighted
-from sumo_env.traffic.drivers import CarFollowing
+from sumo_env.traffic.drivers import Calibration, CarFollowing
 from sumo_env.traffic.risk import RiskRates
 from sumo_env.traffic.scenario import EGO, Spawn, VehicleSpec, fits
 
@@ -54,6 +54,7 @@ class Intersection(Task):
     }
     car_following = CarFollowing(accel=6.0, decel=3.0, min_gap=2.0)
     warm_up = 3.0  # highway-env drives three seconds before it places the ego
+    calibration = Calibration(lane_changes=False, waits_for_approaching=False, ignores_inside=0.3)
     risk_rates = RiskRates(surge=0.2, surge_way=20.0)
     target_speeds = (0.0, 4.5, 9.0)
 

@@ -9,6 +9,7 @@ import numpy as np
 from sumo_env.config import DISCRETE_META_ACTION, Config, ConfigError
 from sumo_env.networks.roads import LaneIndex, Road, roundabout
 from sumo_env.tasks.base import Drivers, EgoState, Task, ego_driver, lmap, make_on_lane, weighted
+from sumo_env.traffic.drivers import Calibration
 from sumo_env.traffic.risk import RiskRates
 from sumo_env.traffic.scenario import EGO, VehicleSpec
 
@@ -56,6 +57,7 @@ class Roundabout(Task):
         "15": {"vehicles_count": 15},
     }
     # Surges alone empty the ring before a slow ego: some brake to a standstill in it.
+    calibration = Calibration(lane_changes=False, ignores_approaching=0.85, ignores_inside=0.5)
     risk_rates = RiskRates(
         cut_in=0.2, brake=0.2, brake_decel=8.0, brake_duration=3.0, surge=0.2, surge_way=10.0
     )

@@ -7,6 +7,7 @@ import numpy as np
 from sumo_env.config import DISCRETE_META_ACTION, Config, ConfigError
 from sumo_env.networks.roads import LaneIndex, Road, u_turn
 from sumo_env.tasks.base import Drivers, EgoState, Task, ego_driver, lmap, make_on_lane, speed_term, weighted
+from sumo_env.traffic.drivers import Calibration
 from sumo_env.traffic.risk import RiskRates
 from sumo_env.traffic.scenario import EGO, VehicleSpec
 
@@ -52,6 +53,7 @@ class UTurn(Task):
         "screen_height": 290,
     }
     levels = {str(count): {"vehicles_count": count} for count in (3, 6, 9, 12)}
+    calibration = Calibration(lane_changes=False)
     risk_rates = RiskRates(cut_in=0.3, brake=0.1, brake_duration=2.0)
     fixed_delta = True
     target_speeds = (8.0, 16.0, 24.0)

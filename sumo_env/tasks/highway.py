@@ -42,7 +42,7 @@ class Highway(Task):
         "100": {"vehicles_count": 100, "vehicles_density": 1.5, "duration": 20},
         "150": {"vehicles_count": 150, "vehicles_density": 2.0, "duration": 20},
     }
-    calibration = Calibration(speed_gain=100.0, speed_gain_lookahead=20.0, assertive=0.75)
+    calibration = Calibration(speed_gain=100.0, speed_gain_lookahead=35.0, assertive=0.9)
     risk_rates = RiskRates(cut_in=0.035, brake=0.02, brake_decel=3.0)
 
     def road(self, config: Config) -> Road:

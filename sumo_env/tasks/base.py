@@ -11,7 +11,15 @@ import numpy as np
 from sumo_env.config import Config
 from sumo_env.networks.roads import LaneIndex, Road
 from sumo_env.streams import stream
-from sumo_env.traffic.drivers import POOL, Calibration, CarFollowing, Driver, driver_pool
+from sumo_env.traffic.drivers import (
+    POOL,
+    RISK_RANGES,
+    Calibration,
+    CarFollowing,
+    Driver,
+    RiskRanges,
+    driver_pool,
+)
 from sumo_env.traffic.risk import RiskRates, draw_events
 from sumo_env.traffic.scenario import EGO, Scenario, Spawn, VehicleSpec
 
@@ -53,6 +61,7 @@ class Task:
     car_following: ClassVar[CarFollowing] = CarFollowing()
     calibration: ClassVar[Calibration] = Calibration()
     warm_up: ClassVar[float] = 0.0  # [s] that the traffic drives before the ego is placed
+    risk_ranges: ClassVar[RiskRanges] = RISK_RANGES
     risk_rates: ClassVar[RiskRates]
     fixed_delta: ClassVar[bool] = False  # IDM exponent 4 for all (no randomize_behavior in highway-env)
     target_speeds: ClassVar[tuple[float, ...]] = (20.0, 25.0, 30.0)  # MDPVehicle.DEFAULT_TARGET_SPEEDS [m/s]
@@ -79,7 +88,9 @@ class Task:
         """Every driver that a scenario of this dose may hold, the ego's included."""
         pools = {(0.0, True), (dose, True), (dose, False)}
         return tuple(
-            driver for risk, fixed in sorted(pools) for driver in driver_pool(self.car_following, risk, fixed)
+            driver
+            for risk, fixed in sorted(pools)
+            for driver in driver_pool(self.car_following, risk, fixed, self.risk_ranges)
         )
 
     def rewards(self, ego: EgoState, config: Config) -> dict[str, float]:
@@ -134,7 +145,8 @@ class Drivers:
         self._drawn: list[int] = []
         self._fixed_delta = task.fixed_delta
         self._pool = {
-            fixed: driver_pool(task.car_following, float(config["risk"]), fixed) for fixed in (True, False)
+            fixed: driver_pool(task.car_following, float(config["risk"]), fixed, task.risk_ranges)
+            for fixed in (True, False)
         }
 
     def next(self, fixed_delta: bool | None = None) -> Driver:
@@ -174,7 +186,19 @@ def make_on_lane(
         target_speed = speed
     timer = ((x + y) * math.pi) % 1.0  # IDMVehicle.timer: spreads MOBIL's decisions over time
     return VehicleSpec(
-        id, lane, s, x, y, heading, speed, target_speed, destination, driver, changes_lanes, timer, concerns_ego
+        id,
+        lane,
+        s,
+        x,
+        y,
+        heading,
+        speed,
+        target_speed,
+        destination,
+        driver,
+        changes_lanes,
+        timer,
+        concerns_ego,
     )
 
 

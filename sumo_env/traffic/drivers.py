@@ -2,7 +2,7 @@
 
 Car following is SUMO's IDM with highway-env's own numbers; lane changes are SUMO's LC2013; right of way is SUMO's
 junction model. Three settings per task (`Calibration`) bring their traffic close to highway-env's (docs/validation.md).
-Risky drivers have the same parameters from wider ranges (`spread`, the paper's law), so dose 0 *is* regular traffic.
+Risky drivers have the same parameters from wider ranges (`RiskRanges`), so dose 0 *is* regular traffic.
 """
 
 from __future__ import annotations
@@ -97,17 +97,43 @@ class Driver:
         return MIN_GAIN / self.speed_gain
 
 
-# Half the width of a parameter's range at dose 1, relative to the regular value: highway-env's own ranges for risky
-# behaviour reach from 0.5 to 1.5 times the mean (LinearVehicle.ACCELERATION_RANGE). Ranges are symmetric because
-# one-sided ones (short headways, strong brakes) make traffic that leaves gaps, and the ego safer (docs/decisions.md).
-SPREAD = 0.5
+Range = tuple[float, float]
+
+
+@dataclass(frozen=True, slots=True)
+class RiskRanges:
+    """Ranges from which the parameters of a task's drivers are drawn at dose 1, as factors of the regular values.
+
+    The default is highway-env's own range for risky behaviour, 0.5 to 1.5 times the mean
+    (LinearVehicle.ACCELERATION_RANGE). It is symmetric because one-sided ranges (short headways, strong brakes) make
+    traffic that leaves gaps, and the ego safer (docs/decisions.md).
+
+    Attributes:
+        not_giving_way: share of drivers that do not obey right of way.
+    """
+
+    accel: Range = (0.5, 1.5)
+    decel: Range = (0.5, 1.5)
+    tau: Range = (0.5, 1.5)
+    min_gap: Range = (0.5, 1.5)
+    emergency_decel: Range = (0.5, 1.5)
+    assertive: Range = (0.5, 1.5)
+    speed_gain: Range = (0.5, 1.5)
+    not_giving_way: float = 0.5
+
+
 SPREAD_PARAMETERS = ("accel", "decel", "tau", "min_gap", "emergency_decel", "assertive", "speed_gain")
-RISKY_SHARE_NOT_GIVING_WAY = 0.5
+RISK_RANGES = RiskRanges()
 
 
 @lru_cache(maxsize=64)
-def driver_pool(base: CarFollowing, dose: float, fixed_delta: bool = False) -> tuple[Driver, ...]:
+def driver_pool(
+    base: CarFollowing, dose: float, fixed_delta: bool = False, ranges: RiskRanges = RISK_RANGES
+) -> tuple[Driver, ...]:
     """The drivers of one dose; driver k of any two doses differs only by the dose.
+
+    The paper's law (section "Experiment Setup"): ``p = p_min + U(0, 1) * (p_max - p_min)`` with one fixed draw per
+    driver and parameter. The dose widens every range from the regular value to the whole of `ranges`.
 
     `fixed_delta`: the IDM exponent is 4 for all, as where highway-env does not call ``randomize_behavior``;
     otherwise U(3.5, 4.5) (``IDMVehicle.DELTA_RANGE``).
@@ -120,12 +146,12 @@ def driver_pool(base: CarFollowing, dose: float, fixed_delta: bool = False) -> t
 
     exponent = uniform()
     draws = {name: uniform() for name in SPREAD_PARAMETERS}
-    gives_way = uniform() >= RISKY_SHARE_NOT_GIVING_WAY * dose
+    gives_way = uniform() >= ranges.not_giving_way * dose
     attention = uniform()
 
     def parameter(name: str, k: int) -> float:
         regular = float(getattr(base, name, 1.0))
-        low, high = regular * (1.0 - SPREAD * dose), regular * (1.0 + SPREAD * dose)
+        low, high = (regular * (1.0 + (factor - 1.0) * dose) for factor in getattr(ranges, name))
         return low + float(draws[name][k]) * (high - low)
 
     kind = "f" if fixed_delta else "d"

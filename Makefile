@@ -1,4 +1,4 @@
-# make setup | sweep [ARGS=..] | test | test-fast | lint | lock
+# make setup | sweep [ARGS=..] | test | test-fast | test-long | lint | lock
 #
 #   make sweep ARGS="--preset smoke --out results/try"
 
@@ -9,7 +9,7 @@ STAMP  := $(VENV)/.installed
 # Simulators and learner use one thread each; parallel work is done by processes.
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: setup sweep test test-fast lint lock clean
+.PHONY: setup sweep test test-fast test-long lint lock clean
 
 setup: $(STAMP)
 
@@ -26,13 +26,19 @@ $(STAMP): pyproject.toml requirements.lock
 sweep: setup
 	$(BIN)/python experiments/sweep.py $(ARGS)
 
-# Everything, on two processes.
+# Everything but what is marked "long", on two processes: under ten minutes.
 test: setup
-	$(BIN)/python -m pytest -n 2 $(ARGS)
+	$(BIN)/python -m pytest -n 2 -m "not long" $(ARGS)
 
 # Under a minute: what to run while writing code.
 test-fast: setup
-	$(BIN)/python -m pytest -n 2 -m "not slow" $(ARGS)
+	$(BIN)/python -m pytest -n 2 -m "not slow and not long" $(ARGS)
+
+# What takes longer; before a release. The transcript of the last run is kept: commit it.
+test-long: setup
+	@{ date -u +%Y-%m-%d; git rev-parse --short HEAD 2>/dev/null; \
+	   $(BIN)/python -m pytest -n 2 -m long --timeout 3600 --no-header --durations=0 $(ARGS) 2>&1; echo "exit status $$?"; } \
+	  | tee docs/test-long.txt; tail -n 1 docs/test-long.txt | grep -qx "exit status 0"
 
 lint: setup
 	$(BIN)/ruff check .

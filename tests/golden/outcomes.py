@@ -17,13 +17,13 @@ SEEDS = range(1000, 1040)
 FLOOR = {"crash_rate": 0.05, "return": 0.2, "length": 0.2, "traffic_speed": 0.1}
 
 
-def drive(task: str, level: str, risk: float, traffic_model: str) -> dict[str, Any]:
+def drive(task: str, level: str, risk: float) -> dict[str, Any]:
     """One cell: ego -> measure -> mean and its standard error over the seeds.
 
     The measures are crash_rate, return, length [policy steps] and traffic_speed (of the other vehicles over the
     steps of the episode [m/s]).
     """
-    env = make(task, level, risk, traffic_model)
+    env = make(task, level, risk)
     result = {}
     for ego in EGOS:
         rows = np.array([episode(env, ego, seed) for seed in SEEDS])
@@ -50,12 +50,9 @@ def episode(env: gym.Env[Any, Any], ego: str, seed: int) -> tuple[float, float, 
     return float(info["crashed"]), total, float(length), float(np.mean(speeds))
 
 
-def table(task: str, traffic_model: str) -> dict[str, Any]:
+def table(task: str) -> dict[str, Any]:
     """All cells of a task."""
-    return {
-        f"level {level}, risk {risk:g}": drive(task, level, risk, traffic_model)
-        for level, risk in cells(task)
-    }
+    return {f"level {level}, risk {risk:g}": drive(task, level, risk) for level, risk in cells(task)}
 
 
 def differences(now: Mapping[str, Any], then: Mapping[str, Any]) -> list[str]:

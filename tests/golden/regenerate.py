@@ -27,11 +27,10 @@ FOLDER = Path(__file__).resolve().parent
 WIDTH = 110
 
 
-def every(part: str, drive: Callable[[str, str], Any]) -> Iterator[tuple[str, Any]]:
-    """One file a traffic model and task."""
-    for traffic_model in scenes.TRAFFIC_MODELS:
-        for task in TASKS:
-            yield f"{part}/{traffic_model}/{task}.json", drive(task, traffic_model)
+def every(part: str, drive: Callable[[str], Any]) -> Iterator[tuple[str, Any]]:
+    """One file a task."""
+    for task in TASKS:
+        yield f"{part}/{task}.json", drive(task)
 
 
 PARTS: dict[str, Callable[[], Iterator[tuple[str, Any]]]] = {

@@ -12,7 +12,6 @@ import sumo_env  # noqa: F401  (registers the environments)
 from sumo_env.scene import Scene
 from sumo_env.tasks import TASKS
 
-TRAFFIC_MODELS = ("matched", "sumo")
 RISKS = (0.0, 1.0)
 SEEDS = (7, 8)
 # Left, faster, right, slower; the intersection's three actions: faster, slower, idle, faster.
@@ -20,6 +19,7 @@ ACTIONS = {"intersection": (2, 0, 1, 2)}
 DEFAULT_ACTIONS = (0, 3, 2, 4)
 NEAREST = 8  # vehicles that are written down one by one
 DIGITS = 7
+# Headings are given in [-1, 2 pi - 1): which turn they are counted in is nobody's matter, and no road heads for -1 rad.
 TOLERANCE = 1e-6  # [m, m/s, rad] and of observations and rewards
 
 
@@ -31,17 +31,16 @@ def cells(task: str) -> Iterator[tuple[str, float]]:
             yield level, risk
 
 
-def make(task: str, level: str, risk: float, traffic_model: str) -> gym.Env[Any, Any]:
+def make(task: str, level: str, risk: float) -> gym.Env[Any, Any]:
     """The environment of a cell."""
-    config = {**TASKS[task].levels[level], "risk": risk, "traffic_model": traffic_model}
-    return gym.make(f"sumo/{task}-v0", config=config)
+    return gym.make(f"sumo/{task}-v0", config={**TASKS[task].levels[level], "risk": risk})
 
 
-def drive(task: str, traffic_model: str) -> dict[str, Any]:
+def drive(task: str) -> dict[str, Any]:
     """All cells and seeds of a task: name of the episode -> its steps, the state after the reset first."""
     result = {}
     for level, risk in cells(task):
-        env = make(task, level, risk, traffic_model)
+        env = make(task, level, risk)
         for seed in SEEDS:
             result[f"level {level}, risk {risk:g}, seed {seed}"] = episode(
                 env, seed, ACTIONS.get(task, DEFAULT_ACTIONS)
@@ -79,10 +78,12 @@ def state(scene: Scene, followed: list[str], before: Scene) -> dict[str, Any]:
     """A scene in few numbers.
 
     Returns:
-        time [s]; number of vehicles; names that appeared and disappeared; mean of x, y, speed and heading over all
-        vehicles; crashed: names of the wrecks; vehicles: x, y, speed, heading of the followed ones.
+        time [s]; number of vehicles; names that appeared and disappeared; mean of x, y, speed and of the heading's
+        cosine and sine over all vehicles; crashed: names of the wrecks; vehicles: x, y, speed, heading of the
+        followed ones.
     """
-    columns = np.stack([scene.x, scene.y, scene.speed, scene.heading])
+    columns = np.stack([scene.x, scene.y, scene.speed, np.mod(scene.heading + 1, 2 * np.pi) - 1])
+    means = np.stack([scene.x, scene.y, scene.speed, np.cos(scene.heading), np.sin(scene.heading)])
     rows = {name: row for row, name in enumerate(scene.ids)}
     return {
         "time": rounded(scene.time),
@@ -90,7 +91,7 @@ def state(scene: Scene, followed: list[str], before: Scene) -> dict[str, Any]:
         "appeared": [name for name in scene.ids if name not in before.ids],
         "disappeared": [name for name in before.ids if name not in scene.ids],
         "crashed": [name for name, crashed in zip(scene.ids, scene.crashed, strict=True) if crashed],
-        "mean": rounded(columns.mean(axis=1)),
+        "mean": rounded(means.mean(axis=1)),
         "vehicles": {name: rounded(columns[:, rows[name]]) for name in followed if name in rows},
     }
 

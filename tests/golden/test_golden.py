@@ -10,7 +10,6 @@ from sumo_env.tasks import TASKS
 from tests.golden import outcomes, scenes
 from tests.golden.regenerate import read
 
-pytestmark = pytest.mark.parametrize("traffic_model", scenes.TRAFFIC_MODELS)
 SHOWN = 12  # differences in a failure's message; the first ones say most
 
 
@@ -19,8 +18,8 @@ def report(differences: list[str]) -> str:
 
 
 @pytest.mark.parametrize("task", list(TASKS))
-def test_first_steps_are_the_golden_ones(task: str, traffic_model: str) -> None:
-    found = scenes.differences(scenes.drive(task, traffic_model), read(f"scenes/{traffic_model}/{task}.json"))
+def test_first_steps_are_the_golden_ones(task: str) -> None:
+    found = scenes.differences(scenes.drive(task), read(f"scenes/{task}.json"))
     assert not found, report(found)
 
 
@@ -29,30 +28,30 @@ def test_first_steps_are_the_golden_ones(task: str, traffic_model: str) -> None:
     ("lowest-regular", "lowest-risky", "highest-regular", "highest-risky")
 )])  # fmt: skip
 @pytest.mark.parametrize("task", list(TASKS))
-def test_episodes_end_as_the_golden_ones(task: str, cell: int, traffic_model: str) -> None:
+def test_episodes_end_as_the_golden_ones(task: str, cell: int) -> None:
     level, risk = list(scenes.cells(task))[cell]
-    golden = read(f"outcomes/{traffic_model}/{task}.json")[f"level {level}, risk {risk:g}"]
-    found = outcomes.differences(outcomes.drive(task, level, risk, traffic_model), golden)
+    golden = read(f"outcomes/{task}.json")[f"level {level}, risk {risk:g}"]
+    found = outcomes.differences(outcomes.drive(task, level, risk), golden)
     assert not found, report(found)
 
 
 class TestTheComparisonCanFail:
     """A golden test that nothing can fail is none."""
 
-    def test_a_vehicle_two_micrometres_away_is_noticed(self, traffic_model: str) -> None:
-        golden = read(f"scenes/{traffic_model}/u-turn.json")
+    def test_a_vehicle_two_micrometres_away_is_noticed(self) -> None:
+        golden = read("scenes/u-turn.json")
         moved = copy.deepcopy(golden)
         next(iter(moved.values()))[2]["vehicles"]["v0"][1] += 2e-6
         (line,) = scenes.differences(moved, golden)
         assert "[2] / vehicles / v0[1]" in line
 
-    def test_a_vehicle_that_is_missing_is_noticed(self, traffic_model: str) -> None:
-        golden = read(f"scenes/{traffic_model}/u-turn.json")
+    def test_a_vehicle_that_is_missing_is_noticed(self) -> None:
+        golden = read("scenes/u-turn.json")
         fewer = copy.deepcopy(golden)
         del next(iter(fewer.values()))[2]["vehicles"]["v0"]
         assert len(scenes.differences(fewer, golden)) == 1
 
-    def test_regular_traffic_does_not_end_as_risky_traffic(self, traffic_model: str) -> None:
+    def test_regular_traffic_does_not_end_as_risky_traffic(self) -> None:
         for task in TASKS:
-            regular, risky, *_ = read(f"outcomes/{traffic_model}/{task}.json").values()
+            regular, risky, *_ = read(f"outcomes/{task}.json").values()
             assert outcomes.differences(regular, risky), task

@@ -6,6 +6,7 @@ import json
 import os
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -94,6 +95,8 @@ def test_agents_meet_the_same_scenarios(task: str) -> None:
             drawn.append(env.scenario)
         scenarios.append(drawn)
         env.close()
+    # how often a second is computed is the one thing that differs, and no matter of chance
+    scenarios[2] = [replace(scenario, simulation_frequency=10) for scenario in scenarios[2]]
     assert scenarios[0][0] == scenarios[1][0] == scenarios[2][0]
     assert scenarios[0] == scenarios[2]
 

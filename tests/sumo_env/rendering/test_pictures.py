@@ -1,24 +1,18 @@
-"""Pictures: what stands where, in which colour; films."""
+"""Pictures: what stands where, in which colour."""
 
 from __future__ import annotations
 
 import math
-from itertools import pairwise
-from pathlib import Path
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 import pytest
-from gymnasium.wrappers import RecordVideo
 
-import sumo_env
 from sumo_env.config import COMMON
-from sumo_env.markings import markings
 from sumo_env.networks.roads import highway, intersection, roundabout, two_way, u_turn
-from sumo_env.rendering import ASPHALT, EGO, GROUND, OTHER, WHITE, WRECK, Renderer
+from sumo_env.rendering import Renderer
+from sumo_env.rendering.pictures import ASPHALT, CRASHED, EGO, GROUND, OTHER, WHITE
 from sumo_env.scene import Scene
-from sumo_env.tasks import TASKS
 
 VIEW = {
     **COMMON,
@@ -32,9 +26,9 @@ VIEW = {
 def scene(*vehicles: tuple[float, float, float], crashed: tuple[int, ...] = (), time: float = 0.0) -> Scene:
     """Vehicles at (x, y, heading), the ego first."""
     x, y, heading = np.array(vehicles, dtype=float).T
-    wrecks = np.isin(np.arange(len(vehicles)), crashed)
+    has_crashed = np.isin(np.arange(len(vehicles)), crashed)
     ids = ("ego", *(f"v{k}" for k in range(1, len(vehicles))))
-    return Scene(ids, x, y, np.full(len(vehicles), 20.0), heading, wrecks, time)
+    return Scene(ids, x, y, np.full(len(vehicles), 20.0), heading, has_crashed, time)
 
 
 def pixel(
@@ -63,7 +57,7 @@ def test_the_ego_stands_where_it_is_centred_and_others_beside_it() -> None:
     picture = Renderer().draw(scene((100, 4, 0), (115, 0, 0), (110, 8, 0), crashed=(2,)), highway(4), VIEW)
     assert pixel(picture, 99.5, 4) == EGO
     assert pixel(picture, 114.5, 0) == OTHER
-    assert pixel(picture, 109.5, 8) == WRECK
+    assert pixel(picture, 109.5, 8) == CRASHED
     # 5 m long, 2 m wide
     for dx, dy in ((2.3, 0.0), (-2.3, 0.0), (0.0, 0.9), (0.0, -0.9)):
         assert pixel(picture, 115 + dx, dy) != ASPHALT
@@ -121,18 +115,6 @@ def test_gaps_between_lanes_are_bridged() -> None:
     assert pixel(picture, x, y, ego=(x - 8, y)) == ASPHALT
 
 
-def test_opposite_lanes_are_divided_by_one_dashed_line() -> None:
-    divided = {"highway": 3, "two-way": 1, "intersection": 2}
-    for task, lines in divided.items():
-        road = TASKS[task].road({**TASKS[task].defaults})
-        dashes = np.array([dash.mean(axis=0) for dash in markings(road).dashes])
-        straight = {(round(float(x), 1), "x") for x in dashes[:, 0] if np.isclose(dashes[:, 0], x).sum() > 10}
-        straight |= {
-            (round(float(y), 1), "y") for y in dashes[:, 1] if np.isclose(dashes[:, 1], y).sum() > 10
-        }
-        assert len(straight) == lines
-
-
 def test_trajectories_on_demand() -> None:
     road = highway(4)
     with_them, without = Renderer(), Renderer()
@@ -144,62 +126,3 @@ def test_trajectories_on_demand() -> None:
     assert pixel(traced, 108, 8, ego=(116, 8)) != ASPHALT
     fresh = with_them.draw(scene((116, 8, 0), time=0.0), road, {**VIEW, "show_trajectories": True})
     assert pixel(fresh, 108, 8, ego=(116, 8)) == ASPHALT  # a new episode has no past
-
-
-@pytest.mark.parametrize("id", sumo_env.IDS)
-def test_every_task_renders_in_its_size(id: str) -> None:
-    env = gym.make(id, render_mode="rgb_array")
-    env.reset(seed=0)
-    env.step(1)
-    picture = np.asarray(env.render())
-    config = env.unwrapped.config  # type: ignore[attr-defined]
-    assert picture.shape == (config["screen_height"], config["screen_width"], 3)
-    colours = {tuple(colour) for colour in picture.reshape(-1, 3).tolist()}
-    assert {GROUND, ASPHALT, WHITE, EGO, OTHER} <= colours
-    env.close()
-
-
-def test_without_a_render_mode_there_is_a_warning_and_no_picture() -> None:
-    env = sumo_env_highway(None)
-    env.reset(seed=0)
-    with pytest.warns(UserWarning, match="rgb_array"):
-        assert env.unwrapped.render() is None
-
-
-def sumo_env_highway(render_mode: str | None, **config: Any) -> gym.Env[Any, Any]:
-    return gym.make("sumo/highway-v0", render_mode=render_mode, config={"vehicles_count": 5, **config})
-
-
-def test_watching_changes_nothing() -> None:
-    plain = sumo_env_highway(None)
-    watched = sumo_env_highway("rgb_array", show_trajectories=True)
-    episodes = []
-    for env in (plain, watched):
-        observations = [env.reset(seed=4)[0]]
-        for _ in range(5):
-            observations.append(env.step(3)[0])
-            if env is watched:
-                env.render()
-        episodes.append(observations)
-    np.testing.assert_array_equal(*episodes)
-
-
-@pytest.mark.parametrize("by_substep", [False, True])
-def test_films(tmp_path: Path, by_substep: bool) -> None:
-    env = RecordVideo(
-        sumo_env_highway("rgb_array"), str(tmp_path / "films"), episode_trigger=lambda episode: True
-    )
-    unwrapped: Any = env.unwrapped
-    if by_substep:
-        unwrapped.set_record_video_wrapper(env)
-        unwrapped.configure({"simulation_frequency": 20})
-    env.reset(seed=0)
-    env.step(1)
-    env.step(1)
-    assert len(env.recorded_frames) == (1 + 2 * 20 if by_substep else 1 + 2)
-    assert env.frames_per_sec == (20 if by_substep else 5)
-    frames = np.array(env.recorded_frames)
-    assert all((a != b).any() for a, b in pairwise(frames))
-    env.close()
-    assert (tmp_path / "films" / "rl-video-episode-0.mp4").stat().st_size > 1000
-    assert sumo_env.env.DrivingEnv.metadata["render_fps"] == 5  # of the class: untouched

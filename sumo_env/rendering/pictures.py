@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from sumo_env.markings import Points, markings
 from sumo_env.networks.roads import Road
+from sumo_env.rendering.markings import Points, markings
 from sumo_env.scene import VEHICLE_LENGTH, VEHICLE_WIDTH, Scene
 
 Colour = tuple[int, int, int]
@@ -27,7 +27,7 @@ WHITE: Colour = (255, 255, 255)
 OUTLINE: Colour = (60, 60, 60)  # VehicleGraphics.BLACK
 EGO: Colour = (50, 200, 0)  # VehicleGraphics.GREEN
 OTHER: Colour = (100, 200, 255)  # VehicleGraphics.BLUE
-WRECK: Colour = (255, 100, 100)  # VehicleGraphics.RED
+CRASHED: Colour = (255, 100, 100)  # VehicleGraphics.RED
 GLASS: Colour = (70, 80, 90)
 HEADLIGHT: Colour = (255, 250, 200)
 
@@ -190,13 +190,13 @@ def _draw_vehicle(
         pen.polygon(place(_REAR_WINDOW), fill=_blend(GLASS, colour))
         for light in _HEADLIGHTS:
             pen.polygon(place(light), fill=HEADLIGHT)
-    # a wrecked ego keeps its green as an outline
+    # a crashed ego keeps its green as an outline
     edge = EGO if is_ego and crashed else OUTLINE
     pen.polygon(place(_BODY), outline=edge, width=max(round(scale * 0.15), 1))
 
 
 def _colour(is_ego: bool, crashed: bool) -> Colour:
-    return WRECK if crashed else EGO if is_ego else OTHER
+    return CRASHED if crashed else EGO if is_ego else OTHER
 
 
 def _blend(one: Colour, other: Colour) -> Colour:

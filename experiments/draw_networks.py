@@ -17,8 +17,8 @@ from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
-from sumo_env.networks.catalogue import TASKS, Network, network
 from sumo_env.networks.lanes import WIDTH, Point
+from sumo_env.networks.mapping import TASKS, Network, network
 
 Window = tuple[float, float, float, float]
 FOLDER = Path(__file__).resolve().parent.parent / "docs" / "img" / "networks"

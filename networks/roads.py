@@ -2,7 +2,7 @@
 
 A lane is named by highway-env's index (from node, to node, lane id); id 0 is the left lane of a road.
 `Road` answers geometric questions; it holds no vehicles. Where each number comes from: `_make_road` of
-highway_env/envs/{highway,two_way,roundabout,intersection,u_turn}_env.py. In SUMO: `sumo_env.networks.catalogue`.
+highway_env/envs/{highway,two_way,roundabout,intersection,u_turn}_env.py. In SUMO: `sumo_env.networks.mapping`.
 """
 
 from __future__ import annotations

@@ -74,7 +74,7 @@ def sumo() -> str:
 
 def networks() -> str:
     """The built roads are where they should be."""
-    from sumo_env.networks.catalogue import network
+    from sumo_env.networks.mapping import network
 
     for id in sumo_env.IDS:
         task = sumo_env.task_of(id)

@@ -16,7 +16,7 @@ from sumo_env.actions import ego_route, target_lane, target_speed_index
 from sumo_env.config import Config, ConfigError, resolve
 from sumo_env.contacts.measures import NEAR_MISS_TTC, density
 from sumo_env.interface import interface
-from sumo_env.networks.catalogue import network
+from sumo_env.networks.mapping import network
 from sumo_env.observation import TimeToCollision
 from sumo_env.scene import Scene
 from sumo_env.simulator import EgoCommand, Simulator, Step

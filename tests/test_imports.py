@@ -128,7 +128,7 @@ def loaded_by(statement: str) -> set[str]:
 
 
 def test_importing_the_environments_is_light() -> None:
-    assert loaded_by("import sumo_env").isdisjoint({*HEAVY, "libsumo", "numba", "PIL"})
+    assert loaded_by("import sumo_env").isdisjoint({*HEAVY, "libsumo", "sumolib", "numba", "PIL"})
 
 
 @pytest.mark.parametrize("module", ["contacts.crash", "contacts.measures", "networks.roads"])

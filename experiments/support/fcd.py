@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 from xml.sax.saxutils import quoteattr
 
-from sumo_env.networks.catalogue import network
+from sumo_env.networks.mapping import network
 from sumo_env.scene import VEHICLE_LENGTH
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from experiments.validation.stage import FREQUENCY, Motion, Place, Scene, drive, motion, scenario_of, staged
-from sumo_env.networks.catalogue import network
+from sumo_env.networks.mapping import network
 from sumo_env.tasks import TASKS, get_task
 
 LANE = ("0", "1", 0)

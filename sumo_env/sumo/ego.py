@@ -7,7 +7,7 @@ sideways motion of a lane change is SUMO's.
 from __future__ import annotations
 
 from sumo_env.actions import ego_route, follow_road
-from sumo_env.networks.catalogue import Network
+from sumo_env.networks.mapping import Network
 from sumo_env.simulator import EgoCommand
 from sumo_env.sumo.session import Session
 from sumo_env.traffic.scenario import EGO, Scenario

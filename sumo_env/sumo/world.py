@@ -15,7 +15,7 @@ import numpy as np
 
 from sumo_env.contacts.crash import CrashDetector, is_confirmed
 from sumo_env.contacts.measures import TTC_RADIUS, ego_ttc
-from sumo_env.networks.catalogue import network
+from sumo_env.networks.mapping import network
 from sumo_env.scene import Scene
 from sumo_env.simulator import EgoCommand, SimulatorError, Step
 from sumo_env.sumo.ego import Ego, coast

@@ -7,7 +7,7 @@ import multiprocessing
 
 import pytest
 
-from sumo_env.networks.catalogue import TASKS, network
+from sumo_env.networks.mapping import TASKS, network
 
 pytest.importorskip("libsumo")
 SPEED = {"highway": 30.0, "two-way": 30.0, "roundabout": 20.0, "intersection": 9.0, "u-turn": 24.0}  # [m/s]

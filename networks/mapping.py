@@ -1,10 +1,9 @@
 """The built networks, and the way from highway-env's lanes to SUMO's edges, lanes, positions and routes.
 
-`network(task)` is all that a simulator needs. SUMO's names follow highway-env's: edge "se-ex" leads from
-node se to node ex; within an edge SUMO counts lanes from the right, highway-env from the left.
-Highway-env's lanes inside the intersection ("ir0" -> "il1") are SUMO's internal lanes; all other internal
-lanes are short joints without a counterpart. The two-way road's ("a","b",0) is the oncoming lane driven
-the wrong way: SUMO's "b-a_0".
+`network(task)` is all that a simulator needs. SUMO's names follow highway-env's: edge "se-ex" leads from node se to
+node ex; within an edge SUMO counts lanes from the right, highway-env from the left. Highway-env's lanes inside the
+intersection ("ir0" -> "il1") are SUMO's internal lanes; all other internal lanes are short joints without a
+counterpart. The two-way road's ("a","b",0) is the oncoming lane driven the wrong way: SUMO's "b-a_0".
 """
 
 from __future__ import annotations
@@ -16,17 +15,14 @@ from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
 from types import MappingProxyType
-from xml.etree import ElementTree
 
 from sumo_env.networks import plans, roads
-from sumo_env.networks.lanes import VEHICLE_LENGTH, Lane, SineLane
+from sumo_env.networks.lanes import VEHICLE_LENGTH, Lane, Point, SineLane
 from sumo_env.networks.roads import LaneIndex, Road
 
 FOLDER = Path(__file__).resolve().parent
 TASKS = tuple(roads.ROADS)
 ROAD_LENGTHS = (100.0, 1500.0)  # [m], two-way roads that fit the built network, which ends at x = 1500 m
-
-
 ENDS: Mapping[str, tuple[str, ...]] = MappingProxyType(
     {
         "highway": ("1",),
@@ -42,27 +38,34 @@ ENDS: Mapping[str, tuple[str, ...]] = MappingProxyType(
 class SumoLane:
     """A lane of the built network.
 
-    SUMO gives all lanes of an edge one `length`; in bends it differs from the `drawn` length of the
-    lane's shape. A vehicle commanded to v covers v * drawn / length metres of ground a second
-    (`Network.stretch`).
+    SUMO gives all lanes of an edge one `length`; in bends it differs from the `drawn` length of the lane's shape.
+
+    Attributes:
+        length: in which SUMO counts positions [m].
+        drawn: along the shape [m].
+        shape: points of its middle, in highway-env's coordinates [m].
+        following, preceding: ids of the lanes and joints that may come next, or come before.
     """
 
     id: str
-    length: float  # [m], in which SUMO counts positions
-    drawn: float  # [m], along the shape
-    shape: tuple[tuple[float, float], ...]  # points of its middle, highway-env's coordinates
+    length: float
+    drawn: float
+    shape: tuple[Point, ...]
+    following: tuple[str, ...]
+    preceding: tuple[str, ...]
 
 
 @dataclass(frozen=True)
 class Network:
     """A task's road in both worlds.
 
-    routes: "<from>-<to>><end>" -> SUMO edges, for a vehicle on the road <from> -> <to> bound for
-        <end>. They begin one edge before the vehicle's own where there is one, because SUMO shifts a vehicle
-        by metres that is placed on a joint when its route lacks the edge before.
-    lanes: highway-env's lane -> SUMO's.
-    indices: SUMO lane id -> highway-env's lane; of a joint, the lane it leads to.
-    following, preceding: SUMO lane id -> ids of the lanes that may come next, or came before.
+    Attributes:
+        routes: "<from>-<to>><end>" -> SUMO edges, for a vehicle on the road <from> -> <to> bound for <end>. They begin
+            one edge before the vehicle's own where there is one, because SUMO shifts a vehicle by metres that is
+            placed on a joint when its route lacks the edge before.
+        lanes: highway-env's lane -> SUMO's.
+        indices: SUMO lane id -> highway-env's lane; of a joint, the lane it leads to.
+        sumo_lanes: SUMO lane id -> SUMO's lane, joints included.
     """
 
     task: str
@@ -71,28 +74,15 @@ class Network:
     routes: Mapping[str, tuple[str, ...]]
     lanes: Mapping[LaneIndex, SumoLane]
     indices: Mapping[str, LaneIndex]
-    following: Mapping[str, tuple[str, ...]]
-    preceding: Mapping[str, tuple[str, ...]]
-    _sumo_lanes: Mapping[str, SumoLane]
-    _beginnings: dict[tuple[LaneIndex, str | None], tuple[str, SumoLane, float, int]] = field(default_factory=dict)
-
-    def sumo_lane(self, index: LaneIndex) -> str:
-        """Id of the SUMO lane that is highway-env's lane `index`."""
-        return self.lanes[index].id
-
-    def shape(self, sumo_lane: str) -> tuple[tuple[float, float], ...]:
-        """Points of the middle of a lane [m]."""
-        return self._sumo_lanes[sumo_lane].shape
+    sumo_lanes: Mapping[str, SumoLane]
+    _beginnings: dict[tuple[LaneIndex, str | None], tuple[str, SumoLane, float, int]] = field(
+        default_factory=dict, repr=False
+    )
 
     def stretch(self, sumo_lane: str) -> float:
         """SUMO's length of a lane over its drawn length: the factor for a commanded ground speed."""
-        lane = self._sumo_lanes[sumo_lane]
+        lane = self.sumo_lanes[sumo_lane]
         return lane.length / lane.drawn
-
-    @property
-    def uneven(self) -> bool:
-        """Whether any lane is drawn longer or shorter than SUMO counts it."""
-        return any(abs(lane.length / lane.drawn - 1.0) > 1e-3 for lane in self._sumo_lanes.values())
 
     def sumo_route(self, index: LaneIndex, destination: str | None = None) -> str:
         """Key in `routes` for a vehicle on lane `index` bound for node `destination`.
@@ -138,10 +128,10 @@ class Network:
             if step > 0:
                 ahead -= lane.drawn
                 edge += lane.id.startswith(":")
-                lane = self._sumo_lanes[beside]
+                lane = self.sumo_lanes[beside]
             else:
                 edge -= not lane.id.startswith(":")
-                lane = self._sumo_lanes[beside]
+                lane = self.sumo_lanes[beside]
                 ahead += lane.drawn
         return key, lane.id, ahead * lane.length / lane.drawn
 
@@ -157,13 +147,16 @@ class Network:
 
     def _beside(self, lane: str, edges: tuple[str, ...], edge: int, step: int) -> str | None:
         """The lane or joint after (step 1) or before (-1) a SUMO lane on a route; the rightmost one."""
-        near = self.following if step > 0 else self.preceding
+
+        def near(name: str) -> tuple[str, ...]:
+            return self.sumo_lanes[name].following if step > 0 else self.sumo_lanes[name].preceding
+
         if lane.startswith(":"):
-            return min(near[lane], default=None)
+            return min(near(lane), default=None)
         if not 0 <= edge + step < len(edges):
             return None
         wanted = edges[edge + step]
-        return min((joint for joint in near[lane] if _edge(near[joint][0]) == wanted), default=None)
+        return min((joint for joint in near(lane) if _edge(near(joint)[0]) == wanted), default=None)
 
 
 def _travelled(lane: Lane, start: float, end: float) -> float:
@@ -200,55 +193,67 @@ def network(task: str, lanes_count: int = 4, road_length: float = 800.0) -> Netw
             raise ValueError(f"road_length must be within {ROAD_LENGTHS} m, got {road_length}")
         road = roads.two_way(road_length)
     net_file = FOLDER / name / f"{stem}.net.xml"
-    sumo_lanes, following = _read(net_file)
-    lanes = {index: sumo_lanes[_sumo_lane_id(road, index, following)] for index in road.lanes}
+    sumo_lanes = _read(net_file)
+    lanes = {index: sumo_lanes[_sumo_lane_id(road, index, sumo_lanes)] for index in road.lanes}
     indices = {lane.id: index for index, lane in lanes.items()}
     if task == "two-way":
         indices["b-a_0"] = ("b", "a", 0)
-    for joint, ends in following.items():
-        if joint.startswith(":"):
-            indices.setdefault(joint, indices[ends[0]])
-    preceding = {lane: tuple(one for one, after in following.items() if lane in after) for lane in following}
+    for lane in sumo_lanes.values():
+        if lane.id.startswith(":"):
+            indices.setdefault(lane.id, indices[lane.following[0]])
     return Network(
-        task, road, net_file, MappingProxyType(_routes(road, sumo_lanes)), MappingProxyType(lanes),
-        MappingProxyType(indices), MappingProxyType(following), MappingProxyType(preceding),
+        task,
+        road,
+        net_file,
+        MappingProxyType(_routes(road, sumo_lanes)),
+        MappingProxyType(lanes),
+        MappingProxyType(indices),
         MappingProxyType(sumo_lanes),
-    )  # fmt: skip
+    )
 
 
-def _read(net_file: Path) -> tuple[dict[str, SumoLane], dict[str, tuple[str, ...]]]:
-    """All lanes of a built network, and the lanes that follow each."""
-    root = ElementTree.parse(net_file).getroot()
-    lanes: dict[str, SumoLane] = {}
-    for item in root.iter("lane"):
-        points = (point.split(",") for point in item.attrib["shape"].split())
-        shape = tuple((float(x), -float(y)) for x, y in points)
-        drawn = sum(math.dist(a, b) for a, b in pairwise(shape))
-        lane = SumoLane(item.attrib["id"], float(item.attrib["length"]), drawn, shape)
-        lanes[lane.id] = lane
-    following: dict[str, tuple[str, ...]] = dict.fromkeys(lanes, ())
-    for item in root.iter("connection"):
-        start = f"{item.attrib['from']}_{item.attrib['fromLane']}"
-        end = item.attrib.get("via", f"{item.attrib['to']}_{item.attrib['toLane']}")
-        following[start] = (*following[start], end)
-    return lanes, following
+def _read(net_file: Path) -> dict[str, SumoLane]:
+    """All lanes of a built network by their ids."""
+    # sumolib takes 0.1 s to load, which only processes that run SUMO have to wait for
+    from sumolib.geomhelper import polyLength
+    from sumolib.net import readNet
+
+    net = readNet(str(net_file), withInternal=True)
+    lanes = {lane.getID(): lane for edge in net.getEdges() for lane in edge.getLanes()}
+    following = {
+        name: tuple(joint.getViaLaneID() or joint.getToLane().getID() for joint in lane.getOutgoing())
+        for name, lane in lanes.items()
+    }
+    return {
+        name: SumoLane(
+            name,
+            lane.getLength(),
+            polyLength(lane.getShape()),
+            tuple((x, -y) for x, y in lane.getShape()),
+            following[name],
+            tuple(before for before, after in following.items() if name in after),
+        )
+        for name, lane in lanes.items()
+    }
 
 
-def _sumo_lane_id(road: Road, index: LaneIndex, following: Mapping[str, tuple[str, ...]]) -> str:
+def _sumo_lane_id(road: Road, index: LaneIndex, sumo_lanes: Mapping[str, SumoLane]) -> str:
+    """Id of the SUMO lane that is highway-env's lane `index`."""
     start, end, i = index
     if road.name == "two-way":
         return "a-b_0" if index == ("a", "b", 1) else "b-a_0"
     if start.startswith("ir"):  # inside the intersection
         (inside,) = (
             lane
-            for lane in following[f"o{start[2:]}-{start}_0"]
-            if following[lane] == (f"{end}-o{end[2:]}_0",)
+            for lane in sumo_lanes[f"o{start[2:]}-{start}_0"].following
+            if sumo_lanes[lane].following == (f"{end}-o{end[2:]}_0",)
         )
         return inside
     return f"{start}-{end}_{road.count(start, end) - 1 - i}"
 
 
 def _routes(road: Road, sumo_lanes: Mapping[str, SumoLane]) -> dict[str, tuple[str, ...]]:
+    """See `Network.routes`."""
     edges = {_edge(lane) for lane in sumo_lanes if not lane.startswith(":")}
     pairs = list(dict.fromkeys((start, end) for start, end, _ in road.lanes))
     ends = ENDS[road.name]

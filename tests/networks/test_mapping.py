@@ -9,13 +9,7 @@ from xml.etree import ElementTree
 import pytest
 
 from sumo_env.networks import plans
-from sumo_env.networks.catalogue import TASKS, network
-
-
-def _shape(net, lane_id):
-    root = ElementTree.parse(net.net_file).getroot()
-    (lane,) = (item for item in root.iter("lane") if item.get("id") == lane_id)
-    return [(float(x), -float(y)) for x, y in (point.split(",") for point in lane.get("shape").split())]
+from sumo_env.networks.mapping import TASKS, network
 
 
 @pytest.mark.parametrize("task", TASKS)
@@ -24,7 +18,7 @@ def test_sumo_lanes_lie_on_highway_env_lanes(task):
     net = network(task)
     for index, sumo_lane in net.lanes.items():
         lane = net.road.lane(index)
-        points = _shape(net, sumo_lane.id)
+        points = sumo_lane.shape
         for (x0, y0), (x1, y1) in pairwise(points):
             for k in (0.0, 0.25, 0.5, 0.75, 1.0):
                 assert abs(lane.local_coordinates(x0 + k * (x1 - x0), y0 + k * (y1 - y0))[1]) < 0.01
@@ -43,7 +37,7 @@ def test_nobody_drives_off_an_end(task):
         lane = net.road.lane(index)
         if f"{index[0]}-{index[1]}" in last and (task, index) != ("two-way", ("a", "b", 0)):
             assert lane.local_coordinates(*sumo_lane.shape[-1])[0] >= lane.length + 399
-        if not net.preceding[sumo_lane.id] and (task, index) != ("two-way", ("a", "b", 0)):
+        if not sumo_lane.preceding and (task, index) != ("two-way", ("a", "b", 0)):
             assert lane.local_coordinates(*sumo_lane.shape[0])[0] <= -50
 
 
@@ -62,7 +56,7 @@ def test_highways_of_any_width(lanes_count):
     net = network("highway", lanes_count=lanes_count)
     assert net.net_file.name == f"highway-{lanes_count}.net.xml"
     for i in range(lanes_count):
-        assert net.sumo_lane(("0", "1", i)) == f"0-1_{lanes_count - 1 - i}"
+        assert net.lanes[("0", "1", i)].id == f"0-1_{lanes_count - 1 - i}"
         assert net.lanes["0", "1", i].shape[0][1] == pytest.approx(4 * i)
 
 
@@ -106,12 +100,12 @@ def test_lanes_inside_the_intersection_have_names():
     net = network("intersection")
     inside = {index for index in net.lanes if index[0].startswith("ir")}
     assert len(inside) == 12
-    assert all(net.indices[net.sumo_lane(index)] == index for index in inside)
+    assert all(net.indices[net.lanes[index].id] == index for index in inside)
 
 
 def test_stretch_is_the_ratio_of_lengths():
     net = network("u-turn")
-    inner, outer = net.sumo_lane(("b", "c", 0)), net.sumo_lane(("b", "c", 1))
+    inner, outer = net.lanes[("b", "c", 0)].id, net.lanes[("b", "c", 1)].id
     assert net.stretch(inner) == pytest.approx(22 / 20, abs=1e-3)
     assert net.stretch(outer) == pytest.approx(22 / 24, abs=1e-3)
     assert net.stretch("a-b_0") == pytest.approx(1, abs=1e-3)

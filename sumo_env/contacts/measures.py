@@ -31,9 +31,8 @@ def ego_ttc(ego: State, others: Iterable[State], horizon: float = HORIZON) -> fl
     x, y, speed, heading = ego
     c1, s1 = cos(heading), sin(heading)
     vx, vy = speed * c1, speed * s1
-    least = inf
+    limit, found = horizon, False
     for ox, oy, other_speed, other_heading in others:
-        limit = min(least, horizon)
         dx, dy = ox - x, oy - y
         # No two vehicles close in faster than by the sum of their speeds.
         reach = DIAGONAL + (abs(speed) + abs(other_speed)) * limit
@@ -42,13 +41,13 @@ def ego_ttc(ego: State, others: Iterable[State], horizon: float = HORIZON) -> fl
         c2, s2 = cos(other_heading), sin(other_heading)
         wx, wy = other_speed * c2 - vx, other_speed * s2 - vy
         parallel, across = abs(c1 * c2 + s1 * s2), abs(c1 * s2 - s1 * c2)
-        length = HALF_LENGTH + HALF_LENGTH * parallel + HALF_WIDTH * across
         width = HALF_WIDTH + HALF_LENGTH * across + HALF_WIDTH * parallel
         # Along each of the four directions of the sides the shadows of the rectangles overlap during one interval of
         # time; the rectangles are in contact while all four do. Across the ego first: it rules out other lanes.
         beside, drift = dy * c1 - dx * s1, wy * c1 - wx * s1
         if abs(beside) > width + abs(drift) * limit:
             continue
+        length = HALF_LENGTH + HALF_LENGTH * parallel + HALF_WIDTH * across
         begin, end = 0.0, limit
         for apart, rate, extent in (
             (beside, drift, width),
@@ -65,8 +64,8 @@ def ego_ttc(ego: State, others: Iterable[State], horizon: float = HORIZON) -> fl
             if begin > end:
                 break
         else:
-            least = min(least, begin)
-    return least
+            limit, found = begin, True
+    return limit if found else inf
 
 
 def headways(x: Floats, y: Floats, speed: Floats, heading: Floats) -> Floats:

@@ -108,7 +108,15 @@ def touch_moment(first: State, first_after: State, second: State, second_after: 
     """
     # the way from the first centre to the second, and how it changes during the sub-step
     rx, ry = second[0] - first[0], second[1] - first[1]
-    ux, uy = second_after[0] - first_after[0] - rx, second_after[1] - first_after[1] - ry
+    sx, sy = second_after[0] - first_after[0], second_after[1] - first_after[1]
+    if (
+        (rx > DIAGONAL and sx > DIAGONAL)
+        or (rx < -DIAGONAL and sx < -DIAGONAL)
+        or (ry > DIAGONAL and sy > DIAGONAL)
+        or (ry < -DIAGONAL and sy < -DIAGONAL)
+    ):
+        return inf  # apart along x or y all the time: the quickest test, for most vehicles that are not next to it
+    ux, uy = sx - rx, sy - ry
     squared = ux * ux + uy * uy
     nearest = min(max(-(rx * ux + ry * uy) / squared, 0.0), 1.0) if squared else 0.0
     x, y = rx + nearest * ux, ry + nearest * uy

@@ -49,6 +49,19 @@ def test_no_lane_limits_bends(built):
     assert speeds == {SPEEDS[plan.road.name]}
 
 
+def test_drivers_see_every_junction_from_afar(built):
+    """Otherwise SUMO's drivers slow down before minor connections until they are 4.5 m from them, in order to see."""
+    plan, root = built
+    ways = [c for c in root.iter("connection") if not c.get("from").startswith(":")]
+    assert len(ways) == len(plan.connections)
+    assert all(float(c.get("visibility")) == 200.0 for c in ways)
+
+
+def test_lane_changes_are_left_to_the_drivers(built):
+    _, root = built
+    assert all(lane.get("changeLeft") is None and lane.get("changeRight") is None for lane in root.iter("lane"))
+
+
 def test_collisions_are_checked_at_every_junction(built):
     """SUMO never checks `unregulated` ones."""
     _, root = built

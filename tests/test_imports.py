@@ -95,7 +95,7 @@ def test_one_module_imports_libsumo() -> None:
         for _, name in imports(path)
         if name.split(".")[0] in ("libsumo", "traci")
     }
-    assert importers == {"sumo_env/simulation.py"}
+    assert importers == {"sumo_env/sumo/session.py"}
 
 
 def test_the_environments_use_nothing_of_the_study() -> None:
@@ -142,7 +142,7 @@ def test_using_an_environment_loads_nothing_of_the_study() -> None:
     )
     loaded = loaded_by(use)
     assert "libsumo" in loaded
-    assert loaded.isdisjoint({"torch", "matplotlib", "pandas", "statsmodels", "highway_env", "PIL"})
+    assert loaded.isdisjoint({"torch", "matplotlib", "pandas", "statsmodels", "highway_env", "numba", "PIL"})
 
 
 def test_steering_vector_environments_loads_no_sumo() -> None:

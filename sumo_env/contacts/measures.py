@@ -55,12 +55,17 @@ def ego_ttc(ego: State, others: Iterable[State], horizon: float = HORIZON) -> fl
             (dy * c2 - dx * s2, wy * c2 - wx * s2, width),
             (dx * c2 + dy * s2, wx * c2 + wy * s2, length),
         ):
-            if abs(rate) < PARALLEL:
-                if abs(apart) > extent:
+            if -PARALLEL < rate < PARALLEL:
+                if apart > extent or apart < -extent:
                     break
                 continue
-            middle, half = -apart / rate, extent / abs(rate)
-            begin, end = max(begin, middle - half), min(end, middle + half)
+            if rate < 0.0:
+                apart, rate = -apart, -rate
+            first, last = (-extent - apart) / rate, (extent - apart) / rate
+            if first > begin:
+                begin = first
+            if last < end:
+                end = last
             if begin > end:
                 break
         else:

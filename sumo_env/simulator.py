@@ -40,8 +40,8 @@ class Step:
         scene: at the end of the step.
         target_lane: lane that the ego steers for at the end; at the end of a lane it goes on to the next of its route.
         crash: the ego's first contact of the episode, in this step or an earlier one; None without one.
-        min_ttc: least time to collision of the ego with any vehicle after any sub-step [s], inf without one within
-            the horizon of the measure.
+        min_ttc: least time to collision of the ego with any vehicle within 100 m after any sub-step [s], inf without
+            one within 10 s.
         distance: covered by the ego in this step [m].
         trace: the scene after every sub-step, the last one included; empty unless it was asked for.
     """

@@ -1,0 +1,218 @@
+"""A simulator in a worker process, behind the same `Simulator` protocol.
+
+The worker is ``python -m sumo_env.sumo.worker``, not a process of multiprocessing, which would import the user's script
+once more: nothing has to be guarded by ``if __name__ == "__main__"``. Requests and answers are pickles on a socket of
+their own, so that nothing that SUMO prints gets between them. The worker ends when the socket is closed, by this
+process or by its death.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import weakref
+from contextlib import suppress
+from typing import Any, NoReturn
+
+from sumo_env.scene import Scene
+from sumo_env.simulator import EgoCommand, SimulatorError, Step
+from sumo_env.traffic.scenario import Scenario
+
+SIMULATOR = "sumo_env.sumo.world:SumoSimulator"  # what a worker runs, and the first environment of a process
+TIMEOUT = 300.0  # [s] for an answer; a step takes milliseconds, the start of a worker less than a second
+ATTEMPTS = 3  # to begin an episode in new workers, before giving up
+GRACE = 5.0  # [s] for a worker to end by itself
+SINGLE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+
+
+class SimulatorDied(SimulatorError):
+    """The worker process that drove an episode is gone, and the episode with it; `reset` begins another one."""
+
+
+class RemoteSimulator:
+    """A `Simulator` in a worker process, which is started at the first `reset`.
+
+    A worker that is dead or that does not answer is replaced at the next `reset`; a `step` that meets it raises
+    `SimulatorDied`, which says what episode has ended. Exceptions of the simulator are raised here as well, with
+    their class if it is one of Python's, gymnasium's or this package's, else as a `SimulatorError` that names it.
+
+    Args:
+        simulator: class that the worker is to run, as ``module:name``.
+        timeout: longest time to wait for an answer [s].
+    """
+
+    def __init__(self, simulator: str = SIMULATOR, timeout: float = TIMEOUT) -> None:
+        self.timeout = timeout
+        self._name = simulator
+        self._worker: _Worker | None = None
+        self._episode, self._steps = "", 0  # for error messages
+
+    @property
+    def pid(self) -> int | None:
+        """Process id of the worker, None without one."""
+        return None if self._worker is None else self._worker.process.pid
+
+    def reset(self, scenario: Scenario) -> Scene:
+        """Place a scenario, in a new worker if there is none or if it has died.
+
+        Raises:
+            SimulatorDied: workers died again and again.
+        """
+        for _ in range(ATTEMPTS):
+            if self._worker is None:
+                self._start()
+            self._episode = f"the reset of {scenario.task} (scenario seed {scenario.seed})"
+            self._steps = 0
+            try:
+                scene: Scene = self._ask("reset", scenario)
+            except SimulatorDied as error:
+                died = error
+            else:
+                self._episode = (
+                    f"an episode of {scenario.task} (scenario seed {scenario.seed}, risk {scenario.risk:g})"
+                )
+                return scene
+        raise SimulatorDied(
+            f"{ATTEMPTS} workers died one after another, the last one so: {died}. What they said is above, if they "
+            "did; `python -m sumo_env.doctor` checks the installation"
+        )
+
+    def step(self, command: EgoCommand, trace: bool = False) -> Step:
+        """Drive one policy step.
+
+        Raises:
+            SimulatorDied: the worker has died, or has not answered in time.
+        """
+        if self._worker is None:
+            if self._episode:
+                raise SimulatorDied(f"{self._episode} has ended; call reset()")
+            raise RuntimeError("call reset() before step()")
+        self._steps += 1
+        step: Step = self._ask("step", command, trace)
+        return step
+
+    def close(self) -> None:
+        """End the worker."""
+        self._episode = ""
+        self._end()
+
+    def __reduce__(self) -> NoReturn:
+        refuse_to_copy()
+
+    def _start(self) -> None:
+        self._worker = worker = _Worker(self._name)
+        self._forgotten = weakref.finalize(self, worker.end)  # as garbage, or at the interpreter's exit
+
+    def _end(self, grace: float = GRACE) -> None:
+        if self._worker is not None:
+            self._forgotten.detach()
+            self._worker.end(grace)
+            self._worker = None
+
+    def _ask(self, command: str, *arguments: Any) -> Any:
+        assert self._worker is not None
+        request = pickle.dumps((command, arguments), 5)
+        try:
+            error, value = self._worker.exchange(request, self.timeout)
+        except (OSError, EOFError, pickle.UnpicklingError) as error:
+            how = self._worker.death(error)
+            self._end(grace=0.0)
+            when = f" in step {self._steps}" if self._steps else ""
+            raise SimulatorDied(
+                f"the worker process of SUMO {how}{when}: {self._episode} has ended; reset() begins another one in "
+                "a new worker"
+            ) from None
+        except BaseException:
+            # Ctrl-C: the answer is still to come, and would be taken for that to the next request
+            self._end(grace=0.0)
+            raise
+        if error is not None:
+            raise error
+        return value
+
+
+class _Worker:
+    """The process, and the socket to talk with it."""
+
+    def __init__(self, simulator: str) -> None:
+        self._owner = os.getpid()
+        self._folder = tempfile.mkdtemp(prefix="sumo_env-")  # for its files, which outlive it if it is killed
+        ours, theirs = socket.socketpair()
+        # -P, and the search path of this process: the worker imports what this process would import
+        path = os.pathsep.join(folder or os.getcwd() for folder in sys.path)
+        arguments = [str(theirs.fileno()), simulator, self._folder]
+        self.process = subprocess.Popen(
+            [sys.executable, "-P", "-m", "sumo_env.sumo.worker", *arguments],
+            env={**os.environ, **SINGLE_THREAD, "PYTHONPATH": path},
+            stdin=subprocess.DEVNULL,
+            pass_fds=(theirs.fileno(),),
+            start_new_session=True,  # Ctrl-C in the terminal is for this process alone
+        )
+        theirs.close()  # so that reading ends when the worker does
+        self._socket, self._stream = ours, ours.makefile("rwb")
+        _workers.add(self)
+
+    def exchange(self, request: bytes, timeout: float) -> Any:
+        """The answer to a request."""
+        self._socket.settimeout(timeout)
+        self._stream.write(request)
+        self._stream.flush()
+        return pickle.load(self._stream)
+
+    def death(self, error: Exception) -> str:
+        """How the worker has ended, given the error that `exchange` has met."""
+        if self._owner != os.getpid():
+            return "belongs to the process that this one was forked from"
+        if isinstance(error, TimeoutError):
+            return f"gave no answer for {self._socket.gettimeout():g} s"
+        with suppress(subprocess.TimeoutExpired):
+            code = self.process.wait(GRACE)
+            if code < 0:
+                return f"was killed by {signal.Signals(-code).name}"
+            return f"ended with exit code {code}"
+        return f"closed its connection ({error})"
+
+    def end(self, grace: float = GRACE) -> None:
+        """See to it that the worker is gone, after `grace` [s] to end by itself, and what it has left."""
+        self.disconnect()
+        if self._owner != os.getpid():
+            return
+        try:
+            self.process.wait(grace)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait()
+        shutil.rmtree(self._folder, ignore_errors=True)
+
+    def disconnect(self) -> None:
+        """Close the socket, which tells the worker to end."""
+        descriptor = self._socket.detach()  # unlike close(), does not flush half a request
+        if descriptor >= 0:
+            os.close(descriptor)
+
+
+_workers: weakref.WeakSet[_Worker] = weakref.WeakSet()
+
+
+def _disconnect_all() -> None:
+    """In a forked process: the workers are the parent's, and end when the last of these sockets is closed."""
+    for worker in _workers:
+        worker.disconnect()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_disconnect_all)
+
+
+def refuse_to_copy() -> NoReturn:
+    """What simulators answer to pickle and copy."""
+    raise TypeError(
+        "SUMO's environments cannot be copied or pickled: the state of a simulation lives in a process. "
+        "Make another environment, and reset both with one seed"
+    )

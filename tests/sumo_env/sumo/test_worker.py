@@ -1,0 +1,451 @@
+"""A simulator in a worker process: the same values, errors that travel, deaths that are told, nothing left behind."""
+
+from __future__ import annotations
+
+import copy
+import gc
+import os
+import pickle
+import signal
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sumo_env.config import ConfigError
+from sumo_env.simulator import SimulatorError
+from sumo_env.sumo.provider import open_simulator
+from sumo_env.sumo.remote import RemoteSimulator, SimulatorDied
+from tests.sumo_env.sumo.fake import (
+    COMMAND,
+    CONFIG_ERROR,
+    CRASHES,
+    CRASHES_AT_RESET,
+    FAKE,
+    FOREIGN_ERROR,
+    HANGS,
+    PRINTS,
+    FakeSimulator,
+    scenario,
+)
+
+ROOT = Path(__file__).resolve().parents[3]
+
+
+@pytest.fixture(scope="module")
+def shared() -> Iterator[RemoteSimulator]:
+    """One worker for all tests that do not ask for its end."""
+    simulator = RemoteSimulator(FAKE)
+    yield simulator
+    simulator.close()
+
+
+@pytest.fixture
+def simulator(shared: RemoteSimulator) -> RemoteSimulator:
+    shared.reset(scenario())
+    return shared
+
+
+@pytest.fixture(autouse=True)
+def nothing_is_left(
+    request: pytest.FixtureRequest, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[None]:
+    """Neither file descriptors nor temporary files, once a test and its simulators are over."""
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    if "shared" in request.fixturenames or "simulator" in request.fixturenames:
+        request.getfixturevalue("simulator")
+    gc.collect()
+    before = descriptors(), temporary(tmp_path)
+    yield
+    gc.collect()
+    assert (descriptors(), temporary(tmp_path)) == before
+
+
+def descriptors() -> int:
+    return len(os.listdir("/proc/self/fd"))
+
+
+def temporary(folder: Path) -> list[str]:
+    """Temporary folders of workers."""
+    return [name for name in os.listdir(folder) if name.startswith("sumo_env-")]
+
+
+def is_running(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def ends(pid: int, within: float = 30.0) -> bool:
+    deadline = time.monotonic() + within
+    while is_running(pid) and time.monotonic() < deadline:
+        time.sleep(0.02)
+    return not is_running(pid)
+
+
+def pid_of(simulator: RemoteSimulator) -> int:
+    assert simulator.pid is not None
+    return simulator.pid
+
+
+# -- the protocol ------------------------------------------------------------------------------------------
+
+
+def test_equal_to_a_simulator_in_this_process(simulator: RemoteSimulator) -> None:
+    here = FakeSimulator()
+    for seed in (3, 4):
+        first, expected = simulator.reset(scenario(seed)), here.reset(scenario(seed))
+        np.testing.assert_array_equal(first.x, expected.x)
+        for trace in (False, True):
+            step, equal = simulator.step(COMMAND, trace), here.step(COMMAND, trace)
+            np.testing.assert_array_equal(step.scene.x, equal.scene.x)
+            assert step.scene.ids == equal.scene.ids
+            assert step.scene.crashed.dtype == np.bool_
+            assert len(step.trace) == len(equal.trace)
+            assert (step.target_lane, step.crash, step.min_ttc, step.distance) == (
+                equal.target_lane,
+                equal.crash,
+                equal.min_ttc,
+                equal.distance,
+            )
+    here.close()
+
+
+def test_large_messages_travel(simulator: RemoteSimulator) -> None:
+    assert len(simulator.reset(scenario(others=50_000))) == 50_001
+    step = simulator.step(COMMAND, trace=True)
+    assert len(step.trace[2]) == 50_001
+
+
+def test_a_step_needs_a_reset() -> None:
+    for simulator in (RemoteSimulator(FAKE), open_simulator(FAKE)):
+        with pytest.raises(RuntimeError, match=r"call reset\(\) before step\(\)"):
+            simulator.step(COMMAND)
+
+
+def test_what_the_simulator_prints_does_not_disturb(capfd: pytest.CaptureFixture[str]) -> None:
+    simulator = RemoteSimulator(FAKE)
+    simulator.reset(scenario(PRINTS))
+    assert simulator.step(COMMAND).distance == COMMAND.target_speed
+    simulator.close()
+    assert capfd.readouterr() == ("SUMO says something\nand so does C++\n", "")
+
+
+def test_simulators_cannot_be_copied(simulator: RemoteSimulator) -> None:
+    for one in (simulator, open_simulator(FAKE)):
+        for way in (copy.deepcopy, pickle.dumps):
+            with pytest.raises(TypeError, match="SUMO's environments cannot be copied"):
+                way(one)
+
+
+def test_a_worker_loads_only_what_it_needs() -> None:
+    code = "import sys, sumo_env.sumo.worker\nprint(*sorted({name.split('.')[0] for name in sys.modules}), sep='\\n')"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
+    loaded = set(done.stdout.split())
+    assert "numpy" in loaded
+    assert loaded.isdisjoint({"torch", "pandas", "matplotlib", "PIL", "libsumo"})
+
+
+# -- errors ------------------------------------------------------------------------------------------------
+
+
+def test_an_error_keeps_its_class_and_the_worker_goes_on(simulator: RemoteSimulator) -> None:
+    pid = simulator.pid
+    simulator.reset(scenario(CONFIG_ERROR))
+    with pytest.raises(ConfigError, match="a key that is not known") as caught:
+        simulator.step(COMMAND)
+    assert "In a worker process of sumo_env" in caught.value.__notes__[0]
+    assert "fake.py" in caught.value.__notes__[0]
+    simulator.reset(scenario())
+    assert simulator.pid == pid
+
+
+def test_an_error_of_a_foreign_class_is_named(simulator: RemoteSimulator) -> None:
+    simulator.reset(scenario(FOREIGN_ERROR))
+    with pytest.raises(SimulatorError, match="ForeignError: 1 and 2"):
+        simulator.step(COMMAND)
+
+
+def test_a_simulator_that_cannot_be_made_is_an_error_of_the_reset() -> None:
+    simulator = RemoteSimulator("tests.sumo_env.sumo.fake:NoSuchSimulator")
+    with pytest.raises(AttributeError, match="NoSuchSimulator"):
+        simulator.reset(scenario())
+    simulator.close()
+
+
+# -- deaths ------------------------------------------------------------------------------------------------
+
+
+def test_a_killed_worker_is_told_and_replaced() -> None:
+    simulator = RemoteSimulator(FAKE)
+    simulator.reset(scenario(7))
+    simulator.step(COMMAND)
+    old = pid_of(simulator)
+    os.kill(old, signal.SIGKILL)
+    with pytest.raises(
+        SimulatorDied,
+        match=r"killed by SIGKILL in step 2: an episode of highway \(scenario seed 7, risk 0.5\)",
+    ):
+        simulator.step(COMMAND)
+    with pytest.raises(SimulatorDied, match=r"seed 7, risk 0.5\) has ended; call reset"):
+        simulator.step(COMMAND)
+    simulator.reset(scenario(8))
+    assert pid_of(simulator) != old
+    assert simulator.step(COMMAND).scene.time == 1.0
+    simulator.close()
+
+
+def test_a_crash_of_the_simulator_is_told() -> None:
+    simulator = RemoteSimulator(FAKE)
+    simulator.reset(scenario(CRASHES))
+    with pytest.raises(SimulatorDied, match=f"SIGSEGV in step 1.*scenario seed {CRASHES}"):
+        simulator.step(COMMAND)
+
+
+def test_a_worker_that_died_before_a_reset_is_replaced_silently() -> None:
+    simulator = RemoteSimulator(FAKE)
+    simulator.reset(scenario())
+    os.kill(pid_of(simulator), signal.SIGKILL)
+    simulator.reset(scenario())
+    assert simulator.step(COMMAND).scene.time == 1.0
+    simulator.close()
+
+
+def test_a_scenario_that_kills_every_worker_is_an_error() -> None:
+    simulator = RemoteSimulator(FAKE)
+    with pytest.raises(
+        SimulatorDied, match=r"3 workers died one after another.*reset of highway \(scenario seed 105\)"
+    ):
+        simulator.reset(scenario(CRASHES_AT_RESET))
+
+
+def test_a_silent_worker_is_killed() -> None:
+    simulator = RemoteSimulator(FAKE)
+    simulator.reset(scenario(HANGS))
+    pid = pid_of(simulator)
+    simulator.timeout = 0.2  # [s]
+    with pytest.raises(SimulatorDied, match=r"gave no answer for 0\.2 s in step 1"):
+        simulator.step(COMMAND)
+    assert not is_running(pid)
+
+
+def test_an_interrupted_step_ends_the_episode() -> None:
+    """The answer to it must not be taken for that to the next request."""
+    simulator = RemoteSimulator(FAKE)
+    simulator.reset(scenario(HANGS))
+    timer = threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT))
+    timer.start()
+    with pytest.raises(KeyboardInterrupt):
+        simulator.step(COMMAND)
+    timer.join()
+    with pytest.raises(SimulatorDied, match="has ended; call reset"):
+        simulator.step(COMMAND)
+    assert simulator.reset(scenario()).time == 0.0
+    simulator.close()
+
+
+# -- the end of workers ------------------------------------------------------------------------------------
+
+
+def test_closing_ends_the_worker_and_may_be_repeated() -> None:
+    simulator = RemoteSimulator(FAKE)
+    simulator.close()
+    simulator.reset(scenario())
+    pid = pid_of(simulator)
+    simulator.close()
+    simulator.close()
+    assert not is_running(pid)
+    simulator.reset(scenario())  # as a simulator in this process could be
+    simulator.close()
+
+
+def test_a_forgotten_simulator_ends_its_worker() -> None:
+    simulator = RemoteSimulator(FAKE)
+    simulator.reset(scenario())
+    pid = pid_of(simulator)
+    del simulator
+    gc.collect()
+    assert not is_running(pid)
+
+
+def run(tmp_path: Path, script: str) -> subprocess.Popen[str]:
+    """A script of a user: not guarded by anything."""
+    file = tmp_path / "script.py"
+    file.write_text(
+        "import os, sys, time\n"
+        "from tests.sumo_env.sumo.fake import *\n"
+        "from sumo_env.sumo.provider import open_simulator\n"
+        "simulators = [open_simulator(FAKE) for _ in range(3)]\n"
+        "for seed, simulator in enumerate(simulators):\n"
+        "    simulator.reset(scenario(seed))\n"
+        "    simulator.step(COMMAND)\n"
+        "print(*[one._simulator.pid for one in simulators[1:]], flush=True)\n" + script
+    )
+    environment = {**os.environ, "PYTHONPATH": str(ROOT), "TMPDIR": str(tmp_path)}
+    pipe = subprocess.PIPE
+    return subprocess.Popen(
+        [sys.executable, str(file)],
+        env=environment,
+        stdout=pipe,
+        stderr=pipe,
+        text=True,
+        start_new_session=True,
+    )
+
+
+def pids(script: subprocess.Popen[str]) -> list[int]:
+    assert script.stdout is not None
+    return [int(pid) for pid in script.stdout.readline().split()]
+
+
+@pytest.mark.parametrize("end", ["", "sys.exit(3)", "1 / 0", "os.kill(os.getpid(), 9)", "os._exit(0)"])
+def test_workers_end_with_their_parent(tmp_path: Path, end: str) -> None:
+    script = run(tmp_path, end)
+    workers = pids(script)
+    script.communicate(timeout=60)
+    assert len(workers) == 2
+    assert all(ends(pid) for pid in workers)
+    deadline = time.monotonic() + 30
+    while temporary(tmp_path):
+        assert time.monotonic() < deadline
+        time.sleep(0.02)
+
+
+def test_ctrl_c_in_the_terminal_ends_the_script_alone(tmp_path: Path) -> None:
+    """It is sent to the whole foreground process group; workers neither print anything nor stay."""
+    script = run(tmp_path, "try:\n    time.sleep(60)\nexcept KeyboardInterrupt:\n    print('stopped')\n")
+    workers = pids(script)
+    os.killpg(script.pid, signal.SIGINT)
+    out, errors = script.communicate(timeout=60)
+    assert (out, errors, script.returncode) == ("stopped\n", "", 0)
+    assert all(ends(pid) for pid in workers)
+
+
+def test_ctrl_c_while_a_worker_starts_prints_no_traceback_of_it(tmp_path: Path) -> None:
+    script = run(
+        tmp_path,
+        "print('more', flush=True)\n"
+        "try:\n    more = [open_simulator(FAKE) for _ in range(60)]\n"
+        "    for one in more: one.reset(scenario())\n"
+        "except KeyboardInterrupt:\n    print('stopped')\n",
+    )
+    workers = pids(script)
+    assert script.stdout is not None
+    script.stdout.readline()
+    time.sleep(0.3)
+    os.killpg(script.pid, signal.SIGINT)
+    out, errors = script.communicate(timeout=60)
+    assert (out, errors, script.returncode) == ("stopped\n", "", 0)
+    assert all(ends(pid) for pid in workers)
+
+
+# -- who has the simulation of this process ----------------------------------------------------------------
+
+
+def in_this_process(simulator: object) -> bool:
+    return isinstance(simulator._simulator, FakeSimulator)  # type: ignore[attr-defined]
+
+
+def test_the_first_is_in_this_process_and_further_ones_are_not() -> None:
+    first, second, third = (open_simulator(FAKE) for _ in range(3))
+    for seed, simulator in enumerate((second, first, third)):  # the order of resets counts
+        simulator.reset(scenario(seed))
+    assert [in_this_process(one) for one in (first, second, third)] == [False, True, False]
+    assert {one.step(COMMAND).scene.x[-1] for one in (second, first, third)} == {0.0, 1.0, 2.0}
+    for one in (first, second, third):
+        one.close()
+
+
+def test_closing_frees_it() -> None:
+    first, second = open_simulator(FAKE), open_simulator(FAKE)
+    first.reset(scenario())
+    first.close()
+    second.reset(scenario())
+    first.reset(scenario())  # used again after all
+    assert in_this_process(second)
+    assert not in_this_process(first)
+    second.close()
+    first.reset(scenario())
+    assert not in_this_process(first)  # stays where it is
+    first.close()
+
+
+def test_an_environment_that_is_forgotten_frees_it() -> None:
+    first, second = open_simulator(FAKE), open_simulator(FAKE)
+    first.reset(scenario())
+    del first
+    gc.collect()
+    second.reset(scenario())
+    assert in_this_process(second)
+    second.close()
+
+
+def test_threads_do_not_share_it() -> None:
+    simulators = [open_simulator(FAKE) for _ in range(6)]
+    barrier = threading.Barrier(len(simulators))
+
+    def reset(index: int) -> None:
+        barrier.wait()
+        simulators[index].reset(scenario(index))
+
+    threads = [threading.Thread(target=reset, args=(index,)) for index in range(len(simulators))]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert sum(in_this_process(one) for one in simulators) == 1
+    for index, one in enumerate(simulators):
+        assert one.step(COMMAND).scene.x[-1] == index
+        one.close()
+
+
+def test_a_forked_process_has_its_own_workers(tmp_path: Path) -> None:
+    """It inherits the simulation and the connections of its parent, and may disturb neither."""
+    script = run(
+        tmp_path,
+        "child = os.fork()\n"
+        "if child == 0:\n"
+        "    try:\n        simulators[1].step(COMMAND)\n"
+        "    except RuntimeError as error:\n        print(error)\n"
+        "    simulators[1].reset(scenario(40))\n"
+        "    one = open_simulator(FAKE)\n"
+        "    one.reset(scenario(50))\n"
+        "    print(simulators[1].step(COMMAND).scene.x[-1], one.step(COMMAND).scene.x[-1])\n"
+        "    print(type(one._simulator).__name__)\n"
+        "else:\n"
+        "    print(os.waitpid(child, 0)[1])\n"
+        "    print([one.step(COMMAND).scene.time for one in simulators])\n",
+    )
+    workers = pids(script)
+    out, errors = script.communicate(timeout=60)
+    assert errors == ""
+    refusal, values, kind, status, times = out.splitlines()
+    assert "belongs to the process that this one was forked from" in refusal
+    assert (values, kind) == ("40.0 50.0", "RemoteSimulator")
+    assert (status, times) == ("0", "[2.0, 2.0, 2.0]")
+    assert all(ends(pid) for pid in workers)
+
+
+@pytest.mark.slow
+def test_fifty_leave_nothing_behind() -> None:
+    before = descriptors()
+    workers = []
+    for start in range(0, 50, 10):
+        simulators = [RemoteSimulator(FAKE) for _ in range(10)]
+        for seed, simulator in enumerate(simulators, start):
+            simulator.reset(scenario(seed))
+            workers.append(pid_of(simulator))
+        for simulator in simulators[::2]:
+            simulator.close()
+    del simulators, simulator
+    gc.collect()
+    assert len(set(workers)) == 50
+    assert not any(is_running(pid) for pid in workers)
+    assert descriptors() == before

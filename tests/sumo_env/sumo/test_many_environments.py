@@ -1,0 +1,273 @@
+"""Other people's training code, as they write it: several environments in one script without a `__main__` guard."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sumo_env.env import DrivingEnv
+from sumo_env.sumo.remote import RemoteSimulator
+
+ROOT = Path(__file__).resolve().parents[3]
+
+CONFIG = {"vehicles_count": 5, "duration": 8}
+
+
+def run(tmp_path: Path, script: str, from_stdin: bool = False) -> list[str]:
+    """The words that a script prints as its last line; it must end well and leave neither processes nor files."""
+    text = f"CONFIG = {CONFIG}\n" + textwrap.dedent(script)
+    file = tmp_path / "script.py"
+    file.write_text(text)
+    command = [sys.executable, "-W", "ignore::UserWarning", *(["-"] if from_stdin else [str(file)])]
+    with subprocess.Popen(
+        command,
+        cwd=tmp_path,
+        env={**os.environ, "PYTHONPATH": str(ROOT), "TMPDIR": str(tmp_path)},
+        stdin=subprocess.PIPE if from_stdin else subprocess.DEVNULL,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    ) as process:
+        # standard output is inherited by workers, so this also waits for their end
+        out, errors = process.communicate(text if from_stdin else None, timeout=300)
+    assert process.returncode == 0, errors
+    assert "Traceback" not in errors, errors
+    assert [path.name for path in tmp_path.iterdir() if path.name.startswith("sumo_env-")] == []
+    return out.splitlines()[-1].split()
+
+
+# -- equal values ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("task", ["highway", "two-way", "roundabout", "intersection", "u-turn"])
+def test_the_same_episodes_in_this_process_and_in_a_worker(task: str) -> None:
+    """To the last bit: observations, rewards, endings and infos."""
+    here = DrivingEnv(task, {"risk": 1.0})
+    there = DrivingEnv(task, {"risk": 1.0}, simulator=RemoteSimulator())
+    for seed in range(3):
+        first, _ = here.reset(seed=seed)
+        np.testing.assert_array_equal(first, there.reset(seed=seed)[0])
+        over, steps = False, 0
+        while not over:
+            action = (seed + steps) % len(here.actions)
+            mine, theirs = here.step(action), there.step(action)
+            np.testing.assert_array_equal(mine[0], theirs[0])
+            assert mine[1:] == theirs[1:]
+            over, steps = mine[2] or mine[3], steps + 1
+    here.close()
+    there.close()
+
+
+# -- scripts -----------------------------------------------------------------------------------------------
+
+
+def test_environments_side_by_side(tmp_path: Path) -> None:
+    assert run(
+        tmp_path,
+        """
+        import gymnasium as gym, sumo_env
+        envs = [gym.make(id) for id in sumo_env.IDS]
+        for env in envs:
+            env.reset(seed=0)
+        times = {env.step(1)[4]["distance"] > 0 for env in envs}
+        print(len(envs), times)
+        """,
+    ) == ["5", "{True}"]
+
+
+@pytest.mark.slow
+def test_sync_vector_env_of_four(tmp_path: Path) -> None:
+    assert run(
+        tmp_path,
+        """
+        import gymnasium as gym, numpy as np
+        envs = gym.vector.SyncVectorEnv(
+            [lambda: gym.make("sumo_env:sumo/highway-v0", config=CONFIG) for _ in range(4)]
+        )
+        envs.reset(seed=0)
+        ended = sum((step[2] | step[3]).sum() for step in (envs.step(np.ones(4, int)) for _ in range(20)))
+        print(ended >= 4)
+        """,
+    ) == ["True"]
+
+
+@pytest.mark.slow
+def test_make_vec_of_four(tmp_path: Path) -> None:
+    assert run(
+        tmp_path,
+        """
+        import gymnasium as gym, numpy as np, sumo_env
+        envs = gym.make_vec("sumo/highway-v0", num_envs=4, config=CONFIG)
+        envs.reset(seed=0)
+        print(envs.step(np.ones(4, int))[0].shape)
+        """,
+    ) == ["(4,", "5,", "5)"]
+
+
+@pytest.mark.slow
+def test_dqn_with_an_evaluation_callback(tmp_path: Path) -> None:
+    calls, reward = run(
+        tmp_path,
+        """
+        import gymnasium as gym, torch
+        from stable_baselines3 import DQN
+        from stable_baselines3.common.callbacks import EvalCallback
+        torch.set_num_threads(1)
+        env = gym.make("sumo_env:sumo/highway-v0", config=CONFIG)
+        callback = EvalCallback(
+            gym.make("sumo/highway-v0", config=CONFIG), eval_freq=40, n_eval_episodes=2, verbose=0
+        )
+        DQN("MlpPolicy", env, learning_starts=20).learn(160, callback=callback)
+        print(callback.n_calls, callback.last_mean_reward)
+        """,
+    )
+    assert calls == "160"
+    assert 0.0 < float(reward) <= 8.0
+
+
+@pytest.mark.slow
+def test_ppo_on_dummy_vec_env_of_four(tmp_path: Path) -> None:
+    assert run(
+        tmp_path,
+        """
+        import torch
+        from stable_baselines3 import PPO
+        from stable_baselines3.common.env_util import make_vec_env
+        torch.set_num_threads(1)
+        envs = make_vec_env("sumo_env:sumo/highway-v0", n_envs=4, seed=0, env_kwargs={"config": CONFIG})
+        model = PPO("MlpPolicy", envs, n_steps=16, batch_size=32).learn(128)
+        print(type(envs).__name__, model.num_timesteps)
+        """,
+    ) == ["DummyVecEnv", "128"]
+
+
+@pytest.mark.slow
+def test_train_evaluate_and_train_on(tmp_path: Path) -> None:
+    assert run(
+        tmp_path,
+        """
+        import gymnasium as gym, torch
+        from stable_baselines3 import DQN
+        from stable_baselines3.common.evaluation import evaluate_policy
+        torch.set_num_threads(1)
+        model = DQN("MlpPolicy", gym.make("sumo_env:sumo/highway-v0", config=CONFIG), learning_starts=20)
+        model.learn(60)
+        evaluate_policy(model, gym.make("sumo/highway-v0", config=CONFIG), n_eval_episodes=2, warn=False)
+        model.learn(60, reset_num_timesteps=False)
+        print(model.num_timesteps)
+        """,
+    ) == ["120"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("start_method", ["fork", "spawn", "forkserver"])
+def test_subproc_vec_env_after_the_parent_has_used_sumo(tmp_path: Path, start_method: str) -> None:
+    """Only multiprocessing's own start methods need a guard."""
+    assert run(
+        tmp_path,
+        f"""
+        import gymnasium as gym, numpy as np
+        from stable_baselines3.common.env_util import make_vec_env
+        from stable_baselines3.common.vec_env import SubprocVecEnv
+        if __name__ == "__main__":
+            mine = [gym.make("sumo_env:sumo/highway-v0", config=CONFIG) for _ in range(2)]
+            for env in mine:
+                env.reset(seed=0)
+            envs = make_vec_env(
+                "sumo_env:sumo/highway-v0", n_envs=2, vec_env_cls=SubprocVecEnv, env_kwargs={{"config": CONFIG}},
+                vec_env_kwargs={{"start_method": "{start_method}"}},
+            )
+            envs.reset()
+            for _ in range(10):
+                envs.step(np.array([1, 1]))
+            envs.close()
+            print(*(env.step(1)[4]["distance"] > 0 for env in mine))
+        """,
+    ) == ["True", "True"]
+
+
+@pytest.mark.slow
+def test_the_loop_of_cleanrls_ppo(tmp_path: Path) -> None:
+    """cleanrl/ppo.py: its make_env, four synchronous environments, its rollout and its episodic returns."""
+    episodes, steps = run(
+        tmp_path,
+        """
+        import gymnasium as gym, numpy as np, torch
+        torch.set_num_threads(1)
+
+        def make_env(env_id, idx):
+            def thunk():
+                env = gym.make(env_id, config=CONFIG)
+                env = gym.wrappers.FlattenObservation(env)
+                return gym.wrappers.RecordEpisodeStatistics(env)
+            return thunk
+
+        envs = gym.vector.SyncVectorEnv([make_env("sumo_env:sumo/highway-v0", i) for i in range(4)])
+        actor = torch.nn.Sequential(
+            torch.nn.Linear(int(np.prod(envs.single_observation_space.shape)), 64),
+            torch.nn.Tanh(),
+            torch.nn.Linear(64, envs.single_action_space.n),
+        )
+        optimizer = torch.optim.Adam(actor.parameters(), lr=2.5e-4)
+        next_obs, _ = envs.reset(seed=1)
+        episodes, global_step = [], 0
+        for iteration in range(3):
+            log_probs, rewards = [], []
+            for step in range(16):
+                global_step += 4
+                policy = torch.distributions.Categorical(logits=actor(torch.Tensor(next_obs)))
+                action = policy.sample()
+                log_probs.append(policy.log_prob(action))
+                next_obs, reward, terminations, truncations, infos = envs.step(action.cpu().numpy())
+                rewards.append(torch.tensor(reward, dtype=torch.float32))
+                if "episode" in infos:
+                    episodes += infos["episode"]["r"][infos["_episode"]].tolist()
+            loss = -(torch.stack(log_probs) * torch.stack(rewards)).mean()
+            optimizer.zero_grad()
+            loss.backward()
+            optimizer.step()
+        envs.close()
+        print(len(episodes), global_step)
+        """,
+    )
+    assert int(episodes) >= 8
+    assert steps == "192"
+
+
+@pytest.mark.slow
+def test_torchrls_serial_env(tmp_path: Path) -> None:
+    assert run(
+        tmp_path,
+        """
+        import torch
+        from torchrl.envs import GymEnv, SerialEnv
+        torch.set_num_threads(1)
+        env = SerialEnv(2, lambda: GymEnv("sumo_env:sumo/highway-v0", config=CONFIG))
+        rollout = env.rollout(6, break_when_any_done=False)
+        print(*rollout["observation"].shape)
+        """,
+    ) == ["2", "6", "5", "5"]
+
+
+@pytest.mark.slow
+def test_code_without_a_file(tmp_path: Path) -> None:
+    """As in a notebook: there is nothing that a worker could import again."""
+    assert run(
+        tmp_path,
+        """
+        import gymnasium as gym
+        train, test = (gym.make("sumo_env:sumo/highway-v0", config=CONFIG) for _ in range(2))
+        for _ in range(2):
+            for env in (train, test):
+                env.reset()
+                env.step(1)
+        print(__file__)
+        """,
+        from_stdin=True,
+    ) == ["<stdin>"]

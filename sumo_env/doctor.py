@@ -1,7 +1,7 @@
-"""Does the installation work? ``python -m sumo_env.doctor`` says, in about ten seconds, and what to do if not.
+"""Checks the installation: ``python -m sumo_env.doctor``, a few seconds.
 
-Prints one line a check and exits with 0 if all is well, 1 if there is a problem. Nothing is changed on the machine
-but the cache of compiled kernels.
+Prints one line per check, and what to do if one fails. Exits with 0 if all is well, 1 if there is a problem. Nothing is
+changed on the machine.
 """
 
 from __future__ import annotations
@@ -18,8 +18,8 @@ import numpy as np
 
 import sumo_env
 
-MINIMUM = {"gymnasium": (1, 1), "numpy": (2, 0), "numba": (0, 61), "pillow": (10, 1), "libsumo": (1, 28)}
-SUMO_VERSION = "1.28.0"  # whose behaviour the traffic models were measured on
+MINIMUM = {"gymnasium": (1, 1), "numpy": (2, 0), "pillow": (10, 1), "libsumo": (1, 28)}
+SUMO_VERSION = "1.28.0"  # that the drivers were calibrated on
 STEPS = 100  # of the speed measurement
 
 
@@ -59,17 +59,15 @@ def packages() -> str:
 def sumo() -> str:
     """libsumo can be imported and is the version that everything was measured with."""
     try:
-        from sumo_env.simulation import simulation
+        from sumo_env.sumo.session import version
     except ImportError as error:
         raise Problem(str(error), f"pip install --force-reinstall libsumo=={SUMO_VERSION}") from error
-    version = simulation().version()
-    if SUMO_VERSION not in version:
+    if SUMO_VERSION not in version():
         raise Problem(
-            f"{version}; the traffic models were measured on {SUMO_VERSION}",
+            f"{version()}; SUMO's drivers were calibrated on {SUMO_VERSION}",
             f"pip install libsumo=={SUMO_VERSION}",
         )
-    way = "directly" if simulation().functions is not None else "through libsumo, which is slower"
-    return f"{version}, vehicles are read {way}"
+    return version()
 
 
 def networks() -> str:
@@ -88,26 +86,6 @@ def networks() -> str:
                 "install the package again; from a checkout: python -m sumo_env.networks.build (needs eclipse-sumo)",
             ) from error
     return f"{len(sumo_env.IDS)} tasks"
-
-
-def kernels() -> str:
-    """numba compiles, or finds compiled, the numerical kernels."""
-    start = time.perf_counter()
-    try:
-        from sumo_env.collision import contacts
-
-        beside = np.array([0.0, 4.0]), np.zeros(2), np.zeros(2)
-        pairs = contacts(*beside, np.ones(2, np.bool_))
-    except Exception as error:
-        raise Problem(
-            f"numba does not work: {type(error).__name__}: {error}",
-            "pip install --force-reinstall numba numpy",
-        ) from error
-    if pairs.tolist() != [[0, 1]]:
-        raise Problem(
-            f"contacts are {pairs.tolist()} instead of [[0, 1]]", "remove sumo_env's __pycache__ folders"
-        )
-    return f"ready in {time.perf_counter() - start:.1f} s"
 
 
 def task(id: str) -> str:
@@ -148,15 +126,20 @@ def pictures() -> str:
 
 
 def workers() -> str:
-    """A worker process of a vector environment starts and answers."""
+    """A second environment of a process gets a worker process, and drives the same episode."""
     start = time.perf_counter()
-    envs = gym.make_vec(sumo_env.IDS[0], num_envs=1)
+    envs = [gym.make(sumo_env.IDS[0]) for _ in range(2)]
     try:
-        envs.reset(seed=0)
-        envs.step(np.array([1]))
+        first, second = (_episode(env) for env in envs)
     finally:
-        envs.close()
-    return f"started, reset and stepped in {time.perf_counter() - start:.1f} s"
+        for env in envs:
+            env.close()
+    if not np.array_equal(first, second):
+        raise Problem(
+            "a worker process drives another episode than this process with the same seed",
+            "please report this, with the table above",
+        )
+    return f"same episode; started and driven in {time.perf_counter() - start:.1f} s"
 
 
 def _check_of(id: str) -> Check:
@@ -168,7 +151,6 @@ CHECKS: tuple[Check, ...] = (
     ("packages", packages),
     ("SUMO", sumo),
     ("networks", networks),
-    ("kernels", kernels),
     *(_check_of(id) for id in sumo_env.IDS),
     ("pictures", pictures),
     ("workers", workers),

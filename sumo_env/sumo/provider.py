@@ -65,7 +65,7 @@ class _Slot:
     """
 
     def __init__(self) -> None:
-        self.lock = threading.Lock()
+        self.lock = threading.RLock()  # reentrant: garbage collection inside `claim` may close an environment
         self._holder: weakref.ref[object] = weakref.ref(self)  # to itself: free
 
     def claim(self, claimant: object) -> bool:
@@ -88,7 +88,7 @@ _slot = _Slot()
 
 def _unlock() -> None:
     """In a forked process: another thread may have held the lock."""
-    _slot.lock = threading.Lock()
+    _slot.lock = threading.RLock()
 
 
 if hasattr(os, "register_at_fork"):

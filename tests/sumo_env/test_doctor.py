@@ -63,7 +63,7 @@ def test_missing_and_old_packages_are_named(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_missing_sumo_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delitem(sys.modules, "sumo_env.simulation", raising=False)
+    monkeypatch.delitem(sys.modules, "sumo_env.sumo.session", raising=False)
     monkeypatch.setitem(sys.modules, "libsumo", None)  # an import raises ImportError
     status, text = examine(("SUMO", doctor.sumo))
     assert status == 1
@@ -73,7 +73,7 @@ def test_missing_sumo_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_another_version_of_sumo_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(doctor, "SUMO_VERSION", "9.9.9")
-    with pytest.raises(doctor.Problem, match=r"measured on 9\.9\.9"):
+    with pytest.raises(doctor.Problem, match=r"calibrated on 9\.9\.9"):
         doctor.sumo()
 
 
@@ -85,3 +85,16 @@ def test_episodes_that_differ_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(DrivingEnv, "reset", lambda self, **kwargs: reset(self, seed=next(seeds)))
     with pytest.raises(doctor.Problem, match="two different episodes"):
         doctor.task("sumo/u-turn-v0")
+
+
+def test_a_worker_that_drives_another_episode_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    from sumo_env.sumo.remote import RemoteSimulator
+
+    step = RemoteSimulator.step
+    monkeypatch.setattr(
+        RemoteSimulator,
+        "step",
+        lambda self, command, trace=False: step(self, command._replace(target_speed=1.0)),
+    )
+    with pytest.raises(doctor.Problem, match="drives another episode than this process"):
+        doctor.workers()

@@ -17,7 +17,6 @@ from stable_baselines3.common.evaluation import evaluate_policy
 from stable_baselines3.common.vec_env import SubprocVecEnv
 
 import sumo_env
-from sumo_env.simulation import SimulationTaken
 
 
 @pytest.fixture
@@ -98,11 +97,3 @@ def test_subprocesses() -> None:
         assert np.isfinite(rewards).all()
     finally:
         envs.close()
-
-
-def test_one_process_for_two_is_refused_with_advice() -> None:
-    envs = make_vec_env("sumo/u-turn-v0", n_envs=2)  # DummyVecEnv, its default
-    envs.reset()
-    with pytest.raises(SimulationTaken, match="SubprocVecEnv instead of DummyVecEnv"):
-        envs.step(np.array([1, 1]))
-    envs.close()

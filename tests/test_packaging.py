@@ -1,0 +1,78 @@
+"""The wheel: what it installs, and that nothing beside a user's script can take the place of a part of it."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import subprocess
+import sys
+import sysconfig
+import venv
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+
+SCRIPT = """
+import gymnasium as gym
+import sumo_env
+for id in sumo_env.IDS:
+    first, second = gym.make(id), gym.make(id)  # one in this process, one in a worker
+    for env in (first, second):
+        env.reset(seed=0)
+        env.step(1)
+        env.close()
+print(sumo_env.__file__)
+"""
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def python(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """An environment's interpreter, with the wheel installed and its dependencies borrowed from ours."""
+    folder = tmp_path_factory.mktemp("wheel")
+    source = folder / "source"
+    shutil.copytree(
+        ROOT, source, symlinks=True, ignore=lambda _, names: {name for name in names if name.startswith(".")}
+        | ({"docs", "tests"} & set(names)),
+    )  # fmt: skip
+    pip = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check"]
+    options = ["--no-deps", "--no-index"]
+    subprocess.run([*pip, "wheel", *options, "--no-build-isolation", "-w", folder, source], check=True)
+    (wheel,) = folder.glob("*.whl")
+    venv.create(folder / "venv", with_pip=False)
+    interpreter = folder / "venv" / "bin" / "python"
+    (site_packages(interpreter) / "dependencies.pth").write_text(sysconfig.get_path("purelib"))
+    subprocess.run([*pip, "--python", interpreter, "install", *options, wheel], check=True)
+    return interpreter
+
+
+def site_packages(interpreter: Path) -> Path:
+    version = f"python{sys.version_info.major}.{sys.version_info.minor}"
+    return interpreter.parents[1] / "lib" / version / "site-packages"
+
+
+def test_only_sumo_env_is_installed(python: Path) -> None:
+    installed = {path.name for path in site_packages(python).iterdir()} - {"dependencies.pth"}
+    assert {name for name in installed if not name.endswith(".dist-info")} == {"sumo_env"}
+    networks = site_packages(python) / "sumo_env" / "networks"
+    assert networks.is_dir()
+    assert not networks.is_symlink()
+
+
+def test_hostile_files_beside_the_script_change_nothing(python: Path, tmp_path: Path) -> None:
+    hostile = "raise RuntimeError('this is not the module that you are looking for')\n"
+    for name in ("networks.py", "agents.py", "tests.py", "experiments/__init__.py", "sumo/__init__.py"):
+        file = tmp_path / name
+        file.parent.mkdir(exist_ok=True)
+        file.write_text(hostile)
+    script = tmp_path / "script.py"
+    script.write_text(SCRIPT)
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    done = subprocess.run(
+        [python, script], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr
+    assert Path(done.stdout.strip()).is_relative_to(site_packages(python))

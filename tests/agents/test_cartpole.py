@@ -29,7 +29,7 @@ def mean_return(act: Callable[[np.ndarray], int]) -> float:
     return total / 10
 
 
-@pytest.mark.slow
+@pytest.mark.long
 def test_cartpole_is_learnt_as_well_as_by_stable_baselines3() -> None:
     """Equal budget, replay, exploration and width; SB3 has neither the double nor the dueling part."""
     stable_baselines3 = pytest.importorskip("stable_baselines3")

@@ -18,8 +18,8 @@ from experiments.study.grid import TRAFFICS
 from experiments.study.seeds import scenario_seed, stream_seed
 from experiments.validation.egos import make_ego
 from sumo_env.networks.roads import LaneIndex, Road
-from sumo_env.safety import DENSITY_RADIUS, headways
-from sumo_env.scenario import Scenario
+from sumo_env.contacts.measures import DENSITY_RADIUS, headways
+from sumo_env.traffic.scenario import Scenario
 from sumo_env.scene import Scene
 from sumo_env.tasks import get_task
 

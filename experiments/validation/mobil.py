@@ -19,7 +19,7 @@ import numpy as np
 from experiments.study.seeds import scenario_seed
 from experiments.validation.episodes import LANE_WIDTH
 from experiments.validation.parts import SLOWNESS, Engine, open_env
-from sumo_env.scenario import VehicleSpec
+from sumo_env.traffic.scenario import VehicleSpec
 from sumo_env.scene import PERCEPTION_DISTANCE, VEHICLE_LENGTH, Scene
 
 TASK, LANES, LIMIT = "highway", 4, 30.0  # [m/s]

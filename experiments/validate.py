@@ -1,4 +1,4 @@
-"""A simulator against highway-env on the same scenarios: how far apart they are, and whether that is within the margins.
+"""A simulator against highway-env on the same scenarios: how far apart are they, and is that within the margins?
 
     python experiments/validate.py --out results/validation            # every level, 200 scenarios each
     python experiments/validate.py --out /tmp/validation --quick       # minutes
@@ -27,7 +27,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 from rich.console import Console
-from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.progress import (
+    BarColumn,
+    Progress,
+    TaskProgressColumn,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 from rich.table import Table
 
 from experiments.study import grid
@@ -71,7 +78,7 @@ class Options:
     changes: int = 12
     """Scenarios in which lane changes are held against MOBIL, of the highway's first and third level each."""
     one_in: int = 20
-    """highway-env drives a random one in so many of the reference's episodes again, where another backend computes it."""
+    """Where another backend computes the reference, highway-env drives a random episode in so many again."""
     workers: int = 2
     """Number of processes."""
     update: bool = False
@@ -80,15 +87,17 @@ class Options:
 
 def engines(options: Options, tasks: Sequence[str]) -> list[Engine]:
     """Everything that drives, the compared simulator first."""
-    config: dict[str, Any] = {"traffic_model": "sumo"} if options.backend == "sumo" else {}
     path = {"variant": "path"}
-    found = [Engine(options.backend, options.backend, config), Engine(checks.REFERENCE, options.reference, path)]
+    found = [Engine(options.backend, options.backend), Engine(checks.REFERENCE, options.reference, path)]
     if not options.quick:
         found.append(Engine(checks.NOISE, options.reference, {**path, "simulation_frequency": 10}))
         found += [Engine(name, options.reference, {"variant": name}) for name in checks.VARIANTS]
     if options.reference != "highway-env":
         found.append(Engine(checks.TRUTH, "highway-env", path, one_in=options.one_in))
-    marks = {(e.backend, json.dumps(e.config)): {t: fingerprint(e.backend, t, dict(e.config)) for t in tasks} for e in found}
+    marks = {
+        (e.backend, json.dumps(e.config)): {t: fingerprint(e.backend, t, dict(e.config)) for t in tasks}
+        for e in found
+    }
     quick = QUICK_EGOS if options.quick else ()
     return [replace(e, egos=quick, stamps=marks[e.backend, json.dumps(e.config)]) for e in found]
 
@@ -108,7 +117,7 @@ def validate(options: Options, console: Console, arguments: Sequence[str] = ()) 
     episodes, changes = [], []
     for engine in driving:
         size = 10 if engine.backend == "highway-env" else 50
-        episodes += parts.plan([engine], levels, options.traffics, scenarios, size)
+        episodes += parts.plan([engine], levels, options.traffics, range(scenarios), size)
         if engine.name in (options.backend, checks.REFERENCE) and "highway" in levels:
             number = min(options.changes, scenarios)
             changes += [mobil.Changes(engine, n, number) for n in CHANGE_LEVELS if n in levels["highway"]]
@@ -139,7 +148,13 @@ def validate(options: Options, console: Console, arguments: Sequence[str] = ()) 
 
 def drive(work: Sequence[parts.Work], folder: Path, workers: int, console: Console) -> None:
     """Do what is not there yet, showing how far it has come and when it will be done."""
-    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn(), TimeRemainingColumn())
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TaskProgressColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    )
     left = [item for item in work if not (folder / item.file).exists()]
     with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
         bar = progress.add_task("driving", total=sum(item.cost for item in left))
@@ -184,7 +199,9 @@ def show(record: Mapping[str, Any], console: Console) -> None:
     table = Table("task", "equivalent", "within", "missed", "verdict")
     for task, found in record["tasks"].items():
         counts = [str(value) for value in found["counts"].values()]
-        table.add_row(task, *counts, ("[green]" if found["passed"] else "[red]") + page.WORDS[found["passed"]])
+        table.add_row(
+            task, *counts, ("[green]" if found["passed"] else "[red]") + page.WORDS[found["passed"]]
+        )
     console.print(table)
     if misses := page.missed(record):
         rows = Table("missed", "traffic", "level", record["backend"], "highway-env", "difference", "margin")
@@ -194,7 +211,9 @@ def show(record: Mapping[str, Any], console: Console) -> None:
             rows.add_row(name, c["traffic"], c["level"], *values)
         console.print(rows)
     for task, found in (record["replica"] or {"tasks": {}})["tasks"].items():
-        console.print(f"replica, {task}: {found['differing']} of {found['episodes']} episodes differ from highway-env")
+        console.print(
+            f"replica, {task}: {found['differing']} of {found['episodes']} episodes differ from highway-env"
+        )
 
 
 def main() -> int:

@@ -1,4 +1,4 @@
-"""The checks of a task, level and traffic: what was measured, beside its margin and what highway-env differs from itself by."""
+"""The checks of a task, level and traffic: what was measured, beside its margin."""
 
 from __future__ import annotations
 
@@ -117,7 +117,9 @@ def ego_checks(every: pd.DataFrame, task: str) -> list[Check]:
     scenarios = every["scenario"].nunique()
     for measure, name in (("return", "return"), ("crashed", "crash rate")):
         turned, decided = compare.reversed_pairs(every, measure)
-        difference = Difference(float(decided - len(turned)), float(decided), -float(len(turned)), None, None, scenarios)
+        difference = Difference(
+            float(decided - len(turned)), float(decided), -float(len(turned)), None, None, scenarios
+        )
         note = f"reversed: {', '.join(turned)}" if turned else ""
         margin = margin_of("order", task, "")
         name = f"pairs of egos in the same order, by {name}"

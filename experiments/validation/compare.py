@@ -1,9 +1,9 @@
 """Paired comparison of two simulators on the same scenarios.
 
-The scenario is the unit: the egos that were driven through one are averaged first, so that intervals do not pretend that
-they are independent. Intervals are 90 % t-intervals, so that one that lies within a margin shows equivalence by two
-one-sided tests at 5 % (Schuirmann 1987). At the intersection, where each simulator drives the three seconds before an
-episode itself, two episodes share the seed and not the first scene; the arithmetic is the same.
+The scenario is the unit: the egos that were driven through one are averaged first, so that intervals do not pretend
+that they are independent. Intervals are 90 % t-intervals, so that one that lies within a margin shows equivalence
+by two one-sided tests at 5 % (Schuirmann 1987). At the intersection, where each simulator drives the three seconds
+before an episode itself, two episodes share the seed and not the first scene; the arithmetic is the same.
 """
 
 from __future__ import annotations
@@ -42,8 +42,8 @@ class Difference:
 def pairs(table: pd.DataFrame, first: str, second: str) -> pd.DataFrame:
     """Episodes that both engines have driven, side by side with suffixes ``_a`` and ``_b``.
 
-    Where the two did not start from the same scenario (stored episodes may be of a version that drew others) there is no
-    pair; `strangers` counts those.
+    Where the two did not start from the same scenario (stored episodes may be of a version that drew others) there
+    is no pair; `strangers` counts those.
     """
     both = _side_by_side(table, first, second)
     return both[both["drawn_a"] == both["drawn_b"]]
@@ -113,8 +113,10 @@ def headway_distance(both: pd.DataFrame) -> Difference:
         rows = rng.integers(len(a), size=len(a))
         resampled.append(wasserstein(a[rows].sum(axis=0), b[rows].sum(axis=0)))
     low, high = (float(np.nanquantile(resampled, q)) for q in (0.05, 0.95)) if resampled else (None, None)
-    means = [float(side.sum(axis=0) @ CENTRES / side.sum()) if side.sum() else np.nan for side in (a, b)]
-    return Difference(*means, wasserstein(a.sum(axis=0), b.sum(axis=0)), low, high, len(a))
+    first, second = (
+        float(side.sum(axis=0) @ CENTRES / side.sum()) if side.sum() else np.nan for side in (a, b)
+    )
+    return Difference(first, second, wasserstein(a.sum(axis=0), b.sum(axis=0)), low, high, len(a))
 
 
 def same_outcome(both: pd.DataFrame) -> Difference:
@@ -123,7 +125,12 @@ def same_outcome(both: pd.DataFrame) -> Difference:
     share = float(same.mean()) if len(same) else float("nan")
     low, high = interval(same)
     return Difference(
-        share, 1.0, share - 1.0, None if low is None else low - 1.0, None if high is None else high - 1.0, len(same)
+        share,
+        1.0,
+        share - 1.0,
+        None if low is None else low - 1.0,
+        None if high is None else high - 1.0,
+        len(same),
     )
 
 
@@ -133,7 +140,9 @@ def reversed_pairs(both: pd.DataFrame, measure: str) -> tuple[list[str], int]:
     A pair is decided if the 95 % interval of its difference over scenarios excludes 0. Returns the reversed pairs as
     "one / other" and the number of decided ones.
     """
-    tables = [both.pivot(index="scenario", columns="ego", values=f"{measure}_{side}").astype(float) for side in "ab"]
+    tables = [
+        both.pivot(index="scenario", columns="ego", values=f"{measure}_{side}").astype(float) for side in "ab"
+    ]
     turned, decided = [], 0
     for one, other in combinations(tables[1].columns, 2):
         reference = (tables[1][one] - tables[1][other]).dropna().to_numpy()

@@ -1,4 +1,4 @@
-"""The egos that drive through the traffic: rules from `agents`, and two more that a lane changes or speeds alone reach."""
+"""The egos that drive through the traffic: the rules of `agents`, and two that repeat a few actions."""
 
 from __future__ import annotations
 
@@ -7,8 +7,8 @@ from typing import Any
 
 from agents.rules import Policy, make_policy
 
-# Averaged over in the checks "over egos"; the two-way road and the intersection start the ego at its top speed, so that
-# "faster" would be "idle" again.
+# Averaged over in the checks "over egos"; the two-way road and the intersection start the ego at its top speed, so
+# that "faster" would be "idle" again.
 CORE = ("idle", "faster", "random", "careful", "idm")
 MORE = ("slower", "pulsing", "weaving")
 ALREADY_FASTEST = ("two-way", "intersection")

@@ -1,28 +1,31 @@
 """Whole episodes in any simulator, one row of measures each. The same code measures all of them.
 
-Everything is seen through the environment: its ``info`` and, for the other vehicles, ``env.unwrapped.scene`` at the start
-and after every policy step.
+Everything is seen through the environment: its ``info`` and, for the other vehicles, ``env.unwrapped.scene`` at the
+start and after every policy step.
 """
 
 from __future__ import annotations
 
 import math
 import zlib
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from gymnasium.utils.seeding import np_random
 from numpy.typing import NDArray
 
 from experiments.study.grid import TRAFFICS
 from experiments.study.seeds import scenario_seed, stream_seed
 from experiments.validation.egos import make_ego
-from sumo_env.networks.roads import LaneIndex, Road
 from sumo_env.contacts.measures import DENSITY_RADIUS, headways
-from sumo_env.traffic.scenario import Scenario
+from sumo_env.networks.roads import LaneIndex, Road
 from sumo_env.scene import Scene
 from sumo_env.tasks import get_task
+from sumo_env.traffic.scenario import Scenario
 
+ScenarioMaker = Callable[[dict[str, Any], int], Scenario]
 PAIR = ["task", "level", "traffic", "ego", "scenario"]  # what names an episode in every simulator
 BIN = 0.25  # [s] of the headway histogram
 BINS = 40  # the last one holds everything beyond 9.75 s
@@ -151,19 +154,35 @@ def checksum(scenario: Scenario) -> int:
     return zlib.crc32(repr((drawn, events)).encode())
 
 
+def dose(traffic: str) -> float:
+    """The dose of risk of a traffic: "regular", "risky", or the dose itself as a word."""
+    return TRAFFICS[traffic] if traffic in TRAFFICS else float(traffic)
+
+
 def drive(
-    env: Any, task: str, level: int, traffic: str, ego: str, scenario: int, seed: int | None = None
+    env: Any,
+    task: str,
+    level: int,
+    traffic: str,
+    ego: str,
+    scenario: int,
+    make_scenario: ScenarioMaker | None = None,
 ) -> dict[str, Any]:
-    """Drive scenario number `scenario` to its end and return its row of COLUMNS.
+    """Drive test scenario number `scenario` to its end and return its row of COLUMNS.
 
     Args:
-        seed: of the scenario, that of the test scenario of this number if None.
+        make_scenario: draws the scenario from the configuration and a seed, in place of the task.
     """
     inner = env.unwrapped
     policy = make_ego(ego, env)
     policy.reset(stream_seed("policy", task, level, traffic, scenario))
-    seed = scenario_seed(task, level, scenario) if seed is None else seed
-    observation, info = env.reset(seed=seed, options={"config": {"risk": TRAFFICS[traffic]}})
+    seed = scenario_seed(task, level, scenario)
+    risk = {"risk": dose(traffic)}
+    options: dict[str, Any] = {"config": risk}
+    if make_scenario is not None:
+        drawn_seed = int(np_random(seed)[0].integers(2**31))  # as the environment's own reset draws it
+        options["scenario"] = make_scenario({**inner.config, **risk}, drawn_seed)
+    observation, info = env.reset(seed=seed, options=options)
     recorder = Recorder(task, get_task(task).road(inner.config), 1.0 / inner.config["policy_frequency"])
     recorder.see(inner.scene)
     drawn = checksum(inner.scenario)

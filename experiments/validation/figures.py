@@ -16,7 +16,16 @@ if TYPE_CHECKING:
     import pandas as pd
 
 OWN, THEIRS = TREATMENT, CONTROL
-MARKS = {"idle": "o", "random": "D", "faster": "^", "slower": "v", "idm": "s", "careful": "*", "pulsing": "P", "weaving": "X"}
+MARKS = {
+    "idle": "o",
+    "random": "D",
+    "faster": "^",
+    "slower": "v",
+    "idm": "s",
+    "careful": "*",
+    "pulsing": "P",
+    "weaving": "X",
+}
 ROWS = (
     ("traffic_speed", "traffic speed"), ("headway", "headways"), ("return", "return"), ("crashed", "crash rate"),
     ("crashed_ego", "crash rate of each ego"), ("lane_changes", "lane changes"),
@@ -52,7 +61,9 @@ def overview(tasks: Mapping[str, Any], traffic: str) -> str:
         panel.grid(axis="y", visible=False)
         panel.set_xlim(-2.2, 2.2)
     axes[0, 0].set_yticks([-row for row in range(len(ROWS))], [label for _, label in ROWS])
-    figure.supxlabel("difference as a share of its margin, a line for each level (filled: equivalent)", fontsize=8.5)
+    figure.supxlabel(
+        "difference as a share of its margin, a line for each level (filled: equivalent)", fontsize=8.5
+    )
     return to_svg(figure, f"overview-{traffic}", f"All checks in {traffic} traffic: difference over margin")
 
 
@@ -68,7 +79,7 @@ def _share(panel: Any, item: Mapping[str, Any], y: float) -> None:
 
 @styled
 def distributions(table: pd.DataFrame, own: str, task: str, names: Sequence[str]) -> str:
-    """Headways, traffic speed and return of a task's episodes in regular traffic over each other, a row for each level."""
+    """Headways, traffic speed and return of a task's episodes in regular traffic, a row for each level."""
     rows = table[(table["task"] == task) & (table["traffic"] == "regular")]
     levels = sorted(set(rows["level"]))
     figure, axes = new_figure(len(levels), 3, 0.8 + 1.3 * len(levels), sharex="col")
@@ -84,7 +95,9 @@ def distributions(table: pd.DataFrame, own: str, task: str, names: Sequence[str]
                 axes[number, column].step(values, shares, **style)
         axes[number, 0].set_ylabel(names[level - 1])
         axes[number, 0].set_yticklabels([])
-    for column, title in enumerate(("headways (shares)", "traffic speed (cumulative)", "return (cumulative)")):
+    for column, title in enumerate(
+        ("headways (shares)", "traffic speed (cumulative)", "return (cumulative)")
+    ):
         axes[0, column].set_title(title)
     for column, unit in enumerate(("[s]", "mean of an episode [m/s]", "of an episode")):
         axes[-1, column].set_xlabel(unit)
@@ -100,7 +113,9 @@ def survival(table: pd.DataFrame, own: str, tasks: Sequence[str]) -> str:
     for row, traffic in enumerate(traffics):
         for column, task in enumerate(tasks):
             for engine in (REFERENCE, own):
-                part = table[(table["task"] == task) & (table["traffic"] == traffic) & (table["engine"] == engine)]
+                part = table[
+                    (table["task"] == task) & (table["traffic"] == traffic) & (table["engine"] == engine)
+                ]
                 times = np.sort(part["crash_time"].dropna().to_numpy(float))
                 left = 1.0 - np.arange(len(times) + 1) / max(len(part), 1)
                 axes[row, column].step(np.append(0.0, times), left, where="post", **_style(engine == own))
@@ -118,7 +133,9 @@ def survival(table: pd.DataFrame, own: str, tasks: Sequence[str]) -> str:
 @styled
 def egos(table: pd.DataFrame, own: str, tasks: Sequence[str], traffic: str) -> str:
     """Return and crash rate of every ego at every level, one simulator against the other."""
-    rows = table[(table["traffic"] == traffic) & table["engine"].isin((own, REFERENCE))].astype({"crashed": float})
+    rows = table[(table["traffic"] == traffic) & table["engine"].isin((own, REFERENCE))].astype(
+        {"crashed": float}
+    )
     figure, axes = new_figure(2, len(tasks), 3.8)
     for column, task in enumerate(tasks):
         for row, measure in enumerate(("return", "crashed")):
@@ -137,7 +154,9 @@ def egos(table: pd.DataFrame, own: str, tasks: Sequence[str], traffic: str) -> s
     axes[1, 0].set_ylabel(f"crash rate, {own}")
     for panel in axes[1]:
         panel.set_xlabel("highway-env")
-    handles = [Line2D([], [], color=OWN, ls="", marker=mark, ms=4, label=name) for name, mark in MARKS.items()]
+    handles = [
+        Line2D([], [], color=OWN, ls="", marker=mark, ms=4, label=name) for name, mark in MARKS.items()
+    ]
     figure.legend(handles=handles, loc="outside lower center", ncols=8)
     return to_svg(figure, f"egos-{traffic}", f"Return and crash rate of all egos in {traffic} traffic")
 
@@ -149,7 +168,13 @@ def fundamental(table: pd.DataFrame, own: str) -> str:
     rows = table[(table["task"] == "highway") & (table["traffic"] == "regular")]
     for engine, marker, size in ((REFERENCE, "o", 16), (own, "x", 9)):
         part = rows[rows["engine"] == engine]
-        style: Any = {"s": size, "marker": marker, "c": OWN if engine == own else THEIRS, "alpha": 0.5, "lw": 0.7}
+        style: Any = {
+            "s": size,
+            "marker": marker,
+            "c": OWN if engine == own else THEIRS,
+            "alpha": 0.5,
+            "lw": 0.7,
+        }
         axes[0, 0].scatter(part["ahead"], part["flow"], **style)
         axes[0, 1].scatter(part["ahead"], part["traffic_speed"], **style)
     axes[0, 0].set_ylabel("flow, four lanes [vehicles/h]")

@@ -1,6 +1,7 @@
 """What a simulator does, as eight digits: results of other dynamics must never be mixed or believed to be of these.
 
-Behaviour is taken, not source code: the first policy steps of a few episodes, rounded far above what processors differ by.
+Behaviour is taken, not source code: the first policy steps of a few episodes, rounded far above what processors
+differ by.
 """
 
 from __future__ import annotations
@@ -33,7 +34,10 @@ def fingerprint(backend: str, task: str, config: dict[str, Any] | None = None) -
         config: changes of the task's configuration.
     """
     if backend == "highway-env":
-        values: Any = [_scenarios(task), [path.read_text() for path in sorted(BACKENDS.glob("highway_env*.py"))]]
+        values: Any = [
+            _scenarios(task),
+            [path.read_text() for path in sorted(BACKENDS.glob("highway_env*.py"))],
+        ]
         values.append(importlib.metadata.version("highway-env"))
     else:
         names = level_names(task)

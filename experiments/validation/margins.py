@@ -1,8 +1,8 @@
 """How far SUMO's traffic may be from highway-env's before a researcher would conclude something else.
 
-The margins were fixed before SUMO's drivers were validated with them, and are never fitted to results. A check is judged
-by its point estimate; *equivalent* is said only where the whole 90 % interval lies inside the margin (two one-sided
-tests at 5 %).
+The margins were fixed before SUMO's drivers were validated with them, and are never fitted to results. A check is
+judged by its point estimate; *equivalent* is said only where the whole 90 % interval lies inside the margin (two
+one-sided tests at 5 %).
 """
 
 from __future__ import annotations

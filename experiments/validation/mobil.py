@@ -1,9 +1,9 @@
 """Lane changes of the highway's traffic, held against MOBIL's two criteria (Kesting et al. 2007; ``IDMVehicle.mobil``).
 
-A change is *safe* if the follower on the new lane would not have to brake harder than the driver's limit (2 m/s2), and
-*worth it* if the driver gains at least its threshold (0.2 m/s2; politeness is 0). All accelerations are highway-env's IDM
-with the deciding driver's parameters. A change begins in the last sample in which the vehicle is still in the middle of
-its lane, and is valid if it was safe and worth it at a moment of the 0.3 s before.
+A change is *safe* if the follower on the new lane would not have to brake harder than the driver's limit (2 m/s2),
+and *worth it* if the driver gains at least its threshold (0.2 m/s2; politeness is 0). All accelerations are
+highway-env's IDM with the deciding driver's parameters. A change begins in the last sample in which the vehicle is
+still in the middle of its lane, and is valid if it was safe and worth it at a moment of the 0.3 s before.
 """
 
 from __future__ import annotations
@@ -19,8 +19,8 @@ import numpy as np
 from experiments.study.seeds import scenario_seed
 from experiments.validation.episodes import LANE_WIDTH
 from experiments.validation.parts import SLOWNESS, Engine, open_env
-from sumo_env.traffic.scenario import VehicleSpec
 from sumo_env.scene import PERCEPTION_DISTANCE, VEHICLE_LENGTH, Scene
+from sumo_env.traffic.scenario import VehicleSpec
 
 TASK, LANES, LIMIT = "highway", 4, 30.0  # [m/s]
 CENTRED = 0.06  # [m] from the middle of the lane
@@ -95,7 +95,9 @@ def judge(frames: Sequence[Scene], specs: dict[str, VehicleSpec], frequency: flo
                 centred.pop(name, None)
                 continue
             begin, before = centred.get(name, (-1, lane))
-            if lane != before:  # who turns back, or goes on to a third lane, was not in the middle of this one
+            if (
+                lane != before
+            ):  # who turns back, or goes on to a third lane, was not in the middle of this one
                 del centred[name]
                 if near[row]:
                     moments = [m for m in frames[max(begin - back, 0) : begin + 1] if name in m.ids]
@@ -141,7 +143,9 @@ def _acceleration(
     acceleration = driver.accel * (1.0 - (max(speed, 0.0) / max(target, 1e-2)) ** driver.delta)
     if leader is None:
         return acceleration
-    approach = speed - scene.speed.item(leader) * math.cos(scene.heading.item(leader) - scene.heading.item(row))
+    approach = speed - scene.speed.item(leader) * math.cos(
+        scene.heading.item(leader) - scene.heading.item(row)
+    )
     wanted = driver.min_gap + VEHICLE_LENGTH + speed * driver.tau
     wanted += speed * approach / (2.0 * math.sqrt(driver.accel * driver.decel))
     distance = scene.x.item(leader) - scene.x.item(row)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import copy
 import io
 import multiprocessing
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -15,16 +16,17 @@ from experiments.backends import make_env
 from experiments.study.grid import level_names
 from experiments.study.seeds import stream_seed
 from experiments.support.errors import UserError
-from experiments.support.files import write_file
+from experiments.support.files import canonical_json, sha256_bytes, write_file
 from experiments.validation.egos import egos
-from experiments.validation.episodes import COLUMNS, drive
+from experiments.validation.episodes import COLUMNS, ScenarioMaker, drive
 from sumo_env.tasks import TASKS
 
 if TYPE_CHECKING:
     import pandas as pd
 
 STRAIGHT = ("highway", "two-way")  # roads without joins: the variants of highway-env are the same there
-# Rough time of an episode at the lowest level, relative to each other, to start long parts first and to estimate the end.
+# Rough time of an episode at the lowest level, relative to each other, to start long parts first and to estimate
+# the end.
 COST = {"highway": 8.0, "two-way": 2.0, "roundabout": 2.0, "intersection": 2.0, "u-turn": 1.0}
 SLOWNESS = {"highway-env": 60.0}  # of a backend
 
@@ -37,6 +39,8 @@ class Engine:
         name: how tables call it.
         backend: of `experiments.backends.make_env`.
         config: changes of a task's configuration.
+        calibration: changes of the task's calibrated drivers (`sumo_env.traffic.drivers.Calibration`); SUMO only.
+        risk: changes of the task's rates of risk events (`sumo_env.traffic.risk.RiskRates`); not highway-env itself.
         one_in: drives a random episode in so many.
         egos: that are driven, all of the task if empty.
         stamps: task -> fingerprint of what it drives; episodes of another fingerprint are never reused.
@@ -45,13 +49,17 @@ class Engine:
     name: str
     backend: str
     config: Mapping[str, Any] = field(default_factory=dict)
+    calibration: Mapping[str, Any] = field(default_factory=dict)
+    risk: Mapping[str, Any] = field(default_factory=dict)
     one_in: int = 1
     egos: tuple[str, ...] = ()
     stamps: Mapping[str, str] = field(default_factory=dict)
 
     def folder(self, task: str) -> str:
-        """Where its parts of a task are stored."""
-        return f"{self.name.replace(' ', '-')}/{task}-{self.stamps.get(task, '')}"
+        """Where its parts of a task are stored: by all that decides what they hold."""
+        settings = [dict(self.config), dict(self.calibration), dict(self.risk), self.one_in, list(self.egos)]
+        digest = sha256_bytes(canonical_json([*settings, self.stamps.get(task)]).encode())[:8]
+        return f"{self.name.replace(' ', '-')}/{task}-{digest}"
 
 
 class Work(Protocol):
@@ -60,15 +68,19 @@ class Work(Protocol):
     @property
     def engine(self) -> Engine:
         """Whose work it is."""
+
     @property
     def task(self) -> str:
         """The only task that it drives."""
+
     @property
     def file(self) -> str:
         """Its path within the folder of all parts."""
+
     @property
     def cost(self) -> float:
         """Rough time that it takes, in an arbitrary unit."""
+
     def compute(self) -> bytes:
         """The content of the file."""
 
@@ -87,9 +99,7 @@ class Part:
     def file(self) -> str:
         """Path of its table within the folder of all parts."""
         first, last = self.scenarios[0], self.scenarios[-1]
-        share = "" if self.engine.one_in == 1 else f"-one-in-{self.engine.one_in}"
-        name = f"{self.level}-{self.traffic}-{first:03d}-{last:03d}{share}.parquet"
-        return f"{self.engine.folder(self.task)}/{name}"
+        return f"{self.engine.folder(self.task)}/{self.level}-{self.traffic}-{first:03d}-{last:03d}.parquet"
 
     def episodes(self) -> list[tuple[int, str]]:
         """Scenario and ego of each episode."""
@@ -119,27 +129,46 @@ class Part:
 
 
 def plan(
-    engines: Iterable[Engine], levels: Mapping[str, Sequence[int]], traffics: Sequence[str], scenarios: int, size: int
+    engines: Iterable[Engine],
+    levels: Mapping[str, Sequence[int]],
+    traffics: Sequence[str],
+    scenarios: range,
+    size: int,
 ) -> list[Part]:
     """Everything that the engines have to drive, `size` scenarios in a part.
 
     On roads without joins, engines that differ only in how far drivers see beyond a join are left out.
     """
     return [
-        Part(engine, task, level, traffic, range(first, min(first + size, scenarios)))
+        Part(engine, task, level, traffic, scenarios[first : first + size])
         for engine in engines
         for task, numbers in levels.items()
         if not (task in STRAIGHT and engine.config.get("variant") in ("v0", "connected"))
         for level in numbers
         for traffic in traffics
-        for first in range(0, scenarios, size)
+        for first in range(0, len(scenarios), size)
     ]
 
 
 def open_env(engine: Engine, task: str, level: int) -> Any:
     """The environment of a task at a level."""
-    setting = TASKS[task].levels[level_names(task)[level - 1]]
-    return make_env(engine.backend, task, {**setting, **engine.config})
+    config = {**TASKS[task].levels[level_names(task)[level - 1]], **engine.config}
+    if not engine.calibration:
+        return make_env(engine.backend, task, config)
+    from sumo_env.env import DrivingEnv
+    from sumo_env.sumo.world import SumoSimulator
+
+    calibration = replace(TASKS[task].calibration, **engine.calibration)
+    return DrivingEnv(task, config, simulator=SumoSimulator(calibration))
+
+
+def scenario_maker(engine: Engine, task: str) -> ScenarioMaker | None:
+    """How scenarios are drawn where the engine's risk differs from the task's."""
+    if not engine.risk:
+        return None
+    changed = copy.copy(TASKS[task])
+    changed.risk_rates = replace(changed.risk_rates, **engine.risk)  # type: ignore[misc]
+    return changed.scenario
 
 
 def drive_part(part: Part) -> pd.DataFrame:
@@ -151,8 +180,9 @@ def drive_part(part: Part) -> pd.DataFrame:
     if chosen:
         env = open_env(part.engine, part.task, part.level)
         try:
+            make_scenario = scenario_maker(part.engine, part.task)
             for scenario, ego in chosen:
-                rows.append(drive(env, part.task, part.level, part.traffic, ego, scenario))
+                rows.append(drive(env, part.task, part.level, part.traffic, ego, scenario, make_scenario))
         finally:
             env.close()
     return pd.DataFrame(rows, columns=list(COLUMNS)).astype(COLUMNS)
@@ -203,5 +233,3 @@ def collect(parts: Sequence[Part], folder: Path) -> pd.DataFrame:
 
     tables = [pd.read_parquet(folder / part.file).assign(engine=part.engine.name) for part in parts]
     return pd.concat(tables, ignore_index=True)
-
-

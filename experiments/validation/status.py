@@ -1,8 +1,8 @@
 """What is known, before training, of how close the simulator is to highway-env.
 
-A full validation leaves two files here: `verdict.json` (what it found, by task, with the fingerprint of the dynamics) and
-`reference.parquet` (highway-env's episodes of a few scenarios). Where the dynamics are still those, the verdict holds;
-where not, the simulator is driven through the stored scenarios for about a minute.
+A full validation leaves two files here: `verdict.json` (what it found, by task, with the fingerprint of the
+dynamics) and `reference.parquet` (highway-env's episodes of a few scenarios). Where the dynamics are still those,
+the verdict holds; where not, the simulator is driven through the stored scenarios for about a minute.
 """
 
 from __future__ import annotations
@@ -23,7 +23,9 @@ if TYPE_CHECKING:
 HERE = Path(__file__).parent
 VERDICT, STORED_REFERENCE = HERE / "verdict.json", HERE / "reference.parquet"
 SCHEMA = 2
-VALIDATED = "sumo"  # the backend that a sweep has to know about; the others are highway-env, or tested against it
+VALIDATED = (
+    "sumo"  # the backend that a sweep has to know about; the others are highway-env, or tested against it
+)
 
 
 def versions() -> dict[str, str]:
@@ -32,7 +34,11 @@ def versions() -> dict[str, str]:
 
 
 def before_training(
-    backend: str, tasks: Sequence[str], out: Path, workers: int = 1, note: Callable[[str], None] = lambda _: None
+    backend: str,
+    tasks: Sequence[str],
+    out: Path,
+    workers: int = 1,
+    note: Callable[[str], None] = lambda _: None,
 ) -> dict[str, Any] | None:
     """The verdict on a backend's tasks; also written to ``validation.json`` in `out`, where the report looks for it.
 
@@ -53,11 +59,15 @@ def before_training(
 
 
 def read(path: Path) -> dict[str, Any] | None:
-    """The verdict in a file, None if there is none that this version understands."""
+    """The verdict in a file, a full validation.json included; None if there is none that this version understands."""
     try:
         record = json.loads(path.read_text())
-        return record if record["schema"] == SCHEMA else None
-    except (OSError, ValueError, KeyError, TypeError):
+        if record["schema"] != SCHEMA:
+            return None
+        if any("traffics" in found for found in record["tasks"].values()):
+            return verdict_of(record)
+        return record
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return None
 
 
@@ -82,11 +92,11 @@ def stored_verdict(backend: str, marks: Mapping[str, str], path: Path = VERDICT)
     }
 
 
-def quick_verdict(backend: str, marks: Mapping[str, str], folder: Path, workers: int) -> dict[str, Any] | None:
+def quick_verdict(backend: str, marks: Mapping[str, str], folder: Path, workers: int) -> dict[str, Any]:
     """Drive the backend through the stored scenarios of these tasks and compare.
 
-    So few scenarios cannot show that a margin is kept; a check counts as missed only where its whole 90 % interval lies
-    beyond the margin.
+    So few scenarios cannot show that a margin is kept; a check counts as missed only where its whole 90 % interval
+    lies beyond the margin.
     """
     import pandas as pd
 
@@ -96,11 +106,12 @@ def quick_verdict(backend: str, marks: Mapping[str, str], folder: Path, workers:
     stored = pd.read_parquet(STORED_REFERENCE) if STORED_REFERENCE.exists() else pd.DataFrame({"task": []})
     stored = stored[stored["task"].isin(list(marks))]
     if stored.empty:
-        return _record(backend, "nothing stored", {task: {"passed": None, "missed": []} for task in marks}, marks)
+        unknown = {task: {"passed": None, "counts": {}, "missed": []} for task in marks}
+        return _record(backend, "nothing is stored that it could be compared with", unknown, marks)
     number = int(stored["scenario"].max()) + 1
     levels = {task: sorted(set(stored.loc[stored["task"] == task, "level"])) for task in marks}
     engine = parts.Engine(backend, backend, stamps=marks, egos=tuple(sorted(set(stored["ego"]))))
-    work = parts.plan([engine], levels, tuple(dict.fromkeys(stored["traffic"])), number, number)
+    work = parts.plan([engine], levels, tuple(dict.fromkeys(stored["traffic"])), range(number), number)
     folder.mkdir(parents=True, exist_ok=True)
     parts.run(work, folder, workers, lambda _: None)
     table = pd.concat([parts.collect(work, folder), stored.assign(engine=REFERENCE)], ignore_index=True)
@@ -115,7 +126,9 @@ def quick_verdict(backend: str, marks: Mapping[str, str], folder: Path, workers:
 
 def _surely(item: Mapping[str, Any]) -> bool:
     """Whether the whole interval of a check lies beyond its margin."""
-    if item["low"] is None or item["metric"] == "headway":  # a distance is never negative and grows with noise
+    if (
+        item["low"] is None or item["metric"] == "headway"
+    ):  # a distance is never negative and grows with noise
         return False
     return bool(item["low"] > item["margin"] or item["high"] < -item["margin"])
 
@@ -130,7 +143,10 @@ def summary(tasks: Mapping[str, Any]) -> dict[str, Any]:
             for level, checks in levels.items()
             for item in checks
         ]
-        counts = {word: sum(item["verdict"] == word for _, _, item in every) for word in ("equivalent", "within", "missed")}
+        counts = {
+            word: sum(item["verdict"] == word for _, _, item in every)
+            for word in ("equivalent", "within", "missed")
+        }
         keys = ("name", "ego", "sumo", "reference", "difference", "margin", "note")
         missed = [
             {"traffic": traffic, "level": level, **{key: item[key] for key in keys}}
@@ -140,6 +156,12 @@ def summary(tasks: Mapping[str, Any]) -> dict[str, Any]:
         passed = not missed if sum(counts.values()) else None
         result[task] = {"passed": passed, "counts": counts, "missed": missed}
     return result
+
+
+def verdict_of(record: Mapping[str, Any]) -> dict[str, Any]:
+    """The verdict of a full validation, from the content of its validation.json."""
+    source = f"{record['scenarios']} scenarios of each level ({record['command']})"
+    return _record(record["backend"], source, summary(record["tasks"]), record["fingerprints"])
 
 
 def _record(backend: str, source: str, tasks: Mapping[str, Any], marks: Mapping[str, str]) -> dict[str, Any]:
@@ -157,12 +179,6 @@ def store(record: Mapping[str, Any], table: pd.DataFrame, scenarios: int, egos: 
     """Keep a full validation in the package: its verdict, and the reference's episodes of the first scenarios."""
     from experiments.validation.checks import REFERENCE
 
-    tasks = summary(record["tasks"])
-    source = f"{record['scenarios']} scenarios of each level: {record['command']}"
-    write_json(VERDICT, _record(record["backend"], source, tasks, record["fingerprints"]))
-    few = table[
-        (table["engine"] == REFERENCE) & (table["scenario"] < scenarios) & table["ego"].isin(list(egos))
-    ]
-    few.drop(columns="engine").to_parquet(STORED_REFERENCE, index=False, compression="zstd")
-
-
+    write_json(VERDICT, verdict_of(record))
+    chosen = (table["engine"] == REFERENCE) & (table["scenario"] < scenarios) & table["ego"].isin(list(egos))
+    table[chosen].drop(columns="engine").to_parquet(STORED_REFERENCE, index=False, compression="zstd")

@@ -10,7 +10,6 @@ from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.patches import Polygon
 from numpy.typing import NDArray
-
 from sumo_env.collision import LENGTH, WIDTH, meeting, separation
 
 TARGET = Path(__file__).resolve().parent.parent / "docs" / "img" / "collisions.png"

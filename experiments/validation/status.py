@@ -106,8 +106,8 @@ def quick_verdict(backend: str, marks: Mapping[str, str], folder: Path, workers:
     stored = pd.read_parquet(STORED_REFERENCE) if STORED_REFERENCE.exists() else pd.DataFrame({"task": []})
     stored = stored[stored["task"].isin(list(marks))]
     if stored.empty:
-        unknown = {task: {"passed": None, "counts": {}, "missed": []} for task in marks}
-        return _record(backend, "nothing is stored that it could be compared with", unknown, marks)
+        nothing: dict[str, Any] = {task: {"passed": None, "counts": {}, "missed": []} for task in marks}
+        return _record(backend, "nothing is stored that it could be compared with", nothing, marks)
     number = int(stored["scenario"].max()) + 1
     levels = {task: sorted(set(stored.loc[stored["task"] == task, "level"])) for task in marks}
     engine = parts.Engine(backend, backend, stamps=marks, egos=tuple(sorted(set(stored["ego"]))))

@@ -23,7 +23,7 @@ from experiments.support.threads import limit_threads
 limit_threads()
 
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import pandas as pd
@@ -183,7 +183,7 @@ class Fit:
     def measure_doses(self) -> pd.DataFrame:
         """Responses to every dose at the lowest level, in both simulators and without events."""
         none = dict.fromkeys(("cut_in", "brake", "surge"), 0.0)
-        silent = replace(self.sumo(risk=none, egos=doses.EGOS), name=WITHOUT_EVENTS)
+        silent = self.sumo(risk=none, egos=doses.EGOS).named(WITHOUT_EVENTS)
         engines = [self.sumo(egos=doses.EGOS), silent, self.reference(egos=doses.EGOS)]
         return doses.responses(self.drive(engines, (1,), doses.DOSES, self.judging))
 

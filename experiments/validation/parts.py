@@ -55,6 +55,10 @@ class Engine:
     egos: tuple[str, ...] = ()
     stamps: Mapping[str, str] = field(default_factory=dict)
 
+    def named(self, name: str) -> Engine:
+        """The same under another name."""
+        return replace(self, name=name)
+
     def folder(self, task: str) -> str:
         """Where its parts of a task are stored: by all that decides what they hold."""
         settings = [dict(self.config), dict(self.calibration), dict(self.risk), self.one_in, list(self.egos)]

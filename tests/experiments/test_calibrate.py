@@ -15,7 +15,9 @@ from experiments.calibrate import WITHOUT_EVENTS, Fit, Options, calibrate, show
 @pytest.fixture
 def options(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Options:
     """SUMO stands for highway-env, so that both sides are quick."""
-    monkeypatch.setattr(Fit, "reference", lambda self, **changes: Fit.sumo(self, **changes).named("reference"))
+    monkeypatch.setattr(
+        Fit, "reference", lambda self, **changes: Fit.sumo(self, **changes).named("reference")
+    )
     return Options(tmp_path, tasks=("u-turn",), reference="sumo", trials=3, scenarios=3, test=4, workers=1)
 
 

@@ -12,7 +12,9 @@ from experiments.validation.egos import egos
 from experiments.validation.episodes import HEADWAYS
 
 
-def episodes(engine: str, task: str = "u-turn", level: int = 1, traffic: str = "regular", n: int = 40, **changes: Any):
+def episodes(
+    engine: str, task: str = "u-turn", level: int = 1, traffic: str = "regular", n: int = 40, **changes: Any
+):
     """Episodes of every ego in `n` scenarios; `changes`: column -> value, or a function of ego and scenario."""
     rows = []
     for number, ego in enumerate(egos(task)):

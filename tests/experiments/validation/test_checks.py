@@ -6,7 +6,15 @@ import pandas as pd
 import pytest
 
 from experiments.validation import checks
-from experiments.validation.checks import REFERENCE, TRUTH, check, level_checks, passed, replica_checks, scorecard
+from experiments.validation.checks import (
+    REFERENCE,
+    TRUTH,
+    check,
+    level_checks,
+    passed,
+    replica_checks,
+    scorecard,
+)
 from experiments.validation.compare import Difference
 from experiments.validation.margins import MARGINS, RETURN_RANGE, Margin
 from sumo_env.tasks import TASKS

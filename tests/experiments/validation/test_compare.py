@@ -23,7 +23,10 @@ def both(values: dict[str, list[tuple[float, float]]], measure: str = "return") 
     rows = []
     for ego, cases in values.items():
         for scenario, (first, second) in enumerate(cases):
-            rows += [row("a", scenario, ego, **{measure: first}), row("b", scenario, ego, **{measure: second})]
+            rows += [
+                row("a", scenario, ego, **{measure: first}),
+                row("b", scenario, ego, **{measure: second}),
+            ]
     return compare.pairs(pd.DataFrame(rows), "a", "b")
 
 
@@ -35,7 +38,9 @@ def test_episodes_of_other_scenarios_are_no_pairs() -> None:
 
 def test_the_scenario_is_the_unit() -> None:
     once = compare.mean_difference(both({"idle": [(1, 0), (3, 0), (2, 0)]}), "return")
-    twice = compare.mean_difference(both({ego: [(1, 0), (3, 0), (2, 0)] for ego in ("idle", "faster")}), "return")
+    twice = compare.mean_difference(
+        both({ego: [(1, 0), (3, 0), (2, 0)] for ego in ("idle", "faster")}), "return"
+    )
     assert once.difference == twice.difference == 2
     assert once.n == twice.n == 3
     assert (once.low, once.high) == pytest.approx((twice.low, twice.high))

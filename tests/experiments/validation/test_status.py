@@ -71,10 +71,14 @@ def test_fingerprints_change_with_the_dynamics(monkeypatch: pytest.MonkeyPatch) 
 
 
 @pytest.mark.slow
-def test_other_dynamics_are_driven_through_the_stored_scenarios(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_other_dynamics_are_driven_through_the_stored_scenarios(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(status, "VERDICT", tmp_path / "nothing.json")
     monkeypatch.setattr(status, "STORED_REFERENCE", tmp_path / "reference.parquet")
-    reference = drive_part(Part(Engine(REFERENCE, "sumo", egos=("idle", "careful")), "u-turn", 1, "regular", range(4)))
+    reference = drive_part(
+        Part(Engine(REFERENCE, "sumo", egos=("idle", "careful")), "u-turn", 1, "regular", range(4))
+    )
     reference.to_parquet(tmp_path / "reference.parquet")
     out = tmp_path / "sweep"
     out.mkdir()

@@ -1,0 +1,85 @@
+"""The benchmark: its arithmetic, and every part on next to nothing."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from rich.console import Console
+
+from experiments import benchmark
+from experiments.benchmark import Effort, Options, run, show
+from experiments.measuring import Driver, Remote, Slice, Stopwatch, median_rate, median_ratio, resident_mib
+
+LITTLE = Effort(
+    turns=2, seconds=0.02, reference_steps=1, middle_levels=False, starts=1, updates=20, episodes=10
+)
+
+
+class Counter:
+    """Counts up; lives in a process of its own."""
+
+    def __init__(self, first: int) -> None:
+        self.value = first
+
+    def add(self, more: int) -> int:
+        self.value += more
+        if more == 0:
+            raise ValueError("nothing to add")
+        return self.value
+
+
+def test_an_object_in_another_process_keeps_its_state_and_reports_errors() -> None:
+    with Remote(Counter, 5) as counter:
+        assert counter.call("add", 2) == 7
+        with pytest.raises(ValueError, match="nothing to add"):
+            counter.call("add", 0)
+        assert counter.call("add", 1) == 8
+
+
+def test_ratios_are_taken_turn_by_turn() -> None:
+    ours = [Slice(10, 1.0, 1.0), Slice(10, 9.0, 2.0), Slice(10, 1.0, 1.0)]
+    theirs = [Slice(1, 1.0, 1.0), Slice(1, 1.0, 2.0), Slice(1, 1.0, 0.5)]
+    assert median_ratio(ours, theirs) == 10.0  # of 10, 10 and 5: the second turn was slow for both
+    assert median_rate(ours) == 10.0
+
+
+def test_a_stopwatch_takes_processor_time() -> None:
+    watch = Stopwatch()
+    sum(range(100_000))
+    part = watch.slice(3)
+    assert part.count == 3
+    assert part.cpu > 0.0
+
+
+def test_memory_is_that_of_a_python_process() -> None:
+    assert 10 < resident_mib() < 10_000
+
+
+def test_a_slice_ends_with_an_episode_and_holds_its_resets() -> None:
+    driver = Driver("sumo", "u-turn", {"simulation_frequency": 15})
+    assert 1 <= driver.drive(0.0).count <= 10
+    assert driver._done
+    assert driver.reset_ms() > 0.0
+    assert driver.bare_engine(0.0, 5).count == 5
+    assert 1 <= driver.episode_steps() <= 10
+    driver._env.close()
+
+
+@pytest.mark.slow
+def test_the_command_measures_every_part(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
+    monkeypatch.setattr(benchmark, "QUICK", LITTLE)
+    results = run(Options(tmp_path, quick=True, tasks=("u-turn",), backends=("sumo",)), Console())
+    assert json.loads((tmp_path / "benchmark.json").read_text()) == results
+    assert {(r["level"], r["frequency"]) for r in results["env"]} == {
+        (n, f) for n in ("3", "12") for f in (10, 15)
+    }
+    assert all(r["ratio"] > 1.0 and r["of_bare_engine"] > 0.0 for r in results["env"])
+    assert 0.0 < results["start"][0]["seconds"] < 60.0
+    assert {r["network"] for r in results["learner"]} == {"attention", "dueling"}
+    training = results["training"][0]
+    assert 0.0 < training["env_ms"] < training["step_ms"]
+    assert results["memory"][0]["episodes"] == 10
+    show(results, Console(width=200))
+    assert "Stable-Baselines3" in capsys.readouterr().out

@@ -1,10 +1,10 @@
-"""SUMO against highway-env on the same scenarios: how far apart they are, and whether that is within the margins.
+"""A simulator against highway-env on the same scenarios: how far apart are they, and is that within the margins?
 
-    python experiments/validate.py --out results/validation            # drives highway-env too: see --help
-    python experiments/validate.py --out /tmp/validation --quick       # two minutes, from the stored reference
+    python experiments/validate.py --out results/validation            # every level, 200 scenarios each
+    python experiments/validate.py --out /tmp/validation --quick       # minutes
 
 Writes validation.json and validation.html. The same command run again goes on where it was stopped. Exit status: 0
-all targets met, 1 some missed, 2 something has to be put right first. docs/validation.md says how to read them.
+all margins kept, 1 some missed, 2 something has to be put right first. docs/validation.md says how to read them.
 """
 
 from __future__ import annotations
@@ -19,161 +19,224 @@ from experiments.support.threads import limit_threads
 
 limit_threads()
 
+import json
 import shlex
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Annotated, Any
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Annotated, Any
 
 import tyro
 from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+from rich.progress import (
+    BarColumn,
+    Progress,
+    TaskProgressColumn,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 from rich.table import Table
 
 from experiments.study import grid
 from experiments.support.errors import UserError, disk_error, run_command, unknown
-from experiments.support.files import sha256_bytes, write_file, write_json
-from experiments.validation import jobs, page, record, reference, status
-from experiments.validation.jobs import Job, Size
+from experiments.support.files import write_file, write_json
+from experiments.support.provenance import provenance
+from experiments.validation import checks, compare, mobil, page, parts, status
+from experiments.validation.egos import CORE
+from experiments.validation.fingerprint import fingerprint
+from experiments.validation.parts import Engine
 
-ROOT = Path(__file__).resolve().parents[1]
-# What parts depend on: those driven by other code are not used again. (That the scenarios are the same is checked.)
-SOURCES = {"highway-env": ("experiments/backends",), "sumo": ("sumo_env", "networks")}
-QUICK = Size(lowest=30, others=24, highway=(30, 12, 8), changes=6)
+if TYPE_CHECKING:
+    import pandas as pd
+
+SCHEMA = 2
+CHANGE_LEVELS = (1, 3)  # of the highway, whose lane changes are held against MOBIL
+STORED_SCENARIOS = 24  # of each level, kept in the package for the check before a sweep
+QUICK_SCENARIOS, QUICK_EGOS = 20, CORE
 
 
 @dataclass(frozen=True)
 class Options:
-    """Compare SUMO with highway-env."""
+    """Compare a simulator with highway-env."""
 
     out: Path
     """Directory for validation.json and validation.html."""
     quick: bool = False
-    """Drive SUMO only, in few scenarios, against the stored reference: two minutes."""
+    """Few scenarios and egos, the reference alone without its variants."""
+    backend: str = "sumo"
+    """The simulator that is compared."""
+    reference: str = "highway-env"
+    """The backend that computes highway-env's episodes: highway-env itself or its replica."""
     tasks: Annotated[tuple[str, ...], tyro.conf.arg(metavar="TASK ...")] = ()
     """Some of highway, two-way, roundabout, intersection, u-turn (default: all)."""
-    lowest: int = 200
-    """Scenarios of the lowest traffic level; every ego drives each."""
-    others: int = 200
-    """Scenarios of each other level."""
-    highway: tuple[int, int, int] = (200, 100, 60)
-    """Scenarios of the highway's three levels, where highway-env is slowest."""
+    levels: Annotated[tuple[int, ...], tyro.conf.arg(metavar="N ...")] = ()
+    """Some traffic levels, 1 is the lightest (default: all)."""
+    scenarios: int = 200
+    """Scenarios of each level; every ego drives each."""
     traffics: Annotated[tuple[str, ...], tyro.conf.arg(metavar="TRAFFIC ...")] = ("regular", "risky")
-    """Traffic to drive: regular (which has the targets), risky or both."""
-    changes: int = 6
-    """Scenarios in which lane-change decisions are examined, of the highway's first and third level each."""
+    """Traffic to drive: regular, risky or both."""
+    changes: int = 12
+    """Scenarios in which lane changes are held against MOBIL, of the highway's first and third level each."""
+    one_in: int = 20
+    """Where another backend computes the reference, highway-env drives a random episode in so many again."""
     workers: int = 2
     """Number of processes."""
     update: bool = False
-    """Store what highway-env drove, and the verdicts, in the package (experiments/validation/), to be committed."""
+    """Store the verdict and a part of the reference in the package (experiments/validation/), to be committed."""
 
-    @property
-    def size(self) -> Size:
-        """Scenarios a cell."""
-        return QUICK if self.quick else Size(self.lowest, self.others, self.highway, self.changes)
+
+def engines(options: Options, tasks: Sequence[str]) -> list[Engine]:
+    """Everything that drives, the compared simulator first."""
+    path = {"variant": "path"}
+    found = [Engine(options.backend, options.backend), Engine(checks.REFERENCE, options.reference, path)]
+    if not options.quick:
+        found.append(Engine(checks.NOISE, options.reference, {**path, "simulation_frequency": 10}))
+        found += [Engine(name, options.reference, {"variant": name}) for name in checks.VARIANTS]
+    if options.reference != "highway-env":
+        found.append(Engine(checks.TRUTH, "highway-env", path, one_in=options.one_in))
+    marks = {
+        (e.backend, json.dumps(e.config)): {t: fingerprint(e.backend, t, dict(e.config)) for t in tasks}
+        for e in found
+    }
+    quick = QUICK_EGOS if options.quick else ()
+    return [replace(e, egos=quick, stamps=marks[e.backend, json.dumps(e.config)]) for e in found]
 
 
 def validate(options: Options, console: Console, arguments: Sequence[str] = ()) -> dict[str, Any]:
     """Drive, compare, write the results into `options.out`, and return the content of validation.json.
 
     Raises:
-        UserError: unknown task, no reference, or one of other scenarios.
+        UserError: unknown task, level or backend; a process died.
     """
     tasks = grid.choose_tasks(options.tasks or tuple(grid.TASKS))
+    levels = grid.choose_levels(tasks, options.levels or None)
+    scenarios = min(options.scenarios, QUICK_SCENARIOS) if options.quick else options.scenarios
+    with console.status("taking fingerprints of the simulators"):
+        driving = engines(options, tasks)
+    folder = options.out / "parts"
+    episodes, changes = [], []
+    for engine in driving:
+        size = 10 if engine.backend == "highway-env" else 50
+        episodes += parts.plan([engine], levels, options.traffics, range(scenarios), size)
+        if engine.name in (options.backend, checks.REFERENCE) and "highway" in levels:
+            number = min(options.changes, scenarios)
+            changes += [mobil.Changes(engine, n, number) for n in CHANGE_LEVELS if n in levels["highway"]]
+    drive([*episodes, *changes], folder, options.workers, console)
+    table = parts.collect(episodes, folder)
     # the directory's name, not the machine's path to it
     named = [options.out.name if word == str(options.out) else word for word in arguments]
-    command = shlex.join(["python", "experiments/validate.py", *named])
-    size, traffics = options.size, options.traffics
-    stored = reference.read() if options.quick else None
-    if stored is not None:  # only what it can be compared with
-        size = size.at_most(stored.provenance["scenarios"])
-        traffics = tuple(name for name in traffics if name in set(stored.episodes["traffic"]))
-    own = jobs.plan(tasks, size, (jobs.MATCHED, jobs.NATIVE), traffics)
-    engines = (jobs.PATH, jobs.NOISE, jobs.CONNECTED, jobs.V0)
-    theirs = [] if stored else jobs.plan(tasks, size, engines, traffics)
-    parts = options.out / "parts"
-    folders = {name: parts / f"{name}-{digest(*places)}" for name, places in SOURCES.items()}
-    drive(theirs, folders["highway-env"], options.workers, console)
-    drive(own, folders["sumo"], options.workers, console)
-    driven = reference.collect(own, folders["sumo"], {})
-    if stored is None:
-        provenance = record.provenance_of(command, size)
-        stored = reference.collect(theirs, folders["highway-env"], provenance)
-        if options.update:
-            reference.write(stored, reference.STORED)
-    result = record.make(tasks, driven, stored, command, options.quick)
-    write_json(options.out / "validation.json", result)
-    drawn = page.draw(result, *record.for_figures(tasks, driven, stored))
-    write_file(options.out / "validation.html", page.render(result, drawn).encode())
-    if options.update and not options.quick:
-        write_json(status.LATEST, status.summary(result))
-    return result
+    record = {
+        "schema": SCHEMA,
+        "command": shlex.join(["python", "experiments/validate.py", *named]),
+        "quick": options.quick,
+        "backend": options.backend,
+        "reference": options.reference,
+        "scenarios": scenarios,
+        "versions": versions(),
+        "fingerprints": dict(driving[0].stamps),
+        "strangers": compare.strangers(table, options.backend, checks.REFERENCE),
+        "tasks": scorecard(table, options.backend, tasks),
+        "lane_changes": lane_changes(changes, folder),
+        "replica": checks.replica_checks(table),
+    }
+    write_json(options.out / "validation.json", record)
+    write_file(options.out / "validation.html", page.render(record, page.draw(record, table)).encode())
+    if options.update:
+        status.store(record, table, STORED_SCENARIOS, CORE)
+    return record
 
 
-def digest(*places: str) -> str:
-    """Eight digits that change with the sources."""
-    paths = []
-    for place in places:
-        paths += sorted([*(ROOT / place).rglob("*.py"), *(ROOT / place).rglob("*.net.xml")])
-    return sha256_bytes(b"".join(path.read_bytes() for path in paths))[:8]
+def drive(work: Sequence[parts.Work], folder: Path, workers: int, console: Console) -> None:
+    """Do what is not there yet, showing how far it has come and when it will be done."""
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        TaskProgressColumn(),
+        TimeElapsedColumn(),
+        TimeRemainingColumn(),
+    )
+    left = [item for item in work if not (folder / item.file).exists()]
+    with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
+        bar = progress.add_task("driving", total=sum(item.cost for item in left))
+
+        def note(item: parts.Work) -> None:
+            progress.update(bar, advance=item.cost, description=f"{item.engine.name}, {item.task}")
+            if not console.is_terminal:
+                console.print(item.file, highlight=False)
+
+        parts.run(left, folder, workers, note)
 
 
-def drive(plan: Sequence[Job], folder: Path, workers: int, console: Console) -> None:
-    """Drive what is planned, showing how far it has come."""
-    if not plan:
-        return
-    name = "highway-env" if plan[0].is_reference else "SUMO"
-    columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    with Progress(*columns, console=console) as progress:
-        left = [job for job in plan if not jobs.finished(job, folder)]
-        bar = progress.add_task(f"driving {name}", total=len(plan), completed=len(plan) - len(left))
-        jobs.run_all(left, folder, workers, lambda count: progress.advance(bar, count))
+def scorecard(table: pd.DataFrame, backend: str, tasks: Sequence[str]) -> dict[str, Any]:
+    """The checks of every task, with how many came out how."""
+    result = checks.scorecard(table, backend, {task: grid.level_names(task) for task in tasks})
+    counts = status.summary(result)
+    return {task: {**found, "counts": counts[task]["counts"]} for task, found in result.items()}
 
 
-def show(result: dict[str, Any], console: Console) -> None:
-    """The scorecard in a few lines: what passed, and every miss."""
-    table = Table("task", "targets", "met", "equivalence shown", "verdict")
-    missed = []
-    for task, own in result["tasks"].items():
-        checks = [c for level in own["levels"].values() for c in level["checks"]] + own["dynamics"]["checks"]
-        targets = [c for c in checks if c["passed"] is not None]
-        missed += [(task, c) for c in targets if not c["passed"]]
-        met = sum(c["passed"] for c in targets)
+def lane_changes(work: Sequence[mobil.Changes], folder: Path) -> list[dict[str, Any]]:
+    """A row for each simulator and level of the highway."""
+    names = grid.level_names("highway")
+    return [
+        {
+            "engine": "highway-env" if item.engine.name == checks.REFERENCE else item.engine.name,
+            "level": names[item.level - 1],
+            **mobil.shares(json.loads((folder / item.file).read_text())),
+        }
+        for item in work
+    ]
+
+
+def versions() -> dict[str, Any]:
+    """What the results come from."""
+    known = provenance()
+    names = ("libsumo", "highway-env", "gymnasium", "numpy")
+    return {**{name: known["packages"][name] for name in names}, "git": known["git"]}
+
+
+def show(record: Mapping[str, Any], console: Console) -> None:
+    """The scorecard in a few lines: how the checks came out, and every miss."""
+    table = Table("task", "equivalent", "within", "missed", "verdict")
+    for task, found in record["tasks"].items():
+        counts = [str(value) for value in found["counts"].values()]
         table.add_row(
-            task, str(len(targets)), str(met), str(sum(bool(c["equivalent"]) for c in targets)),
-            "[green]passed" if own["passed"] else "[red]not passed",
-        )  # fmt: skip
-    console.print(table)
-    if result["other_scenarios"]:
-        console.print(
-            f"[yellow]{result['other_scenarios']} stored episodes are of scenarios that this version no longer draws "
-            "and were left out: run without --quick to drive highway-env anew"
+            task, *counts, ("[green]" if found["passed"] else "[red]") + page.WORDS[found["passed"]]
         )
-    if missed:
-        misses = Table("missed", "level", "SUMO", "highway-env", "difference", "margin", "noise floor")
-        for task, c in missed:
-            numbers = (c[name] for name in ("sumo", "highway_env", "difference", "margin", "noise_floor"))
-            misses.add_row(f"{task}: {c['name']}, {c['metric']}", c["level"], *map(page.number, numbers))
-        console.print(misses)
+    console.print(table)
+    if misses := page.missed(record):
+        rows = Table("missed", "traffic", "level", record["backend"], "highway-env", "difference", "margin")
+        for c in misses:
+            name = f"{c['task']}: {c['name']} {c['ego']}"
+            values = (page.number(c[key]) for key in ("sumo", "reference", "difference", "margin"))
+            rows.add_row(name, c["traffic"], c["level"], *values)
+        console.print(rows)
+    for task, found in (record["replica"] or {"tasks": {}})["tasks"].items():
+        console.print(
+            f"replica, {task}: {found['differing']} of {found['episodes']} episodes differ from highway-env"
+        )
 
 
 def main() -> int:
     """The command line."""
     options = tyro.cli(Options, description=__doc__)
-    for name in ("lowest", "others", "changes", "workers"):
+    for name in ("scenarios", "changes", "workers", "one_in"):
         if getattr(options, name) < 1:
-            raise UserError(f"--{name} must be at least 1, not {getattr(options, name)}")
+            raise UserError(f"--{name.replace('_', '-')} must be at least 1, not {getattr(options, name)}")
+    for backend in (options.backend, options.reference):
+        if backend not in grid.BACKENDS:
+            raise unknown("backend", backend, grid.BACKENDS)
     for traffic in options.traffics:
         if traffic not in grid.TRAFFICS:
             raise unknown("traffic", traffic, grid.TRAFFICS)
     console = Console()
     try:
         options.out.mkdir(parents=True, exist_ok=True)
-        result = validate(options, console, sys.argv[1:])
+        record = validate(options, console, sys.argv[1:])
     except OSError as error:
         raise disk_error(error, options.out) from None
-    show(result, console)
+    show(record, console)
     console.print(f"report: {options.out / 'validation.html'}")
-    return 0 if result["passed"] else 1
+    return 0 if all(found["passed"] for found in record["tasks"].values()) else 1
 
 
 if __name__ == "__main__":

@@ -71,7 +71,7 @@ LAYERS = {
     "causal": 2,
     "reporting": 3,
     "validation": 3,
-    "benchmarks": 3,
+    "calibration": 4,
 }
 
 

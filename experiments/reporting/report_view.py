@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,7 @@ from experiments.reporting.report_figures import backend_figures
 from experiments.study.estimate import duration
 from experiments.study.grid import ARMS
 from experiments.study.store import Results
-from experiments.validation.status import LATEST, summary, validation_status
+from experiments.validation import status
 
 NOT_VALIDATED = "not validated"
 HOW_TO_VALIDATE = (
@@ -38,7 +37,7 @@ def page(results: Results, analysis: Mapping[str, Any]) -> dict[str, Any]:
         "smoke": "smoke" in analysis["provenance"]["presets"],
         "warnings": warnings(analysis),
         "run": run(analysis, results, left_out),
-        "validation": validation(results.directory, backends, analysis["provenance"]["versions"]),
+        "validation": validation(results.directory, backends),
         "backends": [backend_section(backend, results, analysis, left_out) for backend in backends],
         "gate_texts": GATES,
         "terms": TERMS,
@@ -111,51 +110,34 @@ def run(analysis: Mapping[str, Any], results: Results, left_out: set[str]) -> di
     }
 
 
-def validation(directory: Path, backends: Sequence[str], versions: Mapping[str, Sequence[str]]) -> Record:
-    """What is known of how close SUMO's tasks are to highway-env's, for the version that made these results.
-
-    From validation.json beside the results, else from the last full validation of this checkout.
+def validation(directory: Path, backends: Sequence[str]) -> Record:
+    """What was known before training of how close SUMO's tasks are to highway-env's (validation.json).
 
     Returns:
-        relevant (whether SUMO was used at all), note (a sentence, None if every task is validated), tasks
-        (task, verdict and reason each).
+        relevant (whether SUMO was used at all), source (what the verdict comes from), note (a sentence, None if there
+        is a verdict on every task), tasks (task, verdict and reason each).
     """
-    own = directory / "validation.json"
-    path = own if own.exists() else LATEST
-    used = versions.get("sumo-risky-driving", [])
-    result: Record = {"relevant": "sumo" in backends, "note": None, "tasks": []}
-    try:
-        found = (
-            validation_status(used[0], path) if len(used) == 1 else dict.fromkeys(TASK_ORDER, NOT_VALIDATED)
-        )
-        missed = _missed(path)
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
-        return {**result, "note": f"{path.name} cannot be read ({type(error).__name__}). {HOW_TO_VALIDATE}"}
-    result["tasks"] = [
-        {"task": task, "verdict": found[task], "reason": missed.get(task, "")} for task in TASK_ORDER
-    ]
-    if open_ := [task for task in TASK_ORDER if found[task] == NOT_VALIDATED]:
-        result["note"] = f"Not validated for this version: {listing(open_)}. {HOW_TO_VALIDATE}"
-        for row in result["tasks"]:
-            row["reason"] = "" if row["verdict"] == NOT_VALIDATED else row["reason"]
-    return result
+    found = status.read(directory / "validation.json")
+    tasks = {} if found is None else found["tasks"]
+    rows = [{"task": task, **_verdict(tasks.get(task))} for task in TASK_ORDER]
+    open_ = [row["task"] for row in rows if row["verdict"] == NOT_VALIDATED]
+    return {
+        "relevant": "sumo" in backends,
+        "source": "" if found is None else found["source"],
+        "note": f"Not validated: {listing(open_)}. {HOW_TO_VALIDATE}" if open_ else None,
+        "tasks": rows,
+    }
 
 
-def _missed(path: Path) -> dict[str, str]:
-    """For each task, in words, how many checks of a validation passed and which did not."""
-    if not path.exists():
-        return {}
-    record = json.loads(path.read_text())
-    if any("missed" not in task for task in record["tasks"].values()):
-        record = summary(record)
-    words = {}
-    for name, task in record["tasks"].items():
-        failed = list(dict.fromkeys(check["name"] for check in task["missed"]))
-        words[name] = (
-            f"{task['checks'] - len(task['missed'])} of {count(task['checks'], 'check')} within their margins"
-        )
-        words[name] += f"; not: {listing(failed)}" if failed else ""
-    return words
+def _verdict(found: Mapping[str, Any] | None) -> dict[str, str]:
+    """Verdict on a task, and in words how many checks there were and which margins were missed."""
+    if found is None or found["passed"] is None:
+        return {"verdict": NOT_VALIDATED, "reason": ""}
+    checks, missed = sum(found["counts"].values()), len(found["missed"])
+    names = [" ".join(filter(None, (item["name"], item["ego"]))) for item in found["missed"]]
+    reason = f"{checks - missed} of {count(checks, 'check')} within their margins"
+    reason += f"; not: {listing(list(dict.fromkeys(names)), 6)}" if names else ""
+    return {"verdict": "passed" if found["passed"] else "failed", "reason": reason}
 
 
 def backend_section(

@@ -1,19 +1,13 @@
-"""How far SUMO is from highway-env, in numbers: the parts of `experiments/validate.py`.
+"""How far a simulator is from highway-env: the parts of `experiments/validate.py`.
 
-margins     what is asked for, written down before anything was measured
-stage       scenes of one or a few vehicles, driven in either simulator
-dynamics    checks on those scenes: car following, ego response, geometry
-changes     lane-change decisions on the highway against MOBIL's criteria
-episodes    whole paired episodes, one row of measures each
-jobs        all of that in parallel processes, resumable
-compare     paired differences, equivalence, noise floors
-scorecard   the checks of a task and level
-figures, page  what a person reads
-status      what a report may say about a version
+margins      what is asked for
+egos         who drives through the traffic
+episodes     whole episodes in any simulator, one row of measures each
+parts        all of them in parallel processes, resumable
+mobil        lane changes of the highway against MOBIL's criteria
+compare      paired differences, their intervals, the order of egos
+checks       the checks of a task and level, with their verdicts
+page, figures  what a person reads
+fingerprint  what a simulator does, as eight digits
+status       what a sweep and its report may say before training
 """
-
-from __future__ import annotations
-
-from experiments.validation.status import validation_status
-
-__all__ = ["validation_status"]

@@ -1,8 +1,9 @@
 """Paired comparison of two simulators on the same scenarios.
 
-The scenario is the unit: the egos that were driven through one are averaged first, so that intervals do not
-pretend that they are independent. Intervals are 90 % t-intervals, so that one that lies within +-margin shows
-equivalence by two one-sided tests at 5 % (Schuirmann 1987).
+The scenario is the unit: the egos that were driven through one are averaged first, so that intervals do not pretend
+that they are independent. Intervals are 90 % t-intervals, so that one that lies within a margin shows equivalence
+by two one-sided tests at 5 % (Schuirmann 1987). At the intersection, where each simulator drives the three seconds
+before an episode itself, two episodes share the seed and not the first scene; the arithmetic is the same.
 """
 
 from __future__ import annotations
@@ -15,19 +16,20 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-from experiments.validation.episodes import BIN, BINS
+from experiments.validation.episodes import BIN, BINS, HEADWAYS, PAIR
 
 if TYPE_CHECKING:
     import pandas as pd
 
 CONFIDENCE = 0.90
 RESAMPLES = 200
-PAIR = ["task", "level", "traffic", "policy", "scenario"]
+CENTRES = (np.arange(BINS) + 0.5) * BIN  # [s] of the headway histogram
+Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Difference:
-    """First minus second: means of both, their difference and its 90 % interval (None where there is none)."""
+    """First minus second: means of both, their difference and its 90 % interval (None without one), scenarios."""
 
     first: float
     second: float
@@ -40,8 +42,8 @@ class Difference:
 def pairs(table: pd.DataFrame, first: str, second: str) -> pd.DataFrame:
     """Episodes that both engines have driven, side by side with suffixes ``_a`` and ``_b``.
 
-    Where the two did not start from the same scenario (the stored reference is of an earlier version that drew
-    others) there is no pair; `strangers` counts those.
+    Where the two did not start from the same scenario (stored episodes may be of a version that drew others) there
+    is no pair; `strangers` counts those.
     """
     both = _side_by_side(table, first, second)
     return both[both["drawn_a"] == both["drawn_b"]]
@@ -58,21 +60,21 @@ def _side_by_side(table: pd.DataFrame, first: str, second: str) -> pd.DataFrame:
     return a.merge(b, on=PAIR, suffixes=("_a", "_b"))
 
 
-def interval(values: NDArray[np.float64]) -> tuple[float | None, float | None]:
+def interval(values: Floats) -> tuple[float | None, float | None]:
     """90 % t-interval of the mean; (None, None) with fewer than two values."""
     values = values[np.isfinite(values)]
     if len(values) < 2:
         return None, None
-    half = float(
-        stats.t.ppf(0.5 + CONFIDENCE / 2, len(values) - 1) * values.std(ddof=1) / np.sqrt(len(values))
-    )
+    spread = values.std(ddof=1) / np.sqrt(len(values))
+    half = float(stats.t.ppf(0.5 + CONFIDENCE / 2, len(values) - 1) * spread)
     centre = float(values.mean())
     return centre - half, centre + half
 
 
 def mean_difference(both: pd.DataFrame, measure: str) -> Difference:
     """Difference of the means of a measure; pairs in which either has none are left out."""
-    columns = both[["scenario", f"{measure}_a", f"{measure}_b"]].astype(float).dropna()
+    columns = both[["scenario", f"{measure}_a", f"{measure}_b"]].astype(float)
+    columns = columns[np.isfinite(columns).all(axis=1)]
     columns["difference"] = columns[f"{measure}_a"] - columns[f"{measure}_b"]
     by_scenario = columns.groupby("scenario")["difference"].mean().to_numpy()
     if not len(by_scenario):
@@ -84,13 +86,18 @@ def mean_difference(both: pd.DataFrame, measure: str) -> Difference:
     )  # fmt: skip
 
 
-def histogram(values: pd.Series) -> NDArray[np.float64]:
-    """Sum of the headway histograms of some episodes, shape (BINS,)."""
-    return np.sum(np.stack(values.to_list()), axis=0).astype(float) if len(values) else np.zeros(BINS)
+def rate_difference(both: pd.DataFrame, count: str, exposure: str) -> Difference:
+    """Difference of two rates, events over exposure, both summed over the episodes; without an interval."""
+    sums = both[[f"{name}_{side}" for name in (count, exposure) for side in "ab"]].sum()
+    first, second = (
+        float(sums[f"{count}_{side}"] / sums[f"{exposure}_{side}"]) if sums[f"{exposure}_{side}"] else np.nan
+        for side in "ab"
+    )
+    return Difference(first, second, first - second, None, None, both["scenario"].nunique())
 
 
-def wasserstein(first: NDArray[np.float64], second: NDArray[np.float64]) -> float:
-    """Wasserstein distance [s] of two headway histograms; nan if either is empty."""
+def wasserstein(first: Floats, second: Floats) -> float:
+    """Wasserstein distance [s] of two headway histograms of shape (BINS,); nan if either is empty."""
     if not first.sum() or not second.sum():
         return float("nan")
     return float(np.abs(np.cumsum(first / first.sum()) - np.cumsum(second / second.sum())).sum() * BIN)
@@ -98,52 +105,65 @@ def wasserstein(first: NDArray[np.float64], second: NDArray[np.float64]) -> floa
 
 def headway_distance(both: pd.DataFrame) -> Difference:
     """Wasserstein distance of the headways, its interval by resampling scenarios; means of both."""
-    a, b = histogram(both["headways_a"]), histogram(both["headways_b"])
-    centres = (np.arange(BINS) + 0.5) * BIN
-    by_scenario = {
-        scenario: (histogram(group["headways_a"]), histogram(group["headways_b"]))
-        for scenario, group in both.groupby("scenario")
-    }
-    scenarios = list(by_scenario)
+    sides = [both.groupby("scenario")[[f"{name}_{side}" for name in HEADWAYS]].sum() for side in "ab"]
+    a, b = (side.to_numpy(float) for side in sides)
     rng = np.random.default_rng(0)
     resampled = []
-    for _ in range(RESAMPLES if len(scenarios) > 1 else 0):
-        chosen = [by_scenario[scenarios[k]] for k in rng.integers(len(scenarios), size=len(scenarios))]
-        resampled.append(wasserstein(*(np.sum([pair[k] for pair in chosen], axis=0) for k in (0, 1))))
+    for _ in range(RESAMPLES if len(a) > 1 else 0):
+        rows = rng.integers(len(a), size=len(a))
+        resampled.append(wasserstein(a[rows].sum(axis=0), b[rows].sum(axis=0)))
     low, high = (float(np.nanquantile(resampled, q)) for q in (0.05, 0.95)) if resampled else (None, None)
-    return Difference(
-        float((a * centres).sum() / a.sum()) if a.sum() else np.nan,
-        float((b * centres).sum() / b.sum()) if b.sum() else np.nan,
-        wasserstein(a, b), low, high, len(scenarios),
-    )  # fmt: skip
+    first, second = (
+        float(side.sum(axis=0) @ CENTRES / side.sum()) if side.sum() else np.nan for side in (a, b)
+    )
+    return Difference(first, second, wasserstein(a.sum(axis=0), b.sum(axis=0)), low, high, len(a))
 
 
-def agreement(both: pd.DataFrame) -> tuple[float, tuple[float | None, float | None]]:
-    """Share of episodes with the same crash outcome, and its interval."""
+def same_outcome(both: pd.DataFrame) -> Difference:
+    """Share of episodes with the same crash outcome (`first`), against all of them, and its interval."""
     same = (both["crashed_a"] == both["crashed_b"]).groupby(both["scenario"]).mean().to_numpy(float)
-    return (float(same.mean()) if len(same) else float("nan")), interval(same)
+    share = float(same.mean()) if len(same) else float("nan")
+    low, high = interval(same)
+    return Difference(
+        share,
+        1.0,
+        share - 1.0,
+        None if low is None else low - 1.0,
+        None if high is None else high - 1.0,
+        len(same),
+    )
 
 
-def order(both: pd.DataFrame, measure: str) -> tuple[float, int]:
-    """Share of pairs of egos that both simulators put in the same order, among those that the second decides.
+def reversed_pairs(both: pd.DataFrame, measure: str) -> tuple[list[str], int]:
+    """Pairs of egos that the first simulator puts in the opposite order, among those that the second decides.
 
-    A pair is decided if the 95 % interval of its difference over scenarios excludes 0. Also their number.
+    A pair is decided if the 95 % interval of its difference over scenarios excludes 0. Returns the reversed pairs as
+    "one / other" and the number of decided ones.
     """
-    tables = [both.pivot(index="scenario", columns="policy", values=f"{measure}_{side}") for side in "ab"]
-    agreed, decided = 0, 0
+    tables = [
+        both.pivot(index="scenario", columns="ego", values=f"{measure}_{side}").astype(float) for side in "ab"
+    ]
+    turned, decided = [], 0
     for one, other in combinations(tables[1].columns, 2):
-        reference = (tables[1][one].astype(float) - tables[1][other].astype(float)).dropna().to_numpy()
+        reference = (tables[1][one] - tables[1][other]).dropna().to_numpy()
         if len(reference) < 3 or not _excludes_zero(reference):
             continue
-        own = float((tables[0][one].astype(float) - tables[0][other].astype(float)).mean())
         decided += 1
-        agreed += own * float(reference.mean()) >= 0
-    return (agreed / decided if decided else 1.0), decided
+        if float((tables[0][one] - tables[0][other]).mean()) * float(reference.mean()) < 0:
+            turned.append(f"{one} / {other}")
+    return turned, decided
 
 
-def _excludes_zero(values: NDArray[np.float64]) -> bool:
+def _excludes_zero(values: Floats) -> bool:
     spread = values.std(ddof=1)
     if spread == 0:
         return bool(values[0] != 0)
     t = abs(values.mean()) / (spread / np.sqrt(len(values)))
     return bool(t > stats.t.ppf(0.975, len(values) - 1))
+
+
+def differing(both: pd.DataFrame) -> pd.DataFrame:
+    """Pairs that are not one and the same episode: another ending, length, or return (by more than 1e-3)."""
+    same = (both["outcome_a"] == both["outcome_b"]) & (both["length_a"] == both["length_b"])
+    close = (both["return_a"] - both["return_b"]).abs() <= 1e-3
+    return both[~(same & close)]

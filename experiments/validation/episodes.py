@@ -1,117 +1,148 @@
-"""Whole episodes in either simulator, one row of measures each. The same code measures both."""
+"""Whole episodes in any simulator, one row of measures each. The same code measures all of them.
+
+Everything is seen through the environment: its ``info`` and, for the other vehicles, ``env.unwrapped.scene`` at the
+start and after every policy step.
+"""
 
 from __future__ import annotations
 
+import math
 import zlib
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
+from gymnasium.utils.seeding import np_random
 from numpy.typing import NDArray
 
-from agents.rules import make_policy
-from experiments.study.evaluate import play
-from sumo_env.models.lane_table import lane_at
+from experiments.study.grid import TRAFFICS
+from experiments.study.seeds import scenario_seed, stream_seed
+from experiments.validation.egos import make_ego
+from sumo_env.contacts.measures import DENSITY_RADIUS, headways
 from sumo_env.networks.roads import LaneIndex, Road
-from sumo_env.safety import DENSITY_RADIUS, headways
-from sumo_env.scenario import Scenario
 from sumo_env.scene import Scene
 from sumo_env.tasks import get_task
+from sumo_env.traffic.scenario import Scenario
 
-POLICIES = ("idle", "random", "faster", "slower", "idm", "careful")
-# The ego starts at the top of its ladder there, so that faster is idle.
-SAME_AS_IDLE = {"two-way": ("faster",), "intersection": ("faster",)}
+ScenarioMaker = Callable[[dict[str, Any], int], Scenario]
+PAIR = ["task", "level", "traffic", "ego", "scenario"]  # what names an episode in every simulator
 BIN = 0.25  # [s] of the headway histogram
 BINS = 40  # the last one holds everything beyond 9.75 s
-MEASURES = (
-    "return", "crashed", "length", "arrived", "ego_speed", "traffic_speed", "headway", "gap", "ego_headway",
-    "lane_changes", "density", "min_ttc", "near_misses",
-)  # fmt: skip
-FAR = 10.0  # [s] counted for an episode in which no collision ever came nearer
-
-
-def policies(task: str) -> tuple[str, ...]:
-    """The egos of a task."""
-    return tuple(name for name in POLICIES if name not in SAME_AS_IDLE.get(task, ()))
+HEADWAYS = [f"headway_{k:02d}" for k in range(BINS)]  # columns: observations in each bin
+LANE_WIDTH = 4.0  # [m]
+WITHOUT_LANE_CHANGES = ("two-way", "intersection")  # of the traffic
+# Columns of the table of episodes, with their types.
+COLUMNS: dict[str, str] = {
+    "task": "str",
+    "level": "int8",
+    "traffic": "str",  # "regular" or "risky"
+    "ego": "str",
+    "scenario": "int16",
+    "drawn": "uint32",  # checksum of the scenario, to be sure that pairs are pairs
+    "return": "float32",
+    "length": "int16",  # policy steps
+    "crashed": "bool",
+    "outcome": "str",  # "crashed", "arrived", "time" or "left" (the road)
+    "crash_time": "float32",  # [s], nan without a crash
+    "ego_speed": "float32",  # [m/s], mean over the steps
+    "min_ttc": "float32",  # [s], inf where no collision was ever in sight
+    "traffic_speed": "float32",  # [m/s], mean over the other vehicles within 200 m and the steps
+    "headway": "float32",  # [s], mean over the same, at most 10 s
+    "lane_changes": "float32",  # per vehicle-minute
+    "density": "float32",  # other vehicles within 200 m, mean over the steps
+    "ahead": "float32",  # vehicles per km of road ahead of the ego, within 200 m
+    "flow": "float32",  # vehicles per hour there
+    "wrecks": "int16",  # other vehicles that crashed, without the one that the ego hit
+    "vehicle_hours": "float32",  # [h] driven by the other vehicles within 200 m
+    **dict.fromkeys(HEADWAYS, "uint16"),
+}
 
 
 @dataclass
 class Recorder:
     """Measures the traffic near the ego at the start and after every policy step of an episode.
 
-    Only vehicles within 200 m of the ego count: on the highway SUMO leaves out those that the ego cannot reach.
+    Only vehicles within 200 m of the ego count: on the highway some simulators leave out those that it cannot reach.
     """
 
     task: str
     road: Road
+    interval: float  # [s] of a policy step
     speeds: list[float] = field(default_factory=list)
-    gaps: list[float] = field(default_factory=list)
     times: list[float] = field(default_factory=list)
-    ego_headways: list[float] = field(default_factory=list)
+    density: list[int] = field(default_factory=list)
     ahead: list[float] = field(default_factory=list)
     flow: list[float] = field(default_factory=list)
+    wrecks: set[str] = field(default_factory=set)
     changes: int = 0
-    vehicle_seconds: float = 0.0
+    followed: int = 0  # pairs of successive scenes in which a vehicle's lane is known
+    seen: int = 0
     _lanes: dict[str, LaneIndex] = field(default_factory=dict)
 
     def see(self, scene: Scene) -> None:
         """Take one scene down."""
         dx, dy = scene.x - scene.x[0], scene.y - scene.y[0]
-        near = (dx * dx + dy * dy <= DENSITY_RADIUS**2) & ~scene.crashed
-        others = near.copy()
-        others[0] = False
-        self.speeds += scene.speed[others].tolist()
-        headway = headways(
-            np.ascontiguousarray(scene.x), np.ascontiguousarray(scene.y),
-            np.ascontiguousarray(scene.speed), np.ascontiguousarray(scene.heading),
-        )  # fmt: skip
-        following = others & np.isfinite(headway)
-        self.times += headway[following].tolist()
-        self.gaps += (headway[following] * scene.speed[following]).tolist()
-        if np.isfinite(headway[0]):
-            self.ego_headways.append(float(headway[0]))
-        ahead = others & (dx * np.cos(scene.heading[0]) + dy * np.sin(scene.heading[0]) > 0)
+        near = dx * dx + dy * dy <= DENSITY_RADIUS**2
+        near[0] = False
+        self.wrecks |= {scene.ids[row] for row in np.flatnonzero(near & scene.crashed)}
+        self.density.append(int(near.sum()))
+        driving = near & ~scene.crashed
+        self.seen += int(driving.sum())
+        self.speeds += scene.speed[driving].tolist()
+        arrays = (np.ascontiguousarray(a) for a in (scene.x, scene.y, scene.speed, scene.heading))
+        headway = headways(*arrays)
+        self.times += headway[driving & np.isfinite(headway)].tolist()
+        ahead = driving & (dx * np.cos(scene.heading[0]) + dy * np.sin(scene.heading[0]) > 0)
         self.ahead.append(ahead.sum() / (DENSITY_RADIUS / 1000))
         self.flow.append(scene.speed[ahead].sum() * 3.6 / (DENSITY_RADIUS / 1000))
-        self._count_changes(scene, others)
+        if self.task not in WITHOUT_LANE_CHANGES:
+            self._count_changes(scene, driving)
 
-    def _count_changes(self, scene: Scene, others: NDArray[np.bool_]) -> None:
-        if self.task in ("two-way", "intersection"):
-            return
-        lanes = {scene.ids[row]: self._lane(scene, int(row)) for row in np.flatnonzero(others)}
+    def _count_changes(self, scene: Scene, driving: NDArray[np.bool_]) -> None:
+        lanes = {scene.ids[row]: self._lane(scene, int(row)) for row in np.flatnonzero(driving)}
         for name, lane in lanes.items():
             before = self._lanes.get(name)
             if before is not None:
-                self.vehicle_seconds += 1.0
+                self.followed += 1
                 self.changes += before[:2] == lane[:2] and before[2] != lane[2]
         self._lanes = lanes
 
     def _lane(self, scene: Scene, row: int) -> LaneIndex:
-        x, y = float(scene.x[row]), float(scene.y[row])
+        x, y = scene.x.item(row), scene.y.item(row)
         if self.task == "highway":
-            return ("0", "1", min(max(round(y / 4.0), 0), self.road.count("0", "1") - 1))
-        heading = float(scene.heading[row])
-        return lane_at(self.road, x, y, heading)
+            return ("0", "1", min(max(round(y / LANE_WIDTH), 0), self.road.count("0", "1") - 1))
+        known = self._lanes.get(scene.ids[row])
+        if known is not None and self.road.lane(known).on_lane(x, y):  # nearly always, and quickly told
+            return known
+        return self.road.closest_lane(x, y, scene.heading.item(row))
 
-    def row(self) -> dict[str, Any]:
-        """What was seen: means over vehicles and steps, nan where there was nothing to see."""
+    def row(self, hit: str | None) -> dict[str, Any]:
+        """Means over vehicles and steps, nan where there was nothing to see. `hit`: whom the ego crashed with."""
         counts, _ = np.histogram(np.clip(self.times, 0, BIN * BINS - 1e-9), BINS, (0, BIN * BINS))
+        minutes = self.followed * self.interval / 60.0
         return {
             "traffic_speed": mean(self.speeds),
             "headway": mean(np.clip(self.times, 0, BIN * BINS)),
-            "gap": mean(self.gaps),
-            "ego_headway": mean(np.clip(self.ego_headways, 0, BIN * BINS)),
-            "lane_changes": 60 * self.changes / self.vehicle_seconds if self.vehicle_seconds else np.nan,
-            "ahead": mean(self.ahead),  # vehicles ahead of the ego a km
-            "flow": mean(self.flow),  # vehicles an hour there
-            "headways": counts.astype(np.uint16).tolist(),
+            "lane_changes": self.changes / minutes if minutes else math.nan,
+            "density": mean(self.density),
+            "ahead": mean(self.ahead),
+            "flow": mean(self.flow),
+            "wrecks": len(self.wrecks - {hit}),
+            "vehicle_hours": self.seen * self.interval / 3600.0,
+            **dict(zip(HEADWAYS, counts.tolist(), strict=True)),
         }
 
 
-def fingerprint(scenario: Scenario) -> int:
+def mean(values: Any) -> float:
+    """The mean, nan of nothing."""
+    return float(np.mean(values)) if len(values) else math.nan
+
+
+def checksum(scenario: Scenario) -> int:
     """A number that tells scenarios apart by what is driven: places, speeds, drivers, later arrivals and events.
 
-    Of the vehicles only the first five count: one of the simulators leaves out those that the ego cannot reach.
+    Of the vehicles only the first five count: some simulators leave out those that the ego cannot reach.
     """
     specs = (scenario.ego, *scenario.vehicles[:5], *(spawn.vehicle for spawn in scenario.spawns))
     drawn = [
@@ -123,24 +154,59 @@ def fingerprint(scenario: Scenario) -> int:
     return zlib.crc32(repr((drawn, events)).encode())
 
 
-def mean(values: Any) -> float:
-    """The mean, nan of nothing."""
-    return float(np.mean(values)) if len(values) else float("nan")
+def dose(traffic: str) -> float:
+    """The dose of risk of a traffic: "regular", "risky", or the dose itself as a word."""
+    return TRAFFICS[traffic] if traffic in TRAFFICS else float(traffic)
 
 
-def episode(env: Any, task: str, level: int, traffic: str, policy: str, scenario: int) -> dict[str, Any]:
-    """Play test scenario number `scenario` and measure it."""
+def drive(
+    env: Any,
+    task: str,
+    level: int,
+    traffic: str,
+    ego: str,
+    scenario: int,
+    make_scenario: ScenarioMaker | None = None,
+) -> dict[str, Any]:
+    """Drive test scenario number `scenario` to its end and return its row of COLUMNS.
+
+    Args:
+        make_scenario: draws the scenario from the configuration and a seed, in place of the task.
+    """
     inner = env.unwrapped
-    recorder = Recorder(task, get_task(task).road(inner.config))
-    played = play(
-        env, make_policy(policy, env), task, level, traffic, scenario, lambda: recorder.see(inner.scene)
-    )
-    row = {
-        "task": task, "level": level, "traffic": traffic, "policy": policy, "scenario": scenario,
-        "drawn": fingerprint(inner.scenario),  # to be sure that pairs are pairs
-        **{name: played[name] for name in ("return", "length", "crashed", "arrived", "density", "near_misses")},
-        "ego_speed": played["mean_speed"],
-        "min_ttc": min(played["min_ttc"], FAR),
-        "crash_time": np.nan if played["crash_time"] is None else played["crash_time"],
+    policy = make_ego(ego, env)
+    policy.reset(stream_seed("policy", task, level, traffic, scenario))
+    seed = scenario_seed(task, level, scenario)
+    risk = {"risk": dose(traffic)}
+    options: dict[str, Any] = {"config": risk}
+    if make_scenario is not None:
+        drawn_seed = int(np_random(seed)[0].integers(2**31))  # as the environment's own reset draws it
+        options["scenario"] = make_scenario({**inner.config, **risk}, drawn_seed)
+    observation, info = env.reset(seed=seed, options=options)
+    recorder = Recorder(task, get_task(task).road(inner.config), 1.0 / inner.config["policy_frequency"])
+    recorder.see(inner.scene)
+    drawn = checksum(inner.scenario)
+    rewards, speeds, nearest = [], [], math.inf
+    terminated = truncated = False
+    while not (terminated or truncated):
+        observation, reward, terminated, truncated, info = env.step(policy.act(observation))
+        rewards.append(float(reward))
+        speeds.append(float(info["speed"]))
+        nearest = min(nearest, float(info["min_ttc"]))
+        recorder.see(inner.scene)
+    crash = info["crash"] or {}
+    return {
+        "task": task, "level": level, "traffic": traffic, "ego": ego, "scenario": scenario, "drawn": drawn,
+        "return": math.fsum(rewards), "length": len(rewards), "crashed": bool(info["crashed"]),
+        "outcome": outcome(info, terminated), "crash_time": float(crash.get("time", math.nan)),
+        "ego_speed": mean(speeds), "min_ttc": nearest, **recorder.row(crash.get("other")),
     }  # fmt: skip
-    return {**row, **recorder.row()}
+
+
+def outcome(info: dict[str, Any], terminated: bool) -> str:
+    """How an episode ended."""
+    if info["crashed"]:
+        return "crashed"
+    if info["arrived"]:
+        return "arrived"
+    return "left" if terminated else "time"

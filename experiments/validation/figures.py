@@ -1,4 +1,4 @@
-"""The figures of validation.html: each a pure function of stored results that returns an SVG text."""
+"""The figures of validation.html: each a pure function of the results that returns an SVG text."""
 
 from __future__ import annotations
 
@@ -6,224 +6,205 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
 from experiments.reporting.figures import CONTROL, GRID, INK, MUTED, TREATMENT, new_figure, styled, to_svg
-from experiments.study.grid import level_names
-from experiments.validation.compare import histogram
-from experiments.validation.episodes import BIN, BINS, policies
-from experiments.validation.stage import Motion
+from experiments.validation.checks import REFERENCE
+from experiments.validation.episodes import BIN, BINS, HEADWAYS
 
 if TYPE_CHECKING:
     import pandas as pd
 
-SUMO, REFERENCE = TREATMENT, CONTROL
-NAMES = {"sumo": "SUMO", "highway-env": "highway-env"}
-KEYS = [
-    Line2D([], [], color=REFERENCE, lw=2.4, label="highway-env"),
-    Line2D([], [], color=SUMO, lw=1.6, label="SUMO"),
-]
+OWN, THEIRS = TREATMENT, CONTROL
+MARKS = {
+    "idle": "o",
+    "random": "D",
+    "faster": "^",
+    "slower": "v",
+    "idm": "s",
+    "careful": "*",
+    "pulsing": "P",
+    "weaving": "X",
+}
+ROWS = (
+    ("traffic_speed", "traffic speed"), ("headway", "headways"), ("return", "return"), ("crashed", "crash rate"),
+    ("crashed_ego", "crash rate of each ego"), ("lane_changes", "lane changes"),
+)  # fmt: skip
+OUTCOMES = ("crashed", "arrived", "time", "left")
 
 
-def _legend(figure: Any) -> None:
-    figure.legend(handles=KEYS, loc="outside upper right", ncols=2)
-
-
-def _line(axes: Axes, time: Any, values: Any, engine: str) -> None:
+def _style(own: bool) -> dict[str, Any]:
     """highway-env broad below, SUMO thin above: where only one line is seen, both agree."""
-    style: Any = (
-        {"color": SUMO, "lw": 1.2} if engine == "sumo" else {"color": REFERENCE, "lw": 2.6, "alpha": 0.55}
-    )
-    axes.plot(time, values, **style)
+    return {"color": OWN, "lw": 1.2} if own else {"color": THEIRS, "lw": 2.8, "alpha": 0.5}
+
+
+def _legend(figure: Any, own: str) -> None:
+    keys = [Line2D([], [], label="highway-env", **_style(False)), Line2D([], [], label=own, **_style(True))]
+    figure.legend(handles=keys, loc="outside upper right", ncols=2)
 
 
 @styled
-def time_space(motions: Mapping[str, Motion]) -> str:
-    """Stop and go: places of the leader and its followers over time, and their speeds."""
-    figure, axes = new_figure(1, 2, 3.0)
-    for engine in ("highway-env", "sumo"):
-        motion = motions[engine]
-        for vehicle in range(motion.x.shape[1]):
-            _line(axes[0, 0], motion.time, motion.x[:, vehicle], engine)
-        for vehicle in (0, 1, motion.x.shape[1] - 1):
-            _line(axes[0, 1], motion.time, motion.speed[:, vehicle], engine)
-    axes[0, 0].set_ylabel("Place along the road [m]")
-    axes[0, 1].set_ylabel("Speed of leader, first and last follower [m/s]")
-    for panel in axes[0]:
-        panel.set_xlabel("Time [s]")
-    _legend(figure)
-    return to_svg(
-        figure, "time-space", "Time-space diagram of a platoon in stop-and-go traffic, both simulators"
+def overview(tasks: Mapping[str, Any], traffic: str) -> str:
+    """Every check with a margin: its difference as a share of the margin, with interval."""
+    figure, axes = new_figure(1, len(tasks), 3.0, sharey=True, sharex=True)
+    for panel, (task, result) in zip(axes[0], tasks.items(), strict=True):
+        panel.axvspan(-1, 1, color=GRID, alpha=0.6, lw=0)
+        panel.axvline(0, color=INK, lw=0.8)
+        panel.set_title(task)
+        levels = result["traffics"].get(traffic, {})
+        for number, checks in enumerate(levels.values()):
+            shift = 0.3 - 0.6 * number / max(len(levels) - 1, 1)
+            for row, (metric, _) in enumerate(ROWS):
+                for item in checks:
+                    if item["metric"] == metric and item["margin"] and item["verdict"]:
+                        _share(panel, item, -row + shift)
+        panel.grid(axis="y", visible=False)
+        panel.set_xlim(-2.2, 2.2)
+    axes[0, 0].set_yticks([-row for row in range(len(ROWS))], [label for _, label in ROWS])
+    figure.supxlabel(
+        "difference as a share of its margin, a line for each level (filled: equivalent)", fontsize=8.5
     )
+    return to_svg(figure, f"overview-{traffic}", f"All checks in {traffic} traffic: difference over margin")
+
+
+def _share(panel: Any, item: Mapping[str, Any], y: float) -> None:
+    colour = OWN if item["verdict"] == "missed" else THEIRS
+    if item["low"] is not None:
+        ends = np.array([item["low"], item["high"]]) / item["margin"]
+        panel.plot(np.clip(ends, -2.2, 2.2), [y, y], color=colour, lw=0.9)
+    fill = {} if item["verdict"] == "equivalent" else {"mfc": "white"}
+    share = float(np.clip(item["difference"] / item["margin"], -2.2, 2.2))
+    panel.plot(share, y, "o", color=colour, ms=3.2, mew=0.9, **fill)
 
 
 @styled
-def responses(motions: Mapping[str, Mapping[str, Motion]]) -> str:
-    """The ego after FASTER and SLOWER, and in a lane change."""
-    figure, axes = new_figure(1, 3, 2.6)
-    for engine in ("highway-env", "sumo"):
-        own = motions[engine]
-        for name, motion in own.items():
-            kind, task, scene = name.split(" | ")
-            if kind == "ladder" and task in ("highway", "roundabout"):
-                _line(axes[0, 0], motion.time, motion.speed[:, 0], engine)
-            if kind == "lane change" and scene in ("LANE_LEFT at 25 m/s", "LANE_RIGHT at 8 m/s"):
-                lateral = np.abs(motion.y[:, 0] - motion.y[0, 0])
-                panel = axes[0, 1 if "25" in scene else 2]
-                _line(panel, motion.time, lateral, engine)
-                panel.set_title(f"lane change at {scene.split()[2]} m/s", fontsize=8.5)
-    axes[0, 0].set_title("FASTER and SLOWER", fontsize=8.5)
-    axes[0, 0].set_ylabel("Speed [m/s]")
-    axes[0, 1].set_ylabel("Moved to the side [m]")
-    for panel in axes[0]:
-        panel.set_xlabel("Time [s]")
-        panel.set_xlim(0, 4)
-    _legend(figure)
-    return to_svg(
-        figure, "responses", "Speed and lateral position of the ego after meta-actions, both simulators"
-    )
-
-
-@styled
-def artefact(motions: Mapping[str, Motion]) -> str:
-    """A follower before the u-turn's bend: stock connected lanes, the path variant, v0 and SUMO.
-
-    motions: by engine; vehicle 1 leads, vehicle 2 follows it towards the bend.
-    """
-    colours = {"connected": "#cc79a7", "v0": MUTED, "highway-env": REFERENCE, "sumo": SUMO}
-    labels = {"connected": "connected lanes as shipped", "highway-env": "distance along the path"}
-    figure, axes = new_figure(1, 2, 2.8)
-    for engine, motion in motions.items():
-        style = {"color": colours[engine], "lw": 2.4 if engine == "highway-env" else 1.5}
-        style["ls"] = "--" if engine == "v0" else "-"
-        axes[0, 0].plot(
-            motion.time, motion.speed[:, 2], label=labels.get(engine, NAMES.get(engine, engine)), **style
-        )
-    path = motions["highway-env"]
-    for vehicle, colour, label in ((1, MUTED, "leader"), (2, INK, "follower")):
-        axes[0, 1].plot(path.x[:, vehicle], path.y[:, vehicle], color=colour, label=label)
-        axes[0, 1].plot(path.x[0, vehicle], path.y[0, vehicle], "o", color=colour)
-    axes[0, 1].invert_yaxis()
-    axes[0, 1].set_aspect("equal", adjustable="datalim")
-    axes[0, 1].set_xlabel("x [m]")
-    axes[0, 1].set_ylabel("y [m]")
-    axes[0, 1].legend()
-    axes[0, 0].set_xlabel("Time [s]")
-    axes[0, 0].set_ylabel("Speed of the follower [m/s]")
-    axes[0, 0].legend()
-    return to_svg(
-        figure, "artefact", "Speed of a car that follows another into a bend, by variant of highway-env"
-    )
-
-
-@styled
-def distributions(table: pd.DataFrame, task: str) -> str:
-    """Headways, traffic speed and return of a task's episodes over each other, a row a traffic level."""
-    levels = sorted(set(table["level"]))
-    figure, axes = new_figure(len(levels), 3, 0.7 + 1.35 * len(levels), sharex="col")
-    rows = table[table["traffic"] == "regular"]
+def distributions(table: pd.DataFrame, own: str, task: str, names: Sequence[str]) -> str:
+    """Headways, traffic speed and return of a task's episodes in regular traffic, a row for each level."""
+    rows = table[(table["task"] == task) & (table["traffic"] == "regular")]
+    levels = sorted(set(rows["level"]))
+    figure, axes = new_figure(len(levels), 3, 0.8 + 1.3 * len(levels), sharex="col")
     for number, level in enumerate(levels):
-        part = {engine: rows[(rows["level"] == level) & (rows["engine"] == engine)] for engine in NAMES}
-        for engine in ("highway-env", "sumo"):
-            style: Any = {"color": SUMO, "lw": 1.2} if engine == "sumo" else {
-                "color": REFERENCE, "lw": 2.6, "alpha": 0.55,
-            }  # fmt: skip
-            counts = histogram(part[engine]["headways"])
+        for engine in (REFERENCE, own):
+            part = rows[(rows["level"] == level) & (rows["engine"] == engine)]
+            counts = part[HEADWAYS].to_numpy(float).sum(axis=0)
+            style = _style(engine == own)
             axes[number, 0].stairs(counts / max(counts.sum(), 1), np.arange(BINS + 1) * BIN, **style)
             for column, measure in ((1, "traffic_speed"), (2, "return")):
-                values = np.sort(part[engine][measure].dropna().to_numpy(float))
-                axes[number, column].step(
-                    values, np.arange(1, len(values) + 1) / max(len(values), 1), **style
-                )
-        axes[number, 0].set_ylabel(level_names(task)[level - 1])
+                values = np.sort(part[measure].dropna().to_numpy(float))
+                shares = np.arange(1, len(values) + 1) / max(len(values), 1)
+                axes[number, column].step(values, shares, **style)
+        axes[number, 0].set_ylabel(names[level - 1])
         axes[number, 0].set_yticklabels([])
-    axes[0, 0].set_title("headways (shares)")
-    axes[0, 1].set_title("traffic speed (cumulative)")
-    axes[0, 2].set_title("return (cumulative)")
+    for column, title in enumerate(
+        ("headways (shares)", "traffic speed (cumulative)", "return (cumulative)")
+    ):
+        axes[0, column].set_title(title)
     for column, unit in enumerate(("[s]", "mean of an episode [m/s]", "of an episode")):
         axes[-1, column].set_xlabel(unit)
-    _legend(figure)
+    _legend(figure, own)
     return to_svg(figure, f"distributions-{task}", f"Distributions of headway, speed and return on {task}")
 
 
 @styled
-def egos(table: pd.DataFrame) -> str:
-    """Return and crash rate of every ego on every task and level, SUMO against highway-env."""
-    tasks = list(dict.fromkeys(table["task"]))
-    figure, axes = new_figure(2, len(tasks), 3.6)
-    rows = table[table["traffic"] == "regular"]
-    marks = {"idle": "o", "random": "D", "faster": "^", "slower": "v", "idm": "s", "careful": "*"}
-    for column, task in enumerate(tasks):
-        for row, measure in enumerate(("return", "crashed")):
-            panel = axes[row, column]
-            part = rows[rows["task"] == task].astype({"crashed": float})
-            means = part.groupby(["engine", "level", "policy"])[measure].mean().unstack("engine")
-            for policy in policies(task):
-                chosen = means.xs(policy, level="policy")
-                panel.plot(chosen["highway-env"], chosen["sumo"], marks[policy], color=SUMO, ms=4, alpha=0.8)
-            low, high = float(np.nanmin(means.to_numpy())), float(np.nanmax(means.to_numpy()))
-            panel.axline((low, low), (high, high + 1e-9), color=MUTED, lw=0.8)
-            panel.set_aspect("equal", adjustable="datalim")
-        axes[0, column].set_title(task)
-    axes[0, 0].set_ylabel("Return, SUMO")
-    axes[1, 0].set_ylabel("Crash rate, SUMO")
-    for panel in axes[1]:
-        panel.set_xlabel("highway-env")
-    handles = [Line2D([], [], color=SUMO, ls="", marker=mark, label=name) for name, mark in marks.items()]
-    figure.legend(handles=handles, loc="outside lower center", ncols=5)
-    return to_svg(figure, "egos", "Return and crash rate of all egos in SUMO against highway-env")
+def survival(table: pd.DataFrame, own: str, tasks: Sequence[str]) -> str:
+    """Share of the episodes without a crash so far, all levels and egos, in both traffics."""
+    traffics = list(dict.fromkeys(table["traffic"]))
+    figure, axes = new_figure(len(traffics), len(tasks), 0.8 + 1.4 * len(traffics), sharey=True, sharex="col")
+    for row, traffic in enumerate(traffics):
+        for column, task in enumerate(tasks):
+            for engine in (REFERENCE, own):
+                part = table[
+                    (table["task"] == task) & (table["traffic"] == traffic) & (table["engine"] == engine)
+                ]
+                times = np.sort(part["crash_time"].dropna().to_numpy(float))
+                left = 1.0 - np.arange(len(times) + 1) / max(len(part), 1)
+                axes[row, column].step(np.append(0.0, times), left, where="post", **_style(engine == own))
+            axes[row, column].set_ylim(0, 1.02)
+            axes[row, column].set_xlim(left=0)
+            if row == 0:
+                axes[row, column].set_title(task)
+        axes[row, 0].set_ylabel(f"{traffic}:\nshare not crashed")
+    for panel in axes[-1]:
+        panel.set_xlabel("time [s]")
+    _legend(figure, own)
+    return to_svg(figure, "survival", "Share of the episodes that have not crashed yet over time")
 
 
 @styled
-def fundamental(table: pd.DataFrame) -> str:
-    """Flow and speed against density on the highway, a point an episode."""
+def egos(table: pd.DataFrame, own: str, tasks: Sequence[str], traffic: str) -> str:
+    """Return and crash rate of every ego at every level, one simulator against the other."""
+    rows = table[(table["traffic"] == traffic) & table["engine"].isin((own, REFERENCE))].astype(
+        {"crashed": float}
+    )
+    figure, axes = new_figure(2, len(tasks), 3.8)
+    for column, task in enumerate(tasks):
+        for row, measure in enumerate(("return", "crashed")):
+            panel = axes[row, column]
+            part = rows[rows["task"] == task]
+            means = part.groupby(["engine", "level", "ego"])[measure].mean().unstack("engine").dropna()
+            for ego in dict.fromkeys(means.index.get_level_values("ego")):
+                chosen = means.xs(ego, level="ego")
+                panel.plot(chosen[REFERENCE], chosen[own], MARKS[ego], color=OWN, ms=4, alpha=0.8, mew=0.4)
+            values = means.to_numpy()
+            low, high = (float(values.min()), float(values.max())) if values.size else (0.0, 1.0)
+            panel.axline((low, low), (high, high + 1e-9), color=MUTED, lw=0.8)
+            panel.set_aspect("equal", adjustable="datalim")
+        axes[0, column].set_title(task)
+    axes[0, 0].set_ylabel(f"return, {own}")
+    axes[1, 0].set_ylabel(f"crash rate, {own}")
+    for panel in axes[1]:
+        panel.set_xlabel("highway-env")
+    handles = [
+        Line2D([], [], color=OWN, ls="", marker=mark, ms=4, label=name) for name, mark in MARKS.items()
+    ]
+    figure.legend(handles=handles, loc="outside lower center", ncols=8)
+    return to_svg(figure, f"egos-{traffic}", f"Return and crash rate of all egos in {traffic} traffic")
+
+
+@styled
+def fundamental(table: pd.DataFrame, own: str) -> str:
+    """Flow and speed against density on the highway, a point for each episode."""
     figure, axes = new_figure(1, 2, 2.7)
     rows = table[(table["task"] == "highway") & (table["traffic"] == "regular")]
-    for engine, marker, size in (("highway-env", "o", 22), ("sumo", "x", 12)):
+    for engine, marker, size in ((REFERENCE, "o", 16), (own, "x", 9)):
         part = rows[rows["engine"] == engine]
-        style: Any = {"s": size, "marker": marker, "c": SUMO if engine == "sumo" else REFERENCE, "alpha": 0.6}
+        style: Any = {
+            "s": size,
+            "marker": marker,
+            "c": OWN if engine == own else THEIRS,
+            "alpha": 0.5,
+            "lw": 0.7,
+        }
         axes[0, 0].scatter(part["ahead"], part["flow"], **style)
         axes[0, 1].scatter(part["ahead"], part["traffic_speed"], **style)
-    axes[0, 0].set_ylabel("Flow, four lanes [vehicles/h]")
-    axes[0, 1].set_ylabel("Speed [m/s]")
+    axes[0, 0].set_ylabel("flow, four lanes [vehicles/h]")
+    axes[0, 1].set_ylabel("speed [m/s]")
     for panel in axes[0]:
-        panel.set_xlabel("Density, 200 m ahead of the ego [vehicles/km]")
-    _legend(figure)
+        panel.set_xlabel("density, 200 m ahead of the ego [vehicles/km]")
+    _legend(figure, own)
     return to_svg(figure, "fundamental", "Fundamental diagram of the highway")
 
 
 @styled
-def overview(records: Mapping[str, Any]) -> str:
-    """Every check with a target: difference as a share of its margin, with interval, by task."""
-    tasks = list(records)
-    figure, axes = new_figure(1, len(tasks), 2.6, sharey=True, sharex=True)
-    metrics: Sequence[tuple[str, str]] = (
-        ("return", "return"), ("crashed", "crash rate"), ("traffic_speed", "traffic speed"),
-        ("wasserstein", "headways"), ("agreement", "same outcome"),
-    )  # fmt: skip
+def outcomes(table: pd.DataFrame, own: str, tasks: Sequence[str]) -> str:
+    """How pairs of episodes end: a column for highway-env's ending, its parts by the other simulator's."""
+    from experiments.validation.compare import pairs
+
+    both = pairs(table[table["traffic"] == "regular"], own, REFERENCE)
+    figure, axes = new_figure(1, len(tasks), 2.4, sharey=True)
+    colours = {"crashed": OWN, "arrived": "#009e73", "time": THEIRS, "left": MUTED}
     for panel, task in zip(axes[0], tasks, strict=True):
-        panel.axvspan(-1, 1, color=GRID, alpha=0.6, lw=0)
-        panel.axvline(0, color=INK, lw=0.8)
+        part = both[both["task"] == task]
+        for place, theirs in enumerate(OUTCOMES):
+            column, bottom = part[part["outcome_b"] == theirs], 0.0
+            for ours in OUTCOMES:
+                share = float((column["outcome_a"] == ours).sum() / max(len(part), 1))
+                panel.bar(place, share, bottom=bottom, color=colours[ours], width=0.7)
+                bottom += share
+        panel.set_xticks(range(len(OUTCOMES)), OUTCOMES, rotation=45, ha="right", fontsize=7)
         panel.set_title(task)
-        levels = records[task]["levels"]
-        for number, level in enumerate(levels.values()):
-            shift = 0.3 - 0.6 * number / max(len(levels) - 1, 1)
-            for row, (metric, _) in enumerate(metrics):
-                for item in level["checks"]:
-                    if item["metric"] != metric or not item["margin"]:
-                        continue
-                    y = -row + shift
-                    colour = {True: REFERENCE, False: SUMO}.get(item["passed"], MUTED)  # grey: no verdict
-                    share = item["difference"] / item["margin"]
-                    if item["low"] is not None:
-                        ends = np.array([item["low"], item["high"]]) / item["margin"]
-                        panel.plot(np.clip(ends, -3, 3), [y, y], color=colour, lw=1)
-                    panel.plot(np.clip(share, -3, 3), y, "o", color=colour, ms=3.5)
-        panel.grid(axis="y", visible=False)
-        panel.set_xlim(-3, 3)
-    axes[0, 0].set_yticks([-row for row in range(len(metrics))], [label for _, label in metrics])
-    figure.supxlabel(
-        "difference as a share of its margin (grey: within), a line a level, 90 % intervals", fontsize=8.5
-    )
-    return to_svg(figure, "overview", "All targets: difference over margin")
+        panel.grid(axis="x", visible=False)
+    axes[0, 0].set_ylabel("share of the pairs")
+    handles = [Line2D([], [], color=colour, lw=5, label=f"{own}: {name}") for name, colour in colours.items()]
+    figure.legend(handles=handles, loc="outside lower center", ncols=4)
+    return to_svg(figure, "outcomes", "How pairs of episodes end in the two simulators")

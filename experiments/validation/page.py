@@ -8,68 +8,57 @@ from typing import TYPE_CHECKING, Any
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined, select_autoescape
 
+from experiments.study.grid import level_names
 from experiments.validation import figures
-from experiments.validation.stage import Motion
+from experiments.validation.egos import CORE
 
 if TYPE_CHECKING:
     import pandas as pd
 
 TEMPLATES = Path(__file__).resolve().parents[1] / "templates"
+WORDS = {True: "within all margins", False: "margins missed", None: "no verdict"}
 
 
 def number(value: float | None) -> str:
     """Three significant digits, nothing for None."""
     if value is None:
         return ""
-    return f"{value:.0f}" if abs(value) >= 1000 else f"{value:.3g}" if abs(value) >= 0.01 else f"{value:.3f}"
+    size = abs(value)
+    return f"{value:.0f}" if size >= 1000 else f"{value:.3g}" if size >= 0.01 or not value else f"{value:.3f}"
 
 
 def signed(value: float | None) -> str:
     """`number` with its sign, a true minus."""
-    if value is None:
-        return ""
-    return ("+" if value >= 0 else "\N{MINUS SIGN}") + number(abs(value))
+    return "" if value is None else ("+" if value >= 0 else "\N{MINUS SIGN}") + number(abs(value))
 
 
-def verdict(passed: bool | None) -> str:
-    """Class of a verdict."""
-    return {True: "met", False: "missed"}.get(passed, "open")  # type: ignore[arg-type]
-
-
-def words(passed: bool | None) -> str:
-    """A verdict in words."""
-    return {True: "passed", False: "not passed"}.get(passed, "not validated")  # type: ignore[arg-type]
-
-
-def draw(
-    record: Mapping[str, Any],
-    table: pd.DataFrame,
-    motions: Mapping[str, Mapping[str, Motion]],
-    artefact: Mapping[str, Motion],
-) -> dict[str, str]:
-    """All figures by name.
-
-    Args:
-        table: the episodes.
-        motions: engine -> name of the scene -> motion.
-        artefact: engine -> motion of the scene of the projection artefact.
-    """
-    drawn = {
-        "overview": figures.overview(record["tasks"]),
-        "egos": figures.egos(table),
-        "fundamental": figures.fundamental(table),
-        **{
-            f"distributions-{task}": figures.distributions(table[table["task"] == task], task)
-            for task in record["tasks"]
-        },
-    }
-    name = "following | highway | stop and go"
-    if name in motions["sumo"]:
-        drawn["time_space"] = figures.time_space({engine: own[name] for engine, own in motions.items()})
-    drawn["responses"] = figures.responses(motions)
-    if artefact:
-        drawn["artefact"] = figures.artefact(artefact)
+def draw(record: Mapping[str, Any], table: pd.DataFrame) -> dict[str, str]:
+    """All figures by name, from the record of validation.json and the table of episodes."""
+    own, tasks = record["backend"], list(record["tasks"])
+    drawn = {}
+    for traffic in dict.fromkeys(table["traffic"]):
+        drawn[f"overview-{traffic}"] = figures.overview(record["tasks"], traffic)
+        drawn[f"egos-{traffic}"] = figures.egos(table, own, tasks, traffic)
+    core = table[table["ego"].isin(CORE)]
+    drawn["survival"] = figures.survival(core, own, tasks)
+    drawn["outcomes"] = figures.outcomes(core, own, tasks)
+    if "highway" in tasks:
+        drawn["fundamental"] = figures.fundamental(core, own)
+    for task in tasks:
+        drawn[f"distributions-{task}"] = figures.distributions(core, own, task, level_names(task))
     return drawn
+
+
+def missed(record: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Every check that missed its margin, with its task, traffic and level."""
+    return [
+        {**item, "task": task, "traffic": traffic, "level": level}
+        for task, result in record["tasks"].items()
+        for traffic, levels in result["traffics"].items()
+        for level, checks in levels.items()
+        for item in checks
+        if item["verdict"] == "missed"
+    ]
 
 
 def render(record: Mapping[str, Any], drawn: Mapping[str, str]) -> str:
@@ -80,5 +69,5 @@ def render(record: Mapping[str, Any], drawn: Mapping[str, str]) -> str:
         undefined=StrictUndefined,
     )
     environment.filters.update(number=number, signed=signed)
-    environment.globals.update(verdict=verdict, words=words)
-    return environment.get_template("validation.html.j2").render(record=record, figures=drawn)
+    template = environment.get_template("validation.html.j2")
+    return template.render(record=record, figures=drawn, words=WORDS, missed=missed(record))

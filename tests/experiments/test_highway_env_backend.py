@@ -12,6 +12,8 @@ import numpy as np
 import pytest
 from highway_env.road.road import Road
 from highway_env.vehicle.behavior import IDMVehicle
+from sumo_env.drivers import RiskEvent
+from sumo_env.models.lane_table import lane_table
 
 import sumo_env.traffic
 from experiments.backends import make_env
@@ -23,8 +25,6 @@ from experiments.backends.highway_env_vehicle import (
     distance_beyond,
 )
 from sumo_env.config import ConfigError
-from sumo_env.drivers import RiskEvent
-from sumo_env.models.lane_table import lane_table
 from sumo_env.networks.roads import intersection
 from sumo_env.tasks import TASKS
 

@@ -19,17 +19,10 @@ from experiments.reporting.collision_figures import LENGTH, WIDTH, collisions, c
 from experiments.reporting.report_view import effect_rows, pooled_rows, validation
 from experiments.study import store
 from experiments.support.errors import UserError
+from experiments.validation.status import SCHEMA
 from tests.experiments import synthetic
 
 SCRIPT = Path(report.__file__)
-MISSED = {
-    "name": "crash rate",
-    "level": 1,
-    "sumo": 0.2,
-    "highway_env": 0.1,
-    "difference": 0.1,
-    "margin": 0.05,
-}
 VOID = {"meta", "br", "link", "hr", "img", "input"}
 
 
@@ -199,33 +192,32 @@ class TestIncomplete:
 
 
 class TestValidation:
-    def test_of_this_version_is_shown_with_what_was_missed(self, tmp_path):
-        tasks = {task: {"passed": True, "checks": 9, "missed": []} for task in ("highway", "u-turn")}
-        tasks["u-turn"] = {"passed": False, "checks": 9, "missed": [MISSED]}
-        shown = self.with_file(tmp_path, {"versions": {"sumo_env": "1"}, "tasks": tasks})
+    def test_is_shown_with_what_was_missed(self, tmp_path):
+        counts = {"equivalent": 6, "within": 2, "missed": 0}
+        missed = [{"name": "crash rate", "ego": "idle"}]
+        tasks = {
+            "highway": {"passed": True, "counts": counts, "missed": []},
+            "u-turn": {"passed": False, "counts": {**counts, "missed": 1}, "missed": missed},
+        }
+        shown = self.with_file(tmp_path, {"schema": SCHEMA, "source": "a quick look", "tasks": tasks})
         verdicts = {row["task"]: (row["verdict"], row["reason"]) for row in shown["tasks"]}
-        assert verdicts["highway"] == ("passed", "9 of 9 checks within their margins")
-        assert verdicts["u-turn"] == ("failed", "8 of 9 checks within their margins; not: crash rate")
+        assert verdicts["highway"] == ("passed", "8 of 8 checks within their margins")
+        assert verdicts["u-turn"] == ("failed", "8 of 9 checks within their margins; not: crash rate idle")
         assert verdicts["roundabout"] == ("not validated", "")
-        assert "Not validated for this version: two-way, roundabout and intersection" in shown["note"]
+        assert "Not validated: two-way, roundabout and intersection" in shown["note"]
+        assert shown["source"] == "a quick look"
 
-    def test_of_another_version_does_not_count(self, tmp_path):
-        tasks = {"highway": {"passed": True, "checks": 9, "missed": []}}
-        shown = self.with_file(tmp_path, {"versions": {"sumo_env": "2"}, "tasks": tasks})
-        assert {row["verdict"] for row in shown["tasks"]} == {"not validated"}
-        assert {row["reason"] for row in shown["tasks"]} == {""}
-
-    @pytest.mark.parametrize("value", [[1], {"versions": {"sumo_env": "1"}, "tasks": {"highway": {}}}])
-    def test_that_cannot_be_read_is_said_so(self, tmp_path, value):
-        assert "validation.json cannot be read" in self.with_file(tmp_path, value)["note"]
+    @pytest.mark.parametrize("value", [[1], {"schema": 1, "tasks": {}}, {"tasks": {"highway": {}}}])
+    def test_that_cannot_be_read_does_not_count(self, tmp_path, value):
+        assert {row["verdict"] for row in self.with_file(tmp_path, value)["tasks"]} == {"not validated"}
 
     def test_is_no_question_for_the_reference(self, tmp_path):
-        assert not validation(tmp_path, ["highway-env"], {"sumo-risky-driving": ["1"]})["relevant"]
+        assert not validation(tmp_path, ["highway-env"])["relevant"]
 
     @staticmethod
     def with_file(directory, value):
         (directory / "validation.json").write_text(json.dumps(value))
-        return validation(directory, ["sumo"], {"sumo-risky-driving": ["1"]})
+        return validation(directory, ["sumo"])
 
 
 class TestCommand:

@@ -1,0 +1,242 @@
+"""Draws the pictures of the documentation: ``python docs/figures.py``.
+
+docs/img/tasks.png        one moment of each task, with risky drivers
+docs/img/networks/*.png   SUMO's lanes (grey, inside junctions orange) under highway-env's centre lines (bright, dashed)
+docs/img/collisions.png   how contacts are looked for
+"""
+
+from __future__ import annotations
+
+import math
+import sys
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path[0] = str(ROOT)
+
+import matplotlib
+
+matplotlib.use("agg")
+
+import numpy as np
+from matplotlib import pyplot as plt
+from matplotlib.axes import Axes
+from matplotlib.lines import Line2D
+from matplotlib.patches import Polygon
+from PIL import Image
+
+from sumo_env.contacts.rectangles import LENGTH, WIDTH, State, separation, state_between, touch_moment
+from sumo_env.env import DrivingEnv
+from sumo_env.networks.lanes import WIDTH as LANE_WIDTH
+from sumo_env.networks.lanes import Point
+from sumo_env.networks.mapping import TASKS, Network, network
+
+IMAGES = ROOT / "docs" / "img"
+
+# -- one moment of each task ------------------------------------------------------------------------------------------
+
+GAP = 6  # [px] between the pictures
+# task -> (seed, steps driven, screen width, screen height), chosen to show some traffic
+SHOTS = {
+    "highway": (3, 4, 900, 150),
+    "two-way": (2, 2, 900, 110),
+    "u-turn": (1, 3, 900, 290),
+    "roundabout": (5, 3, 447, 420),
+    "intersection": (5, 4, 447, 420),
+}
+
+
+def shot(task: str) -> Image.Image:
+    """One frame of a task."""
+    seed, steps, width, height = SHOTS[task]
+    config: dict[str, Any] = {"screen_width": width, "screen_height": height, "risk": 1.0}
+    if task == "u-turn":
+        config["centering_position"] = [0.35, 0.78]
+    env = DrivingEnv(task, config, render_mode="rgb_array")
+    env.reset(seed=seed)
+    for _ in range(steps):
+        env.step(1)
+    frame = env.render()
+    assert frame is not None
+    env.close()
+    return Image.fromarray(frame)
+
+
+def tasks() -> None:
+    """The five frames on one sheet."""
+    wide = [shot(task) for task in ("highway", "two-way", "u-turn")]
+    square = [shot(task) for task in ("roundabout", "intersection")]
+    height = sum(image.height + GAP for image in wide) + square[0].height
+    sheet = Image.new("RGB", (wide[0].width, height), "white")
+    y = 0
+    for image in wide:
+        sheet.paste(image, (0, y))
+        y += image.height + GAP
+    sheet.paste(square[0], (0, y))
+    sheet.paste(square[1], (sheet.width - square[1].width, y))
+    sheet.quantize(64).save(IMAGES / "tasks.png", optimize=True)
+
+
+# -- networks ---------------------------------------------------------------------------------------------------------
+
+Window = tuple[float, float, float, float]
+# task -> windows (x from, x to, y from, y to) [m], highway-env's coordinates; the second one is a close-up
+WINDOWS: dict[str, list[Window]] = {
+    "highway": [(-60.0, 260.0, -12.0, 24.0)],
+    "two-way": [(-60.0, 260.0, -14.0, 18.0)],
+    "roundabout": [(-75.0, 75.0, -75.0, 75.0), (-4.0, 30.0, 4.0, 38.0)],
+    "intersection": [(-50.0, 50.0, -50.0, 50.0), (-14.0, 14.0, -14.0, 14.0)],
+    "u-turn": [(-30.0, 160.0, -12.0, 60.0), (118.0, 158.0, 36.0, 52.0)],
+}
+HEIGHTS = {"highway": 2.4, "two-way": 2.2, "u-turn": 3.0}  # [inch]
+
+
+def shapes(net: Network) -> dict[str, np.ndarray]:
+    """SUMO lane id -> points of its shape, (n, 2) [m], y down."""
+    lanes = ElementTree.parse(net.net_file).getroot().iter("lane")
+    return {
+        lane.attrib["id"]: np.array([point.split(",")[:2] for point in lane.attrib["shape"].split()], float) * (1, -1)
+        for lane in lanes
+    }
+
+
+def band(line: np.ndarray) -> np.ndarray:
+    """Outline (2n, 2) [m] of a lane about its centre line (n, 2)."""
+    along = np.gradient(line, axis=0)
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    aside = along[:, ::-1] * (-1, 1) * LANE_WIDTH / 2
+    return np.concatenate([line + aside, (line - aside)[::-1]])
+
+
+def draw_network(axes: Axes, net: Network, window: Window) -> None:
+    """One window of a network."""
+    for name, line in shapes(net).items():
+        joint = name.startswith(":")
+        axes.fill(*band(line).T, color="#f3c89a" if joint else "#d9dde2", lw=0, zorder=1 + joint)
+        axes.plot(*line.T, color="#c65d00" if joint else "#3c444c", lw=2.6, zorder=3 + joint)
+    for index, lane in net.road.lanes.items():
+        s = np.arange(0.0, lane.length + 0.25, 0.5).clip(max=lane.length)
+        line = np.array([lane.position(float(v), 0.0) for v in s])
+        axes.plot(*line.T, color="#49b6ff", lw=1.2, ls=(0, (3, 3)), zorder=6)
+        if index[2] == 0:
+            for name, place in zip(index[:2], (lane.position(0.0, 0.0), lane.position(lane.length, 0.0)), strict=True):
+                node(axes, name, place, window)
+    axes.set(xlim=window[:2], ylim=window[3:1:-1], xlabel="x [m]", ylabel="y [m], down")
+    axes.set_aspect("equal")
+
+
+def node(axes: Axes, name: str, place: Point, window: Window) -> None:
+    """Mark one of highway-env's nodes."""
+    x, y = place
+    axes.plot(x, y, ".", color="#1f6fd0", ms=4, zorder=7)
+    if window[0] < x < window[1] and window[2] < y < window[3]:
+        right, below = x > sum(window[:2]) / 2, y > sum(window[2:]) / 2
+        axes.annotate(
+            name, (x, y), xytext=(5 if right else -5, -5 if below else 5), textcoords="offset points",
+            ha="left" if right else "right", va="top" if below else "bottom", fontsize=7, color="#0b4a86",
+            zorder=8, bbox={"boxstyle": "round,pad=0.1", "fc": "white", "ec": "none", "alpha": 0.75},
+        )  # fmt: skip
+
+
+def networks() -> None:
+    """One picture for each task."""
+    (IMAGES / "networks").mkdir(parents=True, exist_ok=True)
+    legend = [
+        Line2D([], [], color="#3c444c", lw=2.6, label="SUMO lane"),
+        Line2D([], [], color="#c65d00", lw=2.6, label="SUMO lane inside a junction"),
+        Line2D([], [], color="#49b6ff", lw=1.2, ls="--", label="highway-env lane, with its nodes"),
+    ]
+    for task in TASKS:
+        windows = WINDOWS[task]
+        size = (9, HEIGHTS.get(task, 4.9))
+        figure, axes = plt.subplots(1, len(windows), figsize=size, squeeze=False, layout="constrained")
+        for axis, window in zip(axes[0], windows, strict=True):
+            draw_network(axis, network(task), window)
+        if len(windows) == 1:  # stretched across, or nothing would be seen of the lanes
+            axes[0, 0].set_aspect("auto")
+        figure.legend(handles=legend, loc="outside upper center", ncols=3, fontsize=8, frameon=False)
+        figure.savefig(IMAGES / "networks" / f"{task}.png", dpi=110, metadata={"Software": None})
+        plt.close(figure)
+
+
+# -- contacts ---------------------------------------------------------------------------------------------------------
+
+EGO, OTHER, AXIS = "#0072b2", "#d55e00", "#555555"
+
+
+def corners(vehicle: State) -> np.ndarray:
+    """Corners of a vehicle [m], shape (4, 2)."""
+    x, y, _, heading = vehicle
+    cos, sin = math.cos(heading), math.sin(heading)
+    local = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]]) * (LENGTH / 2, WIDTH / 2)
+    return local @ np.array([[cos, sin], [-sin, cos]]) + (x, y)
+
+
+def car(axes: Axes, vehicle: State, colour: str, alpha: float = 0.35) -> None:
+    """A vehicle as a rectangle."""
+    axes.add_patch(Polygon(corners(vehicle), facecolor=colour, edgecolor=colour, alpha=alpha, lw=1.2))
+
+
+def shadows(axes: Axes, first: State, second: State, heading: float, foot: Point) -> None:
+    """The axis through `foot` along `heading`, and what the two vehicles cover of it."""
+    direction = np.array([math.cos(heading), math.sin(heading)])
+    aside = np.array([-direction[1], direction[0]])
+    axes.plot(*(np.array(foot) + np.outer([-5.0, 6.5], direction)).T, color=AXIS, lw=0.7, ls=":")
+    for vehicle, colour, offset in ((first, EGO, 0.12), (second, OTHER, -0.12)):
+        along = (corners(vehicle) - foot) @ direction
+        ends = np.array(foot) + np.outer([along.min(), along.max()], direction) + offset * aside
+        axes.plot(*ends.T, color=colour, lw=3, solid_capstyle="butt")
+
+
+def panel(axes: Axes, title: str, caption: str, half: float = 6.6, centre: Point = (0.0, 0.0)) -> None:
+    """The frame of a drawing, `half` as wide and high [m]."""
+    axes.set_title(title, fontsize=8.5)
+    axes.set_aspect("equal")
+    axes.set_xlim(centre[0] - half, centre[0] + half)
+    axes.set_ylim(centre[1] - half, centre[1] + half)
+    axes.axis("off")
+    axes.text(0.5, 0.02, caption, fontsize=8, ha="center", transform=axes.transAxes)
+
+
+def collisions() -> None:
+    """Apart, in contact, and in contact between two looks."""
+    figure, (apart, contact, grazed) = plt.subplots(1, 3, figsize=(10.5, 3.8))
+    ego: State = (0.0, 0.0, 0.0, 0.0)
+    for axes, other, title in (
+        (apart, (3.6, 3.8, 0.0, 0.6), "apart: one axis with a gap is enough"),
+        (contact, (3.6, 2.2, 0.0, 0.6), "contact: the shadows overlap\non all four axes (two shown)"),
+    ):
+        gap = separation(ego, other)
+        words = f"largest gap {gap:.2f} m" if gap > 0 else f"depth of penetration {-gap:.2f} m"
+        panel(axes, title, words)
+        car(axes, ego, EGO)
+        car(axes, other, OTHER)
+        shadows(axes, ego, other, ego[3], (0.0, -3.2))
+        shadows(axes, ego, other, ego[3] + math.pi / 2, (-4.6, 0.5))
+    # Seen from the ego, which drives as well, the other does not move along its own heading: it slides past the corner.
+    heading = math.pi / 4
+    middle = np.array([2.5, 1.0]) + (LENGTH / 2 - 0.15) * np.array([math.cos(heading), math.sin(heading)])
+    aside = np.array([math.sin(heading), -math.cos(heading)])
+    ends: list[State] = [
+        (*map(float, middle + way * aside), 0.0, heading)  # type: ignore[misc]
+        for way in (2.0, -1.25)
+    ]
+    moment = touch_moment(ego, ego, *ends)
+    words = f"apart at both ends (light), first contact at {moment:.2f} of the way (dark)"
+    panel(grazed, "contact on the way between two looks", words, half=5.2, centre=(3.0, 0.8))
+    car(grazed, ego, EGO)
+    for end in ends:
+        car(grazed, end, OTHER, alpha=0.15)
+    car(grazed, state_between(*ends, moment), OTHER, alpha=0.5)
+    grazed.annotate("", ends[1][:2], ends[0][:2], arrowprops={"arrowstyle": "->", "color": AXIS, "lw": 0.8})
+    figure.tight_layout()
+    figure.savefig(IMAGES / "collisions.png", dpi=110)
+    plt.close(figure)
+
+
+if __name__ == "__main__":
+    tasks()
+    networks()
+    collisions()

@@ -1,0 +1,122 @@
+"""Verdicts: against which margin, by which rule, and what they are of."""
+
+from __future__ import annotations
+
+import pandas as pd
+import pytest
+
+from experiments.validation import checks
+from experiments.validation.checks import (
+    REFERENCE,
+    TRUTH,
+    check,
+    level_checks,
+    passed,
+    replica_checks,
+    scorecard,
+)
+from experiments.validation.compare import Difference
+from experiments.validation.margins import MARGINS, RETURN_RANGE, Margin
+from sumo_env.tasks import TASKS
+from tests.experiments.validation.tables import compared, episodes
+
+MARGIN = Margin(1.0, "unit", "for the test")
+
+
+def by_metric(table: pd.DataFrame, task: str = "u-turn", traffic: str = "regular"):
+    found = level_checks(table, "sumo", task, traffic)
+    return {(item["metric"], item["ego"]): item for item in found}
+
+
+@pytest.mark.parametrize(
+    ("difference", "low", "high", "verdict"),
+    [
+        (0.5, 0.1, 0.9, "equivalent"),
+        (0.5, -0.5, 1.5, "within"),  # the margin is kept, but equivalence is not shown
+        (0.5, None, None, "within"),
+        (-1.5, -2.0, -1.0, "missed"),
+        (-1.01, -3.0, 1.0, "missed"),  # judged by the point estimate
+    ],
+)
+def test_verdict(difference: float, low: float | None, high: float | None, verdict: str) -> None:
+    found = Difference(difference, 0.0, difference, low, high, 10)
+    assert check("name", "metric", found, "u-turn", MARGIN)["verdict"] == verdict
+
+
+def test_no_verdict_without_margin_or_with_too_few_scenarios() -> None:
+    assert check("name", "metric", Difference(9, 0, 9, 8, 10, 50), "u-turn")["verdict"] is None
+    assert check("name", "metric", Difference(9, 0, 9, 8, 10, 2), "u-turn", MARGIN)["verdict"] is None
+
+
+def test_margins_are_those_of_the_design() -> None:
+    assert set(RETURN_RANGE) == set(TASKS)
+    assert {name: margin.value for name, margin in MARGINS.items()} == {
+        "traffic_speed": 0.05, "headway": 0.15, "return": 0.05, "crashed": 0.10, "crashed_ego": 0.15,
+        "lane_changes": 0.25, "order": 0.0,
+    }  # fmt: skip
+    assert MARGINS["return"].bound("highway", 3.0) == 1.0  # of the range of 20
+    assert MARGINS["headway"].bound("highway", 2.0) == pytest.approx(0.3)
+    assert MARGINS["crashed"].bound("highway", 0.5) == 0.10
+    assert all(margin.reason for margin in MARGINS.values())
+
+
+def test_a_simulator_that_does_the_same_is_equivalent_everywhere() -> None:
+    found = [item for item in by_metric(compared()).values() if item["verdict"]]
+    assert {item["verdict"] for item in found if item["metric"] != "order"} == {"equivalent"}
+    assert {item["metric"] for item in found} == set(MARGINS) - {"lane_changes"}
+
+
+def test_lane_changes_have_a_margin_on_the_regular_highway_only() -> None:
+    lazy = compared("highway", lane_changes=0.5)
+    assert by_metric(lazy, "highway")["lane_changes", ""]["verdict"] == "missed"
+    assert by_metric(lazy, "highway", "risky")["lane_changes", ""]["verdict"] is None
+    assert by_metric(compared(lane_changes=0.5))["lane_changes", ""]["verdict"] is None
+
+
+def test_one_ego_may_crash_more_often_than_all_of_them() -> None:
+    table = compared(crashed=lambda ego, scenario: ego == "idle" and scenario % 2 == 0)
+    found = by_metric(table)
+    assert found["crashed_ego", "idle"]["verdict"] == "missed"
+    assert found["same_outcome", ""]["verdict"] is None  # shown without a target
+
+
+def test_a_reversed_order_of_egos_is_named() -> None:
+    table = compared()
+    for engine, sign in ((REFERENCE, 1.0), ("sumo", -1.0)):
+        chosen = (table["engine"] == engine) & (table["ego"] == "careful")
+        table.loc[chosen, "return"] += 3.0 * sign
+    found = [item for item in level_checks(table, "sumo", "u-turn", "regular") if item["metric"] == "order"]
+    by_return = next(item for item in found if "return" in item["name"])
+    assert by_return["verdict"] == "missed"
+    assert "careful" in by_return["note"]
+
+
+def test_variants_of_highway_env_stand_beside() -> None:
+    table = pd.concat([compared(), episodes("v0", traffic_speed=8.0)], ignore_index=True)
+    assert by_metric(table)["traffic_speed", ""]["variants"] == {"v0": pytest.approx(8.0)}
+
+
+def test_a_task_passes_if_no_check_is_missed() -> None:
+    assert passed([{"verdict": "within"}, {"verdict": None}]) is True
+    assert passed([{"verdict": "within"}, {"verdict": "missed"}]) is False
+    assert passed([{"verdict": None}]) is None
+    result = scorecard(compared(crashed=True), "sumo", {"u-turn": ["3"], "highway": ["50"]})
+    assert result["u-turn"]["passed"] is False
+    assert result["highway"] == {"passed": None, "traffics": {}}
+
+
+def test_recomputed_episodes_are_counted_and_the_exceptions_listed() -> None:
+    truth = episodes(TRUTH).assign(length=lambda t: t["length"].where(t["scenario"] != 7, 9))
+    found = replica_checks(pd.concat([episodes(REFERENCE), truth[truth["ego"] == "idle"]]))
+    assert found is not None
+    assert found["tasks"]["u-turn"]["episodes"] == 40
+    assert found["tasks"]["u-turn"]["differing"] == 1
+    assert found["tasks"]["u-turn"]["verdict"] == "missed"  # 1 in 40 is more than 1 %
+    assert found["tasks"]["u-turn"]["exceptions"][0]["scenario"] == 7
+    assert replica_checks(episodes(REFERENCE)) is None
+
+
+def test_with_few_scenarios_there_is_no_verdict() -> None:
+    table = compared()
+    few = table[table["scenario"] < checks.LEAST_SCENARIOS - 1]
+    assert {item["verdict"] for item in by_metric(few).values()} == {None}

@@ -1,0 +1,89 @@
+"""What is driven, where it is stored, and that it is driven once."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from experiments.validation import parts
+from experiments.validation.egos import CORE, egos
+from experiments.validation.episodes import COLUMNS, HEADWAYS
+from experiments.validation.parts import Engine, Part, collect, drive_part, plan, run
+
+SUMO = Engine("sumo", "sumo")
+
+
+def test_every_scenario_is_driven_by_every_ego() -> None:
+    part = Part(SUMO, "u-turn", 1, "regular", range(3))
+    assert part.episodes() == [(scenario, ego) for scenario in range(3) for ego in egos("u-turn")]
+    assert "faster" not in egos("intersection")  # which is idle there
+    assert set(CORE) - {"faster"} <= set(egos("two-way"))
+
+
+def test_a_random_part_is_the_same_however_it_is_divided() -> None:
+    few = Engine("few", "sumo", one_in=20)
+    whole = Part(few, "u-turn", 1, "regular", range(200)).episodes()
+    halves = [Part(few, "u-turn", 1, "regular", part).episodes() for part in (range(100), range(100, 200))]
+    assert whole == halves[0] + halves[1]
+    assert 0.02 < len(whole) / (200 * len(egos("u-turn"))) < 0.08
+
+
+def test_plan_leaves_out_what_cannot_differ() -> None:
+    engines = [Engine(name, "replica", {"variant": name}) for name in ("path", "v0")]
+    planned = plan(engines, {"highway": [1], "u-turn": [1, 2]}, ["regular", "risky"], range(25), 10)
+    assert {(p.engine.name, p.task) for p in planned} == {
+        ("path", "highway"),
+        ("path", "u-turn"),
+        ("v0", "u-turn"),
+    }
+    assert sorted({p.scenarios for p in planned}, key=min) == [range(10), range(10, 20), range(20, 25)]
+    assert len({p.file for p in planned}) == len(planned)
+
+
+def test_other_dynamics_or_settings_are_other_files() -> None:
+    engines = [
+        SUMO, Engine("sumo", "sumo", stamps={"u-turn": "1"}), Engine("sumo", "sumo", calibration={"assertive": 1.0}),
+        Engine("sumo", "sumo", risk={"brake": 1.0}), Engine("sumo", "sumo", egos=("idle",)),
+    ]  # fmt: skip
+    files = {Part(engine, "u-turn", 1, "regular", range(3)).file for engine in engines}
+    assert len(files) == len(engines)
+
+
+def test_episodes_are_measured() -> None:
+    table = drive_part(Part(Engine("sumo", "sumo", egos=("idle", "careful")), "u-turn", 2, "risky", range(3)))
+    assert list(table.columns) == list(COLUMNS)
+    assert len(table) == 6
+    assert (table.groupby("scenario")["drawn"].nunique() == 1).all()  # both egos meet the same scenario
+    assert table["drawn"].nunique() == 3
+    assert ((table["outcome"] == "crashed") == table["crashed"]).all()
+    assert (table["crash_time"].notna() == table["crashed"]).all()
+    assert table["traffic_speed"].between(1, 25).all()
+    counts = table[HEADWAYS].to_numpy().sum(axis=1)
+    assert ((counts > 0) == np.isfinite(table["headway"])).all()
+
+
+def test_settings_of_drivers_and_risk_reach_the_simulator() -> None:
+    def table(**changes):
+        engine = Engine("sumo", "sumo", egos=("idle",), **changes)
+        return drive_part(Part(engine, "u-turn", 1, "risky", range(4))).drop(columns="drawn")
+
+    present = table()
+    quiet = table(risk={"cut_in": 0.0, "brake": 0.0, "surge": 0.0})
+    assert not present.equals(quiet)
+    same = table(risk={"cut_in": parts.TASKS["u-turn"].risk_rates.cut_in})
+    assert present.equals(same)  # the same rates draw the same scenarios
+    assert not present.equals(
+        table(calibration={"lane_changes": True, "assertive": 5.0, "speed_gain": 200.0})
+    )
+
+
+@pytest.mark.slow
+def test_what_is_there_is_not_driven_again(tmp_path: Path) -> None:
+    planned = plan([Engine("sumo", "sumo", egos=("idle",))], {"u-turn": [1]}, ["regular"], range(4), 2)
+    done: list[str] = []
+    run(planned[:1], tmp_path, 2, lambda part: done.append(part.file))
+    run(planned, tmp_path, 2, lambda part: done.append(part.file))
+    assert done == [part.file for part in planned]
+    assert collect(planned, tmp_path)["scenario"].tolist() == [0, 1, 2, 3]

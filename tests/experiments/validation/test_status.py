@@ -1,0 +1,91 @@
+"""What a sweep may say about the simulator before training."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from experiments.validation import status
+from experiments.validation.checks import REFERENCE, scorecard
+from experiments.validation.egos import CORE
+from experiments.validation.fingerprint import fingerprint
+from experiments.validation.parts import Engine, Part, drive_part
+from sumo_env.tasks import TASKS
+from tests.experiments.validation.tables import compared
+
+MARKS = {"u-turn": "abc"}
+
+
+def full_record(table):
+    tasks = scorecard(table, "sumo", {"u-turn": ["3", "6", "9", "12"]})
+    return {"schema": status.SCHEMA, "backend": "sumo", "scenarios": 40, "command": "validate", "fingerprints": MARKS,
+            "tasks": tasks}  # fmt: skip
+
+
+@pytest.fixture
+def stored(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A package that knows a validation of the u-turn with misses."""
+    monkeypatch.setattr(status, "VERDICT", tmp_path / "verdict.json")
+    monkeypatch.setattr(status, "STORED_REFERENCE", tmp_path / "reference.parquet")
+    table = compared(crashed=True)
+    status.store(full_record(table), table, 2, CORE)
+    return tmp_path / "verdict.json"
+
+
+def test_a_stored_verdict_holds_for_the_same_dynamics(stored: Path) -> None:
+    known = status.stored_verdict("sumo", MARKS, stored)
+    assert known is not None
+    assert known["tasks"]["u-turn"]["passed"] is False
+    assert "crash rate" in {item["name"] for item in known["tasks"]["u-turn"]["missed"]}
+
+
+@pytest.mark.parametrize("marks", [{"u-turn": "other"}, {**MARKS, "highway": "abc"}])
+def test_it_does_not_hold_for_others(stored: Path, marks: dict[str, str]) -> None:
+    assert status.stored_verdict("sumo", marks, stored) is None
+    assert status.stored_verdict("replica", MARKS, stored) is None
+
+
+def test_it_does_not_hold_for_another_version_of_sumo(stored: Path) -> None:
+    record = json.loads(stored.read_text())
+    stored.write_text(json.dumps({**record, "versions": {"libsumo": "0.0"}}))
+    assert status.stored_verdict("sumo", MARKS, stored) is None
+
+
+def test_a_full_validation_can_be_read_as_a_verdict(tmp_path: Path) -> None:
+    (tmp_path / "validation.json").write_text(json.dumps(full_record(compared())))
+    known = status.read(tmp_path / "validation.json")
+    assert known is not None
+    assert known["tasks"]["u-turn"]["passed"] is True
+    assert known["tasks"]["u-turn"]["counts"]["missed"] == 0
+
+
+def test_fingerprints_change_with_the_dynamics(monkeypatch: pytest.MonkeyPatch) -> None:
+    before = fingerprint("sumo", "u-turn")
+    assert before == fingerprint("sumo", "u-turn")
+    assert before != fingerprint("sumo", "u-turn", {"simulation_frequency": 15})
+    rates = TASKS["u-turn"].risk_rates
+    monkeypatch.setattr(type(TASKS["u-turn"]), "risk_rates", type(rates)(brake=1.0))
+    assert before != fingerprint("sumo", "u-turn")
+
+
+@pytest.mark.slow
+def test_other_dynamics_are_driven_through_the_stored_scenarios(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(status, "VERDICT", tmp_path / "nothing.json")
+    monkeypatch.setattr(status, "STORED_REFERENCE", tmp_path / "reference.parquet")
+    reference = drive_part(
+        Part(Engine(REFERENCE, "sumo", egos=("idle", "careful")), "u-turn", 1, "regular", range(4))
+    )
+    reference.to_parquet(tmp_path / "reference.parquet")
+    out = tmp_path / "sweep"
+    out.mkdir()
+    known = status.before_training("sumo", ["u-turn"], out, 1)
+    assert known is not None
+    assert known["source"] == "4 stored scenarios"
+    assert known["tasks"]["u-turn"]["passed"] is True  # SUMO is compared with itself here
+    assert status.read(out / "validation.json") == known
+    assert status.before_training("sumo", ["u-turn"], out, 1) == known
+    assert status.before_training("highway-env", ["u-turn"], out, 1) is None

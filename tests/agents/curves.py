@@ -11,8 +11,10 @@ from pathlib import Path
 
 import gymnasium as gym
 import numpy as np
+import torch
 
 from agents.dqn import DQN, DQNConfig
+from agents.models import Dueling
 from agents.training import train
 from tests.agents.decision_process import exact_q, experience, risky_road
 from tests.agents.road import Road
@@ -20,22 +22,50 @@ from tests.agents.road import Road
 STORED = Path(__file__).with_name("learning_curves.json")
 SEEDS = range(8)
 PARTS = 5  # of a training
-SMALL = DQNConfig(hidden=(64, 48), stream=(32,), batch_size=64, learning_rate=1e-3)
+class Config(DQNConfig):
+    """Explores as the learner in numpy did: epsilon falls from the first step."""
+
+    def epsilon(self, step: int) -> float:
+        return super().epsilon(step + self.warm_up)
+
+
+# The settings of the learner in numpy, which clamped each entry of the gradient where this one limits its norm.
+SMALL = Config(
+    batch_size=64,
+    learning_rate=1e-3,
+    learning_rate_final=1e-3,
+    gamma=0.99,
+    steps_per_update=1,
+    tau=1.0,
+    warm_up=100,
+    standardise=False,
+)
+
+
+class Network(Dueling):
+    """The paper's kind of network, smaller."""
+
+    def __init__(self, space: gym.spaces.Box, actions: int) -> None:
+        super().__init__(int(np.prod(space.shape)), actions, (64, 48), (32,))
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        return super().forward(x.flatten(1))
+
 
 
 def road(seed: int) -> list[float]:
     """Mean return of the training episodes in each fifth of 1500 updates on the toy road."""
-    config = DQNConfig(**{**vars(SMALL), "updates": 1500, "gamma": 0.95, "target_lag": 100, "epsilon_decay": 0.1})
-    (agent,) = train(Road(), config, [seed])
+    config = Config(**{**vars(SMALL), "updates": 1500, "gamma": 0.95, "target_interval": 100, "epsilon_decay": 0.1})
+    agent = train(Road(), config, seed, network=Network)
     return by_fifths(agent.episodes)
 
 
 def cartpole(seed: int) -> list[float]:
     """The same over 3000 updates on CartPole."""
-    config = DQNConfig(
-        **{**vars(SMALL), "updates": 3000, "target_lag": 150, "warm_up": 300, "epsilon_final": 0.05, "epsilon_decay": 0.1}
+    config = Config(
+        **{**vars(SMALL), "updates": 3000, "target_interval": 150, "warm_up": 300, "epsilon_final": 0.05, "epsilon_decay": 0.1}
     )
-    (agent,) = train(gym.make("CartPole-v1"), config, [seed])
+    agent = train(gym.make("CartPole-v1"), config, seed, network=Network)
     return by_fifths(agent.episodes)
 
 
@@ -49,14 +79,16 @@ def values(seed: int) -> list[float]:
     """Mean distance of the Q-values from the exact ones after each 400 of 2000 updates, in a known process."""
     process = risky_road()
     expected = exact_q(*process[1:], gamma=0.9)
-    agent = DQN(DQNConfig(**{**vars(SMALL), "gamma": 0.9, "target_lag": 50, "batch_size": 100}), 8, 3, seed)
+    config = Config(**{**vars(SMALL), "gamma": 0.9, "target_interval": 50, "batch_size": 100})
+    spaces = gym.spaces.Box(-np.inf, np.inf, (8,)), gym.spaces.Discrete(3)
+    agent = DQN(config, *spaces, seed, network=Network)
     for transition in experience(process, 5000, seed):
         agent.replay.add(*transition)
     errors = []
     for _ in range(PARTS):
         for _ in range(400):
             agent.update()
-        errors.append(float(np.abs([agent.q(feature) for feature in process[0]] - expected).mean()))
+        errors.append(float(np.abs(agent.q(process[0]) - expected).mean()))
     return errors
 
 

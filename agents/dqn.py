@@ -161,7 +161,7 @@ class DQN:
     @property
     def loss(self) -> float:
         """Mean squared temporal-difference error of the last update's batch, before that update."""
-        return float(self._loss)
+        return float(self._loss.detach())
 
     def policy(self) -> Greedy:
         """The greedy policy as it is now, on the CPU (a copy)."""

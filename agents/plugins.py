@@ -19,13 +19,18 @@ def split(name: str) -> tuple[Path, str]:
     return path, attribute
 
 
+def sha256(path: Path) -> str:
+    """Fingerprint of a file."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
 def load_object(name: str) -> Any:
     """Run the file of "FILE:NAME" as a module of its own and return the object of that name.
 
     Raises ValueError when there is no such file or name, or when the file cannot be run.
     """
     path, attribute = split(name)
-    label = f"user_{path.stem}_{hashlib.sha256(path.read_bytes()).hexdigest()[:8]}"
+    label = f"user_{path.stem}_{sha256(path)[:8]}"
     description = importlib.util.spec_from_file_location(label, path)
     if description is None or description.loader is None:
         raise ValueError(f"{path} is no Python file.")

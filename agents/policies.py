@@ -6,7 +6,6 @@ Learnt here: :class:`agents.greedy.Greedy`. Learnt elsewhere: :class:`StableBase
 
 from __future__ import annotations
 
-import hashlib
 import json
 import zipfile
 from pathlib import Path
@@ -15,7 +14,7 @@ from typing import Any, Protocol
 import gymnasium as gym
 import numpy as np
 
-from agents.plugins import load_object, split
+from agents.plugins import load_object
 
 
 class Policy(Protocol):
@@ -84,16 +83,3 @@ def foreign_policy(name: str, env: gym.Env[Any, Any]) -> Policy:
     if not callable(getattr(policy, "act", None)):
         raise ValueError(f"{name} made {type(policy).__name__}, which has no act(observation).")
     return policy if callable(getattr(policy, "reset", None)) else Stateless(policy)
-
-
-def source(name: str) -> Path:
-    """The file that a foreign policy or network comes from. Raises ValueError when it does not exist."""
-    path = Path(name) if name.endswith(".zip") else split(name)[0]
-    if not path.is_file():
-        raise ValueError(f"There is no file {path}.")
-    return path
-
-
-def sha256(path: Path) -> str:
-    """Fingerprint of a file."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()

@@ -81,14 +81,14 @@ def cells_of(options: Options) -> list[Cell]:
 
 def test_abroad(work: tuple[Path, Cell]) -> None:
     """Test an agent in the simulator that it was not trained in; its episodes are stored beside its cell's."""
-    from agents.policy import GreedyPolicy
     from experiments.study.evaluate import evaluate
+    from experiments.study.policies import load_agent
 
     directory, cell = work
     backend = other(cell.backend)
     env = open_env(backend, cell.task, grid.env_config(backend, cell.task, cell.level))
-    policy = GreedyPolicy.load(directory / "cells" / cell.name / WEIGHTS)
-    table = evaluate(env, policy, cell.task, cell.level, cell.episodes)
+    seen, policy = load_agent(cell.key(), cell.source, directory / "cells" / cell.name / WEIGHTS, env)
+    table = evaluate(seen, policy, cell.task, cell.level, cell.episodes)
     env.close()
     write_file(abroad(directory, cell), table.to_parquet(index=False))
 

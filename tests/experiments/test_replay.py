@@ -21,7 +21,7 @@ def cells(tmp_path_factory):
     """Directories of a stored agent and of a stored baseline."""
     home = store.Store(tmp_path_factory.mktemp("results"))
     wanted = cells_of(
-        SweepOptions(preset="smoke", tasks=("highway",), updates=100, episodes=3, target_lag=50)
+        SweepOptions(preset="smoke", tasks=("highway",), updates=100, episodes=3)
     )
     chosen = [cell for cell in wanted if cell.arm == "control" or cell.policy == "random"]
     for cell in chosen:

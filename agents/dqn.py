@@ -21,7 +21,7 @@ from agents.streams import generator_state, number, restore_generator, stream
 
 @dataclass(frozen=True)
 class DQNConfig:
-    """Every setting of the learner. The defaults are the profile "tuned" of docs/learner.md, which has the measurements.
+    """Every setting of the learner; the defaults are the profile "tuned" (measurements: docs/learner.md).
 
     Settings whose origin is not named are of this project. ValueError for a value that makes no sense.
     """
@@ -49,7 +49,15 @@ class DQNConfig:
     device: str = "cpu"  # or "cuda"
 
     def __post_init__(self) -> None:
-        whole = ("updates", "steps_per_update", "batch_size", "target_interval", "replay_capacity", "warm_up", "block")
+        whole = (
+            "updates",
+            "steps_per_update",
+            "batch_size",
+            "target_interval",
+            "replay_capacity",
+            "warm_up",
+            "block",
+        )
         for name in (*whole, "probe_size", "probe_interval"):
             value = getattr(self, name)
             if type(value) is not int or value < 1:
@@ -73,11 +81,15 @@ class DQNConfig:
     def epsilon(self, step: int) -> float:
         """Probability of a random action at an agent's ``step``-th environment step."""
         after = max(step - self.warm_up, 0) / (self.epsilon_decay * self.steps_per_update * self.updates)
-        return 1.0 if step < self.warm_up else self.epsilon_final + (1.0 - self.epsilon_final) * math.exp(-after)
+        return (
+            1.0 if step < self.warm_up else self.epsilon_final + (1.0 - self.epsilon_final) * math.exp(-after)
+        )
 
     def rate(self, update: int) -> float:
         """Learning rate of the ``update``-th update, counted from 0."""
-        return self.learning_rate + (self.learning_rate_final - self.learning_rate) * min(update / self.updates, 1.0)
+        return self.learning_rate + (self.learning_rate_final - self.learning_rate) * min(
+            update / self.updates, 1.0
+        )
 
 
 class DQN:
@@ -90,7 +102,12 @@ class DQN:
     """
 
     def __init__(
-        self, config: DQNConfig, observations: gym.Space, actions: gym.Space, seed: int, network: Network | None = None
+        self,
+        config: DQNConfig,
+        observations: gym.Space,
+        actions: gym.Space,
+        seed: int,
+        network: Network | None = None,
     ) -> None:
         space, self.actions = _sizes(observations, actions)
         self.config = config
@@ -229,7 +246,9 @@ def unflattened(module: nn.Module) -> nn.Module:
 
 def _sizes(observations: gym.Space, actions: gym.Space) -> tuple[gym.spaces.Box, int]:
     if not isinstance(observations, gym.spaces.Box) or not isinstance(actions, gym.spaces.Discrete):
-        raise ValueError(f"A DQN needs Box observations and Discrete actions, got {observations} and {actions}.")
+        raise ValueError(
+            f"A DQN needs Box observations and Discrete actions, got {observations} and {actions}."
+        )
     if actions.start != 0:
         raise ValueError(f"The actions must be numbered from 0, got {actions}.")
     return observations, int(actions.n)

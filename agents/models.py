@@ -39,7 +39,9 @@ class Dueling(nn.Module):
     the mean, as is done here.
     """
 
-    def __init__(self, inputs: int, actions: int, hidden: Sequence[int] = HIDDEN, stream: Sequence[int] = STREAM) -> None:
+    def __init__(
+        self, inputs: int, actions: int, hidden: Sequence[int] = HIDDEN, stream: Sequence[int] = STREAM
+    ) -> None:
         super().__init__()
         self.base = layers((inputs, *hidden))
         self.value = nn.Sequential(layers((hidden[-1], *stream)), nn.Linear(stream[-1], 1))
@@ -78,7 +80,9 @@ class EgoAttention(nn.Module):
     def __init__(self, space: gym.spaces.Box, actions: int, width: int = 64, heads: int = 2) -> None:
         super().__init__()
         if len(space.shape) != 2:
-            raise ValueError(f"Attention needs observations (vehicles, features), got the shape {space.shape}.")
+            raise ValueError(
+                f"Attention needs observations (vehicles, features), got the shape {space.shape}."
+            )
         self.heads = heads
         self.ego = layers((space.shape[1], width, width))
         self.others = layers((space.shape[1], width, width))

@@ -1,7 +1,7 @@
 """Policies: what a study can test, whether it learnt here, learnt elsewhere or never learnt.
 
-Learnt here: :class:`agents.greedy.Greedy`. Learnt elsewhere: :class:`StableBaselines`, and any object of a user's file. Never learnt:
-`agents.rules`.
+Learnt here: :class:`agents.greedy.Greedy`. Learnt elsewhere: :class:`StableBaselines`, and any object of a user's file.
+Never learnt: `agents.rules`.
 """
 
 from __future__ import annotations
@@ -47,7 +47,9 @@ class StableBaselines:
         for name in ("observation_space", "action_space"):
             wanted, given = getattr(self._model, name), getattr(env, name)
             if wanted != given:
-                raise ValueError(f"{path} was trained for the {name} {wanted}, but the environment has {given}.")
+                raise ValueError(
+                    f"{path} was trained for the {name} {wanted}, but the environment has {given}."
+                )
 
     def act(self, observation: np.ndarray) -> int:
         """The model's action."""
@@ -70,7 +72,9 @@ def _load_model(path: Path) -> Any:
     for algorithm, setting in (("DQN", "exploration_fraction"), ("PPO", "clip_range"), ("A2C", "gae_lambda")):
         if setting in settings:
             return getattr(stable_baselines3, algorithm).load(path, device="cpu")
-    raise ValueError(f"{path} was written by none of DQN, PPO and A2C: use --policy FILE:MAKE for other models.")
+    raise ValueError(
+        f"{path} was written by none of DQN, PPO and A2C: use --policy FILE:MAKE for other models."
+    )
 
 
 def foreign_policy(name: str, env: gym.Env[Any, Any]) -> Policy:

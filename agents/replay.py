@@ -32,7 +32,7 @@ class Replay:
         self.capacity = capacity
         self.added = 0  # transitions ever added; the newest lies at (added - 1) % capacity
         # Memory is taken when it is first written, so a short training does not pay for the capacity.
-        self.arrays = {
+        self.arrays: dict[str, np.ndarray] = {
             "observations": np.empty((capacity, *shape), np.float32),
             "actions": np.empty(capacity, np.int64),
             "rewards": np.empty(capacity, np.float32),
@@ -44,7 +44,12 @@ class Replay:
         return min(self.added, self.capacity)
 
     def add(
-        self, observation: np.ndarray, action: int, reward: float, next_observation: np.ndarray, terminated: bool
+        self,
+        observation: np.ndarray,
+        action: int,
+        reward: float,
+        next_observation: np.ndarray,
+        terminated: bool,
     ) -> None:
         """Store one transition, in place of the oldest one when full."""
         row = self.added % self.capacity
@@ -66,7 +71,10 @@ class Replay:
 
     def state_dict(self) -> dict[str, np.ndarray]:
         """The filled part of every array (views of live memory), and the number of additions."""
-        return {**{name: array[: len(self)] for name, array in self.arrays.items()}, "added": np.array(self.added)}
+        return {
+            **{name: array[: len(self)] for name, array in self.arrays.items()},
+            "added": np.array(self.added),
+        }
 
     def load_state_dict(self, state: dict[str, np.ndarray]) -> None:
         """Put back a state. Raises ValueError when it belongs to another capacity or observation shape."""

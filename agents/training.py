@@ -162,7 +162,9 @@ class Training:
 
     def load_state_dict(self, state: Mapping[str, np.ndarray]) -> None:
         """Put back a state."""
-        self.agent.load_state_dict({k.removeprefix("dqn."): v for k, v in state.items() if k.startswith("dqn.")})
+        self.agent.load_state_dict(
+            {k.removeprefix("dqn."): v for k, v in state.items() if k.startswith("dqn.")}
+        )
         self.log = {name: state[f"log.{name}"].tolist() for name in EPISODE_COLUMNS}
         self.looks = [ProbeQ(int(update), *rest) for update, *rest in state["looks"].tolist()]
         self.steps = int(state["steps"])

@@ -100,7 +100,7 @@ def parts(options: Options, size: Size) -> dict[str, Callable[[Note], Any]]:
         # Not at the top: torch takes seconds to import, and each measuring process imports this file.
         from experiments.benchmarks.learner import measure_learner
 
-        return measure_learner(size.agents, size.learner_turns, note)
+        return measure_learner(size.learner_turns, note)
 
     functions: dict[str, Callable[[Note], Any]] = {
         "env": env,

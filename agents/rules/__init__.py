@@ -17,9 +17,9 @@ POLICIES = ("idle", "random", "faster", "slower", "idm", "careful")
 def make_policy(name: str, env: gym.Env[Any, Any]) -> Policy:
     """The driver of this name for ``env``, whose ``unwrapped.actions`` maps action numbers to names.
 
-    "idle", "faster" and "slower" repeat one meta-action, "random" draws uniformly, "idm" is :class:`agents.rules.idm.IDM`,
-    "careful" :class:`agents.rules.careful.Careful`. Raises ValueError for an unknown name or an action that the
-    environment lacks.
+    "idle", "faster" and "slower" repeat one meta-action, "random" draws uniformly, "idm" is
+    :class:`agents.rules.idm.IDM`, "careful" :class:`agents.rules.careful.Careful`. Raises ValueError for an unknown
+    name or an action that the environment lacks.
     """
     actions: dict[int, str] = env.unwrapped.actions  # type: ignore[attr-defined]
     if name == "random":

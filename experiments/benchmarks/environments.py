@@ -29,7 +29,10 @@ from experiments.study.grid import env_config, level_names
 MODELS = ("matched", "sumo")
 EQUAL_WORK = 15  # [Hz] highway-env's simulation_frequency: as many sub-steps on both sides
 VARIANT = "connected"  # of highway-env: its own code alone, cars see beyond the ends of their lanes
-WARM_UP_STEPS = {"sumo": 3, "highway-env": 1}  # compile, load the network, fill caches, before anything is timed
+WARM_UP_STEPS = {
+    "sumo": 3,
+    "highway-env": 1,
+}  # compile, load the network, fill caches, before anything is timed
 
 Record = dict[str, Any]
 Key = tuple[
@@ -204,7 +207,9 @@ def measure_task(
                     part, begun = ours.call("drive", key, effort.seconds, 1, True)
                     fast[key].append(part)
                     episodes[key] += begun
-                    lengths[key] = max(round(sum(part.count for part in fast[key]) / max(episodes[key], 1)), 1)
+                    lengths[key] = max(
+                        round(sum(part.count for part in fast[key]) / max(episodes[key], 1)), 1
+                    )
                     bare[key].append(ours.call("engine", key, effort.engine_seconds, lengths[key]))
                     shares[key].append(ours.call("engine_share", key, effort.engine_seconds))
             memory = ours.call("resident")

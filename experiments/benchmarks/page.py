@@ -137,18 +137,16 @@ def _growth(growth: Record) -> Figure:
 
 
 def _learner(records: Sequence[Record]) -> Figure:
-    """Milliseconds an update of one agent."""
+    """Milliseconds an update, by network and shape of the observations."""
     figure, axes = plt.subplots(figsize=(7.5, 3.0))
-    names = [f"this project,\n{record['agents']} agent{'s' * (record['agents'] > 1)}" for record in records]
-    if len({record["kernels"] for record in records}) > 1:
-        names = [f"{name},\n{record['kernels']}" for name, record in zip(names, records, strict=True)]
-    times = [1e3 / (record["updates_per_s"] * record["agents"]) for record in records]
-    names += ["Stable-\nBaselines3", "matrix\nproducts alone"]
-    times += [1e3 / records[0]["sb3_updates_per_s"], 1e3 / records[0]["floor_updates_per_s"]]
-    colours = [COLOURS["own"]] * len(records) + [COLOURS["sb3"], COLOURS["floor"]]
-    bars = axes.bar(names, times, color=colours)
-    axes.bar_label(bars, [f"{time:.2f}" for time in times], fontsize=8)
-    axes.set_ylabel("ms an update of one agent")
+    names = [f"{record['network']}\n{record['observation'][0]} vehicles" for record in records]
+    series = {
+        label: [1e3 / record[key] for record in records]
+        for label, key in (("this project", "updates_per_s"), ("Stable-Baselines3", "sb3_updates_per_s"))
+    }
+    _bars(axes, names, series)
+    axes.set_ylabel("ms an update")
+    axes.legend(frameon=False)
     return figure
 
 

@@ -8,7 +8,6 @@ run at the same time, so that both meet the same machine.
 from __future__ import annotations
 
 import multiprocessing
-import os
 import statistics
 import time
 import traceback
@@ -19,7 +18,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from experiments.support.threads import KERNELS, limit_threads
+from experiments.support.threads import limit_threads
 
 
 class MeasurementFailed(RuntimeError):
@@ -104,25 +103,15 @@ class Remote:
     Args:
         factory: makes the object, in the process; an importable function or class.
         arguments: its arguments.
-        kernels: of OpenBLAS, whatever the user's environment says; "" for those that OpenBLAS chooses by itself.
     """
 
-    def __init__(self, factory: Callable[..., Any], *arguments: Any, kernels: str | None = None) -> None:
+    def __init__(self, factory: Callable[..., Any], *arguments: Any) -> None:
         limit_threads()  # inherited by the process, which imports numpy before anything of ours runs
         context = multiprocessing.get_context("spawn")
         self._connection, theirs = context.Pipe()
         # no daemon: vectors of environments start processes of their own
         self._process = context.Process(target=_serve, args=(theirs, factory, arguments))
-        named = os.environ.get(KERNELS)
-        if kernels is not None:
-            os.environ[KERNELS] = kernels
-        try:
-            self._process.start()
-        finally:
-            if named is not None:
-                os.environ[KERNELS] = named
-            else:
-                os.environ.pop(KERNELS, None)
+        self._process.start()
         theirs.close()
         self._ready = False
 

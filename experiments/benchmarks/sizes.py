@@ -14,7 +14,6 @@ class Size:
 
     effort: Effort
     all_levels: bool
-    agents: tuple[int, ...]
     learner_turns: int
     sweep_updates: int
     sweep_episodes: int
@@ -29,7 +28,6 @@ class Size:
 FULL = Size(
     effort=Effort(turns=5, seconds=1.0, reference_seconds=2.0, reference_steps=3),
     all_levels=True,
-    agents=(1, 8, 16),
     learner_turns=9,
     sweep_updates=400,
     sweep_episodes=10,
@@ -43,7 +41,6 @@ FULL = Size(
 QUICK = Size(
     effort=Effort(turns=3, seconds=0.08, reference_seconds=0.25, reference_steps=1),
     all_levels=False,
-    agents=(1, 8),
     learner_turns=2,
     sweep_updates=40,
     sweep_episodes=2,

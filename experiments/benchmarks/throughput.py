@@ -1,9 +1,9 @@
 """Agents an hour: training and test, end to end, extrapolated from short trainings in every traffic.
 
 One agent of each arm is trained for a short budget by `agents.training.train` and tested by
-`experiments.study.evaluate.evaluate`, as a sweep does. What an update with its environment step costs is taken
-after the start-up (compilation, first block), what a test episode costs from some; an agent of the paper's grid
-costs so many of both as its preset says. Nothing is trained for hours here: trained agents live longer than
+`experiments.study.evaluate.evaluate`, as a sweep does. What an update with its environment steps costs is taken
+after the start-up (warm-up, first block), what a test episode costs from some; an agent of the preset `standard`
+costs so many of both as that says. Nothing is trained for hours here: trained agents live longer than
 beginners, so that their steps hold fewer resets and, on the highway, more vehicles that change lane.
 """
 
@@ -14,11 +14,11 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from typing import Any
 
-from experiments.benchmarks.remote import Remote, Slice, Stopwatch
+from experiments.benchmarks.remote import Remote, Slice, Stopwatch, total
 from experiments.study.grid import ARMS, level_names
 
 Record = dict[str, Any]
-Cost = tuple[float, float]  # seconds for an update with its environment step, and for a test episode
+Cost = tuple[float, float]  # seconds for an update with its environment steps, and for a test episode
 Place = tuple[str, int]  # task and level
 
 
@@ -26,7 +26,7 @@ class Trainee:
     """Trains and tests for a short while; lives in its own process."""
 
     def measure(self, task: str, level: int, updates: int, episodes: int) -> tuple[Cost, Cost]:
-        """Cost of an update with its step and of a test episode, means over the arms and traffics.
+        """Cost of an update with its steps and of a test episode, means over the arms and traffics.
 
         First in wall time, then in processor time [s].
         """
@@ -44,26 +44,28 @@ class Trainee:
             marks.append(watch.slice(progress.updates))
 
         config = DQNConfig(updates=updates, warm_up=20)
-        options = [{"config": {"risk": risk}} for risk in ARMS.values()]
-        agents = train(env, config, seeds=[0] * len(ARMS), reset_options=options, progress=mark)
-        first, last = marks[0], marks[-1]
-        learned = (last.count - first.count) * len(ARMS)
-        policy = agents[0].policy
+        stretches = []
+        for risk in ARMS.values():
+            marks.clear()
+            agent = train(env, config, 0, reset_options={"config": {"risk": risk}}, progress=mark)
+            first, last = marks[0], marks[-1]
+            stretches.append(Slice(last.count - first.count, last.wall - first.wall, last.cpu - first.cpu))
+        learned, policy = total(stretches), agent.policy
         evaluate(env, policy, task, level, 1)
         watch = Stopwatch()
         evaluate(env, policy, task, level, episodes)
         tested = watch.slice(2 * episodes)
         env.close()
         return (
-            ((last.wall - first.wall) / learned, tested.wall / tested.count),
-            ((last.cpu - first.cpu) / learned, tested.cpu / tested.count),
+            (learned.wall / learned.count, tested.wall / tested.count),
+            (learned.cpu / learned.count, tested.cpu / tested.count),
         )
 
 
 def measure_sweep(
     places: Sequence[Place], workers: Sequence[int], updates: int, episodes: int, note: Callable[[str], None]
 ) -> list[Record]:
-    """Agents an hour over the paper's grid for each number of workers, which train at the same time.
+    """Agents an hour over the 18 settings for each number of workers, which train at the same time.
 
     Levels that are not in `places` are taken to cost what lies, by level number, between the measured ones.
     """
@@ -106,7 +108,7 @@ def _mean(costs: Sequence[Cost]) -> Cost:
 
 
 def agent_seconds(costs: Mapping[Place, Cost]) -> float:
-    """Mean time of one agent over the cells of the paper's grid [s], of the tasks that were measured."""
+    """Mean time of one agent over the 18 settings [s], of the tasks that were measured."""
     times = []
     for task in dict.fromkeys(task for task, _ in costs):
         known = {level: cost for (name, level), cost in costs.items() if name == task}
@@ -116,11 +118,11 @@ def agent_seconds(costs: Mapping[Place, Cost]) -> float:
 
 
 def _seconds(task: str, cost: Cost) -> float:
-    """Time of an agent with the paper's budget [s]."""
+    """Time of an agent with the budget of the preset `standard` [s]."""
     from experiments.study.presets import PRESETS
 
-    paper = PRESETS["paper"]
-    return paper.updates[task] * cost[0] + 2 * paper.episodes * cost[1]
+    preset = PRESETS["standard"]
+    return preset.updates[task] * cost[0] + (2 * preset.episodes + preset.gate_episodes) * cost[1]
 
 
 def _between(known: Mapping[int, Cost], level: int) -> Cost:

@@ -1,8 +1,8 @@
 """Is an agent worth comparing? Four gates that a trained agent has to pass before its effect means anything.
 
-A learner that diverged behaves like a constant, and a pair of diverged arms gives an effect of exactly 0 that no test of
-significance notices. Agents that fail are shown, and the effects they enter are called uninformative. The gates are judged
-on scenarios of their own: chosen by the test scenarios, the agents left over would be the lucky ones.
+A learner that diverged behaves like a constant, and a pair of diverged arms gives an effect of exactly 0 that no test
+of significance notices. Agents that fail are shown, and the effects they enter are called uninformative. The gates are
+judged on scenarios of their own: chosen by the test scenarios, the agents left over would be the lucky ones.
 """
 
 from __future__ import annotations
@@ -19,7 +19,9 @@ from experiments.study.grid import ARMS, TRAFFICS
 
 Q_SLACK = 1.2  # over the largest value that any policy can have, max |r| / (1 - gamma)
 CONSTANT = 0.98  # share of the steps with the most common action from which a policy counts as constant
-TIED = 0.98  # share of the scenarios with the return of one constant policy from which an agent is tied with it
+TIED = (
+    0.98  # share of the scenarios with the return of one constant policy from which an agent is tied with it
+)
 ENTERING = 0.5  # share of the scenarios in which a policy has to enter the crossing to count as one that does
 CONSTANT_POLICIES = ("idle", "random", "faster", "slower")  # what learning has to be worth more than
 # Way [m] from the start to just inside the crossing that a task is about: an ego's length beyond its entry.

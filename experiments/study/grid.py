@@ -242,7 +242,15 @@ def build(
             }
             profile = {"preset": preset, **profiles[task]}
             cells += [
-                Cell(kind="agent", arm=arm, seed=seed, policy=LEARNER, profile=profile, source=network, **common)
+                Cell(
+                    kind="agent",
+                    arm=arm,
+                    seed=seed,
+                    policy=LEARNER,
+                    profile=profile,
+                    source=network,
+                    **common,
+                )
                 for seed in range(seeds)
                 for arm in ARMS
             ]

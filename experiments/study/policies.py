@@ -36,9 +36,7 @@ def _parts(name: str) -> tuple[Path, str]:
         raise UserError(str(error)) from None
 
 
-def untrained_policy(
-    key: Mapping[str, Any], source: str | None, env: gym.Env[Any, Any]
-) -> Policy:
+def untrained_policy(key: Mapping[str, Any], source: str | None, env: gym.Env[Any, Any]) -> Policy:
     """The policy of a cell that was not trained here. source: FILE:MAKE or a zip file, None for a rule.
 
     Raises:

@@ -32,9 +32,9 @@ PROFILES: dict[str, dict[str, Any]] = {
         "standardise": False,
     },
 }
-# What the profile "tuned" changes about a task, in both arms. finite_horizon: the time limit is terminal and the time is
-# observed (see `wrappers`). The roundabout's reward pays for standing at the entry: with values beyond the limit, waiting
-# is worth more than driving, and agents learn to wait (docs/learner.md).
+# What the profile "tuned" changes about a task, in both arms. finite_horizon: the time limit is terminal and the time
+# is observed (see `wrappers`). The roundabout's reward pays for standing at the entry: with values beyond the limit,
+# waiting is worth more than driving, and agents learn to wait (docs/learner.md).
 TASK_SETTINGS: dict[str, dict[str, Any]] = {"roundabout": {"finite_horizon": True}}
 
 

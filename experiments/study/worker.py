@@ -184,7 +184,14 @@ def _test(
 
     table = evaluate(env, policy, cell.task, cell.level, cell.episodes, note)
     gates = evaluate(
-        env, policy, cell.task, cell.level, cell.gate_episodes, note, purpose="gate", traffics=cell.gate_traffics
+        env,
+        policy,
+        cell.task,
+        cell.level,
+        cell.gate_episodes,
+        note,
+        purpose="gate",
+        traffics=cell.gate_traffics,
     )
     timing = {
         **record.get("timing", {}),

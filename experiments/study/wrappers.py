@@ -20,8 +20,9 @@ class TimeObserved(gym.ObservationWrapper[Any, Any, Any]):
         space = env.observation_space
         if not isinstance(space, gym.spaces.Box) or len(space.shape) != 2:
             raise ValueError(f"Only observations (vehicles, features) can get a column of time, not {space}.")
-        ends = [np.column_stack([end, np.full(len(end), fill)]) for end, fill in ((space.low, 0), (space.high, 1))]
-        self.observation_space = gym.spaces.Box(*(end.astype(space.dtype) for end in ends), dtype=space.dtype)  # type: ignore[arg-type]
+        low = np.column_stack([space.low, np.zeros(space.shape[0])]).astype(np.float32)
+        high = np.column_stack([space.high, np.ones(space.shape[0])]).astype(np.float32)
+        self.observation_space = gym.spaces.Box(low, high)
         self._steps, self._time = steps, 0
 
     def reset(self, **arguments: Any) -> tuple[Any, dict[str, Any]]:

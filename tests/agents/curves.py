@@ -22,6 +22,8 @@ from tests.agents.road import Road
 STORED = Path(__file__).with_name("learning_curves.json")
 SEEDS = range(8)
 PARTS = 5  # of a training
+
+
 class Config(DQNConfig):
     """Explores as the learner in numpy did: epsilon falls from the first step."""
 
@@ -52,10 +54,11 @@ class Network(Dueling):
         return super().forward(x.flatten(1))
 
 
-
 def road(seed: int) -> list[float]:
     """Mean return of the training episodes in each fifth of 1500 updates on the toy road."""
-    config = Config(**{**vars(SMALL), "updates": 1500, "gamma": 0.95, "target_interval": 100, "epsilon_decay": 0.1})
+    config = Config(
+        **{**vars(SMALL), "updates": 1500, "gamma": 0.95, "target_interval": 100, "epsilon_decay": 0.1}
+    )
     agent = train(Road(), config, seed, network=Network)
     return by_fifths(agent.episodes)
 
@@ -63,7 +66,14 @@ def road(seed: int) -> list[float]:
 def cartpole(seed: int) -> list[float]:
     """The same over 3000 updates on CartPole."""
     config = Config(
-        **{**vars(SMALL), "updates": 3000, "target_interval": 150, "warm_up": 300, "epsilon_final": 0.05, "epsilon_decay": 0.1}
+        **{
+            **vars(SMALL),
+            "updates": 3000,
+            "target_interval": 150,
+            "warm_up": 300,
+            "epsilon_final": 0.05,
+            "epsilon_decay": 0.1,
+        }
     )
     agent = train(gym.make("CartPole-v1"), config, seed, network=Network)
     return by_fifths(agent.episodes)

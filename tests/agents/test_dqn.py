@@ -31,7 +31,12 @@ class Medium(Dueling):
 
 
 SMALL = DQNConfig(
-    batch_size=16, target_interval=7, tau=1.0, replay_capacity=200, learning_rate_final=5e-4, standardise=False
+    batch_size=16,
+    target_interval=7,
+    tau=1.0,
+    replay_capacity=200,
+    learning_rate_final=5e-4,
+    standardise=False,
 )
 
 
@@ -106,9 +111,17 @@ def test_the_first_update_is_that_of_stable_baselines3() -> None:
     generator = np.random.default_rng(0)
     for _ in range(100):
         s, after = generator.normal(size=(2, INPUTS))
-        agent.replay.add(s, int(generator.integers(3)), 0.3 * generator.random(), after, generator.random() < 0.2)
+        agent.replay.add(
+            s, int(generator.integers(3)), 0.3 * generator.random(), after, generator.random() < 0.2
+        )
     model = stable_baselines3.DQN(
-        "MlpPolicy", Spaces(), learning_rate=5e-4, gamma=config.gamma, batch_size=64, max_grad_norm=1e9, device="cpu"
+        "MlpPolicy",
+        Spaces(),
+        learning_rate=5e-4,
+        gamma=config.gamma,
+        batch_size=64,
+        max_grad_norm=1e9,
+        device="cpu",
     )
     model.set_logger(configure(None, []))
     for net in (model.q_net, model.q_net_target):

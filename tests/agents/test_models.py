@@ -18,7 +18,9 @@ ACTIONS = 5
 def table(vehicles: int, seed: int = 0, batch: int = 4) -> torch.Tensor:
     """Observations of the ego and so many others; the other rows are zeros."""
     x = torch.zeros(batch, *SPACE.shape)
-    x[:, : vehicles + 1] = torch.rand(batch, vehicles + 1, 5, generator=torch.Generator().manual_seed(seed)) + 0.1
+    x[:, : vehicles + 1] = (
+        torch.rand(batch, vehicles + 1, 5, generator=torch.Generator().manual_seed(seed)) + 0.1
+    )
     return x
 
 
@@ -30,9 +32,16 @@ def attention() -> EgoAttention:
 
 def test_the_dueling_network_is_the_papers() -> None:
     network = DuelingMLP(gym.spaces.Box(-1, 1, (5, 5)), ACTIONS)
-    assert [tuple(p.shape) for p in network.base.parameters() if p.ndim == 2] == [(256, 25), (192, 256), (128, 192)]
+    assert [tuple(p.shape) for p in network.base.parameters() if p.ndim == 2] == [
+        (256, 25),
+        (192, 256),
+        (128, 192),
+    ]
     assert sum(p.numel() for p in network.parameters()) == 147_526
-    advantage, value = network.advantage(network.base(torch.ones(1, 25))), network.value(network.base(torch.ones(1, 25)))
+    advantage, value = (
+        network.advantage(network.base(torch.ones(1, 25))),
+        network.value(network.base(torch.ones(1, 25))),
+    )
     q = network(torch.ones(1, 5, 5))
     torch.testing.assert_close(q.mean(), value[0, 0])  # the advantage has no mean
     torch.testing.assert_close(q - q.mean(), advantage - advantage.mean())

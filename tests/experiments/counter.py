@@ -16,9 +16,6 @@ class Counter:
     def process(self) -> int:
         return os.getpid()
 
-    def variable(self, name: str) -> str | None:
-        return os.environ.get(name)
-
     def fail(self) -> None:
         raise ValueError("no such thing")
 

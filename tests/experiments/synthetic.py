@@ -57,7 +57,9 @@ def episodes(
     for traffic in grid.TRAFFICS if purpose == "test" else cell.gate_traffics:
         n = cell.episodes if purpose == "test" else cell.gate_episodes
         steps = DURATION[cell.task]
-        luck = generator(cell.task, cell.level, traffic, purpose).uniform(size=n)  # shared by all who are tested
+        luck = generator(cell.task, cell.level, traffic, purpose).uniform(
+            size=n
+        )  # shared by all who are tested
         chance = CRASH[cell.policy] + 0.05 * (cell.level - 1) + own + 0.15 * (traffic == "risky")
         chance += effect * (cell.arm == "treatment" and traffic == "risky")
         noise = random.uniform(-0.3, 0.3, n)

@@ -9,9 +9,8 @@ import re
 
 import numpy as np
 import pytest
+import torch
 
-from agents.bootstrap import TargetValues
-from agents.dqn import DQNConfig
 from experiments import benchmark
 from experiments.benchmarks import environments, learner, page, scaling, targets, throughput
 from experiments.benchmarks.remote import (
@@ -26,7 +25,6 @@ from experiments.benchmarks.remote import (
 )
 from experiments.study.presets import PRESETS
 from experiments.support.errors import UserError
-from experiments.support.threads import KERNELS
 from tests.experiments.counter import Counter
 
 
@@ -41,11 +39,10 @@ def env_record(**changes) -> dict:
     }  # fmt: skip
 
 
-def learner_record(agents: int, ratio: float, variant: str = "own", kernels: str = "SkylakeX") -> dict:
+def learner_record(network: str, ratio: float) -> dict:
     return {
-        "variant": variant, "kernels": kernels, "agents": agents, "updates_per_s": 500.0 / agents,
-        "updates_per_s_together": 500.0,
-        "sb3_updates_per_s": 250.0, "ratio": ratio, "floor_updates_per_s": 600.0, "over_floor": 1.2,
+        "network": network, "observation": [5, 5], "updates_per_s": 250.0 * ratio, "sb3_updates_per_s": 250.0,
+        "ratio": ratio,
     }  # fmt: skip
 
 
@@ -68,8 +65,7 @@ def results() -> dict:
             env_record(task="u-turn", level="12", ratio=20.0),
         ],
         "learner": [
-            learner_record(1, 2.0), learner_record(8, 3.4), learner_record(16, 3.6),
-            learner_record(1, 1.5, "named kernels", "Haswell"),
+            learner_record("attention", 1.3), learner_record("dueling", 1.4), learner_record("dueling", 0.9),
         ],
         "sweep": [
             {"workers": n, "agents_per_hour": 30.0 * n, "agents_per_hour_on_free_cores": 40.0 * n,
@@ -106,14 +102,6 @@ def test_remote_objects_work_at_the_same_time():
         first.start("add", 1)
         second.start("add", 1)
         assert (first.result(), second.result()) == (1, 11)
-
-
-def test_measuring_process_has_the_kernels_that_it_is_given_and_this_one_keeps_its_own(monkeypatch):
-    monkeypatch.setenv(KERNELS, "Haswell")
-    with Remote(Counter, 0, kernels="Nehalem") as counter, Remote(Counter, 0) as other:
-        assert counter.call("variable", KERNELS) == "Nehalem"
-        assert other.call("variable", KERNELS) == "Haswell"
-    assert os.environ[KERNELS] == "Haswell"
 
 
 def test_error_in_another_process_is_raised_here_and_ends_nothing():
@@ -165,57 +153,26 @@ def test_exponent_of_a_power_law():
     assert scaling.slope(np.log(sizes), np.log(3.0 * sizes**1.5)) == pytest.approx(1.5)
 
 
-def test_agent_costs_its_budget_of_updates_and_two_tests():
-    paper = PRESETS["paper"]
+def test_agent_costs_its_budget_of_updates_and_its_tests():
+    standard = PRESETS["standard"]
     cost = (0.004, 0.010)
-    expected = paper.updates["u-turn"] * 0.004 + 2 * paper.episodes * 0.010
+    expected = standard.updates["u-turn"] * 0.004 + (2 * standard.episodes + standard.gate_episodes) * 0.010
     assert throughput.agent_seconds({("u-turn", 1): cost}) == pytest.approx(expected)
 
 
 def test_levels_between_measured_ones_are_interpolated():
     low, high = (0.002, 0.0), (0.006, 0.0)
     mean = throughput.agent_seconds({("highway", 1): low, ("highway", 3): high})
-    assert mean == pytest.approx(PRESETS["paper"].updates["highway"] * 0.004)
+    assert mean == pytest.approx(PRESETS["standard"].updates["highway"] * 0.004)
 
 
-def test_stable_baselines_gets_a_network_of_the_same_size():
-    config = DQNConfig()
-    parameters = sum(p.numel() for p in learner.Dueling(config, 25).parameters())
-    assert parameters == config.architecture(25, learner.ACTIONS).parameters
-
-
-def test_floor_holds_every_product_of_an_update():
-    config = learner.CONFIG
-    architecture = config.architecture(25, learner.ACTIONS)
-
-    def size(layers) -> int:
-        return sum(layer.fan_in * layer.fan_out for layer in layers)
-
-    def multiplications(products) -> int:
-        return sum(out.shape[0] * out.shape[1] * a.shape[1] for a, _, out in products)
-
-    layers = architecture.layers
-    weights = size(layers)
-    first = size(layer for layer in layers if layer.source < 0)
-    value = size(layer for layer in layers if layer.name.startswith("value"))
-    floor, batch = learner.Floor(config), config.batch_size
-    # forward: s, the advantage of s'; backward: weights, and inputs of all layers but the first
-    assert multiplications(floor.online) == batch * (2 * weights - value + 2 * weights - first)
-    assert multiplications(floor.target) == batch * weights
-    # every stored transition is evaluated once between two copies
-    assert floor.target_passes * config.target_lag * batch == learner.STORED
-
-
-def test_target_copies_of_all_agents_fill_one_period_evenly(monkeypatch):
-    copies = []
-    monkeypatch.setattr(learner, "STORED", 5)
-    config = DQNConfig(hidden=(4,), stream=(4,), batch_size=2, target_lag=12, replay_capacity=5)
-    ours = learner.Ours(config, 3)
-    monkeypatch.setattr(TargetValues, "forget", lambda self: copies.append(self))
-    for _ in range(6):
-        assert ours.work(12).count == 12
-        assert len(copies) == 1
-        copies.clear()
+@pytest.mark.parametrize("network", ["attention", "dueling"])
+def test_stable_baselines_gets_the_same_network(network):
+    learners = learner.Learners(network, (5, 5))
+    ours, theirs = learners._learners["own"]._agent.online, learners._learners["sb3"]._model.q_net.q_net
+    assert str(ours) == str(theirs)
+    x = torch.rand(3, 5, 5)
+    assert learners._learners["sb3"]._model.q_net(x).shape == (3, 5)
 
 
 # -- targets and page ----------------------------------------------------------------------------------------
@@ -227,10 +184,9 @@ def test_targets_stand_beside_what_was_measured(results):
     assert goals["times highway-env, highway 50, matched, equal work"].met is True
     assert goals["times highway-env, u-turn, matched, default"].measured == 70.0  # the lowest level
     assert goals["times highway-env, highway 100, matched, default"].met is None
-    assert goals["times Stable-Baselines3, one agent"].met is False
-    assert goals["times Stable-Baselines3, each of 8 to 16 agents"].measured == 3.6
-    assert goals["update over its matrix products"].met is True  # at most
-    assert goals["agents an hour, paper grid, free cores"].measured == 80.0
+    assert goals["times Stable-Baselines3, an update of attention"].met is True
+    assert goals["times Stable-Baselines3, an update of dueling"].measured == 0.9  # the slowest
+    assert goals["agents an hour, standard, free cores"].measured == 80.0
 
 
 def test_page_is_one_file_with_its_pictures_inside(results):
@@ -238,7 +194,6 @@ def test_page_is_one_file_with_its_pictures_inside(results):
     assert html.count("<svg") == 6
     assert not re.search(r"(?:src|href)=\"https?://", html)
     assert "a &lt;fast&gt; one" in html
-    assert html.count("OPENBLAS_CORETYPE=Haswell is set here") == 1 and "<td>Haswell</td>" in html
     identifiers = re.findall(r' id="([^"]+)"', html)
     assert len(identifiers) == len(set(identifiers))
 
@@ -308,20 +263,6 @@ def test_vector_counts_the_steps_of_all_its_environments():
         vectors.close()
 
 
-def test_learner_is_measured_with_the_quickest_kernels_and_with_those_that_the_user_named(monkeypatch):
-    monkeypatch.setattr(learner, "quickest_kernels", lambda: "SkylakeX")
-    monkeypatch.setattr(
-        learner, "_measure", lambda agents, _, kernels, note: [{"agents": agents, "variant": "own", "kernels": kernels}]
-    )
-    own = {"agents": (1, 8), "variant": "own", "kernels": "SkylakeX"}
-    for same in ("", "SKYLAKEX"):
-        monkeypatch.setenv(KERNELS, same)
-        assert learner.measure_learner((1, 8), 3, print) == [own]
-    monkeypatch.setenv(KERNELS, "Haswell")
-    named = {"agents": (1,), "variant": "named kernels", "kernels": "Haswell"}
-    assert learner.measure_learner((1, 8), 3, print) == [own, named]
-
-
 @pytest.mark.slow
 def test_command_writes_both_files(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(scaling, "SAMPLES", 3)
@@ -330,8 +271,8 @@ def test_command_writes_both_files(tmp_path, monkeypatch, capsys):
     options = benchmark.Options(tmp_path / "new", quick=True, parts=("learner", "memory"))
     assert benchmark.run(options) == 0
     results = json.loads((tmp_path / "new" / "benchmark.json").read_text())
-    assert [record["agents"] for record in results["learner"] if record["variant"] == "own"] == [1, 8]
-    assert all(record["ratio"] > 0.0 and record["over_floor"] > 0.0 for record in results["learner"])
+    assert {record["network"] for record in results["learner"]} == {"attention", "dueling"}
+    assert all(record["ratio"] > 0.0 for record in results["learner"])
     assert results["memory"]["episodes"] == [2, 4, 6]
     assert (tmp_path / "new" / "benchmark.html").read_text().count("<svg") == 2
-    assert "update over its matrix products" in capsys.readouterr().out
+    assert "an update of attention" in capsys.readouterr().out

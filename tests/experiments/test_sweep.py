@@ -338,7 +338,9 @@ class Mine:
 def test_a_network_of_the_users_own_is_trained_and_stored(tmp_path, monkeypatch):
     file = tmp_path / "mine.py"
     file.write_text(NETWORK)
-    assert run(tmp_path / "results", network=f"{file}:Mine", tasks=("roundabout",)) == 0  # the time is observed
+    assert (
+        run(tmp_path / "results", network=f"{file}:Mine", tasks=("roundabout",)) == 0
+    )  # the time is observed
     results = store.load(tmp_path / "results")
     agents = [record for record in results.cells.values() if record["key"]["kind"] == "agent"]
     assert len(agents) == 2

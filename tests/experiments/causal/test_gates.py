@@ -76,7 +76,10 @@ def test_waiting_where_waiting_pays_more_than_anything_else_is_no_failure() -> N
 
 def test_waiting_where_crossing_pays_more_is_a_failure() -> None:
     waiting = episodes("agent", 9.6 + LUCK * 0.9, distance=8.0)
-    references = {"slower": episodes("slower", 9.1 + LUCK, distance=5.0), "careful": episodes("careful", 9.9 + LUCK)}
+    references = {
+        "slower": episodes("slower", 9.1 + LUCK, distance=5.0),
+        "careful": episodes("careful", 9.9 + LUCK),
+    }
     record = verdict("roundabout", waiting, **references)
     assert record["failed"] == ["crosses"]
     assert record["gates"]["crosses"]["note"] == "not above careful, which crosses"
@@ -86,7 +89,10 @@ def test_waiting_where_crossing_pays_more_is_a_failure() -> None:
 def test_entering_in_half_of_the_scenarios_is_enough(task: str) -> None:
     way = np.where(np.arange(N) < N // 2, CROSSINGS[task] + 1, CROSSINGS[task] - 1)
     agent = episodes("agent", 9 + LUCK).assign(distance=way)
-    references = {"slower": episodes("slower", 5 + LUCK, distance=0.0), "careful": episodes("careful", 20 + LUCK)}
+    references = {
+        "slower": episodes("slower", 5 + LUCK, distance=0.0),
+        "careful": episodes("careful", 20 + LUCK),
+    }
     gate = verdict(task, agent, **references)["gates"]["crosses"]
     assert gate["passed"] is True and gate["value"] == 0.5
 

@@ -11,7 +11,6 @@ from dataclasses import replace
 
 import pandas as pd
 import pytest
-
 from torch import nn
 
 from agents.greedy import Greedy

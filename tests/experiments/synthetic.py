@@ -51,15 +51,20 @@ def episodes(
     cell: grid.Cell, effect: float, spread: float, fault: str | None, purpose: str = "test"
 ) -> pd.DataFrame:
     """Episodes of a cell; `effect` is added to the treated agents' chance to crash in risky traffic."""
-    random = generator(cell.slug, purpose)
-    own = generator(cell.slug).normal(0, spread) if cell.kind == "agent" else 0.0
+    random = generator(cell.slug, "test")
+    own = random.normal(0, spread) if cell.kind == "agent" else 0.0
+    if purpose != "test":
+        random = generator(cell.slug, purpose)
     tables = []
     for traffic in grid.TRAFFICS if purpose == "test" else cell.gate_traffics:
         n = cell.episodes if purpose == "test" else cell.gate_episodes
         steps = DURATION[cell.task]
-        luck = generator(cell.task, cell.level, traffic, purpose).uniform(
-            size=n
-        )  # shared by all who are tested
+        words = (
+            (cell.task, cell.level, traffic)
+            if purpose == "test"
+            else (cell.task, cell.level, traffic, purpose)
+        )
+        luck = generator(*words).uniform(size=n)  # shared by all who are tested
         chance = CRASH[cell.policy] + 0.05 * (cell.level - 1) + own + 0.15 * (traffic == "risky")
         chance += effect * (cell.arm == "treatment" and traffic == "risky")
         noise = random.uniform(-0.3, 0.3, n)

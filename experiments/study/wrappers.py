@@ -9,14 +9,15 @@ import gymnasium as gym
 import numpy as np
 
 
-class TimeObserved(gym.ObservationWrapper[Any, Any, Any]):
+class TimeObserved(gym.ObservationWrapper[Any, Any, Any], gym.utils.RecordConstructorArgs):
     """Adds a column to observations (vehicles, features): in the ego's row the share of the episode that is over.
 
     gymnasium's TimeAwareObservation would flatten the table of vehicles. ``steps``: length of an episode.
     """
 
     def __init__(self, env: gym.Env[Any, Any], steps: int) -> None:
-        super().__init__(env)
+        gym.utils.RecordConstructorArgs.__init__(self, steps=steps)
+        gym.ObservationWrapper.__init__(self, env)
         space = env.observation_space
         if not isinstance(space, gym.spaces.Box) or len(space.shape) != 2:
             raise ValueError(f"Only observations (vehicles, features) can get a column of time, not {space}.")
@@ -25,10 +26,12 @@ class TimeObserved(gym.ObservationWrapper[Any, Any, Any]):
         self.observation_space = gym.spaces.Box(low, high)
         self._steps, self._time = steps, 0
 
-    def reset(self, **arguments: Any) -> tuple[Any, dict[str, Any]]:
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
         """Begin an episode at time 0."""
         self._time = 0
-        return super().reset(**arguments)
+        return super().reset(seed=seed, options=options)
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         """Count the step."""
@@ -42,8 +45,12 @@ class TimeObserved(gym.ObservationWrapper[Any, Any, Any]):
         return np.column_stack([observation, column])
 
 
-class TerminalLimit(gym.Wrapper[Any, Any, Any, Any]):
+class TerminalLimit(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs):
     """The time limit is an end like any other: nothing is expected beyond it."""
+
+    def __init__(self, env: gym.Env[Any, Any]) -> None:
+        gym.utils.RecordConstructorArgs.__init__(self)
+        gym.Wrapper.__init__(self, env)
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         """A step, whose truncation counts as termination."""

@@ -1,7 +1,7 @@
 """Learning curves of the learner on two small tasks, as statistics over training seeds.
 
 `python -m tests.agents.curves` writes learning_curves.json. The stored file is from the learner in numpy that the
-one on torch replaced: the same algorithm with the same settings has to learn as fast (tests/golden has the same of the toy road).
+one on torch replaced: the same algorithm with the same settings has to learn as fast (tests/golden has the toy road).
 """
 
 from __future__ import annotations

@@ -1,20 +1,15 @@
-"""Policies and the learner: the paper's dueling DQN, and drivers that do not learn.
+"""Policies and the learner: double DQN on torch, and drivers that do not learn.
 
-Knows gymnasium, numpy and numba; knows no simulator and no task by name.
+Knows gymnasium, numpy and torch; knows no simulator and no task by name.
 
-    architecture   sizes of the dueling network
-    policy         the greedy policy of a trained network, numpy only
-    network        forward and hand-written backward pass over a batch
-    kernels        its compiled parts between the products, and Adam
-    threads        one thread for numpy's products
-    replay         uniform replay memory
-    bootstrap      the target network's values of the stored transitions
-    dqn            configuration and learner
-    training       the loop: whole episodes, then updates; resumable bit for bit
-    checkpoint     atomic files that detect damage
-    streams        named random streams
-    rules          idle, random, faster, slower, idm and careful, by name
-    idm            IDM and MOBIL through the meta-actions
-    careful        the careful driver: plans by prediction
-    perception     what the last two see in a kinematics observation
+    models       Q-networks: the paper's dueling network, ego attention, inputs standardised
+    dqn          settings and learner
+    replay       uniform replay memory
+    training     the loop: whole episodes, then updates; resumable bit for bit
+    checkpoint   atomic files of arrays that detect damage
+    greedy       the policy of a trained network, and its file
+    policies     what drives: the interface, models of Stable-Baselines3, objects of a user's file
+    plugins      FILE:NAME
+    streams      named random streams
+    rules/       idle, random, faster, slower, idm and careful, by name, and what the last two see
 """

@@ -15,7 +15,7 @@ class CheckpointError(RuntimeError):
     """A checkpoint is damaged, or belongs to another training."""
 
 
-def save_checkpoint(path: str | Path, arrays: Mapping[str, np.ndarray]) -> None:
+def save_arrays(path: str | Path, arrays: Mapping[str, np.ndarray]) -> None:
     """Write named arrays to ``path``; a process killed at any moment leaves the old file or the new one.
 
     Not compressed: that would take twenty times as long and save little. An npz keeps a CRC-32 of every
@@ -35,8 +35,8 @@ def save_checkpoint(path: str | Path, arrays: Mapping[str, np.ndarray]) -> None:
         os.close(directory)
 
 
-def load_checkpoint(path: str | Path) -> dict[str, np.ndarray]:
-    """Read what :func:`save_checkpoint` wrote.
+def load_arrays(path: str | Path) -> dict[str, np.ndarray]:
+    """Read what :func:`save_arrays` wrote.
 
     Raises CheckpointError when the file is damaged, FileNotFoundError when there is none.
     """
@@ -48,5 +48,5 @@ def load_checkpoint(path: str | Path) -> dict[str, np.ndarray]:
                 }  # reads to the end: checks every CRC-32
         except (zipfile.BadZipFile, zlib.error, ValueError, KeyError, EOFError, NotImplementedError) as error:
             raise CheckpointError(
-                f"The checkpoint {path} is damaged ({error}). Delete it to train from the start."
+                f"{path} is damaged ({error}): delete it and run the training again."
             ) from error

@@ -1,228 +1,254 @@
-"""Double DQN (van Hasselt et al. 2016) with the paper's dueling network: configuration and learner."""
+"""Double DQN (van Hasselt et al. 2016) on any network: its settings and the learner."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from copy import deepcopy
 from dataclasses import dataclass
 
+import gymnasium as gym
 import numpy as np
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
 
-from agents.architecture import Architecture
-from agents.bootstrap import TargetValues
-from agents.kernels import adam
-from agents.network import Activations, Network
-from agents.policy import GreedyPolicy, q_values
+from agents.greedy import Greedy
+from agents.models import Network, Standardised, network_class
 from agents.replay import Replay
-from agents.streams import generator_state, restore_generator, stream
-from agents.threads import one_thread
-
-__all__ = ["DQN", "DQNConfig", "GreedyPolicy"]
-
-_VECTORS = ("online", "target", "mean", "square")
+from agents.streams import generator_state, number, restore_generator, stream
 
 
 @dataclass(frozen=True)
 class DQNConfig:
-    """Every hyper-parameter of the learner, with its source. ValueError for a value that makes no sense.
+    """Every setting of the learner; the defaults are the profile "tuned" (measurements: docs/learner.md).
 
-    Sources: "paper" is arXiv 2103.10245; "rl-agents" is the default of the code that the paper cites, where
-    the paper is silent; "here" is a choice of this project, see docs/decisions.md.
+    Settings whose origin is not named are of this project. ValueError for a value that makes no sense.
     """
 
-    # Budget in gradient updates; an agent makes warm_up more environment steps than updates (here; paper:
-    # 3072 episodes, which give the two arms unequal numbers of updates).
-    updates: int = 20_000
+    network: str = "attention"  # "attention", "dueling" (the paper's), or FILE:CLASS
+    # The budget is counted in updates, so that it is the same for both arms (the paper's 3072 episodes give them
+    # unequal numbers of updates).
+    updates: int = 10_000
+    steps_per_update: int = 4  # environment steps between two updates (Mnih et al. 2015)
     learning_rate: float = 5e-4  # of Adam (paper)
-    gamma: float = 0.99  # discount a step (paper); the published configurations of these tasks use .8 to .95
+    learning_rate_final: float = 0.0  # reached linearly at the last update
+    gamma: float = 0.95  # discount a step (paper: .99)
     batch_size: int = 100  # (paper)
-    hidden: tuple[int, ...] = (256, 192, 128)  # shared layers (paper)
-    stream: tuple[int, ...] = (128, 128)  # hidden layers of each of the two streams (paper)
-    head: str = "mean"  # Q = V + A - mean A (rl-agents), or "sum": Q = V + A (as the paper prints it)
-    double: bool = (
-        True  # the online network chooses the next action, the target network values it (rl-agents)
-    )
-    target_lag: int = (
-        500  # updates between copies to the target network (here; rl-agents' 1 diverges at gamma .99)
-    )
-    gradient_clamp: float = 1.0  # each entry of the gradient is clamped to +-this (rl-agents)
+    max_grad_norm: float = 10.0  # of the whole gradient (Stable-Baselines3)
+    target_interval: int = 1  # updates between two moves of the target network towards the online network
+    tau: float = 0.005  # how far it moves, 1 is a copy (Lillicrap et al. 2016)
     replay_capacity: int = 50_000  # transitions (rl-agents)
-    warm_up: int = 100  # environment steps ahead of the first update: a batch (rl-agents)
-    epsilon_start: float = 1.0  # share of random actions at the first step (rl-agents)
-    epsilon_final: float = 0.1  # and in the limit (rl-agents)
-    epsilon_decay: float = (
-        0.15  # time constant of the decay, share of the updates (here; rl-agents: 5000 steps)
-    )
-    block: int = 20  # updates in a row; the steps they use are played before, in whole episodes (here)
-    adam_beta1: float = 0.9  # (PyTorch)
-    adam_beta2: float = 0.999  # (PyTorch)
-    adam_epsilon: float = 1e-8  # (PyTorch)
-    probe_size: int = 256  # the first observations of an agent, on which its Q-values are watched (here)
-    probe_interval: int = 500  # updates between two looks at them (here)
+    warm_up: int = 1000  # random steps before the first update
+    standardise: bool = True  # inputs, with mean and standard deviation of the warm-up
+    epsilon_final: float = 0.1  # share of random actions in the limit (rl-agents)
+    epsilon_decay: float = 0.15  # time constant of the decay from 1, share of the steps
+    block: int = 20  # updates in a row; the steps they use are played before, in whole episodes
+    probe_size: int = 256  # the first observations of an agent, on which its Q-values are watched
+    probe_interval: int = 500  # updates between two looks at them
+    device: str = "cpu"  # or "cuda"
 
     def __post_init__(self) -> None:
-        for name in ("updates", "batch_size", "target_lag", "replay_capacity", "block", "probe_size"):
-            self._check_whole(name, 1)
-        self._check_whole("probe_interval", 1)
-        self._check_whole("warm_up", 0)
-        for name in ("learning_rate", "gradient_clamp", "epsilon_decay", "adam_epsilon"):
+        whole = (
+            "updates",
+            "steps_per_update",
+            "batch_size",
+            "target_interval",
+            "replay_capacity",
+            "warm_up",
+            "block",
+        )
+        for name in (*whole, "probe_size", "probe_interval"):
+            value = getattr(self, name)
+            if type(value) is not int or value < 1:
+                raise ValueError(f"{name} must be a whole number of at least 1, got {value!r}.")
+        for name in ("learning_rate", "max_grad_norm", "epsilon_decay"):
             if not getattr(self, name) > 0:
                 raise ValueError(f"{name} must be greater than 0, got {getattr(self, name)!r}.")
-        for name in ("gamma", "adam_beta1", "adam_beta2"):
-            if not 0 < getattr(self, name) < 1:
-                raise ValueError(
-                    f"{name} must lie between 0 and 1, both excluded, got {getattr(self, name)!r}."
-                )
-        if not 0 <= self.epsilon_final <= self.epsilon_start <= 1:
-            raise ValueError(
-                "Exploration needs 0 <= epsilon_final <= epsilon_start <= 1, "
-                f"got epsilon_start={self.epsilon_start!r} and epsilon_final={self.epsilon_final!r}."
-            )
-        # Lists come out of JSON; tuples keep the config hashable.
-        object.__setattr__(self, "hidden", tuple(self.hidden))
-        object.__setattr__(self, "stream", tuple(self.stream))
-        self.architecture(inputs=1, actions=1)  # refuses impossible layers and unknown heads
+        if not 0 < self.gamma < 1:
+            raise ValueError(f"gamma must lie between 0 and 1, both excluded, got {self.gamma!r}.")
+        if not 0 < self.tau <= 1:
+            raise ValueError(f"tau must be greater than 0 and at most 1, got {self.tau!r}.")
+        for name in ("learning_rate_final", "epsilon_final"):
+            if not 0 <= getattr(self, name) <= 1:
+                raise ValueError(f"{name} must lie between 0 and 1, got {getattr(self, name)!r}.")
 
-    def _check_whole(self, name: str, least: int) -> None:
-        value = getattr(self, name)
-        if type(value) is not int or value < least:
-            raise ValueError(f"{name} must be a whole number of at least {least}, got {value!r}.")
-
-    def architecture(self, inputs: int, actions: int) -> Architecture:
-        """The network for observations of ``inputs`` numbers and ``actions`` discrete actions."""
-        return Architecture(inputs, actions, self.hidden, self.stream, self.head)
+    @property
+    def steps(self) -> int:
+        """Environment steps of a training, but for the end of its last episode."""
+        return self.warm_up + self.steps_per_update * self.updates
 
     def epsilon(self, step: int) -> float:
         """Probability of a random action at an agent's ``step``-th environment step."""
-        decay = math.exp(-step / (self.epsilon_decay * self.updates))
-        return self.epsilon_final + (self.epsilon_start - self.epsilon_final) * decay
+        after = max(step - self.warm_up, 0) / (self.epsilon_decay * self.steps_per_update * self.updates)
+        return (
+            1.0 if step < self.warm_up else self.epsilon_final + (1.0 - self.epsilon_final) * math.exp(-after)
+        )
+
+    def rate(self, update: int) -> float:
+        """Learning rate of the ``update``-th update, counted from 0."""
+        return self.learning_rate + (self.learning_rate_final - self.learning_rate) * min(
+            update / self.updates, 1.0
+        )
 
 
 class DQN:
-    """One learning agent. ``inputs``: length of the flattened observation; ``actions``: number of actions.
+    """One learning agent.
 
-    Its weights, exploration and batches depend on ``seed`` and on what it is shown, and on nothing else.
+    Its weights, exploration and batches depend on ``seed`` and on what it is shown, and on nothing else; torch's global
+    generator is seeded for networks that draw from it. ``network``: overrides the one that the config names.
 
-    Sets numpy's matrix products to one thread for the whole process: the order of summation, hence the bits,
-    depends on the number of threads. Raises ValueError for a negative seed.
+    Raises ValueError for a negative seed, and for spaces that a DQN cannot handle.
     """
 
-    def __init__(self, config: DQNConfig, inputs: int, actions: int, seed: int) -> None:
-        one_thread()
+    def __init__(
+        self,
+        config: DQNConfig,
+        observations: gym.Space,
+        actions: gym.Space,
+        seed: int,
+        network: Network | None = None,
+    ) -> None:
+        space, self.actions = _sizes(observations, actions)
         self.config = config
         self.seed = seed
-        self.architecture = config.architecture(inputs, actions)
         self.updates = 0
-        self.replay = Replay(config.replay_capacity, inputs)
+        self.replay = Replay(config.replay_capacity, space.shape)
         self._exploration = stream(seed, "exploration")
         self._sampling = stream(seed, "replay")
 
-        # Weights, target weights, gradient and Adam's two moments are vectors of one shape.
-        self._online, self._target, self._gradient, self._mean, self._square = (
-            Network(self.architecture) for _ in range(5)
-        )
-        initial = self.architecture.initial(stream(seed, "network initialisation"))
-        for network in (self._online, self._target):
-            network.flat[:] = initial
-
-        batch = config.batch_size
-        self._each = np.arange(batch)
-        self._observations = np.zeros((2 * batch, inputs), np.float32)  # s, then s': one pass serves both
-        self._error = np.zeros(batch, np.float32)
-        self._q_gradient = np.zeros((batch, actions), np.float32)
-        self._online_pass = Activations(self.architecture, 2 * batch, gradient_rows=batch, ranked_rows=batch)
-        self._target_values = TargetValues(self._target, self.replay, config.target_lag, batch)
-
-    def q(self, observation: np.ndarray) -> np.ndarray:
-        """Q of every action, float32 (actions,), for one observation."""
-        return q_values(self.architecture, self._online.layers, observation)
+        torch.manual_seed(number(seed, "network"))
+        inner = (network or network_class(config.network))(space, self.actions)
+        self.online = Standardised(inner, space).to(config.device)
+        self.target = deepcopy(self.online).requires_grad_(False).eval()
+        # All weights lie in one vector, so that Adam, the norm and the target's moves are one operation each.
+        self._weights, self._target_weights = flatten(self.online), flatten(self.target)
+        self._optimizer = torch.optim.Adam([self._weights], lr=config.learning_rate, fused=True)
+        self._loss = torch.tensor(torch.nan)
 
     def act(self, observation: np.ndarray, epsilon: float) -> int:
         """A random action with probability ``epsilon``, else the greedy one."""
         if self._exploration.random() < epsilon:
-            return int(self._exploration.integers(self.architecture.actions))
-        return int(np.argmax(self.q(observation)))
+            return int(self._exploration.integers(self.actions))
+        return int(self.q(observation[None]).argmax())
+
+    @torch.inference_mode()
+    def q(self, observations: np.ndarray) -> np.ndarray:
+        """Q of every action, (n, actions), for some observations (n, ...)."""
+        x = torch.as_tensor(observations, dtype=torch.float32, device=self.config.device)
+        return self.online.eval()(x).cpu().numpy()
+
+    def standardise(self) -> None:
+        """Fix the statistics of the inputs by what is in the replay."""
+        seen = torch.from_numpy(self.replay.first(len(self.replay))).to(self.config.device)
+        for network in (self.online, self.target):
+            network.fit(seen)
 
     def update(self) -> None:
-        """One gradient step on a batch from the replay, and a target copy every ``target_lag`` updates.
+        """One gradient step on a batch from the replay, then a move of the target network.
 
         Raises ValueError when the replay is empty.
         """
-        config, batch, replay, each = self.config, self.config.batch_size, self.replay, self._each
-        rows = replay.sample(self._sampling, batch)
-        np.take(replay.observations, rows, axis=0, out=self._observations[:batch], mode="clip")
-        np.take(replay.next_observations, rows, axis=0, out=self._observations[batch:], mode="clip")
-        actions = replay.actions[rows]
-
-        q = self._online.forward(self._observations, self._online_pass)
-        target_q = self._target_values.q(rows)
-        chooser = q[batch:] if config.double else target_q
-        bootstrap = target_q[each, chooser.argmax(1)]
-        goal = replay.rewards[rows] + config.gamma * (1.0 - replay.terminated[rows]) * bootstrap
-        np.subtract(q[each, actions], goal, out=self._error)
-        # The loss is the mean squared error. Never Huber's with delta 1: at gamma .99 it prices a crash at
-        # one step of reward.
-        self._q_gradient[:] = 0.0
-        self._q_gradient[each, actions] = self._error * (2.0 / batch)
-        self._online.backward(self._observations[:batch], self._online_pass, self._q_gradient, self._gradient)
-        self.updates += 1
-        self._adam_step()
-        if self.updates % config.target_lag == 0:
-            self._target.flat[:] = self._online.flat
-            self._target_values.forget()
-
-    def _adam_step(self) -> None:
         config = self.config
-        numbers = (
-            config.gradient_clamp,
-            config.learning_rate / (1.0 - config.adam_beta1**self.updates),
-            config.adam_beta1,
-            config.adam_beta2,
-            math.sqrt(1.0 - config.adam_beta2**self.updates),
-            config.adam_epsilon,
-        )
-        adam(
-            self._online.flat,
-            self._gradient.flat,
-            self._mean.flat,
-            self._square.flat,
-            *map(np.float32, numbers),
-        )
+        self.online.train()
+        batch = self.replay.sample(self._sampling, config.batch_size, config.device)
 
+        # The online network chooses the next action, the target network values it.
+        with torch.no_grad():
+            chosen = self.online(batch.next_observations).argmax(1, keepdim=True)
+            value = self.target(batch.next_observations).gather(1, chosen).squeeze(1)
+            goal = batch.rewards + config.gamma * (1.0 - batch.terminated) * value
+
+        # Squared error, never Huber's with delta 1: at gamma .99 that prices a crash at one step of reward.
+        q = self.online(batch.observations).gather(1, batch.actions[:, None]).squeeze(1)
+        self._loss = functional.mse_loss(q, goal)
+        self._optimizer.zero_grad(set_to_none=False)
+        self._loss.backward()
+        nn.utils.clip_grad_norm_([self._weights], config.max_grad_norm)
+        self._optimizer.param_groups[0]["lr"] = config.rate(self.updates)
+        self._optimizer.step()
+
+        self.updates += 1
+        if self.updates % config.target_interval == 0:
+            with torch.no_grad():
+                self._target_weights.lerp_(self._weights, config.tau)
+                for target, online in zip(self.target.buffers(), self.online.buffers(), strict=True):
+                    target.copy_(online)
+
+    @property
     def loss(self) -> float:
         """Mean squared temporal-difference error of the last update's batch, before that update."""
-        return float(np.square(self._error).mean())
+        return float(self._loss.detach())
 
-    def policy(self) -> GreedyPolicy:
-        """The greedy policy as it is now (a copy)."""
-        return GreedyPolicy(self.architecture, self._online.flat)
+    def policy(self) -> Greedy:
+        """The greedy policy as it is now, on the CPU (a copy)."""
+        return Greedy(unflattened(self.online).cpu())
 
     def state_dict(self) -> dict[str, np.ndarray]:
         """Everything that the future depends on, as arrays.
 
-        Views of live memory: copy them or write them to a file before the next step or update.
+        Some are views of live memory: copy them or write them to a file before the next step or update.
         """
-        state = {name: getattr(self, f"_{name}").flat for name in _VECTORS}
-        state |= {f"replay.{name}": array for name, array in self.replay.state_dict().items()}
+        state = {f"replay.{name}": array for name, array in self.replay.state_dict().items()}
+        for part in ("online", "target"):
+            state |= {f"{part}.{k}": v.cpu().numpy() for k, v in getattr(self, part).state_dict().items()}
+        adam = self._optimizer.state[self._weights]
+        state |= {f"adam.{name}": value.cpu().numpy() for name, value in adam.items()}
         state["exploration"] = np.array(generator_state(self._exploration))
         state["sampling"] = np.array(generator_state(self._sampling))
+        state["torch"] = torch.get_rng_state().numpy()
         state["updates"] = np.array(self.updates)
         return state
 
     def load_state_dict(self, state: Mapping[str, np.ndarray]) -> None:
-        """Put back a state from :meth:`state_dict`. Raises ValueError when it belongs to other sizes."""
-        for name in _VECTORS:
-            vector = getattr(self, f"_{name}").flat
-            if state[name].shape != vector.shape:
-                raise ValueError(
-                    f"Expected {len(vector)} parameters in {name}, got shape {state[name].shape}."
-                )
-            vector[:] = state[name]
-        prefix = "replay."
-        self.replay.load_state_dict(
-            {k.removeprefix(prefix): v for k, v in state.items() if k.startswith(prefix)}
-        )
-        self._target_values.forget()
+        """Put back a state from :meth:`state_dict`. Raises ValueError when it belongs to another network."""
+
+        def part(name: str) -> dict[str, np.ndarray]:
+            return {k.removeprefix(f"{name}."): v for k, v in state.items() if k.startswith(f"{name}.")}
+
+        def tensors(name: str) -> dict[str, Tensor]:
+            return {k: torch.from_numpy(v.copy()).to(self.config.device) for k, v in part(name).items()}
+
+        try:
+            self.online.load_state_dict(tensors("online"))
+            self.target.load_state_dict(tensors("target"))
+        except RuntimeError as error:
+            raise ValueError(f"The state belongs to another network: {error}") from error
+        self._optimizer.state[self._weights] = tensors("adam")
+        self.replay.load_state_dict(part("replay"))
         restore_generator(self._exploration, str(state["exploration"]))
         restore_generator(self._sampling, str(state["sampling"]))
+        torch.set_rng_state(torch.from_numpy(state["torch"].copy()))
         self.updates = int(state["updates"])
+
+
+def flatten(module: nn.Module) -> Tensor:
+    """All parameters of a module in one vector, of which the module's own become views, as do their gradients."""
+    parameters = list(module.parameters())
+    vector = nn.Parameter(nn.utils.parameters_to_vector(parameters).detach().clone())
+    vector.grad = torch.zeros_like(vector)
+    start = 0
+    for parameter in parameters:
+        end = start + parameter.numel()
+        parameter.data = vector.data[start:end].view_as(parameter)
+        parameter.grad = vector.grad[start:end].view_as(parameter) if parameter.requires_grad else None
+        start = end
+    return vector
+
+
+def unflattened(module: nn.Module) -> nn.Module:
+    """A copy of a module with parameters of its own and without gradients."""
+    copy = deepcopy(module).requires_grad_(False)
+    for parameter in copy.parameters():
+        parameter.data, parameter.grad = parameter.data.clone(), None
+    return copy
+
+
+def _sizes(observations: gym.Space, actions: gym.Space) -> tuple[gym.spaces.Box, int]:
+    if not isinstance(observations, gym.spaces.Box) or not isinstance(actions, gym.spaces.Discrete):
+        raise ValueError(
+            f"A DQN needs Box observations and Discrete actions, got {observations} and {actions}."
+        )
+    if actions.start != 0:
+        raise ValueError(f"The actions must be numbered from 0, got {actions}.")
+    return observations, int(actions.n)

@@ -1,29 +1,44 @@
-"""Uniform replay memory of one agent (Mnih et al. 2015), in preallocated arrays."""
+"""Uniform replay memory (Mnih et al. 2015), in preallocated arrays."""
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
+import torch
+from torch import Tensor
+
+
+class Batch(NamedTuple):
+    """Transitions as tensors: observations (n, ...), the others (n,)."""
+
+    observations: Tensor
+    actions: Tensor
+    rewards: Tensor
+    next_observations: Tensor
+    terminated: Tensor
 
 
 class Replay:
-    """The last ``capacity`` transitions (s, a, r, s', terminated); an observation is ``inputs`` numbers.
+    """The last ``capacity`` transitions (s, a, r, s', terminated); an observation has the shape ``shape``.
 
-    ``terminated`` is stored, not "done": an episode cut by its time limit goes on in the values (bootstrap),
-    one ended by a crash does not.
+    ``terminated`` is stored, not "done": an episode cut by its time limit goes on in the values (bootstrap), one ended
+    by a crash does not. Raises ValueError for a capacity below 1.
     """
 
-    def __init__(self, capacity: int, inputs: int) -> None:
+    def __init__(self, capacity: int, shape: tuple[int, ...]) -> None:
         if capacity < 1:
             raise ValueError(f"The replay needs a capacity of at least 1, got {capacity}.")
         self.capacity = capacity
         self.added = 0  # transitions ever added; the newest lies at (added - 1) % capacity
-        # Untouched pages cost no memory, so a short run does not pay for the capacity. Zeros, because next
-        # observations are evaluated in blocks that need not be full.
-        self.observations = np.zeros((capacity, inputs), dtype=np.float32)
-        self.next_observations = np.zeros((capacity, inputs), dtype=np.float32)
-        self.actions = np.empty(capacity, dtype=np.int64)
-        self.rewards = np.empty(capacity, dtype=np.float32)
-        self.terminated = np.empty(capacity, dtype=np.float32)
+        # Memory is taken when it is first written, so a short training does not pay for the capacity.
+        self.arrays: dict[str, np.ndarray] = {
+            "observations": np.empty((capacity, *shape), np.float32),
+            "actions": np.empty(capacity, np.int64),
+            "rewards": np.empty(capacity, np.float32),
+            "next_observations": np.empty((capacity, *shape), np.float32),
+            "terminated": np.empty(capacity, np.float32),
+        }
 
     def __len__(self) -> int:
         return min(self.added, self.capacity)
@@ -36,41 +51,38 @@ class Replay:
         next_observation: np.ndarray,
         terminated: bool,
     ) -> None:
-        """Store one transition, in place of the oldest one when full. Observations may have any shape."""
+        """Store one transition, in place of the oldest one when full."""
         row = self.added % self.capacity
-        self.observations[row] = np.reshape(observation, -1)
-        self.next_observations[row] = np.reshape(next_observation, -1)
-        self.actions[row] = action
-        self.rewards[row] = reward
-        self.terminated[row] = terminated
+        transition = (observation, action, reward, next_observation, terminated)
+        for array, value in zip(self.arrays.values(), transition, strict=True):
+            array[row] = value
         self.added += 1
 
-    def sample(self, generator: np.random.Generator, count: int) -> np.ndarray:
-        """Rows of ``count`` transitions, uniform with replacement. Raises ValueError on an empty replay."""
+    def sample(self, generator: np.random.Generator, count: int, device: str = "cpu") -> Batch:
+        """``count`` transitions, uniform with replacement. Raises ValueError on an empty replay."""
         if self.added == 0:
             raise ValueError("Cannot sample from an empty replay: add transitions first.")
-        return generator.integers(len(self), size=count)
+        rows = generator.integers(len(self), size=count)
+        return Batch(*(torch.from_numpy(array[rows]).to(device) for array in self.arrays.values()))
+
+    def first(self, count: int) -> np.ndarray:
+        """The first observations that it holds, at most so many (a copy)."""
+        return self.arrays["observations"][: min(count, len(self))].copy()
 
     def state_dict(self) -> dict[str, np.ndarray]:
         """The filled part of every array (views of live memory), and the number of additions."""
-        filled = slice(len(self))
         return {
-            "observations": self.observations[filled],
-            "next_observations": self.next_observations[filled],
-            "actions": self.actions[filled],
-            "rewards": self.rewards[filled],
-            "terminated": self.terminated[filled],
+            **{name: array[: len(self)] for name, array in self.arrays.items()},
             "added": np.array(self.added),
         }
 
     def load_state_dict(self, state: dict[str, np.ndarray]) -> None:
-        """Put back a state. Raises ValueError when it belongs to another capacity or observation size."""
+        """Put back a state. Raises ValueError when it belongs to another capacity or observation shape."""
         added = int(state["added"])
         filled = min(added, self.capacity)
-        for name in ("observations", "next_observations", "actions", "rewards", "terminated"):
-            target = getattr(self, name)
-            expected = (filled, *target.shape[1:])
+        for name, array in self.arrays.items():
+            expected = (filled, *array.shape[1:])
             if state[name].shape != expected:
                 raise ValueError(f"Expected replay {name} of shape {expected}, got {state[name].shape}.")
-            target[:filled] = state[name]
+            array[:filled] = state[name]
         self.added = added

@@ -21,6 +21,11 @@ def stream(seed: int, purpose: str) -> np.random.Generator:
     return np.random.default_rng(_sequence(seed, purpose))
 
 
+def number(seed: int, purpose: str) -> int:
+    """A seed in [0, 2**32) of one purpose, for a generator that is not numpy's. ValueError for a negative seed."""
+    return int(_sequence(seed, purpose).generate_state(1)[0])
+
+
 def episode_seed(seed: int, episode: int) -> int:
     """Seed of an agent's training episode, in [0, 2**32), a function of the two arguments alone.
 

@@ -88,15 +88,16 @@ def parse_case(text: str) -> Case:
     return Case(path, traffic, int(match["scenario"] or 0))
 
 
-def stored_policy(path: Path, key: dict[str, Any], env: gym.Env[Any, Any]) -> Policy:
-    """The policy of a stored cell: its trained network, or its rule."""
+def stored_policy(
+    path: Path, record: dict[str, Any], env: gym.Env[Any, Any]
+) -> tuple[gym.Env[Any, Any], Policy]:
+    """The policy of a stored cell, and the environment as it observes it."""
+    from experiments.study.policies import load_agent, untrained_policy
+
+    key, source = record["key"], record["source"]
     if key["kind"] == "agent":
-        from agents.policy import GreedyPolicy
-
-        return GreedyPolicy.load(path / store.WEIGHTS)
-    from agents.rules import make_policy
-
-    return make_policy(key["policy"], env)
+        return load_agent(key, source, path / store.WEIGHTS, env)
+    return env, untrained_policy(key, source, env)
 
 
 def differences(stored: dict[str, Any], row: dict[str, Any]) -> list[str]:
@@ -135,8 +136,8 @@ def replay(options: Options, make_env: MakeEnv = make_env) -> int:
             frames.append(np.asarray(env.render()))
 
     try:
-        policy = stored_policy(case.path, key, env)
-        row = play(env, policy, key["task"], key["level"], case.traffic, case.scenario, record_step)
+        seen, policy = stored_policy(case.path, record, env)
+        row = play(seen, policy, key["task"], key["level"], case.traffic, case.scenario, record_step)
     finally:
         env.close()
     try:

@@ -41,6 +41,7 @@ from experiments.study import grid
 from experiments.study.engine import Engine
 from experiments.study.estimate import START, duration, rates
 from experiments.study.grid import Cell
+from experiments.study.policies import foreign
 from experiments.study.presets import PRESETS, get_preset
 from experiments.study.progress import display
 from experiments.study.store import Store, cell_directories, read_sweep
@@ -65,7 +66,7 @@ class Options:
     backend: Annotated[str, _argument("NAME", "sumo")] = "sumo"
     """Simulator: sumo or highway-env."""
     preset: Annotated[str, _argument("NAME", "quick")] = "quick"
-    """Size of the experiment: smoke (a minute), quick (15 minutes on two cores) or paper (many hours)."""
+    """Size of the experiment: smoke (a minute), quick (20 minutes on two cores), standard or paper (many hours)."""
     out: Annotated[Path | None, _argument("DIR", "results/BACKEND-PRESET")] = None
     """Directory for the results."""
     tasks: Annotated[tuple[str, ...], _argument("TASK ...", "all")] = ()
@@ -80,8 +81,12 @@ class Options:
     """Training budget of an agent in updates, the same for all tasks."""
     gamma: Annotated[float | None, _argument("X")] = None
     """Discount factor."""
-    target_lag: Annotated[int | None, _argument("N")] = None
-    """Updates between copies into the target network."""
+    network: Annotated[str | None, _argument("NAME")] = None
+    """Network of the agents: attention, dueling, or FILE:CLASS for a class of your own."""
+    policy: Annotated[tuple[str, ...], _argument("FILE:MAKE ...", "none")] = ()
+    """Policies of your own to test as well: FILE:MAKE, or a model.zip of Stable-Baselines3."""
+    device: Annotated[str | None, _argument("NAME", "cpu")] = None
+    """Where agents learn: cpu or cuda."""
     workers: Annotated[int | None, _argument("N", "the number of cores")] = None
     """Number of processes."""
     shard: Annotated[str, _argument("I/N", "1/1")] = "1/1"
@@ -103,7 +108,15 @@ def cells_of(options: Options) -> list[Cell]:
     """
     preset = get_preset(options.preset)
     tasks = grid.choose_tasks(options.tasks or tuple(grid.TASKS))
-    profiles = preset.profiles(updates=options.updates, gamma=options.gamma, target_lag=options.target_lag)
+    own_network, label, fingerprint = None, options.network, None
+    if options.network and ":" in options.network:
+        own_network = options.network
+        label, fingerprint = foreign(own_network)
+    profiles = preset.profiles(
+        updates=options.updates, gamma=options.gamma, network=label, device=options.device
+    )
+    if fingerprint:
+        profiles = {task: {**profile, "network_sha256": fingerprint} for task, profile in profiles.items()}
     for level in options.levels:
         if not level.isdecimal():
             raise UserError(f"--levels takes numbers, 1 is the lightest traffic, not {level!r}")
@@ -114,6 +127,9 @@ def cells_of(options: Options) -> list[Cell]:
         preset.episodes if options.episodes is None else options.episodes,
         profiles,
         preset.name,
+        gate_episodes=preset.gate_episodes,
+        network=own_network,
+        policies={label: (name, sha) for name in options.policy for label, sha in [foreign(name)]},
     )
 
 

@@ -1,4 +1,4 @@
-"""Before numpy is imported: threads and kernels as the commands have them, so that bits are the same.
+"""Before numpy is imported: threads as the commands have them, so that bits are the same.
 
 And highway-env's classes as they were: making its intersection writes other numbers into the class of all drivers.
 """

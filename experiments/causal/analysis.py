@@ -36,7 +36,7 @@ def analyse(results: Results) -> dict[str, Any]:
     """
     chosen, left_out = comparable(results)
     table = units(chosen.episodes)
-    verdicts = gates(chosen.cells, chosen.episodes)
+    verdicts = gates(chosen.cells, chosen.gate_episodes)
     ate = effects(table, verdicts)
     trends = slopes(table, ate)
     means = pooled(table, ate)
@@ -74,7 +74,8 @@ def policies(table: pd.DataFrame, episodes: pd.DataFrame) -> list[Record]:
     names = [*OUTCOMES, *DESCRIPTIVE]
     by_cell = dict(tuple(episodes.groupby(["cell", "traffic"], sort=False))) if len(episodes) else {}
     order: dict[tuple[str, str | None], int] = {(LEARNER, arm): number for number, arm in enumerate(ARMS)}
-    order |= {(policy, None): len(order) + number for number, policy in enumerate(BASELINES)}
+    own = sorted(set(table["policy"]) - {LEARNER, *BASELINES})  # policies that the user brought
+    order |= {(policy, None): len(order) + number for number, policy in enumerate((*BASELINES, *own))}
     table = table.assign(arm=table["arm"].where(table["kind"] == "agent", None).astype(object))
     groups = table.groupby([*PLACE, "policy", "arm"], sort=False, dropna=False)
     for (backend, task, level, level_name, policy, arm), rows in groups:

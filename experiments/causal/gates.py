@@ -1,8 +1,8 @@
 """Is an agent worth comparing? Four gates that a trained agent has to pass before its effect means anything.
 
-A learner that diverged behaves like a constant, and a pair of diverged arms gives an effect of exactly 0 that
-no test of significance notices. Agents that fail are shown, and the effects they enter are called
-uninformative.
+A learner that diverged behaves like a constant, and a pair of diverged arms gives an effect of exactly 0 that no test
+of significance notices. Agents that fail are shown, and the effects they enter are called uninformative. The gates are
+judged on scenarios of their own: chosen by the test scenarios, the agents left over would be the lucky ones.
 """
 
 from __future__ import annotations
@@ -18,22 +18,29 @@ from experiments.causal.tables import PLACE, place_order
 from experiments.study.grid import ARMS, TRAFFICS
 
 Q_SLACK = 1.2  # over the largest value that any policy can have, max |r| / (1 - gamma)
-CONSTANT = 0.98  # share of the test steps with the most common action from which a policy counts as constant
-STANDING = 0.5  # share of the test steps below 1 m/s from which an agent counts as standing still
+CONSTANT = 0.98  # share of the steps with the most common action from which a policy counts as constant
+TIED = (
+    0.98  # share of the scenarios with the return of one constant policy from which an agent is tied with it
+)
+ENTERING = 0.5  # share of the scenarios in which a policy has to enter the crossing to count as one that does
 CONSTANT_POLICIES = ("idle", "random", "faster", "slower")  # what learning has to be worth more than
+# Way [m] from the start to just inside the crossing that a task is about: an ego's length beyond its entry.
+CROSSINGS = {"roundabout": 24.5, "intersection": 45.0}
 
 GATES: dict[str, str] = {
     "q_bounded": f"Q-values stay below {Q_SLACK} x max |r| / (1 - gamma) on the probe states",
-    "not_constant": f"no action is chosen in {CONSTANT:.0%} or more of the test steps",
-    "progress": f"stands still in less than {STANDING:.0%} of the test steps",
-    "beats_constant": "return in its own training traffic reaches that of the best of idle, random, faster "
-    "and slower, up to 2 standard errors",
+    "not_constant": f"no action is chosen in {CONSTANT:.0%} or more of the steps, and in less than {TIED:.0%} of the "
+    "scenarios the return is that of one and the same constant policy",
+    "crosses": f"enters the roundabout or intersection in {ENTERING:.0%} or more of the scenarios of its training "
+    "traffic, or has a higher return there than every reference policy that does",
+    "beats_constant": "return in its training traffic is above that of the best of idle, random, faster and slower by "
+    "more than 2 standard errors",
 }
 FAILURES: dict[str, str] = {  # what it means to fail, in two or three words
     "q_bounded": "diverged",
     "not_constant": "constant policy",
-    "progress": "stands still",
-    "beats_constant": "below a constant policy",
+    "crosses": "does not cross",
+    "beats_constant": "not above a constant policy",
 }
 Gate = dict[str, Any]
 
@@ -49,34 +56,64 @@ def _q_bounded(learner: Mapping[str, Any]) -> Gate:
     return {"passed": max(values) <= limit, "value": float(max(values)), "limit": limit, "note": None}
 
 
-def _not_constant(episodes: pd.DataFrame) -> Gate:
-    counts = episodes[[column for column in episodes if str(column).startswith("action_")]].sum()
+def _not_constant(own: pd.DataFrame, references: Mapping[str, pd.DataFrame]) -> Gate:
+    counts = own[[column for column in own if str(column).startswith("action_")]].sum()
     share = float(counts.max() / counts.sum())
     action = str(counts.idxmax()).removeprefix("action_")
-    return {"passed": share < CONSTANT, "value": share, "limit": CONSTANT, "note": f"action {action}"}
+    ties = {
+        policy: float(np.isclose(own["return"] - references[policy]["return"], 0.0, atol=1e-9).mean())
+        for policy in CONSTANT_POLICIES
+        if policy in references
+    }
+    tied = max(ties, key=lambda policy: ties[policy], default=None)
+    note = f"action {action}"
+    if tied is not None and ties[tied] >= TIED:
+        note += f"; the return is that of {tied} in {ties[tied]:.0%} of the scenarios"
+    passed = share < CONSTANT and all(tie < TIED for tie in ties.values())
+    return {"passed": passed, "value": share, "limit": CONSTANT, "note": note}
 
 
-def _progress(episodes: pd.DataFrame) -> Gate:
-    share = float(np.average(episodes["stopped"], weights=episodes["length"]))
-    return {"passed": share < STANDING, "value": share, "limit": STANDING, "note": None}
+def _entering(episodes: pd.DataFrame, way: float) -> float:
+    return float((episodes["distance"] >= way).mean())
 
 
-def _beats_constant(own: pd.Series, baselines: Mapping[str, pd.Series]) -> Gate:
-    """own, baselines: return by test scenario, in the agent's training traffic."""
-    value = float(own.mean())
-    if not baselines:
+def _crosses(task: str, own: pd.DataFrame, references: Mapping[str, pd.DataFrame]) -> Gate:
+    """Waiting is a failure only where something that crosses is worth more."""
+    if task not in CROSSINGS:
+        return {"passed": True, "value": None, "limit": None, "note": "no crossing"}
+    share = _entering(own, CROSSINGS[task])
+    gate: Gate = {"passed": True, "value": share, "limit": ENTERING, "note": None}
+    if share >= ENTERING:
+        return gate
+    crossing = {
+        policy: float(table["return"].mean())
+        for policy, table in references.items()
+        if _entering(table, CROSSINGS[task]) >= ENTERING
+    }
+    if not crossing:
+        return {**gate, "passed": None, "note": "no reference policy that crosses in this directory"}
+    best = max(crossing, key=lambda policy: crossing[policy])
+    passed = float(own["return"].mean()) > crossing[best]
+    return {**gate, "passed": passed, "note": f"{'above' if passed else 'not above'} {best}, which crosses"}
+
+
+def _beats_constant(own: pd.DataFrame, references: Mapping[str, pd.DataFrame]) -> Gate:
+    """Compared on the same scenarios, so that their noise cancels."""
+    value = float(own["return"].mean())
+    means = {p: float(references[p]["return"].mean()) for p in CONSTANT_POLICIES if p in references}
+    if not means:
         return {"passed": None, "value": value, "limit": None, "note": "no baselines in this directory"}
-    best = max(baselines, key=lambda policy: float(baselines[policy].mean()))
-    difference = (own - baselines[best]).dropna()  # the same scenarios, so the noise of the scenarios cancels
+    best = max(means, key=lambda policy: means[policy])
+    difference = (own["return"] - references[best]["return"]).dropna()
     if len(difference) < 2:
-        return {"passed": None, "value": value, "limit": None, "note": "no common test scenarios"}
-    allowance = 2 * float(difference.std(ddof=1)) / math.sqrt(len(difference))
-    missing = [policy for policy in CONSTANT_POLICIES if policy not in baselines]
+        return {"passed": None, "value": value, "limit": None, "note": "no common scenarios"}
+    distance = 2 * float(difference.std(ddof=1)) / math.sqrt(len(difference))
+    missing = [policy for policy in CONSTANT_POLICIES if policy not in references]
     note = f"best is {best}" + (f"; {', '.join(missing)} not run" if missing else "")
     return {
-        "passed": float(difference.mean()) >= -allowance,
+        "passed": float(difference.mean()) > distance,
         "value": value,
-        "limit": float(baselines[best].mean()) - allowance,
+        "limit": value - float(difference.mean()) + distance,
         "note": note,
     }
 
@@ -86,7 +123,7 @@ def gates(cells: Mapping[str, Mapping[str, Any]], episodes: pd.DataFrame) -> lis
 
     Args:
         cells: cell.json by name.
-        episodes: their test episodes and those of the baselines, as in `store.Results`.
+        episodes: the gate episodes of all of them, as in `store.Results`.
 
     Returns:
         One record an agent: cell, backend, task, level, level_name, arm, seed, passed (False if any gate
@@ -94,26 +131,31 @@ def gates(cells: Mapping[str, Mapping[str, Any]], episodes: pd.DataFrame) -> lis
         each of GATES passed, value, limit and a note. Values in the gates' own units: Q-value, share, share,
         return.
     """
-    tables = dict(tuple(episodes.groupby("cell", sort=False)))
-    baselines: dict[tuple[Any, ...], dict[str, pd.Series]] = {}
-    for name, cell in cells.items():
-        key = cell["key"]
-        if key["policy"] in CONSTANT_POLICIES and name in tables:
-            for traffic in TRAFFICS:
-                place = (*(key[column] for column in PLACE), traffic)
-                baselines.setdefault(place, {})[key["policy"]] = _returns(tables[name], traffic)
+    tables = {
+        key: table.set_index("scenario").sort_index()
+        for key, table in episodes.groupby(["cell", "traffic"], sort=False)
+    }
+    references: dict[tuple[Any, ...], dict[str, pd.DataFrame]] = {}
+    for (name, traffic), table in tables.items():
+        key = cells[name]["key"]
+        if key["kind"] != "agent":
+            place = (*(key[column] for column in PLACE), traffic)
+            references.setdefault(place, {})[key["policy"]] = table
     records = []
     for name, cell in cells.items():
         key = cell["key"]
-        if key["kind"] != "agent" or name not in tables:
+        if key["kind"] != "agent":
             continue
-        own_traffic = next(traffic for traffic, risk in TRAFFICS.items() if risk == ARMS[key["arm"]])
-        place = (*(key[column] for column in PLACE), own_traffic)
+        traffic = next(traffic for traffic, risk in TRAFFICS.items() if risk == ARMS[key["arm"]])
+        if (name, traffic) not in tables:
+            continue
+        own = tables[name, traffic]
+        others = references.get((*(key[column] for column in PLACE), traffic), {})
         found: dict[str, Gate] = {
             "q_bounded": _q_bounded(cell.get("learner") or {}),
-            "not_constant": _not_constant(tables[name]),
-            "progress": _progress(tables[name]),
-            "beats_constant": _beats_constant(_returns(tables[name], own_traffic), baselines.get(place, {})),
+            "not_constant": _not_constant(own, others),
+            "crosses": _crosses(key["task"], own, others),
+            "beats_constant": _beats_constant(own, others),
         }
         results = [gate["passed"] for gate in found.values()]
         records.append(
@@ -126,7 +168,3 @@ def gates(cells: Mapping[str, Mapping[str, Any]], episodes: pd.DataFrame) -> lis
             }
         )
     return sorted(records, key=lambda record: (*place_order(record), record["arm"], record["seed"]))
-
-
-def _returns(table: pd.DataFrame, traffic: str) -> pd.Series:
-    return table[table["traffic"] == traffic].set_index("scenario")["return"]

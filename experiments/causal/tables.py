@@ -103,7 +103,10 @@ def comparable(results: Results) -> tuple[Results, list[dict[str, str]]]:
         for name in names:
             is_agent = results.cells[name]["key"]["kind"] == "agent"
             wanted = reference if is_agent else environment
-            if difference := _difference(_settings(results.cells[name]), wanted):
+            own = _settings(results.cells[name])
+            if not is_agent:
+                own = {setting: value for setting, value in own.items() if not _is_learner(setting)}
+            if difference := _difference(own, wanted):
                 left_out.append({"cell": name, "reason": difference})
     gone = {entry["cell"] for entry in left_out}
 
@@ -111,7 +114,7 @@ def comparable(results: Results) -> tuple[Results, list[dict[str, str]]]:
         return table[~table["cell"].isin(gone)].reset_index(drop=True) if gone else table
 
     cells = {name: cell for name, cell in results.cells.items() if name not in gone}
-    tables = {name: keep(getattr(results, name)) for name in ("agents", "episodes", "training")}
+    tables = {name: keep(getattr(results, name)) for name in ("agents", "episodes", "gate_episodes", "training")}
     return replace(results, cells=cells, **tables), left_out
 
 

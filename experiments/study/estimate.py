@@ -12,7 +12,7 @@ from statistics import median
 from experiments.study.grid import Cell
 from experiments.support.provenance import cpu
 
-# Processor seconds of a common server for (a training step with its update, a test episode) in the lightest traffic.
+# Processor seconds of a common server for (a training step, a test episode) in the lightest traffic.
 DEFAULT_RATES: dict[tuple[str, str], tuple[float, float]] = {
     ("sumo", "highway"): (0.0055, 0.050),
     ("sumo", "two-way"): (0.0040, 0.012),
@@ -25,6 +25,7 @@ DEFAULT_RATES: dict[tuple[str, str], tuple[float, float]] = {
     ("highway-env", "intersection"): (0.090, 0.900),
     ("highway-env", "u-turn"): (0.030, 0.300),
 }
+UPDATE = 0.006  # [s] of the learner, without the steps
 CELL = 0.5  # [s] beside training and test: environment, files
 START = 20.0  # [s] of a sweep: starting the processes, and the report
 GROWTH = 0.25  # how much longer each heavier level takes, where it was not measured
@@ -32,7 +33,7 @@ GROWTH = 0.25  # how much longer each heavier level takes, where it was not meas
 
 @dataclass(frozen=True)
 class Rates:
-    """Seconds for a training step with its update and for a test episode, by (backend, task, level).
+    """Seconds for an update with its training steps and for a test episode, by (backend, task, level).
 
     measured: how many stored cells they come from (0: the default rates alone).
     """
@@ -43,9 +44,10 @@ class Rates:
     def seconds(self, cell: Cell) -> float:
         """Expected time of a cell on one core [s], without what a sweep takes once (START)."""
         factor = 1.0 + GROWTH * (cell.level - 1)
-        default = tuple(factor * rate for rate in DEFAULT_RATES[cell.backend, cell.task])
-        step, episode = self.by_level.get((cell.backend, cell.task, cell.level), default)
-        return CELL + cell.updates * step + 2 * cell.episodes * episode
+        step, episode = (factor * rate for rate in DEFAULT_RATES[cell.backend, cell.task])
+        default = (UPDATE + cell.profile.get("steps_per_update", 1) * step, episode)
+        update, episode = self.by_level.get((cell.backend, cell.task, cell.level), default)
+        return CELL + cell.updates * update + cell.work * episode
 
 
 def rates(directory: Path) -> Rates:
@@ -60,11 +62,11 @@ def rates(directory: Path) -> Rates:
         where = (key["backend"], key["task"], key["level"])
         if timing.get("timed_updates"):
             steps[where].append(timing["train_seconds"] / timing["timed_updates"])
-        episodes[where].append(timing["test_seconds"] / (2 * key["eval"]["episodes"]))
+        episodes[where].append(timing["test_seconds"] / timing["test_episodes"])
     by_level = {}
     for where, values in episodes.items():
         step, _ = DEFAULT_RATES[where[:2]]
-        by_level[where] = (median(steps[where]) if steps[where] else step, median(values))
+        by_level[where] = (median(steps[where]) if steps[where] else UPDATE + 4 * step, median(values))
     return Rates(by_level, count)
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, Protocol
 
 import gymnasium as gym
@@ -65,6 +65,7 @@ def play(
     traffic: str,
     scenario: int,
     on_step: Callable[[], None] | None = None,
+    purpose: str = "test",
 ) -> dict[str, Any]:
     """Play one test episode and return its row of COLUMNS.
 
@@ -73,10 +74,11 @@ def play(
         traffic: "regular" or "risky".
         scenario: number of the test scenario.
         on_step: called after the reset and after every step (a recorder).
+        purpose: what the scenario is for, "test" or "gate".
     """
     policy.reset(stream_seed("policy", task, level, traffic, scenario))
     observation, info = env.reset(
-        seed=scenario_seed(task, level, scenario), options={"config": {"risk": TRAFFICS[traffic]}}
+        seed=scenario_seed(task, level, scenario, purpose), options={"config": {"risk": TRAFFICS[traffic]}}
     )
     if on_step:
         on_step()
@@ -120,17 +122,19 @@ def evaluate(
     level: int,
     episodes: int,
     on_episode: Callable[[], None] | None = None,
+    purpose: str = "test",
+    traffics: Sequence[str] = tuple(TRAFFICS),
 ) -> pd.DataFrame:
-    """Test a policy on `episodes` regular and `episodes` risky scenarios; one row of COLUMNS an episode.
+    """Test a policy on `episodes` scenarios in each of the traffics; one row of COLUMNS an episode.
 
     The result depends on the arguments alone, not on what `env` did before.
     """
     import pandas as pd
 
     rows = []
-    for traffic in TRAFFICS:
+    for traffic in traffics:
         for scenario in range(episodes):
-            rows.append(play(env, policy, task, level, traffic, scenario))
+            rows.append(play(env, policy, task, level, traffic, scenario, purpose=purpose))
             if on_episode:
                 on_episode()
     return pd.DataFrame(rows, columns=list(COLUMNS)).astype(COLUMNS)

@@ -18,7 +18,7 @@ from experiments.support.files import canonical_json, sha256_bytes
 from sumo_env.config import resolve
 from sumo_env.tasks import TASKS
 
-RESULT_SCHEMA = 2  # raise it with every change that makes stored results mean, or be, something else
+RESULT_SCHEMA = 3  # raise it with every change that makes stored results mean, or be, something else
 BACKENDS = ("sumo", "highway-env")
 ARMS: dict[str, float] = {"control": 0.0, "treatment": 1.0}  # dose of risk in training
 TRAFFICS: dict[str, float] = {"regular": 0.0, "risky": 1.0}  # dose of risk in the test
@@ -40,6 +40,8 @@ class Cell:
     profile: every hyper-parameter of the learner and its budget; for baselines empty but for the preset's
         name.
     env_config: the environment's configuration, without the dose of risk. eval: how it is tested.
+    source: where the network or policy of the user's own lies, FILE:NAME or a zip file. Not part of the key, which has
+        the file's fingerprint.
     """
 
     kind: str
@@ -53,6 +55,7 @@ class Cell:
     profile: Mapping[str, Any]
     env_config: Mapping[str, Any]
     eval: Mapping[str, Any]
+    source: str | None = None
 
     def key(self) -> dict[str, Any]:
         """All of it as plain JSON values; what cell.json stores."""
@@ -87,7 +90,7 @@ class Cell:
 
     @property
     def updates(self) -> int:
-        """Training budget: environment steps, with one update after each (0 for baselines)."""
+        """Training budget in gradient updates (0 for baselines)."""
         return int(self.profile.get("updates", 0))
 
     @property
@@ -95,10 +98,25 @@ class Cell:
         """Test episodes in each traffic."""
         return int(self.eval["episodes"])
 
+    @property
+    def gate_episodes(self) -> int:
+        """Episodes in a traffic on scenarios that the gates are judged on, which are not test scenarios."""
+        return int(self.eval["gate_episodes"])
+
+    @property
+    def work(self) -> int:
+        """Episodes that are played after the training, in all traffics."""
+        return 2 * self.episodes + len(self.gate_traffics) * self.gate_episodes
+
+    @property
+    def gate_traffics(self) -> tuple[str, ...]:
+        """Traffics that the gates look at: an agent's own, for the policies it is held against all."""
+        return tuple(traffic for traffic, risk in TRAFFICS.items() if not self.arm or risk == self.risk)
+
 
 def slug(key: Mapping[str, Any]) -> str:
     """The readable part of a cell's name."""
-    last = f"{key['arm']}-s{key['seed']}" if key["kind"] == "agent" else key["policy"]
+    last = f"{key['arm']}-s{key['seed']}" if key["kind"] == "agent" else key["policy"].replace(":", ".")
     return f"{key['backend']}-{key['task']}-{key['level_name']}-{last}"
 
 
@@ -132,7 +150,7 @@ def versions(backend: str) -> dict[str, Any]:
         UserError: a package that the cell needs is not installed.
     """
     simulator = "libsumo" if backend == "sumo" else backend
-    names = ["sumo-risky-driving", simulator, "numpy", "numba"]
+    names = ["sumo-risky-driving", simulator, "numpy", "numba", "torch"]
     return {"schema": RESULT_SCHEMA, **{name: _installed(name) for name in names}}
 
 
@@ -186,6 +204,9 @@ def build(
     episodes: int,
     profiles: Mapping[str, Mapping[str, Any]],
     preset: str,
+    gate_episodes: int | None = None,
+    network: str | None = None,
+    policies: Mapping[str, tuple[str, str]] | None = None,
 ) -> list[Cell]:
     """The cells of an experiment: on each task and level both arms of every training seed, and the baselines.
 
@@ -196,6 +217,9 @@ def build(
         episodes: test episodes in each traffic.
         profiles: hyper-parameters and budget of each task.
         preset: label that the cells carry.
+        gate_episodes: episodes for the gates in each traffic; as many as test episodes if left out.
+        network: FILE:CLASS of a network of the user's own.
+        policies: policies of the user's own to test: label -> (FILE:MAKE or zip file, fingerprint of the file).
 
     Raises:
         UserError: unknown backend, or no seed or episode at all.
@@ -205,6 +229,7 @@ def build(
     if seeds < 1 or episodes < 1:
         raise UserError(f"at least one seed and one test episode are needed, not {seeds} and {episodes}")
     cells = []
+    evaluation = {"episodes": episodes, "gate_episodes": episodes if gate_episodes is None else gate_episodes}
     for task, numbers in levels.items():
         for level in numbers:
             common: dict[str, Any] = {
@@ -213,11 +238,19 @@ def build(
                 "level": level,
                 "level_name": level_names(task)[level - 1],
                 "env_config": env_config(backend, task, level),
-                "eval": {"episodes": episodes},
+                "eval": evaluation,
             }
             profile = {"preset": preset, **profiles[task]}
             cells += [
-                Cell(kind="agent", arm=arm, seed=seed, policy=LEARNER, profile=profile, **common)
+                Cell(
+                    kind="agent",
+                    arm=arm,
+                    seed=seed,
+                    policy=LEARNER,
+                    profile=profile,
+                    source=network,
+                    **common,
+                )
                 for seed in range(seeds)
                 for arm in ARMS
             ]
@@ -227,6 +260,13 @@ def build(
                 )
                 for policy in BASELINES
             ]
+            cells += [
+                Cell(
+                    kind="baseline", arm=None, seed=None, policy=label, source=source,
+                    profile={"preset": preset, "policy_sha256": fingerprint}, **common,
+                )
+                for label, (source, fingerprint) in (policies or {}).items()
+            ]  # fmt: skip
     return cells
 
 

@@ -16,9 +16,9 @@ import numpy as np
 TEST = 2**32  # where the seeds of the test scenarios begin
 
 
-def scenario_seed(task: str, level: int, scenario: int) -> int:
-    """Seed of a test scenario of a task and level, in [2**32, 2**33)."""
-    return TEST + stream_seed("test scenario", task, level, scenario)
+def scenario_seed(task: str, level: int, scenario: int, purpose: str = "test") -> int:
+    """Seed of a scenario of a task and level, in [2**32, 2**33); the gates ("gate") have others than the test."""
+    return TEST + stream_seed(f"{purpose} scenario", task, level, scenario)
 
 
 def stream_seed(purpose: str, *key: str | int) -> int:

@@ -1,6 +1,6 @@
 """Finished cells on disk: written whole or not at all, checked when read, never computed twice.
 
-DIR/cells/<cell>/     cell.json, episodes.parquet; for agents also training.parquet, weights.npz
+DIR/cells/<cell>/     cell.json, episodes.parquet, gates.parquet; for agents also training.parquet, weights.npz
 DIR/work/<cell>/      checkpoints of a cell in progress
 DIR/claims/           who computes what (see `claims`)
 DIR/sweep.json        what the last sweep asked for, and what failed
@@ -24,7 +24,8 @@ from experiments.support.files import publish, sha256_file, write_file, write_js
 if TYPE_CHECKING:
     import pandas as pd
 
-CELL, EPISODES, TRAINING, WEIGHTS = "cell.json", "episodes.parquet", "training.parquet", "weights.npz"
+CELL, EPISODES, GATES = "cell.json", "episodes.parquet", "gates.parquet"
+TRAINING, WEIGHTS = "training.parquet", "weights.npz"
 # Columns of the key that every table of `Results` carries.
 KEY_COLUMNS = ("cell", "kind", "backend", "task", "level", "level_name", "arm", "seed", "policy", "preset")
 
@@ -46,6 +47,7 @@ class Results:
         as columns (gamma, updates, ...; missing for baselines), and of the learner updates, episodes,
         q_bound, max_abs_q (largest on the probe states at any checkpoint), weights_sha256.
     episodes: one row a test episode: KEY_COLUMNS and the columns of `evaluate.COLUMNS`.
+    gate_episodes: the same of the scenarios that the gates are judged on.
     training: one row a training episode: KEY_COLUMNS and episode, step, return, length, crashed, arrived,
         mean_speed, epsilon.
     cells: cell.json of each cell by name. failed: name and reason of the cells that the last sweep could not
@@ -56,6 +58,7 @@ class Results:
     directory: Path
     agents: pd.DataFrame
     episodes: pd.DataFrame
+    gate_episodes: pd.DataFrame
     training: pd.DataFrame
     cells: dict[str, dict[str, Any]]
     failed: dict[str, str] = field(default_factory=dict)
@@ -117,6 +120,7 @@ class Store:
                 "schema": RESULT_SCHEMA,
                 "key": cell.key(),
                 "versions": versions(cell.backend),
+                "source": cell.source,
                 **record,
                 "files": checksums,
             },
@@ -138,7 +142,7 @@ def read_cell(path: Path) -> dict[str, Any]:
     try:
         files, key, version = record["files"], record["key"], record["versions"]
         name = cell_name(key, version)
-        needed = {EPISODES} | ({TRAINING, WEIGHTS} if key["kind"] == "agent" else set())
+        needed = {EPISODES, GATES} | ({TRAINING, WEIGHTS} if key["kind"] == "agent" else set())
     except (KeyError, TypeError) as error:
         raise DamagedCell(path / CELL, f"{error} is missing") from None
     if missing := needed - set(files):
@@ -180,7 +184,7 @@ def load(directory: Path) -> Results:
 
     directory = Path(directory)
     cells: dict[str, dict[str, Any]] = {}
-    agents, episodes, training = [], [], []
+    agents, episodes, gates, training = [], [], [], []
     for path in cell_directories(directory):
         record = read_cell(path)
         cells[path.name] = record
@@ -188,6 +192,7 @@ def load(directory: Path) -> Results:
         columns["preset"] = record["key"]["profile"].get("preset")
         agents.append({**columns, **_scalars(record["key"]["profile"]), **_learner(record)})
         episodes.append(_table(path / EPISODES, columns))
+        gates.append(_table(path / GATES, columns))
         if record["key"]["kind"] == "agent":
             training.append(_table(path / TRAINING, columns))
     if not cells:
@@ -197,6 +202,7 @@ def load(directory: Path) -> Results:
         directory=directory,
         agents=pd.DataFrame(agents).astype({"arm": "str", "seed": "Int64"}),
         episodes=_concatenate(episodes),
+        gate_episodes=_concatenate(gates),
         training=_concatenate(training),
         cells=cells,
         failed={name: reason for name, reason in sweep.get("failed", {}).items() if name not in cells},

@@ -14,9 +14,12 @@ import pandas as pd
 
 from agents.checkpoint import CheckpointError
 from agents.dqn import DQNConfig
-from agents.policy import GreedyPolicy
+from agents.greedy import Greedy
+from agents.models import network_class
 from agents.training import Progress, TrainedAgent, train
 from experiments.study.grid import Cell
+from experiments.study.policies import check
+from experiments.study.wrappers import trained_on
 from experiments.support.errors import UserError
 
 CHECKPOINT = "checkpoint.npz"
@@ -31,7 +34,7 @@ class Trained:
     timed_updates: updates that were made in this process, not before a resumption.
     """
 
-    policy: GreedyPolicy
+    policy: Greedy
     episodes: pd.DataFrame
     learner: dict[str, Any]
     timed_updates: int
@@ -54,10 +57,12 @@ def train_cell(
         on_updates: called now and then with the number of updates made since the last call.
 
     Raises:
-        UserError: the checkpoint is damaged.
+        UserError: the checkpoint is damaged, or the network does not fit.
         OSError: the checkpoint cannot be written.
     """
     config = config_of(cell)
+    if cell.source is not None:
+        check(cell.source, cell.profile["network_sha256"])
     begun: int | None = None
     last = 0
 
@@ -69,16 +74,17 @@ def train_cell(
         last = state.updates
 
     try:
-        (agent,) = train(
-            env,
+        agent = train(
+            trained_on(env, cell.profile),
             config,
-            [cell.seed or 0],
-            reset_options=[{"config": {"risk": cell.risk}}],
+            cell.seed or 0,
+            network=network_class(cell.source or config.network),
+            reset_options={"config": {"risk": cell.risk}},
             checkpoint=directory / CHECKPOINT,
             checkpoint_interval=max(config.updates // CHECKPOINTS, MIN_INTERVAL),
             progress=progress,
         )
-    except CheckpointError as error:
+    except (CheckpointError, ValueError) as error:
         raise UserError(str(error)) from None
     timed = agent.updates - (agent.updates if begun is None else begun)
     return Trained(agent.policy, pd.DataFrame(agent.episodes), learner_record(agent, config), timed)
@@ -87,7 +93,7 @@ def train_cell(
 def learner_record(agent: TrainedAgent, config: DQNConfig) -> dict[str, Any]:
     """What cell.json says of the learner.
 
-    probe_q: [update, mean of |max Q|, largest |max Q|] over the probe states. greedy_share: share of the probe
+    probe_q: [update, mean of max |Q|, largest |Q|] over the probe states. greedy_share: share of the probe
     states that have the most common greedy action, at the same updates. q_bound: the largest value that
     any policy can have, max |r| / (1 - gamma). A number that is not finite is stored as null.
     """

@@ -22,7 +22,8 @@ import gymnasium as gym
 from experiments.study.claims import Claims, Heart
 from experiments.study.evaluate import Policy, evaluate
 from experiments.study.grid import Cell
-from experiments.study.store import EPISODES, TRAINING, WEIGHTS, Store
+from experiments.study.store import EPISODES, GATES, TRAINING, WEIGHTS, Store
+from experiments.study.wrappers import observed
 from experiments.support.errors import UserError, disk_error
 from experiments.support.provenance import provenance
 
@@ -140,10 +141,10 @@ def compute(
 
 
 def _baseline(cell: Cell, env: gym.Env[Any, Any], store: Store, send: Send) -> None:
-    from agents.rules import make_policy
+    from experiments.study.policies import untrained_policy
 
-    meter = Meter(send, 2 * cell.episodes * TEST_EPISODE)
-    _test(cell, make_policy(cell.policy, env), env, store, meter, {}, {})
+    meter = Meter(send, cell.work * TEST_EPISODE)
+    _test(cell, untrained_policy(cell.key(), cell.source, env), env, store, meter, {}, {})
 
 
 def _agent(cell: Cell, env: gym.Env[Any, Any], store: Store, send: Send) -> None:
@@ -151,7 +152,7 @@ def _agent(cell: Cell, env: gym.Env[Any, Any], store: Store, send: Send) -> None
 
     scratch = store.work / cell.name
     scratch.mkdir(exist_ok=True)
-    meter = Meter(send, cell.updates + 2 * cell.episodes * TEST_EPISODE)
+    meter = Meter(send, cell.updates + cell.work * TEST_EPISODE)
     started, processed = time.monotonic(), time.process_time()
     agent = train_cell(cell, env, scratch, meter.add)
     timing = {
@@ -161,9 +162,8 @@ def _agent(cell: Cell, env: gym.Env[Any, Any], store: Store, send: Send) -> None
     }
     agent.policy.save(scratch / WEIGHTS)
     record = {"learner": agent.learner, "timing": timing}
-    _test(
-        cell, agent.policy, env, store, meter, record, {TRAINING: agent.episodes, WEIGHTS: scratch / WEIGHTS}
-    )
+    files = {TRAINING: agent.episodes, WEIGHTS: scratch / WEIGHTS}
+    _test(cell, agent.policy, observed(env, cell.profile), store, meter, record, files)
     shutil.rmtree(scratch)
 
 
@@ -178,13 +178,27 @@ def _test(
 ) -> None:
     """Test a policy and store its cell."""
     started, processed = time.monotonic(), time.process_time()
-    table = evaluate(
-        env, policy, cell.task, cell.level, cell.episodes, on_episode=lambda: meter.add(TEST_EPISODE)
+
+    def note() -> None:
+        meter.add(TEST_EPISODE)
+
+    table = evaluate(env, policy, cell.task, cell.level, cell.episodes, note)
+    gates = evaluate(
+        env,
+        policy,
+        cell.task,
+        cell.level,
+        cell.gate_episodes,
+        note,
+        purpose="gate",
+        traffics=cell.gate_traffics,
     )
     timing = {
         **record.get("timing", {}),
+        "test_episodes": cell.work,
         "test_seconds": time.monotonic() - started,
         "test_cpu_seconds": time.process_time() - processed,
         "finished": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
     }
-    store.write(cell, {**record, "timing": timing, "provenance": provenance()}, {EPISODES: table, **files})
+    tables = {EPISODES: table, GATES: gates}
+    store.write(cell, {**record, "timing": timing, "provenance": provenance()}, {**tables, **files})

@@ -10,10 +10,16 @@ import pytest
 import torch
 
 from agents.dqn import DQNConfig
+from agents.models import Dueling
 from agents.training import train
 
 STEPS = 5000
 SEEDS = (0, 1, 2)
+
+
+class Network(Dueling):
+    def __init__(self, space: gym.spaces.Box, actions: int) -> None:
+        super().__init__(space.shape[0], actions, (64,), (64,))
 
 
 def mean_return(act: Callable[[np.ndarray], int]) -> float:
@@ -36,17 +42,20 @@ def test_cartpole_is_learnt_as_well_as_by_stable_baselines3() -> None:
     torch.set_num_threads(1)
     config = DQNConfig(
         updates=STEPS,
-        hidden=(64,),
-        stream=(64,),
+        steps_per_update=1,
         batch_size=64,
         learning_rate=1e-3,
-        target_lag=250,
+        learning_rate_final=1e-3,
+        gamma=0.99,
+        target_interval=250,
+        tau=1.0,
         replay_capacity=20_000,
         warm_up=500,
+        standardise=False,
         epsilon_final=0.05,
         epsilon_decay=0.06,
     )
-    agents = train(gym.make("CartPole-v1"), config, SEEDS)
+    agents = [train(gym.make("CartPole-v1"), config, seed, network=Network) for seed in SEEDS]
     ours = float(np.median([mean_return(agent.policy.act) for agent in agents]))
     theirs = []
     for seed in SEEDS:

@@ -3,176 +3,186 @@
 from __future__ import annotations
 
 import dataclasses
+from pathlib import Path
+from typing import Any
 
+import gymnasium as gym
 import numpy as np
 import pytest
 import torch
+from torch import nn
 from torch.nn import functional
 
 from agents.dqn import DQN, DQNConfig
-from agents.streams import stream
-from tests.agents.test_network import autograd_q
+from agents.models import Dueling
+from tests.agents.decision_process import exact_q, experience, risky_road
 
-SMALL = DQNConfig(batch_size=16, hidden=(24, 16), stream=(12,), target_lag=7, replay_capacity=200)
+INPUTS, ACTIONS = 6, 3
+
+
+class Small(Dueling):
+    def __init__(self, space: gym.spaces.Box, actions: int) -> None:
+        super().__init__(int(np.prod(space.shape)), actions, (24, 16), (12,))
+
+
+class Medium(Dueling):
+    def __init__(self, space: gym.spaces.Box, actions: int) -> None:
+        super().__init__(int(np.prod(space.shape)), actions, (64, 48), (32,))
+
+
+SMALL = DQNConfig(
+    batch_size=16,
+    target_interval=7,
+    tau=1.0,
+    replay_capacity=200,
+    learning_rate_final=5e-4,
+    standardise=False,
+)
+
+
+def make(config: DQNConfig = SMALL, seed: int = 0, network: Any = Small, inputs: int = INPUTS) -> DQN:
+    space = gym.spaces.Box(-np.inf, np.inf, (inputs,), np.float32)
+    return DQN(config, space, gym.spaces.Discrete(ACTIONS), seed, network)
 
 
 def fill(agent: DQN, count: int, seed: int = 0) -> None:
     """Random transitions, a fifth of them terminal."""
     generator = np.random.default_rng(seed)
-    inputs, actions = agent.architecture.inputs, agent.architecture.actions
     for _ in range(count):
-        observation, after = generator.normal(size=(2, inputs))
-        action, reward = int(generator.integers(actions)), float(generator.normal())
+        observation, after = generator.normal(size=(2, INPUTS))
+        action, reward = int(generator.integers(ACTIONS)), float(generator.normal())
         agent.replay.add(observation, action, reward, after, bool(generator.random() < 0.2))
 
 
-def weights(agent: DQN) -> np.ndarray:
-    return agent.policy().weights
+def weights(module: nn.Module) -> np.ndarray:
+    return nn.utils.parameters_to_vector(module.parameters()).detach().numpy().copy()
 
 
-class AutogradDQN:
-    """The same algorithm in the usual way: autograd, torch.optim.Adam, a target copy. Shares only the samples."""
-
-    def __init__(self, agent: DQN) -> None:
-        self.config, self.replay, self.architecture = agent.config, agent.replay, agent.architecture
-        self.online = torch.nn.Parameter(torch.from_numpy(weights(agent).copy()))
-        self.target = self.online.detach().clone()
-        self.optimizer = torch.optim.Adam([self.online], lr=agent.config.learning_rate)
-        self.sampling = stream(agent.seed, "replay")
-        self.updates = 0
-
-    def update(self) -> float:
-        rows = self.replay.sample(self.sampling, self.config.batch_size)
-        s, after, action, reward, terminated = (
-            torch.from_numpy(getattr(self.replay, name)[rows])
-            for name in ("observations", "next_observations", "actions", "rewards", "terminated")
-        )
+@pytest.mark.parametrize(("interval", "tau"), [(7, 1.0), (1, 0.05)])
+def test_updates_are_those_of_the_algorithm_written_in_the_usual_way(interval: int, tau: float) -> None:
+    """Parameters of their own, double DQN, clipped norm, a falling learning rate, moves of the target network."""
+    config = dataclasses.replace(
+        SMALL, target_interval=interval, tau=tau, max_grad_norm=0.5, updates=20, learning_rate_final=0.0
+    )
+    agent = make(config, seed=1)
+    fill(agent, 150)
+    online, target = (Small(gym.spaces.Box(-1, 1, (INPUTS,)), ACTIONS) for _ in range(2))
+    for network in (online, target):
+        nn.utils.vector_to_parameters(torch.from_numpy(weights(agent.online)), network.parameters())
+    optimizer = torch.optim.Adam(online.parameters(), lr=5e-4)
+    sampling = np.random.default_rng()
+    sampling.bit_generator.state = agent._sampling.bit_generator.state
+    for update in range(20):
+        s, action, reward, after, terminated = agent.replay.sample(sampling, config.batch_size)
+        rows = torch.arange(len(action))
         with torch.no_grad():
-            next_q = autograd_q(self.architecture, self.target, after)
-            chooser = autograd_q(self.architecture, self.online, after) if self.config.double else next_q
-            value = next_q[torch.arange(len(rows)), chooser.argmax(1)]
-            goal = reward + self.config.gamma * value * (terminated == 0)
-        predicted = autograd_q(self.architecture, self.online, s)[torch.arange(len(rows)), action]
-        loss = functional.mse_loss(predicted, goal)
-        self.optimizer.zero_grad()
+            goal = reward + config.gamma * (1 - terminated) * target(after)[rows, online(after).argmax(1)]
+        loss = functional.mse_loss(online(s)[rows, action], goal)
+        optimizer.zero_grad()
         loss.backward()
-        torch.nn.utils.clip_grad_value_([self.online], self.config.gradient_clamp)
-        self.optimizer.step()
-        self.updates += 1
-        if self.updates % self.config.target_lag == 0:
-            self.target = self.online.detach().clone()
-        return loss.item()
-
-
-@pytest.mark.parametrize("double", [True, False])
-@pytest.mark.parametrize("head", ["mean", "sum"])
-@pytest.mark.parametrize("clamp", [1.0, 0.01])
-@pytest.mark.parametrize("stored", [150, 100])  # more transitions than draws between two copies, and fewer
-def test_updates_equal_those_of_autograd_and_adam(double: bool, head: str, clamp: float, stored: int) -> None:
-    config = dataclasses.replace(SMALL, double=double, head=head, gradient_clamp=clamp)
-    agent = DQN(config, 6, 3, seed=1)
-    fill(agent, stored)
-    reference = AutogradDQN(agent)
-    for _ in range(20):  # two target copies on the way
+        nn.utils.clip_grad_norm_(online.parameters(), 0.5)
+        optimizer.param_groups[0]["lr"] = 5e-4 * (1 - update / 20)
+        optimizer.step()
+        if (update + 1) % interval == 0:
+            moved = (1 - tau) * torch.from_numpy(weights(target)) + tau * torch.from_numpy(weights(online))
+            nn.utils.vector_to_parameters(moved, target.parameters())
         agent.update()
-        assert agent.loss() == pytest.approx(reference.update(), rel=1e-4)
-    np.testing.assert_allclose(weights(agent), reference.online.detach().numpy(), atol=2e-5)
-    assert np.abs(weights(agent) - DQN(config, 6, 3, seed=1).policy().weights).max() > 5e-3
+        assert agent.loss == pytest.approx(loss.item(), rel=1e-4)
+    np.testing.assert_allclose(weights(agent.online), weights(online), atol=1e-5)
+    np.testing.assert_allclose(weights(agent.target), weights(target), atol=1e-5)
+    assert np.abs(weights(agent.online) - weights(make(config, seed=1).online)).max() > 1e-3
 
 
-def test_the_paper_network_takes_the_same_steps_as_autograd() -> None:
-    agent = DQN(DQNConfig(), 25, 5, seed=0)
-    fill(agent, 300)
-    reference = AutogradDQN(agent)
-    for _ in range(5):
-        agent.update()
-        assert agent.loss() == pytest.approx(reference.update(), rel=1e-4)
-    np.testing.assert_allclose(weights(agent), reference.online.detach().numpy(), atol=5e-5)
+def test_the_first_update_is_that_of_stable_baselines3() -> None:
+    """Before the networks part, double DQN is DQN; and its smooth L1 loss is half of ours where errors are small.
 
+    Adam's step does not depend on the scale of the gradient once its epsilon has the same scale.
+    """
+    stable_baselines3 = pytest.importorskip("stable_baselines3")
+    from stable_baselines3.common.buffers import ReplayBufferSamples
+    from stable_baselines3.common.logger import configure
 
-def test_loss_is_that_of_stable_baselines3_with_squared_error() -> None:
-    """SB3 computes r + gamma (1 - done) max Q_target(s') and smooth-L1, which is half the square below its beta."""
-    agent = DQN(dataclasses.replace(SMALL, double=False, batch_size=64), 6, 3, seed=4)
-    fill(agent, 200)
-    architecture = agent.architecture
-    vector = torch.from_numpy(weights(agent))
-    rows = agent.replay.sample(stream(4, "replay"), 64)
-    replay = agent.replay
-    with torch.no_grad():
-        next_q = autograd_q(architecture, vector, torch.from_numpy(replay.next_observations[rows]))
-        rewards, dones = (torch.from_numpy(a[rows])[:, None] for a in (replay.rewards, replay.terminated))
-        target = rewards + (1 - dones) * 0.99 * next_q.max(dim=1).values.reshape(-1, 1)
-        q = autograd_q(architecture, vector, torch.from_numpy(replay.observations[rows]))
-        current = torch.gather(q, dim=1, index=torch.from_numpy(replay.actions[rows])[:, None].long())
-        expected = 2 * functional.smooth_l1_loss(current, target, beta=1e6) * 1e6
+    class Spaces(gym.Env):
+        observation_space = gym.spaces.Box(-10, 10, (INPUTS,), np.float32)
+        action_space = gym.spaces.Discrete(ACTIONS)
+
+    config = dataclasses.replace(SMALL, max_grad_norm=1e9, batch_size=64)
+    agent = make(config, seed=4)
+    generator = np.random.default_rng(0)
+    for _ in range(100):
+        s, after = generator.normal(size=(2, INPUTS))
+        agent.replay.add(
+            s, int(generator.integers(3)), 0.3 * generator.random(), after, generator.random() < 0.2
+        )
+    model = stable_baselines3.DQN(
+        "MlpPolicy",
+        Spaces(),
+        learning_rate=5e-4,
+        gamma=config.gamma,
+        batch_size=64,
+        max_grad_norm=1e9,
+        device="cpu",
+    )
+    model.set_logger(configure(None, []))
+    for net in (model.q_net, model.q_net_target):
+        net.q_net = Small(Spaces.observation_space, ACTIONS)
+        nn.utils.vector_to_parameters(torch.from_numpy(weights(agent.online)), net.q_net.parameters())
+    model.policy.optimizer = torch.optim.Adam(model.q_net.parameters(), lr=5e-4, eps=0.5e-8)
+    sampling = np.random.default_rng()
+    sampling.bit_generator.state = agent._sampling.bit_generator.state
+    s, action, reward, after, terminated = agent.replay.sample(sampling, 64)
+    samples = ReplayBufferSamples(s, action[:, None], after, terminated[:, None], reward[:, None], None)
+    model.replay_buffer.sample = lambda *_, **__: samples
+    before = weights(agent.online)
+    model.train(gradient_steps=1, batch_size=64)
     agent.update()
-    assert agent.loss() == pytest.approx(expected.item(), rel=1e-5)
+    assert agent.loss < 0.5  # within the square part of smooth L1
+    np.testing.assert_allclose(weights(agent.online), weights(model.q_net.q_net), atol=2e-6)
+    assert np.abs(weights(agent.online) - before).max() > 4e-4
 
 
 def test_constant_reward_through_truncations_is_worth_one_over_one_minus_gamma() -> None:
     config = DQNConfig(
-        gamma=0.9, hidden=(32,), stream=(16,), batch_size=32, target_lag=50, learning_rate=1e-3
-    )
-    agent = DQN(config, 3, 2, seed=0)
+        gamma=0.9, batch_size=32, target_interval=50, tau=1.0, learning_rate=1e-3, learning_rate_final=1e-3,
+        updates=4000,
+    )  # fmt: skip
+    agent = make(config, inputs=3)
     states = np.random.default_rng(0).normal(size=(100, 3))
     for state, after in zip(states, np.roll(states, -1, axis=0), strict=True):
-        for action in (0, 1):
+        for action in range(ACTIONS):
             agent.replay.add(state, action, 1.0, after, terminated=False)
     for _ in range(4000):
         agent.update()
-    values = np.array([agent.q(state).max() for state in states])
+    values = agent.q(states).max(1)
     assert values.mean() == pytest.approx(10.0, rel=0.02)
-    np.testing.assert_allclose(values, 10.0, rtol=0.05)
+    np.testing.assert_allclose(values, 10.0, rtol=0.07)
 
 
 def test_terminal_states_are_worth_nothing_beyond_their_reward() -> None:
-    config = DQNConfig(hidden=(32,), stream=(16,), batch_size=32, target_lag=10, learning_rate=3e-3)
-    agent = DQN(config, 3, 2, seed=0)
-    for state in np.random.default_rng(0).normal(size=(50, 3)):
-        for action, reward in ((0, -1.0), (1, 2.0)):
+    config = DQNConfig(batch_size=32, learning_rate=3e-3, updates=800)
+    agent = make(config, inputs=3)
+    states = np.random.default_rng(0).normal(size=(50, 3))
+    for state in states:
+        for action, reward in enumerate((-1.0, 2.0, 0.5)):
             agent.replay.add(state, action, reward, state, terminated=True)
     for _ in range(800):
         agent.update()
-    values = np.array([agent.q(state) for state in agent.replay.observations[:100]])
-    np.testing.assert_allclose(values, np.broadcast_to([-1.0, 2.0], values.shape), atol=0.15)
-
-
-def risky_road(states: int = 12, actions: int = 3, seed: int = 0) -> tuple[np.ndarray, ...]:
-    """A known Markov decision process: faster actions pay more and crash more often (terminal, no reward after).
-
-    Returns features (N(0, 1): one-hot inputs learn very slowly), transitions (s, a, s'), rewards (s, a) and crash
-    probabilities (s, a).
-    """
-    generator = np.random.default_rng(seed)
-    features = generator.normal(size=(states, 8))
-    transitions = generator.dirichlet(np.ones(states) * 0.3, size=(states, actions))
-    rewards = np.linspace(0.4, 1.0, actions) + 0.1 * generator.random((states, actions))
-    crash = np.linspace(0.0, 0.35, actions) * generator.random((states, 1))
-    return features, transitions, rewards, crash
-
-
-def exact_q(transitions: np.ndarray, rewards: np.ndarray, crash: np.ndarray, gamma: float) -> np.ndarray:
-    q = np.zeros_like(rewards)
-    for _ in range(2000):
-        q = rewards + gamma * (1 - crash) * (transitions @ q.max(1))
-    return q
+    np.testing.assert_allclose(agent.q(states), np.broadcast_to([-1.0, 2.0, 0.5], (50, 3)), atol=0.15)
 
 
 def test_values_and_policy_of_a_known_decision_process() -> None:
     gamma = 0.9
-    features, transitions, rewards, crash = risky_road()
+    process = risky_road()
+    _, transitions, rewards, crash = process
     expected = exact_q(transitions, rewards, crash, gamma)
-    config = DQNConfig(gamma=gamma, hidden=(64, 48), stream=(32,), target_lag=50)
-    agent = DQN(config, 8, 3, seed=0)
-    generator = np.random.default_rng(1)
-    for _ in range(20_000):
-        state, action = int(generator.integers(12)), int(generator.integers(3))
-        after = int(generator.choice(12, p=transitions[state, action]))
-        crashed = bool(generator.random() < crash[state, action])
-        agent.replay.add(features[state], action, rewards[state, action], features[after], crashed)
-    for _ in range(4000):
+    config = DQNConfig(gamma=gamma, updates=3000, learning_rate=1e-3, tau=0.02)
+    agent = make(config, network=Medium, inputs=8)
+    for transition in experience(process, 20_000, seed=1):
+        agent.replay.add(*transition)
+    agent.standardise()
+    for _ in range(3000):
         agent.update()
-    learnt = np.array([agent.q(feature) for feature in features])
+    learnt = agent.q(process[0])
     assert np.abs(learnt - expected).mean() < 0.05 * expected.max()
 
     def worth(policy: np.ndarray) -> float:
@@ -190,7 +200,7 @@ def test_values_and_policy_of_a_known_decision_process() -> None:
 def test_equal_seeds_give_equal_bits_and_others_do_not() -> None:
     trained = []
     for seed in (3, 3, 4):
-        agent = DQN(SMALL, 6, 3, seed)
+        agent = make(seed=seed)
         fill(agent, 100)
         for _ in range(10):
             agent.update()
@@ -198,39 +208,66 @@ def test_equal_seeds_give_equal_bits_and_others_do_not() -> None:
     assert trained[0] == trained[1] != trained[2]
 
 
-@pytest.mark.parametrize("capacity", [200, 90])  # values of the target network are not kept, and are
-def test_a_restored_agent_goes_on_bit_for_bit(capacity: int) -> None:
-    config = dataclasses.replace(SMALL, replay_capacity=capacity)
-    agent = DQN(config, 6, 3, seed=5)
+class Noisy(Small):
+    """Draws from torch's global generator, as many networks do."""
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        return functional.dropout(super().forward(x), 0.3, self.training)
+
+
+@pytest.mark.parametrize("network", [Small, Noisy])
+def test_a_restored_agent_goes_on_bit_for_bit(network: Any) -> None:
+    agent = make(seed=5, network=network)
     fill(agent, 250)  # the replay has wrapped
+    agent.standardise()
     for _ in range(11):
         agent.update()
     state = {name: array.copy() for name, array in agent.state_dict().items()}
-    other = DQN(config, 6, 3, seed=99)
-    fill(other, 300, seed=9)  # more than the state holds: nothing may be left of it
-    other.update()
-    other.load_state_dict(state)
-    observation = np.ones(6)
-    for each in (agent, other):
+
+    def go_on(each: DQN) -> dict[str, np.ndarray]:
         fill(each, 30, seed=8)
         for _ in range(12):
             each.update()
-    for name, array in agent.state_dict().items():
-        np.testing.assert_array_equal(array, other.state_dict()[name], err_msg=name)
-    assert [agent.act(observation, 0.5) for _ in range(20)] == [
-        other.act(observation, 0.5) for _ in range(20)
-    ]
+        actions = np.array([each.act(np.ones(INPUTS), 0.5) for _ in range(20)])
+        return {**{name: array.copy() for name, array in each.state_dict().items()}, "actions": actions}
+
+    expected = go_on(agent)
+    other = make(seed=99, network=network)
+    fill(other, 300, seed=9)  # more than the state holds: nothing may be left of it
+    other.update()
+    other.load_state_dict(state)
+    for name, array in go_on(other).items():
+        np.testing.assert_array_equal(array, expected[name], err_msg=name)
+
+
+def test_dropout_is_off_while_acting() -> None:
+    agent = make(network=Noisy)
+    observation = np.ones((1, INPUTS))
+    assert len({agent.q(observation).tobytes() for _ in range(5)}) == 1
+    fill(agent, 50)
+    agent.update()
+    assert len({agent.q(observation).tobytes() for _ in range(5)}) == 1
 
 
 def test_a_state_of_another_network_is_refused() -> None:
-    with pytest.raises(ValueError, match="parameters in online"):
-        DQN(SMALL, 6, 3, 0).load_state_dict(DQN(SMALL, 6, 4, 0).state_dict())
+    with pytest.raises(ValueError, match="another network"):
+        make().load_state_dict(make(network=Medium).state_dict())
+
+
+def test_a_policy_is_a_copy() -> None:
+    agent = make()
+    fill(agent, 50)
+    policy = agent.policy()
+    before = policy.sha256
+    agent.update()
+    assert policy.sha256 == before != agent.policy().sha256
+    assert all(p.untyped_storage().size() == 4 * p.numel() for p in policy.network.parameters())
 
 
 def test_exploration_share_and_greedy_actions() -> None:
-    agent = DQN(SMALL, 6, 3, seed=0)
-    observation = np.ones(6)
-    best = int(np.argmax(agent.q(observation)))
+    agent = make()
+    observation = np.ones(INPUTS)
+    best = int(agent.q(observation[None]).argmax())
     assert {agent.act(observation, 0.0) for _ in range(50)} == {best}
     counts = np.bincount([agent.act(observation, 1.0) for _ in range(3000)], minlength=3)
     assert np.abs(counts - 1000).max() < 150
@@ -238,11 +275,17 @@ def test_exploration_share_and_greedy_actions() -> None:
     assert greedy == pytest.approx(0.8, abs=0.04)  # .7, and a third of the random .3
 
 
-def test_epsilon_decays_with_the_budget() -> None:
-    config = DQNConfig(updates=1000, epsilon_decay=0.2)
-    assert config.epsilon(0) == 1.0
-    assert config.epsilon(200) == pytest.approx(0.1 + 0.9 / np.e)
-    assert config.epsilon(100_000) == pytest.approx(0.1)
+def test_epsilon_is_one_in_the_warm_up_and_then_decays_with_the_steps() -> None:
+    config = DQNConfig(updates=1000, steps_per_update=4, warm_up=50, epsilon_decay=0.2)
+    assert config.steps == 4050
+    assert config.epsilon(0) == config.epsilon(50) == 1.0
+    assert config.epsilon(850) == pytest.approx(0.1 + 0.9 / np.e)
+    assert config.epsilon(1_000_000) == pytest.approx(0.1)
+
+
+def test_the_learning_rate_falls_linearly() -> None:
+    config = DQNConfig(updates=100, learning_rate=1e-3, learning_rate_final=2e-4)
+    assert [config.rate(update) for update in (0, 50, 100)] == pytest.approx([1e-3, 6e-4, 2e-4])
 
 
 @pytest.mark.parametrize(
@@ -250,14 +293,13 @@ def test_epsilon_decays_with_the_budget() -> None:
     [
         ({"gamma": 1.0}, "gamma must lie between 0 and 1"),
         ({"gamma": 0.0}, "gamma must lie between 0 and 1"),
-        ({"head": "median"}, "'median': choose one of mean, sum"),
+        ({"tau": 0.0}, "tau must be greater than 0"),
         ({"learning_rate": 0.0}, "learning_rate must be greater than 0"),
-        ({"gradient_clamp": float("nan")}, "gradient_clamp must be greater than 0"),
+        ({"max_grad_norm": float("nan")}, "max_grad_norm must be greater than 0"),
         ({"batch_size": 0}, "batch_size must be a whole number of at least 1"),
-        ({"target_lag": 2.5}, "target_lag must be a whole number"),
+        ({"target_interval": 2.5}, "target_interval must be a whole number"),
         ({"updates": True}, "updates must be a whole number"),
-        ({"epsilon_final": 0.5, "epsilon_start": 0.2}, "epsilon_final <= epsilon_start"),
-        ({"hidden": ()}, "hidden layer"),
+        ({"epsilon_final": 1.5}, "epsilon_final must lie between 0 and 1"),
     ],
 )
 def test_settings_that_make_no_sense_are_refused(setting: dict, message: str) -> None:
@@ -267,4 +309,18 @@ def test_settings_that_make_no_sense_are_refused(setting: dict, message: str) ->
 
 def test_an_update_without_experience_is_refused() -> None:
     with pytest.raises(ValueError, match="empty replay"):
-        DQN(SMALL, 6, 3, 0).update()
+        make().update()
+
+
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
+def test_the_learner_works_on_cuda(tmp_path: Path) -> None:
+    agent = make(dataclasses.replace(SMALL, device="cuda"))
+    fill(agent, 100)
+    agent.standardise()
+    for _ in range(10):
+        agent.update()
+    state = {name: array.copy() for name, array in agent.state_dict().items()}
+    other = make(dataclasses.replace(SMALL, device="cuda"), seed=3)
+    other.load_state_dict(state)
+    assert other.policy().sha256 == agent.policy().sha256
+    assert agent.policy().act(np.ones(INPUTS)) in range(ACTIONS)

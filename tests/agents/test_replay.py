@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import torch
 
 from agents.replay import Replay
 
 
 def filled(capacity: int, count: int) -> Replay:
-    replay = Replay(capacity, 4)
+    replay = Replay(capacity, (2, 2))
     for i in range(count):
         replay.add(np.full((2, 2), i), i % 3, i / 10, np.full((2, 2), i + 1), terminated=i % 5 == 4)
     return replay
@@ -18,42 +19,53 @@ def filled(capacity: int, count: int) -> Replay:
 def test_the_oldest_transition_makes_room() -> None:
     replay = filled(10, 13)
     assert len(replay) == 10
-    assert sorted(replay.observations[:, 0]) == list(range(3, 13))
-    row = int(np.flatnonzero(replay.observations[:, 0] == 9)[0])
-    np.testing.assert_array_equal(replay.next_observations[row], [10, 10, 10, 10])
-    assert (replay.actions[row], replay.terminated[row]) == (0, 1)
-    assert replay.rewards[row] == np.float32(0.9)
+    stored = replay.arrays
+    assert sorted(stored["observations"][:, 0, 0]) == list(range(3, 13))
+    row = int(np.flatnonzero(stored["observations"][:, 0, 0] == 9)[0])
+    np.testing.assert_array_equal(stored["next_observations"][row], np.full((2, 2), 10))
+    assert (stored["actions"][row], stored["terminated"][row]) == (0, 1)
+    assert stored["rewards"][row] == np.float32(0.9)
 
 
 def test_sampling_is_uniform_over_what_is_stored() -> None:
-    rows = filled(50, 20).sample(np.random.default_rng(0), 20_000)
-    counts = np.bincount(rows, minlength=20)
+    batch = filled(50, 20).sample(np.random.default_rng(0), 20_000)
+    counts = np.bincount(batch.observations[:, 0, 0].int(), minlength=20)
     assert len(counts) == 20
     assert np.abs(counts - 1000).max() < 5 * np.sqrt(1000)
 
 
 def test_sampling_repeats_with_its_generator() -> None:
     first, second = (filled(9, 9).sample(np.random.default_rng(3), 50) for _ in range(2))
-    np.testing.assert_array_equal(first, second)
+    for one, other in zip(first, second, strict=True):
+        assert torch.equal(one, other)
+
+
+def test_a_batch_holds_whole_transitions() -> None:
+    batch = filled(50, 20).sample(np.random.default_rng(0), 30)
+    number = batch.observations[:, 0, 0]
+    assert torch.equal(batch.next_observations[:, 1, 1], number + 1)
+    assert torch.equal(batch.actions, number.long() % 3)
+    torch.testing.assert_close(batch.rewards, number / 10)
+    assert torch.equal(batch.terminated, (number % 5 == 4).float())
 
 
 def test_an_empty_replay_cannot_be_sampled() -> None:
     with pytest.raises(ValueError, match="empty replay"):
-        Replay(5, 4).sample(np.random.default_rng(0), 1)
+        Replay(5, (4,)).sample(np.random.default_rng(0), 1)
 
 
 @pytest.mark.parametrize("count", [0, 7, 10, 23])
 def test_state_round_trip(count: int) -> None:
-    source, target = filled(10, count), Replay(10, 4)
+    source, target = filled(10, count), Replay(10, (2, 2))
     target.load_state_dict({name: array.copy() for name, array in source.state_dict().items()})
     for replay in (source, target):
-        replay.add(np.full(4, -1), 0, 0, np.full(4, -2), True)
+        replay.add(np.full((2, 2), -1), 0, 0, np.full((2, 2), -2), True)
     for name, array in source.state_dict().items():
         np.testing.assert_array_equal(array, target.state_dict()[name])
 
 
 def test_a_state_of_other_sizes_is_refused() -> None:
-    with pytest.raises(ValueError, match=r"shape \(5, 4\), got \(8, 4\)"):
-        Replay(5, 4).load_state_dict(filled(8, 9).state_dict())
-    with pytest.raises(ValueError, match=r"shape \(3, 7\), got \(3, 4\)"):
-        Replay(8, 7).load_state_dict(filled(8, 3).state_dict())
+    with pytest.raises(ValueError, match=r"shape \(5, 2, 2\), got \(8, 2, 2\)"):
+        Replay(5, (2, 2)).load_state_dict(filled(8, 9).state_dict())
+    with pytest.raises(ValueError, match=r"shape \(3, 7\), got \(3, 2, 2\)"):
+        Replay(8, (7,)).load_state_dict(filled(8, 3).state_dict())

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,7 @@ import pandas as pd
 
 from experiments.study import grid
 from experiments.study.evaluate import COLUMNS
-from experiments.study.store import EPISODES, TRAINING, WEIGHTS, Store
+from experiments.study.store import EPISODES, GATES, TRAINING, WEIGHTS, Store
 
 DURATION = {"highway": 20, "two-way": 15, "roundabout": 11, "intersection": 13, "u-turn": 10}
 CRASH = {"idle": 0.7, "random": 0.75, "faster": 0.9, "slower": 0.1, "idm": 0.2, "careful": 0.03, "dqn": 0.25}
@@ -39,21 +40,31 @@ SPEED = {
 }
 TYPES = ("rear-end", "side", "frontal", "junction")
 # What can be wrong with an agent, by name.
-FAULTS = ("diverged", "constant", "standing", "poor")
+FAULTS = ("diverged", "constant", "tied", "poor")
 
 
 def generator(*words: object) -> np.random.Generator:
     return np.random.default_rng(zlib.crc32(repr(words).encode()))
 
 
-def episodes(cell: grid.Cell, effect: float, spread: float, fault: str | None) -> pd.DataFrame:
-    """Test episodes of a cell; `effect` is added to the treated agents' chance to crash in risky traffic."""
+def episodes(
+    cell: grid.Cell, effect: float, spread: float, fault: str | None, purpose: str = "test"
+) -> pd.DataFrame:
+    """Episodes of a cell; `effect` is added to the treated agents' chance to crash in risky traffic."""
     random = generator(cell.slug, "test")
     own = random.normal(0, spread) if cell.kind == "agent" else 0.0
+    if purpose != "test":
+        random = generator(cell.slug, purpose)
     tables = []
-    for traffic in grid.TRAFFICS:
-        n, steps = cell.episodes, DURATION[cell.task]
-        luck = generator(cell.task, cell.level, traffic).uniform(size=n)  # shared by all who are tested
+    for traffic in grid.TRAFFICS if purpose == "test" else cell.gate_traffics:
+        n = cell.episodes if purpose == "test" else cell.gate_episodes
+        steps = DURATION[cell.task]
+        words = (
+            (cell.task, cell.level, traffic)
+            if purpose == "test"
+            else (cell.task, cell.level, traffic, purpose)
+        )
+        luck = generator(*words).uniform(size=n)  # shared by all who are tested
         chance = CRASH[cell.policy] + 0.05 * (cell.level - 1) + own + 0.15 * (traffic == "risky")
         chance += effect * (cell.arm == "treatment" and traffic == "risky")
         noise = random.uniform(-0.3, 0.3, n)
@@ -69,13 +80,13 @@ def episodes(cell: grid.Cell, effect: float, spread: float, fault: str | None) -
         table["length"], table["crashed"] = length, crashed
         table["arrived"] = (cell.task == "intersection") & ~crashed
         table["truncated"] = ~crashed & ~table["arrived"]
-        speed = SPEED[cell.policy] if fault != "standing" else 0.2
+        speed = SPEED[cell.policy]
         table["mean_speed"] = speed if fault == "diverged" else np.abs(random.normal(speed, 1.0, n))
         table["distance"] = table["mean_speed"] * length
         table["min_ttc"] = np.where(random.uniform(size=n) < 0.2, np.inf, random.uniform(0.1, 8, n))
         table["near_misses"] = random.poisson(1 + 0.5 * (traffic == "risky"), n)
         table["density"] = random.normal(8 * cell.level, 1, n)
-        table["stopped"] = 0.9 if fault == "standing" else 0.02
+        table["stopped"] = 0.02
         shares = np.eye(5)[4] if fault in ("constant", "diverged") else np.array([0.1, 0.3, 0.1, 0.2, 0.3])
         actions = np.array([random.multinomial(k, shares) for k in length])
         for action in range(5):
@@ -94,7 +105,12 @@ def episodes(cell: grid.Cell, effect: float, spread: float, fault: str | None) -
             if column.startswith("crash_"):
                 table[column] = table[column].astype(object).where(crashed, None)
         tables.append(table)
-    return pd.concat(tables)[list(COLUMNS)].astype(COLUMNS)
+    result = pd.concat(tables)[list(COLUMNS)].astype(COLUMNS)
+    if fault == "tied":  # what it does is never constant, but pays exactly what a constant policy is paid
+        slower = replace(cell, kind="baseline", arm=None, seed=None, policy="slower")
+        theirs = episodes(slower, effect, spread, None, purpose)
+        result["return"] = theirs[theirs["traffic"].isin(result["traffic"].unique())]["return"]
+    return result
 
 
 def training(cell: grid.Cell) -> pd.DataFrame:
@@ -146,8 +162,8 @@ def write(
 
     levels: numbers by task. faults: a fault by slug, for example {"sumo-highway-50-control-s0": "diverged"}.
     """
-    profiles = {task: {"updates": updates, "gamma": 0.95, "hidden": [8]} for task in grid.TASKS}
-    cells = grid.build(backend, levels, seeds, tests, profiles, preset)
+    profiles = {task: {"updates": updates, "gamma": 0.95} for task in grid.TASKS}
+    cells = grid.build(backend, levels, seeds, tests, profiles, preset, gate_episodes=100)
     wanted = [cell for cell in cells if cell.arm in arms or cell.policy in baselines]
     store = Store(directory)
     weights = directory / "weights.npz"
@@ -158,7 +174,10 @@ def write(
             "timing": {"train_seconds": 30.0, "test_seconds": 2.0, "finished": "2026-01-01T00:00:00Z"},
             "provenance": {"packages": {"libsumo": "1.28.0"}, "cpu": "a processor", "git": "0123abc"},
         }
-        files: dict[str, Any] = {EPISODES: episodes(cell, effect, spread, fault)}
+        files: dict[str, Any] = {
+            EPISODES: episodes(cell, effect, spread, fault),
+            GATES: episodes(cell, 0.0, spread, fault, "gate"),  # sound agents pass, whatever the effect
+        }
         if cell.kind == "agent":
             files |= {TRAINING: training(cell), WEIGHTS: weights}
             record["learner"] = learner(cell, fault)

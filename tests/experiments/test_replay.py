@@ -20,9 +20,7 @@ from tests.experiments.fake_env import make_env
 def cells(tmp_path_factory):
     """Directories of a stored agent and of a stored baseline."""
     home = store.Store(tmp_path_factory.mktemp("results"))
-    wanted = cells_of(
-        SweepOptions(preset="smoke", tasks=("highway",), updates=100, episodes=3, target_lag=50)
-    )
+    wanted = cells_of(SweepOptions(preset="smoke", tasks=("highway",), updates=100, episodes=3))
     chosen = [cell for cell in wanted if cell.arm == "control" or cell.policy == "random"]
     for cell in chosen:
         worker.compute(cell, home, make_env)

@@ -14,6 +14,8 @@ from types import ModuleType
 
 import pytest
 
+from experiments.causal.analysis import analyse
+from experiments.causal.tables import comparable
 from experiments.study import grid, store, worker
 from experiments.study.claims import Claims, Heart
 from experiments.study.presets import PRESETS
@@ -27,7 +29,6 @@ TINY = {
     "tasks": ("u-turn",),
     "updates": 300,
     "episodes": 3,
-    "target_lag": 50,
     "workers": 2,
 }
 
@@ -308,4 +309,89 @@ def test_presets_name_every_task_and_keep_the_arms_comparable():
         assert json.loads(json.dumps(profiles)) == profiles
     assert PRESETS["paper"].seeds == 10
     assert PRESETS["paper"].profiles()["highway"]["gamma"] == 0.99
-    assert PRESETS["paper"].profiles()["highway"]["target_lag"] == 500
+    paper = PRESETS["paper"].profiles()["roundabout"]
+    assert (paper["network"], paper["steps_per_update"], paper["finite_horizon"]) == ("dueling", 1, False)
+    for name in ("quick", "standard"):
+        tuned = PRESETS[name].profiles()
+        assert {task: profile["finite_horizon"] for task, profile in tuned.items()} == {
+            task: task == "roundabout" for task in grid.TASKS
+        }
+        assert {profile["network"] for profile in tuned.values()} == {"attention"}
+
+
+NETWORK = """
+from torch import nn
+class Mine(nn.Module):
+    def __init__(self, space, actions):
+        super().__init__()
+        self.layers = nn.Sequential(nn.Flatten(), nn.Linear(space.shape[0] * space.shape[1], actions))
+    def forward(self, x):
+        return self.layers(x)
+"""
+POLICY = """
+class Mine:
+    def __init__(self, env): pass
+    def act(self, observation): return 4
+"""
+
+
+def test_a_network_of_the_users_own_is_trained_and_stored(tmp_path, monkeypatch):
+    file = tmp_path / "mine.py"
+    file.write_text(NETWORK)
+    assert (
+        run(tmp_path / "results", network=f"{file}:Mine", tasks=("roundabout",)) == 0
+    )  # the time is observed
+    results = store.load(tmp_path / "results")
+    agents = [record for record in results.cells.values() if record["key"]["kind"] == "agent"]
+    assert len(agents) == 2
+    for record in agents:
+        assert record["key"]["profile"]["network"] == "mine.py:Mine"
+        assert record["source"] == f"{file}:Mine"
+
+    from experiments.replay import Options as ReplayOptions
+    from experiments.replay import replay
+
+    name = next(name for name, record in results.cells.items() if record["key"]["arm"] == "treatment")
+    case = ReplayOptions(f"{tmp_path}/results/cells/{name}:risky:1", out=tmp_path / "picture.png")
+    assert replay(case, make_env) == 0
+
+    before = {cell.name for cell in cells_of(Options(**TINY, network=f"{file}:Mine")) if cell.arm}
+    elsewhere = tmp_path / "other" / "mine.py"
+    elsewhere.parent.mkdir()
+    elsewhere.write_text(NETWORK)
+    moved = {cell.name for cell in cells_of(Options(**TINY, network=f"{elsewhere}:Mine")) if cell.arm}
+    assert moved == before  # where the file lies does not matter, what it says does
+    elsewhere.write_text(NETWORK + "# changed")
+    changed = {cell.name for cell in cells_of(Options(**TINY, network=f"{elsewhere}:Mine")) if cell.arm}
+    assert not changed & before
+
+
+def test_policies_of_the_users_own_get_cells_of_their_own(tmp_path):
+    stable_baselines3 = pytest.importorskip("stable_baselines3")
+    file, zipped = tmp_path / "mine.py", tmp_path / "model.zip"
+    file.write_text(POLICY)
+    stable_baselines3.DQN("MlpPolicy", make_env("sumo", "u-turn"), device="cpu").save(zipped)
+    assert run(tmp_path / "results", policy=(f"{file}:Mine", str(zipped))) == 0
+    results = store.load(tmp_path / "results")
+    episodes = results.episodes.set_index("policy")
+    assert {"mine.py:Mine", "model.zip"} <= set(episodes.index)
+    mine, slower = (episodes.loc[policy, "return"].tolist() for policy in ("mine.py:Mine", "slower"))
+    assert mine == slower
+    chosen, left_out = comparable(results)
+    assert not left_out and set(chosen.cells) == set(results.cells)
+    assert {record["policy"] for record in analyse(results)["policies"]} >= {"mine.py:Mine", "model.zip"}
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"network": "none.py:Mine"}, "no file none.py"),
+        ({"network": "transformer"}, "choose attention, dueling or FILE:CLASS"),
+        ({"policy": ("none.zip",)}, "no file none.zip"),
+        ({"policy": ("careful",)}, "Expected FILE:NAME"),
+    ],
+)
+def test_a_file_that_is_not_there_is_named(tmp_path, options, message):
+    with pytest.raises(UserError) as error:
+        run(tmp_path, **options)
+    assert message in str(error.value)

@@ -10,17 +10,27 @@ from typing import Any
 
 import numpy as np
 
-from agents.dqn import DQNConfig
 from agents.training import train
 from experiments.causal.analysis import analyse
 from experiments.study import store
+from tests.agents.curves import Config
 from tests.agents.road import Road
+from tests.agents.test_training import Small
 from tests.experiments import synthetic
 
 LEVELS = {"highway": (1,), "u-turn": (1, 2)}
-FAULTS = {"sumo-highway-50-control-s0": "diverged", "sumo-u-turn-3-control-s1": "standing"}
-LEARNER = DQNConfig(
-    updates=1200, hidden=(24, 16), stream=(12,), batch_size=16, warm_up=60, target_lag=50, probe_interval=400
+FAULTS = {"sumo-highway-50-control-s0": "diverged", "sumo-u-turn-3-control-s1": "tied"}
+# Settings of the learner in numpy that the golden curves are of: explores from the first step, copies the target.
+LEARNER = Config(
+    updates=1200,
+    steps_per_update=1,
+    gamma=0.99,
+    learning_rate_final=5e-4,
+    batch_size=16,
+    warm_up=60,
+    standardise=False,
+    target_interval=50,
+    tau=1.0,
 )
 SEEDS = range(12)
 PARTS = 6  # of the training steps
@@ -41,7 +51,7 @@ def analysis() -> dict[str, Any]:
 
 def curves() -> dict[str, list[list[float]]]:
     """Return and crash rate in each sixth of the training steps: mean and standard error over the seeds."""
-    agents = train(Road(), LEARNER, list(SEEDS))
+    agents = [train(Road(), LEARNER, seed, network=Small) for seed in SEEDS]
     parts: dict[str, list[list[float]]] = {"return": [], "crash_rate": []}
     for agent in agents:
         log = agent.episodes

@@ -11,9 +11,9 @@ from dataclasses import replace
 
 import pandas as pd
 import pytest
+from torch import nn
 
-from agents.architecture import Architecture
-from agents.policy import GreedyPolicy
+from agents.greedy import Greedy
 from experiments.study import claims, grid, store
 from experiments.study.evaluate import evaluate
 from experiments.support.errors import UserError
@@ -46,12 +46,11 @@ def directory(tmp_path, cells):
     """A directory with all cells finished."""
     home = store.Store(tmp_path / "results")
     weights = tmp_path / "weights.npz"
-    architecture = Architecture(10, 5, (4,), (4,))
-    GreedyPolicy(architecture, [0.0] * architecture.parameters).save(weights)
+    Greedy(nn.Linear(10, 5)).save(weights)
     for cell in cells:
         env = make_env(cell.backend, cell.task, cell.env_config)
         table = evaluate(env, Idle(), cell.task, cell.level, cell.episodes)
-        files = {store.EPISODES: table}
+        files = {store.EPISODES: table, store.GATES: table}
         record = {"timing": {"test_seconds": 1.0}, "provenance": {"cpu": "none"}}
         if cell.kind == "agent":
             files |= {store.TRAINING: TRAINING_TABLE, store.WEIGHTS: weights}
@@ -67,7 +66,7 @@ def test_a_stored_cell_is_finished_and_comes_back(directory, cells):
     assert not home.is_finished(replace(cells[0], seed=77))
     record = store.read_cell(directory / "cells" / cells[0].name)
     assert record["key"] == json.loads(json.dumps(cells[0].key()))
-    assert set(record["files"]) == {store.EPISODES, store.TRAINING, store.WEIGHTS}
+    assert set(record["files"]) == {store.EPISODES, store.GATES, store.TRAINING, store.WEIGHTS}
 
 
 def test_results_are_tidy(directory, cells):
@@ -90,7 +89,7 @@ def test_the_same_content_has_the_same_bytes(directory, cells, tmp_path):
     env = make_env(cell.backend, cell.task, cell.env_config)
     other = store.Store(tmp_path / "other")
     table = evaluate(env, Idle(), cell.task, cell.level, cell.episodes)
-    other.write(cell, {}, {store.EPISODES: table})
+    other.write(cell, {}, {store.EPISODES: table, store.GATES: table})
     first, second = (
         store.read_cell(home / "cells" / cell.name)["files"] for home in (directory, other.directory)
     )

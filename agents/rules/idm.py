@@ -13,7 +13,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from agents.perception import LANE_WIDTH, SIDES, LaneMemory, Perception, View
+from agents.rules.perception import LANE_WIDTH, SIDES, LaneMemory, Perception, View
 
 ACCELERATION, DECELERATION = 3.0, 5.0  # [m/s2] comfortable
 TIME_GAP = 1.5  # [s]

@@ -14,7 +14,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from agents.perception import LANE_WIDTH, SIDES, LaneMemory, Perception, View
+from agents.rules.perception import LANE_WIDTH, SIDES, LaneMemory, Perception, View
 
 STEP = 0.25  # [s] of the prediction
 HORIZON = 4.0  # [s]

@@ -1,0 +1,56 @@
+"""The greedy policy of a trained network, and its file."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import nn
+
+from agents.checkpoint import load_arrays, save_arrays
+
+
+class Greedy:
+    """The action of highest Q (the lowest number on a tie). ``network``: on the CPU, maps (1, ...) to (1, actions)."""
+
+    def __init__(self, network: nn.Module) -> None:
+        self.network = network.eval()
+
+    @torch.inference_mode()
+    def q(self, observation: np.ndarray) -> np.ndarray:
+        """Q of every action, (actions,), for one observation."""
+        return self.network(torch.as_tensor(observation, dtype=torch.float32)[None])[0].numpy()
+
+    def act(self, observation: np.ndarray) -> int:
+        """The greedy action."""
+        return int(self.q(observation).argmax())
+
+    def reset(self, seed: int | None = None) -> None:
+        """Nothing to do: a greedy policy has no state."""
+
+    @property
+    def sha256(self) -> str:
+        """Fingerprint of the weights."""
+        digest = hashlib.sha256()
+        for name, value in self.network.state_dict().items():
+            digest.update(name.encode() + value.numpy().tobytes())
+        return digest.hexdigest()
+
+    def save(self, path: str | Path) -> None:
+        """Write the weights as an npz, an array each, by their names in the network."""
+        save_arrays(path, {name: value.numpy() for name, value in self.network.state_dict().items()})
+
+    @classmethod
+    def load(cls, path: str | Path, network: nn.Module) -> Greedy:
+        """Read weights written by :meth:`save` into a network of the same kind.
+
+        Raises ValueError when they belong to another one, CheckpointError when the file is damaged.
+        """
+        arrays = {name: torch.from_numpy(array) for name, array in load_arrays(path).items()}
+        try:
+            network.load_state_dict(arrays)
+        except RuntimeError as error:
+            raise ValueError(f"{path} holds the weights of another network: {error}") from error
+        return cls(network)

@@ -1,0 +1,44 @@
+"""Objects from a user's own file, named "FILE:NAME"."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.util
+from pathlib import Path
+from typing import Any
+
+
+def split(name: str) -> tuple[Path, str]:
+    """File and name in it. Raises ValueError when it has another form or there is no such file."""
+    file, colon, attribute = name.rpartition(":")
+    if not (colon and file and attribute.isidentifier()):
+        raise ValueError(f"Expected FILE:NAME, for example my_file.py:MyNetwork, got {name!r}.")
+    path = Path(file)
+    if not path.is_file():
+        raise ValueError(f"There is no file {file} (from {name!r}).")
+    return path, attribute
+
+
+def sha256(path: Path) -> str:
+    """Fingerprint of a file."""
+    return hashlib.sha256(path.read_bytes()).hexdigest()
+
+
+def load_object(name: str) -> Any:
+    """Run the file of "FILE:NAME" as a module of its own and return the object of that name.
+
+    Raises ValueError when there is no such file or name, or when the file cannot be run.
+    """
+    path, attribute = split(name)
+    label = f"user_{path.stem}_{sha256(path)[:8]}"
+    description = importlib.util.spec_from_file_location(label, path)
+    if description is None or description.loader is None:
+        raise ValueError(f"{path} is no Python file.")
+    module = importlib.util.module_from_spec(description)
+    try:
+        description.loader.exec_module(module)
+    except Exception as error:
+        raise ValueError(f"{path} cannot be run: {type(error).__name__}: {error}") from error
+    if not hasattr(module, attribute):
+        raise ValueError(f"{path} defines no {attribute}.")
+    return getattr(module, attribute)

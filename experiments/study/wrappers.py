@@ -1,0 +1,72 @@
+"""What a task's training changes about its environment, by gymnasium's wrappers; the same in both arms."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+
+class TimeObserved(gym.ObservationWrapper[Any, Any, Any], gym.utils.RecordConstructorArgs):
+    """Adds a column to observations (vehicles, features): in the ego's row the share of the episode that is over.
+
+    gymnasium's TimeAwareObservation would flatten the table of vehicles. ``steps``: length of an episode.
+    """
+
+    def __init__(self, env: gym.Env[Any, Any], steps: int) -> None:
+        gym.utils.RecordConstructorArgs.__init__(self, steps=steps)
+        gym.ObservationWrapper.__init__(self, env)
+        space = env.observation_space
+        if not isinstance(space, gym.spaces.Box) or len(space.shape) != 2:
+            raise ValueError(f"Only observations (vehicles, features) can get a column of time, not {space}.")
+        low = np.column_stack([space.low, np.zeros(space.shape[0])]).astype(np.float32)
+        high = np.column_stack([space.high, np.ones(space.shape[0])]).astype(np.float32)
+        self.observation_space = gym.spaces.Box(low, high)
+        self._steps, self._time = steps, 0
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Begin an episode at time 0."""
+        self._time = 0
+        return super().reset(seed=seed, options=options)
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        """Count the step."""
+        self._time += 1
+        return super().step(action)
+
+    def observation(self, observation: np.ndarray) -> np.ndarray:
+        """The observation with its column of time."""
+        column = np.zeros(len(observation), observation.dtype)
+        column[0] = min(self._time / self._steps, 1.0)
+        return np.column_stack([observation, column])
+
+
+class TerminalLimit(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs):
+    """The time limit is an end like any other: nothing is expected beyond it."""
+
+    def __init__(self, env: gym.Env[Any, Any]) -> None:
+        gym.utils.RecordConstructorArgs.__init__(self)
+        gym.Wrapper.__init__(self, env)
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        """A step, whose truncation counts as termination."""
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        return observation, reward, terminated or truncated, False, info
+
+
+def observed(env: gym.Env[Any, Any], profile: Mapping[str, Any]) -> gym.Env[Any, Any]:
+    """The environment as an agent of this profile observes it."""
+    if not profile.get("finite_horizon"):
+        return env
+    config = env.unwrapped.config  # type: ignore[attr-defined]
+    return TimeObserved(env, round(config["duration"] * config.get("policy_frequency", 1)))
+
+
+def trained_on(env: gym.Env[Any, Any], profile: Mapping[str, Any]) -> gym.Env[Any, Any]:
+    """The environment as an agent of this profile is trained on it."""
+    env = observed(env, profile)
+    return TerminalLimit(env) if profile.get("finite_horizon") else env

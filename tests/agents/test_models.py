@@ -1,0 +1,148 @@
+"""Networks: gradients, the mask of the attention, standardised inputs, and networks from a user's file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+import pytest
+import torch
+
+from agents.models import NETWORKS, DuelingMLP, EgoAttention, Standardised, network_class
+
+SPACE = gym.spaces.Box(-1, 1, (6, 5), np.float32)
+ACTIONS = 5
+
+
+def table(vehicles: int, seed: int = 0, batch: int = 4) -> torch.Tensor:
+    """Observations of the ego and so many others; the other rows are zeros."""
+    x = torch.zeros(batch, *SPACE.shape)
+    x[:, : vehicles + 1] = (
+        torch.rand(batch, vehicles + 1, 5, generator=torch.Generator().manual_seed(seed)) + 0.1
+    )
+    return x
+
+
+@pytest.fixture
+def attention() -> EgoAttention:
+    torch.manual_seed(0)
+    return EgoAttention(SPACE, ACTIONS).eval()
+
+
+def test_the_dueling_network_is_the_papers() -> None:
+    network = DuelingMLP(gym.spaces.Box(-1, 1, (5, 5)), ACTIONS)
+    assert [tuple(p.shape) for p in network.base.parameters() if p.ndim == 2] == [
+        (256, 25),
+        (192, 256),
+        (128, 192),
+    ]
+    assert sum(p.numel() for p in network.parameters()) == 147_526
+    advantage, value = (
+        network.advantage(network.base(torch.ones(1, 25))),
+        network.value(network.base(torch.ones(1, 25))),
+    )
+    q = network(torch.ones(1, 5, 5))
+    torch.testing.assert_close(q.mean(), value[0, 0])  # the advantage has no mean
+    torch.testing.assert_close(q - q.mean(), advantage - advantage.mean())
+
+
+@pytest.mark.parametrize("name", list(NETWORKS))
+def test_gradients_are_those_of_finite_differences(name: str) -> None:
+    torch.manual_seed(1)
+    network = NETWORKS[name](SPACE, 3).double()
+    x = table(3, batch=2).double()
+    weights = torch.nn.utils.parameters_to_vector(network.parameters()).detach()
+    network(x).square().sum().backward()
+    gradient = torch.cat([p.grad.flatten() for p in network.parameters()])
+
+    def loss(vector: torch.Tensor) -> float:
+        torch.nn.utils.vector_to_parameters(vector, network.parameters())
+        with torch.no_grad():
+            return float(network(x).square().sum())
+
+    generator = np.random.default_rng(0)
+    for _ in range(10):  # along random directions, in which all parameters take part
+        direction = torch.from_numpy(generator.normal(size=len(weights)))
+        step = 1e-6
+        slope = (loss(weights + step * direction) - loss(weights - step * direction)) / (2 * step)
+        assert slope == pytest.approx(float(gradient @ direction), rel=1e-3)
+
+
+def test_absent_vehicles_have_no_weight_and_no_influence(attention: EgoAttention) -> None:
+    x = table(2)
+    weights = attention.attention(x)
+    assert weights.shape == (4, 2, 6)
+    torch.testing.assert_close(weights.sum(2), torch.ones(4, 2))
+    assert (weights[:, :, 3:] == 0).all() and (weights[:, :, :3] > 0).all()
+    torch.testing.assert_close(attention(x), attention(x[:, :3]))  # the rows may as well not be there
+
+
+def test_the_order_of_the_others_does_not_matter_and_the_ego_does(attention: EgoAttention) -> None:
+    x = table(4)
+    torch.testing.assert_close(attention(x[:, [0, 3, 1, 4, 2, 5]]), attention(x))
+    assert (attention(x[:, [1, 0, 2, 3, 4, 5]]) - attention(x)).abs().max() > 1e-4
+
+
+def test_an_ego_alone_is_no_special_case(attention: EgoAttention) -> None:
+    weights = attention.attention(table(0))
+    assert (weights[:, :, 0] == 1).all()
+    assert torch.isfinite(attention(torch.zeros(1, *SPACE.shape))).all()
+
+
+def test_attention_needs_a_table_of_vehicles() -> None:
+    with pytest.raises(ValueError, match="vehicles, features"):
+        EgoAttention(gym.spaces.Box(-1, 1, (25,)), ACTIONS)
+
+
+class Echo(torch.nn.Module):
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        return x
+
+
+def test_vehicles_are_standardised_and_absent_ones_stay_zero() -> None:
+    network = Standardised(Echo(), SPACE)
+    x = table(3, batch=500)
+    x[:, :, 0] = (x != 0).any(2).float()  # presence: constant, hence left as it is
+    x[:, 0, 1] += 5
+    x[::2, 3] = 0  # the third vehicle is there half of the time
+    assert (network(x) == x).all()  # before anything is known
+    network.fit(x)
+    y = network(x)
+    present = (x != 0).any(2)
+    assert (y[~present] == 0).all()
+    assert (y[:, :, 0] == x[:, :, 0]).all()
+    ego, others = y[:, 0, 1:], y[:, 1:, 1:][present[:, 1:]]
+    for rows in (ego, others):
+        torch.testing.assert_close(rows.mean(0), torch.zeros(4), atol=1e-5, rtol=0)
+        torch.testing.assert_close(rows.std(0), torch.ones(4), atol=1e-4, rtol=0)
+
+
+def test_observations_of_another_shape_are_standardised_entry_by_entry() -> None:
+    network = Standardised(Echo(), gym.spaces.Box(-1, 1, (3,)))
+    x = torch.tensor([[0.0, 2.0, 7.0], [0.0, 4.0, 7.0]])
+    network.fit(x)
+    torch.testing.assert_close(network(x), torch.tensor([[0.0, -(0.5**0.5), 7.0], [0.0, 0.5**0.5, 7.0]]))
+
+
+def test_a_network_of_a_users_own_file(tmp_path: Path) -> None:
+    file = tmp_path / "mine.py"
+    file.write_text(
+        "from torch import nn\n"
+        "class Mine(nn.Module):\n"
+        "    def __init__(self, space, actions):\n"
+        "        super().__init__()\n"
+        "        self.layer = nn.Linear(space.shape[0] * space.shape[1], actions)\n"
+        "    def forward(self, x):\n"
+        "        return self.layer(x.flatten(1))\n"
+    )
+    assert network_class(f"{file}:Mine")(SPACE, 3)(table(1)).shape == (4, 3)
+    with pytest.raises(ValueError, match="defines no Other"):
+        network_class(f"{file}:Other")
+    with pytest.raises(ValueError, match="no file"):
+        network_class(f"{tmp_path}/none.py:Mine")
+    with pytest.raises(ValueError, match="choose attention, dueling or FILE:CLASS"):
+        network_class("transformer")
+    file.write_text("1 / 0\n")
+    with pytest.raises(ValueError, match="cannot be run: ZeroDivisionError"):
+        network_class(f"{file}:Mine")

@@ -1,0 +1,118 @@
+"""The gates, one by one, on episodes made for them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from experiments.causal.gates import CROSSINGS, gates
+
+N = 50
+LUCK = np.random.default_rng(0).normal(0, 1, N)  # of the scenarios, shared by everybody
+PLACE = {"backend": "sumo", "level": 1, "level_name": "1"}
+
+
+def cell(policy: str, task: str, arm: str | None = None, largest: float = 10.0) -> dict[str, Any]:
+    kind = "agent" if arm else "baseline"
+    key = {**PLACE, "task": task, "kind": kind, "policy": policy, "arm": arm, "seed": 0 if arm else None}
+    return {"key": key, "learner": {"probe_q": [[100, 1.0, largest]], "q_bound": 20.0} if arm else None}
+
+
+def episodes(
+    name: str, returns: Any, distance: float = 100.0, stopped: float = 0.0, traffic: str = "regular"
+) -> pd.DataFrame:
+    table = pd.DataFrame({"cell": name, "traffic": traffic, "scenario": np.arange(N), "return": returns})
+    return table.assign(distance=distance, stopped=stopped, length=10, action_0=5, action_1=5)
+
+
+def verdict(task: str, agent: pd.DataFrame, arm: str = "control", **others: pd.DataFrame) -> dict[str, Any]:
+    cells = {"agent": cell("dqn", task, arm), **{policy: cell(policy, task) for policy in others}}
+    (record,) = gates(cells, pd.concat([agent, *others.values()]))
+    return record
+
+
+def test_a_tie_with_a_constant_policy_is_a_failure() -> None:
+    """Whatever actions it takes, an agent that always gets what standing gets has learnt nothing."""
+    record = verdict("highway", episodes("agent", 9 + LUCK), slower=episodes("slower", 9 + LUCK))
+    assert record["failed"] == ["not_constant", "beats_constant"]
+    assert "the return is that of slower in 100%" in record["gates"]["not_constant"]["note"]
+
+
+def test_a_tie_with_another_than_the_best_constant_policy_is_one_too() -> None:
+    record = verdict(
+        "highway",
+        episodes("agent", 9 + LUCK),
+        slower=episodes("slower", 9 + LUCK),
+        faster=episodes("faster", 9.1 + LUCK[::-1]),
+    )
+    assert "not_constant" in record["failed"]
+
+
+@pytest.mark.parametrize(("advantage", "passed"), [(0.5, True), (0.1, False), (-0.1, False)])
+def test_an_agent_has_to_be_two_standard_errors_above_the_best_constant_policy(
+    advantage: float, passed: bool
+) -> None:
+    noise = np.random.default_rng(1).normal(0, 1, N)
+    noise -= noise.mean()  # the standard error of the difference is .14
+    agent = episodes("agent", 9 + advantage + LUCK + noise)
+    others = {"slower": episodes("slower", 9 + LUCK), "faster": episodes("faster", 5 + LUCK)}
+    assert verdict("highway", agent, **others)["gates"]["beats_constant"]["passed"] is passed
+
+
+def test_waiting_where_waiting_pays_more_than_anything_else_is_no_failure() -> None:
+    waiting = episodes("agent", 9.6 + LUCK * 0.9, distance=8.0, stopped=0.8)
+    references = {
+        "slower": episodes("slower", 9.1 + LUCK, distance=5.0, stopped=0.9),
+        "faster": episodes("faster", 3.0 + LUCK),
+        "careful": episodes("careful", 9.4 + LUCK),
+    }
+    record = verdict("roundabout", waiting, **references)
+    assert record["passed"] is True
+    assert record["gates"]["crosses"]["note"] == "above careful, which crosses"
+
+
+def test_waiting_where_crossing_pays_more_is_a_failure() -> None:
+    waiting = episodes("agent", 9.6 + LUCK * 0.9, distance=8.0)
+    references = {
+        "slower": episodes("slower", 9.1 + LUCK, distance=5.0),
+        "careful": episodes("careful", 9.9 + LUCK),
+    }
+    record = verdict("roundabout", waiting, **references)
+    assert record["failed"] == ["crosses"]
+    assert record["gates"]["crosses"]["note"] == "not above careful, which crosses"
+
+
+@pytest.mark.parametrize("task", list(CROSSINGS))
+def test_entering_in_half_of_the_scenarios_is_enough(task: str) -> None:
+    way = np.where(np.arange(N) < N // 2, CROSSINGS[task] + 1, CROSSINGS[task] - 1)
+    agent = episodes("agent", 9 + LUCK).assign(distance=way)
+    references = {
+        "slower": episodes("slower", 5 + LUCK, distance=0.0),
+        "careful": episodes("careful", 20 + LUCK),
+    }
+    gate = verdict(task, agent, **references)["gates"]["crosses"]
+    assert gate["passed"] is True and gate["value"] == 0.5
+
+
+def test_tasks_without_a_crossing_have_nothing_to_enter() -> None:
+    record = verdict(
+        "highway", episodes("agent", 9 + LUCK, distance=0.0), slower=episodes("slower", 5 + 2 * LUCK)
+    )
+    assert record["gates"]["crosses"]["passed"] is True
+
+
+def test_an_agent_is_judged_in_the_traffic_that_it_was_trained_in() -> None:
+    agent = pd.concat([episodes("agent", 1 + LUCK), episodes("agent", 9 + LUCK, traffic="risky")])
+    slower = pd.concat([episodes("slower", 5 + 2 * LUCK, traffic=t) for t in ("regular", "risky")])
+    assert verdict("highway", agent, "treatment", slower=slower)["passed"] is True
+    assert verdict("highway", agent, "control", slower=slower)["passed"] is False
+
+
+def test_values_beyond_what_rewards_allow_are_divergence() -> None:
+    cells = {"agent": cell("dqn", "highway", "control", largest=24.1), "slower": cell("slower", "highway")}
+    table = pd.concat([episodes("agent", 9 + LUCK), episodes("slower", 5 + 2 * LUCK)])
+    (record,) = gates(cells, table)
+    assert record["failed"] == ["q_bounded"]

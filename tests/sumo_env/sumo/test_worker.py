@@ -301,8 +301,18 @@ def run(tmp_path: Path, script: str) -> subprocess.Popen[str]:
 
 
 def pids(script: subprocess.Popen[str]) -> list[int]:
+    """Process ids of its workers. Its first line is read byte by byte: `communicate` ignores what is buffered."""
+    return [int(pid) for pid in line(script).split()]
+
+
+def line(script: subprocess.Popen[str]) -> str:
     assert script.stdout is not None
-    return [int(pid) for pid in script.stdout.readline().split()]
+    read, byte = "", ""
+    while byte != "\n":
+        byte = os.read(script.stdout.fileno(), 1).decode()
+        assert byte, "the script has ended too early"
+        read += byte
+    return read
 
 
 @pytest.mark.parametrize("end", ["", "sys.exit(3)", "1 / 0", "os.kill(os.getpid(), 9)", "os._exit(0)"])
@@ -337,8 +347,7 @@ def test_ctrl_c_while_a_worker_starts_prints_no_traceback_of_it(tmp_path: Path) 
         "except KeyboardInterrupt:\n    print('stopped')\n",
     )
     workers = pids(script)
-    assert script.stdout is not None
-    script.stdout.readline()
+    line(script)
     time.sleep(0.3)
     os.killpg(script.pid, signal.SIGINT)
     out, errors = script.communicate(timeout=60)

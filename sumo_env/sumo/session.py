@@ -66,7 +66,6 @@ class Session:
 
     def __init__(self) -> None:
         self._settings: Settings | None = None
-        self._folder: tempfile.TemporaryDirectory[str] | None = None
         self._limits: dict[str, float] = {}
 
     def load(self, settings: Settings) -> None:
@@ -76,33 +75,32 @@ class Session:
                 _vehicle.remove(name)
             return
         self._settings = None  # until the new network is loaded
-        if self._folder is None:
-            self._folder = tempfile.TemporaryDirectory(prefix="sumo_env-")
-        additional = Path(self._folder.name) / "types.rou.xml"
-        _write_routes(additional, settings)
-        options = [
-            "-n", str(settings.net_file),
-            "-r", str(additional),
-            "--step-length", f"{settings.step_length:.6g}",
-            "--lanechange.duration", f"{settings.lane_change_duration:g}",
-            "--collision.action", "warn",
-            "--collision.check-junctions", "true",
-            "--collision.mingap-factor", "0",
-            "--time-to-teleport", "-1",
-            "--max-depart-delay", "-1",
-            "--default.speeddev", "0",
-            "--xml-validation", "never",
-            "--xml-validation.net", "never",
-            "--no-step-log", "true",
-            "--no-warnings", "true",
-            "--duration-log.disable", "true",
-            "--seed", "42",
-            *settings.options,
-        ]  # fmt: skip
-        if libsumo.isLoaded():
-            libsumo.load(options)
-        else:
-            libsumo.start(["sumo", *options])
+        with tempfile.TemporaryDirectory(prefix="sumo_env-") as folder:
+            types = Path(folder) / "types.add.xml"
+            _write_types(types, settings)
+            options = [
+                "-n", str(settings.net_file),
+                "-a", str(types),
+                "--step-length", f"{settings.step_length:.6g}",
+                "--lanechange.duration", f"{settings.lane_change_duration:g}",
+                "--collision.action", "warn",
+                "--collision.check-junctions", "true",
+                "--collision.mingap-factor", "0",
+                "--time-to-teleport", "-1",
+                "--max-depart-delay", "-1",
+                "--default.speeddev", "0",
+                "--xml-validation", "never",
+                "--xml-validation.net", "never",
+                "--no-step-log", "true",
+                "--no-warnings", "true",
+                "--duration-log.disable", "true",
+                "--seed", "42",
+                *settings.options,
+            ]  # fmt: skip
+            if libsumo.isLoaded():
+                libsumo.load(options)
+            else:
+                libsumo.start(["sumo", *options])
         self._limits.clear()
         self._settings = settings
 
@@ -115,9 +113,6 @@ class Session:
         self._settings = None
         if libsumo.isLoaded():
             libsumo.close()
-        if self._folder is not None:
-            self._folder.cleanup()
-            self._folder = None
 
     # -- vehicles ------------------------------------------------------------------------------------------
 
@@ -232,9 +227,9 @@ def _state(front: tuple[float, float], angle: float, speed: float) -> State:
     )
 
 
-def _write_routes(path: Path, settings: Settings) -> None:
-    """A route file with every vehicle type and every route."""
-    root = ElementTree.Element("routes")
+def _write_types(path: Path, settings: Settings) -> None:
+    """An additional file with every vehicle type and every route."""
+    root = ElementTree.Element("additional")
     for name, attributes in settings.vehicle_types:
         ElementTree.SubElement(root, "vType", {"id": name, **attributes})
     for name, edges in settings.routes:

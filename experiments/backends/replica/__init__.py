@@ -1,0 +1,1 @@
+"""The replica: highway-env's physics, compiled with numba, without SUMO."""

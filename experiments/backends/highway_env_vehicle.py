@@ -54,6 +54,8 @@ class ScenarioVehicle(IDMVehicle):
         vehicle.DISTANCE_WANTED = driver.min_gap + VEHICLE_LENGTH  # between centres
         vehicle.TIME_WANTED, vehicle.DELTA = driver.tau, driver.delta
         vehicle.ACC_MAX = driver.emergency_decel
+        vehicle.LANE_CHANGE_MAX_BRAKING_IMPOSED = driver.safe_braking
+        vehicle.LANE_CHANGE_MIN_ACC_GAIN = driver.min_gain
         return vehicle
 
     def lanes_beside(self, direction: int) -> list[LaneIndex]:
@@ -105,7 +107,8 @@ class PathVehicle(ScenarioVehicle):
             return float(super().acceleration(ego_vehicle, front_vehicle, rear_vehicle))
         wanted = self.desired_gap(ego_vehicle, front_vehicle, projected=False)
         free = float(super().acceleration(ego_vehicle))
-        return free - self.COMFORT_ACC_MAX * float(wanted / not_zero(distance)) ** 2
+        ratio = float(wanted / not_zero(distance))
+        return free - self.COMFORT_ACC_MAX * (ratio * ratio)
 
 
 def distance_beyond(vehicle: Any, front: Vehicle) -> float | None:

@@ -11,55 +11,60 @@ from experiments.backends.replica.compiled import compiled
 
 HALF_LENGTH, HALF_WIDTH = 2.5, 1.0  # [m]
 DIAGONAL = math.sqrt(29.0)  # [m]
-# Normals of the sides of a rectangle, in its own frame and in highway-env's order:
-NORMALS = ((-1.0, 0.0), (0.0, 1.0), (1.0, 0.0), (0.0, -1.0))
 
 
 @compiled
-def reach(normal_x: float, normal_y: float, heading: float) -> float:
-    """Half the extent of a rectangle along a direction [m]."""
-    c, s = math.cos(heading), math.sin(heading)
-    return HALF_LENGTH * abs(normal_x * c + normal_y * s) + HALF_WIDTH * abs(normal_y * c - normal_x * s)
+def corners(car: Any) -> Any:
+    """``RoadObject.polygon``: the corners and the first again, shape (5, 2)."""
+    c, s = math.cos(car.heading), math.sin(car.heading)
+    points = np.empty((5, 2))
+    for k in range(5):
+        along = HALF_LENGTH if k in (2, 3) else -HALF_LENGTH
+        across = HALF_WIDTH if k in (1, 2) else -HALF_WIDTH
+        points[k, 0], points[k, 1] = c * along - s * across + car.x, s * along + c * across + car.y
+    return points
 
 
 @compiled
-def apart(low: float, high: float, other_low: float, other_high: float) -> float:
+def interval_distance(low: float, high: float, other_low: float, other_high: float) -> float:
     """``utils.interval_distance``, negative if the intervals overlap."""
     return other_low - high if low < other_low else low - other_high
 
 
 @compiled
-def touch(a: Any, b: Any, dt: float) -> tuple[bool, bool, float, float]:
-    """``utils.are_polygons_intersecting``: do cars touch now, will they in `dt` [s], and the way that frees the first [m].
+def touch(first: Any, second: Any, dt: float) -> tuple[bool, bool, float, float]:
+    """``utils.are_polygons_intersecting``: do cars touch now, will they after `dt` [s], and the way that frees the first.
 
-    The way, x and y, means something only if they will touch.
+    The way, x and y [m], means something only if they will touch.
     """
+    a, b = corners(first), corners(second)
+    move_x = first.speed * math.cos(first.heading) * dt - second.speed * math.cos(second.heading) * dt
+    move_y = first.speed * math.sin(first.heading) * dt - second.speed * math.sin(second.heading) * dt
+    apart_x, apart_y = a[:4, 0].mean() - b[:4, 0].mean(), a[:4, 1].mean() - b[:4, 1].mean()
     now, soon, least, way_x, way_y = True, True, math.inf, 0.0, 0.0
-    move_x = (a.speed * math.cos(a.heading) - b.speed * math.cos(b.heading)) * dt
-    move_y = (a.speed * math.sin(a.heading) - b.speed * math.sin(b.heading)) * dt
-    for heading in (a.heading, b.heading):
-        c, s = math.cos(heading), math.sin(heading)
-        for u, v in NORMALS:
-            nx, ny = u * c - v * s, u * s + v * c
-            centre, other = a.x * nx + a.y * ny, b.x * nx + b.y * ny
-            half, other_half = reach(nx, ny, a.heading), reach(nx, ny, b.heading)
-            low, high = centre - half, centre + half
-            if apart(low, high, other - other_half, other + other_half) > 0.0:
-                now = False
-            move = nx * move_x + ny * move_y
-            if move < 0.0:
-                low += move
-            else:
-                high += move
-            distance = apart(low, high, other - other_half, other + other_half)
-            if distance > 0.0:
-                soon = False
-            if not now and not soon:
-                return False, False, 0.0, 0.0
-            if abs(distance) < least:
-                least = abs(distance)
-                side = 1.0 if centre > other else -1.0
-                way_x, way_y = side * nx, side * ny
+    for side in range(8):
+        points, k = (a, side) if side < 4 else (b, side - 4)
+        nx, ny = points[k, 1] - points[k + 1, 1], points[k + 1, 0] - points[k, 0]
+        norm = math.sqrt(nx * nx + ny * ny)
+        nx, ny = nx / norm, ny / norm
+        shadow, other = a[:, 0] * nx + a[:, 1] * ny, b[:, 0] * nx + b[:, 1] * ny
+        low, high, other_low, other_high = shadow.min(), shadow.max(), other.min(), other.max()
+        if interval_distance(low, high, other_low, other_high) > 0.0:
+            now = False
+        move = nx * move_x + ny * move_y
+        if move < 0.0:
+            low += move
+        else:
+            high += move
+        overlap = interval_distance(low, high, other_low, other_high)
+        if overlap > 0.0:
+            soon = False
+        if not now and not soon:
+            break
+        if abs(overlap) < least:
+            least = abs(overlap)
+            sign = 1.0 if apart_x * nx + apart_y * ny > 0.0 else -1.0
+            way_x, way_y = sign * nx, sign * ny
     return now, soon, least * way_x, least * way_y
 
 

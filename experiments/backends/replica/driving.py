@@ -26,6 +26,7 @@ from experiments.backends.replica.geometry import (
     position,
 )
 from experiments.backends.replica.neighbours import distance_beyond, neighbours
+from experiments.backends.replica.numpy_loops import binary
 from experiments.backends.replica.tables import NONE
 
 LANE_CHANGE_DELAY = 1.0  # [s] a decision of MOBIL is due when the timer exceeds it
@@ -86,42 +87,48 @@ def follow_road(lanes: Any, places: Any, car: Any, i: int) -> None:
 
 
 @compiled
-def desired_gap(driver: Any, speed: float, leader_speed: float) -> float:
-    """``IDMVehicle.desired_gap``: the distance of centres [m] that `driver` wants at these speeds [m/s]."""
+def desired_gap(driver: Any, speed: float, faster: float) -> float:
+    """``IDMVehicle.desired_gap``: the distance of centres [m] that `driver` wants at this speed [m/s].
+
+    faster: how much faster than the leader [m/s].
+    """
     braking = 2.0 * math.sqrt(driver.accel * driver.decel)
-    return driver.jam_distance + speed * driver.tau + speed * (speed - leader_speed) / braking
+    return driver.jam_distance + speed * driver.tau + speed * faster / braking
 
 
 @compiled
-def projected_speed(cars: Any, i: int, j: int) -> float:
-    """Speed of car `j` along the heading of car `i` [m/s]."""
-    return cars[j].speed * math.cos(cars[j].heading - cars[i].heading)
+def approach(car: Any, leader: Any) -> float:
+    """How much faster than a leader a car drives, along its own heading [m/s]."""
+    c, s = math.cos(car.heading), math.sin(car.heading)
+    faster_x = car.speed * c - leader.speed * math.cos(leader.heading)
+    faster_y = car.speed * s - leader.speed * math.sin(leader.heading)
+    return faster_x * c + faster_y * s
 
 
 @compiled
-def acceleration(lanes: Any, cars: Any, places: Any, along_path: bool, driver: Any, i: int, j: int) -> float:
+def acceleration(lanes: Any, cars: Any, places: Any, rules: Any, driver: Any, i: int, j: int) -> float:
     """``IDMVehicle.acceleration`` [m/s2] of car `i` behind car `j` by the parameters of `driver`; NONE: nobody.
 
-    along_path: the distance and speed of a leader beyond the end of the lane are measured along the path (the variant
-    ``path``) instead of projected on the lane and heading of the follower.
+    The distance and speed of a leader beyond the end of the lane are projected on the lane and heading of the follower
+    or, by ``rules.along_path``, measured along the path.
     """
     if i == NONE:
         return 0.0
     car = cars[i]
     wanted = not_zero(min(max(car.target_speed, 0.0), lanes[car.lane].limit))
-    result = driver.accel * (1.0 - (max(car.speed, 0.0) / wanted) ** driver.delta)
+    result = driver.accel * (1.0 - binary(rules.loops.power, max(car.speed, 0.0) / wanted, driver.delta))
     if j == NONE:
         return result
     distance = math.nan
-    if along_path:
+    if rules.along_path:
         distance = distance_beyond(lanes, places, car.lane, car.target, i, j)
     if math.isnan(distance):
-        gap = desired_gap(driver, car.speed, projected_speed(cars, i, j))
+        gap = desired_gap(driver, car.speed, approach(car, cars[j]))
         distance = places[S, car.lane, j] - places[S, car.lane, i]
     else:
-        gap = desired_gap(driver, car.speed, cars[j].speed)
+        gap = desired_gap(driver, car.speed, car.speed - cars[j].speed)
     ratio = gap / not_zero(distance)
-    return result - driver.accel * ratio * ratio
+    return result - driver.accel * (ratio * ratio)
 
 
 # -- lane changes -------------------------------------------------------------------------------------------------
@@ -134,31 +141,31 @@ def is_taken(cars: Any, places: Any, i: int) -> bool:
     for j in range(len(cars)):
         if j != i and cars[j].target == car.target and cars[j].lane != car.target:
             distance = places[S, car.lane, j] - places[S, car.lane, i]
-            if 0.0 < distance < desired_gap(car, car.speed, projected_speed(cars, i, j)):
+            if 0.0 < distance < desired_gap(car, car.speed, approach(car, cars[j])):
                 return True
     return False
 
 
 @compiled
-def mobil(lanes: Any, cars: Any, places: Any, along_path: bool, i: int, lane: int) -> bool:
+def mobil(lanes: Any, cars: Any, places: Any, rules: Any, i: int, lane: int) -> bool:
     """``IDMVehicle.mobil``: is a change of car `i` to `lane` safe, and either planned or worth it?"""
     car = cars[i]
     front, rear = neighbours(lanes, places, i, lane)
-    if acceleration(lanes, cars, places, along_path, car, rear, i) < -car.safe_braking:
+    if acceleration(lanes, cars, places, rules, car, rear, i) < -car.safe_braking:
         return False
-    after = acceleration(lanes, cars, places, along_path, car, i, front)
+    after = acceleration(lanes, cars, places, rules, car, i, front)
     if car.planned != NONE:  # the route asks for a lane
         road, here = lanes[car.target].road, car.target - lanes[car.target].road
         if np.sign(lane - road - here) != np.sign(car.planned - here):
             return False
         return after >= -car.safe_braking
     old_front = neighbours(lanes, places, i, car.lane)[0]
-    before = acceleration(lanes, cars, places, along_path, car, i, old_front)
+    before = acceleration(lanes, cars, places, rules, car, i, old_front)
     return after - before >= car.min_gain
 
 
 @compiled
-def change_lane(lanes: Any, cars: Any, places: Any, along_path: bool, i: int) -> None:
+def change_lane(lanes: Any, cars: Any, places: Any, rules: Any, i: int) -> None:
     """``IDMVehicle.change_lane_policy``: decide by MOBIL, or give up a change that another driver makes too."""
     car = cars[i]
     lane = lanes[car.lane]
@@ -174,7 +181,7 @@ def change_lane(lanes: Any, cars: Any, places: Any, along_path: bool, i: int) ->
             continue
         within = 0.0 <= places[S, new, i] < lanes[new].length + VEHICLE_LENGTH
         is_reachable = within and abs(places[LAT, new, i]) <= REACHABLE
-        if is_reachable and abs(car.speed) >= MIN_SPEED and mobil(lanes, cars, places, along_path, i, new):
+        if is_reachable and abs(car.speed) >= MIN_SPEED and mobil(lanes, cars, places, rules, i, new):
             car.target = new
 
 
@@ -182,17 +189,17 @@ def change_lane(lanes: Any, cars: Any, places: Any, along_path: bool, i: int) ->
 
 
 @compiled
-def drive(lanes: Any, cars: Any, places: Any, along_path: bool, i: int) -> None:
+def drive(lanes: Any, cars: Any, places: Any, rules: Any, i: int) -> None:
     """``IDMVehicle.act`` but for the steering: writes the car's target lane and acceleration."""
     car = cars[i]
     follow_road(lanes, places, car, i)
     if car.changes_lanes:
         car.is_forced = car.is_forced and car.lane != car.target
         if not car.is_forced:
-            change_lane(lanes, cars, places, along_path, i)
+            change_lane(lanes, cars, places, rules, i)
     front = neighbours(lanes, places, i, car.lane)[0]
-    wanted = acceleration(lanes, cars, places, along_path, car, i, front)
+    wanted = acceleration(lanes, cars, places, rules, car, i, front)
     if car.lane != car.target:
         front = neighbours(lanes, places, i, car.target)[0]
-        wanted = min(wanted, acceleration(lanes, cars, places, along_path, car, i, front))
+        wanted = min(wanted, acceleration(lanes, cars, places, rules, car, i, front))
     car.acceleration = min(max(wanted, -car.acc_max), car.acc_max)

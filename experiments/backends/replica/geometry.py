@@ -9,7 +9,8 @@ import math
 from typing import Any
 
 from experiments.backends.replica.compiled import compiled
-from experiments.backends.replica.tables import CIRCULAR, SINE, STRAIGHT
+from experiments.backends.replica.numpy_loops import binary, unary
+from experiments.backends.replica.tables import CIRCULAR, SINE
 
 # Planes of `places`, an array of shape (3, lanes, cars) that holds where cars are, for as long as they do not move:
 S = 0  # their coordinate s on each lane [m]
@@ -45,13 +46,13 @@ def position(lane: Any, s: float) -> tuple[float, float]:
 
 
 @compiled
-def heading_at(lane: Any, s: float) -> float:
+def heading_at(lane: Any, s: float, loops: Any) -> float:
     """``AbstractLane.heading_at`` [rad]."""
     if lane.kind == CIRCULAR:
         return lane.turn * s / lane.radius + lane.start_phase + math.pi / 2.0 * lane.turn
     if lane.kind == SINE:
         slope = lane.amplitude * lane.pulsation * math.cos(lane.pulsation * s + lane.phase)
-        return lane.heading + math.atan(slope)
+        return lane.heading + unary(loops.arctan, slope)
     return lane.heading
 
 
@@ -68,8 +69,8 @@ def on_axis(lane: Any, x: float, y: float) -> tuple[float, float]:
 @compiled
 def on_circle(lane: Any, phi: float, radius: float) -> tuple[float, float]:
     """(s, lat) [m] on a circular lane of the point with these polar coordinates about its centre [rad, m]."""
-    turned = wrapped(phi - lane.start_phase)
-    return lane.turn * turned * lane.radius, lane.turn * (lane.radius - radius)
+    phi = lane.start_phase + wrapped(phi - lane.start_phase)
+    return lane.turn * (phi - lane.start_phase) * lane.radius, lane.turn * (lane.radius - radius)
 
 
 @compiled
@@ -94,7 +95,7 @@ def is_on(lane: Any, s: float, lat: float) -> bool:
 
 
 @compiled
-def locate(lanes: Any, cars: Any, places: Any) -> None:
+def locate(lanes: Any, cars: Any, places: Any, loops: Any) -> None:
     """Write where all cars are on all lanes into `places`; nobody has looked at anybody yet."""
     for j in range(len(cars)):
         x, y = cars[j].x, cars[j].y
@@ -104,7 +105,7 @@ def locate(lanes: Any, cars: Any, places: Any) -> None:
             if lane.kind == CIRCULAR:
                 if lane.x != centre_x or lane.y != centre_y:  # most bends share one centre
                     centre_x, centre_y = lane.x, lane.y
-                    phi = math.atan2(y - centre_y, x - centre_x)
+                    phi = binary(loops.arctan2, y - centre_y, x - centre_x)
                     radius = math.sqrt((x - centre_x) ** 2 + (y - centre_y) ** 2)
                 places[S, k, j], places[LAT, k, j] = on_circle(lane, phi, radius)
             else:
@@ -114,20 +115,14 @@ def locate(lanes: Any, cars: Any, places: Any) -> None:
 
 
 @compiled
-def closest_lane(lanes: Any, places: Any, j: int, heading: float) -> int:
+def closest_lane(lanes: Any, places: Any, loops: Any, j: int, heading: float) -> int:
     """``RoadNetwork.get_closest_lane_index`` of car `j`; of equally close lanes the first."""
     best, least = 0, math.inf
     for k in range(len(lanes)):
         lane, s = lanes[k], places[S, k, j]
         distance = beyond_ends(lane, s, places[LAT, k, j])
         if distance < least:
-            distance += abs(wrapped(heading - heading_at(lane, s)))
+            distance += abs(wrapped(heading - heading_at(lane, s, loops)))
             if distance < least:
                 best, least = k, distance
     return best
-
-
-__all__ = [
-    "LAT", "NEAR", "SEEN", "STRAIGHT", "S", "VEHICLE_LENGTH", "beyond_ends", "closest_lane", "heading_at", "is_on",
-    "local_coordinates", "locate", "not_zero", "position", "wrapped",
-]  # fmt: skip

@@ -32,7 +32,7 @@ def route_lane(lanes: Any, car: Any, leg: int) -> int:
 
 
 @compiled
-def predict(lanes: Any, cars: Any, places: Any, predicted: Any) -> None:
+def predict(lanes: Any, cars: Any, places: Any, loops: Any, predicted: Any) -> None:
     """Write x, y [m] and heading [rad] of all cars in the next seconds, shape (cars, SAMPLES, 3).
 
     ``ControlledVehicle.predict_trajectory_constant_speed``. A route begins with the road that a car *steers for*, while
@@ -52,7 +52,7 @@ def predict(lanes: Any, cars: Any, places: Any, predicted: Any) -> None:
                     leg, lane = leg + 1, following
                     following = route_lane(lanes, car, leg + 1)
             predicted[i, k, 0], predicted[i, k, 1] = position(lanes[lane], s)
-            predicted[i, k, 2] = heading_at(lanes[lane], s)
+            predicted[i, k, 2] = heading_at(lanes[lane], s, loops)
 
 
 @compiled
@@ -101,13 +101,13 @@ def has_to_yield(lanes: Any, cars: Any, i: int, j: int) -> int:
 
 
 @compiled
-def regulate(lanes: Any, cars: Any, places: Any) -> None:
+def regulate(lanes: Any, cars: Any, places: Any, loops: Any) -> None:
     """Release the cars that gave way, at the speed limit of their lane, and find those that have to give way now."""
     for i in range(len(cars)):
         if cars[i].yields:
             cars[i].target_speed, cars[i].yields = lanes[cars[i].lane].limit, False
     predicted = np.empty((len(cars), SAMPLES, 3))
-    predict(lanes, cars, places, predicted)
+    predict(lanes, cars, places, loops, predicted)
     for i in range(len(cars)):
         for j in range(i + 1, len(cars)):
             if will_meet(predicted[i], predicted[j]):

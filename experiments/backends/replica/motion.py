@@ -7,49 +7,51 @@ from typing import Any
 
 from experiments.backends.replica.compiled import compiled
 from experiments.backends.replica.geometry import LAT, VEHICLE_LENGTH, S, heading_at, not_zero, wrapped
+from experiments.backends.replica.numpy_loops import unary
 
-TAU_ACCELERATION = 0.6  # [s]
-TAU_HEADING = 0.2  # [s]
-TAU_LATERAL = 0.6  # [s]
-TAU_PURSUIT = 0.1  # [s] look-ahead
+KP_ACCELERATION = 1 / 0.6  # [1/s]
+KP_HEADING = 1 / 0.2  # [1/s]
+KP_LATERAL = 1 / 0.6  # [1/s]
+TAU_PURSUIT = 0.5 * 0.2  # [s] look-ahead
 MAX_STEERING_ANGLE = math.pi / 3  # [rad]
-# tan(slip) = tan(steering) / 2, so that the limit of the steering angle is one of the slip angle:
-MAX_SLIP = math.sin(math.atan(math.tan(MAX_STEERING_ANGLE) / 2.0))
 MAX_SPEED = 40.0  # [m/s] beyond which a car is slowed down softly, in reverse as well
 
 
 @compiled
-def steer(lanes: Any, places: Any, car: Any, i: int) -> None:
-    """Write the sine of the slip angle with which a car steers for its target lane.
-
-    highway-env goes from the slip angle to a steering angle, which it clips, and back; this is the same without the
-    detour.
-    """
-    s, lat = places[S, car.target, i], places[LAT, car.target, i]
-    speed = not_zero(car.speed)
-    ahead = heading_at(lanes[car.target], s + car.speed * TAU_PURSUIT)
-    sideways = math.asin(min(max(-lat / TAU_LATERAL / speed, -1.0), 1.0))
-    wanted = ahead + min(max(sideways, -math.pi / 4.0), math.pi / 4.0)
-    rate = wrapped(wanted - car.heading) / TAU_HEADING
-    car.slip = min(max(VEHICLE_LENGTH / 2.0 / speed * rate, -MAX_SLIP), MAX_SLIP)
+def clip(value: float, low: float, high: float) -> float:
+    """``np.clip``."""
+    return min(max(value, low), high)
 
 
 @compiled
-def move(car: Any, dt: float) -> None:
+def steer(lanes: Any, places: Any, loops: Any, car: Any, i: int) -> None:
+    """Write the steering angle that leads a car to the middle of its target lane."""
+    s, lat = places[S, car.target, i], places[LAT, car.target, i]
+    speed = not_zero(car.speed)
+    ahead = heading_at(lanes[car.target], s + car.speed * TAU_PURSUIT, loops)
+    sideways = unary(loops.arcsin, clip(-KP_LATERAL * lat / speed, -1.0, 1.0))
+    wanted = ahead + clip(sideways, -math.pi / 4, math.pi / 4)
+    rate = KP_HEADING * wrapped(wanted - car.heading)
+    slip = unary(loops.arcsin, clip(VEHICLE_LENGTH / 2 / speed * rate, -1.0, 1.0))
+    car.steering = clip(unary(loops.arctan, 2 * unary(loops.tan, slip)), -MAX_STEERING_ANGLE, MAX_STEERING_ANGLE)
+
+
+@compiled
+def move(car: Any, loops: Any, dt: float) -> None:
     """``Vehicle.step``: an explicit Euler step of `dt` [s]; wrecks coast straight on."""
     if car.crashed:
-        car.slip, car.acceleration = 0.0, -car.speed
+        car.steering, car.acceleration = 0.0, -car.speed
     if car.speed > MAX_SPEED:
         car.acceleration = min(car.acceleration, MAX_SPEED - car.speed)
     elif car.speed < -MAX_SPEED:
         car.acceleration = max(car.acceleration, -MAX_SPEED - car.speed)
-    direction = car.heading + math.asin(car.slip)
-    car.x += car.speed * math.cos(direction) * dt
-    car.y += car.speed * math.sin(direction) * dt
+    slip = unary(loops.arctan, 1 / 2 * unary(loops.tan, car.steering))
+    car.x += car.speed * math.cos(car.heading + slip) * dt
+    car.y += car.speed * math.sin(car.heading + slip) * dt
     if car.is_pushed_apart:
         car.x += car.apart_x
         car.y += car.apart_y
         car.crashed, car.is_pushed_apart = True, False
-    car.heading += car.speed * car.slip / (VEHICLE_LENGTH / 2.0) * dt
+    car.heading += car.speed * math.sin(slip) / (VEHICLE_LENGTH / 2) * dt
     car.speed += car.acceleration * dt
     car.timer += dt

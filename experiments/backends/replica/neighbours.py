@@ -67,5 +67,5 @@ def distance_beyond(lanes: Any, places: Any, lane: int, target: int, i: int, j: 
     if aim.road != own.road:
         for k in range(1 + aim.following):
             if is_car_on(lanes, places, aim.joined[k], j):
-                return places[S, aim.joined[k], j] - places[S, lane, i] + own.length + aim.offset[k]
+                return places[S, aim.joined[k], j] - places[S, lane, i] + (own.length + aim.offset[k])
     return math.nan

@@ -22,11 +22,11 @@ ROUNDING = 1e-9  # [s] of sums of steps
 
 
 @compiled
-def has_room(lanes: Any, cars: Any, places: Any, i: int, lane: int) -> bool:
+def has_room(lanes: Any, cars: Any, places: Any, loops: Any, i: int, lane: int) -> bool:
     """Would car `i`, moved straight sideways to the middle of `lane`, be at least CUT_IN_GAP from everybody else?"""
     s = places[S, lane, i]
     x, y = position(lanes[lane], s)
-    heading = heading_at(lanes[lane], s)
+    heading = heading_at(lanes[lane], s, loops)
     for j in range(len(cars)):
         other = cars[j]
         if j == i or abs(other.x - x) + abs(other.y - y) > LOOKED_AT:
@@ -49,21 +49,21 @@ def has_free_way(cars: Any, i: int) -> bool:
 
 
 @compiled
-def cut_in(lanes: Any, cars: Any, places: Any, i: int, direction: int) -> None:
+def cut_in(lanes: Any, cars: Any, places: Any, loops: Any, i: int, direction: int) -> None:
     """Change to the lane on this side, or the other one, whatever MOBIL says; only where there is room."""
     car = cars[i]
     lane = lanes[car.target]
     for new in (car.target + direction, car.target - direction):
-        if lane.road <= new < lane.road + lane.abreast and has_room(lanes, cars, places, i, new):
+        if lane.road <= new < lane.road + lane.abreast and has_room(lanes, cars, places, loops, i, new):
             car.target, car.is_forced = new, True
             return
 
 
 @compiled
-def swerve(lanes: Any, cars: Any, places: Any, i: int) -> None:
+def swerve(lanes: Any, cars: Any, places: Any, loops: Any, i: int) -> None:
     """On the two-way road: drive in the oncoming lane for SWERVE_TIME; only from the middle of one's own."""
     car = cars[i]
-    if car.lane == car.target == OWN_LANE and has_room(lanes, cars, places, i, ONCOMING_LANE):
+    if car.lane == car.target == OWN_LANE and has_room(lanes, cars, places, loops, i, ONCOMING_LANE):
         car.target, car.swerve_left = ONCOMING_LANE, SWERVE_TIME
 
 
@@ -78,7 +78,7 @@ def return_from_swerve(car: Any, dt: float) -> None:
 
 @compiled
 def start_events(
-    lanes: Any, cars: Any, places: Any, events: Any, first: int, time: float, is_two_way: bool
+    lanes: Any, cars: Any, places: Any, rules: Any, events: Any, first: int, time: float
 ) -> int:
     """Start the events from number `first` on that are due at `time` [s]; returns the number of the next one.
 
@@ -93,10 +93,10 @@ def start_events(
                 continue
             if event.kind != CUT_IN:
                 car.push, car.push_end, car.push_way = event.acceleration, time + event.duration, event.way
-            elif is_two_way:
-                swerve(lanes, cars, places, i)
+            elif rules.is_two_way:
+                swerve(lanes, cars, places, rules.loops, i)
             else:
-                cut_in(lanes, cars, places, i, event.direction)
+                cut_in(lanes, cars, places, rules.loops, i, event.direction)
     return first
 
 

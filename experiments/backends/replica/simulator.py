@@ -14,6 +14,7 @@ from sumo_env.networks.roads import LaneIndex
 from sumo_env.scenario import Scenario
 from sumo_env.scene import VEHICLE_LENGTH, VEHICLE_WIDTH, Scene
 from sumo_env.simulator import EgoCommand, Step
+from sumo_env.tasks.intersection import WARM_UP
 
 VARIANTS = ("path", "connected", "v0")
 JOINED = ("roundabout", "intersection", "u-turn")  # tasks with lanes that continue others
@@ -62,9 +63,11 @@ class Replica:
         self._next_event = self._steps = self._policy_steps = 0
         self._crash: CrashRecord | None = None
         self._is_exit = np.array([start.startswith("il") for start, _, _ in self._lanes.names])
-        self._warmed_up = round(getattr(scenario, "warm_up", 0.0) * frequency)
+        # a scenario without the field carries vehicles that have driven for WARM_UP seconds already
+        self._warmed_up = round(getattr(scenario, "warm_up", WARM_UP) * frequency)
         placed = self._everybody[: len(scenario.specs)]
-        self._cars = self._warm_up(placed[1:].copy(), placed[:1]) if self._warmed_up else placed.copy()
+        warm = getattr(scenario, "warm_up", 0.0) > 0.0
+        self._cars = self._warm_up(placed[1:].copy(), placed[:1]) if warm else placed.copy()
         return self._scene(np.array([self._cars[name] for name in FRAME], float))
 
     def step(self, command: EgoCommand, trace: bool = False) -> Step:

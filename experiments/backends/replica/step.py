@@ -12,7 +12,8 @@ from experiments.backends.replica.contacts import collide
 from experiments.backends.replica.driving import drive, follow_road
 from experiments.backends.replica.geometry import closest_lane, locate
 from experiments.backends.replica.give_way import regulate
-from experiments.backends.replica.motion import TAU_ACCELERATION, move, steer
+from experiments.backends.replica.motion import KP_ACCELERATION, move, steer
+from experiments.backends.replica.numpy_loops import LOOPS, Loops
 from experiments.backends.replica.rectangles import ego_ttc
 from experiments.backends.replica.risk import push, return_from_swerve, start_events
 
@@ -28,12 +29,14 @@ class Rules(NamedTuple):
         is_two_way: cut-ins are swerves into the oncoming lane.
         regulation_interval: sub-steps between two applications of the right of way, 0 without it.
         dt: length of a sub-step [s].
+        loops: numpy's functions.
     """
 
     along_path: bool
     is_two_way: bool
     regulation_interval: int
     dt: float
+    loops: Loops = LOOPS
 
 
 @compiled
@@ -43,23 +46,23 @@ def act(lanes: Any, cars: Any, places: Any, rules: Any) -> None:
         car = cars[i]
         if car.is_ego:  # ``MDPVehicle.act``
             follow_road(lanes, places, car, i)
-            car.acceleration = (car.target_speed - car.speed) / TAU_ACCELERATION
+            car.acceleration = KP_ACCELERATION * (car.target_speed - car.speed)
         elif not car.crashed:
-            drive(lanes, cars, places, rules.along_path, i)
-        steer(lanes, places, car, i)
+            drive(lanes, cars, places, rules, i)
+        steer(lanes, places, rules.loops, car, i)
 
 
 @compiled
 def step(lanes: Any, cars: Any, places: Any, rules: Any, count: int) -> None:
     """``Road.step``; `count`: number of this sub-step since the first vehicles were placed, from 1."""
     if rules.regulation_interval > 0 and count % rules.regulation_interval == 0:
-        regulate(lanes, cars, places)
+        regulate(lanes, cars, places, rules.loops)
     for i in range(len(cars)):
-        move(cars[i], rules.dt)
+        move(cars[i], rules.loops, rules.dt)
         return_from_swerve(cars[i], rules.dt)
-    locate(lanes, cars, places)
+    locate(lanes, cars, places, rules.loops)
     for i in range(len(cars)):
-        cars[i].lane = closest_lane(lanes, places, i, cars[i].heading)
+        cars[i].lane = closest_lane(lanes, places, rules.loops, i, cars[i].heading)
     collide(cars, rules.dt)
 
 
@@ -67,7 +70,7 @@ def step(lanes: Any, cars: Any, places: Any, rules: Any, count: int) -> None:
 def warm_up(lanes: Any, cars: Any, rules: Any, frames: int) -> None:
     """Drive the first vehicles for some sub-steps without an ego and without risk events."""
     places = np.empty((3, len(lanes), len(cars)))
-    locate(lanes, cars, places)
+    locate(lanes, cars, places, rules.loops)
     for frame in range(frames):
         act(lanes, cars, places, rules)
         step(lanes, cars, places, rules, frame + 1)
@@ -93,10 +96,10 @@ def policy_step(
     """
     crash, least, distance = -1, math.inf, 0.0
     places = np.empty((3, len(lanes), len(cars)))
-    locate(lanes, cars, places)
+    locate(lanes, cars, places, rules.loops)
     for frame in range(len(trace)):
         time = steps * rules.dt
-        next_event = start_events(lanes, cars, places, events, next_event, time, rules.is_two_way)
+        next_event = start_events(lanes, cars, places, rules, events, next_event, time)
         distance += max(cars[0].speed, 0.0) * rules.dt
         act(lanes, cars, places, rules)
         push(cars, time, rules.dt)

@@ -7,14 +7,14 @@ the number of the left one is also the number of their road.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
 from sumo_env.drivers import Driver, RiskEvent
-from sumo_env.networks.lanes import VEHICLE_LENGTH, CircularLane, Lane, SineLane, StraightLane
+from sumo_env.networks.lanes import VEHICLE_LENGTH, CircularLane, Lane, Point, SineLane, StraightLane
 from sumo_env.networks.roads import LaneIndex, Road
 from sumo_env.scenario import EGO, VehicleSpec
 
@@ -91,7 +91,7 @@ CAR = np.dtype(
         ("push_end", "f8"),  # [s]
         ("push_way", "f8"),  # that has to be free for a surge [m]
         ("acceleration", "f8"),  # of this sub-step [m/s2]
-        ("slip", "f8"),  # sine of the angle from the heading to the direction of motion
+        ("steering", "f8"),  # angle of the front wheels [rad]
         ("crashed", "?"),
         ("is_pushed_apart", "?"),  # will be moved by `apart` in the next sub-step, because it touched another car
         ("apart_x", "f8"),  # [m]
@@ -141,8 +141,9 @@ def lanes_of(road: Road, connected: bool) -> Lanes:
         """The lane of this id, or the left one where the road has none."""
         return numbers.get((start, end, lane), roads[start, end])
 
+    curves = _as_rotated(road) if road.name == "intersection" else road.lanes
     table = np.zeros(len(names), LANE)
-    for number, ((start, end, lane), curve) in enumerate(road.lanes.items()):
+    for number, ((start, end, lane), curve) in enumerate(curves.items()):
         record = table[number]
         _write_geometry(record, curve)
         record["road"], record["abreast"] = roads[start, end], road.count(start, end)
@@ -157,6 +158,32 @@ def lanes_of(road: Road, connected: bool) -> Lanes:
         begins = [0.0, *[curve.length] * len(following), *(-road.lane(names[k]).length for k in preceding)]
         record["offset"][: len(begins)] = begins
     return Lanes(table, names, numbers)
+
+
+def _as_rotated(road: Road) -> dict[LaneIndex, Lane]:
+    """The intersection's lanes as highway-env computes them: the southern arm's, turned by a matrix.
+
+    That is 1e-14 m from the exact places. It matters because highway-env's steering is unstable below 0.7 m/s: it
+    multiplies what a car is away from the middle of its lane, be it a rounding error, until it zigzags.
+    """
+
+    def turned(point: Point, corner: int) -> Point:
+        angle = np.radians(90 * corner)
+        matrix = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+        x, y = point
+        for _ in range(-corner % 4):  # back to the southern arm, exactly
+            x, y = -y, x
+        x, y = matrix @ np.array([x, y])
+        return float(x), float(y)
+
+    lanes: dict[LaneIndex, Lane] = {}
+    for name, lane in road.lanes.items():
+        corner = (int(name[0][-1]) + name[0].startswith("il")) % 4  # an exit is built with the arm to its right
+        if isinstance(lane, CircularLane):
+            lanes[name] = replace(lane, center=turned(lane.center, corner))
+        elif isinstance(lane, StraightLane):
+            lanes[name] = replace(lane, start=turned(lane.start, corner), end=turned(lane.end, corner))
+    return lanes
 
 
 def _filled(numbers: list[int], size: int = MOST_JOINS) -> list[int]:

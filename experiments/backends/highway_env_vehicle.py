@@ -14,10 +14,10 @@ from highway_env.utils import not_zero
 from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.kinematics import Vehicle
 
-from sumo_env.scenario import VehicleSpec
 from sumo_env.scene import VEHICLE_LENGTH
+from sumo_env.traffic.scenario import VehicleSpec
 
-SWERVE_TIME = 3.0  # [s] that a cut-in into oncoming traffic lasts (as in sumo_env.traffic)
+SWERVE_TIME = 3.0  # [s] that a cut-in into oncoming traffic lasts
 ALMOST = 1e-9  # [s] rounding of sums of steps
 
 
@@ -46,8 +46,6 @@ class ScenarioVehicle(IDMVehicle):
         vehicle.timer = spec.timer
         if spec.destination is not None:
             vehicle.plan_route_to(spec.destination)
-        if spec.yielding:
-            vehicle.is_yielding, vehicle.yield_timer, vehicle.color = True, 0, None
         driver = spec.driver
         vehicle.id, vehicle.gives_way = spec.id, driver.gives_way
         vehicle.COMFORT_ACC_MAX, vehicle.COMFORT_ACC_MIN = driver.accel, -driver.decel

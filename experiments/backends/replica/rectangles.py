@@ -1,6 +1,6 @@
 """Distances of cars as rectangles, and the time until the ego touches somebody: what risk events and measures ask.
 
-The formulas are those of `sumo_env.collision` and `sumo_env.safety`.
+`separation` and the two after it are `sumo_env.contacts.rectangles`' for numba, which compiles no generators.
 """
 
 from __future__ import annotations
@@ -9,10 +9,12 @@ import math
 from typing import Any
 
 from experiments.backends.replica.compiled import compiled
-from sumo_env.safety import HORIZON
+from sumo_env.contacts import measures
+from sumo_env.contacts.measures import HORIZON, TTC_RADIUS
 
 LENGTH, WIDTH = 5.0, 2.0  # [m]
-DIAGONAL = math.sqrt(LENGTH**2 + WIDTH**2)
+
+_ego_ttc = compiled(measures.ego_ttc)
 
 
 @compiled
@@ -54,50 +56,13 @@ def distance(x1: float, y1: float, h1: float, x2: float, y2: float, h2: float) -
 
 
 @compiled
-def touch_time(dx: float, dy: float, wx: float, wy: float, h1: float, h2: float, horizon: float) -> float:
-    """Time [s] until two cars touch, inf if not within `horizon`; 0 if they do already.
-
-    (dx, dy) is the way from the first centre to the second [m], (wx, wy) its rate of change [m/s].
-    """
-    cos, sin = abs(math.cos(h2 - h1)), abs(math.sin(h2 - h1))
-    along = (LENGTH + LENGTH * cos + WIDTH * sin) / 2.0
-    across = (WIDTH + LENGTH * sin + WIDTH * cos) / 2.0
-    begin, end = 0.0, horizon
-    for k in range(4):
-        h = h1 if k < 2 else h2
-        c, s = math.cos(h), math.sin(h)
-        if k % 2 == 0:
-            apart, rate, reach = dx * c + dy * s, wx * c + wy * s, along
-        else:
-            apart, rate, reach = dy * c - dx * s, wy * c - wx * s, across
-        if abs(rate) < 1e-12:
-            if abs(apart) > reach:
-                return math.inf
-            continue
-        first, last = (-reach - apart) / rate, (reach - apart) / rate
-        if rate < 0.0:
-            first, last = last, first
-        begin, end = max(begin, first), min(end, last)
-        if begin > end:
-            return math.inf
-    return begin
-
-
-@compiled
 def ego_ttc(cars: Any) -> float:
-    """``safety.min_ttc`` of the ego, row 0 [s]."""
+    """``measures.ego_ttc`` of the ego, the first car, with those within TTC_RADIUS [s]."""
     ego, least = cars[0], math.inf
-    vx, vy = ego.speed * math.cos(ego.heading), ego.speed * math.sin(ego.heading)
+    state = (ego.x, ego.y, ego.speed, ego.heading)
     for j in range(1, len(cars)):
         car = cars[j]
-        dx, dy = car.x - ego.x, car.y - ego.y
-        horizon = min(least, HORIZON)
-        # Circles that hold the cars cannot meet whatever their headings; the millimetre is for rounding.
-        far = DIAGONAL + (abs(ego.speed) + abs(car.speed)) * horizon + 1e-3
-        if dx * dx + dy * dy > far * far:
-            continue
-        wx, wy = car.speed * math.cos(car.heading) - vx, car.speed * math.sin(car.heading) - vy
-        far = DIAGONAL + math.sqrt(wx * wx + wy * wy) * horizon
-        if dx * dx + dy * dy <= far * far:
-            least = min(least, touch_time(dx, dy, wx, wy, ego.heading, car.heading, horizon))
+        if abs(car.x - ego.x) <= TTC_RADIUS and math.hypot(car.x - ego.x, car.y - ego.y) <= TTC_RADIUS:
+            other = (car.x, car.y, car.speed, car.heading)
+            least = min(least, _ego_ttc(state, (other,), min(least, HORIZON)))
     return least

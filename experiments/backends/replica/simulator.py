@@ -9,17 +9,15 @@ import numpy as np
 from experiments.backends.replica import step as kernels
 from experiments.backends.replica.step import CRASHED, HEADING, SPEED, Rules, X, Y
 from experiments.backends.replica.tables import NONE, Records, cars_of, events_of, lanes_of
-from sumo_env.collision import CrashRecord, crash_record, separation
+from sumo_env.contacts.crash import CrashRecord, crash_record
+from sumo_env.contacts.rectangles import separation, state_of
 from sumo_env.networks.roads import LaneIndex
-from sumo_env.scenario import Scenario
-from sumo_env.scene import VEHICLE_LENGTH, VEHICLE_WIDTH, Scene
+from sumo_env.scene import Scene
 from sumo_env.simulator import EgoCommand, Step
-from sumo_env.tasks.intersection import WARM_UP
+from sumo_env.traffic.scenario import EGO_DISTANCE, SPAWN_DISTANCE, Scenario
 
 VARIANTS = ("path", "connected", "v0")
 JOINED = ("roundabout", "intersection", "u-turn")  # tasks with lanes that continue others
-SPAWN_SPACING = 15.0  # [m] between centres, below which a vehicle is not let in
-EGO_SPACING = 20.0  # [m] around the place of the ego that is cleared after a warm-up
 EXIT_MARGIN = 20.0  # [m] before the end of an exit of the intersection, where vehicles are removed
 
 FRAME = ("x", "y", "speed", "heading", "crashed")  # the rows of a frame of a trace
@@ -63,11 +61,9 @@ class Replica:
         self._next_event = self._steps = self._policy_steps = 0
         self._crash: CrashRecord | None = None
         self._is_exit = np.array([start.startswith("il") for start, _, _ in self._lanes.names])
-        # a scenario without the field carries vehicles that have driven for WARM_UP seconds already
-        self._warmed_up = round(getattr(scenario, "warm_up", WARM_UP) * frequency)
+        self._warmed_up = round(scenario.warm_up * frequency)
         placed = self._everybody[: len(scenario.specs)]
-        warm = getattr(scenario, "warm_up", 0.0) > 0.0
-        self._cars = self._warm_up(placed[1:].copy(), placed[:1]) if warm else placed.copy()
+        self._cars = self._warm_up(placed[1:].copy(), placed[:1]) if self._warmed_up else placed.copy()
         return self._scene(np.array([self._cars[name] for name in FRAME], float))
 
     def step(self, command: EgoCommand, trace: bool = False) -> Step:
@@ -110,7 +106,7 @@ class Replica:
         """``IntersectionEnv._make_vehicles``: traffic drives before the ego is placed, at least 20 m from anybody."""
         kernels.warm_up(self._lanes.table, cars, self._rules, self._warmed_up)
         cars = self._with_spawns(cars, 0)
-        return np.concatenate((ego, cars[_distance(cars, ego[0]) >= EGO_SPACING]))
+        return np.concatenate((ego, cars[_distance(cars, ego[0]) >= EGO_DISTANCE]))
 
     def _has_left(self) -> Any:
         """``IntersectionEnv._clear_vehicles``: whether each vehicle is near the end of an exit, shape (n,)."""
@@ -125,7 +121,7 @@ class Replica:
         first = len(self._scenario.specs)
         for number, spawn in enumerate(self._scenario.spawns, start=first):
             fresh = self._everybody[number : number + 1]
-            if spawn.step == step and np.all(_distance(cars, fresh[0]) >= SPAWN_SPACING):
+            if spawn.step == step and np.all(_distance(cars, fresh[0]) >= SPAWN_DISTANCE):
                 cars = np.concatenate((cars, fresh))
         return cars
 
@@ -163,10 +159,6 @@ def _record(scene: Scene) -> CrashRecord:
     """The record of the ego's crash: highway-env does not say with whom, so it is the nearest wreck."""
 
     def rank(row: int) -> tuple[bool, float]:
-        x, y, heading = scene.x, scene.y, scene.heading
-        gap = separation(
-            x[0], y[0], heading[0], x[row], y[row], heading[row], VEHICLE_LENGTH, VEHICLE_WIDTH
-        )
-        return not scene.crashed[row], float(gap)
+        return not scene.crashed[row], separation(state_of(scene, 0), state_of(scene, row))
 
     return crash_record(scene, min(range(1, len(scene)), key=rank), "highway-env")

@@ -13,10 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from sumo_env.drivers import Driver, RiskEvent
 from sumo_env.networks.lanes import VEHICLE_LENGTH, CircularLane, Lane, Point, SineLane, StraightLane
 from sumo_env.networks.roads import LaneIndex, Road
-from sumo_env.scenario import EGO, VehicleSpec
+from sumo_env.traffic.drivers import Driver
+from sumo_env.traffic.risk import RiskEvent
+from sumo_env.traffic.scenario import EGO, VehicleSpec
 
 Records = np.ndarray[Any, Any]  # a numpy record array of one of the types below
 
@@ -232,7 +233,7 @@ def cars_of(road: Road, specs: Iterable[VehicleSpec]) -> Records:
     rows = [
         (
             number, spec.id == EGO, spec.x, spec.y, spec.heading, spec.speed, numbers[spec.lane], numbers[spec.lane],
-            spec.target_speed, spec.timer, spec.changes_lanes, spec.yielding,
+            spec.target_speed, spec.timer, spec.changes_lanes, False,
             _route(road, spec.lane, spec.destination), 0, NONE if spec.destination is None else spec.lane[2],
             False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, False, False, 0.0, 0.0, *_driver(spec.driver),
         )
@@ -246,7 +247,7 @@ def events_of(events: Iterable[RiskEvent], numbers: dict[str, int]) -> Records:
     rows = [
         (
             event.time, numbers[event.vehicle], CUT_IN if event.kind == "cut-in" else PUSH, event.direction,
-            event.accel if event.kind == "surge" else -event.decel, event.duration, event.way,
+            event.accel, event.duration, event.way,
         )
         for event in events
     ]  # fmt: skip

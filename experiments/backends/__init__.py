@@ -1,6 +1,6 @@
-"""The two simulators behind one function: SUMO (this package) and highway-env (the reference).
+"""The simulators behind one function: SUMO, highway-env (the reference), and the replica of its physics.
 
-Each is imported only when it is asked for: a SUMO sweep needs no highway-env, and a highway-env sweep no
+Each is imported only when it is asked for: a SUMO sweep needs neither highway-env nor numba, and the others no
 libsumo.
 """
 
@@ -23,7 +23,7 @@ def make_env(
     """One of the five driving tasks on one of the simulators.
 
     Args:
-        backend: "sumo" or "highway-env".
+        backend: "sumo", "highway-env" or "replica".
         task: "highway", "two-way", "roundabout", "intersection" or "u-turn".
         config: highway-env's configuration keys and `risk`, laid over the task's defaults.
         render_mode: None or "rgb_array".
@@ -39,11 +39,15 @@ def make_env(
             import sumo_env  # noqa: F401  (registers the ids)
 
             return gym.make(f"sumo/{task}-v0", config=dict(config or {}), render_mode=render_mode)
+        if backend == "replica":
+            from experiments.backends import replica
+
+            return replica.make(task, config, render_mode)
         from experiments.backends import highway_env
 
         return highway_env.make(task, config, render_mode)
     except ModuleNotFoundError as error:
-        if error.name in ("libsumo", "highway_env"):
+        if error.name in ("libsumo", "highway_env", "numba"):
             raise UserError(
                 f"{backend} needs the package {error.name}, which is not installed: run make setup"
             ) from None

@@ -32,15 +32,14 @@ from experiments.backends.highway_env_vehicle import PathVehicle, ScenarioVehicl
 from sumo_env.config import Config, ConfigError, nearest, resolve
 from sumo_env.contacts import measures
 from sumo_env.contacts.crash import CrashRecord, crash_record
-from sumo_env.contacts.rectangles import separation, state_of, states
+from sumo_env.contacts.rectangles import State, separation, state_of, states
 from sumo_env.interface import interface
-from sumo_env.models.hazards import free_way, has_room
 from sumo_env.networks.roads import LaneIndex
-from sumo_env.scenario import EGO, Scenario
 from sumo_env.scene import Scene
 from sumo_env.tasks import TASKS
 from sumo_env.tasks.base import Task
-from sumo_env.tasks.intersection import WARM_UP, fits
+from sumo_env.traffic.risk import RiskEvent, free_way, has_room
+from sumo_env.traffic.scenario import EGO, EGO_DISTANCE, Scenario, fits
 
 VARIANTS = ("v0", "connected", "path")
 # Keys of highway-env that `sumo_env` does not have, as they have to be here.
@@ -147,16 +146,23 @@ class ScenarioEnv(AbstractEnv):
     def _reset(self) -> None:
         self.scenario: Scenario = self.task.scenario(self.config, int(self.np_random.integers(2**31)))
         self._events = list(self.scenario.events)
-        # vehicle -> (end [s], acceleration [m/s2], way that has to be free [m])
-        self._pushes: dict[str, tuple[float, float, float]] = {}
+        self._pushes: dict[str, tuple[float, RiskEvent]] = {}  # vehicle -> end [s] and event
         self.crash: CrashRecord | None = None
         self.min_ttc, self.distance = math.inf, 0.0
         super()._reset()
         self.scene = self._scene()
 
     def _make_vehicles(self, *_: Any) -> None:
-        """Place the scenario, in place of highway-env's draws."""
-        spec = self.scenario.ego
+        """Place the scenario, in place of highway-env's draws, and drive its warm-up (`Simulator.reset`)."""
+        scenario, spec = self.scenario, self.scenario.ego
+        vehicles = self.road.vehicles = [self._driver().place(self.road, other) for other in scenario.vehicles]
+        if scenario.warm_up:
+            for _ in range(round(scenario.warm_up * self.config["simulation_frequency"])):
+                self.road.act()
+                self.road.step(1 / self.config["simulation_frequency"])
+            self._let_in(0)
+            place = np.array([spec.x, spec.y])
+            vehicles = [v for v in self.road.vehicles if np.linalg.norm(v.position - place) >= EGO_DISTANCE]
         ego = self.action_type.vehicle_class(
             self.road, [spec.x, spec.y], heading=spec.heading, speed=spec.speed
         )
@@ -164,11 +170,15 @@ class ScenarioEnv(AbstractEnv):
         if spec.destination is not None:
             ego.plan_route_to(spec.destination)
         self.vehicle = ego
-        self.road.vehicles = [ego] + [
-            self._driver().place(self.road, other) for other in self.scenario.vehicles
-        ]
+        self.road.vehicles = [ego, *vehicles]
 
     _create_vehicles = _make_vehicles  # its name on the highway
+
+    def _let_in(self, step: int) -> None:
+        """Add the vehicles that the scenario sends after this policy step, unless another one is within 15 m."""
+        for spawn in self.scenario.spawns:
+            if spawn.step == step and fits(spawn.vehicle, [tuple(v.position) for v in self.road.vehicles]):
+                self.road.vehicles.append(self._driver().place(self.road, spawn.vehicle))
 
     def _driver(self) -> type[ScenarioVehicle]:
         return PathVehicle if self.joins and self.config["variant"] == "path" else ScenarioVehicle
@@ -194,7 +204,7 @@ class ScenarioEnv(AbstractEnv):
         self.enable_auto_render = False
 
     def _start_events(self, time: float) -> None:
-        """Risk events that are due (`sumo_env.world.World`); those of vehicles that are gone or wrecked are dropped."""
+        """Risk events that are due; those of vehicles that are gone or crashed are dropped."""
         while self._events and self._events[0].time <= time + 1e-9:
             event = self._events.pop(0)
             for vehicle in self.road.vehicles:
@@ -203,8 +213,7 @@ class ScenarioEnv(AbstractEnv):
                 if event.kind == "cut-in":
                     self._cut_in(vehicle, event.direction)
                 else:
-                    push = event.accel if event.kind == "surge" else -event.decel
-                    self._pushes[event.vehicle] = (time + event.duration, push, event.way)
+                    self._pushes[event.vehicle] = (time + event.duration, event)
 
     def _cut_in(self, vehicle: ScenarioVehicle, direction: int) -> None:
         for lane in vehicle.lanes_beside(direction):
@@ -213,33 +222,40 @@ class ScenarioEnv(AbstractEnv):
                 return
 
     def _has_room(self, vehicle: ScenarioVehicle, index: LaneIndex) -> bool:
-        scene, lane = self._scene(), self.road.network.get_lane(index)
+        lane = self.road.network.get_lane(index)
         s = lane.local_coordinates(vehicle.position)[0]
-        there = (*map(float, lane.position(s, 0.0)), float(lane.heading_at(s)))
-        return bool(has_room(scene.x, scene.y, scene.heading, scene.ids.index(vehicle.id), *there))
+        x, y = map(float, lane.position(s, 0.0))
+        there = (x, y, float(vehicle.speed), float(lane.heading_at(s)))
+        return has_room(there, self._others(vehicle)[1])
+
+    def _others(self, vehicle: Vehicle) -> tuple[State, list[State]]:
+        """The state of a vehicle and those of all others."""
+        scene = self._scene()
+        others, row = states(scene), scene.ids.index(vehicle.id)
+        return others.pop(row), others
 
     def _push(self, time: float) -> None:
         """Sudden braking and surges, over what the drivers have decided."""
         self._pushes = {name: push for name, push in self._pushes.items() if time < push[0] - 1e-9}
         if not self._pushes:
             return
-        scene = self._scene()
         for vehicle in self.road.vehicles:
             if vehicle.id not in self._pushes or vehicle.crashed:
                 continue
-            _, push, way = self._pushes[vehicle.id]
+            event = self._pushes[vehicle.id][1]
             wanted = vehicle.action["acceleration"]
-            if push < 0.0:  # to a standstill, never backwards
+            if event.accel < 0.0:  # to a standstill, never backwards
                 hardest = max(float(vehicle.speed), 0.0) * self.config["simulation_frequency"]
-                vehicle.action["acceleration"] = min(wanted, -min(-push, hardest))
-            elif free_way(scene.x, scene.y, scene.heading, scene.ids.index(vehicle.id), way):
-                vehicle.action["acceleration"] = max(wanted, push)
+                vehicle.action["acceleration"] = min(wanted, -min(-event.accel, hardest))
+            elif free_way(*self._others(vehicle), event.way):
+                vehicle.action["acceleration"] = max(wanted, event.accel)
 
     def _measure(self) -> None:
         scene = self.scene
         if not scene.crashed[0]:
             ego, *others = states(scene)
-            self.min_ttc = min(self.min_ttc, measures.ego_ttc(ego, others))
+            near = [o for o in others if math.hypot(o[0] - ego[0], o[1] - ego[1]) <= measures.TTC_RADIUS]
+            self.min_ttc = min(self.min_ttc, measures.ego_ttc(ego, near))
         elif self.crash is None:
             # highway-env says that the ego crashed, not with whom: with the nearest of the wrecks
             other = min(range(1, len(scene)), key=lambda row: (not scene.crashed[row], self._gap(row)))
@@ -301,15 +317,10 @@ class IntersectionScenario(ScenarioEnv, IntersectionEnv):
     def _make_road(self) -> None:
         super()._make_road()
         self.road.respect_priorities = _yields
-        # the rule's clock has run since the warm-up that the scenario's vehicles have behind them
-        self.road.steps = int(WARM_UP * self.config["simulation_frequency"])
 
     def _spawn_vehicle(self, *_: Any, **__: Any) -> None:
-        """Add the vehicle that the scenario sends after this policy step, unless another is within 15 m."""
-        step = self.steps * self.config["policy_frequency"] / self.config["simulation_frequency"]
-        for spawn in self.scenario.spawns:
-            if spawn.step == step and fits(spawn.vehicle, [tuple(v.position) for v in self.road.vehicles]):
-                self.road.vehicles.append(self._driver().place(self.road, spawn.vehicle))
+        """After every policy step: the scenario's vehicles, in place of highway-env's draws."""
+        self._let_in(self.steps * self.config["policy_frequency"] // self.config["simulation_frequency"])
 
     def _arrived(self) -> bool:
         return bool(self.has_arrived(self.vehicle))

@@ -14,10 +14,10 @@ from highway_env.utils import not_zero
 from highway_env.vehicle.behavior import IDMVehicle
 from highway_env.vehicle.kinematics import Vehicle
 
-from sumo_env.scenario import VehicleSpec
 from sumo_env.scene import VEHICLE_LENGTH
+from sumo_env.traffic.scenario import VehicleSpec
 
-SWERVE_TIME = 3.0  # [s] that a cut-in into oncoming traffic lasts (as in sumo_env.traffic)
+SWERVE_TIME = 3.0  # [s] that a cut-in into oncoming traffic lasts
 ALMOST = 1e-9  # [s] rounding of sums of steps
 
 
@@ -46,14 +46,14 @@ class ScenarioVehicle(IDMVehicle):
         vehicle.timer = spec.timer
         if spec.destination is not None:
             vehicle.plan_route_to(spec.destination)
-        if spec.yielding:
-            vehicle.is_yielding, vehicle.yield_timer, vehicle.color = True, 0, None
         driver = spec.driver
         vehicle.id, vehicle.gives_way = spec.id, driver.gives_way
         vehicle.COMFORT_ACC_MAX, vehicle.COMFORT_ACC_MIN = driver.accel, -driver.decel
         vehicle.DISTANCE_WANTED = driver.min_gap + VEHICLE_LENGTH  # between centres
         vehicle.TIME_WANTED, vehicle.DELTA = driver.tau, driver.delta
         vehicle.ACC_MAX = driver.emergency_decel
+        vehicle.LANE_CHANGE_MAX_BRAKING_IMPOSED = driver.safe_braking
+        vehicle.LANE_CHANGE_MIN_ACC_GAIN = driver.min_gain
         return vehicle
 
     def lanes_beside(self, direction: int) -> list[LaneIndex]:
@@ -105,7 +105,8 @@ class PathVehicle(ScenarioVehicle):
             return float(super().acceleration(ego_vehicle, front_vehicle, rear_vehicle))
         wanted = self.desired_gap(ego_vehicle, front_vehicle, projected=False)
         free = float(super().acceleration(ego_vehicle))
-        return free - self.COMFORT_ACC_MAX * float(wanted / not_zero(distance)) ** 2
+        ratio = float(wanted / not_zero(distance))
+        return free - self.COMFORT_ACC_MAX * (ratio * ratio)
 
 
 def distance_beyond(vehicle: Any, front: Vehicle) -> float | None:

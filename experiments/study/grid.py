@@ -19,7 +19,7 @@ from sumo_env.config import resolve
 from sumo_env.tasks import TASKS
 
 RESULT_SCHEMA = 3  # raise it with every change that makes stored results mean, or be, something else
-BACKENDS = ("sumo", "highway-env")
+BACKENDS = ("sumo", "highway-env", "replica")
 ARMS: dict[str, float] = {"control": 0.0, "treatment": 1.0}  # dose of risk in training
 TRAFFICS: dict[str, float] = {"regular": 0.0, "risky": 1.0}  # dose of risk in the test
 BASELINES = ("idle", "random", "faster", "slower", "idm", "careful")

@@ -1,0 +1,59 @@
+"""The replica: highway-env's physics, compiled with numba, without SUMO.
+
+It is highway-env's traffic up to rounding and its numbers (positions within 1e-6 m over whole episodes, the same
+endings), hundreds of times faster, behind the environment, the observations and the rewards of `sumo_env`.
+
+simulator  `Replica`: an episode, one compiled call per policy step
+tables     lanes, cars and risk events as record arrays
+step       a sub-step, and the loop over those of a policy step
+driving    route, car following (IDM), lane changes (MOBIL)
+neighbours who is ahead of and behind whom
+give_way   right of way at the intersection
+motion     steering and the bicycle model
+contacts   highway-env's test of contacts and what follows from one
+risk       cut-ins, sudden braking, surges
+geometry, rectangles, numpy_loops, compiled   what these are computed with
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import gymnasium as gym
+
+from experiments.backends.replica.simulator import VARIANTS, Replica
+from sumo_env.config import ConfigError, nearest
+from sumo_env.env import DrivingEnv
+from sumo_env.tasks import TASKS
+
+__all__ = ["VARIANTS", "Replica", "make"]
+
+SIMULATION_FREQUENCY = 15  # [Hz] highway-env's
+
+
+def _environment(task: str, config: Mapping[str, Any], render_mode: str | None = None) -> DrivingEnv:
+    """The environment of a task over the replica, as gymnasium's registry makes it."""
+    config = {"simulation_frequency": SIMULATION_FREQUENCY, **config}
+    variant = config.pop("variant", "path")
+    if variant not in VARIANTS:
+        raise ConfigError(f"unknown 'variant' {variant!r}: {nearest(str(variant), list(VARIANTS))}")
+    return DrivingEnv(task, config, render_mode, simulator=Replica(variant))
+
+
+for _task in TASKS:
+    gym.register(f"replica/{_task}", entry_point=f"{__name__}:_environment", kwargs={"task": _task})
+
+
+def make(
+    task: str, config: Mapping[str, Any] | None = None, render_mode: str | None = None
+) -> gym.Env[Any, Any]:
+    """The replica's environment of a task.
+
+    The configuration is that of `sumo_env` with ``simulation_frequency`` 15, highway-env's, and one key more,
+    ``variant`` (see `Replica`), which is the environment's for its whole life.
+
+    Raises:
+        ConfigError: unknown key, wrong value.
+    """
+    return gym.make(f"replica/{task}", config=dict(config or {}), render_mode=render_mode)

@@ -1,0 +1,38 @@
+"""How the kernels of this package are compiled: once for a machine, at their first call.
+
+Numba keeps the machine code in ``__pycache__`` beside the sources or, where that is read-only, in the user's cache
+directory. It compiles a function again when the function's own file has changed, but not when a function of another
+file that it calls has; therefore machine code that is older than the newest file here is dropped at import.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar, cast
+
+import numba
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+def compiled(function: Function) -> Function:
+    """Compile `function` with numba at its first call; to a type checker it stays what it was."""
+    try:
+        return cast(Function, numba.njit(cache=True)(function))
+    except RuntimeError as error:
+        if "no locator available" not in str(error):
+            raise
+        return cast(Function, numba.njit(function))  # no directory is writable: compile in each process
+
+
+def drop_outdated(package: Path) -> int:
+    """Delete the indexes of machine code that are older than a source file of `package`; returns how many."""
+    newest = max(source.stat().st_mtime for source in package.glob("*.py"))
+    outdated = [index for index in package.glob("__pycache__/*.nbi") if index.stat().st_mtime < newest]
+    for index in outdated:
+        index.unlink(missing_ok=True)  # another process may have been faster
+    return len(outdated)
+
+
+drop_outdated(Path(__file__).parent)

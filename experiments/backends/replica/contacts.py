@@ -1,0 +1,91 @@
+"""Contacts between cars: highway-env's test of rectangles now and after one step (``RoadObject.handle_collisions``)."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from experiments.backends.replica.compiled import compiled
+
+HALF_LENGTH, HALF_WIDTH = 2.5, 1.0  # [m]
+DIAGONAL = math.sqrt(29.0)  # [m]
+
+
+@compiled
+def corners(car: Any) -> Any:
+    """``RoadObject.polygon``: the corners and the first again, shape (5, 2)."""
+    c, s = math.cos(car.heading), math.sin(car.heading)
+    points = np.empty((5, 2))
+    for k in range(5):
+        along = HALF_LENGTH if k in (2, 3) else -HALF_LENGTH
+        across = HALF_WIDTH if k in (1, 2) else -HALF_WIDTH
+        points[k, 0], points[k, 1] = c * along - s * across + car.x, s * along + c * across + car.y
+    return points
+
+
+@compiled
+def interval_distance(low: float, high: float, other_low: float, other_high: float) -> float:
+    """``utils.interval_distance``, negative if the intervals overlap."""
+    return other_low - high if low < other_low else low - other_high
+
+
+@compiled
+def touch(first: Any, second: Any, dt: float) -> tuple[bool, bool, float, float]:
+    """``utils.are_polygons_intersecting``: do cars touch now, will they after `dt` [s], and the way that frees the first.
+
+    The way, x and y [m], means something only if they will touch.
+    """
+    a, b = corners(first), corners(second)
+    move_x = first.speed * math.cos(first.heading) * dt - second.speed * math.cos(second.heading) * dt
+    move_y = first.speed * math.sin(first.heading) * dt - second.speed * math.sin(second.heading) * dt
+    apart_x, apart_y = a[:4, 0].mean() - b[:4, 0].mean(), a[:4, 1].mean() - b[:4, 1].mean()
+    now, soon, least, way_x, way_y = True, True, math.inf, 0.0, 0.0
+    for side in range(8):
+        points, k = (a, side) if side < 4 else (b, side - 4)
+        nx, ny = points[k, 1] - points[k + 1, 1], points[k + 1, 0] - points[k, 0]
+        norm = math.sqrt(nx * nx + ny * ny)
+        nx, ny = nx / norm, ny / norm
+        shadow, other = a[:, 0] * nx + a[:, 1] * ny, b[:, 0] * nx + b[:, 1] * ny
+        low, high, other_low, other_high = shadow.min(), shadow.max(), other.min(), other.max()
+        if interval_distance(low, high, other_low, other_high) > 0.0:
+            now = False
+        move = nx * move_x + ny * move_y
+        if move < 0.0:
+            low += move
+        else:
+            high += move
+        overlap = interval_distance(low, high, other_low, other_high)
+        if overlap > 0.0:
+            soon = False
+        if not now and not soon:
+            break
+        if abs(overlap) < least:
+            least = abs(overlap)
+            sign = 1.0 if apart_x * nx + apart_y * ny > 0.0 else -1.0
+            way_x, way_y = sign * nx, sign * ny
+    return now, soon, least * way_x, least * way_y
+
+
+@compiled
+def collide(cars: Any, dt: float) -> None:
+    """Find who touches whom: marks wrecks, and how far those that will touch are pushed apart in the next step."""
+    n = len(cars)
+    x, y = np.empty(n), np.empty(n)
+    for i in range(n):
+        x[i], y[i] = cars[i].x, cars[i].y
+    for i in range(n):
+        near = DIAGONAL + cars[i].speed * dt  # the speed of the first alone counts, as in highway-env
+        for j in range(i + 1, n):
+            dx, dy = x[j] - x[i], y[j] - y[i]
+            if abs(dx) > near or abs(dy) > near or math.sqrt(dx * dx + dy * dy) > near:
+                continue
+            a, b = cars[i], cars[j]
+            now, soon, way_x, way_y = touch(a, b, dt)
+            if soon:
+                a.is_pushed_apart = b.is_pushed_apart = True
+                a.apart_x, a.apart_y = way_x / 2.0, way_y / 2.0
+                b.apart_x, b.apart_y = -way_x / 2.0, -way_y / 2.0
+            if now:
+                a.crashed = b.crashed = True

@@ -1,0 +1,205 @@
+"""What a driver decides: the next lane of the route, lane changes and acceleration (``IDMVehicle.act``).
+
+Car following is the Intelligent Driver Model as highway-env has it (Treiber et al. 2000),
+
+    a = A (1 - (v / v0)^delta - (d* / d)^2),    d* = d0 + v T + v (v - v_lead) / (2 sqrt(A B)),
+
+where d is the distance of *centres* and d* has no lower bound. Lane changes are MOBIL's (Kesting et al. 2007) with
+politeness 0; all accelerations in it, the new follower's as well, are those of the *deciding* driver's parameters.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from experiments.backends.replica.compiled import compiled
+from experiments.backends.replica.geometry import (
+    LAT,
+    VEHICLE_LENGTH,
+    S,
+    beyond_ends,
+    local_coordinates,
+    not_zero,
+    position,
+)
+from experiments.backends.replica.neighbours import distance_beyond, neighbours
+from experiments.backends.replica.numpy_loops import binary
+from experiments.backends.replica.tables import NONE
+
+LANE_CHANGE_DELAY = 1.0  # [s] a decision of MOBIL is due when the timer exceeds it
+MIN_SPEED = 1.0  # [m/s] below which nobody decides to change lane
+REACHABLE = 8.0  # [m] from the centre line (``AbstractLane.is_reachable_from``)
+
+
+# -- the route ----------------------------------------------------------------------------------------------------
+
+
+@compiled
+def nearest_of_road(lanes: Any, lane: int, road: int, x: float, y: float) -> tuple[int, float]:
+    """``RoadNetwork.next_lane_given_next_road``: the lane of the next road, and its distance to (x, y) [m]."""
+    first, last = road, road + lanes[road].abreast
+    if lanes[road].abreast == lanes[lane].abreast:  # the lane is kept
+        first = road + lane - lanes[lane].road
+        last = first + 1
+    best, least = first, math.inf
+    for k in range(first, last):
+        s, lat = local_coordinates(lanes[k], x, y)
+        distance = beyond_ends(lanes[k], s, lat)
+        if distance < least:
+            best, least = k, distance
+    return best, least
+
+
+@compiled
+def next_lane(lanes: Any, car: Any, s: float) -> int:
+    """``RoadNetwork.next_lane`` after the lane that a car steers for, which it has driven for `s` [m]."""
+    lane = lanes[car.target]
+    if car.leg < len(car.route) and car.route[car.leg] == lane.road:
+        car.leg += 1
+        car.planned = NONE
+    x, y = position(lane, s)
+    if car.leg < len(car.route):
+        road = car.route[car.leg]
+        if road != NONE and lanes[road].start == lane.end:
+            return nearest_of_road(lanes, car.target, road, x, y)[0]
+    best, least = car.target, math.inf
+    for k in range(len(lane.roads_after)):
+        if lane.roads_after[k] == NONE:
+            break
+        candidate, distance = nearest_of_road(lanes, car.target, lane.roads_after[k], x, y)
+        if distance < least:
+            best, least = candidate, distance
+    return best
+
+
+@compiled
+def follow_road(lanes: Any, places: Any, car: Any, i: int) -> None:
+    """``ControlledVehicle.follow_road``: on the last half vehicle length of a lane, steer for the next one."""
+    s = places[S, car.target, i]
+    if s > lanes[car.target].length - VEHICLE_LENGTH / 2.0:
+        car.target = next_lane(lanes, car, s)
+
+
+# -- car following ------------------------------------------------------------------------------------------------
+
+
+@compiled
+def desired_gap(driver: Any, speed: float, faster: float) -> float:
+    """``IDMVehicle.desired_gap``: the distance of centres [m] that `driver` wants at this speed [m/s].
+
+    faster: how much faster than the leader [m/s].
+    """
+    braking = 2.0 * math.sqrt(driver.accel * driver.decel)
+    return driver.jam_distance + speed * driver.tau + speed * faster / braking
+
+
+@compiled
+def approach(car: Any, leader: Any) -> float:
+    """How much faster than a leader a car drives, along its own heading [m/s]."""
+    c, s = math.cos(car.heading), math.sin(car.heading)
+    faster_x = car.speed * c - leader.speed * math.cos(leader.heading)
+    faster_y = car.speed * s - leader.speed * math.sin(leader.heading)
+    return faster_x * c + faster_y * s
+
+
+@compiled
+def acceleration(lanes: Any, cars: Any, places: Any, rules: Any, driver: Any, i: int, j: int) -> float:
+    """``IDMVehicle.acceleration`` [m/s2] of car `i` behind car `j` by the parameters of `driver`; NONE: nobody.
+
+    The distance and speed of a leader beyond the end of the lane are projected on the lane and heading of the follower
+    or, by ``rules.along_path``, measured along the path.
+    """
+    if i == NONE:
+        return 0.0
+    car = cars[i]
+    wanted = not_zero(min(max(car.target_speed, 0.0), lanes[car.lane].limit))
+    result = driver.accel * (1.0 - binary(rules.loops.power, max(car.speed, 0.0) / wanted, driver.delta))
+    if j == NONE:
+        return result
+    distance = math.nan
+    if rules.along_path:
+        distance = distance_beyond(lanes, places, car.lane, car.target, i, j)
+    if math.isnan(distance):
+        gap = desired_gap(driver, car.speed, approach(car, cars[j]))
+        distance = places[S, car.lane, j] - places[S, car.lane, i]
+    else:
+        gap = desired_gap(driver, car.speed, car.speed - cars[j].speed)
+    ratio = gap / not_zero(distance)
+    return result - driver.accel * (ratio * ratio)
+
+
+# -- lane changes -------------------------------------------------------------------------------------------------
+
+
+@compiled
+def is_taken(cars: Any, places: Any, i: int) -> bool:
+    """Is a car ahead of `i`, closer than `i` likes and not there yet, changing to the lane that `i` is changing to?"""
+    car = cars[i]
+    for j in range(len(cars)):
+        if j != i and cars[j].target == car.target and cars[j].lane != car.target:
+            distance = places[S, car.lane, j] - places[S, car.lane, i]
+            if 0.0 < distance < desired_gap(car, car.speed, approach(car, cars[j])):
+                return True
+    return False
+
+
+@compiled
+def mobil(lanes: Any, cars: Any, places: Any, rules: Any, i: int, lane: int) -> bool:
+    """``IDMVehicle.mobil``: is a change of car `i` to `lane` safe, and either planned or worth it?"""
+    car = cars[i]
+    front, rear = neighbours(lanes, places, i, lane)
+    if acceleration(lanes, cars, places, rules, car, rear, i) < -car.safe_braking:
+        return False
+    after = acceleration(lanes, cars, places, rules, car, i, front)
+    if car.planned != NONE:  # the route asks for a lane
+        road, here = lanes[car.target].road, car.target - lanes[car.target].road
+        if np.sign(lane - road - here) != np.sign(car.planned - here):
+            return False
+        return after >= -car.safe_braking
+    old_front = neighbours(lanes, places, i, car.lane)[0]
+    before = acceleration(lanes, cars, places, rules, car, i, old_front)
+    return after - before >= car.min_gain
+
+
+@compiled
+def change_lane(lanes: Any, cars: Any, places: Any, rules: Any, i: int) -> None:
+    """``IDMVehicle.change_lane_policy``: decide by MOBIL, or give up a change that another driver makes too."""
+    car = cars[i]
+    lane = lanes[car.lane]
+    if car.lane != car.target:
+        if lane.road == lanes[car.target].road and is_taken(cars, places, i):
+            car.target = car.lane
+        return
+    if car.timer <= LANE_CHANGE_DELAY:
+        return
+    car.timer = 0.0
+    for new in (car.lane - 1, car.lane + 1):
+        if not lane.road <= new < lane.road + lane.abreast:
+            continue
+        within = 0.0 <= places[S, new, i] < lanes[new].length + VEHICLE_LENGTH
+        is_reachable = within and abs(places[LAT, new, i]) <= REACHABLE
+        if is_reachable and abs(car.speed) >= MIN_SPEED and mobil(lanes, cars, places, rules, i, new):
+            car.target = new
+
+
+# -- all together -------------------------------------------------------------------------------------------------
+
+
+@compiled
+def drive(lanes: Any, cars: Any, places: Any, rules: Any, i: int) -> None:
+    """``IDMVehicle.act`` but for the steering: writes the car's target lane and acceleration."""
+    car = cars[i]
+    follow_road(lanes, places, car, i)
+    if car.changes_lanes:
+        car.is_forced = car.is_forced and car.lane != car.target
+        if not car.is_forced:
+            change_lane(lanes, cars, places, rules, i)
+    front = neighbours(lanes, places, i, car.lane)[0]
+    wanted = acceleration(lanes, cars, places, rules, car, i, front)
+    if car.lane != car.target:
+        front = neighbours(lanes, places, i, car.target)[0]
+        wanted = min(wanted, acceleration(lanes, cars, places, rules, car, i, front))
+    car.acceleration = min(max(wanted, -car.acc_max), car.acc_max)

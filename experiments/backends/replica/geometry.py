@@ -1,0 +1,128 @@
+"""Points on lanes (``highway_env.road.lane``), and where all cars are on all lanes.
+
+A lane's own coordinates (s, lat) are metres along its centre line and to the right of it.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from experiments.backends.replica.compiled import compiled
+from experiments.backends.replica.numpy_loops import binary, unary
+from experiments.backends.replica.tables import CIRCULAR, SINE
+
+# Planes of `places`, an array of shape (3, lanes, cars) that holds where cars are, for as long as they do not move:
+S = 0  # their coordinate s on each lane [m]
+LAT = 1  # their coordinate lat [m]
+SEEN = 2  # where a driver on the lane sees them, see `neighbours.look`
+
+VEHICLE_LENGTH = 5.0  # [m]
+NEAR = 3.0  # [m] half a lane's width and the margin of 1 m, within which a car counts as on a lane
+
+
+@compiled
+def wrapped(angle: float) -> float:
+    """``utils.wrap_to_pi`` [rad]."""
+    return (angle + math.pi) % (2.0 * math.pi) - math.pi
+
+
+@compiled
+def not_zero(value: float) -> float:
+    """``utils.not_zero``."""
+    if abs(value) > 1e-2:
+        return value
+    return 1e-2 if value >= 0.0 else -1e-2
+
+
+@compiled
+def position(lane: Any, s: float) -> tuple[float, float]:
+    """``AbstractLane.position`` on the centre line, x and y [m]."""
+    if lane.kind == CIRCULAR:
+        phi = lane.turn * s / lane.radius + lane.start_phase
+        return lane.x + lane.radius * math.cos(phi), lane.y + lane.radius * math.sin(phi)
+    lat = lane.amplitude * math.sin(lane.pulsation * s + lane.phase) if lane.kind == SINE else 0.0
+    return lane.x + s * lane.cos - lat * lane.sin, lane.y + s * lane.sin + lat * lane.cos
+
+
+@compiled
+def heading_at(lane: Any, s: float, loops: Any) -> float:
+    """``AbstractLane.heading_at`` [rad]."""
+    if lane.kind == CIRCULAR:
+        return lane.turn * s / lane.radius + lane.start_phase + math.pi / 2.0 * lane.turn
+    if lane.kind == SINE:
+        slope = lane.amplitude * lane.pulsation * math.cos(lane.pulsation * s + lane.phase)
+        return lane.heading + unary(loops.arctan, slope)
+    return lane.heading
+
+
+@compiled
+def on_axis(lane: Any, x: float, y: float) -> tuple[float, float]:
+    """(s, lat) [m] on a straight or sine lane."""
+    dx, dy = x - lane.x, y - lane.y
+    s, lat = dx * lane.cos + dy * lane.sin, dy * lane.cos - dx * lane.sin
+    if lane.kind == SINE:
+        lat -= lane.amplitude * math.sin(lane.pulsation * s + lane.phase)
+    return s, lat
+
+
+@compiled
+def on_circle(lane: Any, phi: float, radius: float) -> tuple[float, float]:
+    """(s, lat) [m] on a circular lane of the point with these polar coordinates about its centre [rad, m]."""
+    phi = lane.start_phase + wrapped(phi - lane.start_phase)
+    return lane.turn * (phi - lane.start_phase) * lane.radius, lane.turn * (lane.radius - radius)
+
+
+@compiled
+def local_coordinates(lane: Any, x: float, y: float) -> tuple[float, float]:
+    """``AbstractLane.local_coordinates``: (s, lat) [m]."""
+    if lane.kind == CIRCULAR:
+        dx, dy = x - lane.x, y - lane.y
+        return on_circle(lane, math.atan2(dy, dx), math.sqrt(dx * dx + dy * dy))
+    return on_axis(lane, x, y)
+
+
+@compiled
+def beyond_ends(lane: Any, s: float, lat: float) -> float:
+    """``AbstractLane.distance`` of the point (s, lat) [m]."""
+    return abs(lat) + max(s - lane.length, 0.0) + max(-s, 0.0)
+
+
+@compiled
+def is_on(lane: Any, s: float, lat: float) -> bool:
+    """``AbstractLane.on_lane`` with a margin of 1 m."""
+    return abs(lat) <= NEAR and -VEHICLE_LENGTH <= s < lane.length + VEHICLE_LENGTH
+
+
+@compiled
+def locate(lanes: Any, cars: Any, places: Any, loops: Any) -> None:
+    """Write where all cars are on all lanes into `places`; nobody has looked at anybody yet."""
+    for j in range(len(cars)):
+        x, y = cars[j].x, cars[j].y
+        centre_x, centre_y, phi, radius = math.nan, math.nan, 0.0, 0.0
+        for k in range(len(lanes)):
+            lane = lanes[k]
+            if lane.kind == CIRCULAR:
+                if lane.x != centre_x or lane.y != centre_y:  # most bends share one centre
+                    centre_x, centre_y = lane.x, lane.y
+                    phi = binary(loops.arctan2, y - centre_y, x - centre_x)
+                    radius = math.sqrt((x - centre_x) ** 2 + (y - centre_y) ** 2)
+                places[S, k, j], places[LAT, k, j] = on_circle(lane, phi, radius)
+            else:
+                places[S, k, j], places[LAT, k, j] = on_axis(lane, x, y)
+    if len(cars) > 0:
+        places[SEEN, :, 0] = math.inf
+
+
+@compiled
+def closest_lane(lanes: Any, places: Any, loops: Any, j: int, heading: float) -> int:
+    """``RoadNetwork.get_closest_lane_index`` of car `j`; of equally close lanes the first."""
+    best, least = 0, math.inf
+    for k in range(len(lanes)):
+        lane, s = lanes[k], places[S, k, j]
+        distance = beyond_ends(lane, s, places[LAT, k, j])
+        if distance < least:
+            distance += abs(wrapped(heading - heading_at(lane, s, loops)))
+            if distance < least:
+                best, least = k, distance
+    return best

@@ -1,0 +1,102 @@
+"""numpy's own tangent, inverse functions and power, called from kernels.
+
+They are accurate to the last bit but one, and so are those of the C library that numba calls; on processors with
+AVX-512 numpy uses other code, and the two differ in up to one of twelve results. That would matter nowhere if
+highway-env were stable. Below 0.7 m/s its steering is not: a rounding error grows sevenfold in every sub-step, and a
+car that stops after a bend ends up centimetres away. So the replica has to round as highway-env does.
+
+The address of a loop is read from the ufunc (struct ``PyUFuncObject`` of numpy's C interface) and handed to kernels as
+a number, because it is another one in every process and compiled code is kept between processes.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from typing import Any, NamedTuple
+
+import numpy as np
+from llvmlite import ir
+from numba import types
+from numba.core import cgutils
+from numba.extending import intrinsic
+
+from experiments.backends.replica.compiled import compiled
+
+
+class Loops(NamedTuple):
+    """Address of a loop and of its data, for each of the functions."""
+
+    tan: tuple[int, int]
+    arcsin: tuple[int, int]
+    arctan: tuple[int, int]
+    arctan2: tuple[int, int]
+    power: tuple[int, int]
+
+
+class _UFunc(ctypes.Structure):
+    _fields_ = [  # noqa: RUF012 (as ctypes wants it)
+        ("head", ctypes.c_byte * object.__basicsize__),
+        *((name, ctypes.c_int) for name in ("inputs", "outputs", "arguments", "identity")),
+        ("functions", ctypes.POINTER(ctypes.c_void_p)),
+        ("data", ctypes.POINTER(ctypes.c_void_p)),
+    ]
+
+
+def _loop(ufunc: Any, signature: str) -> tuple[int, int]:
+    fields, k = _UFunc.from_address(id(ufunc)), ufunc.types.index(signature)
+    return fields.functions[k] or 0, (fields.data[k] or 0) if fields.data else 0
+
+
+LOOPS = Loops(
+    _loop(np.tan, "d->d"), _loop(np.arcsin, "d->d"), _loop(np.arctan, "d->d"), _loop(np.arctan2, "dd->d"),
+    _loop(np.power, "dd->d"),
+)  # fmt: skip
+
+
+def _call(builder: Any, loop: Any, inputs: list[Any]) -> Any:
+    """Emit ``loop(pointers, &count, strides, data)`` for one element, and load the result."""
+    number, pointer = ir.IntType(64), ir.IntType(8).as_pointer()
+    cells = [cgutils.alloca_once(builder, ir.DoubleType()) for _ in range(len(inputs) + 1)]
+    for cell, value in zip(cells, inputs, strict=False):
+        builder.store(value, cell)
+    pointers = cgutils.alloca_once(builder, ir.ArrayType(pointer, len(cells)))
+    strides = cgutils.alloca_once(builder, ir.ArrayType(number, len(cells)))
+    count = cgutils.alloca_once_value(builder, number(1))
+    for k, cell in enumerate(cells):
+        builder.store(builder.bitcast(cell, pointer), cgutils.gep_inbounds(builder, pointers, 0, k))
+        builder.store(number(8), cgutils.gep_inbounds(builder, strides, 0, k))
+    arguments = [
+        builder.bitcast(pointers, pointer.as_pointer()), count, builder.bitcast(strides, number.as_pointer()),
+        builder.inttoptr(builder.extract_value(loop, 1), pointer),
+    ]  # fmt: skip
+    function = ir.FunctionType(ir.VoidType(), [argument.type for argument in arguments]).as_pointer()
+    builder.call(builder.inttoptr(builder.extract_value(loop, 0), function), arguments)
+    return builder.load(cells[-1])
+
+
+@intrinsic
+def _unary(typing_context: Any, loop: Any, x: Any) -> Any:
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return _call(builder, arguments[0], [arguments[1]])
+
+    return types.float64(loop, types.float64), emit
+
+
+@intrinsic
+def _binary(typing_context: Any, loop: Any, x: Any, y: Any) -> Any:
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        return _call(builder, arguments[0], [*arguments[1:]])
+
+    return types.float64(loop, types.float64, types.float64), emit
+
+
+@compiled
+def unary(loop: tuple[int, int], x: float) -> float:
+    """The tangent, arc sine or arc tangent of a number, such as ``unary(loops.tan, x)``; all of 0 are 0."""
+    return x if x == 0.0 else _unary(loop, x)
+
+
+@compiled
+def binary(loop: tuple[int, int], x: float, y: float) -> float:
+    """The arc tangent of y and x or the power of two numbers, such as ``binary(loops.power, x, y)``."""
+    return _binary(loop, x, y)

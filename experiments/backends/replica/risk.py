@@ -1,0 +1,120 @@
+"""What risky drivers do: cut-ins, sudden braking and surges (`sumo_env.drivers.RiskEvent`), and what they look at.
+
+The same events, by the same rules, as `experiments.backends.highway_env` starts among highway-env's vehicles.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from experiments.backends.replica.compiled import compiled
+from experiments.backends.replica.geometry import S, heading_at, position
+from experiments.backends.replica.rectangles import distance
+from experiments.backends.replica.tables import CUT_IN
+
+CUT_IN_GAP = 1.0  # [m] a cut-in that would come closer than this to another car is dropped
+LOOKED_AT = 20.0  # [m] further away, along x and y together, nobody matters to a cut-in
+HALF_CORRIDOR = 2.0  # [m] to either side of the centre: half a lane
+SWERVE_TIME = 3.0  # [s] that a cut-in into oncoming traffic lasts
+OWN_LANE, ONCOMING_LANE = 1, 0  # of the two-way road, both driven to the east
+ROUNDING = 1e-9  # [s] of sums of steps
+
+
+@compiled
+def has_room(lanes: Any, cars: Any, places: Any, loops: Any, i: int, lane: int) -> bool:
+    """Would car `i`, moved straight sideways to the middle of `lane`, be at least CUT_IN_GAP from everybody else?"""
+    s = places[S, lane, i]
+    x, y = position(lanes[lane], s)
+    heading = heading_at(lanes[lane], s, loops)
+    for j in range(len(cars)):
+        other = cars[j]
+        if j == i or abs(other.x - x) + abs(other.y - y) > LOOKED_AT:
+            continue
+        if distance(x, y, heading, other.x, other.y, other.heading) < CUT_IN_GAP:
+            return False
+    return True
+
+
+@compiled
+def has_free_way(cars: Any, i: int) -> bool:
+    """Is no centre of another car in the straight corridor ahead of car `i` that its surge needs?"""
+    car = cars[i]
+    c, s = math.cos(car.heading), math.sin(car.heading)
+    for j in range(len(cars)):
+        dx, dy = cars[j].x - car.x, cars[j].y - car.y
+        if 0.0 < dx * c + dy * s < car.push_way and abs(dy * c - dx * s) < HALF_CORRIDOR:
+            return False
+    return True
+
+
+@compiled
+def cut_in(lanes: Any, cars: Any, places: Any, loops: Any, i: int, direction: int) -> None:
+    """Change to the lane on this side, or the other one, whatever MOBIL says; only where there is room."""
+    car = cars[i]
+    lane = lanes[car.target]
+    for new in (car.target + direction, car.target - direction):
+        if lane.road <= new < lane.road + lane.abreast and has_room(lanes, cars, places, loops, i, new):
+            car.target, car.is_forced = new, True
+            return
+
+
+@compiled
+def swerve(lanes: Any, cars: Any, places: Any, loops: Any, i: int) -> None:
+    """On the two-way road: drive in the oncoming lane for SWERVE_TIME; only from the middle of one's own."""
+    car = cars[i]
+    if car.lane == car.target == OWN_LANE and has_room(lanes, cars, places, loops, i, ONCOMING_LANE):
+        car.target, car.swerve_left = ONCOMING_LANE, SWERVE_TIME
+
+
+@compiled
+def return_from_swerve(car: Any, dt: float) -> None:
+    """Steer back for one's own lane when a swerve is over; called after every step of `dt` [s]."""
+    if car.swerve_left > 0.0:
+        car.swerve_left -= dt
+        if car.swerve_left <= ROUNDING:
+            car.target, car.swerve_left = OWN_LANE, 0.0
+
+
+@compiled
+def start_events(
+    lanes: Any, cars: Any, places: Any, rules: Any, events: Any, first: int, time: float
+) -> int:
+    """Start the events from number `first` on that are due at `time` [s]; returns the number of the next one.
+
+    Events of cars that have left or crashed are dropped.
+    """
+    while first < len(events) and events[first].time <= time + ROUNDING:
+        event = events[first]
+        first += 1
+        for i in range(len(cars)):
+            car = cars[i]
+            if car.number != event.car or car.crashed:
+                continue
+            if event.kind != CUT_IN:
+                car.push, car.push_end, car.push_way = event.acceleration, time + event.duration, event.way
+            elif rules.is_two_way:
+                swerve(lanes, cars, places, rules.loops, i)
+            else:
+                cut_in(lanes, cars, places, rules.loops, i, event.direction)
+    return first
+
+
+@compiled
+def push(cars: Any, time: float, dt: float) -> None:
+    """Sudden braking and surges on top of what the drivers want: changes the cars' accelerations."""
+    for i in range(len(cars)):
+        car = cars[i]
+        if car.push == 0.0:
+            continue
+        if time >= car.push_end - ROUNDING:
+            car.push = 0.0
+        elif car.crashed:
+            continue
+        elif car.push < 0.0:
+            standstill = max(car.speed, 0.0) / dt  # nobody brakes into reverse
+            car.acceleration = min(car.acceleration, -min(-car.push, standstill))
+        elif has_free_way(cars, i):
+            car.acceleration = max(car.acceleration, car.push)
+
+

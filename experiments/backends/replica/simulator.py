@@ -1,0 +1,164 @@
+"""`Replica`: highway-env's physics without SUMO, as a `sumo_env.simulator.Simulator`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from experiments.backends.replica import step as kernels
+from experiments.backends.replica.step import CRASHED, HEADING, SPEED, Rules, X, Y
+from experiments.backends.replica.tables import NONE, Records, cars_of, events_of, lanes_of
+from sumo_env.contacts.crash import CrashRecord, crash_record
+from sumo_env.contacts.rectangles import separation, state_of
+from sumo_env.networks.roads import LaneIndex
+from sumo_env.scene import Scene
+from sumo_env.simulator import EgoCommand, Step
+from sumo_env.traffic.scenario import EGO_DISTANCE, SPAWN_DISTANCE, Scenario
+
+VARIANTS = ("path", "connected", "v0")
+JOINED = ("roundabout", "intersection", "u-turn")  # tasks with lanes that continue others
+EXIT_MARGIN = 20.0  # [m] before the end of an exit of the intersection, where vehicles are removed
+
+FRAME = ("x", "y", "speed", "heading", "crashed")  # the rows of a frame of a trace
+
+
+class Replica:
+    """highway-env's drivers, steering, right of way and contacts, compiled.
+
+    Args:
+        variant: how far drivers see beyond the end of their lane (roundabout, intersection and u-turn; the lanes of the
+            other two roads continue no others): "v0": not at all; "connected": onto the next lanes, distances
+            projected, as in highway-env with connected lanes; "path": onto the next lanes, distances along the path.
+
+    Raises:
+        ValueError: unknown variant.
+    """
+
+    def __init__(self, variant: str = "path") -> None:
+        if variant not in VARIANTS:
+            raise ValueError(f"the variant must be one of {VARIANTS}, not {variant!r}")
+        self.variant = variant
+        self._scenario: Scenario | None = None
+
+    def reset(self, scenario: Scenario) -> Scene:
+        """See `Simulator.reset`."""
+        joined = scenario.task in JOINED and self.variant != "v0"
+        frequency = scenario.simulation_frequency
+        self._scenario = scenario
+        self._lanes = lanes_of(scenario.road, joined)
+        self._rules = Rules(
+            along_path=joined and self.variant == "path",
+            is_two_way=scenario.task == "two-way",
+            # highway-env's expression: 7 at 15 Hz
+            regulation_interval=int(1 / (1 / frequency) / 2) if scenario.task == "intersection" else 0,
+            dt=1.0 / frequency,
+        )
+        specs = [*scenario.specs, *(spawn.vehicle for spawn in scenario.spawns)]
+        self._ids = [spec.id for spec in specs]
+        self._everybody = cars_of(scenario.road, specs)
+        self._events = events_of(scenario.events, {name: number for number, name in enumerate(self._ids)})
+        self._next_event = self._steps = self._policy_steps = 0
+        self._crash: CrashRecord | None = None
+        self._is_exit = np.array([start.startswith("il") for start, _, _ in self._lanes.names])
+        self._warmed_up = round(scenario.warm_up * frequency)
+        placed = self._everybody[: len(scenario.specs)]
+        self._cars = self._warm_up(placed[1:].copy(), placed[:1]) if self._warmed_up else placed.copy()
+        return self._scene(np.array([self._cars[name] for name in FRAME], float))
+
+    def step(self, command: EgoCommand, trace: bool = False) -> Step:
+        """See `Simulator.step`."""
+        scenario = self._scenario
+        if scenario is None:
+            raise RuntimeError("call reset() before step()")
+        if self._policy_steps > 0:
+            self._cars = self._cars[~self._has_left()]
+            self._cars = self._with_spawns(self._cars, self._policy_steps)
+        ego = self._cars[0]
+        ego["target_speed"] = command.target_speed
+        self._steer_ego_for(command.target_lane)
+        frames = np.empty((scenario.simulation_frequency // scenario.policy_frequency, len(FRAME), len(self._cars)))
+        self._next_event, crash, min_ttc, distance = kernels.policy_step(
+            self._lanes.table, self._cars, self._events, self._next_event, self._rules, self._steps,
+            self._warmed_up, frames,
+        )  # fmt: skip
+        start, self._steps = self._steps, self._steps + len(frames)
+        self._policy_steps += 1
+        scene = self._scene(frames[-1])
+        if crash >= 0 and self._crash is None:
+            self._crash = _record(self._scene(frames[crash], start + crash + 1))
+        return Step(
+            scene=scene,
+            target_lane=self._lanes.names[ego["target"]],
+            crash=self._crash,
+            min_ttc=min_ttc,
+            distance=distance,
+            trace=tuple(self._scene(frame, start + k + 1) for k, frame in enumerate(frames)) if trace else (),
+        )
+
+    def close(self) -> None:
+        """Forget the episode."""
+        self._scenario = None
+
+    # -- parts ---------------------------------------------------------------------------------------------
+
+    def _warm_up(self, cars: Records, ego: Records) -> Records:
+        """``IntersectionEnv._make_vehicles``: traffic drives before the ego is placed, at least 20 m from anybody."""
+        kernels.warm_up(self._lanes.table, cars, self._rules, self._warmed_up)
+        cars = self._with_spawns(cars, 0)
+        return np.concatenate((ego, cars[_distance(cars, ego[0]) >= EGO_DISTANCE]))
+
+    def _has_left(self) -> Any:
+        """``IntersectionEnv._clear_vehicles``: whether each vehicle is near the end of an exit, shape (n,)."""
+        cars = self._cars
+        lanes = self._lanes.table[cars["lane"]]
+        s = (cars["x"] - lanes["x"]) * lanes["cos"] + (cars["y"] - lanes["y"]) * lanes["sin"]
+        return self._is_exit[cars["lane"]] & (s >= lanes["length"] - EXIT_MARGIN) & ~cars["is_ego"]
+
+    def _with_spawns(self, cars: Records, step: int) -> Records:
+        """The cars and those of the spawns of this policy step that have no other within 15 m."""
+        assert self._scenario is not None
+        first = len(self._scenario.specs)
+        for number, spawn in enumerate(self._scenario.spawns, start=first):
+            fresh = self._everybody[number : number + 1]
+            if spawn.step == step and np.all(_distance(cars, fresh[0]) >= SPAWN_DISTANCE):
+                cars = np.concatenate((cars, fresh))
+        return cars
+
+    def _steer_ego_for(self, lane: LaneIndex) -> None:
+        """Set the ego's target lane; on the next road of its route, that road begins the rest of the route."""
+        ego, number = self._cars[0], self._lanes.numbers[lane]
+        road = self._lanes.table["road"][number]
+        legs = np.flatnonzero(ego["route"] == road)
+        legs = legs[legs > ego["leg"]]
+        if len(legs) and ego["route"][ego["leg"]] != road:
+            ego["leg"], ego["planned"] = legs[0], NONE
+        ego["target"] = number
+
+    def _scene(self, frame: Any, steps: int | None = None) -> Scene:
+        """The scene of a frame of a trace, shape (5, n); `steps`: sub-steps since the start, if not all of them."""
+        assert self._scenario is not None
+        time = (self._steps if steps is None else steps) / self._scenario.simulation_frequency
+        return Scene(
+            ids=tuple(self._ids[number] for number in self._cars["number"].tolist()),
+            x=frame[X],
+            y=frame[Y],
+            speed=frame[SPEED],
+            heading=frame[HEADING],
+            crashed=frame[CRASHED] > 0.0,
+            time=round(time, 6),
+        )
+
+
+def _distance(cars: Records, place: Any) -> Any:
+    """Distances of the centres of cars from that of a place [m], shape (n,)."""
+    return np.hypot(cars["x"] - place["x"], cars["y"] - place["y"])
+
+
+def _record(scene: Scene) -> CrashRecord:
+    """The record of the ego's crash: highway-env does not say with whom, so it is the nearest wreck."""
+
+    def rank(row: int) -> tuple[bool, float]:
+        return not scene.crashed[row], separation(state_of(scene, 0), state_of(scene, row))
+
+    return crash_record(scene, min(range(1, len(scene)), key=rank), "highway-env")

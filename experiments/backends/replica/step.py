@@ -1,0 +1,117 @@
+"""The sub-steps of highway-env (``AbstractEnv._simulate``, ``Road.act``, ``Road.step``), one policy step per call."""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from experiments.backends.replica.compiled import compiled
+from experiments.backends.replica.contacts import collide
+from experiments.backends.replica.driving import drive, follow_road
+from experiments.backends.replica.geometry import closest_lane, locate
+from experiments.backends.replica.give_way import regulate
+from experiments.backends.replica.motion import KP_ACCELERATION, move, steer
+from experiments.backends.replica.numpy_loops import LOOPS, Loops
+from experiments.backends.replica.rectangles import ego_ttc
+from experiments.backends.replica.risk import push, return_from_swerve, start_events
+
+# Rows of a frame of a trace, shape (frames, 5, cars):
+X, Y, SPEED, HEADING, CRASHED = range(5)
+
+
+class Rules(NamedTuple):
+    """What differs between the tasks and the variants.
+
+    Attributes:
+        along_path: distances beyond the end of a lane are measured along the path (the variant ``path``).
+        is_two_way: cut-ins are swerves into the oncoming lane.
+        regulation_interval: sub-steps between two applications of the right of way, 0 without it.
+        dt: length of a sub-step [s].
+        loops: numpy's functions.
+    """
+
+    along_path: bool
+    is_two_way: bool
+    regulation_interval: int
+    dt: float
+    loops: Loops = LOOPS
+
+
+@compiled
+def act(lanes: Any, cars: Any, places: Any, rules: Any) -> None:
+    """``Road.act``: all drivers decide in turn, so that the decisions of one are seen by those after it."""
+    for i in range(len(cars)):
+        car = cars[i]
+        if car.is_ego:  # ``MDPVehicle.act``
+            follow_road(lanes, places, car, i)
+            car.acceleration = KP_ACCELERATION * (car.target_speed - car.speed)
+        elif not car.crashed:
+            drive(lanes, cars, places, rules, i)
+        steer(lanes, places, rules.loops, car, i)
+
+
+@compiled
+def step(lanes: Any, cars: Any, places: Any, rules: Any, count: int) -> None:
+    """``Road.step``; `count`: number of this sub-step since the first vehicles were placed, from 1."""
+    if rules.regulation_interval > 0 and count % rules.regulation_interval == 0:
+        regulate(lanes, cars, places, rules.loops)
+    for i in range(len(cars)):
+        move(cars[i], rules.loops, rules.dt)
+        return_from_swerve(cars[i], rules.dt)
+    locate(lanes, cars, places, rules.loops)
+    for i in range(len(cars)):
+        cars[i].lane = closest_lane(lanes, places, rules.loops, i, cars[i].heading)
+    collide(cars, rules.dt)
+
+
+@compiled
+def warm_up(lanes: Any, cars: Any, rules: Any, frames: int) -> None:
+    """Drive the first vehicles for some sub-steps without an ego and without risk events."""
+    places = np.empty((3, len(lanes), len(cars)))
+    locate(lanes, cars, places, rules.loops)
+    for frame in range(frames):
+        act(lanes, cars, places, rules)
+        step(lanes, cars, places, rules, frame + 1)
+
+
+@compiled
+def policy_step(
+    lanes: Any, cars: Any, events: Any, next_event: int, rules: Any, steps: int, warmed_up: int, trace: Any
+) -> tuple[int, int, float, float]:
+    """Drive the sub-steps that `trace` has frames for, and write them down in it.
+
+    Args:
+        lanes, cars, events: records; the cars are changed, the ego is the first.
+        next_event: number of the first event that has not been due.
+        rules: of the task.
+        steps: sub-steps since the start of the episode.
+        warmed_up: sub-steps of the warm-up before it.
+        trace: shape (frames, 5, cars).
+
+    Returns:
+        the next event, the frame in which the ego crashed (-1: none), the least time to collision [s], and the distance
+        covered by the ego [m].
+    """
+    crash, least, distance = -1, math.inf, 0.0
+    places = np.empty((3, len(lanes), len(cars)))
+    locate(lanes, cars, places, rules.loops)
+    for frame in range(len(trace)):
+        time = steps * rules.dt
+        next_event = start_events(lanes, cars, places, rules, events, next_event, time)
+        distance += max(cars[0].speed, 0.0) * rules.dt
+        act(lanes, cars, places, rules)
+        push(cars, time, rules.dt)
+        steps += 1
+        step(lanes, cars, places, rules, warmed_up + steps)
+        for i in range(len(cars)):
+            car = cars[i]
+            trace[frame, X, i], trace[frame, Y, i] = car.x, car.y
+            trace[frame, SPEED, i], trace[frame, HEADING, i] = car.speed, car.heading
+            trace[frame, CRASHED, i] = 1.0 if car.crashed else 0.0
+        if not cars[0].crashed:
+            least = min(least, ego_ttc(cars))
+        elif crash < 0:
+            crash = frame
+    return next_event, crash, least, distance

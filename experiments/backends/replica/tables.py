@@ -1,0 +1,254 @@
+"""Lanes, cars and risk events as tables: numpy record arrays, one record each, which the kernels read and write.
+
+A lane is called by its number, in highway-env's order of lanes; lanes beside each other have successive numbers, and
+the number of the left one is also the number of their road.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from functools import lru_cache
+from typing import Any
+
+import numpy as np
+
+from sumo_env.networks.lanes import VEHICLE_LENGTH, CircularLane, Lane, Point, SineLane, StraightLane
+from sumo_env.networks.roads import LaneIndex, Road
+from sumo_env.traffic.drivers import Driver
+from sumo_env.traffic.risk import RiskEvent
+from sumo_env.traffic.scenario import EGO, VehicleSpec
+
+Records = np.ndarray[Any, Any]  # a numpy record array of one of the types below
+
+STRAIGHT, SINE, CIRCULAR = 0, 1, 2
+CUT_IN, PUSH = 0, 1
+NONE = -1  # no lane, no plan, no car
+LONGEST_ROUTE = 14  # roads: an entry, its curve, once around the ring, an exit
+MOST_JOINS = 8
+
+LANE = np.dtype(
+    [
+        ("kind", "i8"),
+        ("length", "f8"),  # [m]
+        ("limit", "f8"),  # speed limit [m/s]
+        ("priority", "f8"),  # the larger one has right of way
+        ("x", "f8"),  # start of a straight or sine lane, centre of a circular one [m]
+        ("y", "f8"),
+        ("cos", "f8"),  # of the heading of the axis of a straight or sine lane
+        ("sin", "f8"),
+        ("heading", "f8"),  # [rad]
+        ("amplitude", "f8"),  # of a sine lane [m]
+        ("pulsation", "f8"),  # [rad/m]
+        ("phase", "f8"),  # [rad]
+        ("radius", "f8"),  # of a circular lane [m]
+        ("start_phase", "f8"),  # [rad]
+        ("turn", "f8"),  # +1 to the right, -1 to the left
+        ("road", "i8"),  # number of the left lane of this road
+        ("abreast", "i8"),  # lanes of this road
+        ("start", "i8"),  # number of the node where the lane begins
+        ("end", "i8"),
+        ("roads_after", "i8", (MOST_JOINS,)),  # roads that begin at its end, then NONE
+        # The lane itself, the `following` lanes that a driver looks at beyond its end, and those before its start:
+        ("joined", "i8", (MOST_JOINS,)),
+        ("offset", "f8", (MOST_JOINS,)),  # where each of these begins, measured along this lane [m]
+        ("following", "i8"),
+    ],
+    align=True,
+)
+
+DRIVER = [
+    ("accel", "f8"),  # COMFORT_ACC_MAX [m/s2]
+    ("decel", "f8"),  # -COMFORT_ACC_MIN [m/s2]
+    ("jam_distance", "f8"),  # DISTANCE_WANTED, between centres [m]
+    ("tau", "f8"),  # TIME_WANTED [s]
+    ("delta", "f8"),  # DELTA []
+    ("acc_max", "f8"),  # ACC_MAX: the acceleration is clipped to plus and minus this [m/s2]
+    ("safe_braking", "f8"),  # LANE_CHANGE_MAX_BRAKING_IMPOSED [m/s2]
+    ("min_gain", "f8"),  # LANE_CHANGE_MIN_ACC_GAIN [m/s2]
+    ("gives_way", "?"),
+]
+
+CAR = np.dtype(
+    [
+        ("number", "i8"),  # place among all vehicles of the scenario
+        ("is_ego", "?"),
+        ("x", "f8"),  # centre [m]
+        ("y", "f8"),
+        ("heading", "f8"),  # [rad]
+        ("speed", "f8"),  # [m/s]
+        ("lane", "i8"),  # that it is on
+        ("target", "i8"),  # lane that it steers for
+        ("target_speed", "f8"),  # [m/s]
+        ("timer", "f8"),  # since the last decision of MOBIL [s]
+        ("changes_lanes", "?"),
+        ("yields", "?"),  # is stopping for others
+        ("route", "i8", (LONGEST_ROUTE,)),  # roads, then NONE
+        ("leg", "i8"),  # place in `route` of the road that the rest of the route begins with
+        ("planned", "i8"),  # lane of that road which the route asks for, or NONE
+        ("is_forced", "?"),  # a lane change of a risk event is under way
+        ("swerve_left", "f8"),  # until a swerve into the oncoming lane ends [s]
+        ("push", "f8"),  # acceleration of a sudden braking or surge, 0 for none [m/s2]
+        ("push_end", "f8"),  # [s]
+        ("push_way", "f8"),  # that has to be free for a surge [m]
+        ("acceleration", "f8"),  # of this sub-step [m/s2]
+        ("steering", "f8"),  # angle of the front wheels [rad]
+        ("crashed", "?"),
+        ("is_pushed_apart", "?"),  # will be moved by `apart` in the next sub-step, because it touched another car
+        ("apart_x", "f8"),  # [m]
+        ("apart_y", "f8"),
+        *DRIVER,
+    ],
+    align=True,
+)
+
+EVENT = np.dtype(
+    [
+        ("time", "f8"),  # [s]
+        ("car", "i8"),  # `number` of the car
+        ("kind", "i8"),  # CUT_IN or PUSH
+        ("direction", "i8"),  # of a cut-in, -1 left or +1 right
+        ("acceleration", "f8"),  # [m/s2]
+        ("duration", "f8"),  # [s]
+        ("way", "f8"),  # [m]
+    ],
+    align=True,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Lanes:
+    """The lanes of a road for the kernels.
+
+    Attributes:
+        table: records of LANE.
+        names: highway-env's index of each lane; `numbers` is the reverse.
+    """
+
+    table: Records
+    names: tuple[LaneIndex, ...]
+    numbers: dict[LaneIndex, int]
+
+
+@lru_cache(maxsize=16)
+def lanes_of(road: Road, connected: bool) -> Lanes:
+    """The lanes of a road; `connected`: drivers look beyond the ends of their lane (``Road.neighbour_vehicles``)."""
+    names = tuple(road.lanes)
+    numbers = {name: number for number, name in enumerate(names)}
+    roads = {name[:2]: numbers[name[0], name[1], 0] for name in names}
+    nodes = {node: k for k, node in enumerate(dict.fromkeys(node for name in names for node in name[:2]))}
+
+    def beside(start: str, end: str, lane: int) -> int:
+        """The lane of this id, or the left one where the road has none."""
+        return numbers.get((start, end, lane), roads[start, end])
+
+    curves = _as_rotated(road) if road.name == "intersection" else road.lanes
+    table = np.zeros(len(names), LANE)
+    for number, ((start, end, lane), curve) in enumerate(curves.items()):
+        record = table[number]
+        _write_geometry(record, curve)
+        record["road"], record["abreast"] = roads[start, end], road.count(start, end)
+        record["start"], record["end"] = nodes[start], nodes[end]
+        after = [pair for pair in roads if pair[0] == end]
+        before = [pair for pair in roads if pair[1] == start]
+        record["roads_after"] = _filled([roads[pair] for pair in after])
+        following = [beside(*pair, lane) for pair in after] if connected else []
+        preceding = [beside(*pair, lane) for pair in before] if connected else []
+        record["following"] = len(following)
+        record["joined"] = _filled([number, *following, *preceding])
+        begins = [0.0, *[curve.length] * len(following), *(-road.lane(names[k]).length for k in preceding)]
+        record["offset"][: len(begins)] = begins
+    return Lanes(table, names, numbers)
+
+
+def _as_rotated(road: Road) -> dict[LaneIndex, Lane]:
+    """The intersection's lanes as highway-env computes them: the southern arm's, turned by a matrix.
+
+    That is 1e-14 m from the exact places. It matters because highway-env's steering is unstable below 0.7 m/s: it
+    multiplies what a car is away from the middle of its lane, be it a rounding error, until it zigzags.
+    """
+
+    def turned(point: Point, corner: int) -> Point:
+        angle = np.radians(90 * corner)
+        matrix = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+        x, y = point
+        for _ in range(-corner % 4):  # back to the southern arm, exactly
+            x, y = -y, x
+        x, y = matrix @ np.array([x, y])
+        return float(x), float(y)
+
+    lanes: dict[LaneIndex, Lane] = {}
+    for name, lane in road.lanes.items():
+        corner = (int(name[0][-1]) + name[0].startswith("il")) % 4  # an exit is built with the arm to its right
+        if isinstance(lane, CircularLane):
+            lanes[name] = replace(lane, center=turned(lane.center, corner))
+        elif isinstance(lane, StraightLane):
+            lanes[name] = replace(lane, start=turned(lane.start, corner), end=turned(lane.end, corner))
+    return lanes
+
+
+def _filled(numbers: list[int], size: int = MOST_JOINS) -> list[int]:
+    return numbers + [NONE] * (size - len(numbers))
+
+
+def _write_geometry(record: Any, lane: Lane) -> None:
+    record["length"], record["limit"], record["priority"] = lane.length, lane.speed_limit, lane.priority
+    if isinstance(lane, CircularLane):
+        record["kind"], record["radius"], record["start_phase"] = CIRCULAR, lane.radius, lane.start_phase
+        record["x"], record["y"] = lane.center
+        record["turn"] = 1.0 if lane.clockwise else -1.0
+    elif isinstance(lane, StraightLane):
+        record["kind"], record["heading"] = STRAIGHT, lane.heading
+        record["x"], record["y"] = lane.start
+        length = lane.length
+        record["cos"], record["sin"] = ((b - a) / length for a, b in zip(lane.start, lane.end, strict=True))
+        if isinstance(lane, SineLane):
+            record["kind"] = SINE
+            record["amplitude"], record["pulsation"], record["phase"] = lane.amplitude, lane.pulsation, lane.phase
+    else:
+        raise TypeError(f"no records for a {type(lane).__name__}")
+
+
+@lru_cache(maxsize=1024)
+def _driver(driver: Driver) -> tuple[Any, ...]:
+    return (
+        driver.accel, driver.decel, driver.min_gap + VEHICLE_LENGTH, driver.tau, driver.delta, driver.emergency_decel,
+        driver.safe_braking, driver.min_gain, driver.gives_way,
+    )  # fmt: skip
+
+
+@lru_cache(maxsize=1024)
+def _route(road: Road, lane: LaneIndex, destination: str | None) -> tuple[int, ...]:
+    """The roads of ``ControlledVehicle.plan_route_to``, by number."""
+    if destination is None:
+        return (NONE,) * LONGEST_ROUTE
+    nodes = (lane[0], *(road.route(lane[1], destination) or lane[1:2]))
+    numbers = lanes_of(road, False).numbers
+    return tuple(_filled([numbers[a, b, 0] for a, b in zip(nodes, nodes[1:])], LONGEST_ROUTE))  # noqa: B905
+
+
+def cars_of(road: Road, specs: Iterable[VehicleSpec]) -> Records:
+    """Vehicles as they are at the start of their lives: records of CAR, numbered in this order."""
+    numbers = lanes_of(road, False).numbers
+    rows = [
+        (
+            number, spec.id == EGO, spec.x, spec.y, spec.heading, spec.speed, numbers[spec.lane], numbers[spec.lane],
+            spec.target_speed, spec.timer, spec.changes_lanes, False,
+            _route(road, spec.lane, spec.destination), 0, NONE if spec.destination is None else spec.lane[2],
+            False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, False, False, 0.0, 0.0, *_driver(spec.driver),
+        )
+        for number, spec in enumerate(specs)
+    ]  # fmt: skip
+    return np.array(rows, CAR)
+
+
+def events_of(events: Iterable[RiskEvent], numbers: dict[str, int]) -> Records:
+    """Risk events as records of EVENT; `numbers`: of the cars, by id."""
+    rows = [
+        (
+            event.time, numbers[event.vehicle], CUT_IN if event.kind == "cut-in" else PUSH, event.direction,
+            event.accel, event.duration, event.way,
+        )
+        for event in events
+    ]  # fmt: skip
+    return np.array(rows, EVENT)

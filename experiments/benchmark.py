@@ -218,7 +218,8 @@ def show(results: Record, console: Console) -> None:
         bare = f"; {number(r['of_bare_engine'])} of the bare engine" if r["of_bare_engine"] else ""
         table.add_row(
             "steps per second", f"{r['backend']} {r['frequency']} Hz, {r['task']} {r['level']}",
-            number(r["steps_per_s"]), number(r["highway_env_steps_per_s"]), number(r["ratio"]), f"reset {number(r['reset_ms'])} ms{bare}",
+            number(r["steps_per_s"]), number(r["highway_env_steps_per_s"]), number(r["ratio"]),
+            f"reset {number(r['reset_ms'])} ms{bare}",
         )  # fmt: skip
     for r in results.get("start", ()):
         table.add_row(

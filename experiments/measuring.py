@@ -106,7 +106,9 @@ class Driver:
 
     def __init__(self, backend: str, task: str, config: Mapping[str, Any]) -> None:
         self._env: Any = make_env(backend, task, config)
-        self._actions = _random_actions(int(self._env.action_space.n))
+        space = self._env.action_space
+        assert isinstance(space, gym.spaces.Discrete)
+        self._actions = _random_actions(int(space.n))
         self._seed, self._done = 0, True
         self._resets: list[float] = []
         self.drive(0.0, 2)  # loads the network, compiles, fills caches
@@ -285,10 +287,11 @@ class Learners:
 def stable_baselines(env: Any, config: Any, capacity: int) -> Any:
     """Stable-Baselines3's DQN with our network inside, our batch size and our number of steps per update."""
     import stable_baselines3
-    from agents.models import network_class
     from stable_baselines3.common.logger import configure
     from stable_baselines3.dqn.policies import DQNPolicy, QNetwork
     from torch import nn
+
+    from agents.models import network_class
 
     space, actions = env.observation_space, int(env.action_space.n)
 

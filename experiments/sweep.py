@@ -30,7 +30,7 @@ import os
 import shlex
 import signal
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any
 
@@ -47,6 +47,10 @@ from experiments.study.progress import display
 from experiments.study.store import Store, cell_directories, read_sweep
 from experiments.study.worker import MakeEnv
 from experiments.support.errors import INTERRUPTED, UserError, disk_error, run_command
+from experiments.validation.status import before_training
+
+# backend, tasks, directory of the results, processes, what to call with what is being done
+Validate = Callable[[str, Sequence[str], Path, int, Callable[[str], None]], object]
 
 
 def _cores() -> int:
@@ -133,12 +137,18 @@ def cells_of(options: Options) -> list[Cell]:
     )
 
 
-def sweep(options: Options, make_env: MakeEnv = make_env, arguments: Sequence[str] = ()) -> int:
+def sweep(
+    options: Options,
+    make_env: MakeEnv = make_env,
+    arguments: Sequence[str] = (),
+    validate: Validate | None = None,
+) -> int:
     """Do what the options ask for; returns the exit status.
 
     Args:
         make_env: makes an environment from (backend, task, config); importable in another process.
         arguments: the command line, to say how to resume.
+        validate: says how close the backend's tasks are to highway-env, before anything is trained.
 
     Raises:
         UserError: something has to be put right first.
@@ -164,6 +174,9 @@ def sweep(options: Options, make_env: MakeEnv = make_env, arguments: Sequence[st
         names = {cell.name for cell in mine}
         failed = {k: v for k, v in read_sweep(directory).get("failed", {}).items() if k not in names}
         store.write_sweep({**record, "failed": failed})
+        if validate is not None:
+            tasks = tuple(dict.fromkeys(cell.task for cell in cells))
+            validate(options.backend, tasks, directory, workers, lambda words: print(words, flush=True))
         engine = Engine(directory, mine, workers, make_env, rates(directory).seconds)
         found = len(engine.finished)
         print(f"{len(mine)} cells, {found} of them finished before; results go to {directory}", flush=True)
@@ -230,7 +243,7 @@ def main() -> int:
     )  # schedulers end jobs politely: stop as for Ctrl-C
     arguments = [part for word in sys.argv[1:] for part in _split(word)]
     options = tyro.cli(Options, args=arguments, description=__doc__, config=(tyro.conf.FlagCreatePairsOff,))
-    return sweep(options, arguments=sys.argv[1:])
+    return sweep(options, arguments=sys.argv[1:], validate=before_training)
 
 
 def _split(word: str) -> list[str]:

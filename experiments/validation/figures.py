@@ -55,9 +55,12 @@ def overview(tasks: Mapping[str, Any], traffic: str) -> str:
         for number, checks in enumerate(levels.values()):
             shift = 0.3 - 0.6 * number / max(len(levels) - 1, 1)
             for row, (metric, _) in enumerate(ROWS):
-                for item in checks:
-                    if item["metric"] == metric and item["margin"] and item["verdict"]:
-                        _share(panel, item, -row + shift)
+                shown = [
+                    item for item in checks if item["metric"] == metric and item["margin"] and item["verdict"]
+                ]
+                for place, item in enumerate(shown):  # several only where each ego has its own
+                    aside = 0.2 * (place / max(len(shown) - 1, 1) - 0.5) if len(shown) > 1 else 0.0
+                    _share(panel, item, -row + shift - aside)
         panel.grid(axis="y", visible=False)
         panel.set_xlim(-2.2, 2.2)
     axes[0, 0].set_yticks([-row for row in range(len(ROWS))], [label for _, label in ROWS])

@@ -13,6 +13,7 @@ import gymnasium as gym
 import pytest
 
 import sumo_env
+from experiments.validation.margins import MARGINS
 from sumo_env.config import COMMON
 from sumo_env.contacts.crash import CrashRecord
 from sumo_env.sumo.events import modes
@@ -167,6 +168,19 @@ def test_tasks_with_ranges_of_their_own_are_named() -> None:
         for parameter, value in asdict(task.risk_ranges).items():
             if value != asdict(RiskRanges())[parameter]:
                 assert re.search(rf"{name}.*`{parameter}`", text), f"{name}: {parameter} {value}"
+
+
+def test_margins_of_validation() -> None:
+    shown = {
+        key: cells[0]
+        for key, cells in table(section(TEXTS[ROOT / "docs" / "validation.md"], "Margins")).items()
+    }
+    scale = {"unit": "", "reference": " % of highway-env's", "range": " % of its range"}
+    expected = {
+        name: f"{margin.value * (100 if margin.relative_to != 'unit' else 1):g}{scale[margin.relative_to]}"
+        for name, margin in MARGINS.items()
+    }
+    assert shown == expected
 
 
 def test_the_fields_of_the_crash_record() -> None:

@@ -18,7 +18,7 @@ from sumo_env.config import COMMON
 from sumo_env.contacts.crash import CrashRecord
 from sumo_env.sumo.events import modes
 from sumo_env.tasks import TASKS
-from sumo_env.traffic.drivers import RiskRanges, vehicle_type
+from sumo_env.traffic.drivers import Calibration, RiskRanges, vehicle_type
 from sumo_env.traffic.risk import RiskRates
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -133,6 +133,24 @@ def test_the_parameters_of_the_drivers_are_those_of_their_vehicle_types(task: st
 # -- risk --------------------------------------------------------------------------------------------------------------
 
 RISK = ROOT / "docs" / "traffic-and-risk.md"
+
+
+def test_calibrated_settings() -> None:
+    """Every number of a task's calibration stands in its row."""
+    rows = table(section(TEXTS[RISK], "Calibration"))
+    for name, task in TASKS.items():
+        changed = {k: v for k, v in asdict(task.calibration).items() if v != asdict(Calibration())[k]}
+        numbers = [
+            f"{value:.0%}".replace("%", " %") if key.startswith("ignores") else f"{value:g}"
+            for key, value in changed.items()
+            if not isinstance(value, bool)
+        ]
+        assert all(
+            re.search(rf"(?<![\d.]){re.escape(number)}(?![\d.])", rows[name][0]) for number in numbers
+        ), name
+        assert ("no lane changes" in rows[name][0]) == (
+            not task.calibration.lane_changes and name != "intersection"
+        )
 
 
 def test_ranges_of_risky_parameters() -> None:

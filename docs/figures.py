@@ -1,8 +1,9 @@
 """Draws the pictures of the documentation: ``python docs/figures.py``.
 
-docs/img/tasks.png        one moment of each task, with risky drivers
-docs/img/networks/*.png   SUMO's lanes (grey, inside junctions orange) under highway-env's centre lines (bright, dashed)
-docs/img/collisions.png   how contacts are looked for
+docs/img/tasks.png            one moment of each task, with risky drivers
+docs/img/environments/*.png   one moment of each task, as its page shows it
+docs/img/networks/*.png       SUMO's lanes (grey, orange in junctions) under highway-env's centre lines (bright, dashed)
+docs/img/collisions.png       how contacts are looked for
 """
 
 from __future__ import annotations
@@ -48,20 +49,26 @@ SHOTS = {
 }
 
 
+def frame(task: str, seed: int, steps: int, config: dict[str, Any]) -> Image.Image:
+    """What an environment shows after some steps with the action IDLE."""
+    env = DrivingEnv(task, config, render_mode="rgb_array")
+    idle = next(action for action, name in env.actions.items() if name == "IDLE")
+    env.reset(seed=seed)
+    for _ in range(steps):
+        env.step(idle)
+    picture = env.render()
+    assert picture is not None
+    env.close()
+    return Image.fromarray(picture)
+
+
 def shot(task: str) -> Image.Image:
     """One frame of a task."""
     seed, steps, width, height = SHOTS[task]
     config: dict[str, Any] = {"screen_width": width, "screen_height": height, "risk": 1.0}
     if task == "u-turn":
         config["centering_position"] = [0.35, 0.78]
-    env = DrivingEnv(task, config, render_mode="rgb_array")
-    env.reset(seed=seed)
-    for _ in range(steps):
-        env.step(1)
-    frame = env.render()
-    assert frame is not None
-    env.close()
-    return Image.fromarray(frame)
+    return frame(task, seed, steps, config)
 
 
 def tasks() -> None:
@@ -77,6 +84,22 @@ def tasks() -> None:
     sheet.paste(square[0], (0, y))
     sheet.paste(square[1], (sheet.width - square[1].width, y))
     sheet.quantize(64).save(IMAGES / "tasks.png", optimize=True)
+
+
+# task -> seed, steps driven, configuration
+PAGES: dict[str, tuple[int, int, dict[str, Any]]] = {
+    "highway": (0, 6, {"screen_width": 900, "screen_height": 130}),
+    "two-way": (0, 3, {"screen_width": 900, "screen_height": 90, "centering_position": [0.3, 0.6]}),
+    "roundabout": (1, 3, {"scaling": 4.5}),
+    "intersection": (2, 3, {}),
+    "u-turn": (1, 3, {"scaling": 4.5, "centering_position": [0.35, 0.85]}),
+}
+
+
+def environments() -> None:
+    """One frame for the page of each environment."""
+    for task, scene in PAGES.items():
+        frame(task, *scene).quantize(64).save(IMAGES / "environments" / f"{task}.png", optimize=True)
 
 
 # -- networks ---------------------------------------------------------------------------------------------------------
@@ -97,7 +120,8 @@ def shapes(net: Network) -> dict[str, np.ndarray]:
     """SUMO lane id -> points of its shape, (n, 2) [m], y down."""
     lanes = ElementTree.parse(net.net_file).getroot().iter("lane")
     return {
-        lane.attrib["id"]: np.array([point.split(",")[:2] for point in lane.attrib["shape"].split()], float) * (1, -1)
+        lane.attrib["id"]: np.array([point.split(",")[:2] for point in lane.attrib["shape"].split()], float)
+        * (1, -1)
         for lane in lanes
     }
 
@@ -121,7 +145,9 @@ def draw_network(axes: Axes, net: Network, window: Window) -> None:
         line = np.array([lane.position(float(v), 0.0) for v in s])
         axes.plot(*line.T, color="#49b6ff", lw=1.2, ls=(0, (3, 3)), zorder=6)
         if index[2] == 0:
-            for name, place in zip(index[:2], (lane.position(0.0, 0.0), lane.position(lane.length, 0.0)), strict=True):
+            for name, place in zip(
+                index[:2], (lane.position(0.0, 0.0), lane.position(lane.length, 0.0)), strict=True
+            ):
                 node(axes, name, place, window)
     axes.set(xlim=window[:2], ylim=window[3:1:-1], xlabel="x [m]", ylabel="y [m], down")
     axes.set_aspect("equal")
@@ -238,5 +264,6 @@ def collisions() -> None:
 
 if __name__ == "__main__":
     tasks()
+    environments()
     networks()
     collisions()

@@ -1,10 +1,9 @@
 """Build SUMO's networks: `python -m sumo_env.networks.build` rewrites them, `--check` compares.
 
-Of each plan in `sumo_env.networks.plans` the plain XML is written and given to netconvert (of the `eclipse-sumo`
-wheel, which only this module needs). In what netconvert returns all lane speeds are then overwritten,
-those inside junctions included: it limits bends to 8-10 m/s by a comfort rule, while highway-env's cars
-take them at any speed. The header, which carries a date and paths of the machine, is dropped, so that
-building twice gives the same bytes.
+For each plan in `sumo_env.networks.plans`, writes the plain XML and runs netconvert on it (of the `eclipse-sumo` wheel,
+which only this module needs). In the result, all lane speeds are overwritten, also inside junctions: netconvert limits
+bends to 8-10 m/s by a comfort rule, while highway-env's vehicles take them at any speed. The header, which contains a
+date and paths of the machine, is dropped, so that building twice gives the same bytes.
 """
 
 from __future__ import annotations

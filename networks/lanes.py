@@ -60,12 +60,12 @@ class Lane:
         return self.covers(s, lat, margin)
 
     def is_reachable_from(self, x: float, y: float) -> bool:
-        """May a vehicle at this world position aim for the lane: within two widths, not before its start?"""
+        """Whether a vehicle at this position may steer for the lane: within two widths, not before its start."""
         s, lat = self.local_coordinates(x, y)
         return abs(lat) <= 2 * self.width and 0 <= s < self.length + VEHICLE_LENGTH
 
     def after_end(self, x: float, y: float) -> bool:
-        """Is a vehicle at this position due for its next lane (half a vehicle before the end of this one)?"""
+        """Whether a vehicle at this position is to take its next lane (half a vehicle before the end of this one)."""
         return self.local_coordinates(x, y)[0] > self.length - VEHICLE_LENGTH / 2
 
     def distance(self, x: float, y: float) -> float:

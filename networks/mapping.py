@@ -1,6 +1,6 @@
 """The built networks, and the way from highway-env's lanes to SUMO's edges, lanes, positions and routes.
 
-`network(task)` is all that a simulator needs. SUMO's names follow highway-env's: edge "se-ex" leads from node se to
+A simulator needs only `network(task)`. SUMO's names follow highway-env's: edge "se-ex" leads from node se to
 node ex; within an edge SUMO counts lanes from the right, highway-env from the left. Highway-env's lanes inside the
 intersection ("ir0" -> "il1") are SUMO's internal lanes; all other internal lanes are short joints without a
 counterpart. The two-way road's ("a","b",0) is the oncoming lane driven the wrong way: SUMO's "b-a_0".
@@ -57,7 +57,7 @@ class SumoLane:
 
 @dataclass(frozen=True)
 class Network:
-    """A task's road in both worlds.
+    """The road of a task in highway-env and in SUMO.
 
     Attributes:
         routes: "<from>-<to>><end>" -> SUMO edges, for a vehicle on the road <from> -> <to> bound for <end>. They begin

@@ -1,4 +1,4 @@
-"""What netconvert is told to build: nodes, edges and connections of each task, derived from `sumo_env.networks.roads`.
+"""Input for netconvert: nodes, edges and connections of each task, derived from `sumo_env.networks.roads`.
 
 Everything here is in highway-env's coordinates (y down); `Plan.write` turns y over. Straight ends are
 longer than highway-env's, where vehicles keep driving along the extrapolated lane: here they need a lane

@@ -1,7 +1,7 @@
 """highway-env's discrete meta-actions: what they mean for the ego's target speed and target lane.
 
-Pure functions of the road and the scene (``MDPVehicle.act``, ``ControlledVehicle.follow_road``); how the ego gets
-there is up to the simulator.
+Pure functions of the road and the scene (``MDPVehicle.act``, ``ControlledVehicle.follow_road``). The simulator decides
+how the ego reaches them.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ def action_names(action: dict[str, Any]) -> dict[int, str]:
 
 
 def target_speed_index(action: str, index: int, speed: float, target_speeds: tuple[float, ...]) -> int:
-    """Index of the target speed after a meta-action; `index` is the one before, `speed` the measured one [m/s]."""
+    """Index of the target speed after a meta-action; `index` is the previous one, `speed` the measured speed [m/s]."""
     if action not in ("FASTER", "SLOWER"):
         return index
-    # relative to the measured speed, not to the target before
+    # relative to the measured speed, not to the previous target
     wanted = nearest_index(speed, target_speeds) + (1 if action == "FASTER" else -1)
     return min(max(wanted, 0), len(target_speeds) - 1)
 
@@ -46,7 +46,7 @@ def target_speed_index(action: str, index: int, speed: float, target_speeds: tup
 def target_lane(
     action: str, road: Road, lane: LaneIndex, route: tuple[str, ...], x: float, y: float
 ) -> LaneIndex:
-    """Target lane after a meta-action of the ego at (x, y) [m]; `lane` is the one before."""
+    """Target lane after a meta-action of the ego at (x, y) [m]; `lane` is the previous one."""
     lane = follow_road(road, lane, route, x, y)
     if action in ("LANE_LEFT", "LANE_RIGHT"):
         start, end, place = lane
@@ -63,7 +63,7 @@ def follow_road(road: Road, lane: LaneIndex, route: tuple[str, ...], x: float, y
 
 
 def ego_route(road: Road, ego: VehicleSpec) -> tuple[str, ...]:
-    """Nodes of the ego's way, from the start of its first lane to its destination."""
+    """Nodes of the ego's route, from the start of its first lane to its destination."""
     start, end, _ = ego.lane
     if ego.destination is None or ego.destination == end:
         return (start, end)

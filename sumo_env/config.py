@@ -1,4 +1,4 @@
-"""Configuration: highway-env's keys, checked. Every default stands once, in `COMMON` or in its task's file."""
+"""Configuration: highway-env's keys, checked. Each default is defined once, in `COMMON` or in its task's file."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ POSITIVE = (
     "screen_height",
     "scaling",
 )
-# Keys of highway-env that have no meaning on SUMO; a config that sets them is told so instead of being ignored.
+# Keys of highway-env that have no meaning on SUMO; setting one is an error, so that it is not silently ignored.
 WITHOUT_MEANING = {
     "controlled_vehicles": "SUMO tasks have one ego",
     "manual_control": "SUMO tasks have no window",
@@ -65,18 +65,18 @@ WITHOUT_MEANING = {
 
 
 class ConfigError(ValueError):
-    """The configuration cannot be used; the message says which key, why, and what would be right."""
+    """The configuration is invalid; the message names the key, the reason, and what is accepted."""
 
 
 def nearest(word: str, choices: Mapping[str, Any] | set[str] | list[str]) -> str:
-    """The ending of an error message: the nearest known word, or all of them."""
+    """End of an error message: the nearest known word, or all known words."""
     known = sorted(map(str, choices))
     match = difflib.get_close_matches(str(word), known, n=1, cutoff=0.5)
     return f"did you mean {match[0]!r}?" if match else f"known: {', '.join(known)}"
 
 
 def resolve(task: str, defaults: Config, *overrides: Mapping[str, Any] | None) -> Config:
-    """`defaults` with the `overrides` laid over them, top-level keys replaced whole as in highway-env.
+    """`defaults` updated with `overrides`; top-level keys are replaced as a whole, as in highway-env.
 
     Raises:
         ConfigError: unknown key, wrong type or value out of range.
@@ -88,7 +88,7 @@ def resolve(task: str, defaults: Config, *overrides: Mapping[str, Any] | None) -
                 if key in WITHOUT_MEANING:
                     raise ConfigError(f"config key {key!r} has no meaning here: {WITHOUT_MEANING[key]}")
                 raise ConfigError(f"unknown config key {key!r} for task {task!r}: {nearest(key, config)}")
-            config[key] = copy.deepcopy(value)  # the user's own dicts stay the user's
+            config[key] = copy.deepcopy(value)  # mutable values are not shared with the caller
     _check(task, config, {**COMMON, **defaults})
     return config
 
@@ -140,7 +140,7 @@ def _is_number(value: Any) -> bool:
 
 
 def _wanted(default: Any, value: Any) -> str | None:
-    """What kind of value is wanted in place of `value`, judged by the default; None if it is right."""
+    """The kind of value that the default asks for; None if `value` is of that kind."""
     if isinstance(default, bool):
         return None if isinstance(value, bool | int) else "True or False"
     if isinstance(default, int | float):

@@ -1,4 +1,4 @@
-"""The gymnasium environment: highway-env's interface over a `Simulator`, which is SUMO unless another is given."""
+"""The gymnasium environment: highway-env's interface to a `Simulator`, which is SUMO by default."""
 
 from __future__ import annotations
 
@@ -36,15 +36,15 @@ Observation = NDArray[np.float32]
 class DrivingEnv(gym.Env[Observation, Any]):
     """One of the five driving tasks on SUMO.
 
-    Observations, actions, rewards, endings and `config` keys are highway-env's (see `tasks`); one policy step is
-    ``1 / policy_frequency`` s. Any number of environments may live in one process: libsumo supports one simulation per
-    process, so the first environment has it and every further one gets a worker process of its own.
+    Observations, actions, rewards, endings and `config` keys are highway-env's; docs/environments has a page for each
+    task. One policy step lasts ``1 / policy_frequency`` s. Any number of environments may live in one process: libsumo
+    supports one simulation per process, so the first environment has it and every further one gets a worker process.
 
     Args:
         task: highway, two-way, roundabout, intersection or u-turn.
-        config: keys to change, see `config.COMMON` and the task's `defaults`.
+        config: configuration keys to change; the defaults are `config.COMMON` and the task's `defaults`.
         render_mode: None or ``"rgb_array"``.
-        simulator: that drives the traffic; None for SUMO. The environment closes it.
+        simulator: the simulator that drives the traffic; None for SUMO. The environment closes it.
 
     Raises:
         ConfigError: unknown task or key, wrong value.
@@ -75,10 +75,10 @@ class DrivingEnv(gym.Env[Observation, Any]):
     # -- configuration -------------------------------------------------------------------------------------
 
     def configure(self, config: Mapping[str, Any] | None) -> None:
-        """Lay `config` over the present configuration; takes effect at the next reset."""
+        """Change these keys of the configuration; they take effect at the next reset."""
         changed = resolve(self.task.name, self.task.defaults, getattr(self, "config", None), config)
         offered = interface(self.task, changed)
-        self.config: Config = changed  # only now that nothing can go wrong
+        self.config: Config = changed  # assigned last: an error leaves the environment as it was
         self._configured = copy.deepcopy(changed)
         self.actions, self.target_speeds = offered.actions, offered.target_speeds
         self.observation_type = offered.observation_type
@@ -92,11 +92,11 @@ class DrivingEnv(gym.Env[Observation, Any]):
     ) -> tuple[Observation, dict[str, Any]]:
         """Start an episode. ``options={"config": {...}}`` changes the configuration first, as in highway-env.
 
-        The traffic is a function of the seed alone (or of the environment's own generator when no seed is given),
-        never of earlier episodes or of the agent. ``options={"scenario": Scenario(...)}`` starts from that scenario.
+        The traffic depends on the seed alone (on the environment's own generator if no seed is given), never on
+        earlier episodes or on the agent. ``options={"scenario": Scenario(...)}`` starts from that scenario.
         """
         super().reset(seed=seed)
-        # also when no options are given: users of highway-env write to env.unwrapped.config directly
+        # also without options: users of highway-env write to env.unwrapped.config directly
         override = (options or {}).get("config")
         if override or self.config != self._configured:
             self.configure(override)
@@ -131,7 +131,7 @@ class DrivingEnv(gym.Env[Observation, Any]):
             distance [m] of this step.
 
         Raises:
-            SimulatorError: the simulator cannot go on with this episode; `reset` begins another one.
+            SimulatorError: the simulator cannot continue this episode; `reset` starts another one.
             ValueError: the action is not in the action space.
         """
         if self._simulator is None or self.scenario is None:
@@ -170,12 +170,12 @@ class DrivingEnv(gym.Env[Observation, Any]):
         return self._camera().draw(self.scene, self.task.road(self.config), self.config)
 
     def set_record_video_wrapper(self, wrapper: RecordVideo[Any, Any]) -> None:
-        """Let a `gymnasium.wrappers.RecordVideo` film every simulation sub-step, in real time, as in highway-env.
+        """Make a `gymnasium.wrappers.RecordVideo` film every simulation step, in real time, as in highway-env.
 
         >>> env = RecordVideo(gym.make("sumo/highway-v0", render_mode="rgb_array"), "videos")
         >>> env.unwrapped.set_record_video_wrapper(env)
 
-        Without this call a film has one frame a policy step. ``config["simulation_frequency"]`` is the frame rate.
+        Without this call, a film has one frame per policy step. ``config["simulation_frequency"]`` is the frame rate.
         """
         self._video = wrapper
         self._set_frame_rate()
@@ -186,7 +186,7 @@ class DrivingEnv(gym.Env[Observation, Any]):
             self._video.frames_per_sec = self.config["simulation_frequency"]
 
     def _on_substep(self, scene: Scene) -> None:
-        """Between two policy steps: a frame for the film, points for the trajectories."""
+        """Between two policy steps: add a frame to the film and points to the trajectories."""
         if self._shows_trajectories():
             self._camera().remember(scene)
         if self._video is not None and self._video.recording:
@@ -198,13 +198,13 @@ class DrivingEnv(gym.Env[Observation, Any]):
 
     def _camera(self) -> Renderer:
         if self._renderer is None:
-            from sumo_env.rendering import Renderer  # Pillow is loaded by those only who look
+            from sumo_env.rendering import Renderer  # Pillow is imported when the first picture is drawn
 
             self._renderer = Renderer()
         return self._renderer
 
     def close(self) -> None:
-        """Give the simulator back; the environment can be reset again all the same."""
+        """Close the simulator; `reset` opens it again."""
         if self._simulator is not None:
             self._simulator.close()
             self._simulator = self._given
@@ -256,6 +256,6 @@ class DrivingEnv(gym.Env[Observation, Any]):
             "near_miss": step.min_ttc < NEAR_MISS_TTC and not state.crashed,
             "distance": float(step.distance),
         }
-        if action is not None:  # at a reset there is none, not even None: vector environments merge by type
+        if action is not None:  # absent at a reset, not None: vector environments merge values by type
             info["action"] = action
         return info

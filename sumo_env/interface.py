@@ -1,6 +1,6 @@
-"""What an agent is offered: observation, action space and speed ladder, as a function of the configuration alone.
+"""The agent's side of a task: observation, action space and target speeds, as a function of the configuration alone.
 
-Kept apart from the environment so that a process that only steers workers (`vector`) need not load SUMO.
+Separate from the environment because the backend highway-env of the experiments uses it as well.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from sumo_env.tasks.base import Task
 
 @dataclass(frozen=True)
 class Interface:
-    """The agent's side of a task.
+    """Observation and action space of a task, and what they are made of.
 
     Attributes:
         actions: meta-actions by index.
-        target_speeds: the ego's ladder [m/s].
+        target_speeds: the speeds that the ego can be commanded, rising [m/s].
         observation_type: makes the observations.
         observation_space, action_space: gymnasium's.
     """
@@ -39,7 +39,7 @@ def interface(task: Task, config: Config) -> Interface:
     """The interface of a task under a resolved configuration.
 
     Raises:
-        ConfigError: the ladder does not rise, or the observation's entry is malformed.
+        ConfigError: the target speeds do not rise, or the entry of the observation is malformed.
     """
     actions = action_names(config["action"])
     ladder = config["action"].get("target_speeds") or task.target_speeds

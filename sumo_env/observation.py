@@ -41,7 +41,7 @@ def _longitudinal(lane: Lane, x: Floats, y: Floats) -> Floats:
 
 
 class Kinematics:
-    """highway-env's `KinematicObservation`: one row a vehicle, the ego first, then the nearest ones ahead.
+    """highway-env's `KinematicObservation`: one row per vehicle, the ego first, then the others by distance.
 
     Attributes:
         features: names of the columns.
@@ -130,10 +130,10 @@ class Kinematics:
         specs: Mapping[str, VehicleSpec],
         rng: np.random.Generator,
     ) -> Array:
-        """The table, float32 of shape (vehicles_count, features), rows without a vehicle all zero.
+        """The table, float32 of shape (vehicles_count, features), rows without a vehicle are zero.
 
-        `specs`: the vehicles by id, whose destinations cos_d and sin_d point to. `rng` shuffles the rows where
-        the order says so.
+        `specs`: the vehicles by id; cos_d and sin_d point to their destinations. `rng` shuffles the rows if
+        `order` is "shuffled".
         """
         rows = self.visible(scene, road, ego.lane)
         columns = self._columns(scene, road, rows, specs)
@@ -175,7 +175,7 @@ class Kinematics:
         """Values of the features that depend on roads and destinations, shape (m,) each."""
         columns: dict[str, Floats] = {}
         if not _DIRECTION.isdisjoint(self.features):
-            # the ego always knows where it is going; what others intend is seen if that is asked for
+            # the ego knows its own destination; those of the others are observed only with observe_intentions
             known = [row == 0 or self.observe_intentions for row in rows]
             direction = np.array(
                 [
@@ -219,7 +219,7 @@ def _direction(scene: Scene, road: Road, row: int, spec: VehicleSpec | None) -> 
 class TimeToCollision:
     """highway-env's `TimeToCollisionObservation`: predicted contact over ego speeds, lanes and time.
 
-    Shape (3, 3, horizon * policy_frequency): the ego's rung +-1, its lane +-1, time steps of one policy step.
+    Shape (3, 3, horizon * policy_frequency): the ego's target speed +-1, its lane +-1, time steps of one policy step.
     1 at a predicted contact, 0.5 within a vehicle's length of it.
     """
 
@@ -280,7 +280,7 @@ class TimeToCollision:
         return self._window(grid, ego.lane[2], ego.speed_index)
 
     def _window(self, grid: NDArray[np.float64], lane: int, speed_index: int) -> Array:
-        """The 3 x 3 neighbourhood: beyond the last lane all is contact, beyond the last rung the rung repeats."""
+        """The 3 x 3 neighbourhood: beyond the outer lanes all is contact, beyond the last speed the speed repeats."""
         wall = np.ones((grid.shape[0], 1, grid.shape[2]))
         padded = np.concatenate([wall, grid, wall], axis=1)[:, lane : lane + 3, :]
         rungs = np.clip(np.arange(speed_index - 1, speed_index + 2), 0, grid.shape[0] - 1)

@@ -1,4 +1,4 @@
-"""The state of the traffic at one instant: what every simulator produces and everything downstream reads."""
+"""The state of the traffic at one instant. Simulators produce scenes; observations, rewards and measures read them."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """Struct of arrays, one row a vehicle, row 0 the ego; highway-env's coordinates (x east, y *down*).
+    """Struct of arrays, one row per vehicle, row 0 the ego; highway-env's coordinates (x east, y *down*).
 
     Attributes:
         ids: names of the vehicles, ``"ego"`` first.
         x, y: centres of the vehicles [m], shape (n,).
         speed: along the heading [m/s], shape (n,).
         heading: from +x towards +y [rad], shape (n,).
-        crashed: whether the vehicle is a wreck, shape (n,).
+        crashed: whether the vehicle has crashed, shape (n,).
         time: since the start of the episode [s].
     """
 

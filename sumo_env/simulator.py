@@ -1,8 +1,8 @@
-"""What every simulator is to the environment: a scenario goes in, then commands go in and steps come out.
+"""The interface between the environment and a simulator: a scenario and commands go in, scenes and steps come out.
 
-`DrivingEnv` holds one `Simulator` and knows nothing else of it: SUMO in this process, SUMO in a process of its own,
-or a simulator without SUMO. All that crosses this line is a value that can be printed, compared, stored and sent to
-another process; neither side ever writes into the other.
+`DrivingEnv` holds one `Simulator` and knows nothing else about it: SUMO in this process, SUMO in a process of its own,
+or a simulator without SUMO. Everything that is exchanged is a value that can be printed, compared, stored and sent to
+another process; neither side modifies the other's state.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ from sumo_env.traffic.scenario import Scenario
 
 
 class SimulatorError(RuntimeError):
-    """A simulator cannot go on with an episode; the next `reset` begins another one."""
+    """A simulator cannot continue an episode; `reset` starts another one."""
 
 
 class EgoCommand(NamedTuple):
-    """What the ego is told for one policy step, after a meta-action was applied (``MDPVehicle.act``).
+    """The ego's command for one policy step, after the meta-action was applied (``MDPVehicle.act``).
 
     Attributes:
-        target_speed: [m/s], approached with highway-env's first-order lag of 0.6 s.
+        target_speed: [m/s], which the ego approaches with highway-env's first-order lag of 0.6 s.
         target_lane: lane to steer for.
     """
 
@@ -34,11 +34,11 @@ class EgoCommand(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """What one policy step has brought.
+    """The result of one policy step.
 
     Attributes:
         scene: at the end of the step.
-        target_lane: lane that the ego steers for at the end; at the end of a lane it goes on to the next of its route.
+        target_lane: lane that the ego steers for at the end; at the end of a lane this is the next lane of its route.
         crash: the ego's first contact of the episode, in this step or an earlier one; None without one.
         min_ttc: least time to collision of the ego with any vehicle within 100 m after any sub-step [s], inf without
             one within 10 s.
@@ -58,9 +58,9 @@ class Simulator(Protocol):
     """Drives the traffic of one scenario after another."""
 
     def reset(self, scenario: Scenario) -> Scene:
-        """Place a scenario, drive its warm-up, and return the first scene. The episode before is forgotten.
+        """Place a scenario, drive its warm-up, and return the first scene. The previous episode ends.
 
-        The ego begins with the lane and the target speed of its `VehicleSpec`.
+        The ego starts with the lane and the target speed of its `VehicleSpec`.
         """
         ...
 
@@ -68,10 +68,10 @@ class Simulator(Protocol):
         """Drive one policy step: ``1 / scenario.policy_frequency`` seconds in sub-steps of the simulation frequency.
 
         Before the first sub-step, vehicles that have left the scene are removed and the scenario's spawns of this
-        step are let in (highway-env does so after the observation of the step before, which is the same).
+        step are added (highway-env does this after the observation of the previous step, which is equivalent).
         """
         ...
 
     def close(self) -> None:
-        """Give back what the simulator holds; `reset` takes it again."""
+        """Release what the simulator holds; `reset` acquires it again."""
         ...

@@ -1,7 +1,7 @@
 """What is painted of a road: its surface, its edges and its dashed lines, as polygons in metres.
 
-Derived from the lanes alone. Edge lines need no rule for junctions: every strip of surface is drawn wider in
-white first and all surfaces over that, as maps draw streets: white remains at the rim of their union only.
+Derived from the lanes alone. Edge lines need no rule for junctions: every strip of surface is first drawn in white
+and slightly wider, then all surfaces are drawn over that, so white remains only at the rim of their union.
 """
 
 from __future__ import annotations

@@ -48,7 +48,7 @@ _HEADLIGHTS = tuple(
 
 
 class Renderer:
-    """Draws scenes; keeps the road's picture between calls, so use one for an environment.
+    """Draws scenes; keeps the road's picture between calls, so use one per environment.
 
     Size, zoom and camera are highway-env's config keys: ``screen_width``, ``screen_height`` [px], ``scaling``
     [px/m], ``centering_position`` (the ego's place as a share of the picture), ``show_trajectories``.

@@ -31,10 +31,10 @@ class EgoState(NamedTuple):
         lane: lane that the ego is on (the closest one, highway-env's distance).
         s, lateral: its coordinates on that lane [m].
         speed: [m/s]; heading: [rad].
-        target_lane: lane that the driver steers for.
-        speed_index: commanded rung of the ladder.
-        speed_count: rungs of the ladder.
-        action: what was commanded in this step.
+        target_lane: lane that the ego steers for.
+        speed_index: index of the target speed.
+        speed_count: number of target speeds.
+        action: the action of this step, None at a reset.
         crashed, on_road: after the step.
     """
 
@@ -81,11 +81,11 @@ class Task:
         raise NotImplementedError
 
     def spawns(self, config: Config, road: Road, seed: int, drivers: Drivers) -> list[Spawn]:
-        """Vehicles that come later, or at the end of the warm-up (intersection only)."""
+        """Vehicles that are added later, or at the end of the warm-up (intersection only)."""
         return []
 
     def drivers(self, dose: float) -> tuple[Driver, ...]:
-        """Every driver that a scenario of this dose may hold, the ego's included."""
+        """Every driver that may occur in a scenario of this dose, the ego's included."""
         pools = {(0.0, True), (dose, True), (dose, False)}
         return tuple(
             driver
@@ -138,7 +138,7 @@ class Task:
 
 
 class Drivers:
-    """Hands out the drivers of one scenario, in the order in which the vehicles are made."""
+    """Draws the drivers of one scenario, in the order in which the vehicles are created."""
 
     def __init__(self, task: Task, config: Config, seed: int) -> None:
         self._rng = stream(seed, "drivers")
@@ -152,13 +152,13 @@ class Drivers:
     def next(self, fixed_delta: bool | None = None) -> Driver:
         """The driver of the next vehicle; `fixed_delta` overrides the task's own choice."""
         pool = self._pool[self._fixed_delta if fixed_delta is None else fixed_delta]
-        if not self._drawn:  # in blocks: the same numbers as one at a time
+        if not self._drawn:  # drawn in blocks, which gives the same numbers as one at a time
             self._drawn = self._rng.integers(POOL, size=64).tolist()[::-1]
         return pool[self._drawn.pop()]
 
 
 def ego_driver(task: Task) -> Driver:
-    """The ego is driven by the agent; its type only fills the driver's place."""
+    """The agent drives the ego; simulators need a driver for it all the same."""
     return driver_pool(task.car_following, 0.0, True)[0]
 
 
@@ -179,7 +179,7 @@ def make_on_lane(
     geometry = road.lane(lane)
     x, y = geometry.position(s, 0.0)
     heading = geometry.heading_at(s)
-    if not 0.0 <= s <= geometry.length:  # on another lane really, as highway-env finds out as well
+    if not 0.0 <= s <= geometry.length:  # it is on another lane, as in highway-env
         lane = road.closest_lane(x, y, heading)
         s = road.lane(lane).local_coordinates(x, y)[0]
     if target_speed is None:
@@ -203,7 +203,7 @@ def make_on_lane(
 
 
 def nearest_index(speed: float, ladder: Iterable[float]) -> int:
-    """Rung of the (uniform) ladder that is nearest to a speed (``MDPVehicle.speed_to_index``)."""
+    """Index of the evenly spaced target speed nearest to a speed [m/s] (``MDPVehicle.speed_to_index``)."""
     rungs = list(ladder)
     if len(rungs) == 1:
         return 0
@@ -217,7 +217,7 @@ def lmap(value: float, source: tuple[float, float] | list[float], target: tuple[
 
 
 def weighted(rewards: dict[str, float], config: Config) -> float:
-    """Sum of the terms times their weights in the config; a term without a weight counts nothing."""
+    """Sum of the terms times their weights in the config; a term without a weight has no effect."""
     return sum(config.get(name, 0) * value for name, value in rewards.items())
 
 

@@ -60,7 +60,7 @@ class Highway(Task):
     def vehicles(
         self, config: Config, road: Road, ego: VehicleSpec, rng: np.random.Generator, drivers: Drivers
     ) -> list[VehicleSpec]:
-        # Each vehicle stands ahead of all earlier ones, in a random lane (Vehicle.create_random).
+        # Each vehicle is placed ahead of all earlier ones, in a random lane (Vehicle.create_random).
         count = int(config["vehicles_count"])
         lanes = rng.integers(config["lanes_count"], size=count)
         speeds = rng.uniform(21.0, 24.0, size=count)  # 0.7 to 0.8 of the speed limit
@@ -68,14 +68,12 @@ class Highway(Task):
         gaps = _spacing(speeds, 1.0 / config["vehicles_density"], config) * jitter
         places = np.cumsum(np.append(ego.s, gaps))[1:]
         # Even at full speed the ego gets no closer than 200 m to a crashed vehicle further ahead. Leaving such
-        # vehicles out changes what the ego sees by less than 1e-4, nearly always (docs/decisions.md).
+        # vehicles out nearly always changes what the ego sees by less than 1e-4 (docs/decisions.md).
         fastest = max(config["action"].get("target_speeds") or self.target_speeds)
         reach = ego.s + fastest * config["duration"] + PERCEPTION_DISTANCE
         vehicles = zip(lanes.tolist(), places.tolist(), speeds.tolist(), strict=True)
         return [
-            make_on_lane(
-                road, f"v{k}", ("0", "1", lane), s, speed, drivers.next(), concerns_ego=s <= reach
-            )
+            make_on_lane(road, f"v{k}", ("0", "1", lane), s, speed, drivers.next(), concerns_ego=s <= reach)
             for k, (lane, s, speed) in enumerate(vehicles)
         ]
 
@@ -96,5 +94,5 @@ class Highway(Task):
 
 
 def _spacing(speed: Floats, spacing: float, config: Config) -> Floats:
-    """Distances to the vehicle before by speeds [m/s], before jitter [m]; they shrink with the number of lanes."""
+    """Distance to the previous vehicle [m], before jitter, by speed [m/s]; it shrinks with the number of lanes."""
     return spacing * (12.0 + 1.0 * speed) * math.exp(-5.0 / 40.0 * config["lanes_count"])

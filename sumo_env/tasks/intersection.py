@@ -14,11 +14,11 @@ from sumo_env.traffic.drivers import Calibration, CarFollowing
 from sumo_env.traffic.risk import RiskRates
 from sumo_env.traffic.scenario import EGO, Spawn, VehicleSpec, fits
 
-INITIAL_SPAWN_PROBABILITY = 0.6  # hard-coded in highway-env, whatever the config's spawn_probability
+INITIAL_SPAWN_PROBABILITY = 0.6  # hard-coded in highway-env, independent of the config's spawn_probability
 
 
 class Intersection(Task):
-    """Left turn at an unsignalised crossing; the ego is never given way on purpose."""
+    """Left turn at a crossing without traffic lights."""
 
     name = "intersection"
     ego_road = ("o0", "ir0")
@@ -129,7 +129,7 @@ def _attempt(
     longitudinal: float,
     straight: bool = False,
 ) -> VehicleSpec | None:
-    """One try of highway-env's ``_spawn_vehicle``; draws the same numbers whether it succeeds or not."""
+    """One attempt of highway-env's ``_spawn_vehicle``; draws the same numbers whether it succeeds or not."""
     success = rng.random() <= probability
     start, goal = rng.choice(4, size=2, replace=False).tolist()
     place, speed = rng.standard_normal(), rng.standard_normal()

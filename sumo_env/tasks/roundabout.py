@@ -14,7 +14,7 @@ from sumo_env.traffic.risk import RiskRates
 from sumo_env.traffic.scenario import EGO, VehicleSpec
 
 DESTINATIONS = ("exr", "sxr", "nxr")
-# Vehicles beyond highway-env's four stand anywhere on these (RoundaboutGenericEnv's law).
+# Vehicles beyond highway-env's four are placed anywhere on these (RoundaboutGenericEnv's law).
 EXTRA_ROADS = (
     ("we", "sx", 2),
     ("sx", "se", 2),
@@ -56,7 +56,7 @@ class Roundabout(Task):
         "10": {"vehicles_count": 10},
         "15": {"vehicles_count": 15},
     }
-    # Surges alone empty the ring before a slow ego: some brake to a standstill in it.
+    # Surges alone empty the ring before a slow ego arrives, so some drivers also brake to a standstill in it.
     calibration = Calibration(lane_changes=False, ignores_approaching=0.85, ignores_inside=0.5)
     risk_rates = RiskRates(
         cut_in=0.2, brake=0.2, brake_decel=8.0, brake_duration=3.0, surge=0.2, surge_way=10.0
@@ -103,7 +103,7 @@ class Roundabout(Task):
     def rewards(self, ego: EgoState, config: Config) -> dict[str, float]:
         return {
             "collision_reward": float(ego.crashed),
-            # highway-env counts the rungs of its default ladder, three, also where the config gives another
+            # highway-env divides by the number of its default target speeds, also if the config gives others
             "high_speed_reward": ego.speed_index / 2,
             "lane_change_reward": float(ego.action in (0, 2)),
             "on_road_reward": float(ego.on_road),

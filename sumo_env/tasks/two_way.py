@@ -21,7 +21,7 @@ MIN_SPACING = 6.0  # [m] between centres in a column
 
 
 class TwoWay(Task):
-    """One lane each way; cars ahead that are slower, and oncoming ones."""
+    """One lane per direction, slower vehicles ahead, and oncoming ones."""
 
     name = "two-way"
     ego_road = ("a", "b")
@@ -96,6 +96,6 @@ def _column(
         places = start + direction * step * np.arange(count) + rng.normal(size=count) * deviation
         if count < 2 or np.min(np.diff(np.sort(places))) > MIN_SPACING:
             break
-        if attempt >= 100:  # a crowded column would never be right by chance
+        if attempt >= 100:  # in a crowded column, chance alone would not find free places
             deviation *= 0.9
     return [float(place) for place in places]

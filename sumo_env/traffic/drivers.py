@@ -34,7 +34,7 @@ class CarFollowing:
 
 @dataclass(frozen=True, slots=True)
 class Calibration:
-    """What SUMO's drivers of a task are told once, so that their traffic is like highway-env's.
+    """Settings of SUMO's drivers in a task, applied once, that bring their traffic close to highway-env's.
 
     Attributes:
         lane_changes: whether LC2013 decides on lane changes; else nobody changes but by a risk event.

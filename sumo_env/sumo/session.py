@@ -201,9 +201,15 @@ class Session:
     def near(self, name: str) -> dict[str, State]:
         """States of a watched vehicle and of those near it."""
         found = _vehicle.getContextSubscriptionResults(name)
+        if name not in found:  # it has left the road, or somebody else has loaded a state without subscriptions
+            raise libsumo.TraCIException(f"Vehicle '{name}' is not watched any more.")
         return {
             other: _state(values[_FRONT], values[_ANGLE], values[_SPEED]) for other, values in found.items()
         }
+
+    def arrived(self) -> tuple[str, ...]:
+        """Names of the vehicles that have left the road in the last step: they were at the end of their route."""
+        return _simulation.getArrivedIDList()
 
     # -- time ----------------------------------------------------------------------------------------------
 

@@ -179,13 +179,21 @@ class SumoSimulator:
         return Step(scene, ego.target_lane, self._detector.crash, least_ttc, distance, tuple(scenes))
 
     def _advance(self) -> Sequence[tuple[str, str]]:
-        """One step of SUMO; returns the pairs that it reports in collision."""
+        """One step of SUMO; returns the pairs of vehicles of the scenario that it reports in collision."""
         for name, speed in self._crashed.items():
             self._crashed[name], distance = coast(speed, self._dt)
             stretch = self._network.stretch(self._session.lane_of(name))
             self._session.set_speed(name, distance / self._dt * stretch)
         self._time += self._dt
-        return self._session.step()
+        reported = self._session.step()
+        for name in self._session.arrived():
+            if name == EGO:
+                raise SimulatorError(
+                    f"the ego has driven off the end of the road ({self._scenario.task}, {self._time:.1f} s): "
+                    "choose a shorter 'duration', or call reset() to begin another episode"
+                )
+            self._forget(name)
+        return [pair for pair in reported if all(name in self._specs for name in pair)]
 
     def _look(self, reported: Sequence[tuple[str, str]]) -> None:
         """After a sub-step: who is near the ego, and who has crashed."""
@@ -233,7 +241,7 @@ class SumoSimulator:
     # -- vehicles that come and go (intersection) ----------------------------------------------------------
 
     def _let_out(self) -> None:
-        """Remove vehicles near the end of an exit, and those that SUMO has removed at the end of their route."""
+        """Remove vehicles near the end of an exit, and those that a user of libsumo has removed."""
         present = self._session.vehicles()
         if len(present) != len(self._specs):
             for name in set(self._specs).difference(present):
@@ -264,7 +272,7 @@ class SumoSimulator:
         self._forget(name)
 
     def _forget(self, name: str) -> None:
-        del self._specs[name]
+        self._specs.pop(name, None)
         self._crashed.pop(name, None)
 
     # -- reading -------------------------------------------------------------------------------------------

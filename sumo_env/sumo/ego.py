@@ -47,7 +47,7 @@ class Ego:
             self.speed, distance = approach(self.speed, self.target_speed, TAU, dt)
         lane = session.lane_of(EGO)
         # lanes of one edge share one length in SUMO, so a metre in a bend is not a metre on the road
-        session.set_speed(EGO, distance / dt * self._network.stretch(lane))
+        session.set_speed(EGO, distance / session.step_length * self._network.stretch(lane))
         if not self.crashed:
             self._change_lane(session, lane)
         return distance

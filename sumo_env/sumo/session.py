@@ -104,6 +104,12 @@ class Session:
         self._limits.clear()
         self._settings = settings
 
+    @property
+    def step_length(self) -> float:
+        """Time between two steps as SUMO counts it, in whole milliseconds [s]: 0.067 at 15 Hz."""
+        assert self._settings is not None
+        return round(self._settings.step_length, 3)
+
     def forget(self) -> None:
         """Load anew at the next `load`, whatever is loaded (somebody else may have changed it)."""
         self._settings = None

@@ -183,7 +183,7 @@ class SumoSimulator:
         for name, speed in self._crashed.items():
             self._crashed[name], distance = coast(speed, self._dt)
             stretch = self._network.stretch(self._session.lane_of(name))
-            self._session.set_speed(name, distance / self._dt * stretch)
+            self._session.set_speed(name, distance / self._session.step_length * stretch)
         self._time += self._dt
         reported = self._session.step()
         for name in self._session.arrived():

@@ -1,142 +1,138 @@
-"""Episodes on SUMO: the ego's motion, contacts, wrecks, risk events, vehicles that come, go or do not matter."""
+"""Episodes on SUMO: the ego's motion, contacts, crashed vehicles, and vehicles that come, go or do not matter."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
-import libsumo
 import numpy as np
 import pytest
 
-from sumo_env.drivers import FREE_WAY, RiskEvent
 from sumo_env.env import DrivingEnv
-from sumo_env.scenario import Scenario, VehicleSpec
 from sumo_env.scene import Scene
-from sumo_env.simulation import NO_LANE_CHANGES, OWN_LANE_CHANGES, REGULAR
+from sumo_env.simulator import EgoCommand, Simulator, SimulatorError, Step
+from sumo_env.sumo.session import Session
+from sumo_env.sumo.world import SumoSimulator
 from sumo_env.tasks import TASKS
-from sumo_env.world import World
+from sumo_env.traffic.scenario import EGO_DISTANCE, Scenario
+from tests.sumo_env.scenarios import alone, draw, with_leader
+
+Start = Callable[..., DrivingEnv]
+LEFT, IDLE, RIGHT, FASTER, SLOWER = range(5)
 
 
-@pytest.fixture
-def make() -> Iterator[Any]:
-    """Environments that start from a scenario changed by the test."""
-    made: list[DrivingEnv] = []
-
-    def build(task: str, change: Any = lambda scenario: scenario, seed: int = 0, **config: Any) -> DrivingEnv:
-        env = DrivingEnv(task, config)
-        draw = env.task.scenario
-        the_task = type(env.task)()
-        the_task.scenario = lambda config, seed: change(draw(config, seed))  # type: ignore[method-assign]
-        env.task = the_task
-        env.reset(seed=seed)
-        made.append(env)
-        return env
-
-    yield build
-    for env in made:
-        env.close()
+# -- the protocol ------------------------------------------------------------------------------------------
 
 
-def alone(scenario: Scenario) -> Scenario:
-    return replace(scenario, vehicles=(), spawns=(), events=())
+def test_a_step_says_what_it_has_brought(simulator: SumoSimulator) -> None:
+    protocol: Simulator = simulator
+    scenario = draw("highway", 3)
+    first = protocol.reset(scenario)
+    assert first.ids[0] == "ego" and len(first) == 1 + len(scenario.vehicles) and first.time == 0.0
+    step = protocol.step(EgoCommand(30.0, scenario.ego.lane), trace=True)
+    assert isinstance(step, Step)
+    assert [scene.time for scene in step.trace] == pytest.approx(np.arange(1, 11) / 10)
+    assert step.trace[-1] is step.scene
+    xs = [first.x[0], *(scene.x[0] for scene in step.trace)]
+    assert step.distance == pytest.approx(xs[-1] - xs[0], abs=0.01) and np.all(np.diff(xs) > 0.0)
+    assert step.target_lane == scenario.ego.lane and step.crash is None
+    assert protocol.step(EgoCommand(30.0, scenario.ego.lane)).trace == ()
 
 
-def with_leader(distance: float, speed: float) -> Any:
-    """One vehicle ahead of the ego in its lane."""
-
-    def change(scenario: Scenario) -> Scenario:
-        ego, other = scenario.ego, scenario.vehicles[0]
-        leader = other._replace(
-            lane=ego.lane,
-            s=ego.s + distance,
-            x=ego.x + distance,
-            y=ego.y,
-            speed=speed,
-            target_speed=speed,
-        )
-        return replace(scenario, vehicles=(leader,), events=())
-
-    return change
+@pytest.mark.parametrize("task", TASKS)
+def test_looking_at_every_sub_step_changes_nothing(task: str, simulator: SumoSimulator) -> None:
+    scenario = draw(task, 1, risk=1.0)
+    scenes = []
+    for trace in (False, True):
+        simulator.reset(scenario)
+        for _ in range(4):
+            step = simulator.step(EgoCommand(scenario.ego.target_speed, scenario.ego.lane), trace=trace)
+        scenes.append(step.scene)
+    assert_equal(*scenes)
 
 
-def substeps(env: DrivingEnv, action: int) -> list[Scene]:
-    """Scenes after every simulation step of one policy step."""
-    assert env._world is not None
-    scenes: list[Scene] = []
-    env.ego.command(env.actions[action], float(env.scene.x[0]), float(env.scene.y[0]))
-    env.scene = env._world.step(scenes.append)
-    return [*scenes, env.scene]
+@pytest.mark.parametrize("task", TASKS)
+def test_vehicles_begin_where_the_scenario_puts_them(task: str, simulator: SumoSimulator) -> None:
+    """In the middle of their lanes, whose bends SUMO draws as polygons; but for traffic that has a warm-up."""
+    scenario = draw(task, 2)
+    scene = simulator.reset(scenario)
+    specs = scenario.specs[:1] if scenario.warm_up else scenario.specs
+    for row, spec in enumerate(specs):
+        lane = scenario.road.lane(spec.lane)
+        assert scene.ids[row] == spec.id
+        assert (scene.x[row], scene.y[row]) == pytest.approx(lane.position(spec.s, 0.0), abs=0.2)
+        assert np.cos(scene.heading[row] - lane.heading_at(spec.s)) > np.cos(0.02)
+        assert scene.speed[row] == pytest.approx(spec.speed)
+    assert np.all((-np.pi < scene.heading) & (scene.heading <= np.pi))
 
 
-def test_idle_ego_keeps_speed_and_lane(make: Any) -> None:
-    env = make("highway", alone)
-    x = env.scene.x[0]
+# -- the ego's motion --------------------------------------------------------------------------------------
+
+
+def test_idle_ego_keeps_speed_and_lane(start: Start) -> None:
+    env = start("highway", alone)
+    x, y = env.scene.x[0], env.scene.y[0]
     for _ in range(5):
-        env.step(1)
+        env.step(IDLE)
     assert env.scene.x[0] - x == pytest.approx(125.0, abs=0.01)
+    assert env.scene.y[0] == pytest.approx(y)
     assert env.scene.speed[0] == 25.0
 
 
-def test_a_lane_change_is_exponential_as_in_highway_env(make: Any) -> None:
+def test_a_lane_change_crosses_the_line_when_highway_env_s_does(simulator: SumoSimulator) -> None:
     """There the ego crosses the line after 0.46 s, has moved 3.41 m after 1 s and is within 0.1 m after 1.7 s."""
-    env = make("highway", alone, initial_lane_id=2)
-    y = np.array([scene.y[0] for scene in substeps(env, 0)])
-    flip = np.argmax(y < 6.0) + 1
-    assert flip == 5  # tenths of a second
-    assert y[-1] == pytest.approx(8.0 - 3.41, abs=0.05)
-    y = np.array([scene.y[0] for scene in substeps(env, 1)])
-    assert np.argmax(y < 4.1) + 11 in (17, 18)
+    simulator.reset(alone(draw("highway", initial_lane_id=2)))
+    command = EgoCommand(25.0, ("0", "1", 1))
+    y = np.array([scene.y[0] for _ in range(2) for scene in simulator.step(command, trace=True).trace])
+    assert np.argmax(y < 6.0) + 1 == 5  # tenths of a second
+    assert 4.0 <= y[9] <= 8.0 - 3.41
+    assert np.all(np.diff(y) <= 0.0) and np.all(np.abs(y[17:] - 4.0) < 0.1)
 
 
-def test_two_lane_changes_in_a_row_are_both_made(make: Any) -> None:
-    env = make("highway", alone, initial_lane_id=3)
-    env.step(0)
-    env.step(0)
-    for _ in range(2):
-        env.step(1)
+def test_two_lane_changes_in_a_row_are_both_made(start: Start) -> None:
+    env = start("highway", alone, initial_lane_id=3)
+    for action in (LEFT, LEFT, IDLE, IDLE):
+        env.step(action)
     assert env.scene.y[0] == pytest.approx(4.0, abs=0.01)
 
 
-def test_the_ego_is_not_slowed_by_bends_or_junctions(make: Any) -> None:
-    for task, faster, seconds, speed in (
-        ("u-turn", 3, 10, 24.0),
-        ("roundabout", 3, 9, 16.0),
-        ("intersection", 2, 9, 9.0),
-    ):
-        env = make(task, alone)
-        driven = 0.0
-        for _ in range(seconds):
-            before = env.scene
-            _, _, terminated, truncated, info = env.step(faster)
-            driven = info["distance"]
-            chord = np.hypot(env.scene.x[0] - before.x[0], env.scene.y[0] - before.y[0])
-            assert chord <= driven + 0.3
-            if terminated or truncated:
-                break
-        assert driven == pytest.approx(speed, rel=0.02)
-        assert info["on_road"]
-
-
-def test_empty_intersection_takes_nine_steps(make: Any) -> None:
-    env = make("intersection", alone)
-    rewards = []
-    for _ in range(13):
-        _, reward, terminated, _, info = env.step(1)
-        rewards.append(reward)
-        if terminated:
+@pytest.mark.parametrize(
+    ("task", "faster", "seconds", "speed"),
+    [("u-turn", FASTER, 10, 24.0), ("roundabout", FASTER, 9, 16.0), ("intersection", 2, 9, 9.0)],
+)
+def test_the_ego_is_not_slowed_by_bends_or_junctions(
+    start: Start, task: str, faster: int, seconds: int, speed: float
+) -> None:
+    env = start(task, alone)
+    for _ in range(seconds):
+        before = env.scene
+        _, _, terminated, truncated, info = env.step(faster)
+        chord = np.hypot(env.scene.x[0] - before.x[0], env.scene.y[0] - before.y[0])
+        assert chord <= info["distance"] + 0.3
+        if terminated or truncated:
             break
+    assert info["distance"] == pytest.approx(speed, rel=0.02)
+    assert info["on_road"]
+
+
+def test_empty_intersection_takes_nine_steps(start: Start) -> None:
+    env = start("intersection", alone)
+    rewards: list[float] = []
+    terminated = False
+    while not terminated:
+        _, reward, terminated, _, info = env.step(IDLE)
+        rewards.append(reward)
     assert info["arrived"] and not info["crashed"]
     assert len(rewards) in (8, 9, 10) and sum(rewards) == pytest.approx(len(rewards))
 
 
-def test_empty_two_way_road_pays_15_for_driving_left(make: Any) -> None:
-    env = make("two-way", alone)
-    total = env.step(0)[1]
+def test_empty_two_way_road_pays_15_for_driving_left(start: Start) -> None:
+    env = start("two-way", alone)
+    total = env.step(LEFT)[1]
     truncated = False
     while not truncated:
-        _, reward, terminated, truncated, _ = env.step(1)
+        _, reward, terminated, truncated, _ = env.step(IDLE)
         assert not terminated
         total += reward
     assert total == pytest.approx(15.0)
@@ -144,20 +140,32 @@ def test_empty_two_way_road_pays_15_for_driving_left(make: Any) -> None:
     assert env.scene.x[0] == pytest.approx(480.0, abs=1.0)
 
 
-def test_the_two_way_ego_returns_to_its_lane(make: Any) -> None:
-    env = make("two-way", alone)
-    env.step(0)
-    env.step(2)
-    env.step(1)
+def test_the_two_way_ego_returns_to_its_lane(start: Start) -> None:
+    env = start("two-way", alone)
+    for action in (LEFT, RIGHT, IDLE):
+        env.step(action)
     assert env.scene.y[0] == pytest.approx(4.0, abs=0.01)
     assert env.ego_state.lane == ("a", "b", 1)
 
 
-def test_rear_end_crash_is_recorded_and_ends_the_episode(make: Any) -> None:
-    env = make("highway", with_leader(20.0, 15.0))
+def test_the_target_lane_goes_on_to_the_next_road_within_a_step(simulator: SumoSimulator) -> None:
+    scenario = alone(draw("u-turn"))
+    simulator.reset(scenario)
+    lane, roads = scenario.ego.lane, []
+    for _ in range(12):
+        lane = simulator.step(EgoCommand(24.0, lane)).target_lane
+        roads.append(lane[:2])
+    assert list(dict.fromkeys(roads)) == [("a", "b"), ("b", "c"), ("c", "d")]
+
+
+# -- contacts and crashed vehicles -------------------------------------------------------------------------
+
+
+def test_rear_end_crash_is_recorded_and_ends_the_episode(start: Start) -> None:
+    env = start("highway", with_leader(20.0, 15.0))
     terminated = False
     while not terminated:
-        _, _, terminated, _, info = env.step(1)
+        _, _, terminated, _, info = env.step(IDLE)
     crash = info["crash"]
     assert info["crashed"] and crash["type"] == "rear-end" and crash["other"] == env.scene.ids[1]
     assert crash["closing_speed"] == pytest.approx(10.0, abs=1.5)
@@ -168,211 +176,91 @@ def test_rear_end_crash_is_recorded_and_ends_the_episode(make: Any) -> None:
     assert info["min_ttc"] < 1.0 and not info["near_miss"]
 
 
+def test_frontal_crash_on_the_two_way_road(start: Start) -> None:
+    def only_oncoming(scenario: Scenario) -> Scenario:
+        return replace(scenario, vehicles=tuple(v for v in scenario.vehicles if v.lane == ("b", "a", 0)))
+
+    env = start("two-way", only_oncoming)
+    action, terminated = LEFT, False
+    while not terminated:
+        _, _, terminated, truncated, info = env.step(action)
+        action = IDLE
+        assert not truncated
+    assert info["crash"]["type"] == "frontal"
+    assert info["crash"]["closing_speed"] > 30.0
+
+
 @pytest.mark.parametrize(("distance", "crashes"), [(5.05, True), (5.2, False)])
 def test_a_report_of_sumo_counts_within_a_tolerance(
-    make: Any, monkeypatch: pytest.MonkeyPatch, distance: float, crashes: bool
+    start: Start, monkeypatch: pytest.MonkeyPatch, distance: float, crashes: bool
 ) -> None:
-    env = make("highway", with_leader(distance, 25.0))
-    monkeypatch.setattr(env._world.sim, "collisions", lambda: [("ego", env.scene.ids[1])])
-    _, _, terminated, _, info = env.step(1)
+    """SUMO also reports vehicles that are far apart."""
+    env = start("highway", with_leader(distance, 25.0))
+    drive = Session.step
+
+    def report(session: Session) -> list[tuple[str, str]]:
+        drive(session)
+        return [("ego", env.scene.ids[1])]
+
+    monkeypatch.setattr(Session, "step", report)
+    _, _, terminated, _, info = env.step(IDLE)
     assert terminated == crashes
     if crashes:
         assert info["crash"]["detected_by"] == "sumo"
 
 
 def test_a_contact_that_is_over_within_a_sub_step_is_a_crash(
-    make: Any, monkeypatch: pytest.MonkeyPatch
+    start: Start, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    env = make("highway", with_leader(30.0, 25.0))
-    other = env.scene.ids[1]
-    read = World._read
+    """Between two looks the other has crossed the ego's way."""
+    looks: list[int] = []
+    look = Session.near
 
-    def passes_through(world: World) -> None:
-        """The other has crossed the ego's way within the first sub-step."""
-        read(world)
-        before = world.cars.before
-        if world.time < 1.5 * world.dt:
-            before[:, 1] = before[0, 0] + 1.0, before[1, 0] - 6.0, np.pi / 2
-            world.x[1], world.y[1], world.heading[1] = world.x[0], world.y[0] + 6.0, np.pi / 2
+    def crossing(session: Session, name: str) -> dict[str, Any]:
+        found = look(session, name)
+        x, y, _, _ = found["ego"]
+        looks.append(1)
+        side = -6.0 if len(looks) == 1 else 6.0
+        return {"ego": found["ego"], "v0": (x + 1.0, y + side, 25.0, np.pi / 2)}
 
-    monkeypatch.setattr(World, "_read", passes_through)
-    # SUMO's car is put where the other is shown, a sub-step late, and may be reported there
-    monkeypatch.setattr(env._world.sim, "collisions", lambda: [])
-    monkeypatch.setattr(World, "_undisturbed", lambda world, most: 0)
-    _, _, terminated, _, info = env.step(1)
-    assert terminated and info["crash"]["other"] == other
+    monkeypatch.setattr(Session, "near", crossing)
+    env = start("highway", with_leader(30.0, 25.0))
+    _, _, terminated, _, info = env.step(IDLE)
+    assert terminated and info["crash"]["other"] == "v0"
     assert info["crash"]["type"] == "junction" and info["crash"]["detected_by"] == "geometry"
     assert 0.0 < info["crash"]["time"] < 0.1
 
 
-def test_wrecks_coast_and_stay(make: Any) -> None:
-    env = make("highway", with_leader(12.0, 10.0))
-    env.step(1)
+def test_crashed_vehicles_coast_and_stay(start: Start) -> None:
+    env = start("highway", with_leader(12.0, 10.0))
+    env.step(IDLE)
     assert env.scene.crashed.all()
     speed = env.scene.speed.copy()
-    env.step(1)
+    env.step(IDLE)
     assert env.scene.speed == pytest.approx(speed * (14 / 15) ** 15, rel=1e-6)  # explicit Euler at 15 Hz
     for _ in range(6):
-        env.step(1)
+        env.step(IDLE)
     place = env.scene.x.copy()
-    env.step(1)
+    env.step(FASTER)
     assert env.scene.x == pytest.approx(place, abs=0.1)
 
 
-def test_frontal_crash_on_the_two_way_road(make: Any) -> None:
-    def change(scenario: Scenario) -> Scenario:
-        return replace(scenario, vehicles=tuple(v for v in scenario.vehicles if v.lane == ("b", "a", 0)))
+def test_a_follower_brakes_for_the_ego(start: Start) -> None:
+    def follower(scenario: Scenario) -> Scenario:
+        changed = with_leader(-40.0, 24.0)(scenario)
+        (other,) = changed.vehicles
+        return replace(changed, vehicles=(other._replace(target_speed=28.0, changes_lanes=False),))
 
-    env = make("two-way", change)
-    action, terminated = 0, False
-    while not terminated:
-        _, _, terminated, truncated, info = env.step(action)
-        action = 1
-        assert not truncated
-    assert info["crash"]["type"] == "frontal"
-    assert info["crash"]["closing_speed"] > 30.0
-
-
-def test_a_follower_brakes_for_the_ego(make: Any) -> None:
-    def change(scenario: Scenario) -> Scenario:
-        ego, other = scenario.ego, scenario.vehicles[0]
-        follower = other._replace(
-            lane=ego.lane,
-            s=ego.s - 40,
-            x=ego.x - 40,
-            y=ego.y,
-            speed=24.0,
-            target_speed=28.0,
-            changes_lanes=False,
-        )
-        return replace(scenario, vehicles=(follower,))
-
-    env = make("highway", change)
+    env = start("highway", follower)
     for _ in range(12):
-        _, _, terminated, _, _ = env.step(4)
+        _, _, terminated, _, _ = env.step(SLOWER)
         assert not terminated
     assert env.scene.speed[1] == pytest.approx(env.scene.speed[0], abs=0.5)
 
 
-@pytest.mark.parametrize("traffic_model", ["matched", "sumo"])
-def test_a_brake_event_brakes_and_ends(make: Any, traffic_model: str) -> None:
-    def change(scenario: Scenario) -> Scenario:
-        other: VehicleSpec = scenario.vehicles[0]
-        event = RiskEvent(1.0, other.id, "brake", decel=5.0, duration=1.0)
-        return replace(scenario, vehicles=(other,), events=(event,), spawns=())
-
-    for task in ("highway", "two-way"):
-        env = make(task, change, traffic_model=traffic_model, duration=8)
-        env.step(4)
-        before = env.scene.speed[1]
-        env.step(4)
-        after = env.scene.speed[1]
-        assert before - after > 3.5
-        env.step(4)
-        assert env.scene.speed[1] > after
-
-
-@pytest.mark.parametrize("traffic_model", ["matched", "sumo"])
-@pytest.mark.parametrize(("ahead", "happens"), [(14.0, True), (1.0, False)])
-def test_a_cut_in_takes_any_gap_but_needs_one(
-    make: Any, traffic_model: str, ahead: float, happens: bool
-) -> None:
-    def change(scenario: Scenario) -> Scenario:
-        ego, other = scenario.ego, scenario.vehicles[0]
-        x, speed = ego.x + ahead, 20.0 if happens else 25.0
-        beside = other._replace(lane=("0", "1", 1), s=x, x=x, y=4.0, speed=speed, target_speed=speed)
-        beside = beside._replace(changes_lanes=False)
-        return replace(
-            scenario, vehicles=(beside,), events=(RiskEvent(0.5, beside.id, "cut-in", direction=-1),)
-        )
-
-    # a driver with nobody to the other side would change there: two lanes only
-    env = make("highway", change, traffic_model=traffic_model, initial_lane_id=0, lanes_count=2)
-    env.step(1)
-    _, _, crashed, _, _ = env.step(1)
-    assert crashed == happens
-    assert bool(abs(env.scene.y[1]) < 2.0) == happens
-
-
-@pytest.mark.parametrize(
-    ("task", "traffic_model"), [("two-way", "matched"), ("intersection", "matched"), ("u-turn", "sumo")]
-)
-def test_a_surge_accelerates_where_the_way_is_free(make: Any, task: str, traffic_model: str) -> None:
-    gained = {}
-    for blocked, way in ((False, FREE_WAY), (True, FREE_WAY), (True, 10.0)):
-
-        def change(scenario: Scenario, blocked: bool = blocked, way: float = way) -> Scenario:
-            other = scenario.vehicles[0]
-            vehicles = [other._replace(speed=8.0, target_speed=8.0)]
-            if blocked:
-                dx, dy = 15 * np.cos(other.heading), 15 * np.sin(other.heading)
-                ahead = vehicles[0]._replace(id="ahead", s=other.s + 15, x=other.x + dx, y=other.y + dy)
-                vehicles.append(ahead)
-            event = RiskEvent(0.0, other.id, "surge", accel=4.0, duration=2.0, way=way)
-            return replace(scenario, vehicles=tuple(vehicles), events=(event,), spawns=())
-
-        env = make(task, change, traffic_model=traffic_model)
-        before = float(env.scene.speed[1])
-        env.step(0)
-        gained[blocked, way] = float(env.scene.speed[1]) - before
-    assert gained[False, FREE_WAY] == pytest.approx(4.0, abs=0.5)
-    assert gained[True, FREE_WAY] < 2.0
-    assert gained[True, 10.0] > 2.0  # 15 m are enough for it
-
-
-def test_intersection_traffic_comes_and_goes() -> None:
-    env = DrivingEnv("intersection", {"duration": 40, "spawn_probability": 1.0})
-    env.reset(seed=1)
-    seen: set[str] = set(env.scene.ids)
-    gone = False
-    for _ in range(25):
-        env.step(0)  # the ego waits
-        gone = gone or not seen <= set(env.scene.ids)
-        seen |= set(env.scene.ids)
-    assert gone and any(name.startswith("s") for name in seen)
-    env.close()
-
-
-def test_vehicles_out_of_reach_make_no_difference(monkeypatch: pytest.MonkeyPatch) -> None:
-    config = {**TASKS["highway"].levels["100"], "vehicles_count": 80}
-    runs = []
-    for leave_out in (True, False):
-        if not leave_out:
-            monkeypatch.setattr(type(TASKS["highway"]), "concerns_ego", lambda *arguments: True)
-        env = DrivingEnv("highway", config)
-        episodes = []
-        for seed in range(4):
-            rng = np.random.default_rng(seed)
-            observation, _ = env.reset(seed=seed)
-            trace = [observation]
-            done = False
-            while not done:
-                observation, _, terminated, truncated, _ = env.step(int(rng.integers(5)))
-                trace.append(observation)
-                done = terminated or truncated
-            episodes.append(np.array(trace))
-        runs.append((episodes, len(env.scene)))
-        env.close()
-    assert runs[0][1] < runs[1][1] == 81
-    for short, whole in zip(runs[0][0], runs[1][0], strict=True):
-        assert short.shape == whole.shape
-        assert np.abs(short - whole).max() < 1e-4
-
-
-@pytest.mark.parametrize(
-    ("task", "lane_changes"), [("highway", OWN_LANE_CHANGES), ("intersection", NO_LANE_CHANGES)]
-)
-def test_sumo_drives_its_own_traffic_in_the_modes_of_the_rule(make: Any, task: str, lane_changes: int) -> None:
-    """Vehicles are not told what SUMO's default is; it has to be that."""
-    env = make(task, traffic_model="sumo")
-    others = env.scene.ids[1:]
-    assert {libsumo.vehicle.getSpeedMode(name) for name in others} == {REGULAR}
-    assert {libsumo.vehicle.getLaneChangeMode(name) for name in others} == {lane_changes}
-
-
-def test_swerves_into_oncoming_traffic_do_not_end_the_process() -> None:
+def test_swerves_into_oncoming_traffic_do_not_end_the_process(start: Start) -> None:
     """With a lane-change model that knows no opposite lanes SUMO crashed in one of some 70 such episodes."""
-    env = DrivingEnv("two-way", {**next(iter(TASKS["two-way"].levels.values())), "risk": 1.0})
+    env = start("two-way", risk=1.0, **next(iter(TASKS["two-way"].levels.values())))
     rng = np.random.default_rng(0)
     for seed in range(150):
         env.reset(seed=seed)
@@ -380,4 +268,102 @@ def test_swerves_into_oncoming_traffic_do_not_end_the_process() -> None:
         while not over:
             _, _, terminated, truncated, _ = env.step(int(rng.integers(5)))
             over = terminated or truncated
-    env.close()
+
+
+# -- vehicles that come, go or do not matter ---------------------------------------------------------------
+
+
+def test_the_intersection_begins_with_traffic_that_has_driven_and_room_for_the_ego(
+    simulator: SumoSimulator,
+) -> None:
+    moved = []
+    for seed in range(20):
+        scenario = draw("intersection", seed, initial_vehicle_count=20)
+        scene = simulator.reset(scenario)
+        assert scene.time == 0.0 and scene.speed[0] == scenario.ego.speed
+        assert (scene.x[0], scene.y[0]) == pytest.approx((scenario.ego.x, scenario.ego.y), abs=1e-6)
+        assert np.all(np.hypot(scene.x[1:] - scene.x[0], scene.y[1:] - scene.y[0]) >= EGO_DISTANCE)
+        places = {spec.id: (spec.x, spec.y) for spec in scenario.vehicles}
+        for name, x, y in zip(scene.ids[1:], scene.x[1:], scene.y[1:], strict=True):
+            if name in places:
+                moved.append(np.hypot(x - places[name][0], y - places[name][1]))
+            else:
+                assert name == "challenger"
+    assert len(moved) > 100
+    assert np.mean(moved) > 3.0 * 5.0  # three seconds at more than 5 m/s
+
+
+def test_intersection_traffic_is_as_dense_and_fast_as_highway_env_s(simulator: SumoSimulator) -> None:
+    counts, speeds = [], []
+    for seed in range(40):
+        scene = simulator.reset(draw("intersection", seed))
+        counts.append(len(scene) - 1)
+        speeds += scene.speed[1:].tolist()
+    assert 4.0 < np.mean(counts) < 6.2  # highway-env: 5.1 in 10 resets
+    assert 5.5 < np.mean(speeds) < 8.5
+
+
+def test_no_risk_event_happens_before_the_episode(simulator: SumoSimulator) -> None:
+    for seed in range(5):
+        scenario = draw("intersection", seed, risk=1.0, initial_vehicle_count=20)
+        assert scenario.events
+        assert_equal(simulator.reset(scenario), simulator.reset(replace(scenario, events=())))
+
+
+def test_intersection_traffic_comes_and_goes(start: Start) -> None:
+    env = start("intersection", duration=40, spawn_probability=1.0)
+    seen: set[str] = set(env.scene.ids)
+    gone = False
+    for _ in range(25):
+        env.step(0)  # the ego waits
+        gone = gone or not seen <= set(env.scene.ids)
+        seen |= set(env.scene.ids)
+    assert gone and any(name.startswith("s") for name in seen)
+
+
+@pytest.mark.parametrize("task", ["two-way", "roundabout"])
+def test_vehicles_that_reach_the_end_of_the_road_are_gone(start: Start, task: str) -> None:
+    """Also in the middle of a policy step."""
+    env = start(task, duration=100)
+    count = len(env.scene)
+    for _ in range(80):
+        env.step(SLOWER)
+    assert len(env.scene) < count
+
+
+def test_an_ego_that_reaches_the_end_of_the_road_is_told_so(start: Start) -> None:
+    env = start("roundabout", alone, duration=100)
+    with pytest.raises(SimulatorError, match="driven off the end of the road.*shorter 'duration'"):
+        for _ in range(100):
+            env.step(FASTER)
+    env.reset(seed=0)
+    env.step(IDLE)
+
+
+def test_vehicles_out_of_reach_make_no_difference(start: Start) -> None:
+    def all_of_them(scenario: Scenario) -> Scenario:
+        return replace(scenario, vehicles=tuple(v._replace(concerns_ego=True) for v in scenario.vehicles))
+
+    config = {**TASKS["highway"].levels["100"], "vehicles_count": 80}
+    for seed in range(4):
+        runs, counts = [], []
+        for change in (lambda scenario: scenario, all_of_them):
+            env = start("highway", change, seed=seed, **config)
+            rng = np.random.default_rng(seed)
+            rows, over = [], False
+            while not over:
+                observation, _, terminated, truncated, _ = env.step(int(rng.integers(5)))
+                rows.append(observation)
+                over = terminated or truncated
+            runs.append(np.array(rows))
+            counts.append(len(env.scene))
+        assert counts[0] < counts[1] == 81
+        assert runs[0].shape == runs[1].shape
+        assert np.abs(runs[0] - runs[1]).max() < 1e-4
+
+
+def assert_equal(one: Scene, other: Scene) -> None:
+    """Bit for bit."""
+    assert (one.ids, one.time) == (other.ids, other.time)
+    for field in ("x", "y", "speed", "heading", "crashed"):
+        np.testing.assert_array_equal(getattr(one, field), getattr(other, field))

@@ -1,0 +1,143 @@
+"""Risk events on SUMO's vehicles: they happen, they end, and cut-ins and surges look before."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import libsumo
+import numpy as np
+import pytest
+
+from sumo_env.env import DrivingEnv
+from sumo_env.simulator import EgoCommand
+from sumo_env.sumo.session import COMMANDED_LANE_CHANGES, OWN_LANE_CHANGES, REGULAR
+from sumo_env.sumo.world import SumoSimulator
+from sumo_env.traffic.risk import FREE_WAY, RiskEvent
+from sumo_env.traffic.scenario import Scenario
+from tests.sumo_env.scenarios import draw
+
+Start = Callable[..., DrivingEnv]
+IDLE, SLOWER = 1, 4
+
+
+@pytest.mark.parametrize("task", ["highway", "two-way"])
+def test_a_brake_event_brakes_and_ends(start: Start, task: str) -> None:
+    def brakes(scenario: Scenario) -> Scenario:
+        other = scenario.vehicles[0]
+        event = RiskEvent(1.0, other.id, "brake", accel=-5.0, duration=1.0)
+        return replace(scenario, vehicles=(other,), events=(event,), spawns=())
+
+    env = start(task, brakes, duration=8)
+    env.step(SLOWER)
+    before = env.scene.speed[1]
+    env.step(SLOWER)
+    after = env.scene.speed[1]
+    assert before - after == pytest.approx(5.0, abs=0.6)
+    env.step(SLOWER)
+    assert env.scene.speed[1] > after
+    assert libsumo.vehicle.getSpeedMode(env.scene.ids[1]) == REGULAR
+
+
+@pytest.mark.parametrize(("ahead", "happens"), [(14.0, True), (1.0, False)])
+def test_a_cut_in_takes_any_gap_but_needs_one(start: Start, ahead: float, happens: bool) -> None:
+    def beside(scenario: Scenario) -> Scenario:
+        ego, other = scenario.ego, scenario.vehicles[0]
+        x, speed = ego.x + ahead, 20.0 if happens else 25.0
+        other = other._replace(
+            lane=("0", "1", 1), s=x, x=x, y=4.0, speed=speed, target_speed=speed, changes_lanes=False
+        )
+        event = RiskEvent(0.5, other.id, "cut-in", direction=-1)
+        return replace(scenario, vehicles=(other,), events=(event,))
+
+    # a driver with nobody to the other side would change there: two lanes only
+    env = start("highway", beside, initial_lane_id=0, lanes_count=2)
+    env.step(IDLE)
+    _, _, crashed, _, _ = env.step(IDLE)
+    assert crashed == happens
+    assert bool(abs(env.scene.y[1]) < 2.0) == happens
+
+
+def test_a_cut_in_takes_the_other_lane_where_the_first_has_no_room(simulator: SumoSimulator) -> None:
+    scenario = draw("highway", initial_lane_id=0)
+    first, second = scenario.vehicles[:2]
+    x = scenario.ego.x + 60.0
+    calm = {"s": x, "x": x, "speed": 20.0, "target_speed": 20.0, "changes_lanes": False}
+    pair = (
+        first._replace(lane=("0", "1", 1), y=4.0, **calm),
+        second._replace(lane=("0", "1", 2), y=8.0, **calm),
+    )
+    for direction, others in ((1, pair), (1, pair[:1]), (-1, pair)):
+        event = RiskEvent(0.0, first.id, "cut-in", direction=direction)
+        simulator.reset(replace(scenario, vehicles=others, events=(event,)))
+        scene = simulator.step(EgoCommand(25.0, scenario.ego.lane)).scene
+        wanted = 8.0 if direction == 1 and len(others) == 1 else 0.0
+        assert scene.y[1] == pytest.approx(wanted, abs=0.3)
+
+
+def test_after_a_cut_in_lane_changes_are_sumo_s_again(simulator: SumoSimulator) -> None:
+    scenario = draw("highway", 1)
+    name = scenario.vehicles[5].id
+    event = RiskEvent(0.0, name, "cut-in", direction=-1)
+    simulator.reset(replace(scenario, events=(event,)))
+    modes = []
+    for _ in range(3):
+        simulator.step(EgoCommand(20.0, scenario.ego.lane))
+        modes.append(libsumo.vehicle.getLaneChangeMode(name))
+    assert modes == [COMMANDED_LANE_CHANGES, OWN_LANE_CHANGES, OWN_LANE_CHANGES]
+
+
+def test_a_swerve_into_the_oncoming_lane_ends_in_the_own_lane(simulator: SumoSimulator) -> None:
+    scenario = draw("two-way", road_length=1400.0)
+    other = scenario.vehicles[0]
+    event = RiskEvent(0.0, other.id, "cut-in", direction=-1)
+    simulator.reset(replace(scenario, vehicles=(other,), events=(event,)))
+    y = [simulator.step(EgoCommand(20.0, scenario.ego.lane)).scene.y[1] for _ in range(6)]
+    assert y[1] == pytest.approx(0.0, abs=0.1)
+    assert y[-1] == pytest.approx(4.0, abs=0.1)
+
+
+@pytest.mark.parametrize("task", ["two-way", "intersection", "u-turn"])
+def test_a_surge_accelerates_where_the_way_is_free(start: Start, task: str) -> None:
+    gained = {}
+    for blocked, way in ((False, FREE_WAY), (True, FREE_WAY), (True, 10.0)):
+
+        def surges(scenario: Scenario, blocked: bool = blocked, way: float = way) -> Scenario:
+            driver = scenario.vehicles[0]._replace(speed=8.0, target_speed=8.0)
+            vehicles = [driver]
+            if blocked:
+                dx, dy = 15 * np.cos(driver.heading), 15 * np.sin(driver.heading)
+                ahead = driver._replace(id="ahead", s=driver.s + 15, x=driver.x + dx, y=driver.y + dy)
+                vehicles.append(ahead)
+            event = RiskEvent(0.0, driver.id, "surge", accel=4.0, duration=2.0, way=way)
+            return replace(scenario, vehicles=tuple(vehicles), events=(event,), spawns=(), warm_up=0.0)
+
+        env = start(task, surges)
+        before = float(env.scene.speed[1])
+        env.step(0)
+        gained[blocked, way] = float(env.scene.speed[1]) - before
+    assert gained[False, FREE_WAY] == pytest.approx(4.0, abs=0.5)
+    assert gained[True, FREE_WAY] < 2.0
+    assert gained[True, 10.0] > 2.0  # 15 m are enough for it
+
+
+def test_nothing_happens_to_a_crashed_vehicle(simulator: SumoSimulator) -> None:
+    """A surge after the crash does not move it."""
+    scenario = draw("highway", initial_lane_id=1)
+    ego, other = scenario.ego, scenario.vehicles[0]
+    ahead = other._replace(
+        lane=ego.lane, s=ego.s + 9.0, x=ego.x + 9.0, y=ego.y, speed=5.0, target_speed=5.0
+    )
+    events = (
+        RiskEvent(2.0, ahead.id, "surge", accel=4.0, duration=2.0),
+        RiskEvent(2.5, ahead.id, "cut-in", direction=1),
+    )
+    scenes = []
+    for chosen in (events, ()):
+        simulator.reset(replace(scenario, vehicles=(ahead,), events=chosen))
+        for _ in range(5):
+            step = simulator.step(EgoCommand(25.0, ego.lane))
+        assert step.crash is not None and step.scene.crashed.all()
+        scenes.append(step.scene)
+    np.testing.assert_array_equal(scenes[0].x, scenes[1].x)
+    np.testing.assert_array_equal(scenes[0].y, scenes[1].y)

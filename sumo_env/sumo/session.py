@@ -67,10 +67,12 @@ class Session:
     def __init__(self) -> None:
         self._settings: Settings | None = None
         self._limits: dict[str, float] = {}
+        self._steps = 0  # since the network was loaded
 
     def load(self, settings: Settings) -> None:
         """Load a network with its vehicle types and an empty road; only an empty road where it is loaded already."""
-        if settings == self._settings:
+        # Where somebody else has moved SUMO's clock, a state may have been loaded: its vehicle types have fewer digits.
+        if settings == self._settings and abs(_simulation.getTime() - self._steps * self.step_length) < 1e-6:
             for name in _vehicle.getIDList():
                 _vehicle.remove(name)
             return
@@ -102,6 +104,7 @@ class Session:
             else:
                 libsumo.start(["sumo", *options])
         self._limits.clear()
+        self._steps = 0
         self._settings = settings
 
     @property
@@ -222,6 +225,7 @@ class Session:
     def step(self) -> Sequence[tuple[str, str]]:
         """Advance by one step; returns the pairs of vehicles that SUMO reports in collision."""
         libsumo.simulationStep()
+        self._steps += 1
         found = _simulation.getCollisions()
         return [(contact.collider, contact.victim) for contact in found] if found else ()
 

@@ -66,6 +66,7 @@ class SumoSimulator:
         try:
             return self._step(command, trace)
         except SumoErrors as error:
+            self._session.forget()
             raise SimulatorError(
                 f"SUMO cannot go on with this episode ({self._scenario.task}, seed {self._scenario.seed}, "
                 f"{self._time:.1f} s): {error}. Was libsumo called from elsewhere in this process? "

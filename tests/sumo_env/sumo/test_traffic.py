@@ -1,0 +1,257 @@
+"""SUMO drives the traffic: what it is told shows, nothing moves without it, and only few vehicles are commanded."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import Any
+
+import libsumo
+import numpy as np
+import pytest
+
+from sumo_env.env import DrivingEnv
+from sumo_env.scene import Scene
+from sumo_env.simulator import EgoCommand
+from sumo_env.sumo.session import COMMANDED_LANE_CHANGES, NO_RIGHT_OF_WAY, OWN_LANE_CHANGES, REGULAR
+from sumo_env.sumo.world import SumoSimulator
+from sumo_env.tasks import TASKS, get_task
+from sumo_env.traffic.scenario import Scenario
+from tests.sumo_env.scenarios import draw
+
+Start = Callable[..., DrivingEnv]
+IDLE = 1
+
+
+def calm(scenario: Scenario) -> Scenario:
+    """Nobody comes later."""
+    return replace(scenario, spawns=())
+
+
+def row(scene: Scene, name: str) -> int:
+    return scene.ids.index(name)
+
+
+# -- who drives --------------------------------------------------------------------------------------------
+
+
+def told(
+    start: Start, task: str, tell: Callable[[str], Any] | None, lanes: int = 1
+) -> tuple[str, list[Scene]]:
+    """The fastest vehicle after one step on a road of so many lanes, and two scenes after it was told something."""
+    env = start(task, calm, seed=2)
+    env.step(IDLE)
+    scene = env.scene
+    roads = {name: libsumo.vehicle.getRoadID(name) for name in scene.ids[1:]}
+    moving = [n for n, road in roads.items() if road[0] != ":" and libsumo.edge.getLaneNumber(road) >= lanes]
+    name = max(moving, key=lambda name: scene.speed[row(scene, name)])
+    if tell is not None:
+        tell(name)
+    scenes = []
+    for _ in range(2):
+        env.step(IDLE)
+        scenes.append(env.scene)
+    return name, scenes
+
+
+@pytest.mark.parametrize("task", TASKS)
+@pytest.mark.parametrize(
+    "tell",
+    [
+        pytest.param(lambda name: libsumo.vehicle.setSpeed(name, 0.5), id="setSpeed"),
+        pytest.param(lambda name: libsumo.vehicle.setMaxSpeed(name, 0.5), id="setMaxSpeed"),
+    ],
+)
+def test_a_speed_that_sumo_is_told_shows_in_the_next_scene(
+    start: Start, task: str, tell: Callable[[str], Any]
+) -> None:
+    name, undisturbed = told(start, task, None)
+    again, braked = told(start, task, tell)
+    assert name == again
+    speeds = [[scene.speed[row(scene, name)] for scene in scenes] for scenes in (undisturbed, braked)]
+    assert speeds[1][0] < speeds[0][0] - 1.0
+    assert speeds[1][1] < speeds[1][0] - 1.0 or speeds[1][1] <= 0.51
+
+
+@pytest.mark.parametrize("task", ["highway", "two-way", "roundabout", "u-turn"])
+def test_a_lane_change_that_sumo_is_told_shows_in_the_next_scene(start: Start, task: str) -> None:
+    def change(name: str) -> None:
+        libsumo.vehicle.setLaneChangeMode(name, COMMANDED_LANE_CHANGES)
+        if task == "two-way" or libsumo.vehicle.getLaneIndex(name) == 0:
+            libsumo.vehicle.changeLaneRelative(name, 1, 5.0)
+        else:
+            libsumo.vehicle.changeLane(name, 0, 5.0)
+
+    lanes = 1 if task == "two-way" else 2
+    name, undisturbed = told(start, task, None, lanes)
+    _, changed = told(start, task, change, lanes)
+    there, here = changed[0], undisturbed[0]
+    k, j = row(there, name), row(here, name)
+    aside = np.hypot(there.x[k] - here.x[j], there.y[k] - here.y[j])
+    assert 3.0 < aside < 6.0  # the width of a lane is 4 m
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_nothing_moves_unless_sumo_steps(start: Start, task: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    env = start(task, calm, seed=2)
+    env.step(IDLE)
+    monkeypatch.setattr(libsumo, "simulationStep", lambda *_: None)
+    before = env.scene
+    env.step(IDLE)
+    assert env.scene.ids == before.ids and len(before) > 1
+    for field in ("x", "y", "heading"):
+        np.testing.assert_array_equal(getattr(env.scene, field), getattr(before, field))
+    np.testing.assert_array_equal(env.scene.speed[1:], before.speed[1:])
+
+
+# -- who is commanded --------------------------------------------------------------------------------------
+
+READING = ("get", "subscribe", "unsubscribe")
+PLACING = ("add", "moveTo", "setPreviousSpeed", "setSpeedMode", "setLaneChangeMode", "setSpeedFactor")
+
+
+@pytest.fixture
+def commands(monkeypatch: pytest.MonkeyPatch) -> Iterator[list[tuple[str, str]]]:
+    """Every call of libsumo.vehicle that does not only read: (function, vehicle)."""
+    calls: list[tuple[str, str]] = []
+
+    def recorded(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
+        def call(vehicle: str = "", *arguments: Any, **options: Any) -> Any:
+            calls.append((name, vehicle))
+            return function(vehicle, *arguments, **options)
+
+        return call
+
+    for name in dir(libsumo.vehicle):
+        function = getattr(libsumo.vehicle, name)
+        if callable(function) and not name.startswith(("_", *READING)):
+            monkeypatch.setattr(libsumo.vehicle, name, staticmethod(recorded(name, function)))
+    yield calls
+
+
+@pytest.mark.parametrize("risk", [0.0, 1.0])
+@pytest.mark.parametrize("task", TASKS)
+def test_only_the_ego_crashed_vehicles_and_those_in_an_event_are_commanded(
+    commands: list[tuple[str, str]], start: Start, task: str, risk: float
+) -> None:
+    crowded = {**list(TASKS[task].levels.values())[-1], "risk": risk}
+    seen: set[str] = set()
+    for seed in range(4):
+        env = start(task, seed=seed, **crowded)
+        scenario = env.scenario
+        assert scenario is not None
+        placed = {name for _, name in commands}
+        assert placed >= set(env.scene.ids)  # the recording works
+        over = False
+        while not over:
+            before = set(env.scene.ids)
+            commands.clear()
+            _, _, terminated, truncated, _ = env.step(IDLE)
+            over = terminated or truncated
+            scene = env.scene
+            coming = {name for function, name in commands if function == "add"}
+            gone = {name for function, name in commands if function == "remove"}
+            commanded = {
+                name
+                for function, name in commands
+                if function != "remove" and not (name in coming and function in PLACING)
+            }
+            crashed = {name for name, is_crashed in zip(scene.ids, scene.crashed, strict=True) if is_crashed}
+            eventful = {event.vehicle for event in scenario.events if event.time < scene.time}
+            assert "ego" in commanded
+            assert commanded <= {"ego"} | crashed | eventful
+            assert gone <= before and not coming & before
+            seen |= commanded
+        commands.clear()
+    if risk:
+        assert len(seen) > 1  # at least one event
+
+
+# -- what the drivers are ----------------------------------------------------------------------------------
+
+
+JUNCTION = ("jmIgnoreFoeProb", "jmIgnoreJunctionFoeProb")
+
+
+@pytest.mark.parametrize("fixed_delta", [False, True])
+@pytest.mark.parametrize("task", TASKS)
+def test_every_parameter_of_a_driver_arrives_in_sumo(
+    simulator: SumoSimulator, task: str, fixed_delta: bool
+) -> None:
+    the_task = get_task(task)
+    simulator.reset(draw(task, risk=1.0))
+    drivers = [
+        driver
+        for driver in the_task.drivers(1.0)
+        if driver.type.startswith("f" if fixed_delta else "d") and driver.type.endswith("@1")
+    ]
+    assert len(drivers) == 64
+    sumo, setting = libsumo.vehicletype, the_task.calibration
+    for driver in drivers:
+        name = driver.type
+
+        def lane_change(key: str, name: str = name) -> float:
+            """The lane-change model answers for a vehicle only, in two digits."""
+            return float(libsumo.vehicle.getParameter(name, f"laneChangeModel.{key}"))
+
+        assert sumo.getTau(name) == pytest.approx(driver.tau, abs=1e-6)
+        assert sumo.getAccel(name) == pytest.approx(driver.accel, abs=1e-6)
+        assert sumo.getDecel(name) == pytest.approx(driver.decel, abs=1e-6)
+        assert sumo.getApparentDecel(name) == pytest.approx(driver.decel, abs=1e-6)
+        emergency = max(driver.emergency_decel, driver.decel)
+        assert sumo.getEmergencyDecel(name) == pytest.approx(emergency, abs=1e-6)
+        assert sumo.getMinGap(name) == pytest.approx(driver.min_gap, abs=1e-6)
+        assert (sumo.getLength(name), sumo.getWidth(name)) == (5.0, 2.0)
+        assert (sumo.getSpeedFactor(name), sumo.getSpeedDeviation(name)) == (1.0, 0.0)
+        ignored = [sumo.getParameter(name, f"junctionModel.{key}") for key in JUNCTION]
+        assert ignored == [
+            str(int(not driver.gives_way or driver.attention < share))
+            for share in (setting.ignores_approaching, setting.ignores_inside)
+        ]
+        libsumo.vehicle.add(name, libsumo.route.getIDList()[0], name)
+        assert lane_change("lcAssertive") == pytest.approx(setting.assertive * driver.assertive, abs=0.006)
+        assert lane_change("lcSpeedGain") == pytest.approx(setting.speed_gain * driver.speed_gain, abs=0.006)
+        assert lane_change("lcSpeedGainLookahead") == pytest.approx(setting.speed_gain_lookahead, abs=0.006)
+        assert (lane_change("lcCooperative"), lane_change("lcKeepRight")) == (0.0, 0.0)
+        libsumo.vehicle.remove(name)
+
+
+@pytest.mark.parametrize("k", [0, 5, 20])
+def test_on_a_free_road_a_driver_accelerates_as_idm_does(simulator: SumoSimulator, k: int) -> None:
+    """The exponent of the driver counts, which SUMO cannot be asked for."""
+    scenario = draw("highway", risk=1.0)
+    driver = [d for d in get_task("highway").drivers(1.0) if abs(d.delta - 4.0) > 0.2][k]
+    lone = scenario.vehicles[0]._replace(driver=driver, speed=18.0, target_speed=24.0)
+    simulator.reset(replace(scenario, vehicles=(lone,), events=()))
+    libsumo.simulationStep()
+    gained = libsumo.vehicle.getSpeed(lone.id) - 18.0
+    expected = driver.accel * (1.0 - (18.0 / 24.0) ** driver.delta) * 0.1
+    with_regular_exponent = driver.accel * (1.0 - (18.0 / 24.0) ** 4.0) * 0.1
+    assert gained == pytest.approx(expected, rel=0.02)
+    assert gained != pytest.approx(with_regular_exponent, rel=0.02)
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_vehicles_are_in_the_modes_of_their_task(simulator: SumoSimulator, task: str) -> None:
+    """Vehicles are not told what SUMO's default is; it has to be that."""
+    setting = get_task(task).calibration
+    scenario = draw(task, 3)
+    scene = simulator.reset(scenario)
+    right_of_way = REGULAR if setting.waits_for_approaching else NO_RIGHT_OF_WAY
+    specs = {spec.id: spec for spec in scenario.specs} | {s.vehicle.id: s.vehicle for s in scenario.spawns}
+    for name in scene.ids[1:]:
+        own = specs[name].changes_lanes and setting.lane_changes
+        assert libsumo.vehicle.getSpeedMode(name) == right_of_way
+        assert libsumo.vehicle.getLaneChangeMode(name) == (OWN_LANE_CHANGES if own else COMMANDED_LANE_CHANGES)
+
+
+def test_who_may_not_change_lanes_does_not(simulator: SumoSimulator) -> None:
+    scenario = draw("highway", 4, vehicles_density=2.0)
+    changes = {}
+    for allowed in (True, False):
+        vehicles = tuple(v._replace(changes_lanes=allowed) for v in scenario.vehicles)
+        before = simulator.reset(replace(scenario, vehicles=vehicles))
+        for _ in range(8):
+            scene = simulator.step(EgoCommand(20.0, scenario.ego.lane)).scene
+        changes[allowed] = int(np.sum(np.abs(scene.y[1:] - before.y[1:]) > 2.0))
+    assert changes[False] == 0 < changes[True]

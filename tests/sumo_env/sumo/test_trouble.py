@@ -1,0 +1,102 @@
+"""libsumo used behind the environment's back: an error that says so, or an episode that goes on; never a dead process.
+
+Each case runs in a process of its own, because the wrong outcome is the end of that process.
+"""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[3]
+
+SCRIPT = """
+import sys
+import libsumo
+import numpy as np
+from sumo_env.env import DrivingEnv
+from sumo_env.networks.catalogue import network
+from sumo_env.simulator import SimulatorError
+from sumo_env.sumo.world import SumoSimulator
+
+state = sys.argv[1]
+other = network("u-turn").net_file
+
+def drive(env, seed):
+    rows = [env.reset(seed=seed)[0]]
+    for _ in range(3):
+        observation, _, terminated, truncated, _ = env.step(1)
+        rows.append(observation)
+        if terminated or truncated:
+            break
+    return np.array(rows)
+
+env = DrivingEnv("intersection", {"risk": 1.0}, simulator=SumoSimulator())
+expected = drive(env, 5)
+env.reset(seed=1)
+env.step(1)
+names = env.scene.ids
+MISUSE
+np.testing.assert_array_equal(drive(env, 5), expected)
+env.reset(seed=1)
+env.step(1)
+MISUSE
+try:
+    for _ in range(3):
+        env.step(1)
+    print("went on")
+except SimulatorError as error:
+    assert "reset() to begin another episode" in str(error), error
+    print("SimulatorError")
+for _ in range(2):
+    np.testing.assert_array_equal(drive(env, 5), expected)
+env.close()
+print("as before")
+"""
+
+RAISES, EITHER = ("SimulatorError",), ("SimulatorError", "went on")
+MISUSES = {
+    "remove another": ("libsumo.vehicle.remove(names[1])", ("went on",)),
+    "remove the ego": ("libsumo.vehicle.remove('ego')", RAISES),
+    "remove all": ("for name in names: libsumo.vehicle.remove(name)", RAISES),
+    "close": ("libsumo.close()", RAISES),
+    "load another road": ("libsumo.load(['-n', str(other), '--no-step-log'])", RAISES),
+    "start another": ("libsumo.close(); libsumo.start(['sumo', '-n', str(other), '--no-step-log'])", RAISES),
+    "load a state": (
+        "libsumo.simulation.saveState(state); env.step(1); libsumo.simulation.loadState(state)",
+        RAISES,
+    ),
+    "load an earlier episode's state": (
+        "libsumo.simulation.saveState(state); env.reset(seed=2); libsumo.simulation.loadState(state)",
+        RAISES,
+    ),
+    "step": ("libsumo.simulationStep()", EITHER),
+    "step far": ("libsumo.simulationStep(1000.0)", RAISES),
+    "add": (
+        "libsumo.vehicle.add('mine', libsumo.route.getIDList()[0]); libsumo.simulationStep()",
+        EITHER,
+    ),
+    "unsubscribe": (
+        "libsumo.vehicle.unsubscribeContext('ego', libsumo.CMD_GET_VEHICLE_VARIABLE, 100.0)",
+        RAISES,
+    ),
+}
+
+
+@pytest.mark.parametrize("misuse", MISUSES)
+def test_the_next_reset_works_whatever_was_done_to_libsumo(misuse: str, tmp_path: Path) -> None:
+    """Reset at once, and after the error or the steps that follow."""
+    code, allowed = MISUSES[misuse]
+    done = subprocess.run(
+        [sys.executable, "-c", SCRIPT.replace("MISUSE", code), str(tmp_path / "state.xml")],
+        capture_output=True,
+        text=True,
+        cwd=ROOT,
+        timeout=120,
+    )
+    assert done.returncode == 0, f"{done.returncode}: {done.stderr[-2000:]}"
+    outcome, after = done.stdout.splitlines()[-2:]
+    assert outcome in allowed and after == "as before"

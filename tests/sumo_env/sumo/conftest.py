@@ -27,7 +27,9 @@ def start() -> Iterator[Callable[..., DrivingEnv]]:
     """Makes an environment at the start of a scenario that a function has changed; the one before is closed."""
     open_ones: list[DrivingEnv] = []
 
-    def begin(task: str, change: Change = lambda scenario: scenario, seed: int = 0, **config: Any) -> DrivingEnv:
+    def begin(
+        task: str, change: Change = lambda scenario: scenario, seed: int = 0, **config: Any
+    ) -> DrivingEnv:
         while open_ones:
             open_ones.pop().close()
         env = DrivingEnv(task, config, simulator=SumoSimulator())

@@ -125,9 +125,7 @@ def test_nothing_happens_to_a_crashed_vehicle(simulator: SumoSimulator) -> None:
     """A surge after the crash does not move it."""
     scenario = draw("highway", initial_lane_id=1)
     ego, other = scenario.ego, scenario.vehicles[0]
-    ahead = other._replace(
-        lane=ego.lane, s=ego.s + 9.0, x=ego.x + 9.0, y=ego.y, speed=5.0, target_speed=5.0
-    )
+    ahead = other._replace(lane=ego.lane, s=ego.s + 9.0, x=ego.x + 9.0, y=ego.y, speed=5.0, target_speed=5.0)
     events = (
         RiskEvent(2.0, ahead.id, "surge", accel=4.0, duration=2.0),
         RiskEvent(2.5, ahead.id, "cut-in", direction=1),

@@ -1,21 +1,25 @@
-"""The risk dose: what it changes, what it leaves alone."""
+"""Drivers: what a dose of risk changes and leaves alone, and the SUMO vehicle type that is a driver."""
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 
 import numpy as np
 import pytest
 
-from sumo_env.drivers import (
+from sumo_env.tasks import TASKS
+from sumo_env.traffic.drivers import (
+    MIN_GAIN,
     POOL,
+    SAFE_BRAKING,
     SPREAD,
     SPREAD_PARAMETERS,
+    Calibration,
     CarFollowing,
-    RiskRates,
-    draw_events,
     driver_pool,
+    vehicle_type,
 )
+from tests.sumo_env.scenarios import draw
 
 BASE = CarFollowing()
 
@@ -57,25 +61,64 @@ def test_half_of_the_drivers_do_not_give_way_at_dose_one_and_the_dose_only_adds_
     assert careless[1] <= careless[2]
 
 
-RATES = RiskRates(cut_in=0.1, brake=0.1, surge=0.1)
-VEHICLES = tuple((f"v{k}", 0.0) for k in range(200))
+def test_a_driver_keeps_its_place_in_the_ranges_at_every_dose() -> None:
+    """Common random numbers: driver k of any two doses differs only by the dose."""
+    half, full = driver_pool(BASE, 0.5), driver_pool(BASE, 1.0)
+    for name in SPREAD_PARAMETERS:
+        regular = getattr(driver_pool(BASE, 0.0)[0], name)
+        deviations = [[getattr(driver, name) - regular for driver in pool] for pool in (half, full)]
+        assert np.allclose(2.0 * np.array(deviations[0]), deviations[1])
+    assert [driver.attention for driver in half] == [driver.attention for driver in full]
 
 
-def test_no_events_in_regular_traffic() -> None:
-    assert draw_events(RATES, 0.0, VEHICLES, 0, 20.0) == ()
+def test_the_counterparts_in_highway_env_are_mobil_s_two_thresholds() -> None:
+    regular = driver_pool(BASE, 0.0)[0]
+    assert (regular.safe_braking, regular.min_gain) == (SAFE_BRAKING, MIN_GAIN)
+    eager = replace(regular, assertive=2.0, speed_gain=2.0)
+    assert (eager.safe_braking, eager.min_gain) == (2 * SAFE_BRAKING, MIN_GAIN / 2)
 
 
-def test_events_come_at_the_rate_of_the_dose_and_a_smaller_dose_has_a_subset() -> None:
-    full = draw_events(RATES, 1.0, VEHICLES, 0, 20.0)
-    half = draw_events(RATES, 0.5, VEHICLES, 0, 20.0)
-    expected = 200 * 20.0 * 0.3  # Poisson, so its standard deviation is the root
-    assert abs(len(full) - expected) < 5 * np.sqrt(expected)
-    assert abs(len(half) - expected / 2) < 5 * np.sqrt(expected / 2)
-    assert set(half) < set(full)
+# -- the vehicle type --------------------------------------------------------------------------------------
 
 
-def test_events_are_sorted_and_lie_within_the_episode_and_the_vehicle_s_life() -> None:
-    events = draw_events(RATES, 1.0, (("early", 0.0), ("late", 15.0)), 3, 200.0)
-    assert [event.time for event in events] == sorted(event.time for event in events)
-    assert all(0.0 <= event.time < 200.0 for event in events)
-    assert all(event.time >= 15.0 for event in events if event.vehicle == "late")
+def test_a_vehicle_type_has_the_driver_s_numbers() -> None:
+    for driver in driver_pool(BASE, 1.0):
+        attributes = vehicle_type(driver, Calibration(speed_gain=3.0, assertive=0.5))
+        for attribute, value in (
+            ("accel", driver.accel),
+            ("decel", driver.decel),
+            ("tau", driver.tau),
+            ("minGap", driver.min_gap),
+            ("delta", driver.delta),
+            ("lcSpeedGain", 3.0 * driver.speed_gain),
+            ("lcAssertive", 0.5 * driver.assertive),
+        ):
+            assert float(attributes[attribute]) == pytest.approx(value, abs=1e-6), attribute
+        assert float(attributes["emergencyDecel"]) >= float(attributes["decel"])
+        assert (attributes["sigma"], attributes["speedDev"]) == ("0", "0")  # nothing is left to SUMO's chance
+
+
+@pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
+def test_the_share_that_ignores_others_at_junctions_is_drawn_beforehand(share: float) -> None:
+    """Probabilities are 0 or 1: SUMO would redraw fractional ones."""
+    for dose, careless in ((0.0, 0), (1.0, POOL // 2)):
+        pool = driver_pool(BASE, dose)
+        for setting, key in (
+            (Calibration(ignores_approaching=share), "jmIgnoreFoeProb"),
+            (Calibration(ignores_inside=share), "jmIgnoreJunctionFoeProb"),
+        ):
+            values = [vehicle_type(driver, setting)[key] for driver in pool]
+            assert set(values) <= {"0", "1"}
+            expected = careless + share * (POOL - careless)
+            assert values.count("1") == pytest.approx(expected, abs=4)
+
+
+@pytest.mark.parametrize("dose", [0.0, 0.3, 1.0])
+@pytest.mark.parametrize("task", TASKS)
+def test_a_task_names_every_driver_that_its_scenarios_may_hold(task: str, dose: float) -> None:
+    known = TASKS[task].drivers(dose)
+    assert len({driver.type for driver in known}) == len(known)
+    for seed in range(5):
+        scenario = draw(task, seed, risk=dose)
+        for spec in (*scenario.specs, *(spawn.vehicle for spawn in scenario.spawns)):
+            assert spec.driver in known

@@ -1,22 +1,21 @@
-"""Spawn laws: what highway-env's specification says about where vehicles start (docs/decisions.md)."""
+"""Scenarios: values that need no simulator, and highway-env's laws of where vehicles start (docs/decisions.md)."""
 
 from __future__ import annotations
 
+import copy
 import math
+import pickle
+from dataclasses import FrozenInstanceError, replace
 
 import numpy as np
 import pytest
 
 from sumo_env.config import resolve
-from sumo_env.scenario import Scenario
 from sumo_env.tasks import TASKS
+from sumo_env.traffic.scenario import SPAWN_DISTANCE, fits
+from tests.sumo_env.scenarios import draw
 
 SEEDS = range(40)
-
-
-def draw(task: str, seed: int = 0, **config: object) -> Scenario:
-    the_task = TASKS[task]
-    return the_task.scenario(resolve(task, the_task.defaults, config), seed)
 
 
 @pytest.mark.parametrize("task", TASKS)
@@ -26,16 +25,44 @@ def test_a_scenario_is_a_function_of_its_seed(task: str) -> None:
 
 
 @pytest.mark.parametrize("task", TASKS)
+def test_a_scenario_can_be_sent_to_another_process(task: str) -> None:
+    scenario = draw(task, 3, risk=1.0)
+    assert scenario.events
+    for same in (pickle.loads(pickle.dumps(scenario)), copy.deepcopy(scenario)):
+        assert same == scenario and same is not scenario
+        assert hash(same) == hash(scenario)
+        assert replace(same, risk=0.5) != scenario
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_a_scenario_says_all_that_a_simulator_has_to_know(task: str) -> None:
+    scenario = draw(task, 3, policy_frequency=2, simulation_frequency=20)
+    assert (scenario.task, scenario.policy_frequency, scenario.simulation_frequency) == (task, 2, 20)
+    assert scenario.road == TASKS[task].road(resolve(task, TASKS[task].defaults))
+    assert scenario.specs == (scenario.ego, *scenario.vehicles)
+    names = [spec.id for spec in scenario.specs] + [spawn.vehicle.id for spawn in scenario.spawns]
+    assert names[0] == "ego" and len(set(names)) == len(names)
+    with pytest.raises(FrozenInstanceError):
+        scenario.risk = 1.0  # type: ignore[misc]
+
+
+@pytest.mark.parametrize("frequency", [1, 5])
+def test_events_of_vehicles_that_come_later_wait_for_them(frequency: int) -> None:
+    scenario = draw("intersection", 1, risk=1.0, spawn_probability=1.0, policy_frequency=frequency)
+    start = {spawn.vehicle.id: spawn.step / frequency for spawn in scenario.spawns}
+    later = [event for event in scenario.events if event.vehicle in start]
+    assert later and all(start[event.vehicle] <= event.time < 13.0 for event in later)
+
+
+@pytest.mark.parametrize("task", TASKS)
 def test_the_dose_changes_drivers_and_adds_events_but_no_place(task: str) -> None:
     calm, risky = draw(task, 5, risk=0.0), draw(task, 5, risk=1.0)
     assert calm.events == () and len(risky.events) > 0
     assert calm.ego == risky.ego
-    if task == "intersection":  # its first vehicles drive for 3 s before the episode, each in its own way
-        assert [v.driver.type.split("@")[0] for v in calm.vehicles] != []
-        return
     for one, other in zip(calm.vehicles, risky.vehicles, strict=True):
         assert (one.lane, one.s, one.speed) == (other.lane, other.s, other.speed)
         assert one.driver.type.split("@")[0] == other.driver.type.split("@")[0]
+    assert [(s.step, s.vehicle.id) for s in calm.spawns] == [(s.step, s.vehicle.id) for s in risky.spawns]
 
 
 @pytest.mark.parametrize(("task", "level"), [(t, level) for t in TASKS for level in TASKS[t].levels])
@@ -43,7 +70,8 @@ def test_no_vehicles_overlap_and_all_are_on_their_lane(task: str, level: str) ->
     for seed in range(10):
         scenario = draw(task, seed, **TASKS[task].levels[level])
         road = TASKS[task].road(resolve(task, TASKS[task].defaults, TASKS[task].levels[level]))
-        places = [(v.x, v.y) for v in scenario.specs]
+        together = scenario.vehicles if scenario.warm_up else scenario.specs  # the ego comes after the warm-up
+        places = [(v.x, v.y) for v in together]
         if task != "two-way":  # there two lanes share a strip
             for i, (x, y) in enumerate(places):
                 assert all(math.hypot(x - a, y - b) > 2.0 for a, b in places[:i])
@@ -90,23 +118,44 @@ def test_roundabout_slots_and_counts() -> None:
     assert [len(draw("roundabout", s, vehicles_count=15).vehicles) for s in SEEDS] == [15] * len(SEEDS)
 
 
-def test_intersection_traffic_has_driven_for_three_seconds() -> None:
+def test_intersection_traffic_starts_on_its_approach_and_has_three_seconds_to_drive() -> None:
+    """IntersectionEnv._make_vehicles: tries at 0 to 80 m, refused within 15 m, then the challenger."""
     counts, speeds = [], []
     for seed in SEEDS:
         scenario = draw("intersection", seed)
+        assert scenario.warm_up == 3.0
+        assert scenario.ego.speed == 10.0 and scenario.ego.target_speed == 9.0
         counts.append(len(scenario.vehicles))
         speeds += [v.speed for v in scenario.vehicles]
-        assert all(math.hypot(v.x - scenario.ego.x, v.y - scenario.ego.y) >= 20.0 for v in scenario.vehicles)
-        assert scenario.ego.speed == 10.0 and scenario.ego.target_speed == 9.0
-    assert 4.0 < np.mean(counts) < 6.2  # highway-env: 5.1 in 10 resets
-    assert 6.0 < np.mean(speeds) < 8.5
+        for k, v in enumerate(scenario.vehicles):
+            assert v.lane[0].startswith("o") and v.lane[1].startswith("ir") and v.destination != v.lane[0]
+            assert fits(v, [(w.x, w.y) for w in scenario.vehicles[:k]])
+        (challenger,) = (spawn.vehicle for spawn in scenario.spawns if spawn.step == 0)
+        assert challenger.id == "challenger" and challenger.speed == 8.0
+        assert challenger.destination == f"o{(int(challenger.lane[0][1:]) + 2) % 4}"  # straight on
+        assert challenger.s == pytest.approx(65.0, abs=0.5)
+    assert 4.0 < np.mean(counts) < 6.5
+    assert np.mean(speeds) == pytest.approx(8.0, abs=0.3)
+
+
+def test_the_other_tasks_have_no_warm_up() -> None:
+    for task in TASKS.keys() - {"intersection"}:
+        scenario = draw(task)
+        assert (scenario.warm_up, scenario.spawns) == (0.0, ())
 
 
 def test_intersection_tries_to_spawn_after_every_step() -> None:
-    steps = [spawn.step for s in SEEDS for spawn in draw("intersection", s, spawn_probability=1.0).spawns]
+    steps = [s.step for k in SEEDS for s in draw("intersection", k, spawn_probability=1.0).spawns if s.step]
     assert sorted(set(steps)) == list(range(1, 14)) and len(steps) == 13 * len(SEEDS)
-    share = np.mean([len(draw("intersection", s).spawns) / 13 for s in SEEDS])
+    share = np.mean([(len(draw("intersection", k).spawns) - 1) / 13 for k in SEEDS])
     assert share == pytest.approx(0.6, abs=0.1)
+
+
+def test_a_vehicle_fits_where_nobody_is_within_15_metres() -> None:
+    vehicle = draw("highway").vehicles[0]
+    assert fits(vehicle, [])
+    assert fits(vehicle, [(vehicle.x, vehicle.y + SPAWN_DISTANCE)])
+    assert not fits(vehicle, [(vehicle.x + 100.0, vehicle.y), (vehicle.x - 14.9, vehicle.y)])
 
 
 def test_u_turn_has_at_most_twelve_slots() -> None:

@@ -101,13 +101,16 @@ class SumoSimulator:
 
     def _settings(self, scenario: Scenario) -> Settings:
         """What has to be loaded: the network, and every driver that may come; those loaded before are kept."""
-        pool = get_task(scenario.task).drivers(scenario.risk)
+        wanted = {driver.type: driver for driver in get_task(scenario.task).drivers(scenario.risk)}
+        # a scenario may hold drivers of its own
+        wanted.update((spec.driver.type, spec.driver) for spec in scenario.specs)
+        wanted.update((spawn.vehicle.driver.type, spawn.vehicle.driver) for spawn in scenario.spawns)
         loaded = self._loaded
         if loaded is None or (loaded.net_file, loaded.step_length) != (self._network.net_file, self._dt):
             self._drivers = {}
-        elif all(driver.type in self._drivers for driver in pool):
+        elif all(self._drivers.get(name) == driver for name, driver in wanted.items()):
             return loaded
-        self._drivers.update({driver.type: driver for driver in pool})
+        self._drivers.update(wanted)
         self._loaded = Settings(
             self._network.net_file,
             tuple(self._network.routes.items()),

@@ -216,6 +216,20 @@ def test_every_parameter_of_a_driver_arrives_in_sumo(
         libsumo.vehicle.remove(name)
 
 
+@pytest.mark.parametrize("name", ["mine", None])
+def test_a_scenario_may_hold_drivers_of_its_own(simulator: SumoSimulator, name: str | None) -> None:
+    """Also one of a name that another driver had in the episode before."""
+    scenario = draw("highway")
+    first, *rest = scenario.vehicles
+    own = replace(first.driver, type=name or first.driver.type, tau=7.0)
+    others = tuple(spec for spec in rest if spec.driver.type != own.type)
+    simulator.reset(scenario)
+    simulator.reset(replace(scenario, vehicles=(first._replace(driver=own), *others)))
+    assert libsumo.vehicle.getTau(first.id) == 7.0
+    simulator.reset(scenario)
+    assert libsumo.vehicle.getTau(first.id) == first.driver.tau
+
+
 @pytest.mark.parametrize("k", [0, 5, 20])
 def test_on_a_free_road_a_driver_accelerates_as_idm_does(simulator: SumoSimulator, k: int) -> None:
     """The exponent of the driver counts, which SUMO cannot be asked for."""

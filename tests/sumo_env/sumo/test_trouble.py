@@ -18,7 +18,7 @@ import sys
 import libsumo
 import numpy as np
 from sumo_env.env import DrivingEnv
-from sumo_env.networks.catalogue import network
+from sumo_env.networks.mapping import network
 from sumo_env.simulator import SimulatorError
 from sumo_env.sumo.world import SumoSimulator
 

@@ -344,7 +344,7 @@ def test_vehicles_out_of_reach_make_no_difference(start: Start) -> None:
     def all_of_them(scenario: Scenario) -> Scenario:
         return replace(scenario, vehicles=tuple(v._replace(concerns_ego=True) for v in scenario.vehicles))
 
-    config = {**TASKS["highway"].levels["100"], "vehicles_count": 80}
+    config = {**TASKS["highway"].levels["50"], "vehicles_count": 80}
     for seed in range(4):
         runs, counts = [], []
         for change in (lambda scenario: scenario, all_of_them):

@@ -12,10 +12,10 @@ from sumo_env.traffic.drivers import (
     MIN_GAIN,
     POOL,
     SAFE_BRAKING,
-    SPREAD,
     SPREAD_PARAMETERS,
     Calibration,
     CarFollowing,
+    RiskRanges,
     driver_pool,
     vehicle_type,
 )
@@ -38,12 +38,21 @@ def test_the_exponent_is_uniform_between_3_5_and_4_5_or_fixed() -> None:
 
 
 @pytest.mark.parametrize("name", SPREAD_PARAMETERS)
-def test_at_dose_one_parameters_fill_the_range_and_keep_their_mean(name: str) -> None:
+def test_at_dose_one_parameters_fill_half_to_one_and_a_half_times_the_regular_value(name: str) -> None:
     regular = getattr(driver_pool(BASE, 0.0)[0], name)
     values = [getattr(driver, name) / regular for driver in driver_pool(BASE, 1.0)]
-    assert min(values) == pytest.approx(1 - SPREAD, abs=0.05)
-    assert max(values) == pytest.approx(1 + SPREAD, abs=0.05)
+    assert min(values) == pytest.approx(0.5, abs=0.01)
+    assert max(values) == pytest.approx(1.5, abs=0.01)
     assert np.mean(values) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(("dose", "low", "high"), [(0.0, 1.0, 1.0), (0.5, 0.7, 1.1), (1.0, 0.4, 1.2)])
+def test_a_task_may_have_ranges_of_its_own(dose: float, low: float, high: float) -> None:
+    pool = driver_pool(BASE, dose, False, RiskRanges(tau=(0.4, 1.2), not_giving_way=0.25))
+    values = [driver.tau / BASE.tau for driver in pool]
+    assert (min(values), max(values)) == pytest.approx((low, high), abs=0.01)
+    assert sum(not driver.gives_way for driver in pool) == POOL * 0.25 * dose
+    assert [d.accel for d in pool] == [d.accel for d in driver_pool(BASE, dose)]
 
 
 @pytest.mark.parametrize("name", SPREAD_PARAMETERS)

@@ -7,6 +7,7 @@ import subprocess
 import sys
 import warnings
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 
 import gymnasium as gym
@@ -17,7 +18,10 @@ from gymnasium.utils.env_checker import check_env
 import sumo_env
 from sumo_env.config import ConfigError
 from sumo_env.env import DrivingEnv
+from sumo_env.scene import Scene
+from sumo_env.simulator import EgoCommand, Step
 from sumo_env.tasks import TASKS
+from sumo_env.traffic.scenario import Scenario
 
 # highway-env's observation boxes are unbounded as well
 EXPECTED_WARNINGS = ("minimum value is -infinity", "maximum value is infinity")
@@ -30,11 +34,10 @@ def highway() -> Iterator[gym.Env[Any, Any]]:
     env.close()
 
 
-@pytest.mark.parametrize("traffic_model", ["matched", "sumo"])
 @pytest.mark.parametrize("risk", [0.0, 1.0])
 @pytest.mark.parametrize("id", sumo_env.IDS)
-def test_gymnasium_has_nothing_to_object_to(id: str, risk: float, traffic_model: str) -> None:
-    env = gym.make(id, config={"risk": risk, "traffic_model": traffic_model}, disable_env_checker=True)
+def test_gymnasium_has_nothing_to_object_to(id: str, risk: float) -> None:
+    env = gym.make(id, config={"risk": risk}, disable_env_checker=True)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         check_env(env.unwrapped)
@@ -96,7 +99,8 @@ def test_an_episode_ends_within_its_duration(id: str) -> None:
         ({"lanes_count": 9}, "must be one of"),
         ({"initial_lane_id": 4}, "lane below 'lanes_count'"),
         ({"risk": 1.5}, "must lie in"),
-        ({"traffic_model": "SUMO"}, "'matched' or 'sumo'"),
+        ({"traffic_model": "SUMO"}, "can only be 'sumo'"),
+        ({"traffic_model": "matched"}, "is gone.*'replica'"),
         ({"policy_frequency": 3}, "must be a multiple"),
         ({"simulation_frequency": 2}, "at least 5"),
         ({"normalize_reward": "yes"}, "True or False"),
@@ -248,6 +252,64 @@ def test_closing_one_environment_leaves_the_other_alone() -> None:
         first.step(1)
     first.reset(seed=0)
     first.step(1)
+
+
+def test_an_episode_may_start_from_a_given_scenario() -> None:
+    env = DrivingEnv("highway", {"vehicles_count": 10})
+    env.reset(seed=0)
+    other = env.task.scenario(env.config, 7)
+    assert env.scenario != other
+    observation, _ = env.reset(seed=0, options={"scenario": other})
+    assert env.scenario is other
+    assert env.scene.x[0] == pytest.approx(other.ego.x)
+    np.testing.assert_array_equal(env.reset(seed=5, options={"scenario": other})[0], observation)
+    env.reset(seed=0)
+    assert env.scenario != other
+    env.close()
+
+
+class Convoy:
+    """A simulator in which all vehicles drive at the ego's target speed; notes what it is asked for."""
+
+    def __init__(self) -> None:
+        self.asked: list[Any] = []
+
+    def reset(self, scenario: Scenario) -> Scene:
+        self.asked.append("reset")
+        specs = scenario.specs
+        columns = np.array([(spec.x, spec.y, spec.speed, spec.heading) for spec in specs]).T
+        self.scene = Scene(tuple(spec.id for spec in specs), *columns, np.zeros(len(specs), bool), 0.0)
+        return self.scene
+
+    def step(self, command: EgoCommand, trace: bool = False) -> Step:
+        self.asked.append(command)
+        now = self.scene
+        speed = np.full(len(now), command.target_speed)
+        self.scene = replace(now, x=now.x + speed, speed=speed, time=now.time + 1.0)
+        return Step(self.scene, command.target_lane, None, 1.4, command.target_speed)
+
+    def close(self) -> None:
+        self.asked.append("close")
+
+
+def test_any_simulator_may_drive() -> None:
+    """The environment makes commands of actions, and observations, rewards and info of steps; it needs no more."""
+    simulator = Convoy()
+    env = DrivingEnv("highway", {"initial_lane_id": 1, "duration": 3}, simulator=simulator)
+    assert simulator.asked == []
+    env.reset(seed=0)
+    steps = [env.step(action) for action in (3, 2, 1)]
+    env.close()
+    left, right = ("0", "1", 1), ("0", "1", 2)
+    commands = [EgoCommand(30.0, left), EgoCommand(30.0, right), EgoCommand(30.0, right)]
+    assert simulator.asked == ["reset", *commands, "close"]
+    assert [step[2:4] for step in steps] == [(False, False), (False, False), (False, True)]
+    observation, reward, _, _, info = steps[-1]
+    assert env.observation_space.contains(observation) and reward > 0.9
+    assert (info["speed"], info["distance"], info["min_ttc"], info["near_miss"]) == (30.0, 30.0, 1.4, True)
+    env.reset(seed=0)  # the same simulator again
+    env.close()
+    assert simulator.asked[-2:] == ["reset", "close"]
 
 
 def test_info_holds_plain_values(highway: gym.Env[Any, Any]) -> None:

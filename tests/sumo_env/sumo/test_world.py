@@ -333,7 +333,7 @@ def test_vehicles_that_reach_the_end_of_the_road_are_gone(start: Start, task: st
 
 def test_an_ego_that_reaches_the_end_of_the_road_is_told_so(start: Start) -> None:
     env = start("roundabout", alone, duration=100)
-    with pytest.raises(SimulatorError, match="driven off the end of the road.*shorter 'duration'"):
+    with pytest.raises(SimulatorError, match=r"driven off the end of the road.*shorter 'duration'"):
         for _ in range(100):
             env.step(FASTER)
     env.reset(seed=0)

@@ -10,8 +10,7 @@ import pytest
 from experiments.backends.highway_env import ENVIRONMENTS, ScenarioEnv
 from sumo_env.tasks import TASKS
 from sumo_env.tasks.base import nearest_index
-
-from .parity import Step, ego_state, episodes, make, scatter
+from tests.sumo_env.parity import Step, ego_state, episodes, make, scatter
 
 # Keys of highway-env whose default we have chosen otherwise (docs/decisions.md).
 OWN_CHOICE = {"two-way": {"observation"}, "u-turn": {"observation", "screen_width", "screen_height"}}

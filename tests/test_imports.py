@@ -6,6 +6,7 @@ import ast
 import subprocess
 import sys
 from collections.abc import Iterator
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -87,6 +88,80 @@ def test_the_packages_of_the_study_are_layers() -> None:
     assert wrong == []
 
 
+# The modules and packages of sumo_env by floor, the lowest first. Each may use those of lower floors and its own.
+FLOORS: tuple[tuple[str, ...], ...] = (
+    ("networks",),
+    ("scene", "streams", "config"),
+    ("contacts",),
+    ("traffic",),
+    ("tasks",),
+    ("actions", "simulator"),
+    ("observation", "interface", "rendering"),
+    ("sumo",),
+    ("env",),
+    ("vector", "doctor"),
+)
+
+
+def modules_of_sumo_env() -> dict[str, Path]:
+    """Name -> file. The roads are found by their link."""
+    files = [*sources("sumo_env"), *sources("networks")]
+    names = {}
+    for path in files:
+        parts = list(path.relative_to(ROOT).with_suffix("").parts)
+        if parts[0] == "networks":
+            parts.insert(0, "sumo_env")
+        names[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path
+    return names
+
+
+def used_modules(path: Path, known: dict[str, Path]) -> set[str]:
+    """Modules of sumo_env that a file imports, wherever in the file; ``from package import module`` means the module."""
+    used = set()
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            used |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom):
+            inner = {f"{node.module}.{alias.name}" for alias in node.names}
+            used |= inner & known.keys() or {node.module or ""}
+    return used & known.keys() - {"sumo_env"}
+
+
+def test_every_part_of_the_environments_has_a_floor() -> None:
+    parts = {name.split(".")[1] for name in modules_of_sumo_env() if name != "sumo_env"}
+    assert parts == {part for floor in FLOORS for part in floor}
+
+
+def test_the_environments_are_built_on_floors() -> None:
+    known = modules_of_sumo_env()
+    floor_of = {part: number for number, floor in enumerate(FLOORS) for part in floor}
+    wrong = [
+        f"{name} imports {used}, which is above it"
+        for name, path in known.items()
+        for used in sorted(used_modules(path, known))
+        if name == "sumo_env" or floor_of[used.split(".")[1]] > floor_of[name.split(".")[1]]
+    ]
+    assert wrong == []
+
+
+def test_the_environments_import_in_no_circle() -> None:
+    known = modules_of_sumo_env()
+    uses = {name: used_modules(path, known) for name, path in known.items()}
+    assert sum(map(len, uses.values())) > 50  # something was found
+    TopologicalSorter(uses).prepare()  # raises CycleError, which names the circle
+
+
+def test_the_environments_compile_nothing() -> None:
+    """SUMO drives; what is left is fast enough in numpy and plain floats."""
+    compiled = [
+        f"{path.relative_to(ROOT)}:{line} imports {name}"
+        for path in modules_of_sumo_env().values()
+        for line, name in imports(path)
+        if name.split(".")[0] in ("numba", "llvmlite", "ctypes", "cffi")
+    ]
+    assert compiled == []
+
+
 def test_one_module_imports_libsumo() -> None:
     importers = {
         str(path.relative_to(ROOT))
@@ -137,9 +212,14 @@ def test_contacts_and_roads_compile_nothing(module: str) -> None:
 
 
 def test_using_an_environment_loads_nothing_of_the_study() -> None:
-    use = (
-        "import gymnasium as gym, sumo_env\nenv = gym.make('sumo/highway-v0')\nenv.reset(seed=0)\nenv.step(1)"
-    )
+    use = """
+import gymnasium as gym, sumo_env
+for id in sumo_env.IDS:
+    env = gym.make(id, config={"risk": 1.0})
+    env.reset(seed=0)
+    env.step(1)
+    env.close()
+"""
     loaded = loaded_by(use)
     assert "libsumo" in loaded
     assert loaded.isdisjoint({"torch", "matplotlib", "pandas", "statsmodels", "highway_env", "numba", "PIL"})

@@ -15,7 +15,7 @@ from sumo_env.simulator import EgoCommand, Simulator, SimulatorError, Step
 from sumo_env.sumo.session import Session
 from sumo_env.sumo.world import SumoSimulator
 from sumo_env.tasks import TASKS
-from sumo_env.traffic.scenario import EGO_DISTANCE, Scenario
+from sumo_env.traffic.scenario import EGO_DISTANCE, Scenario, Spawn
 from tests.sumo_env.scenarios import alone, draw, with_leader
 
 Start = Callable[..., DrivingEnv]
@@ -308,6 +308,20 @@ def test_no_risk_event_happens_before_the_episode(simulator: SumoSimulator) -> N
         scenario = draw("intersection", seed, risk=1.0, initial_vehicle_count=20)
         assert scenario.events
         assert_equal(simulator.reset(scenario), simulator.reset(replace(scenario, events=())))
+
+
+def test_a_vehicle_is_let_in_unless_another_is_within_15_metres(simulator: SumoSimulator) -> None:
+    """Before the step after which it comes, and where it is refused, never."""
+    scenario = draw("intersection", 3, spawn_probability=1.0)
+    sent = next(spawn.vehicle for spawn in scenario.spawns if spawn.step == 2)
+    spawns = (
+        Spawn(2, sent._replace(id="first")),
+        Spawn(2, sent._replace(id="refused")),
+        Spawn(4, sent._replace(id="later")),
+    )
+    simulator.reset(replace(scenario, vehicles=(), spawns=spawns))
+    seen = [simulator.step(EgoCommand(0.0, scenario.ego.lane)).scene.ids[1:] for _ in range(6)]
+    assert seen == [(), (), ("first",), ("first",), ("first", "later"), ("first", "later")]
 
 
 def test_intersection_traffic_comes_and_goes(start: Start) -> None:

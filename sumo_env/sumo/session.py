@@ -210,7 +210,7 @@ class Session:
     def near(self, name: str) -> dict[str, State]:
         """States of a watched vehicle and of those near it."""
         found = _vehicle.getContextSubscriptionResults(name)
-        if name not in found:  # it has left the road, or somebody else has loaded a state without subscriptions
+        if name not in found:  # it has left the road, or somebody else has loaded a state
             raise libsumo.TraCIException(f"Vehicle '{name}' is not watched any more.")
         return {
             other: _state(values[_FRONT], values[_ANGLE], values[_SPEED]) for other, values in found.items()

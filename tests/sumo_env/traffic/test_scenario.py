@@ -70,7 +70,8 @@ def test_no_vehicles_overlap_and_all_are_on_their_lane(task: str, level: str) ->
     for seed in range(10):
         scenario = draw(task, seed, **TASKS[task].levels[level])
         road = TASKS[task].road(resolve(task, TASKS[task].defaults, TASKS[task].levels[level]))
-        together = scenario.vehicles if scenario.warm_up else scenario.specs  # the ego comes after the warm-up
+        # the ego comes after the warm-up
+        together = scenario.vehicles if scenario.warm_up else scenario.specs
         places = [(v.x, v.y) for v in together]
         if task != "two-way":  # there two lanes share a strip
             for i, (x, y) in enumerate(places):

@@ -136,7 +136,9 @@ class DQN:
     def q(self, observations: np.ndarray) -> np.ndarray:
         """Q of every action, (n, actions), for some observations (n, ...)."""
         x = torch.as_tensor(observations, dtype=torch.float32, device=self.config.device)
-        return self.online.eval()(x).cpu().numpy()
+        if self.online.training:  # setting the mode takes a fifth of the time of acting
+            self.online.eval()
+        return self.online(x).cpu().numpy()
 
     def standardise(self) -> None:
         """Fix the statistics of the inputs by what is in the replay."""
@@ -150,7 +152,8 @@ class DQN:
         Raises ValueError when the replay is empty.
         """
         config = self.config
-        self.online.train()
+        if not self.online.training:
+            self.online.train()
         batch = self.replay.sample(self._sampling, config.batch_size, config.device)
 
         # The online network chooses the next action, the target network values it.

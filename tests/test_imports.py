@@ -116,7 +116,7 @@ def modules_of_sumo_env() -> dict[str, Path]:
 
 
 def used_modules(path: Path, known: dict[str, Path]) -> set[str]:
-    """Modules of sumo_env that a file imports, wherever in the file; ``from package import module`` means the module."""
+    """Modules of sumo_env that a file imports, wherever; ``from package import module`` means the module."""
     used = set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):

@@ -150,7 +150,7 @@ def versions(backend: str) -> dict[str, Any]:
         UserError: a package that the cell needs is not installed.
     """
     simulator = "libsumo" if backend == "sumo" else backend
-    names = ["sumo-risky-driving", simulator, "numpy", "numba", "torch"]
+    names = ["sumo-risky-driving", simulator, "numpy", "torch"]
     return {"schema": RESULT_SCHEMA, **{name: _installed(name) for name in names}}
 
 

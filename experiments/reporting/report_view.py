@@ -111,13 +111,13 @@ def run(analysis: Mapping[str, Any], results: Results, left_out: set[str]) -> di
 
 
 def validation(directory: Path, backends: Sequence[str]) -> Record:
-    """What was known before training of how close SUMO's tasks are to highway-env's (validation.json).
+    """What was known before training of how close SUMO's tasks are to highway-env's.
 
     Returns:
         relevant (whether SUMO was used at all), source (what the verdict comes from), note (a sentence, None if there
         is a verdict on every task), tasks (task, verdict and reason each).
     """
-    found = status.read(directory / "validation.json")
+    found = status.of_results(directory)
     tasks = {} if found is None else found["tasks"]
     rows = [{"task": task, **_verdict(tasks.get(task))} for task in TASK_ORDER]
     open_ = [row["task"] for row in rows if row["verdict"] == NOT_VALIDATED]

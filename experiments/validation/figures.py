@@ -46,7 +46,7 @@ def _legend(figure: Any, own: str) -> None:
 @styled
 def overview(tasks: Mapping[str, Any], traffic: str) -> str:
     """Every check with a margin: its difference as a share of the margin, with interval."""
-    figure, axes = new_figure(1, len(tasks), 3.0, sharey=True, sharex=True)
+    figure, axes = new_figure(1, len(tasks), 4.6, sharey=True, sharex=True)
     for panel, (task, result) in zip(axes[0], tasks.items(), strict=True):
         panel.axvspan(-1, 1, color=GRID, alpha=0.6, lw=0)
         panel.axvline(0, color=INK, lw=0.8)

@@ -40,22 +40,29 @@ def before_training(
     workers: int = 1,
     note: Callable[[str], None] = lambda _: None,
 ) -> dict[str, Any] | None:
-    """The verdict on a backend's tasks; also written to ``validation.json`` in `out`, where the report looks for it.
+    """The verdict on a backend's tasks; also written to ``verdict.json`` in `out`, where the report looks for it.
 
-    A file that is there already and holds these tasks is not made again. None for a backend that needs no verdict.
+    A verdict on these tasks that is there already, or a full validation.json, is not made again. None for a backend
+    that needs no verdict, and where there is nothing to compare with.
     """
     if backend != VALIDATED:
         return None
-    path = out / "validation.json"
     marks = {task: fingerprint(backend, task) for task in tasks}
-    known = read(path)
-    if known is None or not _covers(known, marks):
-        known = stored_verdict(backend, marks)
-        if known is None:
-            note("driving SUMO through highway-env's stored scenarios")
-            known = quick_verdict(backend, marks, out / "validation", workers)
-        write_json(path, known)
+    known = of_results(out)
+    if known is not None and known["backend"] == backend and _covers(known, marks):
+        return known
+    known = stored_verdict(backend, marks)
+    if known is None:
+        note("driving SUMO through highway-env's stored scenarios")
+        known = quick_verdict(backend, marks, out / "validation", workers)
+    if known is not None:
+        write_json(out / "verdict.json", known)
     return known
+
+
+def of_results(directory: Path) -> dict[str, Any] | None:
+    """The verdict beside some results, None without one."""
+    return read(directory / "verdict.json") or read(directory / "validation.json")
 
 
 def read(path: Path) -> dict[str, Any] | None:
@@ -92,8 +99,10 @@ def stored_verdict(backend: str, marks: Mapping[str, str], path: Path = VERDICT)
     }
 
 
-def quick_verdict(backend: str, marks: Mapping[str, str], folder: Path, workers: int) -> dict[str, Any]:
-    """Drive the backend through the stored scenarios of these tasks and compare.
+def quick_verdict(
+    backend: str, marks: Mapping[str, str], folder: Path, workers: int
+) -> dict[str, Any] | None:
+    """Drive the backend through the stored scenarios of these tasks and compare; None where nothing is stored.
 
     So few scenarios cannot show that a margin is kept; a check counts as missed only where its whole 90 % interval
     lies beyond the margin.
@@ -105,9 +114,8 @@ def quick_verdict(backend: str, marks: Mapping[str, str], folder: Path, workers:
 
     stored = pd.read_parquet(STORED_REFERENCE) if STORED_REFERENCE.exists() else pd.DataFrame({"task": []})
     stored = stored[stored["task"].isin(list(marks))]
-    if stored.empty:
-        nothing: dict[str, Any] = {task: {"passed": None, "counts": {}, "missed": []} for task in marks}
-        return _record(backend, "nothing is stored that it could be compared with", nothing, marks)
+    if set(stored["task"]) != set(marks):
+        return None
     number = int(stored["scenario"].max()) + 1
     levels = {task: sorted(set(stored.loc[stored["task"] == task, "level"])) for task in marks}
     engine = parts.Engine(backend, backend, stamps=marks, egos=tuple(sorted(set(stored["ego"]))))
@@ -161,7 +169,11 @@ def summary(tasks: Mapping[str, Any]) -> dict[str, Any]:
 def verdict_of(record: Mapping[str, Any]) -> dict[str, Any]:
     """The verdict of a full validation, from the content of its validation.json."""
     source = f"{record['scenarios']} scenarios of each level ({record['command']})"
-    return _record(record["backend"], source, summary(record["tasks"]), record["fingerprints"])
+    used = {name: record["versions"][name] for name in versions()}
+    return {
+        **_record(record["backend"], source, summary(record["tasks"]), record["fingerprints"]),
+        "versions": used,
+    }
 
 
 def _record(backend: str, source: str, tasks: Mapping[str, Any], marks: Mapping[str, str]) -> dict[str, Any]:

@@ -20,8 +20,15 @@ MARKS = {"u-turn": "abc"}
 
 def full_record(table):
     tasks = scorecard(table, "sumo", {"u-turn": ["3", "6", "9", "12"]})
-    return {"schema": status.SCHEMA, "backend": "sumo", "scenarios": 40, "command": "validate", "fingerprints": MARKS,
-            "tasks": tasks}  # fmt: skip
+    return {
+        "schema": status.SCHEMA,
+        "backend": "sumo",
+        "scenarios": 40,
+        "command": "validate",
+        "fingerprints": MARKS,
+        "versions": status.versions(),
+        "tasks": tasks,
+    }
 
 
 @pytest.fixture
@@ -70,6 +77,24 @@ def test_fingerprints_change_with_the_dynamics(monkeypatch: pytest.MonkeyPatch) 
     assert before != fingerprint("sumo", "u-turn")
 
 
+def test_a_validation_beside_the_results_is_used(tmp_path: Path) -> None:
+    marks = {"u-turn": fingerprint("sumo", "u-turn")}
+    (tmp_path / "validation.json").write_text(json.dumps({**full_record(compared()), "fingerprints": marks}))
+    known = status.before_training("sumo", ["u-turn"], tmp_path)
+    assert known is not None
+    assert known["source"].startswith("40 scenarios")
+    assert not (tmp_path / "verdict.json").exists()
+
+
+def test_without_anything_to_compare_with_there_is_no_verdict(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(status, "VERDICT", tmp_path / "nothing.json")
+    monkeypatch.setattr(status, "STORED_REFERENCE", tmp_path / "nothing.parquet")
+    assert status.before_training("sumo", ["u-turn"], tmp_path) is None
+    assert status.of_results(tmp_path) is None
+
+
 @pytest.mark.slow
 def test_other_dynamics_are_driven_through_the_stored_scenarios(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -86,6 +111,6 @@ def test_other_dynamics_are_driven_through_the_stored_scenarios(
     assert known is not None
     assert known["source"] == "4 stored scenarios"
     assert known["tasks"]["u-turn"]["passed"] is True  # SUMO is compared with itself here
-    assert status.read(out / "validation.json") == known
+    assert status.of_results(out) == known
     assert status.before_training("sumo", ["u-turn"], out, 1) == known
     assert status.before_training("highway-env", ["u-turn"], out, 1) is None

@@ -18,12 +18,25 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 def compiled(function: Function) -> Function:
     """Compile `function` with numba at its first call; to a type checker it stays what it was."""
+    return _compiled(function, counts=True)
+
+
+def borrowing(function: Function) -> Function:
+    """As `compiled`, for functions that make no arrays and return none.
+
+    References to the arrays that such a function is given are not counted, which halves the time of a sub-step.
+    """
+    return _compiled(function, counts=False)
+
+
+def _compiled(function: Function, counts: bool) -> Function:
+    options = {"_nrt": counts}
     try:
-        return cast(Function, numba.njit(cache=True)(function))
+        return cast(Function, numba.njit(cache=True, **options)(function))
     except RuntimeError as error:
         if "no locator available" not in str(error):
             raise
-        return cast(Function, numba.njit(function))  # no directory is writable: compile in each process
+        return cast(Function, numba.njit(**options)(function))  # no directory is writable: compile in each process
 
 
 def drop_outdated(package: Path) -> int:

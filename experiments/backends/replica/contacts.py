@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from experiments.backends.replica.compiled import compiled
+from experiments.backends.replica.compiled import borrowing, compiled
 
 HALF_LENGTH, HALF_WIDTH = 2.5, 1.0  # [m]
 DIAGONAL = math.sqrt(29.0)  # [m]
@@ -16,7 +16,7 @@ DIAGONAL = math.sqrt(29.0)  # [m]
 @compiled
 def corners(car: Any) -> Any:
     """``RoadObject.polygon``: the corners and the first again, shape (5, 2)."""
-    c, s = math.cos(car.heading), math.sin(car.heading)
+    c, s = car.cos, car.sin
     points = np.empty((5, 2))
     for k in range(5):
         along = HALF_LENGTH if k in (2, 3) else -HALF_LENGTH
@@ -25,7 +25,7 @@ def corners(car: Any) -> Any:
     return points
 
 
-@compiled
+@borrowing
 def interval_distance(low: float, high: float, other_low: float, other_high: float) -> float:
     """``utils.interval_distance``, negative if the intervals overlap."""
     return other_low - high if low < other_low else low - other_high
@@ -38,8 +38,8 @@ def touch(first: Any, second: Any, dt: float) -> tuple[bool, bool, float, float]
     The way, x and y [m], means something only if they will touch.
     """
     a, b = corners(first), corners(second)
-    move_x = first.speed * math.cos(first.heading) * dt - second.speed * math.cos(second.heading) * dt
-    move_y = first.speed * math.sin(first.heading) * dt - second.speed * math.sin(second.heading) * dt
+    move_x = first.speed * first.cos * dt - second.speed * second.cos * dt
+    move_y = first.speed * first.sin * dt - second.speed * second.sin * dt
     apart_x, apart_y = a[:4, 0].mean() - b[:4, 0].mean(), a[:4, 1].mean() - b[:4, 1].mean()
     now, soon, least, way_x, way_y = True, True, math.inf, 0.0, 0.0
     for side in range(8):
@@ -76,12 +76,13 @@ def collide(cars: Any, dt: float) -> None:
     for i in range(n):
         x[i], y[i] = cars[i].x, cars[i].y
     for i in range(n):
-        near = DIAGONAL + cars[i].speed * dt  # the speed of the first alone counts, as in highway-env
+        a = cars[i]
+        near = DIAGONAL + a.speed * dt  # the speed of the first alone counts, as in highway-env
         for j in range(i + 1, n):
             dx, dy = x[j] - x[i], y[j] - y[i]
-            if abs(dx) > near or abs(dy) > near or math.sqrt(dx * dx + dy * dy) > near:
+            if abs(dx) > near or math.sqrt(dx * dx + dy * dy) > near:
                 continue
-            a, b = cars[i], cars[j]
+            b = cars[j]
             now, soon, way_x, way_y = touch(a, b, dt)
             if soon:
                 a.is_pushed_apart = b.is_pushed_apart = True

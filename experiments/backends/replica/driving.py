@@ -15,11 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from experiments.backends.replica.compiled import compiled
+from experiments.backends.replica.compiled import borrowing
 from experiments.backends.replica.geometry import (
-    LAT,
     VEHICLE_LENGTH,
-    S,
     beyond_ends,
     local_coordinates,
     not_zero,
@@ -37,7 +35,7 @@ REACHABLE = 8.0  # [m] from the centre line (``AbstractLane.is_reachable_from``)
 # -- the route ----------------------------------------------------------------------------------------------------
 
 
-@compiled
+@borrowing
 def nearest_of_road(lanes: Any, lane: int, road: int, x: float, y: float) -> tuple[int, float]:
     """``RoadNetwork.next_lane_given_next_road``: the lane of the next road, and its distance to (x, y) [m]."""
     first, last = road, road + lanes[road].abreast
@@ -53,7 +51,7 @@ def nearest_of_road(lanes: Any, lane: int, road: int, x: float, y: float) -> tup
     return best, least
 
 
-@compiled
+@borrowing
 def next_lane(lanes: Any, car: Any, s: float) -> int:
     """``RoadNetwork.next_lane`` after the lane that a car steers for, which it has driven for `s` [m]."""
     lane = lanes[car.target]
@@ -75,10 +73,10 @@ def next_lane(lanes: Any, car: Any, s: float) -> int:
     return best
 
 
-@compiled
+@borrowing
 def follow_road(lanes: Any, places: Any, car: Any, i: int) -> None:
     """``ControlledVehicle.follow_road``: on the last half vehicle length of a lane, steer for the next one."""
-    s = places[S, car.target, i]
+    s = places.s[car.target, i]
     if s > lanes[car.target].length - VEHICLE_LENGTH / 2.0:
         car.target = next_lane(lanes, car, s)
 
@@ -86,7 +84,7 @@ def follow_road(lanes: Any, places: Any, car: Any, i: int) -> None:
 # -- car following ------------------------------------------------------------------------------------------------
 
 
-@compiled
+@borrowing
 def desired_gap(driver: Any, speed: float, faster: float) -> float:
     """``IDMVehicle.desired_gap``: the distance of centres [m] that `driver` wants at this speed [m/s].
 
@@ -96,16 +94,14 @@ def desired_gap(driver: Any, speed: float, faster: float) -> float:
     return driver.jam_distance + speed * driver.tau + speed * faster / braking
 
 
-@compiled
+@borrowing
 def approach(car: Any, leader: Any) -> float:
     """How much faster than a leader a car drives, along its own heading [m/s]."""
-    c, s = math.cos(car.heading), math.sin(car.heading)
-    faster_x = car.speed * c - leader.speed * math.cos(leader.heading)
-    faster_y = car.speed * s - leader.speed * math.sin(leader.heading)
-    return faster_x * c + faster_y * s
+    faster_x, faster_y = car.speed * car.cos - leader.speed * leader.cos, car.speed * car.sin - leader.speed * leader.sin
+    return faster_x * car.cos + faster_y * car.sin
 
 
-@compiled
+@borrowing
 def acceleration(lanes: Any, cars: Any, places: Any, rules: Any, driver: Any, i: int, j: int) -> float:
     """``IDMVehicle.acceleration`` [m/s2] of car `i` behind car `j` by the parameters of `driver`; NONE: nobody.
 
@@ -124,7 +120,7 @@ def acceleration(lanes: Any, cars: Any, places: Any, rules: Any, driver: Any, i:
         distance = distance_beyond(lanes, places, car.lane, car.target, i, j)
     if math.isnan(distance):
         gap = desired_gap(driver, car.speed, approach(car, cars[j]))
-        distance = places[S, car.lane, j] - places[S, car.lane, i]
+        distance = places.s[car.lane, j] - places.s[car.lane, i]
     else:
         gap = desired_gap(driver, car.speed, car.speed - cars[j].speed)
     ratio = gap / not_zero(distance)
@@ -134,19 +130,19 @@ def acceleration(lanes: Any, cars: Any, places: Any, rules: Any, driver: Any, i:
 # -- lane changes -------------------------------------------------------------------------------------------------
 
 
-@compiled
+@borrowing
 def is_taken(cars: Any, places: Any, i: int) -> bool:
     """Is a car ahead of `i`, closer than `i` likes and not there yet, changing to the lane that `i` is changing to?"""
     car = cars[i]
     for j in range(len(cars)):
         if j != i and cars[j].target == car.target and cars[j].lane != car.target:
-            distance = places[S, car.lane, j] - places[S, car.lane, i]
+            distance = places.s[car.lane, j] - places.s[car.lane, i]
             if 0.0 < distance < desired_gap(car, car.speed, approach(car, cars[j])):
                 return True
     return False
 
 
-@compiled
+@borrowing
 def mobil(lanes: Any, cars: Any, places: Any, rules: Any, i: int, lane: int) -> bool:
     """``IDMVehicle.mobil``: is a change of car `i` to `lane` safe, and either planned or worth it?"""
     car = cars[i]
@@ -164,7 +160,7 @@ def mobil(lanes: Any, cars: Any, places: Any, rules: Any, i: int, lane: int) -> 
     return after - before >= car.min_gain
 
 
-@compiled
+@borrowing
 def change_lane(lanes: Any, cars: Any, places: Any, rules: Any, i: int) -> None:
     """``IDMVehicle.change_lane_policy``: decide by MOBIL, or give up a change that another driver makes too."""
     car = cars[i]
@@ -179,8 +175,8 @@ def change_lane(lanes: Any, cars: Any, places: Any, rules: Any, i: int) -> None:
     for new in (car.lane - 1, car.lane + 1):
         if not lane.road <= new < lane.road + lane.abreast:
             continue
-        within = 0.0 <= places[S, new, i] < lanes[new].length + VEHICLE_LENGTH
-        is_reachable = within and abs(places[LAT, new, i]) <= REACHABLE
+        within = 0.0 <= places.s[new, i] < lanes[new].length + VEHICLE_LENGTH
+        is_reachable = within and abs(places.lat[new, i]) <= REACHABLE
         if is_reachable and abs(car.speed) >= MIN_SPEED and mobil(lanes, cars, places, rules, i, new):
             car.target = new
 
@@ -188,7 +184,7 @@ def change_lane(lanes: Any, cars: Any, places: Any, rules: Any, i: int) -> None:
 # -- all together -------------------------------------------------------------------------------------------------
 
 
-@compiled
+@borrowing
 def drive(lanes: Any, cars: Any, places: Any, rules: Any, i: int) -> None:
     """``IDMVehicle.act`` but for the steering: writes the car's target lane and acceleration."""
     car = cars[i]

@@ -6,28 +6,42 @@ A lane's own coordinates (s, lat) are metres along its centre line and to the ri
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, NamedTuple
 
-from experiments.backends.replica.compiled import compiled
+import numpy as np
+
+from experiments.backends.replica.compiled import borrowing, compiled
 from experiments.backends.replica.numpy_loops import binary, unary
-from experiments.backends.replica.tables import CIRCULAR, SINE
-
-# Planes of `places`, an array of shape (3, lanes, cars) that holds where cars are, for as long as they do not move:
-S = 0  # their coordinate s on each lane [m]
-LAT = 1  # their coordinate lat [m]
-SEEN = 2  # where a driver on the lane sees them, see `neighbours.look`
+from experiments.backends.replica.tables import CIRCULAR, NONE, SINE
 
 VEHICLE_LENGTH = 5.0  # [m]
 NEAR = 3.0  # [m] half a lane's width and the margin of 1 m, within which a car counts as on a lane
 
 
-@compiled
+class Places(NamedTuple):
+    """Where all cars are on all lanes, for as long as they do not move.
+
+    Attributes:
+        s, lat: coordinates of the cars [m], shapes (lanes, cars).
+        order: the cars that a driver on a lane sees, from the rear to the front, shape (lanes, cars).
+        seen: where each of these is along the lane [m], shape (lanes, cars).
+        count: how many these are, shape (lanes,); NONE if nobody has looked yet, see `neighbours.look`.
+    """
+
+    s: Any
+    lat: Any
+    order: Any
+    seen: Any
+    count: Any
+
+
+@borrowing
 def wrapped(angle: float) -> float:
     """``utils.wrap_to_pi`` [rad]."""
     return (angle + math.pi) % (2.0 * math.pi) - math.pi
 
 
-@compiled
+@borrowing
 def not_zero(value: float) -> float:
     """``utils.not_zero``."""
     if abs(value) > 1e-2:
@@ -35,7 +49,7 @@ def not_zero(value: float) -> float:
     return 1e-2 if value >= 0.0 else -1e-2
 
 
-@compiled
+@borrowing
 def position(lane: Any, s: float) -> tuple[float, float]:
     """``AbstractLane.position`` on the centre line, x and y [m]."""
     if lane.kind == CIRCULAR:
@@ -45,7 +59,7 @@ def position(lane: Any, s: float) -> tuple[float, float]:
     return lane.x + s * lane.cos - lat * lane.sin, lane.y + s * lane.sin + lat * lane.cos
 
 
-@compiled
+@borrowing
 def heading_at(lane: Any, s: float, loops: Any) -> float:
     """``AbstractLane.heading_at`` [rad]."""
     if lane.kind == CIRCULAR:
@@ -56,7 +70,7 @@ def heading_at(lane: Any, s: float, loops: Any) -> float:
     return lane.heading
 
 
-@compiled
+@borrowing
 def on_axis(lane: Any, x: float, y: float) -> tuple[float, float]:
     """(s, lat) [m] on a straight or sine lane."""
     dx, dy = x - lane.x, y - lane.y
@@ -66,14 +80,14 @@ def on_axis(lane: Any, x: float, y: float) -> tuple[float, float]:
     return s, lat
 
 
-@compiled
+@borrowing
 def on_circle(lane: Any, phi: float, radius: float) -> tuple[float, float]:
     """(s, lat) [m] on a circular lane of the point with these polar coordinates about its centre [rad, m]."""
     phi = lane.start_phase + wrapped(phi - lane.start_phase)
     return lane.turn * (phi - lane.start_phase) * lane.radius, lane.turn * (lane.radius - radius)
 
 
-@compiled
+@borrowing
 def local_coordinates(lane: Any, x: float, y: float) -> tuple[float, float]:
     """``AbstractLane.local_coordinates``: (s, lat) [m]."""
     if lane.kind == CIRCULAR:
@@ -82,21 +96,31 @@ def local_coordinates(lane: Any, x: float, y: float) -> tuple[float, float]:
     return on_axis(lane, x, y)
 
 
-@compiled
+@borrowing
 def beyond_ends(lane: Any, s: float, lat: float) -> float:
     """``AbstractLane.distance`` of the point (s, lat) [m]."""
     return abs(lat) + max(s - lane.length, 0.0) + max(-s, 0.0)
 
 
-@compiled
+@borrowing
 def is_on(lane: Any, s: float, lat: float) -> bool:
     """``AbstractLane.on_lane`` with a margin of 1 m."""
     return abs(lat) <= NEAR and -VEHICLE_LENGTH <= s < lane.length + VEHICLE_LENGTH
 
 
 @compiled
+def no_places(lanes: Any, cars: Any) -> Places:
+    """Room for the places of these cars, to be filled by `locate`."""
+    shape = len(lanes), len(cars)
+    return Places(
+        np.empty(shape), np.empty(shape), np.empty(shape, np.int64), np.empty(shape), np.empty(len(lanes), np.int64)
+    )
+
+
+@borrowing
 def locate(lanes: Any, cars: Any, places: Any, loops: Any) -> None:
     """Write where all cars are on all lanes into `places`; nobody has looked at anybody yet."""
+    places.count[:] = NONE
     for j in range(len(cars)):
         x, y = cars[j].x, cars[j].y
         centre_x, centre_y, phi, radius = math.nan, math.nan, 0.0, 0.0
@@ -107,22 +131,26 @@ def locate(lanes: Any, cars: Any, places: Any, loops: Any) -> None:
                     centre_x, centre_y = lane.x, lane.y
                     phi = binary(loops.arctan2, y - centre_y, x - centre_x)
                     radius = math.sqrt((x - centre_x) ** 2 + (y - centre_y) ** 2)
-                places[S, k, j], places[LAT, k, j] = on_circle(lane, phi, radius)
+                places.s[k, j], places.lat[k, j] = on_circle(lane, phi, radius)
             else:
-                places[S, k, j], places[LAT, k, j] = on_axis(lane, x, y)
-    if len(cars) > 0:
-        places[SEEN, :, 0] = math.inf
+                places.s[k, j], places.lat[k, j] = on_axis(lane, x, y)
 
 
-@compiled
-def closest_lane(lanes: Any, places: Any, loops: Any, j: int, heading: float) -> int:
-    """``RoadNetwork.get_closest_lane_index`` of car `j`; of equally close lanes the first."""
+@borrowing
+def from_lane(lane: Any, s: float, lat: float, heading: float, loops: Any) -> float:
+    """``AbstractLane.distance_with_heading`` of a car at (s, lat) [m]."""
+    return beyond_ends(lane, s, lat) + abs(wrapped(heading - heading_at(lane, s, loops)))
+
+
+@borrowing
+def closest_lane(lanes: Any, places: Any, loops: Any, j: int, heading: float, last: int) -> int:
+    """``RoadNetwork.get_closest_lane_index`` of car `j`, which was on lane `last`; of equally close lanes the first."""
+    enough = from_lane(lanes[last], places.s[last, j], places.lat[last, j], heading, loops)
     best, least = 0, math.inf
     for k in range(len(lanes)):
-        lane, s = lanes[k], places[S, k, j]
-        distance = beyond_ends(lane, s, places[LAT, k, j])
-        if distance < least:
-            distance += abs(wrapped(heading - heading_at(lane, s, loops)))
+        s, lat = places.s[k, j], places.lat[k, j]
+        if abs(lat) <= enough and beyond_ends(lanes[k], s, lat) <= enough:
+            distance = from_lane(lanes[k], s, lat, heading, loops)
             if distance < least:
                 best, least = k, distance
     return best

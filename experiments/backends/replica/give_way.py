@@ -13,8 +13,8 @@ from typing import Any
 
 import numpy as np
 
-from experiments.backends.replica.compiled import compiled
-from experiments.backends.replica.geometry import S, heading_at, position
+from experiments.backends.replica.compiled import borrowing, compiled
+from experiments.backends.replica.geometry import heading_at, position
 from experiments.backends.replica.tables import NONE
 
 SAMPLES, SAMPLE_STEP = 11, 0.25  # predictions of each car, at 0.25 s, 0.5 s .. 2.75 s
@@ -22,7 +22,7 @@ MEETING_DISTANCE = 5.0  # [m] centres that are further apart do not meet
 HALF_LENGTH, HALF_WIDTH = 1.5 * 5.0 / 2.0, 0.9 * 2.0 / 2.0  # [m] of the rectangle that stands for a predicted car
 
 
-@compiled
+@borrowing
 def route_lane(lanes: Any, car: Any, leg: int) -> int:
     """The lane of this leg of the route, NONE beyond its end: the planned one or that of the car's own number."""
     if leg >= len(car.route) or car.route[leg] == NONE:
@@ -31,7 +31,7 @@ def route_lane(lanes: Any, car: Any, leg: int) -> int:
     return car.route[leg] + beside
 
 
-@compiled
+@borrowing
 def predict(lanes: Any, cars: Any, places: Any, loops: Any, predicted: Any) -> None:
     """Write x, y [m] and heading [rad] of all cars in the next seconds, shape (cars, SAMPLES, 3).
 
@@ -41,7 +41,7 @@ def predict(lanes: Any, cars: Any, places: Any, loops: Any, predicted: Any) -> N
     for i in range(len(cars)):
         car = cars[i]
         for k in range(SAMPLES):
-            s = places[S, car.lane, i] + car.speed * SAMPLE_STEP * (k + 1)
+            s = places.s[car.lane, i] + car.speed * SAMPLE_STEP * (k + 1)
             leg, lane = car.leg, route_lane(lanes, car, car.leg)
             if lane == NONE:
                 lane = car.lane
@@ -55,7 +55,7 @@ def predict(lanes: Any, cars: Any, places: Any, loops: Any, predicted: Any) -> N
             predicted[i, k, 2] = heading_at(lanes[lane], s, loops)
 
 
-@compiled
+@borrowing
 def reaches_into(dx: float, dy: float, heading: float, other_heading: float) -> bool:
     """``utils.has_corner_inside``: is one of nine points of a rectangle in another one, (dx, dy) [m] away from it?
 
@@ -74,7 +74,7 @@ def reaches_into(dx: float, dy: float, heading: float, other_heading: float) -> 
     return False
 
 
-@compiled
+@borrowing
 def will_meet(first: Any, second: Any) -> bool:
     """``RegulatedRoad.is_conflict_possible`` of two predicted cars, shapes (SAMPLES, 3)."""
     for k in range(SAMPLES):
@@ -87,7 +87,7 @@ def will_meet(first: Any, second: Any) -> bool:
     return False
 
 
-@compiled
+@borrowing
 def has_to_yield(lanes: Any, cars: Any, i: int, j: int) -> int:
     """``RegulatedRoad.respect_priorities``: the one of two cars that has to give way."""
     a, b = cars[i], cars[j]
@@ -95,8 +95,7 @@ def has_to_yield(lanes: Any, cars: Any, i: int, j: int) -> int:
     if difference != 0.0:
         return j if difference > 0.0 else i
     dx, dy = b.x - a.x, b.y - a.y
-    in_front = math.cos(a.heading) * dx + math.sin(a.heading) * dy
-    in_front_of_other = -math.cos(b.heading) * dx - math.sin(b.heading) * dy
+    in_front, in_front_of_other = a.cos * dx + a.sin * dy, -b.cos * dx - b.sin * dy
     return i if in_front > in_front_of_other else j
 
 

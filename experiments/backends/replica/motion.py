@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from experiments.backends.replica.compiled import compiled
-from experiments.backends.replica.geometry import LAT, VEHICLE_LENGTH, S, heading_at, not_zero, wrapped
+from experiments.backends.replica.compiled import borrowing
+from experiments.backends.replica.geometry import VEHICLE_LENGTH, heading_at, not_zero, wrapped
 from experiments.backends.replica.numpy_loops import unary
 
 KP_ACCELERATION = 1 / 0.6  # [1/s]
@@ -17,16 +17,16 @@ MAX_STEERING_ANGLE = math.pi / 3  # [rad]
 MAX_SPEED = 40.0  # [m/s] beyond which a car is slowed down softly, in reverse as well
 
 
-@compiled
+@borrowing
 def clip(value: float, low: float, high: float) -> float:
     """``np.clip``."""
     return min(max(value, low), high)
 
 
-@compiled
+@borrowing
 def steer(lanes: Any, places: Any, loops: Any, car: Any, i: int) -> None:
     """Write the steering angle that leads a car to the middle of its target lane."""
-    s, lat = places[S, car.target, i], places[LAT, car.target, i]
+    s, lat = places.s[car.target, i], places.lat[car.target, i]
     speed = not_zero(car.speed)
     ahead = heading_at(lanes[car.target], s + car.speed * TAU_PURSUIT, loops)
     sideways = unary(loops.arcsin, clip(-KP_LATERAL * lat / speed, -1.0, 1.0))
@@ -36,7 +36,7 @@ def steer(lanes: Any, places: Any, loops: Any, car: Any, i: int) -> None:
     car.steering = clip(unary(loops.arctan, 2 * unary(loops.tan, slip)), -MAX_STEERING_ANGLE, MAX_STEERING_ANGLE)
 
 
-@compiled
+@borrowing
 def move(car: Any, loops: Any, dt: float) -> None:
     """``Vehicle.step``: an explicit Euler step of `dt` [s]; wrecks coast straight on."""
     if car.crashed:
@@ -45,13 +45,19 @@ def move(car: Any, loops: Any, dt: float) -> None:
         car.acceleration = min(car.acceleration, MAX_SPEED - car.speed)
     elif car.speed < -MAX_SPEED:
         car.acceleration = max(car.acceleration, -MAX_SPEED - car.speed)
-    slip = unary(loops.arctan, 1 / 2 * unary(loops.tan, car.steering))
-    car.x += car.speed * math.cos(car.heading + slip) * dt
-    car.y += car.speed * math.sin(car.heading + slip) * dt
+    if car.steering == 0.0:
+        slip, c, s = 0.0, car.cos, car.sin
+    else:
+        slip = unary(loops.arctan, 1 / 2 * unary(loops.tan, car.steering))
+        c, s = math.cos(car.heading + slip), math.sin(car.heading + slip)
+    car.x += car.speed * c * dt
+    car.y += car.speed * s * dt
     if car.is_pushed_apart:
         car.x += car.apart_x
         car.y += car.apart_y
         car.crashed, car.is_pushed_apart = True, False
-    car.heading += car.speed * math.sin(slip) / (VEHICLE_LENGTH / 2) * dt
+    if slip != 0.0:
+        car.heading += car.speed * math.sin(slip) / (VEHICLE_LENGTH / 2) * dt
+        car.cos, car.sin = math.cos(car.heading), math.sin(car.heading)
     car.speed += car.acceleration * dt
     car.timer += dt

@@ -5,51 +5,68 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from experiments.backends.replica.compiled import compiled
-from experiments.backends.replica.geometry import LAT, SEEN, S, is_on
+from experiments.backends.replica.compiled import borrowing
+from experiments.backends.replica.geometry import is_on
 from experiments.backends.replica.tables import NONE
 
 
-@compiled
+@borrowing
 def is_car_on(lanes: Any, places: Any, lane: int, j: int) -> bool:
     """Is car `j` on this lane, by a margin of 1 m?"""
-    return is_on(lanes[lane], places[S, lane, j], places[LAT, lane, j])
+    return is_on(lanes[lane], places.s[lane, j], places.lat[lane, j])
 
 
-@compiled
+@borrowing
 def look(lanes: Any, places: Any, lane: int) -> None:
-    """Write where a driver sees the cars on a lane and on those joined to it, along the lane [m]; NaN of the others.
-
-    Until somebody has looked, the first of these numbers is inf.
-    """
-    joined, offset = lanes[lane].joined, lanes[lane].offset
-    for j in range(places.shape[2]):
-        places[SEEN, lane, j] = math.nan
+    """Find the cars that a driver sees on a lane and on those joined to it, and sort them along the lane."""
+    joined, offset, order, seen = lanes[lane].joined, lanes[lane].offset, places.order[lane], places.seen[lane]
+    count = 0
+    for j in range(len(order)):
         for k in range(len(joined)):
             if joined[k] == NONE:
                 break
             if is_car_on(lanes, places, joined[k], j):
-                places[SEEN, lane, j] = places[S, joined[k], j] + offset[k]
+                s, place = places.s[joined[k], j] + offset[k], count
+                while place > 0 and seen[place - 1] > s:  # cars stand nearly in order
+                    order[place], seen[place] = order[place - 1], seen[place - 1]
+                    place -= 1
+                order[place], seen[place] = j, s
+                count += 1
                 break
+    places.count[lane] = count
 
 
-@compiled
+@borrowing
 def neighbours(lanes: Any, places: Any, i: int, lane: int) -> tuple[int, int]:
-    """The cars next ahead of and behind car `i` on a lane, NONE where there is nobody."""
-    if places[SEEN, lane, 0] == math.inf:
+    """The cars next ahead of and behind car `i` on a lane, NONE where there is nobody.
+
+    Of cars at the same place, highway-env's search finds the last one ahead and the first one behind.
+    """
+    if places.count[lane] == NONE:
         look(lanes, places, lane)
-    front, rear = NONE, NONE
-    s_own, s_front, s_rear = places[S, lane, i], math.inf, -math.inf
-    for j in range(places.shape[2]):
-        s = places[SEEN, lane, j]
-        if s_own <= s <= s_front and j != i:
-            s_front, front = s, j
-        elif s_rear < s < s_own and j != i:
-            s_rear, rear = s, j
+    s, count = places.s[lane, i], places.count[lane]
+    first, end = 0, count  # of the cars at `s` or ahead
+    while first < end:
+        middle = (first + end) >> 1
+        if places.seen[lane, middle] < s:
+            first = middle + 1
+        else:
+            end = middle
+    front, rear, place = NONE, NONE, 0.0
+    for k in range(first, count):
+        if places.order[lane, k] != i:
+            if front != NONE and places.seen[lane, k] > place:
+                break
+            front, place = places.order[lane, k], places.seen[lane, k]
+    for k in range(first - 1, -1, -1):
+        if places.order[lane, k] != i:
+            if rear != NONE and places.seen[lane, k] < place:
+                break
+            rear, place = places.order[lane, k], places.seen[lane, k]
     return front, rear
 
 
-@compiled
+@borrowing
 def distance_beyond(lanes: Any, places: Any, lane: int, target: int, i: int, j: int) -> float:
     """Way of car `i` to car `j` beyond the end of its `lane` [m]; NaN if `j` is on its own road, or on none.
 
@@ -62,10 +79,10 @@ def distance_beyond(lanes: Any, places: Any, lane: int, target: int, i: int, j: 
             return math.nan
     for k in range(1, 1 + own.following):
         if is_car_on(lanes, places, own.joined[k], j):
-            return places[S, own.joined[k], j] - places[S, lane, i] + own.length
+            return places.s[own.joined[k], j] - places.s[lane, i] + own.length
     aim = lanes[target]
     if aim.road != own.road:
         for k in range(1 + aim.following):
             if is_car_on(lanes, places, aim.joined[k], j):
-                return places[S, aim.joined[k], j] - places[S, lane, i] + (own.length + aim.offset[k])
+                return places.s[aim.joined[k], j] - places.s[lane, i] + (own.length + aim.offset[k])
     return math.nan

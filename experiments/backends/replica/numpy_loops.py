@@ -20,7 +20,7 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from experiments.backends.replica.compiled import compiled
+from experiments.backends.replica.compiled import borrowing
 
 
 class Loops(NamedTuple):
@@ -90,13 +90,13 @@ def _binary(typing_context: Any, loop: Any, x: Any, y: Any) -> Any:
     return types.float64(loop, types.float64, types.float64), emit
 
 
-@compiled
+@borrowing
 def unary(loop: tuple[int, int], x: float) -> float:
     """The tangent, arc sine or arc tangent of a number, such as ``unary(loops.tan, x)``; all of 0 are 0."""
     return x if x == 0.0 else _unary(loop, x)
 
 
-@compiled
+@borrowing
 def binary(loop: tuple[int, int], x: float, y: float) -> float:
     """The arc tangent of y and x or the power of two numbers, such as ``binary(loops.power, x, y)``."""
     return _binary(loop, x, y)

@@ -8,16 +8,16 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from experiments.backends.replica.compiled import compiled
+from experiments.backends.replica.compiled import borrowing
 from sumo_env.contacts import measures
 from sumo_env.contacts.measures import HORIZON, TTC_RADIUS
 
 LENGTH, WIDTH = 5.0, 2.0  # [m]
 
-_ego_ttc = compiled(measures.ego_ttc)
+_ego_ttc = borrowing(measures.ego_ttc)
 
 
-@compiled
+@borrowing
 def separation(x1: float, y1: float, h1: float, x2: float, y2: float, h2: float) -> float:
     """Largest gap [m] between two rectangles over the directions of their sides, positive if they are apart."""
     dx, dy = x2 - x1, y2 - y1
@@ -31,7 +31,7 @@ def separation(x1: float, y1: float, h1: float, x2: float, y2: float, h2: float)
     return gap
 
 
-@compiled
+@borrowing
 def corner_distance(x1: float, y1: float, h1: float, x2: float, y2: float, h2: float) -> float:
     """Distance [m] from rectangle 1 to the nearest corner of rectangle 2."""
     c, s = math.cos(h1), math.sin(h1)
@@ -46,7 +46,7 @@ def corner_distance(x1: float, y1: float, h1: float, x2: float, y2: float, h2: f
     return math.sqrt(nearest)
 
 
-@compiled
+@borrowing
 def distance(x1: float, y1: float, h1: float, x2: float, y2: float, h2: float) -> float:
     """Distance [m] of two rectangles; in contact, minus the depth of penetration."""
     gap = separation(x1, y1, h1, x2, y2, h2)
@@ -55,7 +55,7 @@ def distance(x1: float, y1: float, h1: float, x2: float, y2: float, h2: float) -
     return min(corner_distance(x1, y1, h1, x2, y2, h2), corner_distance(x2, y2, h2, x1, y1, h1))
 
 
-@compiled
+@borrowing
 def ego_ttc(cars: Any) -> float:
     """``measures.ego_ttc`` of the ego, the first car, with those within TTC_RADIUS [s]."""
     ego, least = cars[0], math.inf

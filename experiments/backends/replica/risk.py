@@ -5,11 +5,10 @@ The same events, by the same rules, as `experiments.backends.highway_env` starts
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
-from experiments.backends.replica.compiled import compiled
-from experiments.backends.replica.geometry import S, heading_at, position
+from experiments.backends.replica.compiled import borrowing
+from experiments.backends.replica.geometry import heading_at, position
 from experiments.backends.replica.rectangles import distance
 from experiments.backends.replica.tables import CUT_IN
 
@@ -21,10 +20,10 @@ OWN_LANE, ONCOMING_LANE = 1, 0  # of the two-way road, both driven to the east
 ROUNDING = 1e-9  # [s] of sums of steps
 
 
-@compiled
+@borrowing
 def has_room(lanes: Any, cars: Any, places: Any, loops: Any, i: int, lane: int) -> bool:
     """Would car `i`, moved straight sideways to the middle of `lane`, be at least CUT_IN_GAP from everybody else?"""
-    s = places[S, lane, i]
+    s = places.s[lane, i]
     x, y = position(lanes[lane], s)
     heading = heading_at(lanes[lane], s, loops)
     for j in range(len(cars)):
@@ -36,11 +35,11 @@ def has_room(lanes: Any, cars: Any, places: Any, loops: Any, i: int, lane: int) 
     return True
 
 
-@compiled
+@borrowing
 def has_free_way(cars: Any, i: int) -> bool:
     """Is no centre of another car in the straight corridor ahead of car `i` that its surge needs?"""
     car = cars[i]
-    c, s = math.cos(car.heading), math.sin(car.heading)
+    c, s = car.cos, car.sin
     for j in range(len(cars)):
         dx, dy = cars[j].x - car.x, cars[j].y - car.y
         if 0.0 < dx * c + dy * s < car.push_way and abs(dy * c - dx * s) < HALF_CORRIDOR:
@@ -48,7 +47,7 @@ def has_free_way(cars: Any, i: int) -> bool:
     return True
 
 
-@compiled
+@borrowing
 def cut_in(lanes: Any, cars: Any, places: Any, loops: Any, i: int, direction: int) -> None:
     """Change to the lane on this side, or the other one, whatever MOBIL says; only where there is room."""
     car = cars[i]
@@ -59,7 +58,7 @@ def cut_in(lanes: Any, cars: Any, places: Any, loops: Any, i: int, direction: in
             return
 
 
-@compiled
+@borrowing
 def swerve(lanes: Any, cars: Any, places: Any, loops: Any, i: int) -> None:
     """On the two-way road: drive in the oncoming lane for SWERVE_TIME; only from the middle of one's own."""
     car = cars[i]
@@ -67,7 +66,7 @@ def swerve(lanes: Any, cars: Any, places: Any, loops: Any, i: int) -> None:
         car.target, car.swerve_left = ONCOMING_LANE, SWERVE_TIME
 
 
-@compiled
+@borrowing
 def return_from_swerve(car: Any, dt: float) -> None:
     """Steer back for one's own lane when a swerve is over; called after every step of `dt` [s]."""
     if car.swerve_left > 0.0:
@@ -76,7 +75,7 @@ def return_from_swerve(car: Any, dt: float) -> None:
             car.target, car.swerve_left = OWN_LANE, 0.0
 
 
-@compiled
+@borrowing
 def start_events(
     lanes: Any, cars: Any, places: Any, rules: Any, events: Any, first: int, time: float
 ) -> int:
@@ -100,7 +99,7 @@ def start_events(
     return first
 
 
-@compiled
+@borrowing
 def push(cars: Any, time: float, dt: float) -> None:
     """Sudden braking and surges on top of what the drivers want: changes the cars' accelerations."""
     for i in range(len(cars)):

@@ -64,6 +64,7 @@ class Replica:
         self._warmed_up = round(scenario.warm_up * frequency)
         placed = self._everybody[: len(scenario.specs)]
         self._cars = self._warm_up(placed[1:].copy(), placed[:1]) if self._warmed_up else placed.copy()
+        self._name_cars()
         return self._scene(np.array([self._cars[name] for name in FRAME], float))
 
     def step(self, command: EgoCommand, trace: bool = False) -> Step:
@@ -71,9 +72,8 @@ class Replica:
         scenario = self._scenario
         if scenario is None:
             raise RuntimeError("call reset() before step()")
-        if self._policy_steps > 0:
-            self._cars = self._cars[~self._has_left()]
-            self._cars = self._with_spawns(self._cars, self._policy_steps)
+        if self._policy_steps > 0 and scenario.task == "intersection":
+            self._let_out_and_in()
         ego = self._cars[0]
         ego["target_speed"] = command.target_speed
         self._steer_ego_for(command.target_lane)
@@ -108,12 +108,18 @@ class Replica:
         cars = self._with_spawns(cars, 0)
         return np.concatenate((ego, cars[_distance(cars, ego[0]) >= EGO_DISTANCE]))
 
-    def _has_left(self) -> Any:
-        """``IntersectionEnv._clear_vehicles``: whether each vehicle is near the end of an exit, shape (n,)."""
+    def _let_out_and_in(self) -> None:
+        """``IntersectionEnv._clear_vehicles``, of those near the end of an exit, and the spawns of this step."""
         cars = self._cars
-        lanes = self._lanes.table[cars["lane"]]
-        s = (cars["x"] - lanes["x"]) * lanes["cos"] + (cars["y"] - lanes["y"]) * lanes["sin"]
-        return self._is_exit[cars["lane"]] & (s >= lanes["length"] - EXIT_MARGIN) & ~cars["is_ego"]
+        leaving = self._is_exit[cars["lane"]] & ~cars["is_ego"]
+        for row in np.flatnonzero(leaving):
+            lane, car = self._lanes.table[cars["lane"][row]], cars[row]
+            s = (car["x"] - lane["x"]) * lane["cos"] + (car["y"] - lane["y"]) * lane["sin"]
+            leaving[row] = s >= lane["length"] - EXIT_MARGIN
+        if leaving.any():
+            cars = cars[~leaving]
+        self._cars = self._with_spawns(cars, self._policy_steps)
+        self._name_cars()
 
     def _with_spawns(self, cars: Records, step: int) -> Records:
         """The cars and those of the spawns of this policy step that have no other within 15 m."""
@@ -124,6 +130,9 @@ class Replica:
             if spawn.step == step and np.all(_distance(cars, fresh[0]) >= SPAWN_DISTANCE):
                 cars = np.concatenate((cars, fresh))
         return cars
+
+    def _name_cars(self) -> None:
+        self._present = tuple(self._ids[number] for number in self._cars["number"].tolist())
 
     def _steer_ego_for(self, lane: LaneIndex) -> None:
         """Set the ego's target lane; on the next road of its route, that road begins the rest of the route."""
@@ -140,7 +149,7 @@ class Replica:
         assert self._scenario is not None
         time = (self._steps if steps is None else steps) / self._scenario.simulation_frequency
         return Scene(
-            ids=tuple(self._ids[number] for number in self._cars["number"].tolist()),
+            ids=self._present,
             x=frame[X],
             y=frame[Y],
             speed=frame[SPEED],
@@ -158,7 +167,8 @@ def _distance(cars: Records, place: Any) -> Any:
 def _record(scene: Scene) -> CrashRecord:
     """The record of the ego's crash: highway-env does not say with whom, so it is the nearest wreck."""
 
-    def rank(row: int) -> tuple[bool, float]:
-        return not scene.crashed[row], separation(state_of(scene, 0), state_of(scene, row))
+    def gap(row: int) -> float:
+        return separation(state_of(scene, 0), state_of(scene, row))
 
-    return crash_record(scene, min(range(1, len(scene)), key=rank), "highway-env")
+    wrecks = (np.flatnonzero(scene.crashed[1:]) + 1).tolist() or range(1, len(scene))
+    return crash_record(scene, min(wrecks, key=gap), "highway-env")

@@ -7,10 +7,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from experiments.backends.replica.compiled import compiled
+from experiments.backends.replica.compiled import borrowing, compiled
 from experiments.backends.replica.contacts import collide
 from experiments.backends.replica.driving import drive, follow_road
-from experiments.backends.replica.geometry import closest_lane, locate
+from experiments.backends.replica.geometry import closest_lane, locate, no_places
 from experiments.backends.replica.give_way import regulate
 from experiments.backends.replica.motion import KP_ACCELERATION, move, steer
 from experiments.backends.replica.numpy_loops import LOOPS, Loops
@@ -39,7 +39,7 @@ class Rules(NamedTuple):
     loops: Loops = LOOPS
 
 
-@compiled
+@borrowing
 def act(lanes: Any, cars: Any, places: Any, rules: Any) -> None:
     """``Road.act``: all drivers decide in turn, so that the decisions of one are seen by those after it."""
     for i in range(len(cars)):
@@ -52,7 +52,7 @@ def act(lanes: Any, cars: Any, places: Any, rules: Any) -> None:
         steer(lanes, places, rules.loops, car, i)
 
 
-@compiled
+@borrowing
 def step(lanes: Any, cars: Any, places: Any, rules: Any, count: int) -> None:
     """``Road.step``; `count`: number of this sub-step since the first vehicles were placed, from 1."""
     if rules.regulation_interval > 0 and count % rules.regulation_interval == 0:
@@ -62,14 +62,14 @@ def step(lanes: Any, cars: Any, places: Any, rules: Any, count: int) -> None:
         return_from_swerve(cars[i], rules.dt)
     locate(lanes, cars, places, rules.loops)
     for i in range(len(cars)):
-        cars[i].lane = closest_lane(lanes, places, rules.loops, i, cars[i].heading)
+        cars[i].lane = closest_lane(lanes, places, rules.loops, i, cars[i].heading, cars[i].lane)
     collide(cars, rules.dt)
 
 
 @compiled
 def warm_up(lanes: Any, cars: Any, rules: Any, frames: int) -> None:
     """Drive the first vehicles for some sub-steps without an ego and without risk events."""
-    places = np.empty((3, len(lanes), len(cars)))
+    places = no_places(lanes, cars)
     locate(lanes, cars, places, rules.loops)
     for frame in range(frames):
         act(lanes, cars, places, rules)
@@ -95,7 +95,7 @@ def policy_step(
         covered by the ego [m].
     """
     crash, least, distance = -1, math.inf, 0.0
-    places = np.empty((3, len(lanes), len(cars)))
+    places = no_places(lanes, cars)
     locate(lanes, cars, places, rules.loops)
     for frame in range(len(trace)):
         time = steps * rules.dt

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from math import cos, sin
 from typing import Any
 
 import numpy as np
@@ -76,6 +77,8 @@ CAR = np.dtype(
         ("x", "f8"),  # centre [m]
         ("y", "f8"),
         ("heading", "f8"),  # [rad]
+        ("cos", "f8"),  # of the heading
+        ("sin", "f8"),
         ("speed", "f8"),  # [m/s]
         ("lane", "i8"),  # that it is on
         ("target", "i8"),  # lane that it steers for
@@ -232,7 +235,8 @@ def cars_of(road: Road, specs: Iterable[VehicleSpec]) -> Records:
     numbers = lanes_of(road, False).numbers
     rows = [
         (
-            number, spec.id == EGO, spec.x, spec.y, spec.heading, spec.speed, numbers[spec.lane], numbers[spec.lane],
+            number, spec.id == EGO, spec.x, spec.y, spec.heading,
+            cos(spec.heading), sin(spec.heading), spec.speed, numbers[spec.lane], numbers[spec.lane],
             spec.target_speed, spec.timer, spec.changes_lanes, False,
             _route(road, spec.lane, spec.destination), 0, NONE if spec.destination is None else spec.lane[2],
             False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, False, False, 0.0, 0.0, *_driver(spec.driver),

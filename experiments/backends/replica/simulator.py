@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from typing import Any
 
 import numpy as np
@@ -99,6 +100,13 @@ class Replica:
     def close(self) -> None:
         """Forget the episode."""
         self._scenario = None
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Replica:
+        """A copy for planners: it has cars of its own, and shares what never changes."""
+        twin = copy.copy(self)
+        if self._scenario is not None:
+            twin._cars = self._cars.copy()
+        return twin
 
     # -- parts ---------------------------------------------------------------------------------------------
 

@@ -1,0 +1,99 @@
+"""Whole episodes of the replica beside highway-env itself, step by step."""
+
+from __future__ import annotations
+
+from itertools import product
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from agents.rules import make_policy
+from experiments.backends import make_env
+from experiments.study.grid import BASELINES
+from sumo_env.tasks import TASKS
+
+from .stock import VARIANTS
+
+POSES = 1e-6  # [m], [m/s], [rad] by which poses and speeds may differ
+VALUES = 1e-5  # by which observations (32 bits), rewards and measures may differ
+
+
+class Case(NamedTuple):
+    """One episode; `level`: name of the task's traffic level, `ego`: of a policy in `agents.rules`."""
+
+    task: str
+    variant: str
+    level: str
+    risk: float
+    ego: str
+    seed: int
+
+
+class Outcome(NamedTuple):
+    """How an episode compares: greatest difference of poses and speeds, policy steps, and what else differed first."""
+
+    worst: float
+    steps: int
+    difference: str
+
+    @property
+    def is_same(self) -> bool:
+        return self.worst <= POSES and not self.difference
+
+
+def cases(task: str, count: int, seed: int = 0) -> list[Case]:
+    """This many episodes, spread evenly over variants, levels, doses of risk and egos."""
+    joined = task not in ("highway", "two-way")  # the variants differ at the ends of lanes alone
+    every = list(product(VARIANTS if joined else VARIANTS[:1], TASKS[task].levels, (0.0, 1.0), BASELINES))
+    order = np.random.default_rng(seed).permutation(len(every)).tolist()
+    chosen = [every[order[k % len(every)]] for k in range(count)]
+    return [Case(task, *case, 1000 * seed + k) for k, case in enumerate(chosen)]
+
+
+def compare(case: Case) -> Outcome:
+    """Drive one episode in both, by the same actions: those that the ego's policy takes in highway-env."""
+    config = {**TASKS[case.task].levels[case.level], "risk": case.risk, "variant": case.variant}
+    stock: Any = make_env("highway-env", case.task, config)
+    replica: Any = make_env("replica", case.task, config)
+    policy = make_policy(case.ego, stock)
+    policy.reset(case.seed)
+    theirs, ours = stock.reset(seed=case.seed), replica.reset(seed=case.seed)
+    worst, steps = 0.0, 0
+    while True:
+        worst = max(worst, distance(stock.unwrapped.scene, replica.unwrapped.scene))
+        difference = first_difference(theirs, ours)
+        if difference or worst > POSES or (steps and (theirs[2] or theirs[3])):
+            return Outcome(worst, steps, difference)
+        action = policy.act(theirs[0])
+        theirs, ours = stock.step(action), replica.step(action)
+        steps += 1
+
+
+def distance(theirs: Any, ours: Any) -> float:
+    """Greatest difference of positions, speeds and headings; inf if vehicles or wrecks are not the same."""
+    if theirs.ids != ours.ids or not np.array_equal(theirs.crashed, ours.crashed) or theirs.time != ours.time:
+        return np.inf
+    return max(
+        float(np.abs(getattr(theirs, name) - getattr(ours, name)).max())
+        for name in ("x", "y", "speed", "heading")
+    )
+
+
+def first_difference(theirs: Any, ours: Any) -> str:
+    """What `reset` or `step` returned differently: observation, reward, endings, or an entry of ``info``."""
+    names = ("observation", "info") if len(theirs) == 2 else ("observation", "reward", "terminated", "truncated", "info")
+    for name, a, b in zip(names, theirs, ours, strict=True):
+        found = unequal(name, a, b)
+        if found:
+            return found
+    return ""
+
+
+def unequal(name: str, theirs: Any, ours: Any) -> str:
+    if isinstance(theirs, dict):
+        if theirs.keys() != ours.keys():
+            return f"{name}: {sorted(theirs)} and {sorted(ours)}"
+        return next((found for key in theirs if (found := unequal(f"{name}[{key!r}]", theirs[key], ours[key]))), "")
+    if isinstance(theirs, float | np.ndarray):
+        return "" if np.allclose(theirs, ours, rtol=0.0, atol=VALUES) else f"{name}: {theirs} and {ours}"
+    return "" if theirs == ours else f"{name}: {theirs} and {ours}"

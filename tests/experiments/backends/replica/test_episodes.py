@@ -1,0 +1,40 @@
+"""Whole episodes: the replica is highway-env.
+
+`make test-long` drives a thousand of them and prints a table; `PYTHONPATH=. pytest -m long -s <this file>` shows it.
+"""
+
+from __future__ import annotations
+
+import pytest
+
+from .pairs import Case, cases, compare
+from .stock import TASKS
+
+FEW = {"highway": 2, "two-way": 6, "roundabout": 10, "intersection": 10, "u-turn": 10}
+EACH = 200  # episodes of each task in the long comparison
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("task", TASKS)
+def test_some_episodes_are_those_of_highway_env(task: str) -> None:
+    chosen = cases(task, FEW[task], seed=1)
+    if task == "highway":  # the highest levels take highway-env a minute each
+        chosen = [case._replace(level="50") for case in chosen]
+    different = {case: found for case in chosen if not (found := compare(case)).is_same}
+    assert different == {}
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("task", TASKS)
+def test_99_percent_of_a_thousand_episodes_are_those_of_highway_env(
+    task: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Poses and speeds within 1e-6 after every policy step, the same observations, rewards, endings and measures."""
+    found = {case: compare(case) for case in cases(task, EACH)}
+    different: dict[Case, object] = {case: outcome for case, outcome in found.items() if not outcome.is_same}
+    with capsys.disabled():
+        steps, worst = sum(o.steps for o in found.values()), max(o.worst for o in found.values())
+        print(f"\n{task}: {EACH - len(different)} of {EACH} episodes the same, {steps} steps, worst {worst:.1e}")
+        for case, outcome in different.items():
+            print(f"  {case}: {outcome}")
+    assert len(different) <= 0.01 * EACH

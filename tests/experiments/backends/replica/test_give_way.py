@@ -1,0 +1,75 @@
+"""The intersection's right of way: examples. Random states are compared in test_motion.py."""
+
+from __future__ import annotations
+
+import numpy as np
+from highway_env.road.regulation import RegulatedRoad
+
+from experiments.backends.replica.geometry import locate, no_places
+from experiments.backends.replica.give_way import regulate
+from experiments.backends.replica.numpy_loops import LOOPS
+from experiments.backends.replica.tables import cars_of, lanes_of
+from sumo_env.networks.roads import intersection
+from sumo_env.tasks import TASKS
+from sumo_env.tasks.base import ego_driver, make_on_lane
+
+ROAD = intersection()
+LANES = lanes_of(ROAD, connected=True)
+DRIVER = ego_driver(TASKS["intersection"])
+
+
+def car(start: int, end: int, s: float = 85.0, speed: float = 9.0) -> np.ndarray:
+    """A car on the way from one arm to another, by default 15 m before the square."""
+    spec = make_on_lane(
+        ROAD, "v", (f"o{start}", f"ir{start}", 0), s, speed, DRIVER, destination=f"o{end}", target_speed=8.0
+    )
+    return cars_of(ROAD, [spec])
+
+
+def regulated(*cars: np.ndarray) -> np.ndarray:
+    """The cars after the right of way was looked at."""
+    together = np.concatenate(cars)
+    places = no_places(LANES.table, together)
+    locate(LANES.table, together, places, LOOPS)
+    regulate(LANES.table, together, places, LOOPS)
+    return together
+
+
+def who_yields(*cars: np.ndarray) -> list[bool]:
+    after = regulated(*cars)
+    np.testing.assert_array_equal(after["target_speed"], np.where(after["yields"], 0.0, 8.0))
+    return after["yields"].tolist()
+
+
+def test_the_east_west_road_has_right_of_way() -> None:
+    assert who_yields(car(0, 2), car(1, 3)) == [True, False]
+    assert who_yields(car(1, 3), car(0, 2)) == [False, True]
+
+
+def test_nobody_gives_way_instead_of_a_driver_who_does_not() -> None:
+    heedless = car(0, 2)
+    heedless["gives_way"] = False
+    assert who_yields(heedless, car(1, 3)) == [False, False]
+    assert who_yields(car(0, 2), car(1, 3)) == [True, False]
+
+
+def test_the_ego_never_gives_way() -> None:
+    ego = car(0, 2)
+    ego["is_ego"] = True
+    assert who_yields(ego, car(1, 3)) == [False, False]
+
+
+def test_paths_that_do_not_meet_need_no_rule() -> None:
+    assert who_yields(car(0, 2), car(2, 0)) == [False, False]
+
+
+def test_on_one_lane_the_car_behind_gives_way() -> None:
+    assert who_yields(car(1, 3, s=30.0, speed=10.0), car(1, 3, s=45.0, speed=5.0)) == [True, False]
+
+
+def test_a_car_that_is_released_wants_the_limit_of_its_lane() -> None:
+    stopped = car(1, 3)
+    stopped["yields"], stopped["target_speed"] = True, 0.0
+    after = regulated(stopped)
+    assert (after["target_speed"][0], after["yields"][0]) == (10.0, False)
+    assert RegulatedRoad.YIELD_DURATION == 0.0  # released whenever the rule is applied

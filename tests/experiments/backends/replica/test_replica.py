@@ -1,0 +1,200 @@
+"""The replica as a simulator and as an environment."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+from experiments.backends import make_env
+from experiments.backends.replica import Replica
+from experiments.support.errors import UserError
+from sumo_env.config import ConfigError
+from sumo_env.contacts.measures import TTC_RADIUS, ego_ttc
+from sumo_env.contacts.rectangles import states
+from sumo_env.env import DrivingEnv
+from sumo_env.simulator import EgoCommand
+from sumo_env.tasks import TASKS
+
+SMALL: dict[str, dict[str, Any]] = {"highway": {"vehicles_count": 12}}
+
+
+def make(task: str, **config: Any) -> gym.Env:
+    return make_env("replica", task, {**SMALL.get(task, {}), **config})
+
+
+def rollout(env: gym.Env, seed: int, steps: int = 6) -> list[tuple[np.ndarray, float]]:
+    """Observations and rewards under random actions."""
+    observation, _ = env.reset(seed=seed)
+    rng = np.random.default_rng(seed)
+    seen = [(observation, 0.0)]
+    for _ in range(steps):
+        observation, reward, terminated, truncated, _ = env.step(int(rng.integers(env.action_space.n)))
+        seen.append((observation, float(reward)))
+        if terminated or truncated:
+            break
+    return seen
+
+
+def same(first: list[tuple[np.ndarray, float]], second: list[tuple[np.ndarray, float]]) -> bool:
+    return len(first) == len(second) and all(
+        np.array_equal(a, b) and r == q for (a, r), (b, q) in zip(first, second, strict=True)
+    )
+
+
+# -- the environment ------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_it_is_an_environment(task: str) -> None:
+    env = make(task, risk=1.0)
+    check_env(env.unwrapped, skip_render_check=True)
+    assert isinstance(env.unwrapped, DrivingEnv)
+    assert env.unwrapped.config["simulation_frequency"] == 15  # highway-env's
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_a_seed_is_an_episode_whatever_was_driven_before(task: str) -> None:
+    one, other = make(task, risk=1.0), make(task, risk=1.0)
+    rollout(other, seed=1)
+    assert same(rollout(one, seed=2), rollout(other, seed=2))
+    assert not same(rollout(one, seed=2), rollout(one, seed=3))
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_a_copy_in_the_middle_of_an_episode_goes_on_as_the_original_does(task: str) -> None:
+    """For planners, which try actions out."""
+    env = make(task, risk=1.0)
+    rollout(env, seed=4, steps=1)
+    planned = copy.deepcopy(env)
+    tried = copy.deepcopy(env)
+    tried.step(0)  # leaves the others alone
+    for _ in range(2):
+        ours, theirs = env.step(1), planned.step(1)
+        np.testing.assert_array_equal(ours[0], theirs[0])
+        assert ours[1:4] == theirs[1:4]
+
+
+def test_a_copy_shares_what_never_changes() -> None:
+    env: Any = make("highway").unwrapped
+    env.reset(seed=0)
+    simulator = env._simulator
+    copied = copy.deepcopy(simulator)
+    assert copied._scenario is simulator._scenario
+    assert copied._lanes is simulator._lanes
+    assert copied._cars is not simulator._cars
+
+
+def test_wrong_settings_are_refused() -> None:
+    with pytest.raises(ConfigError, match="did you mean 'path'"):
+        make("u-turn", variant="paths")
+    with pytest.raises(ConfigError, match="unknown config key"):
+        make("u-turn", vehicle_count=3)
+    with pytest.raises(ValueError, match="variant must be one of"):
+        Replica("v1")
+    with pytest.raises(UserError, match="unknown task"):
+        make("uturn")
+
+
+def test_variants_are_different_traffic() -> None:
+    seen = [rollout(make("roundabout", variant=variant), seed=0) for variant in ("path", "connected", "v0")]
+    assert not same(seen[0], seen[1]) and not same(seen[0], seen[2]) and not same(seen[1], seen[2])
+
+
+# -- the simulator --------------------------------------------------------------------------------------------
+
+
+def start(task: str, seed: int = 0, **config: Any) -> tuple[Replica, Any]:
+    env = make(task, **config).unwrapped
+    env.reset(seed=seed)
+    simulator = Replica()
+    scene = simulator.reset(env.scenario)
+    assert scene.time == 0.0
+    return simulator, env.scenario
+
+
+def command(scenario: Any) -> EgoCommand:
+    return EgoCommand(scenario.ego.target_speed, scenario.ego.lane)
+
+
+def test_the_trace_is_the_scene_after_every_sub_step() -> None:
+    simulator, scenario = start("u-turn")
+    silent = copy.deepcopy(simulator)
+    step = simulator.step(command(scenario), trace=True)
+    assert [scene.time for scene in step.trace] == pytest.approx(np.arange(1, 16) / 15, abs=1e-6)
+    last = step.trace[-1]
+    assert (last.time, last.ids) == (step.scene.time, step.scene.ids)
+    np.testing.assert_array_equal(last.x, step.scene.x)
+    without = silent.step(command(scenario))
+    assert without.trace == ()
+    np.testing.assert_array_equal(without.scene.x, step.scene.x)
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_measures_are_those_of_the_trace(task: str) -> None:
+    simulator, scenario = start(task, seed=3, risk=1.0)
+    before = simulator.reset(scenario)
+    step = simulator.step(command(scenario), trace=True)
+    least = np.inf
+    for scene in step.trace:
+        if scene.crashed[0]:
+            break
+        ego, *others = states(scene)
+        near = [o for o in others if np.hypot(o[0] - ego[0], o[1] - ego[1]) <= TTC_RADIUS]
+        least = min(least, ego_ttc(ego, near))
+    assert step.min_ttc == pytest.approx(least, abs=1e-9)
+    speeds = [before.speed[0], *(scene.speed[0] for scene in step.trace[:-1])]
+    assert step.distance == pytest.approx(sum(max(speed, 0.0) for speed in speeds) / 15)
+
+
+def test_the_first_contact_is_written_down_and_kept() -> None:
+    env = make("two-way").unwrapped
+    env.reset(seed=0)
+    terminated = False
+    while not terminated:
+        _, _, terminated, _, info = env.step(1)
+    crash = info["crash"]
+    assert (crash["other"], crash["type"], crash["detected_by"]) == ("v0", "rear-end", "highway-env")
+    assert crash["relative_x"] == pytest.approx(5.0, abs=0.1)
+    later = env.step(1)[4]["crash"]
+    assert later == crash
+
+
+def test_vehicles_leave_the_intersection_and_others_come() -> None:
+    env = make("intersection", spawn_probability=1.0, duration=30).unwrapped
+    env.reset(seed=1)
+    present, seen = set(env.scene.ids), set(env.scene.ids)
+    gone = set()
+    for _ in range(25):
+        env.step(0)
+        now = set(env.scene.ids)
+        gone |= present - now
+        seen |= now
+        present = now
+    assert len(gone) > 2 and any(name.startswith("s") for name in seen)
+    assert not gone & present
+    assert env.scene.ids[0] == "ego"
+
+
+def test_a_simulator_that_was_closed_or_never_reset_says_so() -> None:
+    with pytest.raises(RuntimeError, match="reset"):
+        Replica().step(EgoCommand(20.0, ("0", "1", 0)))
+    simulator, scenario = start("u-turn")
+    simulator.close()
+    with pytest.raises(RuntimeError, match="reset"):
+        simulator.step(command(scenario))
+    simulator.reset(scenario)
+    simulator.step(command(scenario))
+
+
+def test_a_simulator_can_be_sent_to_another_process() -> None:
+    simulator, scenario = start("u-turn")
+    other = pickle.loads(pickle.dumps(simulator))
+    np.testing.assert_array_equal(
+        other.step(command(scenario)).scene.x, simulator.step(command(scenario)).scene.x
+    )

@@ -1,0 +1,102 @@
+"""Risk events: what drivers look at, against `sumo_env.traffic.risk`, and what they do."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from experiments.backends.replica import Replica
+from experiments.backends.replica.geometry import heading_at, position
+from experiments.backends.replica.numpy_loops import LOOPS
+from experiments.backends.replica.risk import has_free_way, has_room
+from sumo_env.scene import Scene
+from sumo_env.simulator import EgoCommand
+from sumo_env.tasks import TASKS
+from sumo_env.traffic import risk
+from sumo_env.traffic.risk import RiskEvent
+from sumo_env.traffic.scenario import Scenario
+
+from .stock import environment, traffic
+
+
+@pytest.mark.parametrize("task", ["highway", "u-turn", "roundabout"])
+def test_drivers_look_at_what_sumo_s_drivers_look_at(task: str) -> None:
+    env = environment(task, "path")
+    rng = np.random.default_rng(8)
+    answers = np.zeros(2, int)
+    for _ in range(30):
+        t = traffic(env, rng)
+        states = [(car["x"], car["y"], car["speed"], car["heading"]) for car in t.cars]
+        for i, car in enumerate(t.cars):
+            others = states[:i] + states[i + 1 :]
+            car["push_way"] = rng.uniform(5.0, 60.0)
+            free = has_free_way(t.cars, i)
+            assert free == risk.free_way(states[i], others, car["push_way"])
+            lane = int(rng.integers(t.table["road"][car["lane"]], t.table["road"][car["lane"]] + 1))
+            s = t.places.s[lane, i]
+            there = (*position(t.table[lane], s), car["speed"], heading_at(t.table[lane], s, LOOPS))
+            room = has_room(t.table, t.cars, t.places, LOOPS, i, lane)
+            assert room == risk.has_room(there, others)
+            answers += free, room
+    assert (answers > 20).all() and (answers < 400).all()
+
+
+def scenario(task: str, *events: RiskEvent, **config: object) -> Scenario:
+    """A regular scenario with these events."""
+    settings = {"simulation_frequency": 15, **config}
+    env = environment(task, "path")
+    env.configure(settings)
+    return replace(TASKS[task].scenario(env.config, 1), events=events)
+
+
+def driven(drawn: Scenario, steps: int, name: str) -> list[tuple[Scene, int]]:
+    """The scenes of all sub-steps and the row of a vehicle in them; the ego keeps its lane and speed."""
+    simulator = Replica()
+    simulator.reset(drawn)
+    seen: list[tuple[Scene, int]] = []
+    lane = drawn.ego.lane
+    for _ in range(steps):
+        step = simulator.step(EgoCommand(drawn.ego.target_speed, lane), trace=True)
+        lane = step.target_lane
+        seen += [(scene, scene.ids.index(name)) for scene in step.trace]
+    return seen
+
+
+def test_sudden_braking_lasts_as_long_as_the_event_says() -> None:
+    drawn = scenario("highway", RiskEvent(1.01, "v5", "brake", accel=-9.0, duration=1.0), vehicles_count=12)
+    speed = [scene.speed[row] for scene, row in driven(drawn, 3, "v5")]
+    hard = np.flatnonzero(np.diff(speed) * 15 <= -9.0 + 1e-9) + 1
+    assert hard.tolist() == list(range(16, 31))  # the first sub-step that begins after 1.01 s is number 16
+
+
+def test_a_surge_accelerates_whatever_the_driver_wants() -> None:
+    drawn = scenario("highway", RiskEvent(0.0, "v11", "surge", accel=4.0, duration=1.0), vehicles_count=12)
+    speed = [scene.speed[row] for scene, row in driven(drawn, 1, "v11")]
+    assert np.all(np.diff(speed) * 15 >= 4.0 - 1e-9)
+
+
+def test_a_cut_in_goes_to_the_lane_beside_at_once() -> None:
+    drawn = scenario("highway", RiskEvent(0.0, "v11", "cut-in", direction=1), vehicles_count=12, lanes_count=2)
+    y = [scene.y[row] for scene, row in driven(drawn, 2, "v11")]
+    assert abs(y[-1] - y[0]) == pytest.approx(4.0, abs=0.4)
+
+
+def test_a_swerve_on_the_two_way_road_comes_back() -> None:
+    drawn = scenario(
+        "two-way", RiskEvent(0.2, "v0", "cut-in", direction=1), vehicles_count=1, oncoming_vehicles_count=0
+    )
+    slow = replace(drawn, ego=drawn.ego._replace(speed=0.0, target_speed=0.0))
+    y = np.array([scene.y[row] for scene, row in driven(slow, 7, "v0")])
+    assert y.min() < 0.1
+    assert y[-1] == pytest.approx(4.0, abs=0.1)
+    left = np.flatnonzero(y < 2.0)
+    assert (left[-1] - left[0]) / 15 == pytest.approx(3.0, abs=0.3)
+
+
+def test_events_of_vehicles_that_are_not_there_are_dropped() -> None:
+    drawn = scenario("intersection", RiskEvent(0.0, "s13", "surge", accel=4.0, duration=1.0), spawn_probability=1.0)
+    assert "s13" in {spawn.vehicle.id for spawn in drawn.spawns}
+    Replica().reset(drawn)
+    driven(drawn, 1, "ego")

@@ -155,9 +155,11 @@ class ScenarioEnv(AbstractEnv):
     def _make_vehicles(self, *_: Any) -> None:
         """Place the scenario, in place of highway-env's draws, and drive its warm-up (`Simulator.reset`)."""
         scenario, spec = self.scenario, self.scenario.ego
-        vehicles = self.road.vehicles = [self._driver().place(self.road, other) for other in scenario.vehicles]
+        vehicles = self.road.vehicles = [
+            self._driver().place(self.road, other) for other in scenario.vehicles
+        ]
         if scenario.warm_up:
-            for _ in range(round(scenario.warm_up * self.config["simulation_frequency"])):
+            for _frame in range(round(scenario.warm_up * self.config["simulation_frequency"])):
                 self.road.act()
                 self.road.step(1 / self.config["simulation_frequency"])
             self._let_in(0)

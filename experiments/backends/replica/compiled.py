@@ -13,6 +13,8 @@ from typing import Any, TypeVar, cast
 
 import numba
 
+from sumo_env.contacts import measures
+
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
@@ -30,22 +32,24 @@ def borrowing(function: Function) -> Function:
 
 
 def _compiled(function: Function, counts: bool) -> Function:
-    options = {"_nrt": counts}
+    options: dict[str, Any] = {"_nrt": counts}
     try:
         return cast(Function, numba.njit(cache=True, **options)(function))
     except RuntimeError as error:
         if "no locator available" not in str(error):
             raise
-        return cast(Function, numba.njit(**options)(function))  # no directory is writable: compile in each process
+        return cast(
+            Function, numba.njit(**options)(function)
+        )  # no directory is writable: compile in each process
 
 
-def drop_outdated(package: Path) -> int:
-    """Delete the indexes of machine code that are older than a source file of `package`; returns how many."""
-    newest = max(source.stat().st_mtime for source in package.glob("*.py"))
+def drop_outdated(package: Path, *others: Path) -> int:
+    """Delete the indexes of machine code older than a source file of `package` or one of `others`; returns how many."""
+    newest = max(source.stat().st_mtime for source in (*package.glob("*.py"), *others))
     outdated = [index for index in package.glob("__pycache__/*.nbi") if index.stat().st_mtime < newest]
     for index in outdated:
         index.unlink(missing_ok=True)  # another process may have been faster
     return len(outdated)
 
 
-drop_outdated(Path(__file__).parent)
+drop_outdated(Path(__file__).parent, Path(measures.__file__))

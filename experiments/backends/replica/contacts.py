@@ -33,9 +33,9 @@ def interval_distance(low: float, high: float, other_low: float, other_high: flo
 
 @compiled
 def touch(first: Any, second: Any, dt: float) -> tuple[bool, bool, float, float]:
-    """``utils.are_polygons_intersecting``: do cars touch now, will they after `dt` [s], and the way that frees the first.
+    """``utils.are_polygons_intersecting``: do cars touch now, will they after `dt` [s], and the way out of it.
 
-    The way, x and y [m], means something only if they will touch.
+    The way, x and y [m], moves the first car apart from the second; it means something only if they will touch.
     """
     a, b = corners(first), corners(second)
     move_x = first.speed * first.cos * dt - second.speed * second.cos * dt

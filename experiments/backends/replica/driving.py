@@ -97,7 +97,10 @@ def desired_gap(driver: Any, speed: float, faster: float) -> float:
 @borrowing
 def approach(car: Any, leader: Any) -> float:
     """How much faster than a leader a car drives, along its own heading [m/s]."""
-    faster_x, faster_y = car.speed * car.cos - leader.speed * leader.cos, car.speed * car.sin - leader.speed * leader.sin
+    faster_x, faster_y = (
+        car.speed * car.cos - leader.speed * leader.cos,
+        car.speed * car.sin - leader.speed * leader.sin,
+    )
     return faster_x * car.cos + faster_y * car.sin
 
 

@@ -113,7 +113,11 @@ def no_places(lanes: Any, cars: Any) -> Places:
     """Room for the places of these cars, to be filled by `locate`."""
     shape = len(lanes), len(cars)
     return Places(
-        np.empty(shape), np.empty(shape), np.empty(shape, np.int64), np.empty(shape), np.empty(len(lanes), np.int64)
+        np.empty(shape),
+        np.empty(shape),
+        np.empty(shape, np.int64),
+        np.empty(shape),
+        np.empty(len(lanes), np.int64),
     )
 
 

@@ -19,7 +19,10 @@ from experiments.backends.replica.tables import NONE
 
 SAMPLES, SAMPLE_STEP = 11, 0.25  # predictions of each car, at 0.25 s, 0.5 s .. 2.75 s
 MEETING_DISTANCE = 5.0  # [m] centres that are further apart do not meet
-HALF_LENGTH, HALF_WIDTH = 1.5 * 5.0 / 2.0, 0.9 * 2.0 / 2.0  # [m] of the rectangle that stands for a predicted car
+HALF_LENGTH, HALF_WIDTH = (
+    1.5 * 5.0 / 2.0,
+    0.9 * 2.0 / 2.0,
+)  # [m] of the rectangle that stands for a predicted car
 
 
 @borrowing
@@ -36,7 +39,7 @@ def predict(lanes: Any, cars: Any, places: Any, loops: Any, predicted: Any) -> N
     """Write x, y [m] and heading [rad] of all cars in the next seconds, shape (cars, SAMPLES, 3).
 
     ``ControlledVehicle.predict_trajectory_constant_speed``. A route begins with the road that a car *steers for*, while
-    the way driven on it is that on the lane that it *is* on: on the last 2.5 m of a lane, predictions are too far ahead.
+    the way driven on it is that on the lane that it *is* on: in the last 2.5 m of a lane predictions are too far ahead.
     """
     for i in range(len(cars)):
         car = cars[i]

@@ -1,4 +1,4 @@
-"""How a car moves: highway-env's steering and bicycle model (``ControlledVehicle.steering_control``, ``Vehicle.step``)."""
+"""How a car moves: highway-env's steering and bicycle model."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def clip(value: float, low: float, high: float) -> float:
 
 @borrowing
 def steer(lanes: Any, places: Any, loops: Any, car: Any, i: int) -> None:
-    """Write the steering angle that leads a car to the middle of its target lane."""
+    """``ControlledVehicle.steering_control``: write the angle that leads a car to the middle of its target lane."""
     s, lat = places.s[car.target, i], places.lat[car.target, i]
     speed = not_zero(car.speed)
     ahead = heading_at(lanes[car.target], s + car.speed * TAU_PURSUIT, loops)
@@ -33,7 +33,9 @@ def steer(lanes: Any, places: Any, loops: Any, car: Any, i: int) -> None:
     wanted = ahead + clip(sideways, -math.pi / 4, math.pi / 4)
     rate = KP_HEADING * wrapped(wanted - car.heading)
     slip = unary(loops.arcsin, clip(VEHICLE_LENGTH / 2 / speed * rate, -1.0, 1.0))
-    car.steering = clip(unary(loops.arctan, 2 * unary(loops.tan, slip)), -MAX_STEERING_ANGLE, MAX_STEERING_ANGLE)
+    car.steering = clip(
+        unary(loops.arctan, 2 * unary(loops.tan, slip)), -MAX_STEERING_ANGLE, MAX_STEERING_ANGLE
+    )
 
 
 @borrowing

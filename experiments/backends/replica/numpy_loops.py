@@ -34,7 +34,7 @@ class Loops(NamedTuple):
 
 
 class _UFunc(ctypes.Structure):
-    _fields_ = [  # noqa: RUF012 (as ctypes wants it)
+    _fields_ = [
         ("head", ctypes.c_byte * object.__basicsize__),
         *((name, ctypes.c_int) for name in ("inputs", "outputs", "arguments", "identity")),
         ("functions", ctypes.POINTER(ctypes.c_void_p)),
@@ -74,20 +74,22 @@ def _call(builder: Any, loop: Any, inputs: list[Any]) -> Any:
     return builder.load(cells[-1])
 
 
-@intrinsic
-def _unary(typing_context: Any, loop: Any, x: Any) -> Any:
+def _of_one(typing_context: Any, loop: Any, x: Any) -> Any:
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return _call(builder, arguments[0], [arguments[1]])
+        return _call(builder, arguments[0], [*arguments[1:]])
 
     return types.float64(loop, types.float64), emit
 
 
-@intrinsic
-def _binary(typing_context: Any, loop: Any, x: Any, y: Any) -> Any:
+def _of_two(typing_context: Any, loop: Any, x: Any, y: Any) -> Any:
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
         return _call(builder, arguments[0], [*arguments[1:]])
 
     return types.float64(loop, types.float64, types.float64), emit
+
+
+_unary: Any = intrinsic(_of_one)
+_binary: Any = intrinsic(_of_two)
 
 
 @borrowing

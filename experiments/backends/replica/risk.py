@@ -76,9 +76,7 @@ def return_from_swerve(car: Any, dt: float) -> None:
 
 
 @borrowing
-def start_events(
-    lanes: Any, cars: Any, places: Any, rules: Any, events: Any, first: int, time: float
-) -> int:
+def start_events(lanes: Any, cars: Any, places: Any, rules: Any, events: Any, first: int, time: float) -> int:
     """Start the events from number `first` on that are due at `time` [s]; returns the number of the next one.
 
     Events of cars that have left or crashed are dropped.
@@ -115,5 +113,3 @@ def push(cars: Any, time: float, dt: float) -> None:
             car.acceleration = min(car.acceleration, -min(-car.push, standstill))
         elif has_free_way(cars, i):
             car.acceleration = max(car.acceleration, car.push)
-
-

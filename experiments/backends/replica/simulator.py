@@ -78,7 +78,9 @@ class Replica:
         ego = self._cars[0]
         ego["target_speed"] = command.target_speed
         self._steer_ego_for(command.target_lane)
-        frames = np.empty((scenario.simulation_frequency // scenario.policy_frequency, len(FRAME), len(self._cars)))
+        frames = np.empty(
+            (scenario.simulation_frequency // scenario.policy_frequency, len(FRAME), len(self._cars))
+        )
         self._next_event, crash, min_ttc, distance = kernels.policy_step(
             self._lanes.table, self._cars, self._events, self._next_event, self._rules, self._steps,
             self._warmed_up, frames,

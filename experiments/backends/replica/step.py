@@ -5,8 +5,6 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from experiments.backends.replica.compiled import borrowing, compiled
 from experiments.backends.replica.contacts import collide
 from experiments.backends.replica.driving import drive, follow_road

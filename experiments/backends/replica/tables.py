@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from itertools import pairwise
 from math import cos, sin
 from typing import Any
 
@@ -97,7 +98,10 @@ CAR = np.dtype(
         ("acceleration", "f8"),  # of this sub-step [m/s2]
         ("steering", "f8"),  # angle of the front wheels [rad]
         ("crashed", "?"),
-        ("is_pushed_apart", "?"),  # will be moved by `apart` in the next sub-step, because it touched another car
+        (
+            "is_pushed_apart",
+            "?",
+        ),  # will be moved by `apart` in the next sub-step, because it touched another car
         ("apart_x", "f8"),  # [m]
         ("apart_y", "f8"),
         *DRIVER,
@@ -182,7 +186,9 @@ def _as_rotated(road: Road) -> dict[LaneIndex, Lane]:
 
     lanes: dict[LaneIndex, Lane] = {}
     for name, lane in road.lanes.items():
-        corner = (int(name[0][-1]) + name[0].startswith("il")) % 4  # an exit is built with the arm to its right
+        corner = (
+            int(name[0][-1]) + name[0].startswith("il")
+        ) % 4  # an exit is built with the arm to its right
         if isinstance(lane, CircularLane):
             lanes[name] = replace(lane, center=turned(lane.center, corner))
         elif isinstance(lane, StraightLane):
@@ -207,7 +213,11 @@ def _write_geometry(record: Any, lane: Lane) -> None:
         record["cos"], record["sin"] = ((b - a) / length for a, b in zip(lane.start, lane.end, strict=True))
         if isinstance(lane, SineLane):
             record["kind"] = SINE
-            record["amplitude"], record["pulsation"], record["phase"] = lane.amplitude, lane.pulsation, lane.phase
+            record["amplitude"], record["pulsation"], record["phase"] = (
+                lane.amplitude,
+                lane.pulsation,
+                lane.phase,
+            )
     else:
         raise TypeError(f"no records for a {type(lane).__name__}")
 
@@ -227,7 +237,7 @@ def _route(road: Road, lane: LaneIndex, destination: str | None) -> tuple[int, .
         return (NONE,) * LONGEST_ROUTE
     nodes = (lane[0], *(road.route(lane[1], destination) or lane[1:2]))
     numbers = lanes_of(road, False).numbers
-    return tuple(_filled([numbers[a, b, 0] for a, b in zip(nodes, nodes[1:])], LONGEST_ROUTE))  # noqa: B905
+    return tuple(_filled([numbers[a, b, 0] for a, b in pairwise(nodes)], LONGEST_ROUTE))
 
 
 def cars_of(road: Road, specs: Iterable[VehicleSpec]) -> Records:

@@ -81,7 +81,11 @@ def distance(theirs: Any, ours: Any) -> float:
 
 def first_difference(theirs: Any, ours: Any) -> str:
     """What `reset` or `step` returned differently: observation, reward, endings, or an entry of ``info``."""
-    names = ("observation", "info") if len(theirs) == 2 else ("observation", "reward", "terminated", "truncated", "info")
+    names = (
+        ("observation", "info")
+        if len(theirs) == 2
+        else ("observation", "reward", "terminated", "truncated", "info")
+    )
     for name, a, b in zip(names, theirs, ours, strict=True):
         found = unequal(name, a, b)
         if found:
@@ -93,7 +97,9 @@ def unequal(name: str, theirs: Any, ours: Any) -> str:
     if isinstance(theirs, dict):
         if theirs.keys() != ours.keys():
             return f"{name}: {sorted(theirs)} and {sorted(ours)}"
-        return next((found for key in theirs if (found := unequal(f"{name}[{key!r}]", theirs[key], ours[key]))), "")
+        return next(
+            (found for key in theirs if (found := unequal(f"{name}[{key!r}]", theirs[key], ours[key]))), ""
+        )
     if isinstance(theirs, float | np.ndarray):
         return "" if np.allclose(theirs, ours, rtol=0.0, atol=VALUES) else f"{name}: {theirs} and {ours}"
     return "" if theirs == ours else f"{name}: {theirs} and {ours}"

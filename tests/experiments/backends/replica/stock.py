@@ -80,7 +80,9 @@ def traffic(env: ScenarioEnv, rng: np.random.Generator, count: int = 14) -> Traf
         road.vehicles.append(vehicle)
     lanes = lanes_of(env.task.road(env.config), connected)
     cars = records(road, lanes)
-    rules = Rules(connected and variant == "path", task == "two-way", 7 if task == "intersection" else 0, 1 / 15)
+    rules = Rules(
+        connected and variant == "path", task == "two-way", 7 if task == "intersection" else 0, 1 / 15
+    )
     places = no_places(lanes.table, cars)
     locate(lanes.table, cars, places, rules.loops)
     return Traffic(road, lanes, cars, places, rules)
@@ -119,7 +121,11 @@ def records(road: Road, lanes: Lanes) -> np.ndarray:
         if not car["is_ego"]:
             car["timer"], car["changes_lanes"], car["is_forced"] = v.timer, v.enable_lane_change, v._cuts_in
             car["yields"], car["gives_way"] = getattr(v, "is_yielding", False), v.gives_way
-            car["accel"], car["decel"], car["jam_distance"] = v.COMFORT_ACC_MAX, -v.COMFORT_ACC_MIN, v.DISTANCE_WANTED
+            car["accel"], car["decel"], car["jam_distance"] = (
+                v.COMFORT_ACC_MAX,
+                -v.COMFORT_ACC_MIN,
+                v.DISTANCE_WANTED,
+            )
             car["tau"], car["delta"], car["acc_max"] = v.TIME_WANTED, v.DELTA, v.ACC_MAX
             car["safe_braking"] = v.LANE_CHANGE_MAX_BRAKING_IMPOSED
             car["min_gain"] = v.LANE_CHANGE_MIN_ACC_GAIN

@@ -34,7 +34,9 @@ def test_99_percent_of_a_thousand_episodes_are_those_of_highway_env(
     different: dict[Case, object] = {case: outcome for case, outcome in found.items() if not outcome.is_same}
     with capsys.disabled():
         steps, worst = sum(o.steps for o in found.values()), max(o.worst for o in found.values())
-        print(f"\n{task}: {EACH - len(different)} of {EACH} episodes the same, {steps} steps, worst {worst:.1e}")
+        print(
+            f"\n{task}: {EACH - len(different)} of {EACH} episodes the same, {steps} steps, worst {worst:.1e}"
+        )
         for case, outcome in different.items():
             print(f"  {case}: {outcome}")
     assert len(different) <= 0.01 * EACH

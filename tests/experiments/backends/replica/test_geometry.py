@@ -68,7 +68,10 @@ def test_neighbours_are_highway_env_s_on_every_lane(task: str, variant: str) -> 
         for i, vehicle in enumerate(t.road.vehicles):
             for number, name in enumerate(t.lanes.names):
                 theirs = t.road.neighbour_vehicles(vehicle, name)
-                ours = [None if k == NONE else t.road.vehicles[k] for k in neighbours(t.table, t.places, i, number)]
+                ours = [
+                    None if k == NONE else t.road.vehicles[k]
+                    for k in neighbours(t.table, t.places, i, number)
+                ]
                 assert ours == list(theirs)
                 found += theirs[0] is not None
     assert found > 100

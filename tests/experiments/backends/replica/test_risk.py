@@ -78,7 +78,9 @@ def test_a_surge_accelerates_whatever_the_driver_wants() -> None:
 
 
 def test_a_cut_in_goes_to_the_lane_beside_at_once() -> None:
-    drawn = scenario("highway", RiskEvent(0.0, "v11", "cut-in", direction=1), vehicles_count=12, lanes_count=2)
+    drawn = scenario(
+        "highway", RiskEvent(0.0, "v11", "cut-in", direction=1), vehicles_count=12, lanes_count=2
+    )
     y = [scene.y[row] for scene, row in driven(drawn, 2, "v11")]
     assert abs(y[-1] - y[0]) == pytest.approx(4.0, abs=0.4)
 
@@ -96,7 +98,9 @@ def test_a_swerve_on_the_two_way_road_comes_back() -> None:
 
 
 def test_events_of_vehicles_that_are_not_there_are_dropped() -> None:
-    drawn = scenario("intersection", RiskEvent(0.0, "s13", "surge", accel=4.0, duration=1.0), spawn_probability=1.0)
+    drawn = scenario(
+        "intersection", RiskEvent(0.0, "s13", "surge", accel=4.0, duration=1.0), spawn_probability=1.0
+    )
     assert "s13" in {spawn.vehicle.id for spawn in drawn.spawns}
     Replica().reset(drawn)
     driven(drawn, 1, "ego")

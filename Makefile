@@ -20,7 +20,7 @@ $(STAMP): pyproject.toml requirements.lock
 	  { echo "Python 3.11 or newer is needed; name one with: make $(MAKECMDGOALS) PYTHON=/path/to/python3" >&2; exit 1; }
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	$(BIN)/python -m pip install --disable-pip-version-check --quiet -c requirements.lock \
-	  --config-settings editable_mode=compat -e '.[study,reference,networks,calibration,dev]'
+	  --config-settings editable_mode=compat -e '.[study,reference,replica,networks,calibration,dev]'
 	@touch $@
 
 sweep: setup

@@ -4,7 +4,5 @@ errors      what a user can put right, in one line
 files       whole or not at all
 threads     one thread a process
 provenance  versions, machine, revision
-wording     numbers as people read them
 fcd         an episode for SUMO's tools
-substeps    an environment with every sub-step on record
 """

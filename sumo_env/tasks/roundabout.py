@@ -9,7 +9,7 @@ import numpy as np
 from sumo_env.config import DISCRETE_META_ACTION, Config, ConfigError
 from sumo_env.networks.roads import LaneIndex, Road, roundabout
 from sumo_env.tasks.base import Drivers, EgoState, Task, ego_driver, lmap, make_on_lane, weighted
-from sumo_env.traffic.drivers import Calibration
+from sumo_env.traffic.drivers import Calibration, RiskRanges
 from sumo_env.traffic.risk import RiskRates
 from sumo_env.traffic.scenario import EGO, VehicleSpec
 
@@ -58,8 +58,10 @@ class Roundabout(Task):
     }
     # Surges alone empty the ring before a slow ego arrives, so some drivers also brake to a standstill in it.
     calibration = Calibration(lane_changes=False, ignores_approaching=0.85, ignores_inside=0.5)
+    # Tailgating drivers whom right of way does not stop make up for half of the events (docs/traffic-and-risk.md).
+    risk_ranges = RiskRanges(tau=(0.2, 1.0), min_gap=(0.1, 1.0), not_giving_way=1.0)
     risk_rates = RiskRates(
-        cut_in=0.2, brake=0.2, brake_decel=8.0, brake_duration=3.0, surge=0.2, surge_way=10.0
+        cut_in=0.1, brake=0.05, brake_decel=8.0, brake_duration=3.0, surge=0.1, surge_way=10.0
     )
     target_speeds = (0.0, 8.0, 16.0)
 

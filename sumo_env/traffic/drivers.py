@@ -105,8 +105,8 @@ class RiskRanges:
     """Ranges from which the parameters of a task's drivers are drawn at dose 1, as factors of the regular values.
 
     The default is highway-env's own range for risky behaviour, 0.5 to 1.5 times the mean
-    (LinearVehicle.ACCELERATION_RANGE). It is symmetric because one-sided ranges (short headways, strong brakes) make
-    traffic that leaves gaps, and the ego safer (docs/decisions.md).
+    (LinearVehicle.ACCELERATION_RANGE). On straight roads ranges are symmetric because one-sided ones (short headways,
+    strong brakes) make traffic that leaves gaps, and the ego safer (docs/decisions.md).
 
     Attributes:
         not_giving_way: share of drivers that do not obey right of way.

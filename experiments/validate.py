@@ -75,6 +75,8 @@ class Options:
     """Scenarios of each level; every ego drives each."""
     traffics: Annotated[tuple[str, ...], tyro.conf.arg(metavar="TRAFFIC ...")] = ("regular", "risky")
     """Traffic to drive: regular, risky or both."""
+    variants: bool = True
+    """Whether the reference also drives its variants (v0, connected) and at 10 Hz; they are shown, not judged."""
     changes: int = 12
     """Scenarios in which lane changes are held against MOBIL, of the highway's first and third level each."""
     one_in: int = 20
@@ -89,7 +91,7 @@ def engines(options: Options, tasks: Sequence[str]) -> list[Engine]:
     """Everything that drives, the compared simulator first."""
     path = {"variant": "path"}
     found = [Engine(options.backend, options.backend), Engine(checks.REFERENCE, options.reference, path)]
-    if not options.quick:
+    if options.variants and not options.quick:
         found.append(Engine(checks.NOISE, options.reference, {**path, "simulation_frequency": 10}))
         found += [Engine(name, options.reference, {"variant": name}) for name in checks.VARIANTS]
     if options.reference != "highway-env" and not options.quick:

@@ -180,12 +180,20 @@ def test_rates_of_risk_events() -> None:
         ]
 
 
-def test_tasks_with_ranges_of_their_own_are_named() -> None:
-    text = section(TEXTS[RISK], "Parameters")
+def test_ranges_of_a_task_s_own() -> None:
+    lines = section(TEXTS[RISK], "Parameters").splitlines()
+    header = next(line for line in lines if line.startswith("| task |"))
+    parameters = [cell.strip(" `") for cell in header.split("|")[2:-1]]
     for name, task in TASKS.items():
-        for parameter, value in asdict(task.risk_ranges).items():
-            if value != asdict(RiskRanges())[parameter]:
-                assert re.search(rf"{name}.*`{parameter}`", text), f"{name}: {parameter} {value}"
+        own = {
+            parameter: f"{100 * value:g} %" if isinstance(value, float) else f"{value[0]:g} to {value[1]:g}"
+            for parameter, value in asdict(task.risk_ranges).items()
+            if value != asdict(RiskRanges())[parameter]
+        }
+        shown = next((line for line in lines if line.startswith(f"| {name} |")), None)
+        cells = [cell.strip() for cell in shown.split("|")[2:-1]] if shown else []
+        found = {p: cell for p, cell in zip(parameters, cells, strict=False) if cell != "as below"}
+        assert found == own, name
 
 
 def test_margins_of_validation() -> None:

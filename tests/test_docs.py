@@ -6,6 +6,7 @@ import ast
 import importlib.util
 import re
 from dataclasses import asdict
+from itertools import dropwhile, takewhile
 from pathlib import Path
 from typing import Any
 
@@ -43,7 +44,8 @@ def section(text: str, title: str) -> str:
 
 def table(text: str) -> dict[str, list[str]]:
     """The rows of the first table of a text: first cell -> the other cells, backticks removed from the first."""
-    lines = [line for line in text.splitlines() if line.startswith("|")][2:]
+    rows = dropwhile(lambda line: not line.startswith("|"), text.splitlines())
+    lines = list(takewhile(lambda line: line.startswith("|"), rows))[2:]
     cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
     return {first.strip("`"): others for first, *others in cells}
 
@@ -192,7 +194,7 @@ def test_ranges_of_a_task_s_own() -> None:
         }
         shown = next((line for line in lines if line.startswith(f"| {name} |")), None)
         cells = [cell.strip() for cell in shown.split("|")[2:-1]] if shown else []
-        found = {p: cell for p, cell in zip(parameters, cells, strict=False) if cell != "as below"}
+        found = {p: cell for p, cell in zip(parameters, cells, strict=False) if cell != "as above"}
         assert found == own, name
 
 

@@ -3,7 +3,7 @@
 support    errors, files, provenance
 study      grid -> train -> evaluate -> stored cells (sweep.py)
 backends   the two simulators behind one function
-causal     stored cells -> effects and verdicts (report.py)
+analysis   stored cells -> effects and verdicts (report.py)
 reporting  effects -> report.html
 validation, benchmarks  the parts of validate.py and benchmark.py
 """

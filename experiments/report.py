@@ -28,8 +28,8 @@ from typing import Annotated, Any
 import tyro
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
-from experiments.causal import wording
-from experiments.causal.analysis import analyse, summary_table
+from experiments.analysis import wording
+from experiments.analysis.analysis import analyse, summary_table
 from experiments.reporting.report_view import page
 from experiments.study.store import load
 from experiments.support.errors import disk_error, run_command

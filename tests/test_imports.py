@@ -69,7 +69,7 @@ LAYERS = {
     "support": 0,
     "study": 1,
     "backends": 1,
-    "causal": 2,
+    "analysis": 2,
     "reporting": 3,
     "validation": 3,
     "calibration": 4,

@@ -9,7 +9,7 @@ from matplotlib.collections import PolyCollection
 from matplotlib.patches import FancyArrow, Rectangle
 from numpy.typing import NDArray
 
-from experiments.causal.tables import TASK_ORDER
+from experiments.analysis.tables import TASK_ORDER
 from experiments.reporting.figures import INK, MUTED, PAPER, new_figure, styled, to_svg
 from experiments.study.grid import ARMS, TRAFFICS
 

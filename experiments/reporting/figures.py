@@ -22,11 +22,11 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator, NullFormatter
 from scipy import stats
 
-from experiments.causal.effects import UNINFORMATIVE
-from experiments.causal.gates import Q_SLACK
-from experiments.causal.statistics import ALPHA
-from experiments.causal.tables import OUTCOMES, TASK_ORDER
-from experiments.causal.wording import MINUS
+from experiments.analysis.effects import UNINFORMATIVE
+from experiments.analysis.gates import Q_SLACK
+from experiments.analysis.statistics import ALPHA
+from experiments.analysis.tables import OUTCOMES, TASK_ORDER
+from experiments.analysis.wording import MINUS
 from experiments.study.grid import ARMS, TRAFFICS
 
 WIDTH = 7.2  # [inch]

@@ -8,8 +8,8 @@ from typing import Any
 
 from markupsafe import Markup
 
-from experiments.causal.effects import Record
-from experiments.causal.tables import CONFIRMATORY, OUTCOMES, TASK_ORDER
+from experiments.analysis.effects import Record
+from experiments.analysis.tables import CONFIRMATORY, OUTCOMES, TASK_ORDER
 from experiments.reporting import collision_figures, figures
 from experiments.study.store import Results
 

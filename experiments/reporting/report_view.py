@@ -6,11 +6,11 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from experiments.causal.effects import UNINFORMATIVE, Record
-from experiments.causal.gates import FAILURES, GATES
-from experiments.causal.statistics import ALPHA, MISSING
-from experiments.causal.tables import CONFIRMATORY, OUTCOMES, TASK_ORDER, TERMS
-from experiments.causal.wording import BACKENDS, count, listing, place
+from experiments.analysis.effects import UNINFORMATIVE, Record
+from experiments.analysis.gates import FAILURES, GATES
+from experiments.analysis.statistics import ALPHA, MISSING
+from experiments.analysis.tables import CONFIRMATORY, OUTCOMES, TASK_ORDER, TERMS
+from experiments.analysis.wording import BACKENDS, count, listing, place
 from experiments.reporting.report_figures import backend_figures
 from experiments.study.estimate import duration
 from experiments.study.grid import ARMS

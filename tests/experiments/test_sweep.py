@@ -14,8 +14,8 @@ from types import ModuleType
 
 import pytest
 
-from experiments.causal.analysis import analyse
-from experiments.causal.tables import comparable
+from experiments.analysis.analysis import analyse
+from experiments.analysis.tables import comparable
 from experiments.study import grid, store, worker
 from experiments.study.claims import Claims, Heart
 from experiments.study.presets import PRESETS

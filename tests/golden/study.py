@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from agents.training import train
-from experiments.causal.analysis import analyse
+from experiments.analysis.analysis import analyse
 from experiments.study import store
 from tests.agents.curves import Config
 from tests.agents.road import Road

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from experiments.causal.tables import PLACE, place_order
+from experiments.analysis.tables import PLACE, place_order
 from experiments.study.grid import ARMS, TRAFFICS
 
 Q_SLACK = 1.2  # over the largest value that any policy can have, max |r| / (1 - gamma)

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from experiments.causal.gates import CROSSINGS, gates
+from experiments.analysis.gates import CROSSINGS, gates
 
 N = 50
 LUCK = np.random.default_rng(0).normal(0, 1, N)  # of the scenarios, shared by everybody

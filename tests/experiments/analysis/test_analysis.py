@@ -9,12 +9,12 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from experiments.causal.analysis import analyse, summary_table
-from experiments.causal.effects import effects, placebo
-from experiments.causal.pooling import slopes
-from experiments.causal.statistics import welch
-from experiments.causal.tables import OUTCOMES, TERMS, comparable, units
-from experiments.causal.verdicts import claims, decide
+from experiments.analysis.analysis import analyse, summary_table
+from experiments.analysis.effects import effects, placebo
+from experiments.analysis.pooling import slopes
+from experiments.analysis.statistics import welch
+from experiments.analysis.tables import OUTCOMES, TERMS, comparable, units
+from experiments.analysis.verdicts import claims, decide
 from experiments.study import store
 from experiments.study.grid import BASELINES
 from tests.experiments import synthetic

@@ -7,10 +7,10 @@ from typing import Any
 
 import pandas as pd
 
-from experiments.causal import statistics
-from experiments.causal.effects import UNINFORMATIVE, Record, adjust, as_record
-from experiments.causal.statistics import DEGENERATE, MISSING, OK
-from experiments.causal.tables import CONFIRMATORY, OUTCOMES, PLACE, TERMS, Pair, arm_values, pairs
+from experiments.analysis import statistics
+from experiments.analysis.effects import UNINFORMATIVE, Record, adjust, as_record
+from experiments.analysis.statistics import DEGENERATE, MISSING, OK
+from experiments.analysis.tables import CONFIRMATORY, OUTCOMES, PLACE, TERMS, Pair, arm_values, pairs
 
 ALL_TASKS = "all tasks"
 # Comparisons whose agents pass the gates. An arm without spread is among them: agents that never crash are

@@ -5,10 +5,10 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from experiments.causal.effects import UNINFORMATIVE, Record
-from experiments.causal.pooling import ALL_TASKS, INFORMATIVE
-from experiments.causal.statistics import ALPHA, DEGENERATE, MISSING, OK, ONE_SEED
-from experiments.causal.wording import BACKENDS, count, difference, listing, number, place
+from experiments.analysis.effects import UNINFORMATIVE, Record
+from experiments.analysis.pooling import ALL_TASKS, INFORMATIVE
+from experiments.analysis.statistics import ALPHA, DEGENERATE, MISSING, OK, ONE_SEED
+from experiments.analysis.wording import BACKENDS, count, difference, listing, number, place
 
 HOLDS, CONTRADICTED, NOT_DECIDED = "holds", "contradicted", "not decided"
 

@@ -8,7 +8,7 @@ from scipy import stats
 from statsmodels.stats.multitest import multipletests
 from statsmodels.stats.weightstats import CompareMeans, DescrStatsW, ttost_ind
 
-from experiments.causal import statistics
+from experiments.analysis import statistics
 
 # A/A data as measured on trained agents at worst: seeds differ with SD 1, episodes of one agent with SD 3.
 SEED_SD, EPISODE_SD, EPISODES = 1.0, 3.0, 100

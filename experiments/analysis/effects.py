@@ -14,10 +14,10 @@ from typing import Any
 import pandas as pd
 from scipy.stats import binomtest
 
-from experiments.causal import statistics
-from experiments.causal.gates import FAILURES, GATES
-from experiments.causal.statistics import ALPHA, MISSING, OK, Estimate
-from experiments.causal.tables import CONFIRMATORY, OUTCOMES, PLACE, TERMS, Pair, arm_values, pairs
+from experiments.analysis import statistics
+from experiments.analysis.gates import FAILURES, GATES
+from experiments.analysis.statistics import ALPHA, MISSING, OK, Estimate
+from experiments.analysis.tables import CONFIRMATORY, OUTCOMES, PLACE, TERMS, Pair, arm_values, pairs
 
 UNINFORMATIVE = "uninformative"
 Record = dict[str, Any]

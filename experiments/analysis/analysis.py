@@ -9,12 +9,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from experiments.causal import statistics
-from experiments.causal.effects import Record, effects, placebo
-from experiments.causal.gates import gates
-from experiments.causal.pooling import pooled, slopes
-from experiments.causal.tables import DESCRIPTIVE, OUTCOMES, PLACE, comparable, place_order, units
-from experiments.causal.verdicts import claims, headlines
+from experiments.analysis import statistics
+from experiments.analysis.effects import Record, effects, placebo
+from experiments.analysis.gates import gates
+from experiments.analysis.pooling import pooled, slopes
+from experiments.analysis.tables import DESCRIPTIVE, OUTCOMES, PLACE, comparable, place_order, units
+from experiments.analysis.verdicts import claims, headlines
 from experiments.study.grid import ARMS, BASELINES, LEARNER, TRAFFICS
 from experiments.study.store import Results
 from experiments.support.files import canonical_json, sha256_bytes

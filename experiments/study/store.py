@@ -53,6 +53,7 @@ class Results:
     cells: cell.json of each cell by name. failed: name and reason of the cells that the last sweep could not
         finish.
     expected: names of all cells that the last sweep asked for, finished or not.
+    damaged: name and reason of the cells that cannot be read, if they were to be passed over.
     """
 
     directory: Path
@@ -63,6 +64,7 @@ class Results:
     cells: dict[str, dict[str, Any]]
     failed: dict[str, str] = field(default_factory=dict)
     expected: tuple[str, ...] = ()
+    damaged: dict[str, str] = field(default_factory=dict)
 
 
 class Store:
@@ -173,8 +175,11 @@ def cell_directories(directory: Path) -> Iterator[Path]:
     return (path for path in sorted(cells.iterdir()) if path.is_dir())
 
 
-def load(directory: Path) -> Results:
+def load(directory: Path, skip_damaged: bool = False) -> Results:
     """Read and check all finished cells of a directory.
+
+    Args:
+        skip_damaged: note damaged cells in `Results.damaged` and go on with the others.
 
     Raises:
         UserError: no result directory, or no finished cell in it.
@@ -184,17 +189,30 @@ def load(directory: Path) -> Results:
 
     directory = Path(directory)
     cells: dict[str, dict[str, Any]] = {}
-    agents, episodes, gates, training = [], [], [], []
+    agents: list[dict[str, Any]] = []
+    episodes: list[pd.DataFrame] = []
+    gates: list[pd.DataFrame] = []
+    training: list[pd.DataFrame] = []
+    damaged: dict[str, str] = {}
     for path in cell_directories(directory):
-        record = read_cell(path)
+        try:
+            record = read_cell(path)
+            columns = {name: {**record["key"], "cell": path.name}.get(name) for name in KEY_COLUMNS}
+            columns["preset"] = record["key"]["profile"].get("preset")
+            learns = record["key"]["kind"] == "agent"
+            files = [EPISODES, GATES, *([TRAINING] if learns else [])]
+            tables = [_table(path / file, columns) for file in files]
+        except DamagedCell as error:
+            if not skip_damaged:
+                raise
+            damaged[path.name] = str(error)
+            continue
         cells[path.name] = record
-        columns = {name: {**record["key"], "cell": path.name}.get(name) for name in KEY_COLUMNS}
-        columns["preset"] = record["key"]["profile"].get("preset")
         agents.append({**columns, **_scalars(record["key"]["profile"]), **_learner(record)})
-        episodes.append(_table(path / EPISODES, columns))
-        gates.append(_table(path / GATES, columns))
-        if record["key"]["kind"] == "agent":
-            training.append(_table(path / TRAINING, columns))
+        for rows, table in zip((episodes, gates, training), tables, strict=False):
+            rows.append(table)
+    if damaged and not cells:
+        raise UserError(next(iter(damaged.values())))
     if not cells:
         raise UserError(f"{directory} holds no finished cell yet: run the sweep first")
     sweep = read_sweep(directory)
@@ -207,6 +225,7 @@ def load(directory: Path) -> Results:
         cells=cells,
         failed={name: reason for name, reason in sweep.get("failed", {}).items() if name not in cells},
         expected=tuple(sweep.get("cells", ())),
+        damaged=damaged,
     )
 
 

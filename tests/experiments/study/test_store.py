@@ -229,3 +229,12 @@ def test_one_of_many_takes_a_stale_claim_over(tmp_path):
             racer.join()
         assert wins.get(timeout=5)
         assert wins.empty()
+
+
+def test_damaged_cells_are_passed_over_and_named_on_request(directory, cells):
+    (directory / "cells" / cells[0].name / store.EPISODES).write_bytes(b"")
+    results = store.load(directory, skip_damaged=True)
+    assert list(results.damaged) == [cells[0].name]
+    assert "delete the directory" in results.damaged[cells[0].name]
+    assert cells[0].name not in results.cells
+    assert set(results.episodes["cell"]) == set(results.cells)

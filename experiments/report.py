@@ -1,6 +1,7 @@
 """Write report.html, summary.csv and analysis.json from the cells that a sweep has stored.
 
     python experiments/report.py results/sumo-quick
+    python experiments/report.py results/sumo-quick --placebo
 
 Nothing is simulated or trained: the report is a function of the stored cells, and may be written at any
 time, also while a sweep is running (it then says what is missing). report.html is one file that needs
@@ -45,6 +46,8 @@ class Options:
 
     directory: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
     """The --out directory of a sweep."""
+    placebo: bool = False
+    """Instead print the same analysis of control against control, where there is no effect."""
 
 
 def write_report(directory: Path) -> Path:
@@ -60,7 +63,7 @@ def write_report(directory: Path) -> Path:
 
 
 def _write(directory: Path) -> tuple[Path, dict[str, Any]]:
-    results = load(directory)
+    results = load(directory, skip_damaged=True)
     analysis = analyse(results)
     path = directory / REPORT
     html = render(page(results, analysis))
@@ -84,7 +87,7 @@ def render(variables: dict[str, Any]) -> str:
     )
     environment.filters |= {
         name: getattr(wording, name)
-        for name in ("number", "difference", "interval", "p_value", "count", "listing")
+        for name in ("number", "difference", "interval", "p_value", "count", "listing", "adjusted")
     }
     return environment.get_template("report.html.j2").render(variables)
 
@@ -105,9 +108,27 @@ def show(analysis: dict[str, Any]) -> None:
         console.print(table)
 
 
+def show_placebo(analysis: dict[str, Any]) -> None:
+    """Print what comes of comparisons whose truth is "no effect"."""
+    if not analysis["placebo"]:
+        print("no placebo: a setting needs four control agents, to be dealt into two arms")
+    for row in analysis["placebo"]:
+        share = f"{row['rejected']} of {row['comparisons']} settings significant (about 5 % expected)"
+        print(f"{wording.BACKENDS[row['backend']]}, {row['outcome']}, sum: {share}")
+        if row["primary"]:
+            found = wording.difference(row["primary"], row["outcome"])
+            print(f"  primary question: {found}, p {wording.p_value(row['primary']['p'])}")
+    if control := analysis["negative_control"]:
+        print(f"negative control ({control['policy']} against itself): largest effect {control['largest']:g}")
+
+
 def main() -> int:
     """The command line."""
-    path, analysis = _write(tyro.cli(Options, description=__doc__).directory)
+    options = tyro.cli(Options, description=__doc__)
+    if options.placebo:
+        show_placebo(analyse(load(options.directory, skip_damaged=True)))
+        return 0
+    path, analysis = _write(options.directory)
     show(analysis)
     print(f"report: {path}")
     return 0

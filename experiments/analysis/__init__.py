@@ -1,10 +1,14 @@
 """From stored cells to effects and verdicts: pure functions, no files, no pictures.
 
-tables      episodes to one row a policy
-gates       is an agent worth comparing?
-statistics  inference with the trained agent as the unit
-effects     the average treatment effect of every task and level
-pooling     over levels and tasks
-verdicts    what that says about each claim
-analysis    all of it as one value
+plan         what is compared and what decides, as data
+tables       episodes to scores of every agent
+gates        did an agent learn?
+statistics   inference with the trained agent as the unit
+effects      the average treatment effect of every task and level
+pooling      over levels and tasks: the primary answer, heterogeneity, slopes
+placebo      comparisons whose truth is known
+sensitivity  the primary answer in other ways; the next batch of seeds
+verdicts     what that says about each claim
+headline     the answer in words
+analysis     all of it as one value
 """

@@ -9,18 +9,33 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from experiments.analysis import plan as plans
 from experiments.analysis import statistics
-from experiments.analysis.effects import Record, effects, placebo
-from experiments.analysis.gates import gates
-from experiments.analysis.pooling import pooled, slopes
-from experiments.analysis.tables import DESCRIPTIVE, OUTCOMES, PLACE, comparable, place_order, units
-from experiments.analysis.verdicts import claims, headlines
+from experiments.analysis.effects import Record, effects
+from experiments.analysis.gates import GATES, gates
+from experiments.analysis.headline import headlines
+from experiments.analysis.placebo import negative_control, placebo
+from experiments.analysis.plan import OUTCOMES
+from experiments.analysis.pooling import failures, pooled, slopes
+from experiments.analysis.sensitivity import learnt, second_batch, sensitivity
+from experiments.analysis.tables import (
+    DESCRIPTIVE,
+    PLACE,
+    comparable,
+    complete,
+    duplicates,
+    place_order,
+    settings,
+    units,
+    with_outcomes,
+)
+from experiments.analysis.verdicts import claims
 from experiments.study.grid import ARMS, BASELINES, LEARNER, TRAFFICS
 from experiments.study.store import Results
 from experiments.support.files import canonical_json, sha256_bytes
 from sumo_env.tasks import TASKS
 
-SCHEMA = 1
+SCHEMA = 2
 
 
 def analyse(results: Results) -> dict[str, Any]:
@@ -28,35 +43,50 @@ def analyse(results: Results) -> dict[str, Any]:
 
     Returns:
         A value that is strict JSON (no NaN, no infinity):
-        headlines: answers in plain words, see `verdicts.headlines`.
-        claims: see `verdicts.claims`. ate: see `effects.effects`. pooled, slopes: see `pooling`.
-        placebo: see `effects.placebo`. gates: see `gates.gates`. policies: see `policies`.
-        missing: cells that the last sweep asked for and that are not there; failed: why some of them failed.
-        left_out: cells of other settings, not analysed. provenance: see `provenance`.
+        plan, plan_hash: see `plan`. headlines: the answer in plain words, see `headline.headlines`.
+        claims: see `verdicts.claims`. ate: see `effects.effects`. pooled, slopes, failures: see `pooling`.
+        sensitivity, learnt, second_batch: see `sensitivity`. placebo, negative_control: see `placebo`.
+        gates: see `gates.gates`. policies: see `policies`.
+        missing: cells that the last sweep asked for and that are not there; failed: why some of them failed;
+        damaged: cells that cannot be read, with the reason; incomplete: cells whose tables lack something;
+        duplicates: cells that hold the same agent. left_out: cells of other settings, not analysed.
+        provenance: see `provenance`.
     """
-    chosen, left_out = comparable(results)
-    table = units(chosen.episodes)
+    whole, incomplete = complete(results)
+    chosen, left_out = comparable(whole)
+    plan = plans.plan_of(str(cell["key"]["profile"].get("preset")) for cell in chosen.cells.values())
+    data = plans.as_data(plan, GATES)
+    episodes = with_outcomes(chosen.episodes, chosen.cells)
+    pairs = settings(episodes)
     verdicts = gates(chosen.cells, chosen.gate_episodes)
-    ate = effects(table, verdicts)
-    trends = slopes(table, ate)
-    means = pooled(table, ate)
-    summary = policies(table, chosen.episodes)
     grid = {task: len(definition.levels) for task, definition in TASKS.items()}
+    ate = effects(pairs, verdicts, plan)
+    trends = slopes(pairs, grid, plan)
     value = {
         "schema": SCHEMA,
-        "headlines": headlines(ate, means, summary),
-        "claims": claims(ate, trends, grid),
+        "plan": data,
+        "plan_hash": plans.digest(data),
+        "claims": claims(ate, trends, grid, plan),
         "ate": ate,
-        "pooled": means,
+        "pooled": pooled(pairs, plan),
+        "failures": failures(pairs, verdicts, plan),
         "slopes": trends,
-        "placebo": placebo(table),
+        "sensitivity": sensitivity(pairs, verdicts, plan),
+        "learnt": learnt(pairs, verdicts, plan),
+        "second_batch": second_batch(pairs, ate, plan),
+        "placebo": placebo(pairs, plan),
+        "negative_control": negative_control(episodes),
         "gates": verdicts,
-        "policies": summary,
+        "policies": policies(units(episodes), episodes),
         "missing": [name for name in results.expected if name not in results.cells],
         "failed": dict(results.failed),
+        "damaged": dict(results.damaged),
+        "incomplete": incomplete,
+        "duplicates": duplicates(chosen),
         "left_out": left_out,
         "provenance": provenance(chosen),
     }
+    value["headlines"] = headlines(value, grid, plan)
     return strict(value)
 
 
@@ -84,7 +114,6 @@ def policies(table: pd.DataFrame, episodes: pd.DataFrame) -> list[Record]:
             mean = {name: float(rows[f"{name} {traffic}"].mean()) for name in names}
             if arm is None:
                 tests = by_cell[rows["cell"].iloc[0], traffic]
-                tests = tests.assign(reward_per_step=tests["return"] / tests["length"])
                 samples = {name: tests[name].astype(float) for name in OUTCOMES}
             else:
                 samples = {name: rows[f"{name} {traffic}"] for name in OUTCOMES}

@@ -1,121 +1,217 @@
-"""Effects over several traffic levels: their mean, and their slope over traffic."""
+"""Effects over several settings: the primary answer, means, heterogeneity, and slopes over traffic."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-import pandas as pd
+import numpy as np
+from scipy import stats
+from statsmodels.stats.meta_analysis import combine_effects
 
 from experiments.analysis import statistics
-from experiments.analysis.effects import UNINFORMATIVE, Record, adjust, as_record
-from experiments.analysis.statistics import DEGENERATE, MISSING, OK
-from experiments.analysis.tables import CONFIRMATORY, OUTCOMES, PLACE, TERMS, Pair, arm_values, pairs
+from experiments.analysis.effects import (
+    Record,
+    adjust,
+    as_record,
+    below,
+    cells_of,
+    contrast,
+    estimated,
+    least,
+)
+from experiments.analysis.plan import ALPHA, DEFAULT, OUTCOMES, TERMS, Plan
+from experiments.analysis.statistics import Mean
+from experiments.analysis.tables import CONFIRMATORY, TASK_ORDER, Pair, Place
 
 ALL_TASKS = "all tasks"
-# Comparisons whose agents pass the gates. An arm without spread is among them: agents that never crash are
-# no failure, and leaving them out would favour the other arm.
-INFORMATIVE = (OK, DEGENERATE)
+Pairs = Mapping[Place, Pair]
 
 
-def pooled(table: pd.DataFrame, records: Sequence[Record]) -> list[Record]:
+def by_task(pairs: Pairs) -> dict[str, dict[Place, Pair]]:
+    """The settings with both arms, task by task."""
+    result: dict[str, dict[Place, Pair]] = {}
+    for place, pair in pairs.items():
+        if least(pair):
+            result.setdefault(str(place[1]), {})[place] = pair
+    return result
+
+
+def task_weights(pairs: Pairs) -> list[float]:
+    """Weights of settings with which every task counts alike, and in a task every level."""
+    tasks = [place[1] for place in pairs]
+    return [1 / len(set(tasks)) / tasks.count(task) for task in tasks]
+
+
+def balanced(pairs: Pairs, outcome: str, term: str, seed: int | None = None) -> Mean:
+    """The mean effect over settings, every task weighted alike."""
+    means = [contrast(below(pair, seed), outcome, term) for pair in pairs.values()]
+    return statistics.combine(means, task_weights(pairs))
+
+
+def random_effects(values: Sequence[float], variances: Sequence[float]) -> Record | None:
+    """Mean of a population that these effects are a sample of, with Hartung and Knapp's interval.
+
+    Returns:
+        estimate, low, high, p, df, tau (standard deviation between the true effects), i2 (share of the variance that is
+        heterogeneity), heterogeneity_p (Cochran's Q), prediction [low, high] (of the effect in another member of the
+        population; None with two of them), members. None for fewer than two effects or one without variance.
+    """
+    y, v = np.asarray(values, dtype=float), np.asarray(variances, dtype=float)
+    if len(y) < 2 or (v <= 0).any():
+        return None
+    with np.errstate(divide="ignore"):  # of its I-squared where all effects are the same, computed below
+        found = combine_effects(y, v, method_re="iterated", use_t=True)
+    tau2 = max(float(found.tau2), 0.0)
+    weights = 1 / (v + tau2)
+    mean = float((weights * y).sum() / weights.sum())
+    scale = float((weights * (y - mean) ** 2).sum()) / (len(y) - 1)
+    # Never narrower than without the correction (Roever, Knapp and Friede 2015).
+    se = float(np.sqrt(max(scale, 1.0) / weights.sum()))
+    df = len(y) - 1
+    half = float(stats.t.ppf(1 - ALPHA / 2, df)) * se
+    wide = float(stats.t.ppf(1 - ALPHA / 2, df - 1)) * float(np.sqrt(tau2 + se**2)) if df > 1 else None
+    q = float(found.q)
+    return {
+        "estimate": mean,
+        "low": mean - half,
+        "high": mean + half,
+        "p": float(2 * stats.t.sf(abs(mean) / se, df)),
+        "df": df,
+        "tau": tau2**0.5,
+        "i2": max(0.0, (q - df) / q) if q > 0 else 0.0,
+        "heterogeneity_p": float(stats.chi2.sf(q, df)),
+        "prediction": None if wide is None else [mean - wide, mean + wide],
+        "members": len(y),
+    }
+
+
+def pooled(pairs: Pairs, plan: Plan = DEFAULT) -> list[Record]:
     """Mean effect over the traffic levels of a task, and over all tasks where the outcome allows it.
 
-    Each is given over all comparisons ("all") and over those whose agents pass the gates ("informative"). The
-    choice of the latter looks at results, so they are exploratory where the two differ.
-
-    Args:
-        table: one row a cell, see `tables.units`.
-        records: from `effects.effects` of the same table.
-
     Returns:
-        Records as from `effects`, with scope (a task or "all tasks"), selection and comparisons [used,
-        existing] instead of task and level.
+        Records as from `effects` with scope (a task or "all tasks"), primary (whether it is the plan's primary
+        question) and comparisons [with both arms, existing] instead of task and level; over_tasks and over_settings:
+        see `random_effects` (over_settings within a task for the scope of a task).
     """
-    agents = pairs(table)
     result = []
-    for scope, group in _scopes(records):
-        outcome, term = group[0]["outcome"], group[0]["term"]
-        for selection in ("all", "informative"):
-            used = [r for r in group if r["status"] != MISSING]
-            if selection == "informative":
-                used = [r for r in used if r["status"] in INFORMATIVE]
-            places = [agents[tuple(record[column] for column in PLACE)] for record in used]
-            estimate = statistics.pooled([arm_values(place, outcome, term) for place in places])
-            result.append(
-                {
-                    "backend": group[0]["backend"],
-                    "scope": scope,
-                    "outcome": outcome,
-                    "term": term,
-                    "selection": selection,
-                    **as_record(estimate),
-                    "comparisons": [len(used), len(group)],
-                    "cells": sorted({cell for record in used for cell in record["cells"]}),
-                }
-            )
+    for backend in dict.fromkeys(place[0] for place in pairs):
+        own = {place: pair for place, pair in pairs.items() if place[0] == backend}
+        for scope, every in _scopes(own):
+            group = {place: pair for place, pair in every.items() if least(pair)}
+            for outcome in OUTCOMES:
+                if scope == ALL_TASKS and not OUTCOMES[outcome].poolable:
+                    continue
+                for term in TERMS:
+                    record = {"backend": backend, "scope": scope, "outcome": outcome, "term": term}
+                    record |= _pooled(group, outcome, term, plan)
+                    primary = (scope, outcome, term) == (ALL_TASKS, plan.primary_outcome, plan.primary_term)
+                    record |= {"primary": primary, "comparisons": [len(group), len(every)]}
+                    result.append({**record, "cells": cells_of(group.values())})
     return result
 
 
-def _scopes(records: Sequence[Record]) -> Iterator[tuple[str, list[Record]]]:
-    """The groups of records that are averaged: (scope, records of one backend, outcome and term)."""
-    for backend in dict.fromkeys(record["backend"] for record in records):
-        for outcome in OUTCOMES:
-            for term in TERMS:
-                wanted = (backend, outcome, term)
-                group = [r for r in records if (r["backend"], r["outcome"], r["term"]) == wanted]
-                tasks = list(dict.fromkeys(record["task"] for record in group))
-                for task in tasks:
-                    yield task, [record for record in group if record["task"] == task]
-                if OUTCOMES[outcome].poolable and len(tasks) > 1:
-                    yield ALL_TASKS, group
+def _scopes(pairs: Pairs) -> Iterator[tuple[str, Pairs]]:
+    tasks = sorted({str(place[1]) for place in pairs}, key=TASK_ORDER.__getitem__)
+    for task in tasks:
+        yield task, {place: pair for place, pair in pairs.items() if place[1] == task}
+    yield ALL_TASKS, pairs
 
 
-def slopes(table: pd.DataFrame, records: Sequence[Record]) -> list[Record]:
+def _pooled(group: Pairs, outcome: str, term: str, plan: Plan) -> Record:
+    seeds = max((least(pair) for pair in group.values()), default=0)
+    if plan.looks and any(least(pair) < plan.looks[0].seeds for pair in group.values()):
+        seeds = min(
+            seeds, plan.looks[0].seeds
+        )  # the first batch is not complete: there is no second look yet
+    found, _, _ = estimated(lambda seed: balanced(group, outcome, term, seed), plan, seeds)
+    settings = [contrast(pair, outcome, term) for pair in group.values()]
+    tasks = [balanced(levels, outcome, term) for levels in by_task(group).values()]
+    return as_record(found) | {"over_settings": _population(settings), "over_tasks": _population(tasks)}
+
+
+def _population(means: Sequence[Mean]) -> Record | None:
+    known = [mean for mean in means if mean.value is not None and mean.least > 1]
+    return random_effects([m.value for m in known if m.value is not None], [m.variance for m in known])
+
+
+def failures(pairs: Pairs, verdicts: Sequence[Mapping[str, Any]], plan: Plan = DEFAULT) -> list[Record]:
+    """The share of agents that fail the gates, as an outcome: treatment minus control, every task weighted alike.
+
+    Returns:
+        A record a backend and scope: shares [treatment, control], counts [[failed, agents] of each], estimate, low,
+        high, p.
+    """
+    bad = {verdict["cell"] for verdict in verdicts if verdict["passed"] is False}
+    result = []
+    for backend in dict.fromkeys(place[0] for place in pairs):
+        own = {place: pair for place, pair in pairs.items() if place[0] == backend and least(pair)}
+        for scope, group in _scopes(own) if own else ():
+            means, counts, shares = (
+                [],
+                {"treatment": [0, 0], "control": [0, 0]},
+                {"treatment": 0.0, "control": 0.0},
+            )
+            for pair, weight in zip(group.values(), task_weights(group), strict=True):
+                flags = {n: np.array([[float(c in bad)] for c in arm.cells]) for n, arm in pair.items()}
+                floor = statistics.binomial_floor(list(flags.values()))
+                arms = [(flags["treatment"], 1.0), (flags["control"], -1.0)]
+                means.append(statistics.linear(arms, floor))
+                for name, values in flags.items():
+                    counts[name] = [counts[name][0] + int(values.sum()), counts[name][1] + len(values)]
+                    shares[name] += weight * float(values.mean())
+            found = statistics.interval(statistics.combine(means, task_weights(group)))
+            record = {"backend": backend, "scope": scope, **as_record(found), "shares": list(shares.values())}
+            result.append({**record, "counts": list(counts.values()), "cells": cells_of(group.values())})
+    return result
+
+
+def slopes(pairs: Pairs, grid: Mapping[str, int], plan: Plan = DEFAULT) -> list[Record]:
     """Change per traffic level within each task, of the effect ("effect", the sum) and the outcome ("mean").
 
-    "mean" averages over the two test traffics and the two arms.
+    "mean" averages over the two test traffics and the two arms. Each level has test scenarios of its own, and their
+    variance is in the interval.
+
+    Args:
+        grid: number of traffic levels of each task in the complete grid.
 
     Returns:
-        Records as from `effects` with quantity and levels (their numbers) instead of level and term, for the
-        confirmatory outcomes. Status "uninformative" where the effect is so at any level. Holm over the
-        tasks.
+        Records as from `effects` with quantity, levels (their numbers) and complete (whether that is all of them)
+        instead of level and term, for the confirmatory outcomes. Holm over the tasks.
     """
-    sums = {(r["backend"], r["task"], r["level"], r["outcome"]): r for r in records if r["term"] == "sum"}
-    by_task: dict[tuple[str, str], dict[int, Pair]] = {}
-    for (backend, task, level, _), pair in pairs(table).items():
-        by_task.setdefault((backend, task), {})[level] = pair
     result: list[Record] = []
-    for outcome in CONFIRMATORY:
-        for (backend, task), by_level in by_task.items():
-            levels = sorted(by_level)
-            if len(levels) < 2:
-                continue
-            members = [sums[backend, task, level, outcome] for level in levels]
-            strata = [arm_values(by_level[level], outcome, "sum") for level in levels]
-            common: Record = {"backend": backend, "task": task, "outcome": outcome}
-            common |= {"levels": [int(level) for level in levels]}
-            cells = sorted({cell for member in members for cell in member["cells"]})
-            # The sum counts two traffics, the mean is of one.
-            for quantity, estimate in (
-                ("effect", statistics.effect_slope(levels, strata)),
-                ("mean", statistics.mean_slope(levels, [(t / 2, c / 2) for t, c in strata])),
-            ):
-                record = {**common, "quantity": quantity, **as_record(estimate), "cells": cells}
-                _judge(record, members)
-                result.append(record)
-    for outcome in CONFIRMATORY:
-        for backend in dict.fromkeys(record["backend"] for record in result):
-            for quantity in ("effect", "mean"):
-                wanted = (backend, outcome, quantity)
-                adjust([r for r in result if (r["backend"], r["outcome"], r["quantity"]) == wanted], "Holm")
+    for backend in dict.fromkeys(place[0] for place in pairs):
+        own = {place: pair for place, pair in pairs.items() if place[0] == backend}
+        for outcome in CONFIRMATORY:
+            families: dict[str, list[Record]] = {"effect": [], "mean": []}
+            for task, by_place in by_task(own).items():
+                levels = [int(place[2]) for place in by_place]
+                if len(levels) < 2:
+                    continue
+                for quantity, family in families.items():
+                    record = {"backend": backend, "task": task, "outcome": outcome, "quantity": quantity}
+                    record |= {"levels": levels, "complete": len(levels) == grid.get(task)}
+                    record |= _slope(by_place, levels, outcome, quantity, plan)
+                    family.append({**record, "cells": cells_of(by_place.values())})
+            for family in families.values():
+                adjust(family, "Holm", plan)
+                result += family
     return result
 
 
-def _judge(record: Record, members: Sequence[Any]) -> None:
-    bad = [member["level_name"] for member in members if member["status"] == UNINFORMATIVE]
-    if bad and record["status"] != MISSING:
-        record["status"] = UNINFORMATIVE
-        record["reason"] = "; ".join(
-            filter(None, [f"agents fail gates at {', '.join(bad)}", record["reason"]])
-        )
+def _slope(pairs: Pairs, levels: Sequence[int], outcome: str, quantity: str, plan: Plan) -> Record:
+    signs = (
+        (1.0, -1.0) if quantity == "effect" else (0.25, 0.25)
+    )  # the sum counts two traffics, the mean is of one
+
+    def of(seed: int | None) -> Mean:
+        means = []
+        for pair in pairs.values():
+            arms = [below(pair, seed)[name] for name in ("treatment", "control")]
+            weighted = [(arm.scores(outcome, "sum"), sign) for arm, sign in zip(arms, signs, strict=True)]
+            floor = signs[0] ** 2 * sum(arm.floor(outcome, "sum") for arm in arms)
+            means.append(statistics.linear(weighted, floor))
+        return statistics.combine(means, statistics.slope_weights(levels))
+
+    found, _, share = estimated(of, plan, min(least(pair) for pair in pairs.values()))
+    return as_record(found) | {"share": share}

@@ -1,43 +1,43 @@
 """Inference with the trained agent as the unit.
 
-What the experiment randomises is the traffic an agent is *trained* in, so the unit of analysis is the
-training seed: the test episodes of one agent are repeated measures of one unit and are averaged before
-anything is compared. Treating them as independent rejects a true null hypothesis in more than half of all A/A
-experiments instead of 5 % (tests/experiments/test_statistics.py repeats that).
+What the experiment randomises is the traffic an agent is *trained* in, so the unit is the training seed: the test
+episodes of one agent are repeated measures of one unit. All agents of a setting are tested on the same scenarios, which
+are a sample too. An interval therefore holds the variance between seeds and the variance between scenarios (as the
+analysis of readers and cases in medical imaging does: Gallas 2006); taking episodes as independent instead rejects a
+true null hypothesis in more than half of all experiments.
 
-Every function takes plain sequences of *seed means* (one number per trained agent) and returns an
-`Estimate` or a number. An interval that cannot be had is `None` with the reason in words, never a NaN and
-never an exception.
+The functions take *scores*: an array (seeds, scenarios) for each arm. `linear` turns them into a `Mean`, `combine` adds
+means of independent settings, `interval` gives the `Estimate`. An interval that cannot be had is None with the reason
+in words, never NaN and never an exception.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
-from statsmodels.stats.power import TTestIndPower
-from statsmodels.stats.weightstats import ttost_ind
+from scipy import optimize, stats
 
-ALPHA = 0.05
+from experiments.analysis.plan import ALPHA, POWER
+
 OK = "ok"
 ONE_SEED = "no interval: one seed"
 DEGENERATE = "degenerate"
 MISSING = "missing"
+FEW = 10  # crashes in an arm below which its scores say little of their own variance
 
-Values = Sequence[float] | NDArray[np.float64]
+Scores = NDArray[np.float64]  # (seeds, scenarios)
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A number with its 95 % interval, or with the reason why there is none.
+    """A number with its interval, or with the reason why there is none.
 
-    estimate, low, high: in the unit of the outcome; low, high, p (two-sided, against 0) and df are None
-    unless status is "ok". n: units (training seeds) in each group. status: "ok", "no interval: one seed",
-    "degenerate" (an arm whose seeds do not differ at all, e.g. diverged agents), "missing" (a group without
-    units).
+    estimate, se, low, high: in the unit of the outcome; se, low, high, p (two-sided, against 0) and df are None unless
+    status is "ok". n: units (training seeds) in each arm. status: "ok", "no interval: one seed", "degenerate" (nothing
+    varies, e.g. diverged agents), "missing" (an arm without agents).
     """
 
     estimate: float | None
@@ -48,123 +48,128 @@ class Estimate:
     n: tuple[int, ...]
     status: str
     reason: str | None = None
+    se: float | None = None
+
+
+@dataclass(frozen=True)
+class Mean:
+    """A linear combination of arms' means: its value and the independent parts of its variance.
+
+    parts: (variance, degrees of freedom) each. n: seeds of treatment and control. least: seeds in the smallest arm.
+    """
+
+    value: float | None
+    parts: tuple[tuple[float, float], ...]
+    n: tuple[int, ...]
+    least: int
 
     @property
-    def direction(self) -> int:
-        """+1 or -1 where the interval excludes 0, otherwise 0."""
-        if self.low is None or self.high is None:
-            return 0
-        return int(self.low > 0) - int(self.high < 0)
+    def variance(self) -> float:
+        """The whole variance."""
+        return float(sum(variance for variance, _ in self.parts))
+
+    @property
+    def df(self) -> float:
+        """Satterthwaite's degrees of freedom."""
+        below = sum(variance**2 / df for variance, df in self.parts)
+        return float(self.variance**2 / below) if below > 0 else 1.0
 
 
-def _array(values: Values) -> NDArray[np.float64]:
-    array = np.asarray(values, dtype=np.float64)
-    if array.ndim != 1 or not np.isfinite(array).all():
-        raise ValueError(f"expected a flat sequence of finite seed means, got shape {array.shape}: {array!r}")
+def check(scores: Scores) -> Scores:
+    """The scores as an array. Raises ValueError if they are not a matrix of finite numbers."""
+    array = np.asarray(scores, dtype=np.float64)
+    if array.ndim != 2 or not np.isfinite(array).all():
+        raise ValueError(f"expected finite scores (seeds, scenarios), got shape {array.shape}")
     return array
 
 
-def is_constant(values: Values) -> bool:
-    """True when the values do not differ beyond rounding, i.e. their standard deviation is 0."""
-    array = _array(values)
-    return bool(np.ptp(array) <= 1e-12 * max(1.0, float(np.abs(array).max())))
+def linear(arms: Sequence[tuple[Scores, float]], floor: float = 0.0) -> Mean:
+    """sum of weight x mean over arms that are tested on the same scenarios.
 
+    Variance: between the seeds of each arm, and between scenarios, less the part of the latter that is noise within the
+    former (two-way random effects, negative values set to 0).
 
-def _no_interval(
-    groups: Sequence[NDArray[np.float64]],
-    estimate: float | None,
-    spread_in: Callable[[Iterable[bool]], bool] = all,
-) -> Estimate | None:
-    """The Estimate without interval that these groups call for, or None where an interval can be computed.
-
-    spread_in: whether `all` groups must have spread or `any`.
+    Args:
+        arms: scores and weight of each arm.
+        floor: the least variance that can be true, see `binomial_floor`.
     """
-    n = tuple(len(group) for group in groups)
+    used = [(check(scores), weight) for scores, weight in arms]
+    n = tuple(len(scores) for scores, _ in used)
     if min(n) == 0:
-        return Estimate(None, None, None, None, None, n, MISSING, "no trained agent in one of the arms")
+        return Mean(None, (), n, 0)
+    value = float(sum(weight * scores.mean() for scores, weight in used))
     if min(n) == 1:
-        found = " and ".join(map(str, n))
-        reason = f"an interval needs two training seeds in every arm, here {found}"
-        return Estimate(estimate, None, None, None, None, n, ONE_SEED, reason)
-    if not spread_in(not is_constant(group) for group in groups):
-        reason = "the standard deviation between seeds is 0 in an arm, so no interval can be computed from it"
-        return Estimate(estimate, None, None, None, None, n, DEGENERATE, reason)
-    return None
+        return Mean(value, (), n, 1)
+    parts, noise = [], 0.0
+    scenarios = used[0][0].shape[1]
+    per_scenario = np.zeros(scenarios)
+    for scores, weight in used:
+        seeds = len(scores)
+        rows, columns = scores.mean(axis=1), scores.mean(axis=0)
+        parts.append((weight**2 * float(rows.var(ddof=1)) / seeds, seeds - 1.0))
+        per_scenario += weight * columns
+        if scenarios > 1:
+            rest = scores - rows[:, None] - columns + scores.mean()
+            noise += (
+                weight**2 * float((rest**2).sum()) / ((seeds - 1) * (scenarios - 1)) / (seeds * scenarios)
+            )
+    if scenarios > 1:
+        between = float(per_scenario.var(ddof=1)) / scenarios
+        parts.append((max(between - noise, 0.0), scenarios - 1.0))
+    lacking = floor - sum(variance for variance, _ in parts)
+    if lacking > 0:
+        parts.append((lacking, sum(n) - len(n)))
+    return Mean(value, tuple(parts), n, min(n))
 
 
-def welch(treatment: Values, control: Values, confidence: float = 1 - ALPHA) -> Estimate:
-    """Mean of treatment minus mean of control, Welch's t interval (unequal variances) on seed means."""
-    t, c = _array(treatment), _array(control)
-    difference = float(t.mean() - c.mean()) if len(t) and len(c) else None
-    if (none := _no_interval((t, c), difference)) is not None:
-        return none
-    test = stats.ttest_ind(t, c, equal_var=False)
-    interval = test.confidence_interval(confidence)
-    return Estimate(
-        difference,
-        float(interval.low),
-        float(interval.high),
-        float(test.pvalue),
-        float(test.df),
-        (len(t), len(c)),
-        OK,
-    )
+def binomial_floor(arms: Sequence[Scores]) -> float:
+    """The least variance of a difference of proportions that counts, from the arms that (almost) never or always crash.
 
-
-def paired(
-    treatment: Mapping[int, float], control: Mapping[int, float], confidence: float = 1 - ALPHA
-) -> Estimate:
-    """Treatment minus control within each training seed of both arms (seed -> seed mean), paired t interval.
-
-    Secondary: the two agents of a seed share initial weights and training scenarios, but training
-    decorrelates them, and where the correlation is 0 pairing only loses degrees of freedom.
+    The mean of episodes that do not hinder each other varies at least as much as that of independent ones; with fewer
+    than FEW crashes (or episodes without) the scores say little of their own variance. With one of each added to an arm
+    (Agresti and Caffo 2000) it is above 0 where no agent crashed at all.
     """
-    seeds = sorted(set(treatment) & set(control))
-    t, c = _array([treatment[s] for s in seeds]), _array([control[s] for s in seeds])
-    difference = float((t - c).mean()) if seeds else None
-    if (none := _no_interval((t - c,), difference)) is not None:
-        return replace(none, n=(len(seeds), len(seeds)))
-    test = stats.ttest_rel(t, c)
-    interval = test.confidence_interval(confidence)
-    bounds = float(interval.low), float(interval.high)
-    return Estimate(difference, *bounds, float(test.pvalue), float(test.df), (len(seeds), len(seeds)), OK)
+    variance = 0.0
+    for scores in arms:
+        crashes = float(scores.sum())
+        if scores.size and min(crashes, scores.size - crashes) < FEW:
+            share = (crashes + 1) / (scores.size + 2)
+            variance += share * (1 - share) / scores.size
+    return variance
 
 
-def contrast(groups: Sequence[Values], weights: Sequence[float], confidence: float = 1 - ALPHA) -> Estimate:
-    """sum_k weights[k] * mean(groups[k]) of independent groups with unequal variances.
+def combine(means: Sequence[Mean], weights: Sequence[float]) -> Mean:
+    """sum of weight x mean of independent settings. Settings with weight 0 do not count, and may be empty."""
+    used = [(mean, weight) for mean, weight in zip(means, weights, strict=True) if weight != 0]
+    if not used:
+        return Mean(None, (), (0, 0), 0)
+    n = tuple(sum(counts) for counts in zip(*(mean.n for mean, _ in used), strict=True))
+    least = min(mean.least for mean, _ in used)
+    if least == 0:
+        return Mean(None, (), n, 0)
+    value = sum(weight * mean.value for mean, weight in used if mean.value is not None)
+    parts = tuple((weight**2 * variance, df) for mean, weight in used for variance, df in mean.parts)
+    return Mean(value, parts, n, least)
 
-    Welch-Satterthwaite degrees of freedom; with two groups and weights (1, -1) it is Welch's t. Groups with
-    weight 0 are left out, so they may be empty. A group without spread counts as known exactly, because
-    leaving it out (agents that never crash) would bias the sum; "degenerate" only if no group has any.
-    """
-    if len(groups) != len(weights):
-        raise ValueError(f"{len(groups)} groups but {len(weights)} weights")
-    used = [(_array(g), float(w)) for g, w in zip(groups, weights, strict=True) if w != 0]
-    arrays = [array for array, _ in used]
-    value = float(sum(w * a.mean() for a, w in used)) if all(len(a) for a in arrays) else None
-    if (none := _no_interval(arrays, value, any)) is not None:
-        return none
-    assert value is not None
-    parts = np.array([w**2 * a.var(ddof=1) / len(a) for a, w in used])
-    df = float(parts.sum() ** 2 / sum(part**2 / (len(a) - 1) for part, a in zip(parts, arrays, strict=True)))
-    se = float(np.sqrt(parts.sum()))
+
+def interval(mean: Mean, confidence: float = 1 - ALPHA) -> Estimate:
+    """The mean with its t interval."""
+
+    def none(status: str, reason: str) -> Estimate:
+        return Estimate(mean.value, None, None, None, None, mean.n, status, reason)
+
+    if mean.least == 0 or mean.value is None:
+        return none(MISSING, "no trained agent in one of the arms")
+    if mean.least == 1:
+        found = " and ".join(map(str, mean.n))
+        return none(ONE_SEED, f"an interval needs two training seeds in every arm, here {found}")
+    se = float(np.sqrt(mean.variance))
+    if se <= 1e-12 * max(1.0, abs(mean.value)):
+        return none(DEGENERATE, "nothing varies between seeds or scenarios, so no interval can be computed")
+    df = mean.df
     half = float(stats.t.ppf(0.5 + confidence / 2, df)) * se
-    p = float(2 * stats.t.sf(abs(value) / se, df))
-    return Estimate(value, value - half, value + half, p, df, tuple(len(a) for a in arrays), OK)
-
-
-def pooled(strata: Sequence[tuple[Values, Values]]) -> Estimate:
-    """Mean over strata (cells of the grid) of treatment minus control; every stratum weighs the same.
-
-    Fixed effects, variance from the seeds within strata. Equal weights and not inverse variances: with a
-    handful of seeds an estimated variance is itself uncertain by a factor of 2-4, and a degenerate cell
-    would take all.
-    """
-    if not strata:
-        return Estimate(None, None, None, None, None, (0, 0), MISSING, "no comparison to pool")
-    groups = [values for pair in strata for values in pair]
-    result = contrast(groups, [sign / len(strata) for _ in strata for sign in (1, -1)])
-    return replace(result, n=(sum(len(t) for t, _ in strata), sum(len(c) for _, c in strata)))
+    p = float(2 * stats.t.sf(abs(mean.value) / se, df))
+    return Estimate(mean.value, mean.value - half, mean.value + half, p, df, mean.n, OK, None, se)
 
 
 def slope_weights(x: Sequence[float]) -> list[float]:
@@ -173,28 +178,11 @@ def slope_weights(x: Sequence[float]) -> list[float]:
     Raises:
         ValueError: fewer than two different x.
     """
-    array = _array(x)
+    array = np.asarray(x, dtype=np.float64)
     centred = array - array.mean()
-    if len(array) < 2 or is_constant(array):
+    if len(array) < 2 or not (centred != 0).any():
         raise ValueError(f"a slope needs at least two different levels, got {list(x)}")
     return [float(w) for w in centred / (centred**2).sum()]
-
-
-def effect_slope(x: Sequence[float], strata: Sequence[tuple[Values, Values]]) -> Estimate:
-    """Change of (treatment minus control) per unit of x, e.g. per traffic level.
-
-    strata[k]: seed means of (treatment, control) at x[k].
-    """
-    weights = slope_weights(x)
-    groups = [values for pair in strata for values in pair]
-    return contrast(groups, [sign * w for w in weights for sign in (1, -1)])
-
-
-def mean_slope(x: Sequence[float], strata: Sequence[tuple[Values, Values]]) -> Estimate:
-    """Change of the outcome itself per unit of x, averaged over the two arms; strata as in `effect_slope`."""
-    weights = slope_weights(x)
-    groups = [values for pair in strata for values in pair]
-    return contrast(groups, [w / 2 for w in weights for _ in (0, 1)])
 
 
 def _adjust(
@@ -224,53 +212,102 @@ def benjamini_hochberg(p_values: Sequence[float | None]) -> list[float | None]:
     return _adjust(p_values, stats.false_discovery_control)
 
 
-def iqm(values: Values) -> float:
-    """Interquartile mean: the mean of the middle half (Agarwal et al. 2021)."""
-    return float(stats.trim_mean(_array(values), 0.25))
+def holm_levels(p_values: Sequence[float], alpha: float = ALPHA) -> list[float]:
+    """The level at which Holm's procedure tests each hypothesis; those after the first failure share its level.
 
-
-def equivalence(treatment: Values, control: Values, margin: float) -> float | None:
-    """p-value of "the arms differ by margin or more" (two one-sided Welch tests); small means equivalent.
-
-    None where no interval can be had either.
+    An interval at 1 - level excludes 0 exactly where Holm rejects.
     """
-    t, c = _array(treatment), _array(control)
-    if _no_interval((t, c), None) is not None:
+    if not len(p_values):
+        return []
+    order = np.argsort(p_values, kind="stable")
+    levels, steps = np.empty(len(order)), alpha / np.arange(len(order), 0, -1)
+    failed = next((k for k, i in enumerate(order) if p_values[i] >= steps[k]), len(order) - 1)
+    levels[order] = np.minimum(steps, steps[failed])
+    return [float(level) for level in levels]
+
+
+def at_least(p_values: Sequence[float], alpha: float) -> int:
+    """In how many places at least there is an effect, with confidence 1 - alpha (partial conjunction).
+
+    Benjamini and Heller (2008) with Fisher's combination of independent p-values.
+    """
+    ordered = np.sort(np.asarray(p_values, dtype=np.float64))
+    for k in range(len(ordered)):
+        if stats.combine_pvalues(np.maximum(ordered[k:], 1e-300), method="fisher").pvalue > alpha:
+            return k
+    return len(ordered)
+
+
+def iqm(values: Sequence[float]) -> float:
+    """Interquartile mean: the mean of the middle half (Agarwal et al. 2021)."""
+    return float(stats.trim_mean(np.asarray(values, dtype=np.float64), 0.25))
+
+
+def equivalence(mean: Mean, margin: float) -> float | None:
+    """p-value of "the arms differ by margin or more" (two one-sided tests); None without an interval."""
+    found = interval(mean)
+    if found.estimate is None or found.se is None:
         return None
-    return float(ttost_ind(t, c, -margin, margin, usevar="unequal")[0])
+    return float(stats.t.sf((margin - abs(found.estimate)) / found.se, found.df))
 
 
-def ratio(treatment: Values, control: Values) -> Estimate:
+def ratio(treatment: Scores, control: Scores) -> Estimate:
     """mean(treatment) / mean(control) - 1 with Fieller's interval, the "percent" of the paper's figure 7.
 
-    Refused (status "degenerate", nothing but the reason) where the control mean is not clearly different
-    from 0: the ratio then has no bounded interval and its value says nothing. p is of the difference
-    (Welch).
+    Refused (status "degenerate", nothing but the reason) where the control mean is not clearly above 0: near 0 the
+    ratio has no bounded interval, and below 0 a better arm would get a negative percentage. p is of the difference.
     """
-    difference = welch(treatment, control)
-    if difference.status != OK:
-        return difference
-    t, c = _array(treatment), _array(control)
-    df = difference.df
-    assert df is not None
-    q = float(stats.t.ppf(1 - ALPHA / 2, df))
-    variance_t, variance_c = float(t.var(ddof=1) / len(t)), float(c.var(ddof=1) / len(c))
-    mean_t, mean_c = float(t.mean()), float(c.mean())
-    a = mean_c**2 - q**2 * variance_c
-    if a <= 0:
-        reason = "the control mean is not clearly different from 0, so a ratio to it says nothing"
+    difference = linear([(treatment, 1.0), (control, -1.0)])
+    found = interval(difference)
+    if found.status != OK or found.df is None:
+        return found
+    of_t, of_c = linear([(treatment, 1.0)]), linear([(control, 1.0)])
+    q2 = float(stats.t.ppf(1 - ALPHA / 2, found.df)) ** 2
+    t, c = float(treatment.mean()), float(control.mean())
+    together = (of_t.variance + of_c.variance - difference.variance) / 2
+    a = c**2 - q2 * of_c.variance
+    if a <= 0 or c <= 0:
+        reason = "the control mean is not clearly above 0, so a percentage of it says nothing"
         return Estimate(None, None, None, None, None, difference.n, DEGENERATE, reason)
-    b, d = mean_t * mean_c, mean_t**2 - q**2 * variance_t
+    b, d = t * c - q2 * together, t**2 - q2 * of_t.variance
     root = float(np.sqrt(max(b**2 - a * d, 0.0)))
-    low, high = (b - root) / a - 1, (b + root) / a - 1
-    return Estimate(mean_t / mean_c - 1, low, high, difference.p, df, difference.n, OK)
+    return Estimate(t / c - 1, (b - root) / a - 1, (b + root) / a - 1, found.p, found.df, found.n, OK)
 
 
-def detectable(treatment: Values, control: Values, power: float = 0.8) -> float | None:
-    """The smallest true difference that so many seeds of such a spread would detect with the given power."""
-    t, c = _array(treatment), _array(control)
-    if _no_interval((t, c), None) is not None:
+def detectable(se: float, df: float, alpha: float = ALPHA, power: float = POWER) -> float:
+    """The smallest true difference that a two-sided test at alpha with this standard error finds with this power."""
+    limit = float(stats.t.ppf(1 - alpha / 2, df))
+    if df > 200:
+        return (limit + float(stats.norm.ppf(power))) * se
+
+    def lacking(effect: float) -> float:
+        return float(stats.nct.sf(limit, df, effect)) - power
+
+    return float(optimize.brentq(lacking, 0.0, 4 * limit + 10)) * se
+
+
+def seeds_needed(
+    mean: Mean, difference: float, alpha: float = ALPHA, power: float = POWER, most: int = 200
+) -> int | None:
+    """Seeds in each arm with which a difference is found; None if `most` are not enough (or scenarios too few)."""
+    if mean.least < 2 or difference <= 0:
         return None
-    sd = float(np.sqrt((t.var(ddof=1) + c.var(ddof=1)) / 2))
-    effect = TTestIndPower().solve_power(nobs1=len(t), ratio=len(c) / len(t), alpha=ALPHA, power=power)
-    return float(effect) * sd
+    arms = len(mean.n)
+    by_seed = sum(variance * count for (variance, _), count in zip(mean.parts[:arms], mean.n, strict=True))
+    other = sum(variance for variance, _ in mean.parts[arms:])
+
+    def enough(seeds: int) -> bool:
+        se = float(np.sqrt(by_seed / seeds + other))
+        return detectable(se, arms * (seeds - 1), alpha, power) <= difference
+
+    return _first(enough, 2, most)
+
+
+def _first(holds: Callable[[int], bool], low: int, high: int) -> int | None:
+    """The first number for which something that stays true becomes true (bisection)."""
+    if not holds(high):
+        return None
+    while low < high:
+        middle = (low + high) // 2
+        low, high = (low, middle) if holds(middle) else (middle + 1, high)
+    return low

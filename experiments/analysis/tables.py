@@ -1,17 +1,22 @@
-"""From stored episodes to one row a policy: which cells may be compared, and their means.
+"""From stored episodes to tables: which cells may be compared, their means, and the scores of each setting.
 
 A result directory may hold cells of several settings (another budget, other versions). They are never
-mixed: for each task and traffic level one setting is analysed, the others are set aside and named.
+mixed: for each task and traffic level one setting is analysed, the others are set aside and named. So are
+cells whose tables are not complete.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
+import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
+from experiments.analysis.plan import OUTCOMES, PROPORTIONS, TERMS
+from experiments.analysis.statistics import binomial_floor
 from experiments.study.grid import ARMS, TASKS, TRAFFICS
 from experiments.study.store import Results
 from experiments.support.files import canonical_json
@@ -20,42 +25,10 @@ TASK_ORDER = {task: number for number, task in enumerate(TASKS)}
 PLACE = ["backend", "task", "level", "level_name"]  # what a comparison is made within
 
 
-@dataclass(frozen=True)
-class Outcome:
-    """A quantity of a test episode that is averaged and compared.
-
-    label: for people. unit: of a mean. better: +1 if more is better, -1 if less is, 0 if neither. digits:
-    decimals to show. percent: shown as a percentage. poolable: means the same on every task, so may be
-    averaged over tasks. margin: difference below which two arms count as equivalent, None where none was
-    fixed.
-    """
-
-    label: str
-    unit: str
-    better: int
-    digits: int
-    percent: bool = False
-    poolable: bool = False
-    margin: float | None = None
-
-
-OUTCOMES: dict[str, Outcome] = {
-    "return": Outcome("Return", "per episode", +1, 2),
-    "crashed": Outcome("Crash rate", "of episodes", -1, 1, percent=True, poolable=True, margin=0.05),
-    "mean_speed": Outcome("Mean speed", "m/s", 0, 1, poolable=True, margin=0.5),
-    "near_misses": Outcome("Near-misses", "per episode", -1, 2, poolable=True),
-    "reward_per_step": Outcome("Reward per step", "", +1, 3),
-}
-# Decided before looking: the paper's measure, and the one that its conclusion is about.
+# The paper's measure, and the one that its conclusion is about: shown first, everything else is exploratory.
 CONFIRMATORY = ("return", "crashed")
 # Means that describe a policy beside its outcomes.
 DESCRIPTIVE = ("length", "distance", "arrived", "density", "stopped")
-TERMS: dict[str, dict[str, float]] = {
-    "risky": {"risky": 1.0},
-    "regular": {"regular": 1.0},
-    "sum": {"risky": 1.0, "regular": 1.0},
-    "interaction": {"risky": 1.0, "regular": -1.0},
-}
 
 
 def _settings(cell: Mapping[str, Any]) -> dict[str, Any]:
@@ -108,37 +81,95 @@ def comparable(results: Results) -> tuple[Results, list[dict[str, str]]]:
                 own = {setting: value for setting, value in own.items() if not _is_learner(setting)}
             if difference := _difference(own, wanted):
                 left_out.append({"cell": name, "reason": difference})
-    gone = {entry["cell"] for entry in left_out}
+    return without(results, {entry["cell"] for entry in left_out}), left_out
 
-    def keep(table: pd.DataFrame) -> pd.DataFrame:
-        return table[~table["cell"].isin(gone)].reset_index(drop=True) if gone else table
 
-    cells = {name: cell for name, cell in results.cells.items() if name not in gone}
-    tables = {name: keep(getattr(results, name)) for name in ("agents", "episodes", "gate_episodes", "training")}
-    return replace(results, cells=cells, **tables), left_out
+def without(results: Results, gone: set[str]) -> Results:
+    """The results without some cells."""
+    if not gone:
+        return results
+    tables = {
+        name: table[~table["cell"].isin(gone)].reset_index(drop=True)
+        for name in ("agents", "episodes", "gate_episodes", "training")
+        for table in [getattr(results, name)]
+    }
+    return replace(results, cells={k: v for k, v in results.cells.items() if k not in gone}, **tables)
+
+
+def complete(results: Results) -> tuple[Results, list[dict[str, str]]]:
+    """The cells whose tables hold every scenario once and nothing but numbers, and the others with the reason."""
+    incomplete = []
+    tests = dict(tuple(results.episodes.groupby("cell", sort=False))) if len(results.episodes) else {}
+    gates = (
+        dict(tuple(results.gate_episodes.groupby("cell", sort=False))) if len(results.gate_episodes) else {}
+    )
+    for name, cell in results.cells.items():
+        key = cell["key"]
+        own = [t for t, risk in TRAFFICS.items() if not key["arm"] or risk == ARMS.get(key["arm"], risk)]
+        faults = _faults(tests.get(name), int(key["eval"]["episodes"]), list(TRAFFICS), "test")
+        if "gate_episodes" in key["eval"]:
+            faults += _faults(gates.get(name), int(key["eval"]["gate_episodes"]), own, "gate")
+        if faults:
+            incomplete.append({"cell": name, "reason": "; ".join(faults)})
+    return without(results, {entry["cell"] for entry in incomplete}), incomplete
+
+
+def _faults(table: pd.DataFrame | None, wanted: int, traffics: Sequence[str], purpose: str) -> list[str]:
+    """What is wrong with the episodes of a cell, in words."""
+    if table is None:
+        return [f"no {purpose} episodes"]
+    faults = []
+    for traffic in traffics:
+        rows = table[table["traffic"] == traffic]
+        if sorted(rows["scenario"]) != list(range(wanted)):
+            found = rows["scenario"].nunique()
+            twice = ", some twice" if len(rows) > found else ""
+            faults.append(f"{found} of {wanted} {purpose} scenarios in {traffic} traffic{twice}")
+    for column in ("return", "length", "mean_speed", "distance", "near_misses", "crashed"):
+        if column in table and not np.isfinite(table[column].astype(float)).all():
+            faults.append(f"{column} of the {purpose} is not a number")
+    return faults
+
+
+def duplicates(results: Results) -> list[list[str]]:
+    """Groups of trained agents with the same weights: the same cell under several names."""
+    by_weights: dict[str, list[str]] = {}
+    for name, cell in sorted(results.cells.items()):
+        if sha := (cell.get("learner") or {}).get("weights_sha256"):
+            by_weights.setdefault(sha, []).append(name)
+    return [names for names in by_weights.values() if len(names) > 1]
+
+
+def with_outcomes(episodes: pd.DataFrame, cells: Mapping[str, Mapping[str, Any]]) -> pd.DataFrame:
+    """Episodes with the outcomes that are computed from others."""
+    frequency = {name: cell["key"]["env_config"].get("policy_frequency", 1) for name, cell in cells.items()}
+    lasted = episodes["length"] / episodes["cell"].map(frequency).astype(float)
+    crashed = episodes["crashed"].astype(float)
+    grouped = episodes.assign(crashed=crashed).groupby(["cell", "traffic"], sort=False)
+    way, crashes = grouped["distance"].transform("mean"), grouped["crashed"].transform("mean")
+    # A ratio of sums, written so that the mean over an agent's episodes is the ratio and their spread its error.
+    rate = crashes / way
+    per_metre = rate + (crashed - rate * episodes["distance"]) / way
+    return episodes.assign(
+        crashed=crashed,
+        reward_per_step=episodes["return"] / episodes["length"],
+        crash_free_time=episodes["crash_time"].astype(float).where(crashed > 0).fillna(lasted),
+        crashes_per_100_km=per_metre.where(way > 0, 0.0) * 1e5,
+    )
 
 
 def units(episodes: pd.DataFrame) -> pd.DataFrame:
     """One row a cell: its key columns and its mean of every outcome in every traffic.
 
-    Columns "<outcome> <traffic>", for example "crashed risky"; `episodes` is the smaller number of test
-    episodes of the two traffics. A cell that lacks a traffic is left out: nothing can be said about its
-    sum.
+    Columns "<outcome> <traffic>", for example "crashed risky". `episodes` as from `with_outcomes`.
     """
     keys = ["cell", "kind", *PLACE, "arm", "seed", "policy"]
     if episodes.empty:
         return pd.DataFrame(columns=keys)
-    table = episodes.assign(reward_per_step=episodes["return"] / episodes["length"])
     columns = [*OUTCOMES, *DESCRIPTIVE]
-    grouped = table.groupby(["cell", "traffic"], sort=True)
-    wide = grouped[columns].mean().astype(float).unstack("traffic")
+    wide = episodes.groupby(["cell", "traffic"], sort=True)[columns].mean().astype(float).unstack("traffic")
     wide.columns = [f"{outcome} {traffic}" for outcome, traffic in wide.columns]
-    wide["episodes"] = grouped.size().unstack("traffic").min(axis=1)
-    complete = [f"return {traffic}" for traffic in TRAFFICS if f"return {traffic}" in wide]
-    if len(complete) < len(TRAFFICS):
-        return pd.DataFrame(columns=keys)
-    key_table = table[keys].drop_duplicates("cell").set_index("cell")
-    joined = key_table.join(wide.dropna(subset=complete), how="inner").reset_index()
+    joined = episodes[keys].drop_duplicates("cell").set_index("cell").join(wide, how="inner").reset_index()
     joined = joined.assign(order=joined["task"].map(TASK_ORDER))
     return (
         joined.sort_values(["backend", "order", "level", "cell"]).drop(columns="order").reset_index(drop=True)
@@ -150,28 +181,66 @@ def place_order(record: Mapping[str, Any]) -> tuple[str, int, int]:
     return record["backend"], TASK_ORDER[record["task"]], record["level"]
 
 
-def term_values(table: pd.DataFrame, outcome: str, term: str) -> pd.Series:
-    """A term of the treatment effect for each agent, before anything is compared.
+@dataclass(frozen=True)
+class Arm:
+    """The agents of an arm in a setting, in order of their training seeds.
 
-    "risky" and "regular" are the outcome in that traffic, "sum" both together, "interaction" risky minus
-    regular.
+    values: for each outcome an array (traffic in TRAFFICS' order, seed, scenario).
     """
-    return sum(weight * table[f"{outcome} {traffic}"] for traffic, weight in TERMS[term].items())
+
+    seeds: tuple[int, ...]
+    cells: tuple[str, ...]
+    values: Mapping[str, NDArray[np.float64]]
+
+    def scores(self, outcome: str, term: str) -> NDArray[np.float64]:
+        """A term of the treatment effect for each agent and scenario, before anything is compared."""
+        weights = np.array([TERMS[term].get(traffic, 0.0) for traffic in TRAFFICS])
+        scores: NDArray[np.float64] = np.tensordot(weights, self.values[outcome], axes=1)
+        return scores
+
+    def floor(self, outcome: str, term: str) -> float:
+        """The least variance of the arm's mean, see `statistics.binomial_floor`."""
+        if outcome not in PROPORTIONS or not self.seeds:
+            return 0.0
+        return binomial_floor(
+            [x for traffic, x in zip(TRAFFICS, self.values[outcome], strict=True) if traffic in TERMS[term]]
+        )
+
+    def only(self, keep: Sequence[bool]) -> Arm:
+        """Some of the agents."""
+        mask = np.asarray(keep, dtype=bool)
+        seeds = tuple(seed for seed, kept in zip(self.seeds, mask, strict=True) if kept)
+        cells = tuple(cell for cell, kept in zip(self.cells, mask, strict=True) if kept)
+        return Arm(seeds, cells, {name: values[:, mask] for name, values in self.values.items()})
+
+    def below(self, seed: int | None) -> Arm:
+        """The agents of the first batches of seeds; all if no limit is given."""
+        return self if seed is None else self.only([own < seed for own in self.seeds])
 
 
-Pair = Mapping[str, pd.DataFrame]  # arm -> its agents, one row each, indexed by training seed
+Pair = Mapping[str, Arm]  # by name of the arm
+Place = tuple[Any, ...]  # backend, task, level, level_name
 
 
-def pairs(table: pd.DataFrame) -> dict[tuple[Any, ...], Pair]:
-    """The trained agents of a table by place (backend, task, level, level_name), split into the two arms."""
-    agents = table[table["kind"] == "agent"]
-    result: dict[tuple[Any, ...], Pair] = {}
+def settings(episodes: pd.DataFrame) -> dict[Place, Pair]:
+    """The scores of the trained agents by place, in the grid's order; `episodes` as from `with_outcomes`."""
+    agents = episodes[episodes["kind"] == "agent"]
+    if agents.empty:
+        return {}
+    traffic = agents["traffic"].map({name: number for number, name in enumerate(TRAFFICS)})
+    agents = agents.assign(
+        _traffic=traffic, _task=agents["task"].map(TASK_ORDER), seed=agents["seed"].astype(int)
+    )
+    agents = agents.sort_values(["backend", "_task", "level", "arm", "_traffic", "seed", "scenario"])
+    result: dict[Place, Pair] = {}
     for place, group in agents.groupby(PLACE, sort=False):
-        indexed = group.assign(seed=group["seed"].astype(int)).set_index("seed")
-        result[place] = {arm: indexed[indexed["arm"] == arm] for arm in ARMS}
+        by_arm = dict(tuple(group.groupby("arm")))
+        result[place] = {arm: _arm(by_arm.get(arm, group.iloc[:0])) for arm in ARMS}
     return result
 
 
-def arm_values(pair: Pair, outcome: str, term: str) -> tuple[pd.Series, pd.Series]:
-    """A term for each trained agent, (treatment, control), indexed by training seed."""
-    return term_values(pair["treatment"], outcome, term), term_values(pair["control"], outcome, term)
+def _arm(rows: pd.DataFrame) -> Arm:
+    agents = rows.drop_duplicates("cell")
+    shape = (len(TRAFFICS), len(agents), -1) if len(agents) else (len(TRAFFICS), 0, 0)
+    values = {name: rows[name].to_numpy(dtype=np.float64).reshape(shape) for name in OUTCOMES}
+    return Arm(tuple(agents["seed"]), tuple(agents["cell"]), values)

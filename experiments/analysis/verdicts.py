@@ -1,80 +1,92 @@
-"""What the effects say about each claim, and the answer in plain words; decided by intervals, not by eye."""
+"""What the effects say about each claim; decided by tests that the plan names, not by eye."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
-from experiments.analysis.effects import UNINFORMATIVE, Record
-from experiments.analysis.pooling import ALL_TASKS, INFORMATIVE
-from experiments.analysis.statistics import ALPHA, DEGENERATE, MISSING, OK, ONE_SEED
-from experiments.analysis.wording import BACKENDS, count, difference, listing, number, place
+from scipy import stats
+
+from experiments.analysis import statistics
+from experiments.analysis.effects import Record
+from experiments.analysis.plan import DEFAULT, OUTCOMES, Plan
+from experiments.analysis.statistics import DEGENERATE, MISSING, OK, ONE_SEED
+from experiments.analysis.wording import count, difference, listing, number, place
 
 HOLDS, CONTRADICTED, NOT_DECIDED = "holds", "contradicted", "not decided"
+PRIMARY = "primary"  # the outcome that is the plan's primary one on each task
 
 
 @dataclass(frozen=True)
 class Claim:
     """A statement about every task (and level).
 
-    source: "paper" for the paper's own, "crash rate" for the same said of crashes, which is what safety means
-    here.
-    quantity: "ate" (each cell's sum), "effect" (its slope over traffic) or "mean" (the outcome's slope).
-    sign: what the quantity has to be everywhere.
+    source: "paper" for the paper's own, "crash rate" for what this study asks of crashes.
+    quantity: a term of the effect in each setting, "effect" (the slope of the sum over traffic), "mean" (the
+    outcome's slope) or "equivalence" (no difference as large as the margin, in regular traffic).
+    sign: what the quantity has to be everywhere; 0 stands for the side that is better.
     """
 
     text: str
     source: str
     quantity: str
     outcome: str
-    sign: int
+    sign: int = 0
 
 
 CLAIMS = (
     Claim(
         "Training among risky drivers raises the return, on every task and traffic level",
         "paper",
-        "ate",
+        "sum",
         "return",
-        +1,
     ),
-    Claim("This effect on the return grows with traffic, on every task", "paper", "effect", "return", +1),
+    Claim("This effect on the return grows with traffic, on every task", "paper", "effect", "return"),
     Claim("The return falls as traffic grows, on every task", "paper", "mean", "return", -1),
     Claim(
-        "Training among risky drivers lowers the crash rate, on every task and traffic level",
+        "Training among risky drivers lowers the crash rate in risky traffic (on the two-way road: delays it), on "
+        "every task and traffic level",
         "crash rate",
-        "ate",
-        "crashed",
-        -1,
+        "risky",
+        PRIMARY,
     ),
-    Claim("This effect on crashes grows with traffic, on every task", "crash rate", "effect", "crashed", -1),
+    Claim("This effect on crashes grows with traffic, on every task", "crash rate", "effect", "crashed"),
     Claim("The crash rate rises as traffic grows, on every task", "crash rate", "mean", "crashed", +1),
+    Claim(
+        "It changes the crash rate in regular traffic by less than the margin, on every task and traffic level",
+        "crash rate",
+        "equivalence",
+        "crashed",
+    ),
 )
 
 
-def claims(ate: Sequence[Record], slopes: Sequence[Record], grid: Mapping[str, int]) -> list[Record]:
+def claims(
+    ate: Sequence[Record], slopes: Sequence[Record], grid: Mapping[str, int], plan: Plan = DEFAULT
+) -> list[Record]:
     """The verdict on every claim, for each backend.
 
     Args:
         ate: from `effects.effects`. slopes: from `pooling.slopes`.
         grid: number of traffic levels of each task in the complete grid; a claim about every task and level
-        holds
-            only if none of them is missing.
+        holds only if none of them is missing.
 
     Returns:
-        Records with claim, source, backend, outcome, verdict ("holds", "contradicted", "not decided"),
-        reason, cells.
+        Records with claim, source, backend, outcome, verdict ("holds", "contradicted", "not decided"), reason, decides
+        (what would decide it, None where nothing is open), counts (see `decide`), cells.
     """
     result = []
     for backend in dict.fromkeys(record["backend"] for record in ate):
         for claim in CLAIMS:
-            pool = ate if claim.quantity == "ate" else slopes
-            wanted = ("sum" if claim.quantity == "ate" else claim.quantity, backend, claim.outcome)
+            slope = claim.quantity in ("effect", "mean")
             items = [
-                r for r in pool if (r.get("term", r.get("quantity")), r["backend"], r["outcome"]) == wanted
+                r for r in (slopes if slope else ate) if r["backend"] == backend and _is_about(r, claim, plan)
             ]
-            expected = sum(grid.values()) if claim.quantity == "ate" else len(grid)
-            verdict, reason = decide(items, claim.sign, expected, claim.outcome)
+            expected = len(grid) if slope else sum(grid.values())
+            if claim.quantity == "equivalence":
+                verdict, reason, counts = decide_equivalence(items, expected, plan)
+            else:
+                verdict, reason, counts = decide(items, claim.sign, expected, plan)
             result.append(
                 {
                     "claim": claim.text,
@@ -83,151 +95,130 @@ def claims(ate: Sequence[Record], slopes: Sequence[Record], grid: Mapping[str, i
                     "outcome": claim.outcome,
                     "verdict": verdict,
                     "reason": reason,
+                    "decides": _would_decide(items, counts) if verdict == NOT_DECIDED else None,
+                    "counts": counts,
                     "cells": sorted({cell for item in items for cell in item["cells"]}),
                 }
             )
     return result
 
 
-def decide(items: Sequence[Record], sign: int, expected: int, outcome: str) -> tuple[str, str]:
-    """Verdict and reason for "the quantity has this sign in all `expected` places".
+def _is_about(record: Record, claim: Claim, plan: Plan) -> bool:
+    outcome = plan.outcome(record["task"]) if claim.outcome == PRIMARY else claim.outcome
+    term = "regular" if claim.quantity == "equivalence" else claim.quantity
+    return bool((record["outcome"], record.get("term", record.get("quantity"))) == (outcome, term))
 
-    Only records with status "ok" count, after adjustment for their number: one on the wrong side contradicts,
-    all of them on the right side confirm, everything else leaves it open.
+
+def usable(record: Record) -> bool:
+    """Whether a record can count for or against: it has an interval, and a slope is over all levels."""
+    return bool(record["status"] == OK and record.get("complete", True))
+
+
+def decide(
+    items: Sequence[Record], sign: int, expected: int, plan: Plan = DEFAULT
+) -> tuple[str, str, dict[str, int]]:
+    """Verdict, reason and counts for "the quantity has this sign in all `expected` places".
+
+    It holds if each place by itself is significantly on the right side (a conjunction needs no adjustment), and is
+    contradicted if any is on the wrong side after Holm's adjustment. The counts say how far it goes: right and wrong
+    (places on either side after Holm), at_least and wrong_at_least (in so many places at least the effect is on that
+    side, with 97.5 % confidence), open, expected and not_run.
     """
-    sides = [
-        0 if r["status"] != OK or r["p_adjusted"] >= ALPHA else 1 if r["estimate"] * sign > 0 else -1
-        for r in items
-    ]
-    support = [r for r, side in zip(items, sides, strict=True) if side > 0]
-    against = [r for r, side in zip(items, sides, strict=True) if side < 0]
-    parts = [f"as claimed in {len(support)} of {expected}"]
-    if against:
-        found = listing([f"{place(r)} ({difference(r, outcome)})" for r in against])
-        parts.append(f"the opposite in {len(against)}: {found}")
-    open_ = sum(r["status"] == OK and side == 0 for r, side in zip(items, sides, strict=True))
-    if open_:
-        parts.append(f"undecided in {open_} (interval includes 0 after Holm)")
-    for status, words in (
-        (UNINFORMATIVE, "agents fail the gates"),
-        (ONE_SEED, "one training seed an arm"),
-        (DEGENERATE, "no spread between seeds"),
-    ):
-        if found := sum(r["status"] == status for r in items):
-            parts.append(f"no evidence from {found} ({words})")
-    absent = expected - sum(r["status"] != MISSING for r in items)
-    if absent > 0:
-        parts.append(f"{absent} not run")
-    verdict = CONTRADICTED if against else HOLDS if len(support) >= expected else NOT_DECIDED
-    return verdict, "; ".join(parts)
-
-
-def headlines(ate: Sequence[Record], pooled: Sequence[Record], policies: Sequence[Record]) -> list[Record]:
-    """The answer to "does training among risky drivers make an agent safer?", for each backend.
-
-    Returns:
-        Records with backend, answer ("safer", "less safe", "not decided", "no answer"), text (sentences) and
-        cells.
-    """
-    return [
-        _headline(
-            backend,
-            [r for r in ate if (r["backend"], r["outcome"]) == (backend, "crashed")],
-            [r for r in pooled if (r["backend"], r["outcome"]) == (backend, "crashed")],
-            [r for r in policies if r["backend"] == backend],
-        )
-        for backend in dict.fromkeys(record["backend"] for record in policies)
-    ]
-
-
-def _headline(
-    backend: str, ate: Sequence[Record], pooled: Sequence[Record], policies: Sequence[Record]
-) -> Record:
-    name = BACKENDS.get(backend, backend)
-    risky = _overall(pooled, "risky", "informative")
-    if risky is None or risky["status"] != OK:
-        text = [f"On {name} these results give no answer. {_why_not(ate)}"]
-        everything = _overall(pooled, "risky", "all")
-        if everything is not None and everything["estimate"] is not None:
-            text.append(
-                f"For the record, in risky traffic the crash rate of the treated agents differs by "
-                f"{difference(everything, 'crashed')} on average; this number says nothing."
-            )
-        return {"backend": backend, "answer": "no answer", "text": text, "cells": _cells(everything)}
-    used = [r for r in ate if r["status"] in INFORMATIVE]
-    if risky["low"] > 0 or risky["high"] < 0:
-        answer = "safer" if risky["high"] < 0 else "less safe"
-        text = [f"On {name}, agents trained among risky drivers are {answer} in risky traffic."]
-    else:
-        answer = NOT_DECIDED
-        agents = count(risky["seeds"][0], "treated agent")
-        text = [f"On {name}, {agents} are too few to tell: the interval includes 0."]
-    text += [_sentence(used, term, _overall(pooled, term, "informative")) for term in ("risky", "regular")]
-    n, of = risky["comparisons"]
-    text.append(f"This averages {n} of {count(of, 'comparison')}.")
-    if n < of:
-        text.append(
-            f"The others say nothing. {_why_not(ate)} They were set aside after the fact, so read the mean as "
-            "exploratory."
-        )
-    text += _careful(policies)
-    return {"backend": backend, "answer": answer, "text": text, "cells": _cells(risky)}
-
-
-def _overall(pooled: Sequence[Record], term: str, selection: str) -> Record | None:
-    """The mean over all tasks, or over the only one."""
-    found = [r for r in pooled if (r["term"], r["selection"]) == (term, selection)]
-    return next((r for r in found if r["scope"] == ALL_TASKS), found[0] if len(found) == 1 else None)
-
-
-def _cells(record: Record | None) -> list[str]:
-    return record["cells"] if record else []
-
-
-def _sentence(used: Sequence[Record], term: str, mean: Record | None) -> str:
-    rows = [r for r in used if r["term"] == term]
-    if mean is None or not rows:
-        return f"In {term} traffic nothing can be compared."
-    treated, control = (
-        number(sum(r[f"mean_{arm}"] for r in rows) / len(rows), "crashed") for arm in ("treatment", "control")
-    )
-    return (
-        f"In {term} traffic treated agents crash in {treated} of the test episodes and control agents in {control}: "
-        f"a difference of {difference(mean, 'crashed')}."
-    )
-
-
-def _why_not(ate: Sequence[Record]) -> str:
-    """On what the comparisons rest that have no usable effect."""
-    rows = [r for r in ate if r["term"] == "risky"]
-    words = {
-        UNINFORMATIVE: "on agents that fail the gates (see below)",
-        ONE_SEED: "on a single training seed in an arm",
-        DEGENERATE: "on seeds that do not differ at all",
-        MISSING: "on one arm alone",
+    known = [r for r in items if usable(r)]
+    sides = [1 if r["estimate"] * (sign or OUTCOMES[r["outcome"]].better) > 0 else -1 for r in known]
+    pairs = list(zip(known, sides, strict=True))
+    right = [r for r, side in pairs if side > 0 and r["p_adjusted"] < plan.alpha]
+    wrong = [r for r, side in pairs if side < 0 and r["p_adjusted"] < plan.alpha]
+    alone = sum(side > 0 and r["p"] < plan.alpha for r, side in pairs)
+    one_sided = [r["p"] / 2 if side > 0 else 1 - r["p"] / 2 for r, side in pairs]
+    counts = {
+        "expected": expected,
+        "right": len(right),
+        "wrong": len(wrong),
+        "open": len(known) - len(right) - len(wrong),
+        "at_least": statistics.at_least(one_sided, plan.alpha / 2),
+        "wrong_at_least": statistics.at_least([1 - p for p in one_sided], plan.alpha / 2),
+        "not_run": max(0, expected - sum(r["status"] != MISSING for r in items)),
     }
-    counts = {status: sum(r["status"] == status for r in rows) for status in words}
-    found = [f"{n} {'rests' if n == 1 else 'rest'} {words[status]}" for status, n in counts.items() if n]
-    if not found:
-        return "No agents were trained."
-    return f"Of {count(len(rows), 'comparison')} (task and traffic level), {listing(found)}."
+    verdict = CONTRADICTED if wrong else HOLDS if known and alone >= expected else NOT_DECIDED
+    parts = [f"as claimed in {alone if verdict == HOLDS else len(right)} of {expected}"]
+    if counts["at_least"] > len(right):
+        parts[0] += f" one by one, and in {counts['at_least']} at least taken together"
+    if wrong:
+        found = listing([f"{place(r)} ({difference(r, r['outcome'])})" for r in wrong])
+        parts.append(f"the opposite in {len(wrong)}: {found}")
+    if counts["open"] and verdict != HOLDS:
+        parts.append(f"undecided in {counts['open']} (the interval at Holm's level includes 0)")
+    parts += _no_evidence(items)
+    if counts["not_run"]:
+        parts.append(f"{counts['not_run']} not run")
+    return verdict, "; ".join(parts), counts
 
 
-def _careful(policies: Sequence[Record]) -> list[str]:
-    """How the careful driver does where agents were trained: the mark to beat."""
-    means = {}
-    for policy in ("careful", "dqn"):
-        rows = [r for r in policies if r["policy"] == policy and r["traffic"] == "risky"]
-        means[policy] = {(r["task"], r["level"], r["arm"]): r["mean"]["crashed"] for r in rows}
-    places = {key[:2] for key in means["dqn"]} & {key[:2] for key in means["careful"]}
-    if not places:
-        return []
-    careful, trained = (
-        number(sum(values) / len(values), "crashed")
-        for policy in ("careful", "dqn")
-        for values in [[value for key, value in means[policy].items() if key[:2] in places]]
-    )
-    return [
-        f"The mark to beat: a careful driver of fixed rules crashes in {careful} of the same risky episodes, "
-        f"the trained agents of both arms in {trained}."
+def decide_equivalence(
+    items: Sequence[Record], expected: int, plan: Plan = DEFAULT
+) -> tuple[str, str, dict[str, int]]:
+    """The same for "the arms differ by less than the margin in all places" (two one-sided tests in each)."""
+    known = [r for r in items if usable(r) and r.get("equivalence_p") is not None]
+    right = [r for r in known if r["equivalence_p_adjusted"] < plan.alpha]
+    beyond = [float(stats.t.sf((abs(r["estimate"]) - r["margin"]) / r["se"], r["df"])) for r in known]
+    wrong = [
+        r for r, p in zip(known, statistics.holm(beyond), strict=True)
+        if p is not None and p < plan.alpha / 2
+    ]  # fmt: skip
+    alone = sum(r["equivalence_p"] < plan.alpha for r in known)
+    counts = {
+        "expected": expected,
+        "right": len(right),
+        "wrong": len(wrong),
+        "open": len(known) - len(right) - len(wrong),
+        "not_run": max(0, expected - sum(r["status"] != MISSING for r in items)),
+    }
+    verdict = CONTRADICTED if wrong else HOLDS if known and alone >= expected else NOT_DECIDED
+    parts = [f"as claimed in {alone if verdict == HOLDS else len(right)} of {expected}"]
+    if known:
+        parts[0] += f" (margin {number(known[0]['margin'], known[0]['outcome'])})"
+    if wrong:
+        found = listing([f"{place(r)} ({difference(r, r['outcome'])})" for r in wrong])
+        parts.append(f"a larger difference in {len(wrong)}: {found}")
+    if counts["open"] and verdict != HOLDS:
+        parts.append(f"undecided in {counts['open']}")
+    parts += _no_evidence(items)
+    if counts["not_run"]:
+        parts.append(f"{counts['not_run']} not run")
+    return verdict, "; ".join(parts), counts
+
+
+def _no_evidence(items: Sequence[Record]) -> list[str]:
+    parts = [
+        f"no evidence from {found} ({words})"
+        for status, words in ((ONE_SEED, "one training seed an arm"), (DEGENERATE, "nothing varies"))
+        if (found := sum(r["status"] == status for r in items))
     ]
+    partial = sum(r["status"] == OK and not r.get("complete", True) for r in items)
+    return [*parts, f"no evidence from {partial} (traffic levels are missing)"] if partial else parts
+
+
+def _would_decide(items: Sequence[Record], counts: Mapping[str, int]) -> str:
+    """What would decide an open claim, in words."""
+    words = []
+    if counts["not_run"]:
+        words.append(f"the {count(counts['not_run'], 'setting')} that were not run")
+    if few := sum(r["status"] == ONE_SEED for r in items):
+        words.append(f"a second training seed in {few}")
+    open_ = [r for r in items if usable(r) and r["p_adjusted"] >= DEFAULT.alpha]
+    planned = [r for r in open_ if "seeds_needed" in r]
+    needed = sorted(r["seeds_needed"] for r in planned if r["seeds_needed"] is not None)
+    if needed:
+        margin = (
+            number(planned[0]["margin"], planned[0]["outcome"]) if "margin" in planned[0] else "the margin"
+        )
+        words.append(
+            f"{needed[-1]} seeds in each arm, to find an effect of {margin} in {len(needed)} of the open ones"
+        )
+    elif found := [r["detectable"] for r in open_ if r.get("detectable") is not None]:
+        middle = sorted(found)[len(found) // 2]
+        words.append(
+            f"more seeds or scenarios: these find an effect of {number(middle, open_[0]['outcome'])} or more"
+        )
+    return "; ".join(words) or "an effect in the settings that show none"

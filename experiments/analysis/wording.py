@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-from experiments.analysis.tables import OUTCOMES
+from experiments.analysis.plan import OUTCOMES
 
 MINUS = "\N{MINUS SIGN}"
 NONE = "\N{EN DASH}"  # where there is no number
@@ -44,6 +44,14 @@ def interval(record: Mapping[str, Any], outcome: str) -> str:
     if record["low"] is None:
         return ""
     low, high = (number(record[bound], outcome, signed=True) for bound in ("low", "high"))
+    return f"[{low}, {high}]"
+
+
+def adjusted(record: Mapping[str, Any], outcome: str) -> str:
+    """The interval at the level of the record's family, or a dash."""
+    if record.get("low_adjusted") is None:
+        return NONE
+    low, high = (number(record[f"{bound}_adjusted"], outcome, signed=True) for bound in ("low", "high"))
     return f"[{low}, {high}]"
 
 

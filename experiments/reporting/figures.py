@@ -22,10 +22,9 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator, NullFormatter
 from scipy import stats
 
-from experiments.analysis.effects import UNINFORMATIVE
 from experiments.analysis.gates import Q_SLACK
-from experiments.analysis.statistics import ALPHA
-from experiments.analysis.tables import OUTCOMES, TASK_ORDER
+from experiments.analysis.plan import ALPHA, OUTCOMES
+from experiments.analysis.tables import TASK_ORDER
 from experiments.analysis.wording import MINUS
 from experiments.study.grid import ARMS, TRAFFICS
 
@@ -213,7 +212,7 @@ def _name_rows(
 def effects_by_place(records: Sequence[Mapping[str, Any]], outcome: str) -> str:
     """Treatment effects with their intervals for every task and level (the paper's figure 7).
 
-    Uninformative ones are hollow. records: of `effects.effects`, one backend.
+    Hollow where agents fail the gates. records: of `effects.effects`, one backend.
     """
     records = [r for r in records if r["outcome"] == outcome]
     rows = _place_rows(records)
@@ -225,7 +224,7 @@ def effects_by_place(records: Sequence[Mapping[str, Any]], outcome: str) -> str:
             if r["term"] != term or r["estimate"] is None:
                 continue
             y = rows[r["task"], r["level"]]
-            hollow = r["status"] == UNINFORMATIVE
+            hollow = any(r["failed"])
             colour = MUTED if hollow else INK
             if r["low"] is not None:
                 panel.plot([r["low"], r["high"]], [y, y], color=colour, lw=1.1 if hollow else 1.8, alpha=0.9)
@@ -241,7 +240,7 @@ def effects_by_place(records: Sequence[Mapping[str, Any]], outcome: str) -> str:
     _name_rows(axes[0, 0], rows, records)
     handles = [
         Line2D([], [], color=INK, marker="o", label="95 % interval"),
-        Line2D([], [], color=MUTED, marker="o", mfc=PAPER, lw=1.1, label="uninformative (gates failed)"),
+        Line2D([], [], color=MUTED, marker="o", mfc=PAPER, lw=1.1, label="some agents fail the gates"),
         Line2D([], [], color=INK, marker="D", ls="", label="no interval"),
     ]
     figure.legend(handles=handles, loc="outside lower center", ncols=3)

@@ -9,7 +9,8 @@ from typing import Any
 from markupsafe import Markup
 
 from experiments.analysis.effects import Record
-from experiments.analysis.tables import CONFIRMATORY, OUTCOMES, TASK_ORDER
+from experiments.analysis.plan import OUTCOMES
+from experiments.analysis.tables import CONFIRMATORY, TASK_ORDER
 from experiments.reporting import collision_figures, figures
 from experiments.study.store import Results
 
@@ -45,7 +46,8 @@ def backend_figures(
                 Shown(
                     f"Treatment effect on the {OUTCOMES[outcome].label.lower()}",
                     "Treatment minus control for every task and traffic level, with 95 % intervals over training "
-                    f"seeds, not adjusted for their number. Hollow: agents fail the gates. {side}",
+                    "seeds and test scenarios, not adjusted for their number. Hollow: some agents fail the gates. "
+                    f"{side}",
                     _safe(figures.effects_by_place(own["ate"], outcome)),
                 )
             )

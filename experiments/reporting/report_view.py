@@ -6,10 +6,12 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from experiments.analysis.effects import UNINFORMATIVE, Record
+from experiments.analysis.effects import Record
 from experiments.analysis.gates import FAILURES, GATES
-from experiments.analysis.statistics import ALPHA, MISSING
-from experiments.analysis.tables import CONFIRMATORY, OUTCOMES, TASK_ORDER, TERMS
+from experiments.analysis.plan import ALPHA, OUTCOMES, TERMS
+from experiments.analysis.pooling import ALL_TASKS
+from experiments.analysis.statistics import MISSING
+from experiments.analysis.tables import CONFIRMATORY, TASK_ORDER
 from experiments.analysis.wording import BACKENDS, count, listing, place
 from experiments.reporting.report_figures import backend_figures
 from experiments.study.estimate import duration
@@ -17,6 +19,11 @@ from experiments.study.grid import ARMS
 from experiments.study.store import Results
 from experiments.validation import status
 
+# Parts of an analysis that are lists of records of one simulator each.
+PARTS = (
+    "headlines", "claims", "ate", "pooled", "slopes", "placebo", "gates", "policies", "failures", "sensitivity",
+    "second_batch",
+)  # fmt: skip
 NOT_VALIDATED = "not validated"
 HOW_TO_VALIDATE = (
     "How close these SUMO tasks are to highway-env was not measured; "
@@ -57,6 +64,18 @@ def warnings(analysis: Mapping[str, Any]) -> list[str]:
         words.append(
             f"{count(len(failed), 'cell')} failed: " + listing([f"{k} ({v})" for k, v in failed.items()], 3)
         )
+    if damaged := analysis["damaged"]:
+        words.append(
+            f"{count(len(damaged), 'cell')} cannot be read and {'is' if len(damaged) == 1 else 'are'} not counted: "
+            + listing(list(damaged.values()), 3)
+        )
+    if incomplete := analysis["incomplete"]:
+        named = [f"{entry['cell']} ({entry['reason']})" for entry in incomplete]
+        words.append(
+            f"{count(len(incomplete), 'cell')} with incomplete tables not counted: {listing(named, 3)}"
+        )
+    for names in analysis["duplicates"]:
+        words.append(f"The same agent is stored under {count(len(names), 'name')}: {listing(names, 3)}.")
     if left_out := analysis["left_out"]:
         first = left_out[0]
         words.append(
@@ -144,10 +163,7 @@ def backend_section(
     backend: str, results: Results, analysis: Mapping[str, Any], left_out: set[str]
 ) -> dict[str, Any]:
     """Everything that is shown for one simulator."""
-    own = {
-        part: [record for record in analysis[part] if record["backend"] == backend]
-        for part in ("headlines", "claims", "ate", "pooled", "slopes", "placebo", "gates", "policies")
-    }
+    own = {part: [record for record in analysis[part] if record["backend"] == backend] for part in PARTS}
     cells = {
         name: cell
         for name, cell in results.cells.items()
@@ -164,6 +180,11 @@ def backend_section(
         "slopes": [r for r in own["slopes"] if r["quantity"] == "effect"],
         "trends": [r for r in own["slopes"] if r["quantity"] == "mean"],
         "placebo": own["placebo"],
+        "failures": own["failures"],
+        "sensitivity": own["sensitivity"],
+        "second_batch": own["second_batch"],
+        "heterogeneity": [r for r in own["pooled"] if r["outcome"] == "crashed" and r["term"] == "risky"],
+        "overall": ALL_TASKS,
         "gates": gate_rows(own["gates"]),
         "agents": own["gates"],
         "policies": policy_rows(own["policies"]),
@@ -183,43 +204,35 @@ def effect_rows(ate: Sequence[Record], outcome: str) -> list[Record]:
             row["terms"][record["term"]] = record
     for row in rows.values():
         total = row["terms"]["sum"]
+        tested = next((r for r in row["terms"].values() if r["family"]), total)
         # The terms of a row share most of their reasons; each is said once, those of the sum first.
-        texts = [r["reason"] for r in (total, *row["terms"].values()) if r["reason"]]
+        texts = [text for r in (total, *row["terms"].values()) for text in (r["gates"], r["reason"]) if text]
         reasons = dict.fromkeys(part for text in texts for part in text.split("; "))
         row |= {
             "status": total["status"],
             "seeds": total["seeds"],
             "reasons": list(reasons),
-            "muted": total["status"] in (UNINFORMATIVE, MISSING),
-            "p": total["p_adjusted"],
+            "muted": total["status"] == MISSING,
+            "tested": tested,
             "cells": total["cells"],
         }
         regular = row["terms"]["regular"]
-        row["equivalent"] = (regular.get("equivalence_p") or 1.0) < ALPHA
+        p = regular.get("equivalence_p_adjusted")
+        row["equivalent"] = p is not None and p < ALPHA
     return list(rows.values())
 
 
 def pooled_rows(pooled: Sequence[Record], outcome: str) -> list[Record]:
-    """One row a scope and selection, without those that average a single comparison or repeat another row."""
-    rows: dict[tuple[str, str], Record] = {}
+    """One row a scope, without those that average a single comparison."""
+    rows: dict[str, Record] = {}
     for record in pooled:
         if record["outcome"] == outcome:
-            key = (record["scope"], record["selection"])
-            row = rows.setdefault(key, {"scope": key[0], "selection": key[1], "terms": {}})
+            row = rows.setdefault(record["scope"], {"scope": record["scope"], "terms": {}})
             row["terms"][record["term"]] = record
     for row in rows.values():
-        row["comparisons"] = row["terms"]["sum"]["comparisons"]
-        row["cells"] = row["terms"]["sum"]["cells"]
-        row["anchor"] = anchor(row["terms"]["sum"])
-    for (scope, selection), row in rows.items():
-        sound = rows[scope, "informative"]["comparisons"]
-        row["muted"] = selection == "all" and row["comparisons"] != sound
-    return [
-        row
-        for (scope, selection), row in rows.items()
-        if row["comparisons"][1] > 1
-        and (selection == "all" or row["comparisons"] != rows[scope, "all"]["comparisons"])
-    ]
+        total = row["terms"]["sum"]
+        row |= {"comparisons": total["comparisons"], "cells": total["cells"], "anchor": anchor(total)}
+    return [row for row in rows.values() if row["comparisons"][1] > 1]
 
 
 def gate_rows(verdicts: Sequence[Record]) -> list[Record]:

@@ -8,13 +8,16 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+from scipy import stats
 
 from experiments.analysis.analysis import analyse, summary_table
-from experiments.analysis.effects import effects, placebo
-from experiments.analysis.pooling import slopes
-from experiments.analysis.statistics import welch
-from experiments.analysis.tables import OUTCOMES, TERMS, comparable, units
-from experiments.analysis.verdicts import claims, decide
+from experiments.analysis.effects import effects
+from experiments.analysis.plan import DEFAULT, OUTCOMES, TERMS, TWO_BATCHES, as_data, digest
+from experiments.analysis.pooling import failures, slopes
+from experiments.analysis.sensitivity import learnt, second_batch, sensitivity
+from experiments.analysis.statistics import interval, linear
+from experiments.analysis.tables import Arm, comparable
+from experiments.analysis.verdicts import claims, decide, decide_equivalence
 from experiments.study import store
 from experiments.study.grid import BASELINES
 from tests.experiments import synthetic
@@ -45,40 +48,67 @@ def find(records, **wanted):
     return found
 
 
-def agents(levels, seeds, random, effect=0.0, spread=1.0, outcome="return"):
-    """A table as `tables.units` makes it, of one task with many levels; every outcome is normally distributed."""
-    rows = []
+def agents(levels, seeds, random, effect=0.0, spread=1.0, task="highway", growth=0.0):
+    """Settings of one task, each agent with the same score in all scenarios of a traffic, in every outcome."""
+    result = {}
     for level in range(1, levels + 1):
+        pair = {}
         for arm in ("control", "treatment"):
-            for seed in range(seeds):
-                row = {"cell": f"{level}-{arm}-{seed}", "kind": "agent", "backend": "sumo", "task": "highway"}
-                row |= {"level": level, "level_name": str(level), "arm": arm, "seed": seed, "policy": "dqn"}
-                own = random.normal(0, spread)
-                for traffic in ("regular", "risky"):
-                    value = 10 + own + random.normal(0, 0.3) + effect * (arm == "treatment")
-                    row |= {f"{name} {traffic}": value for name in OUTCOMES}
-                rows.append(row)
-    return pd.DataFrame(rows)
+            own = random.normal(0, spread, (1, seeds, 1)) + random.normal(0, 0.3 * spread, (2, seeds, 1))
+            added = (effect + growth * level) * (arm == "treatment")
+            scores = 10 + own + added + random.normal(0, 0.01 * spread, (2, seeds, 5))
+            cells = tuple(f"{task}-{level}-{arm}-{seed}" for seed in range(seeds))
+            pair[arm] = Arm(tuple(range(seeds)), cells, dict.fromkeys(OUTCOMES, scores))
+        result["sumo", task, level, str(level)] = pair
+    return result
+
+
+def verdict(cell, passed, arm):
+    """The verdict of the gates on an agent."""
+    return {"cell": cell, "passed": passed, "arm": arm, "failed": [] if passed else ["q_bounded"], "gates": {
+        name: {"passed": passed} for name in ("q_bounded", "not_constant", "crosses", "beats_constant")
+    }}  # fmt: skip
+
+
+class TestPlan:
+    def test_is_in_the_analysis_with_its_digest(self, analysis):
+        assert analysis["plan"]["primary_outcome"] == "crashed"
+        assert analysis["plan_hash"] == digest(analysis["plan"])
+
+    def test_another_choice_is_another_digest(self):
+        other = replace(DEFAULT, primary_term="sum")
+        assert digest(as_data(other, {})) != digest(as_data(DEFAULT, {}))
+        assert digest(as_data(DEFAULT, {"gate": "another"})) != digest(as_data(DEFAULT, {}))
+
+    def test_on_the_two_way_road_the_time_to_crash_is_primary(self):
+        random = np.random.default_rng(0)
+        for task, outcome in (("highway", "crashed"), ("two-way", "crash_free_time")):
+            safety = [r for r in effects(agents(1, 3, random, task=task)) if r["family"] == "safety"]
+            assert [(r["outcome"], r["term"]) for r in safety] == [(outcome, "risky")]
 
 
 class TestEffects:
     def test_equals_the_formula_on_seed_means(self, results, analysis):
-        """ATE = (T - C) in risky + (T - C) in regular, from one number an agent."""
+        """ATE = (T - C) in risky + (T - C) in regular; the scenarios are those of both traffics."""
         chosen = results.episodes.query("task == 'highway' and level == 1 and kind == 'agent'")
-        means = chosen.groupby(["arm", "seed", "traffic"])["crashed"].mean().unstack("traffic")
+        wide = chosen.assign(crashed=chosen["crashed"].astype(float)).pivot_table(
+            index=["arm", "seed"], columns=["traffic", "scenario"], values="crashed"
+        )
         for term, values in {
-            "risky": means["risky"],
-            "regular": means["regular"],
-            "sum": means["risky"] + means["regular"],
-            "interaction": means["risky"] - means["regular"],
+            "risky": wide["risky"],
+            "regular": wide["regular"],
+            "sum": wide["risky"] + wide["regular"],
+            "interaction": wide["risky"] - wide["regular"],
         }.items():
-            expected = welch(values["treatment"], values["control"])
+            arms = [(values.loc["treatment"].to_numpy(), 1.0), (values.loc["control"].to_numpy(), -1.0)]
+            expected = interval(linear(arms))
             record = find(analysis["ate"], task="highway", level=1, outcome="crashed", term=term)
             assert record["estimate"] == pytest.approx(expected.estimate)
-            assert (record["low"], record["high"]) == pytest.approx((expected.low, expected.high))
             assert record["seeds"] == [4, 4]
             assert record["status"] == "ok"
             assert len(record["cells"]) == 8
+            if term == "regular":  # often enough crashed for no floor
+                assert (record["low"], record["high"]) == pytest.approx((expected.low, expected.high))
 
     def test_every_place_outcome_and_term_is_there_once(self, analysis):
         keys = {(r["task"], r["level"], r["outcome"], r["term"]) for r in analysis["ate"]}
@@ -86,51 +116,43 @@ class TestEffects:
 
     def test_the_printed_formula_is_positive_without_any_effect(self):
         """Its last term is added: about twice the treated agents' mean, whatever the arms do."""
-        table = agents(levels=1, seeds=5, random=np.random.default_rng(3))
-        record = find(effects(table), outcome="return", term="sum")
+        record = find(effects(agents(1, 5, np.random.default_rng(3))), outcome="return", term="sum")
         assert abs(record["estimate"]) < 3
         assert record["literal"] == pytest.approx(record["mean_treatment"], abs=1)
         assert record["literal"] > 15
         assert record["percent"]["estimate"] == pytest.approx(record["estimate"] / record["mean_control"])
 
-    @pytest.mark.parametrize("term", ["sum", "interaction"])
-    def test_false_positives_are_five_percent_from_table_to_verdict(self, term):
-        repeats = 400
-        table = agents(levels=repeats, seeds=5, random=np.random.default_rng(11))
-        records = effects(table, outcomes=["mean_speed"], terms=[term])
-        rejected = sum(r["p"] < 0.05 for r in records) / repeats
-        assert abs(rejected - 0.05) < 4 * np.sqrt(0.05 * 0.95 / repeats)
-
-    def test_holm_for_the_confirmatory_and_benjamini_hochberg_for_the_rest(self, analysis):
-        assert (
-            find(analysis["ate"], task="u-turn", level=1, outcome="return", term="sum")["adjustment"]
-            == "Holm over 5"
-        )
-        assert (
-            "Benjamini"
-            in find(analysis["ate"], task="u-turn", level=1, outcome="return", term="risky")["adjustment"]
-        )
-        assert (
-            "Benjamini"
-            in find(analysis["ate"], task="u-turn", level=1, outcome="mean_speed", term="sum")["adjustment"]
-        )
+    def test_families_by_holm_and_the_rest_by_benjamini_hochberg(self, analysis):
+        for outcome, term in (("return", "sum"), ("crashed", "risky")):
+            record = find(analysis["ate"], task="u-turn", level=1, outcome=outcome, term=term)
+            assert record["adjustment"] == "Holm over 5"
+        for outcome, term in (("return", "risky"), ("mean_speed", "sum"), ("crashed", "sum")):
+            record = find(analysis["ate"], task="u-turn", level=1, outcome=outcome, term=term)
+            assert "Benjamini" in record["adjustment"]
         assert all(r["p_adjusted"] is None or r["p_adjusted"] >= r["p"] for r in analysis["ate"])
 
-    def test_arms_that_do_not_vary_are_degenerate(self):
+    def test_agents_that_do_not_vary_are_degenerate(self):
         """Six diverged agents that all drive the same: an effect of exactly 0 is no finding."""
-        table = agents(levels=1, seeds=3, random=np.random.default_rng(0), spread=0.0)
-        for column in [f"{name} {traffic}" for name in OUTCOMES for traffic in ("regular", "risky")]:
-            table[column] = 13.84
-        for record in effects(table):
+        for record in effects(agents(1, 3, np.random.default_rng(0), spread=0.0), outcomes=["return"]):
             assert record["status"] == "degenerate"
             assert record["estimate"] == 0
             assert record["low"] is None and record["p"] is None and record["p_adjusted"] is None
 
-    def test_equivalence_is_tested_in_each_traffic(self):
-        random = np.random.default_rng(5)
-        record = find(effects(agents(1, 10, random, spread=0.01), outcomes=["crashed"]), term="regular")
-        assert record["margin"] == 0.05
-        assert 0 <= record["equivalence_p"] <= 1
+    def test_crashes_per_distance_are_a_ratio_of_sums(self, results, analysis):
+        rows = results.episodes.query(
+            "task == 'highway' and level == 1 and arm == 'control' and traffic == 'risky'"
+        )
+        sums = rows.groupby("seed")[["crashed", "distance"]].sum()
+        record = find(analysis["ate"], task="highway", level=1, outcome="crashes_per_100_km", term="risky")
+        assert record["mean_control"] == pytest.approx((sums["crashed"] / sums["distance"] * 1e5).mean())
+
+    def test_the_time_to_crash_is_at_most_the_episodes(self, results, analysis):
+        rows = results.episodes.query(
+            "task == 'highway' and level == 1 and arm == 'control' and traffic == 'risky'"
+        )
+        time = rows["crash_time"].astype(float).where(rows["crashed"], rows["length"])  # one step in a second
+        record = find(analysis["ate"], task="highway", level=1, outcome="crash_free_time", term="risky")
+        assert record["mean_control"] == pytest.approx(time.groupby(rows["seed"]).mean().mean())
 
 
 class TestGates:
@@ -160,12 +182,12 @@ class TestGates:
         assert gates["beats_constant"]["value"] > gates["beats_constant"]["limit"]
         assert "slower" in gates["beats_constant"]["note"]
 
-    def test_an_agent_that_fails_makes_its_effects_uninformative_but_keeps_the_number(self, analysis):
+    def test_agents_that_fail_are_named_and_counted(self, analysis):
         record = find(analysis["ate"], task="highway", level=2, outcome="crashed", term="sum")
-        assert record["status"] == "uninformative"
-        assert "1 of 4 treatment agents fail (1 constant policy" in record["reason"]
-        assert "1 of 4 control agents fail (1 diverged" in record["reason"]
-        assert record["estimate"] is not None and record["low"] is not None
+        assert record["status"] == "ok"
+        assert record["failed"] == [1, 1]
+        assert "1 of 4 treatment agents fail (1 constant policy" in record["gates"]
+        assert "1 of 4 control agents fail (1 diverged" in record["gates"]
 
     def test_q_that_is_no_longer_finite_fails(self, results):
         name = next(name for name, cell in results.cells.items() if cell["key"]["kind"] == "agent")
@@ -184,107 +206,195 @@ class TestGates:
         changed = analyse(replace(results, episodes=episodes, gate_episodes=gate_episodes, cells=cells))
         record = find(changed["ate"], task="highway", level=1, outcome="crashed", term="sum")
         assert record["status"] == "ok"
-        assert "not checked: not above a constant policy" in record["reason"]
+        assert "not checked: not above a constant policy" in record["gates"]
         assert {v["passed"] for v in changed["gates"]} == {None, False}
 
 
 class TestPooling:
-    def test_mean_over_levels_leaves_out_what_failed(self, analysis):
-        every = find(analysis["pooled"], scope="all tasks", outcome="crashed", term="risky", selection="all")
-        sound = find(
-            analysis["pooled"], scope="all tasks", outcome="crashed", term="risky", selection="informative"
+    def test_every_task_weighs_the_same_over_all_agents(self, analysis):
+        (mean,) = [r for r in analysis["pooled"] if r["primary"]]
+        assert (mean["scope"], mean["outcome"], mean["term"]) == ("all tasks", "crashed", "risky")
+        assert mean["comparisons"] == [5, 5]
+        chosen = pd.DataFrame(
+            [r for r in analysis["ate"] if (r["outcome"], r["term"]) == ("crashed", "risky")]
         )
-        assert every["comparisons"] == [5, 5]
-        assert sound["comparisons"] == [2, 5]
-        chosen = [
-            r for r in analysis["ate"] if (r["outcome"], r["term"], r["status"]) == ("crashed", "risky", "ok")
-        ]
-        assert sound["estimate"] == pytest.approx(np.mean([r["estimate"] for r in chosen]))
+        assert mean["estimate"] == pytest.approx(chosen.groupby("task")["estimate"].mean().mean())
 
     def test_returns_of_different_tasks_are_not_averaged(self, analysis):
         assert not [r for r in analysis["pooled"] if (r["scope"], r["outcome"]) == ("all tasks", "return")]
 
+    def test_heterogeneity_over_settings_and_tasks(self, analysis):
+        (mean,) = [r for r in analysis["pooled"] if r["primary"]]
+        assert mean["over_settings"]["members"] == 5
+        assert mean["over_settings"]["prediction"][0] < mean["over_settings"]["low"]
+        assert mean["over_tasks"]["members"] == 2
+        assert mean["over_tasks"]["prediction"] is None
+
     def test_slope_finds_an_effect_that_grows(self):
-        random = np.random.default_rng(2)
-        table = agents(levels=4, seeds=6, random=random, spread=0.3)
-        treated = table["arm"] == "treatment"
-        for traffic in ("regular", "risky"):
-            table.loc[treated, f"return {traffic}"] += 0.5 * table.loc[treated, "level"]
-        record = find(slopes(table, effects(table)), outcome="return", quantity="effect")
-        assert record["low"] < 1.0 < record["high"]
-        assert record["low"] > 0
-        mean = find(slopes(table, effects(table)), outcome="return", quantity="mean")
+        pairs = agents(4, 6, np.random.default_rng(2), spread=0.3, growth=0.5)
+        found = slopes(pairs, {"highway": 4})
+        record = find(found, outcome="return", quantity="effect")
+        assert 0 < record["low"] < 1.0 < record["high"]
+        assert record["complete"]
+        mean = find(found, outcome="return", quantity="mean")
         assert mean["low"] < 0.25 < mean["high"]
+        assert not find(slopes(pairs, {"highway": 5}), outcome="return", quantity="mean")["complete"]
 
-    def test_an_uninformative_level_makes_the_slope_so(self, analysis):
-        record = find(analysis["slopes"], task="u-turn", outcome="crashed", quantity="effect")
-        assert record["status"] == "uninformative"
-        assert "3, 6" in record["reason"]
+    def test_the_share_of_agents_that_fail_is_an_outcome(self):
+        pairs = agents(3, 6, np.random.default_rng(2))
+        bad = [cell for pair in pairs.values() for cell in pair["treatment"].cells[:3]]
+        record = find(failures(pairs, [verdict(cell, False, "treatment") for cell in bad]), scope="all tasks")
+        assert record["counts"] == [[9, 18], [0, 18]]
+        assert record["estimate"] == pytest.approx(0.5)
+        assert 0 < record["low"] < 0.5 < record["high"]
+
+    def test_no_failure_in_either_arm_has_an_interval(self):
+        record = find(failures(agents(1, 5, np.random.default_rng(2)), []), scope="all tasks")
+        assert record["estimate"] == 0
+        assert 0.1 < record["high"] < 0.6
 
 
-class TestPlacebo:
-    def test_control_against_control_rejects_about_five_percent(self):
-        table = agents(levels=200, seeds=8, random=np.random.default_rng(4), effect=5.0)
-        for record in placebo(table):
-            assert record["comparisons"] == 200
-            assert abs(record["rejected"] / 200 - 0.05) < 4 * np.sqrt(0.05 * 0.95 / 200)
-            assert record["p"] > 1e-4
+class TestSensitivity:
+    def test_without_those_that_fail(self):
+        pairs = agents(2, 5, np.random.default_rng(3), spread=0.1)
+        bad = [verdict(cell, False, "treatment") for p in pairs.values() for cell in p["treatment"].cells[:1]]
+        found = {r["variant"]: r for r in sensitivity(pairs, bad)}
+        assert found["all agents, tasks alike (primary)"]["seeds"] == [10, 10]
+        assert found["agents that pass the gates"]["seeds"] == [8, 10]
+        assert found["agents paired by training seed"]["seeds"] == [10]
 
-    def test_needs_four_control_agents(self):
-        assert placebo(agents(levels=3, seeds=3, random=np.random.default_rng(4))) == []
+    def test_all_variants_agree_on_a_clear_effect(self, analysis):
+        assert len(analysis["sensitivity"]) == 8
+        for record in analysis["sensitivity"]:
+            assert record["estimate"] < 0
+            assert record["p"] < 0.05
+
+    def test_the_permutation_is_exact_for_a_complete_separation(self):
+        pairs = agents(1, 4, np.random.default_rng(3), spread=0.01, effect=5.0)
+        record = find(sensitivity(pairs), variant="permutation of the arms")
+        assert record["p"] == pytest.approx(2 / 70, abs=0.012)
+
+    def test_a_setting_is_learnt_if_its_control_agents_are(self):
+        pairs = agents(2, 4, np.random.default_rng(3))
+        first, second = pairs.values()
+        verdicts = [verdict(cell, False, "treatment") for cell in first["treatment"].cells]
+        verdicts += [verdict(cell, True, "control") for cell in first["control"].cells]
+        verdicts += [verdict(cell, k == 0, "control") for k, cell in enumerate(second["control"].cells)]
+        assert [r["learnt"] for r in learnt(pairs, verdicts)] == [True, False]
+
+
+class TestSecondBatch:
+    def test_goes_where_it_is_open_and_ten_seeds_can_decide(self):
+        pairs = {
+            **agents(1, 5, np.random.default_rng(3), spread=0.02, effect=1.0, task="highway"),  # decided
+            **agents(1, 5, np.random.default_rng(4), spread=0.02, effect=0.0, task="u-turn"),  # open
+            **agents(1, 5, np.random.default_rng(5), spread=0.5, effect=0.1, task="roundabout"),  # hopeless
+        }
+        records = effects(pairs, plan=TWO_BATCHES)
+        found = {r["task"]: (r["extend"], r["reason"]) for r in second_batch(pairs, records, TWO_BATCHES)}
+        assert found["highway"] == (False, "decided")
+        assert found["u-turn"][0]
+        assert found["roundabout"] == (False, "10 seeds would not decide it")
+        assert second_batch(pairs, records, DEFAULT) == []
+
+    def test_the_first_look_has_a_fifth_of_the_error_rate(self):
+        pairs = agents(1, 5, np.random.default_rng(3), effect=1.0)
+        one_look, first = (
+            find(effects(pairs, plan=plan), outcome="return", term="sum")["p"]
+            for plan in (DEFAULT, TWO_BATCHES)
+        )
+        assert first == pytest.approx(min(1.0, 5 * one_look))
+
+    def test_both_looks_count_when_all_seeds_are_there(self):
+        pairs = agents(1, 10, np.random.default_rng(3), effect=1.0)
+        place, pair = next(iter(pairs.items()))
+        early = {place: {name: arm.below(5) for name, arm in pair.items()}}
+        p = [find(effects(x), outcome="return", term="sum")["p"] for x in (early, pairs)]
+        both = find(effects(pairs, plan=TWO_BATCHES), outcome="return", term="sum")["p"]
+        assert both == pytest.approx(min(p[0] / 0.2, p[1] / 0.8, 1.0))
 
 
 class TestClaims:
     @staticmethod
     def records(*values, status="ok"):
-        """Records with estimate and adjusted p."""
+        """Records with estimate, p and Holm's p."""
+        p = [p for _, p in values]
         return [
-            {"task": "highway", "level_name": str(k), "estimate": e, "low": e - 1, "high": e + 1, "p_adjusted": p,
-             "status": status, "cells": []}
-            for k, (e, p) in enumerate(values)
+            {"task": "highway", "level_name": str(k), "outcome": "return", "estimate": e, "low": e - 1, "high": e + 1,
+             "p": p[k], "p_adjusted": min(1, p[k] * len(p)), "status": status, "cells": []}
+            for k, (e, _) in enumerate(values)
         ]  # fmt: skip
 
-    def test_holds_only_if_all_do(self):
-        assert decide(self.records((1, 0.01), (2, 0.04)), +1, 2, "return")[0] == "holds"
-        assert decide(self.records((-1, 0.01), (-2, 0.04)), -1, 2, "return")[0] == "holds"
-        assert decide(self.records((1, 0.01), (2, 0.06)), +1, 2, "return")[0] == "not decided"
+    def test_holds_if_each_does_by_itself(self):
+        """Everywhere at once is the harder claim: it needs no adjustment for the number of places."""
+        assert decide(self.records((1, 0.01), (2, 0.04)), +1, 2)[0] == "holds"
+        assert decide(self.records((-1, 0.01), (-2, 0.04)), -1, 2)[0] == "holds"
+        assert decide(self.records((1, 0.01), (2, 0.06)), +1, 2)[0] == "not decided"
+
+    def test_contradicted_only_after_adjustment(self):
+        assert decide(self.records((1, 0.01), (-2, 0.04)), +1, 2)[0] == "not decided"
 
     def test_places_that_were_not_run_keep_it_open(self):
-        verdict, reason = decide(self.records((1, 0.01), (2, 0.01)), +1, 18, "return")
+        verdict, reason, counts = decide(self.records((1, 0.01), (2, 0.01)), +1, 18)
         assert verdict == "not decided"
         assert "as claimed in 2 of 18" in reason and "16 not run" in reason
+        assert counts["right"] == 2 and counts["not_run"] == 16
+
+    def test_is_graded(self):
+        """Weak evidence in many places: in no single one, but together in some at least."""
+        _, _, counts = decide(self.records(*[(1.0, 0.02)] * 6), +1, 6)
+        assert counts["right"] == 0 and counts["at_least"] >= 4
+        assert counts["wrong_at_least"] == 0
 
     def test_one_on_the_other_side_contradicts_and_is_named(self):
-        verdict, reason = decide(self.records((1, 0.01), (-2, 0.01)), +1, 2, "return")
+        verdict, reason, _ = decide(self.records((1, 0.01), (-2, 0.01)), +1, 2)
         assert verdict == "contradicted"
         assert "highway 1 (−2.00 [−3.00, −1.00])" in reason
 
-    @pytest.mark.parametrize("status", ["uninformative", "degenerate", "no interval: one seed"])
+    @pytest.mark.parametrize("status", ["degenerate", "no interval: one seed"])
     def test_what_is_no_evidence_counts_neither_way(self, status):
         wrong = self.records((-2, 0.01), status=status)
-        assert decide(self.records((1, 0.01)) + wrong, +1, 2, "return")[0] == "not decided"
-        verdict, reason = decide(wrong, +1, 1, "return")
+        assert decide(self.records((1, 0.01)) + wrong, +1, 2)[0] == "not decided"
+        verdict, reason, _ = decide(wrong, +1, 1)
         assert verdict == "not decided"
         assert "no evidence from 1" in reason
 
-    def test_all_six_for_each_simulator(self, analysis):
-        assert len(analysis["claims"]) == 6
+    @pytest.mark.parametrize(
+        ("estimate", "verdict"), [(0.001, "holds"), (0.05, "not decided"), (0.2, "contradicted")]
+    )
+    def test_no_harm_is_an_equivalence(self, estimate, verdict):
+        record = {
+            "task": "highway", "level_name": "50", "outcome": "crashed", "estimate": estimate, "se": 0.01, "df": 8.0,
+            "low": estimate - 0.023, "high": estimate + 0.023, "margin": 0.05, "status": "ok", "cells": [],
+        }  # fmt: skip
+        p = float(stats.t.sf((0.05 - estimate) / 0.01, 8))
+        record |= {"equivalence_p": p, "equivalence_p_adjusted": p}
+        assert decide_equivalence([record], 1)[0] == verdict
+
+    def test_what_would_decide_it_is_said(self, analysis):
+        for claim in analysis["claims"]:
+            assert (claim["decides"] is None) == (claim["verdict"] != "not decided")
+        safety = find(analysis["claims"], outcome="primary")
+        assert "13 settings that were not run" in safety["decides"]
+
+    def test_all_seven_for_each_simulator(self, analysis):
+        assert len(analysis["claims"]) == 7
         assert {claim["source"] for claim in analysis["claims"]} == {"paper", "crash rate"}
         assert all(claim["cells"] for claim in analysis["claims"])
 
     def test_signs_are_those_of_the_claims(self):
-        """Return and crash rate that rise with traffic, and an effect that raises both."""
-        table = agents(levels=3, seeds=8, random=np.random.default_rng(6), spread=0.1, effect=3.0)
-        for name in OUTCOMES:
-            for traffic in ("regular", "risky"):
-                table[f"{name} {traffic}"] += table["level"]
-        records = effects(table)
-        found = claims(records, slopes(table, records), {"highway": 3})
+        """An effect that raises return and crash rate, both of which rise with traffic."""
+        pairs = agents(3, 8, np.random.default_rng(6), spread=0.1, effect=3.0)
+        for (_, _, level, _), pair in pairs.items():
+            for arm in pair.values():
+                arm.values["return"][...] += level  # every outcome shares these scores
+        found = claims(effects(pairs), slopes(pairs, {"highway": 3}), {"highway": 3})
         verdicts = {(claim["source"], claim["claim"].split()[0]): claim["verdict"] for claim in found}
         assert verdicts["paper", "Training"] == "holds"
         assert verdicts["paper", "The"] == "contradicted"
         assert verdicts["crash rate", "Training"] == "contradicted"
         assert verdicts["crash rate", "The"] == "holds"
+        assert verdicts["crash rate", "It"] == "contradicted"
 
 
 class TestHeadline:
@@ -294,10 +404,10 @@ class TestHeadline:
         text = " ".join(headline["text"])
         for words in (
             "points [",
-            "2 of 5 comparisons",
-            "agents that fail the gates",
+            "This averages 5 of 18 settings",
+            "2 of 20 treated and 2 of 20 control agents fail the gates",
             "mark to beat",
-            "exploratory",
+            "every task weighted alike",
         ):
             assert words in text
         assert headline["cells"]
@@ -391,10 +501,4 @@ class TestAnalysis:
         found = analyse(store.load(tmp_path))
         assert {(r["backend"], *r["seeds"]) for r in found["ate"]} == {("sumo", 2, 2), ("highway-env", 3, 3)}
         assert [h["backend"] for h in found["headlines"]] == ["highway-env", "sumo"]
-        assert len(found["claims"]) == 12
-
-    def test_units_leave_out_cells_without_one_of_the_traffics(self, results):
-        name = results.agents["cell"].iloc[0]
-        cut = results.episodes[(results.episodes["cell"] != name) | (results.episodes["traffic"] == "risky")]
-        assert name not in set(units(cut)["cell"])
-        assert len(units(cut)) == len(results.cells) - 1
+        assert len(found["claims"]) == 14

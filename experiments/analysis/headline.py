@@ -1,0 +1,154 @@
+"""The answer to "does training among risky drivers make an agent safer?", in plain words."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from experiments.analysis.effects import Record
+from experiments.analysis.plan import DEFAULT, Plan
+from experiments.analysis.pooling import ALL_TASKS
+from experiments.analysis.statistics import DEGENERATE, MISSING, OK, ONE_SEED
+from experiments.analysis.verdicts import NOT_DECIDED
+from experiments.analysis.wording import BACKENDS, count, difference, listing, number, place
+
+
+def headlines(value: Mapping[str, Any], grid: Mapping[str, int], plan: Plan = DEFAULT) -> list[Record]:
+    """The answer for each backend, by the plan's primary question over all agents.
+
+    Args:
+        value: ate, pooled, failures, claims, learnt and policies of an analysis.
+        grid: number of traffic levels of each task in the complete grid.
+
+    Returns:
+        Records with backend, answer ("safer", "less safe", "not decided", "no answer"), text (sentences) and
+        cells.
+    """
+    parts = ("ate", "pooled", "failures", "claims", "learnt", "policies")
+    return [
+        _headline(backend, {k: [r for r in value[k] if r["backend"] == backend] for k in parts}, grid, plan)
+        for backend in dict.fromkeys(record["backend"] for record in value["policies"])
+    ]
+
+
+def _headline(
+    backend: str, own: Mapping[str, Sequence[Record]], grid: Mapping[str, int], plan: Plan
+) -> Record:
+    name, outcome = BACKENDS.get(backend, backend), plan.primary_outcome
+    rows = [r for r in own["ate"] if r["outcome"] == outcome and r["status"] != MISSING]
+    primary = next((r for r in own["pooled"] if r["primary"]), None)
+    cells = primary["cells"] if primary else []
+    if primary is None or primary["status"] != OK:
+        text = [f"On {name} these results give no answer. {_why_not(own['ate'], outcome)}"]
+        if primary is not None and primary["estimate"] is not None:
+            text.append(
+                f"For the record, in risky traffic the crash rate of the treated agents differs by "
+                f"{difference(primary, outcome)} on average; this number says nothing."
+            )
+        return {"backend": backend, "answer": "no answer", "text": text, "cells": cells}
+    if primary["p"] < plan.alpha:
+        answer = "safer" if primary["estimate"] < 0 else "less safe"
+        text = [f"On {name}, agents trained among risky drivers are {answer} in risky traffic."]
+    else:
+        answer = NOT_DECIDED
+        agents = count(primary["seeds"][0], "treated agent")
+        text = [
+            f"On {name}, {agents} are too few to tell: no difference is certain at the planned error rate."
+        ]
+    if unlearnt := [place(r) for r in own["learnt"] if r["learnt"] is False]:
+        text.insert(0, f"Not learnt, but counted: {listing(unlearnt)}.")
+    for term in ("risky", "regular"):
+        mean = next(
+            r for r in own["pooled"] if (r["scope"], r["outcome"], r["term"]) == (ALL_TASKS, outcome, term)
+        )
+        text.append(_sentence([r for r in rows if r["term"] == term], term, mean, outcome))
+    text.append(_graded(own["claims"], sum(grid.values())))
+    text += _generality(primary, outcome)
+    text += _failing(own["failures"])
+    used, every = primary["comparisons"]
+    if every < sum(grid.values()) or used < every:
+        text.append(f"This averages {used} of {sum(grid.values())} settings (task and traffic level).")
+    return {"backend": backend, "answer": answer, "text": text + _careful(own["policies"]), "cells": cells}
+
+
+def _sentence(rows: Sequence[Record], term: str, mean: Record, outcome: str) -> str:
+    tasks = [r["task"] for r in rows]
+    weights = [1 / len(set(tasks)) / tasks.count(task) for task in tasks]
+    treated, control = (
+        number(sum(w * r[f"mean_{arm}"] for w, r in zip(weights, rows, strict=True)), outcome)
+        for arm in ("treatment", "control")
+    )
+    return (
+        f"In {term} traffic treated agents crash in {treated} of the test episodes and control agents in {control}, "
+        f"over all agents and with every task weighted alike: a difference of {difference(mean, outcome)}."
+    )
+
+
+def _graded(claims: Sequence[Record], settings: int) -> str:
+    safety = next(claim for claim in claims if claim["outcome"] == "primary")
+    counts = safety["counts"]
+    text = (
+        f"One by one, {counts['right']} of {settings} settings are safer and {counts['wrong']} less safe, adjusted for "
+        "their number"
+    )
+    if counts["at_least"] > counts["right"]:
+        text += f"; taken together, at least {counts['at_least']} are safer"
+    return text + "."
+
+
+def _generality(primary: Record, outcome: str) -> list[str]:
+    """How far the answer goes beyond these tasks."""
+    population = primary["over_tasks"]
+    if not population or not population["prediction"]:
+        return []
+    low, high = (number(value, outcome, signed=True) for value in population["prediction"])
+    return [
+        f"The tasks differ with a standard deviation of {number(population['tau'], outcome)}; for another task "
+        f"of their kind one has to expect a difference between {low} and {high} points."
+    ]
+
+
+def _failing(failures: Sequence[Record]) -> list[str]:
+    record = next((r for r in failures if r["scope"] == ALL_TASKS), None)
+    if record is None or not any(failed for failed, _ in record["counts"]):
+        return []
+    (bad_t, of_t), (bad_c, of_c) = record["counts"]
+    return [
+        f"{bad_t} of {of_t} treated and {bad_c} of {of_c} control agents fail the gates: a difference of "
+        f"{difference(record, 'crashed')}."
+    ]
+
+
+def _why_not(ate: Sequence[Record], outcome: str) -> str:
+    """On what the comparisons rest that have no usable effect."""
+    rows = [r for r in ate if (r["outcome"], r["term"]) == (outcome, "risky")]
+    words = {
+        ONE_SEED: "on a single training seed in an arm",
+        DEGENERATE: "on seeds that do not differ at all",
+        MISSING: "on one arm alone",
+    }
+    counts = {status: sum(r["status"] == status for r in rows) for status in words}
+    found = [f"{n} {'rests' if n == 1 else 'rest'} {words[status]}" for status, n in counts.items() if n]
+    if not found:
+        return "No agents were trained."
+    return f"Of {count(len(rows), 'comparison')} (task and traffic level), {listing(found)}."
+
+
+def _careful(policies: Sequence[Record]) -> list[str]:
+    """How the careful driver does where agents were trained: the mark to beat."""
+    means = {}
+    for policy in ("careful", "dqn"):
+        rows = [r for r in policies if r["policy"] == policy and r["traffic"] == "risky"]
+        means[policy] = {(r["task"], r["level"], r["arm"]): r["mean"]["crashed"] for r in rows}
+    places = {key[:2] for key in means["dqn"]} & {key[:2] for key in means["careful"]}
+    if not places:
+        return []
+    careful, trained = (
+        number(sum(values) / len(values), "crashed")
+        for policy in ("careful", "dqn")
+        for values in [[value for key, value in means[policy].items() if key[:2] in places]]
+    )
+    return [
+        f"The mark to beat: a careful driver of fixed rules crashes in {careful} of the same risky episodes, "
+        f"the trained agents of both arms in {trained}."
+    ]

@@ -1,0 +1,149 @@
+"""The analysis plan as data: what is compared and what decides, fixed before the results are there.
+
+Every module of the analysis reads its choices here, and `digest` goes into analysis.json: two reports with the same
+digest were made by the same plan. Whatever is not named confirmatory is exploratory.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+from experiments.support.files import canonical_json, sha256_bytes
+
+ALPHA = 0.05
+POWER = 0.8
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """A quantity of a test episode that is averaged and compared.
+
+    label: for people. unit: of a mean. better: +1 if more is better, -1 if less is, 0 if neither. digits: decimals to
+    show. percent: shown as a percentage. poolable: means the same on every task, so may be averaged over tasks. margin:
+    the difference that matters: below it two arms count as equivalent, and seeds are planned to find it; None where
+    none was fixed.
+    """
+
+    label: str
+    unit: str
+    better: int
+    digits: int
+    percent: bool = False
+    poolable: bool = False
+    margin: float | None = None
+
+
+OUTCOMES: dict[str, Outcome] = {
+    "return": Outcome("Return", "per episode", +1, 2),
+    "crashed": Outcome("Crash rate", "of episodes", -1, 1, percent=True, poolable=True, margin=0.05),
+    "crash_free_time": Outcome("Time to crash", "s, at most the episode's", +1, 1, margin=1.0),
+    "crashes_per_100_km": Outcome("Crashes per 100 km", "", -1, 1),
+    "mean_speed": Outcome("Mean speed", "m/s", 0, 1, poolable=True, margin=0.5),
+    "near_misses": Outcome("Near-misses", "per episode", -1, 2, poolable=True),
+    "reward_per_step": Outcome("Reward per step", "", +1, 3),
+}
+PROPORTIONS = ("crashed",)  # 0 or 1 in an episode: a mean near 0 or 1 still has an interval
+TERMS: dict[str, dict[str, float]] = {
+    "risky": {"risky": 1.0},
+    "regular": {"regular": 1.0},
+    "sum": {"risky": 1.0, "regular": 1.0},  # the paper's ATE
+    "interaction": {"risky": 1.0, "regular": -1.0},
+}
+
+
+@dataclass(frozen=True)
+class Look:
+    """A planned look at the results: after so many seeds in each arm, with this share of the error rate."""
+
+    seeds: int
+    share: float
+
+
+@dataclass(frozen=True)
+class Family:
+    """Hypotheses that are tested together, with Holm's adjustment over all settings: an outcome in a term."""
+
+    name: str
+    outcome: str
+    term: str
+    equivalence: bool = False
+
+
+@dataclass(frozen=True)
+class Plan:
+    """All choices of an analysis.
+
+    primary: outcome and term of the one primary question, over all agents, with every task weighted alike.
+    outcome_of_task: tasks on which another outcome is the primary one. looks: planned looks; none: the number of seeds
+    was fixed beforehand. learnt: share of the control agents that has to pass the gates for a setting to count as
+    learnt.
+    """
+
+    primary_outcome: str = "crashed"
+    primary_term: str = "risky"
+    outcome_of_task: dict[str, str] = field(default_factory=lambda: {"two-way": "crash_free_time"})
+    families: tuple[Family, ...] = (
+        Family("safety", "primary", "risky"),
+        Family("paper", "return", "sum"),
+        Family("no harm", "crashed", "regular", equivalence=True),
+    )
+    looks: tuple[Look, ...] = ()
+    alpha: float = ALPHA
+    power: float = POWER
+    learnt: float = 0.5
+
+    def outcome(self, task: str) -> str:
+        """The primary outcome of a task."""
+        return self.outcome_of_task.get(task, self.primary_outcome)
+
+    def family(self, task: str, outcome: str, term: str) -> Family | None:
+        """The family that an effect of a setting is tested in; None if it is exploratory."""
+        for family in self.families:
+            wanted = self.outcome(task) if family.outcome == "primary" else family.outcome
+            if not family.equivalence and (outcome, term) == (wanted, family.term):
+                return family
+        return None
+
+    def looks_at(self, seeds: int) -> list[tuple[int | None, float]]:
+        """Looks that so many seeds in an arm allow: (training seeds below this number, share of the error rate).
+
+        The looks share the error rate (Bonferroni), so that it is kept whatever the first look makes one do. A last
+        look at all seeds has no limit (None).
+        """
+        if not self.looks:
+            return [(None, 1.0)]
+        held = [look for look in self.looks if seeds >= look.seeds] or [self.looks[0]]
+        last = held[-1]
+        limits = [(look.seeds, look.share) for look in held[:-1]]
+        return [*limits, (last.seeds, last.share)]
+
+
+DEFAULT = Plan()
+# Five seeds everywhere first, then five more where the first look leaves it open and ten can decide it.
+TWO_BATCHES = Plan(looks=(Look(5, 0.2), Look(10, 0.8)))
+
+
+def plan_of(presets: Iterable[str]) -> Plan:
+    """The plan of results that these presets asked for."""
+    return TWO_BATCHES if "standard" in set(presets) else DEFAULT
+
+
+def as_data(plan: Plan, gates: dict[str, str]) -> dict[str, Any]:
+    """The plan as plain values, with the outcomes, terms and gates that it refers to."""
+    confirmatory = {(family.outcome, family.term) for family in plan.families}
+    return {
+        **asdict(plan),
+        "outcomes": {name: asdict(outcome) for name, outcome in OUTCOMES.items()},
+        "terms": TERMS,
+        "unit": "training seed",
+        "adjustment": "Holm within a family, Benjamini-Hochberg over everything exploratory",
+        "gates": gates,
+        "exploratory": [f"{o} {t}" for o in OUTCOMES for t in TERMS if (o, t) not in confirmatory],
+    }
+
+
+def digest(data: dict[str, Any]) -> str:
+    """SHA-256 of a plan as data."""
+    return sha256_bytes(canonical_json(data).encode())

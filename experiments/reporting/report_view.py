@@ -176,6 +176,7 @@ def backend_section(
         "claims": own["claims"],
         "effects": {outcome: effect_rows(own["ate"], outcome) for outcome in OUTCOMES},
         "confirmatory": CONFIRMATORY,
+        "tested": {r["outcome"] for r in own["ate"] if r["family"]} | set(CONFIRMATORY),
         "pooled": {outcome: pooled_rows(own["pooled"], outcome) for outcome in CONFIRMATORY},
         "slopes": [r for r in own["slopes"] if r["quantity"] == "effect"],
         "trends": [r for r in own["slopes"] if r["quantity"] == "mean"],
@@ -204,7 +205,7 @@ def effect_rows(ate: Sequence[Record], outcome: str) -> list[Record]:
             row["terms"][record["term"]] = record
     for row in rows.values():
         total = row["terms"]["sum"]
-        tested = next((r for r in row["terms"].values() if r["family"]), total)
+        tested = next((r for r in row["terms"].values() if r["family"]), None)
         # The terms of a row share most of their reasons; each is said once, those of the sum first.
         texts = [text for r in (total, *row["terms"].values()) for text in (r["gates"], r["reason"]) if text]
         reasons = dict.fromkeys(part for text in texts for part in text.split("; "))

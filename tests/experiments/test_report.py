@@ -177,6 +177,10 @@ class TestIncomplete:
         assert "No baselines" in page.text
         assert "highway-env is the reference itself" in page.text
 
+    def test_on_the_two_way_road_the_time_to_crash_is_tested(self, tmp_path):
+        page = write(tmp_path, {"two-way": (1,), "u-turn": (1,)}, seeds=3, tests=8)
+        assert page.text.count("exploratory on this task") == 2  # crashes there, the time to crash elsewhere
+
     def test_failed_cells_are_named(self, tmp_path):
         cells = synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=1, tests=4, baselines=("idle",))
         note = {"cells": [*(cell.name for cell in cells), "lost"], "failed": {"lost": "the <simulator> died"}}
@@ -227,6 +231,14 @@ class TestCommand:
         return subprocess.run(
             [sys.executable, str(SCRIPT), *arguments], cwd=cwd, capture_output=True, text=True, timeout=300
         )
+
+    def test_placebo_is_printed_and_nothing_written(self, directory, tmp_path):
+        written = (directory / "report.html").stat().st_mtime_ns
+        done = self.run(str(directory), "--placebo", cwd=tmp_path)
+        assert done.returncode == 0, done.stderr
+        assert "of 3 settings significant" in done.stdout
+        assert "largest effect 0" in done.stdout
+        assert (directory / "report.html").stat().st_mtime_ns == written
 
     def test_works_from_anywhere(self, directory, tmp_path):
         done = self.run(str(directory), cwd=tmp_path)

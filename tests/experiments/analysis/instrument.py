@@ -1,0 +1,292 @@
+"""Error rates of the analysis on made-up studies whose truth is known: false positives, coverage, power.
+
+    python -m tests.experiments.analysis.instrument [REPEATS]
+
+prints the table that docs and tests quote. Crashes come from a probit model: an arm's mean, an agent's own deviation
+(its training seed's), a scenario's difficulty that all agents share, one that only the agents of an arm share, and
+noise. What the planned tests claim holds over new agents *and* new scenarios.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import norm
+
+from experiments.analysis import statistics
+from experiments.analysis.effects import below, contrast, estimated, least
+from experiments.analysis.plan import DEFAULT, OUTCOMES, TWO_BATCHES, Plan
+from experiments.analysis.pooling import _pooled, _slope, balanced, random_effects
+from experiments.analysis.statistics import OK
+from experiments.analysis.tables import Arm, Pair, Place
+
+LEVELS = {"highway": 3, "two-way": 3, "roundabout": 3, "intersection": 5, "u-turn": 4}
+SCENARIOS = 100
+
+
+@dataclass(frozen=True)
+class World:
+    """What a study is drawn from.
+
+    rates: crash rate of control agents in regular and risky traffic. effect: what the treatment adds to both. spread:
+    standard deviation of agents. difficulty: of scenarios. own: of scenarios for one arm alone (all three on the probit
+    scale). bad: share of agents (treatment, control) that crash by `bad_shift` more. tau: standard deviation of the
+    true effect between tasks.
+    """
+
+    rates: tuple[float, float] = (0.25, 0.45)
+    effect: float = 0.0
+    spread: float = 0.3
+    difficulty: float = 1.0
+    own: float = 0.0
+    bad: tuple[float, float] = (0.0, 0.0)
+    bad_shift: float = 0.45
+    tau: float = 0.0
+
+    @property
+    def truth(self) -> float:
+        """The true effect on the crash rate in either traffic."""
+        return self.effect + self.bad_shift * (self.bad[0] - self.bad[1])
+
+
+def setting(
+    world: World, seeds: tuple[int, int], random: np.random.Generator, effect: float | None = None
+) -> Pair:
+    """A setting of a study: seeds of (treatment, control)."""
+    effect = world.effect if effect is None else effect
+    total = np.sqrt(1 + world.spread**2 + world.difficulty**2 + world.own**2)
+    shared = random.normal(0, world.difficulty, (2, 1, SCENARIOS))
+    pair = {}
+    for number, name in enumerate(("treatment", "control")):
+        n = seeds[number]
+        rates = np.array(world.rates)[:, None, None] + (effect if name == "treatment" else 0.0)
+        is_bad = random.uniform(size=(1, n, 1)) < world.bad[number]
+        rates = np.clip(rates + world.bad_shift * is_bad, 1e-12, 1 - 1e-12)
+        common = random.normal(0, world.spread, (1, n, 1))
+        agents = 0.8 * common + 0.6 * random.normal(0, world.spread, (2, n, 1))
+        own = random.normal(0, world.own, (2, 1, SCENARIOS)) if world.own else 0.0
+        latent = shared + own + agents + random.normal(size=(2, n, SCENARIOS))
+        crashed = (latent < norm.ppf(rates) * total).astype(float)
+        reward = 20 - 8 * crashed + shared + 2 * agents + random.normal(0, 2, crashed.shape)
+        cells = tuple(f"{name}-{seed}" for seed in range(n))
+        pair[name] = Arm(tuple(range(n)), cells, {"crashed": crashed, "return": reward})
+    return pair
+
+
+def study(world: World, seeds: int, random: np.random.Generator) -> dict[Place, Pair]:
+    """All 18 settings."""
+    result: dict[Place, Pair] = {}
+    for task, levels in LEVELS.items():
+        effect = world.effect + (random.normal(0, world.tau) if world.tau else 0.0)
+        for level in range(1, levels + 1):
+            result["sumo", task, level, str(level)] = setting(world, (seeds, seeds), random, effect)
+    return result
+
+
+@dataclass(frozen=True)
+class Rates:
+    """What came of many studies, in shares of those with an interval: 0 excluded, truth covered; and without one."""
+
+    rejected: float
+    covered: float
+    without: float
+    repeats: int
+
+
+def measure(draw: Callable[[np.random.Generator], statistics.Estimate], truth: float, repeats: int) -> Rates:
+    """Repeat an estimate."""
+    random = np.random.default_rng(7)
+    rejected = covered = found = 0
+    for _ in range(repeats):
+        estimate = draw(random)
+        if estimate.status == OK:
+            found += 1
+            assert estimate.p is not None and estimate.low is not None and estimate.high is not None
+            rejected += estimate.p < DEFAULT.alpha
+            covered += estimate.low <= truth <= estimate.high
+    at = max(found, 1)
+    return Rates(rejected / at, covered / at, 1 - found / repeats, repeats)
+
+
+def one(world: World, seeds: tuple[int, int], outcome: str, term: str, repeats: int) -> Rates:
+    """The effect of a setting."""
+    truth = world.truth * (2 if term == "sum" else 1)
+    return measure(
+        lambda random: statistics.interval(contrast(setting(world, seeds, random), outcome, term)),
+        truth,
+        repeats,
+    )
+
+
+def primary(world: World, seeds: int, repeats: int) -> Rates:
+    """The primary question: all 18 settings, tasks alike."""
+    return measure(
+        lambda random: statistics.interval(balanced(study(world, seeds, random), "crashed", "risky")),
+        world.effect,
+        repeats,
+    )
+
+
+def population(world: World, seeds: int, repeats: int) -> Rates:
+    """The mean over a population of tasks (random effects)."""
+
+    def draw(random: np.random.Generator) -> statistics.Estimate:
+        pairs = study(world, seeds, random)
+        means = [
+            balanced({k: v for k, v in pairs.items() if k[1] == task}, "crashed", "risky") for task in LEVELS
+        ]
+        found = random_effects([float(m.value or 0) for m in means], [m.variance for m in means])
+        assert found is not None
+        return statistics.Estimate(
+            found["estimate"], found["low"], found["high"], found["p"], found["df"], (5,), OK
+        )
+
+    return measure(draw, world.effect, repeats)
+
+
+def slope(world: World, seeds: int, quantity: str, repeats: int, outcome: str = "return") -> Rates:
+    """A slope over three levels that do not differ."""
+
+    def draw(random: np.random.Generator) -> statistics.Estimate:
+        pairs: dict[Place, Pair] = {
+            ("sumo", "highway", k, str(k)): setting(world, (seeds, seeds), random) for k in (1, 2, 3)
+        }
+        found = _slope(pairs, [1, 2, 3], outcome, quantity, DEFAULT)
+        names = ("estimate", "low", "high", "p", "df")
+        return statistics.Estimate(*(found[name] for name in names), (seeds, seeds), found["status"])
+
+    return measure(draw, 0.0, repeats)
+
+
+def two_batches(world: World, repeats: int, plan: Plan = TWO_BATCHES) -> Rates:
+    """A setting that gets its second batch where the first leaves it open; the p-value is right for both looks."""
+
+    def draw(random: np.random.Generator) -> statistics.Estimate:
+        whole = setting(world, (10, 10), random)
+
+        def of(seed: int | None) -> statistics.Mean:
+            return contrast({name: arm.below(seed) for name, arm in whole.items()}, "crashed", "risky")
+
+        first, _, _ = estimated(of, plan, 5)
+        decided = first.p is not None and first.p < plan.alpha
+        return first if decided else estimated(of, plan, least(whole))[0]
+
+    return measure(draw, world.effect, repeats)
+
+
+def primary_two_batches(world: World, repeats: int, plan: Plan = TWO_BATCHES) -> Rates:
+    """The primary question, where the settings that the first batch leaves open get the second."""
+
+    def draw(random: np.random.Generator) -> statistics.Estimate:
+        whole = study(world, 10, random)
+        early = {place: below(pair, 5) for place, pair in whole.items()}
+        p = [statistics.interval(contrast(pair, "crashed", "risky")).p or 1.0 for pair in early.values()]
+        decided = [q is not None and q < plan.alpha for q in statistics.holm([min(1.0, q / 0.2) for q in p])]
+        mixed = {
+            place: early[place] if done else whole[place] for place, done in zip(whole, decided, strict=True)
+        }
+        found = _pooled(mixed, "crashed", "risky", plan)
+        names = ("estimate", "low", "high", "p", "df")
+        return statistics.Estimate(*(found[name] for name in names), (10, 10), found["status"])
+
+    return measure(draw, world.truth, repeats)
+
+
+def any_setting(world: World, seeds: int, repeats: int, at_least: bool) -> float:
+    """Share of studies that claim an effect in some setting: by Holm, or by "in at least one" (either side)."""
+    random, found = np.random.default_rng(7), 0
+    for _ in range(repeats):
+        estimates = [
+            statistics.interval(contrast(p, "crashed", "risky")) for p in study(world, seeds, random).values()
+        ]
+        p = [e.p if e.p is not None else 1.0 for e in estimates]
+        if at_least:
+            lower = [q / 2 if (e.estimate or 0) < 0 else 1 - q / 2 for e, q in zip(estimates, p, strict=True)]
+            sides = (lower, [1 - q for q in lower])
+            found += any(statistics.at_least(side, DEFAULT.alpha / 2) > 0 for side in sides)
+        else:
+            found += min(q for q in statistics.holm(p) if q is not None) < DEFAULT.alpha
+    return found / repeats
+
+
+def equivalent(seeds: int, repeats: int) -> float:
+    """Share of settings that are called equivalent although they differ by the margin."""
+    random, margin, found = np.random.default_rng(7), OUTCOMES["crashed"].margin or 0.0, 0
+    world = World(rates=(0.1, 0.1), effect=margin, spread=0.05)
+    for _ in range(repeats):
+        p = statistics.equivalence(
+            contrast(setting(world, (seeds, seeds), random), "crashed", "risky"), margin
+        )
+        found += p is not None and p < DEFAULT.alpha
+    return found / repeats
+
+
+WORLDS = {
+    "crash rates .25, .45": World(),
+    "agents differ little": World(spread=0.05),
+    "agents differ much": World(spread=0.8),
+    "scenarios decide": World(difficulty=3.0),
+    "arm x scenario .7": World(own=0.7),
+    "near 0 (.01, .03)": World(rates=(0.01, 0.03)),
+    "at 0 (.0002, .001)": World(rates=(0.0002, 0.001)),
+    "near 1 (.90, .97)": World(rates=(0.90, 0.97)),
+    "planted -.15": World(effect=-0.15, rates=(0.30, 0.50)),
+    "planted, arm x scenario .7": World(effect=-0.15, rates=(0.30, 0.50), own=0.7),
+    "treatment falls to 0": World(effect=-0.0499, rates=(0.05, 0.05)),
+    "one agent in ten bad, both arms": World(rates=(0.05, 0.05), bad=(0.1, 0.1)),
+    "degenerate: one in ten bad, treatment only": World(rates=(0.10, 0.10), bad=(0.1, 0.0), effect=-0.045),
+}
+
+
+def table(repeats: int) -> Iterator[tuple[str, int, Rates]]:
+    """Rows of the table: what was measured, seeds, rates."""
+    for name, world in WORLDS.items():
+        for outcome, term in (("crashed", "risky"), ("crashed", "sum"), ("return", "sum")):
+            if outcome == "crashed" or (world.effect == 0 and not any(world.bad)):
+                for seeds in (3, 5, 10):
+                    yield (
+                        f"{name}: {outcome} {term}",
+                        seeds,
+                        one(world, (seeds, seeds), outcome, term, repeats),
+                    )
+    few = max(repeats // 4, 100)
+    for seeds in (3, 5, 10):
+        yield "primary, no effect", seeds, primary(World(), seeds, few)
+        yield (
+            "primary, planted -.05, arm x scenario .7",
+            seeds,
+            primary(World(effect=-0.05, own=0.7), seeds, few),
+        )
+        yield "primary, near 0, no effect", seeds, primary(World(rates=(0.01, 0.02)), seeds, few)
+        yield "mean of a population of tasks, tau .05", seeds, population(World(tau=0.05), seeds, few)
+        yield "mean of a population of tasks, tau 0", seeds, population(World(), seeds, few)
+        yield "slope of the outcome", seeds, slope(World(), seeds, "mean", repeats)
+        yield "slope of the effect", seeds, slope(World(), seeds, "effect", repeats)
+        yield "slope of the crash rate", seeds, slope(World(), seeds, "mean", repeats, "crashed")
+    yield "two batches, no effect", 10, two_batches(World(), repeats)
+    yield "two batches, planted -.15", 10, two_batches(World(effect=-0.15), repeats)
+    yield "two batches, primary, no effect", 10, primary_two_batches(World(), few)
+    yield "two batches, primary, planted -.03", 10, primary_two_batches(World(effect=-0.03), few)
+    for seeds in (3, 5, 10):
+        for name, share, times in (
+            ("any of 18 settings by Holm, no effect", any_setting(World(), seeds, few, False), few),
+            ("at least one of 18 settings, no effect", any_setting(World(), seeds, few, True), few),
+            ("called equivalent at the margin", equivalent(seeds, repeats), repeats),
+        ):
+            yield name, seeds, Rates(share, 1 - share, 0.0, times)
+    for pair in ((10, 3), (10, 2), (2, 2)):
+        yield (
+            f"unequal seeds {pair}: crashed risky",
+            min(pair),
+            one(World(), pair, "crashed", "risky", repeats),
+        )
+
+
+if __name__ == "__main__":
+    print(f"{'':<62}{'seeds':>6}{'0 excluded':>12}{'covered':>9}{'no interval':>13}   [%]")
+    for name, seeds, rates in table(int(sys.argv[1]) if len(sys.argv) > 1 else 1000):
+        shown = (100 * rates.rejected, 100 * rates.covered, 100 * rates.without)
+        print(f"{name:<62}{seeds:>6}{shown[0]:>12.1f}{shown[1]:>9.1f}{shown[2]:>13.1f}", flush=True)

@@ -114,7 +114,7 @@ def show_placebo(analysis: dict[str, Any]) -> None:
         print("no placebo: a setting needs four control agents, to be dealt into two arms")
     for row in analysis["placebo"]:
         share = f"{row['rejected']} of {row['comparisons']} settings significant (about 5 % expected)"
-        print(f"{wording.BACKENDS[row['backend']]}, {row['outcome']}, sum: {share}")
+        print(f"{wording.BACKENDS.get(row['backend'], row['backend'])}, {row['outcome']}, sum: {share}")
         if row["primary"]:
             found = wording.difference(row["primary"], row["outcome"])
             print(f"  primary question: {found}, p {wording.p_value(row['primary']['p'])}")

@@ -55,10 +55,11 @@ def random_effects(values: Sequence[float], variances: Sequence[float]) -> Recor
     Returns:
         estimate, low, high, p, df, tau (standard deviation between the true effects), i2 (share of the variance that is
         heterogeneity), heterogeneity_p (Cochran's Q), prediction [low, high] (of the effect in another member of the
-        population; None with two of them), members. None for fewer than two effects or one without variance.
+        population; None with three of them), members. None for fewer than three effects (an interval with one degree of
+        freedom says nothing) or one without variance.
     """
     y, v = np.asarray(values, dtype=float), np.asarray(variances, dtype=float)
-    if len(y) < 2 or (v <= 0).any():
+    if len(y) < 3 or (v <= 0).any():
         return None
     with np.errstate(divide="ignore"):  # of its I-squared where all effects are the same, computed below
         found = combine_effects(y, v, method_re="iterated", use_t=True)
@@ -70,7 +71,7 @@ def random_effects(values: Sequence[float], variances: Sequence[float]) -> Recor
     se = float(np.sqrt(max(scale, 1.0) / weights.sum()))
     df = len(y) - 1
     half = float(stats.t.ppf(1 - ALPHA / 2, df)) * se
-    wide = float(stats.t.ppf(1 - ALPHA / 2, df - 1)) * float(np.sqrt(tau2 + se**2)) if df > 1 else None
+    wide = float(stats.t.ppf(1 - ALPHA / 2, df - 1)) * float(np.sqrt(tau2 + se**2)) if df > 2 else None
     q = float(found.q)
     return {
         "estimate": mean,

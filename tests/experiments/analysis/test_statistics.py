@@ -177,9 +177,11 @@ class TestRandomEffects:
         assert found is not None
         assert found["tau"] == 0 and found["i2"] == 0
 
-    def test_needs_two_effects_with_variance(self) -> None:
-        assert random_effects([0.1], [0.01]) is None
-        assert random_effects([0.1, 0.2], [0.0, 0.01]) is None
+    def test_needs_three_effects_with_variance(self) -> None:
+        assert random_effects([0.1, 0.2], [0.01, 0.01]) is None
+        assert random_effects([0.1, 0.2, 0.3], [0.0, 0.01, 0.01]) is None
+        few = random_effects([0.1, 0.2, 0.3], [0.01, 0.01, 0.01])
+        assert few is not None and few["prediction"] is None
 
 
 class TestMultiplicity:

@@ -19,7 +19,7 @@ VALUES = 1e-5  # by which observations (32 bits), rewards and measures may diffe
 
 
 class Case(NamedTuple):
-    """One episode; `level`: name of the task's traffic level, `ego`: of a policy in `agents.rules`."""
+    """One episode; `level`: name of the task's traffic level, `ego`: of a policy in `agents.rules`, `law`: of risk."""
 
     task: str
     variant: str
@@ -27,6 +27,7 @@ class Case(NamedTuple):
     risk: float
     ego: str
     seed: int
+    law: str = "standard"
 
 
 class Outcome(NamedTuple):
@@ -52,7 +53,12 @@ def cases(task: str, count: int, seed: int = 0) -> list[Case]:
 
 def compare(case: Case) -> Outcome:
     """Drive one episode in both, by the same actions: those that the ego's policy takes in highway-env."""
-    config = {**TASKS[case.task].levels[case.level], "risk": case.risk, "variant": case.variant}
+    config = {
+        **TASKS[case.task].levels[case.level],
+        "risk": case.risk,
+        "variant": case.variant,
+        "risk_law": case.law,
+    }
     stock: Any = make_env("highway-env", case.task, config)
     replica: Any = make_env("replica", case.task, config)
     policy = make_policy(case.ego, stock)

@@ -93,10 +93,27 @@ def first_difference(theirs: Any, ours: Any) -> str:
         else ("observation", "reward", "terminated", "truncated", "info")
     )
     for name, a, b in zip(names, theirs, ours, strict=True):
+        if name == "observation" and has_same_rows(a, b):
+            continue
         found = unequal(name, a, b)
         if found:
             return found
     return ""
+
+
+def has_same_rows(theirs: np.ndarray, ours: np.ndarray) -> bool:
+    """Are two observations equal but for the order of their rows?
+
+    Vehicles are sorted by their distance projected on the ego's lane. Those that stand one behind the other across that
+    lane are equally far, up to rounding, and `sumo_env.observation` rounds by its own geometry.
+    """
+    left = list(ours)
+    for row in theirs:
+        same = [k for k, other in enumerate(left) if np.allclose(row, other, rtol=0.0, atol=VALUES)]
+        if not same:
+            return False
+        left.pop(same[0])
+    return True
 
 
 def unequal(name: str, theirs: Any, ours: Any) -> str:

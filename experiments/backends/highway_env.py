@@ -4,9 +4,10 @@ Roads, vehicles, collisions, observations, rewards and endings are highway-env's
 vehicles' places and drivers (the same that `sumo_env` places into SUMO for this seed), the risk events, and, so that
 both simulators are measured alike, the time limit and ``info``.
 
-The configuration is that of `sumo_env`, with ``simulation_frequency`` 15 as in highway-env and one key more:
-``variant`` says how far drivers see beyond the end of their lane (roundabout, intersection and u-turn; the other
-two roads have no joins):
+The configuration is that of `sumo_env`, with ``simulation_frequency`` 15 as in highway-env and two keys more.
+``risk_law`` says who is risky: "standard", as in `sumo_env`, or "linear", see `experiments.backends.linear`.
+``variant`` says how far drivers see beyond the end of their lane (roundabout, intersection and u-turn; the other two
+roads have no joins):
 
     "v0"         not at all (roundabout-v0, intersection-v0, u-turn-v0);
     "connected"  onto the next lanes, distances projected (roundabout-v1, intersection-v2, u-turn-v1);
@@ -28,7 +29,13 @@ from highway_env.envs.common.abstract import AbstractEnv
 from highway_env.road.regulation import RegulatedRoad
 from highway_env.vehicle.kinematics import Vehicle
 
-from experiments.backends.highway_env_vehicle import PathVehicle, ScenarioVehicle
+from experiments.backends.highway_env_vehicle import (
+    LinearScenarioVehicle,
+    PathLinearVehicle,
+    PathVehicle,
+    ScenarioVehicle,
+)
+from experiments.backends.linear import LAWS, LinearDriver, check_law, draw, linear_drivers
 from sumo_env.config import Config, ConfigError, nearest, resolve
 from sumo_env.contacts import measures
 from sumo_env.contacts.crash import CrashRecord, crash_record
@@ -39,7 +46,7 @@ from sumo_env.scene import Scene
 from sumo_env.tasks import TASKS
 from sumo_env.tasks.base import Task
 from sumo_env.traffic.risk import RiskEvent, free_way, has_room
-from sumo_env.traffic.scenario import EGO, EGO_DISTANCE, Scenario, fits
+from sumo_env.traffic.scenario import EGO, EGO_DISTANCE, Scenario, VehicleSpec, fits
 
 VARIANTS = ("v0", "connected", "path")
 # Keys of highway-env that `sumo_env` does not have, as they have to be here.
@@ -68,7 +75,7 @@ class ScenarioEnv(AbstractEnv):
     @classmethod
     def default_config(cls) -> Config:
         """Every key with its default."""
-        own = {**cls.task.defaults, "simulation_frequency": 15, "variant": "path"}
+        own = {**cls.task.defaults, "simulation_frequency": 15, "variant": "path", "risk_law": LAWS[0]}
         return resolve(cls.task.name, own)
 
     def configure(self, config: Mapping[str, Any] | None) -> None:
@@ -83,6 +90,7 @@ class ScenarioEnv(AbstractEnv):
         variant = chosen["variant"]
         if variant not in VARIANTS:
             raise ConfigError(f"unknown 'variant' {variant!r}: {nearest(str(variant), list(VARIANTS))}")
+        check_law(chosen["risk_law"])
         self._offered = interface(self.task, chosen)
         self.actions, self.target_speeds = self._offered.actions, self._offered.target_speeds
         # a ladder that is not given is the task's, as in `sumo_env`; in highway-env it would be the highway's
@@ -144,7 +152,11 @@ class ScenarioEnv(AbstractEnv):
     # -- an episode ----------------------------------------------------------------------------------------
 
     def _reset(self) -> None:
-        self.scenario: Scenario = self.task.scenario(self.config, int(self.np_random.integers(2**31)))
+        seed, is_linear = int(self.np_random.integers(2**31)), self.config["risk_law"] == "linear"
+        self.scenario: Scenario = (
+            draw(self.task, self.config, seed) if is_linear else self.task.scenario(self.config, seed)
+        )
+        self._linear: dict[str, LinearDriver] = linear_drivers(self.scenario) if is_linear else {}
         self._events = list(self.scenario.events)
         self._pushes: dict[str, tuple[float, RiskEvent]] = {}  # vehicle -> end [s] and event
         self.crash: CrashRecord | None = None
@@ -155,9 +167,7 @@ class ScenarioEnv(AbstractEnv):
     def _make_vehicles(self, *_: Any) -> None:
         """Place the scenario, in place of highway-env's draws, and drive its warm-up (`Simulator.reset`)."""
         scenario, spec = self.scenario, self.scenario.ego
-        vehicles = self.road.vehicles = [
-            self._driver().place(self.road, other) for other in scenario.vehicles
-        ]
+        vehicles = self.road.vehicles = [self._placed(other) for other in scenario.vehicles]
         if scenario.warm_up:
             for _frame in range(round(scenario.warm_up * self.config["simulation_frequency"])):
                 self.road.act()
@@ -180,7 +190,16 @@ class ScenarioEnv(AbstractEnv):
         """Add the vehicles that the scenario sends after this policy step, unless another one is within 15 m."""
         for spawn in self.scenario.spawns:
             if spawn.step == step and fits(spawn.vehicle, [tuple(v.position) for v in self.road.vehicles]):
-                self.road.vehicles.append(self._driver().place(self.road, spawn.vehicle))
+                self.road.vehicles.append(self._placed(spawn.vehicle))
+
+    def _placed(self, spec: VehicleSpec) -> ScenarioVehicle:
+        """A vehicle of the scenario, with its driver."""
+        if spec.id not in self._linear:
+            return self._driver().place(self.road, spec)
+        kind = PathLinearVehicle if self._driver() is PathVehicle else LinearScenarioVehicle
+        vehicle = kind.place(self.road, spec)
+        vehicle.drive_as(self._linear[spec.id])
+        return vehicle
 
     def _driver(self) -> type[ScenarioVehicle]:
         return PathVehicle if self.joins and self.config["variant"] == "path" else ScenarioVehicle

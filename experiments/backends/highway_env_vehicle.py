@@ -6,14 +6,15 @@ it every other task of the process.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Self
 
 from highway_env.road.lane import AbstractLane
 from highway_env.road.road import LaneIndex, Road
 from highway_env.utils import not_zero
-from highway_env.vehicle.behavior import IDMVehicle
+from highway_env.vehicle.behavior import IDMVehicle, LinearVehicle
 from highway_env.vehicle.kinematics import Vehicle
 
+from experiments.backends.linear import LinearDriver
 from sumo_env.scene import VEHICLE_LENGTH
 from sumo_env.traffic.scenario import VehicleSpec
 
@@ -36,7 +37,7 @@ class ScenarioVehicle(IDMVehicle):
     _swerve_left = 0.0  # [s] until a swerve into the oncoming lane ends
 
     @classmethod
-    def place(cls, road: Road, spec: VehicleSpec) -> ScenarioVehicle:
+    def place(cls, road: Road, spec: VehicleSpec) -> Self:
         """The vehicle of a scenario as it is at its start."""
         vehicle = cls(road, [spec.x, spec.y], spec.heading, spec.speed, enable_lane_change=spec.changes_lanes)
         # the constructor takes the closest lane, which is a guess where lanes cross, and takes 0 for "not given"
@@ -107,6 +108,34 @@ class PathVehicle(ScenarioVehicle):
         free = float(super().acceleration(ego_vehicle))
         ratio = float(wanted / not_zero(distance))
         return free - self.COMFORT_ACC_MAX * (ratio * ratio)
+
+
+class LinearScenarioVehicle(ScenarioVehicle, LinearVehicle):
+    """A risky driver of the law "linear": highway-env's LinearVehicle with a scenario's parameters."""
+
+    def drive_as(self, driver: LinearDriver) -> None:
+        """Take over the parameters of a driver."""
+        self.ACCELERATION_PARAMETERS, self.STEERING_PARAMETERS = (
+            list(driver.acceleration),
+            list(driver.steering),
+        )
+        self.TIME_WANTED = LinearVehicle.TIME_WANTED
+        self.collecting_data = False  # for regressions, in every sub-step
+
+
+class PathLinearVehicle(LinearScenarioVehicle):
+    """A LinearVehicle that sees leaders beyond the end of the lane as far away as they are."""
+
+    def acceleration_features(
+        self, ego_vehicle: Any, front_vehicle: Vehicle | None = None, rear_vehicle: Vehicle | None = None
+    ) -> Any:
+        """``LinearVehicle.acceleration_features``, with the distance along the path."""
+        features = super().acceleration_features(ego_vehicle, front_vehicle, rear_vehicle)
+        distance = distance_beyond(ego_vehicle, front_vehicle) if ego_vehicle and front_vehicle else None
+        if distance is not None:
+            safe = self.DISTANCE_WANTED + max(ego_vehicle.speed, 0.0) * self.TIME_WANTED
+            features[2] = min(distance - safe, 0.0)
+        return features
 
 
 def distance_beyond(vehicle: Any, front: Vehicle) -> float | None:

@@ -22,10 +22,13 @@ from typing import Any
 
 import gymnasium as gym
 
+from experiments.backends.linear import LAWS, check_law, draw
 from experiments.backends.replica.simulator import VARIANTS, Replica
-from sumo_env.config import ConfigError, nearest
+from sumo_env.config import Config, ConfigError, nearest
 from sumo_env.env import DrivingEnv
 from sumo_env.tasks import TASKS
+from sumo_env.tasks.base import Task
+from sumo_env.traffic.scenario import Scenario
 
 __all__ = ["VARIANTS", "Replica", "make"]
 
@@ -38,7 +41,21 @@ def _environment(task: str, config: Mapping[str, Any], render_mode: str | None =
     variant = config.pop("variant", "path")
     if variant not in VARIANTS:
         raise ConfigError(f"unknown 'variant' {variant!r}: {nearest(str(variant), list(VARIANTS))}")
-    return DrivingEnv(task, config, render_mode, simulator=Replica(variant))
+    law = check_law(config.pop("risk_law", LAWS[0]))
+    env = DrivingEnv(task, config, render_mode, simulator=Replica(variant, is_linear=law == "linear"))
+    if law == "linear":
+        env.task = _with_linear_drivers(env.task)
+    return env
+
+
+def _with_linear_drivers(task: Task) -> Task:
+    """The task with the scenarios of the law "linear"."""
+
+    class LinearTask(type(task)):  # type: ignore[misc]
+        def scenario(self, config: Config, seed: int) -> Scenario:
+            return draw(task, config, seed)
+
+    return LinearTask()
 
 
 for _task in TASKS:
@@ -50,8 +67,9 @@ def make(
 ) -> gym.Env[Any, Any]:
     """The replica's environment of a task.
 
-    The configuration is that of `sumo_env` with ``simulation_frequency`` 15, highway-env's, and one key more,
-    ``variant`` (see `Replica`), which is the environment's for its whole life.
+    The configuration is that of `sumo_env` with ``simulation_frequency`` 15, highway-env's, and two keys more,
+    which are the environment's for its whole life: ``variant`` (see `Replica`) and ``risk_law``, "standard" or "linear"
+    (see `experiments.backends.linear`).
 
     Raises:
         ConfigError: unknown key, wrong value.

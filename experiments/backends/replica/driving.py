@@ -105,6 +105,26 @@ def approach(car: Any, leader: Any) -> float:
 
 
 @borrowing
+def linear_acceleration(lanes: Any, cars: Any, places: Any, rules: Any, driver: Any, i: int, j: int) -> float:
+    """``LinearVehicle.acceleration`` [m/s2]; arguments as in `acceleration`."""
+    car = cars[i]
+    too_fast, too_near = 0.0, 0.0
+    if j != NONE:
+        distance = math.nan
+        if rules.along_path:
+            distance = distance_beyond(lanes, places, car.lane, car.target, i, j)
+        if math.isnan(distance):
+            distance = places.s[car.lane, j] - places.s[car.lane, i]
+        too_fast = min(cars[j].speed - car.speed, 0.0)
+        too_near = min(distance - (driver.jam_distance + max(car.speed, 0.0) * driver.tau), 0.0)
+    return (
+        driver.target_gain * (car.target_speed - car.speed)
+        + driver.approach_gain * too_fast
+        + driver.distance_gain * too_near
+    )
+
+
+@borrowing
 def acceleration(lanes: Any, cars: Any, places: Any, rules: Any, driver: Any, i: int, j: int) -> float:
     """``IDMVehicle.acceleration`` [m/s2] of car `i` behind car `j` by the parameters of `driver`; NONE: nobody.
 
@@ -114,6 +134,8 @@ def acceleration(lanes: Any, cars: Any, places: Any, rules: Any, driver: Any, i:
     if i == NONE:
         return 0.0
     car = cars[i]
+    if driver.is_linear:
+        return linear_acceleration(lanes, cars, places, rules, driver, i, j)
     wanted = not_zero(min(max(car.target_speed, 0.0), lanes[car.lane].limit))
     result = driver.accel * (1.0 - binary(rules.loops.power, max(car.speed, 0.0) / wanted, driver.delta))
     if j == NONE:

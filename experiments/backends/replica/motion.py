@@ -29,6 +29,11 @@ def steer(lanes: Any, places: Any, loops: Any, car: Any, i: int) -> None:
     s, lat = places.s[car.target, i], places.lat[car.target, i]
     speed = not_zero(car.speed)
     ahead = heading_at(lanes[car.target], s + car.speed * TAU_PURSUIT, loops)
+    if car.is_linear:  # ``LinearVehicle.steering_control``
+        turn = wrapped(ahead - car.heading) * VEHICLE_LENGTH / speed
+        angle = car.heading_gain * turn + car.lateral_gain * (-lat * VEHICLE_LENGTH / (speed * speed))
+        car.steering = clip(angle, -MAX_STEERING_ANGLE, MAX_STEERING_ANGLE)
+        return
     sideways = unary(loops.arcsin, clip(-KP_LATERAL * lat / speed, -1.0, 1.0))
     wanted = ahead + clip(sideways, -math.pi / 4, math.pi / 4)
     rate = KP_HEADING * wrapped(wanted - car.heading)

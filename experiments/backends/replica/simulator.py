@@ -7,9 +7,10 @@ from typing import Any
 
 import numpy as np
 
+from experiments.backends.linear import linear_drivers
 from experiments.backends.replica import step as kernels
 from experiments.backends.replica.step import CRASHED, HEADING, SPEED, Rules, X, Y
-from experiments.backends.replica.tables import NONE, Records, cars_of, events_of, lanes_of
+from experiments.backends.replica.tables import NONE, Records, cars_of, drive_linearly, events_of, lanes_of
 from sumo_env.contacts.crash import CrashRecord, crash_record
 from sumo_env.contacts.rectangles import separation, state_of
 from sumo_env.networks.roads import LaneIndex
@@ -32,14 +33,16 @@ class Replica:
             other two roads continue no others): "v0": not at all; "connected": onto the next lanes, distances
             projected, as in highway-env with connected lanes; "path": onto the next lanes, distances along the path.
 
+        is_linear: whether a scenario's dose of risk means `linear_drivers` (``risk_law`` "linear").
+
     Raises:
         ValueError: unknown variant.
     """
 
-    def __init__(self, variant: str = "path") -> None:
+    def __init__(self, variant: str = "path", is_linear: bool = False) -> None:
         if variant not in VARIANTS:
             raise ValueError(f"the variant must be one of {VARIANTS}, not {variant!r}")
-        self.variant = variant
+        self.variant, self.is_linear = variant, is_linear
         self._scenario: Scenario | None = None
 
     def reset(self, scenario: Scenario) -> Scene:
@@ -58,6 +61,9 @@ class Replica:
         specs = [*scenario.specs, *(spawn.vehicle for spawn in scenario.spawns)]
         self._ids = [spec.id for spec in specs]
         self._everybody = cars_of(scenario.road, specs)
+        if self.is_linear:
+            for name, driver in linear_drivers(scenario).items():
+                drive_linearly(self._everybody[self._ids.index(name)], driver)
         self._events = events_of(scenario.events, {name: number for number, name in enumerate(self._ids)})
         self._next_event = self._steps = self._policy_steps = 0
         self._crash: CrashRecord | None = None

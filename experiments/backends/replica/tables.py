@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from experiments.backends.linear import TIME_WANTED, LinearDriver
 from sumo_env.networks.lanes import VEHICLE_LENGTH, CircularLane, Lane, Point, SineLane, StraightLane
 from sumo_env.networks.roads import LaneIndex, Road
 from sumo_env.traffic.drivers import Driver
@@ -71,6 +72,15 @@ DRIVER = [
     ("gives_way", "?"),
 ]
 
+LINEAR = [  # a driver of `experiments.backends.linear`
+    ("is_linear", "?"),
+    ("target_gain", "f8"),  # ACCELERATION_PARAMETERS
+    ("approach_gain", "f8"),
+    ("distance_gain", "f8"),
+    ("heading_gain", "f8"),  # STEERING_PARAMETERS
+    ("lateral_gain", "f8"),
+]
+
 CAR = np.dtype(
     [
         ("number", "i8"),  # place among all vehicles of the scenario
@@ -105,6 +115,7 @@ CAR = np.dtype(
         ("apart_x", "f8"),  # [m]
         ("apart_y", "f8"),
         *DRIVER,
+        *LINEAR,
     ],
     align=True,
 )
@@ -222,6 +233,9 @@ def _write_geometry(record: Any, lane: Lane) -> None:
         raise TypeError(f"no records for a {type(lane).__name__}")
 
 
+NOT_LINEAR = (False, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+
 @lru_cache(maxsize=1024)
 def _driver(driver: Driver) -> tuple[Any, ...]:
     return (
@@ -249,11 +263,18 @@ def cars_of(road: Road, specs: Iterable[VehicleSpec]) -> Records:
             cos(spec.heading), sin(spec.heading), spec.speed, numbers[spec.lane], numbers[spec.lane],
             spec.target_speed, spec.timer, spec.changes_lanes, False,
             _route(road, spec.lane, spec.destination), 0, NONE if spec.destination is None else spec.lane[2],
-            False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, False, False, 0.0, 0.0, *_driver(spec.driver),
+            False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, False, False, 0.0, 0.0, *_driver(spec.driver), *NOT_LINEAR,
         )
         for number, spec in enumerate(specs)
     ]  # fmt: skip
     return np.array(rows, CAR)
+
+
+def drive_linearly(car: Any, driver: LinearDriver) -> None:
+    """Give a car the parameters of a LinearVehicle."""
+    car["is_linear"], car["tau"] = True, TIME_WANTED
+    car["target_gain"], car["approach_gain"], car["distance_gain"] = driver.acceleration
+    car["heading_gain"], car["lateral_gain"] = driver.steering
 
 
 def events_of(events: Iterable[RiskEvent], numbers: dict[str, int]) -> Records:

@@ -19,7 +19,7 @@ VALUES = 1e-5  # by which observations (32 bits), rewards and measures may diffe
 
 
 class Case(NamedTuple):
-    """One episode; `level`: name of the task's traffic level, `ego`: of a policy in `agents.rules`."""
+    """One episode; `level`: name of the task's traffic level, `ego`: of a policy in `agents.rules`, `law`: of risk."""
 
     task: str
     variant: str
@@ -27,6 +27,7 @@ class Case(NamedTuple):
     risk: float
     ego: str
     seed: int
+    law: str = "standard"
 
 
 class Outcome(NamedTuple):
@@ -52,7 +53,12 @@ def cases(task: str, count: int, seed: int = 0) -> list[Case]:
 
 def compare(case: Case) -> Outcome:
     """Drive one episode in both, by the same actions: those that the ego's policy takes in highway-env."""
-    config = {**TASKS[case.task].levels[case.level], "risk": case.risk, "variant": case.variant}
+    config = {
+        **TASKS[case.task].levels[case.level],
+        "risk": case.risk,
+        "variant": case.variant,
+        "risk_law": case.law,
+    }
     stock: Any = make_env("highway-env", case.task, config)
     replica: Any = make_env("replica", case.task, config)
     policy = make_policy(case.ego, stock)
@@ -87,10 +93,27 @@ def first_difference(theirs: Any, ours: Any) -> str:
         else ("observation", "reward", "terminated", "truncated", "info")
     )
     for name, a, b in zip(names, theirs, ours, strict=True):
+        if name == "observation" and has_same_rows(a, b):
+            continue
         found = unequal(name, a, b)
         if found:
             return found
     return ""
+
+
+def has_same_rows(theirs: np.ndarray, ours: np.ndarray) -> bool:
+    """Are two observations equal but for the order of their rows?
+
+    Vehicles are sorted by their distance projected on the ego's lane. Those that stand one behind the other across that
+    lane are equally far, up to rounding, and `sumo_env.observation` rounds by its own geometry.
+    """
+    left = list(ours)
+    for row in theirs:
+        same = [k for k, other in enumerate(left) if np.allclose(row, other, rtol=0.0, atol=VALUES)]
+        if not same:
+            return False
+        left.pop(same[0])
+    return True
 
 
 def unequal(name: str, theirs: Any, ours: Any) -> str:

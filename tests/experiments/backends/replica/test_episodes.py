@@ -24,6 +24,14 @@ def test_some_episodes_are_those_of_highway_env(task: str) -> None:
     assert different == {}
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("task", [task for task in TASKS if task != "highway"])
+def test_so_are_episodes_among_linear_drivers(task: str) -> None:
+    chosen = [case._replace(law="linear", risk=0.5 + 0.5 * case.risk) for case in cases(task, 5, seed=2)]
+    different = {case: found for case in chosen if not (found := compare(case)).is_same}
+    assert different == {}
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("task", TASKS)
 def test_99_percent_of_a_thousand_episodes_are_those_of_highway_env(

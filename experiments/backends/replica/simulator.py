@@ -9,6 +9,7 @@ import numpy as np
 
 from experiments.backends.linear import linear_drivers
 from experiments.backends.replica import step as kernels
+from experiments.backends.replica.numpy_loops import LOOPS
 from experiments.backends.replica.step import CRASHED, HEADING, SPEED, Rules, X, Y
 from experiments.backends.replica.tables import NONE, Records, cars_of, drive_linearly, events_of, lanes_of
 from sumo_env.contacts.crash import CrashRecord, crash_record
@@ -32,7 +33,6 @@ class Replica:
         variant: how far drivers see beyond the end of their lane (roundabout, intersection and u-turn; the lanes of the
             other two roads continue no others): "v0": not at all; "connected": onto the next lanes, distances
             projected, as in highway-env with connected lanes; "path": onto the next lanes, distances along the path.
-
         is_linear: whether a scenario's dose of risk means `linear_drivers` (``risk_law`` "linear").
 
     Raises:
@@ -115,6 +115,12 @@ class Replica:
         if self._scenario is not None:
             twin._cars = self._cars.copy()
         return twin
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Unpickle; the addresses of numpy's functions are those of this process."""
+        self.__dict__.update(state)
+        if self._scenario is not None:
+            self._rules = self._rules._replace(loops=LOOPS)
 
     # -- parts ---------------------------------------------------------------------------------------------
 

@@ -30,7 +30,6 @@ limit_threads()
 if __name__ == "__main__":
     leave_on_signals()  # the imports below take seconds
 
-import os
 import shlex
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -44,7 +43,7 @@ from experiments.study import grid
 from experiments.study.attempt import LOG, locked
 from experiments.study.cell import SILENCE, CellTask, MakeEnv
 from experiments.study.estimate import START, duration, rates
-from experiments.study.executors import open_executor
+from experiments.study.executors import cores, open_executor
 from experiments.study.grid import Cell
 from experiments.study.policies import foreign
 from experiments.study.presets import PRESETS, get_preset
@@ -64,11 +63,6 @@ TASKS_PER_PROCESS = 25  # of highway-env 1: its tasks change class attributes of
 
 # backend, tasks, directory of the results, processes, what to call with what is being done
 Validate = Callable[[str, Sequence[str], Path, int, Callable[[str], None]], object]
-
-
-def _cores() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _argument(metavar: str, default: str = "the preset's") -> Any:
@@ -104,10 +98,10 @@ class Options:
     """Policies of your own to test as well: FILE:MAKE, or a model.zip of Stable-Baselines3."""
     device: Annotated[str | None, _argument("NAME", "cpu")] = None
     """Where agents learn: cpu or cuda."""
-    workers: Annotated[int | None, _argument("N", "the number of cores")] = None
-    """Number of processes."""
     executor: Annotated[str, _argument("NAME", "local")] = "local"
-    """Where cells are computed: local (processes of this machine)."""
+    """Where cells are computed: local (processes of this machine), ray or slurm (docs/scaling.md)."""
+    workers: Annotated[int | None, _argument("N", "the number of cores; on Slurm 100")] = None
+    """Cells that are computed at a time."""
     shard: Annotated[str, _argument("I/N", "1/1")] = "1/1"
     """Compute only this part of the cells, for job arrays."""
     cell: Annotated[str | None, _argument("NAME", "all")] = None
@@ -174,14 +168,15 @@ def sweep(
     """
     if options.workers is not None and options.workers < 1:
         raise UserError(f"--workers must be at least 1, not {options.workers}")
-    workers = options.workers or _cores()
+    # Processes of this machine, which validates whoever computes the cells.
+    here = options.workers if options.workers and options.executor == "local" else cores()
     cells = cells_of(options)
     mine = grid.shard(cells, options.shard)
     directory = options.directory
     if options.cell:
         return compute_one(options, cells, make_env)
     if options.dry_run:
-        describe(options, mine, workers)
+        describe(options, mine, here)
         return 0
     again = shlex.join(["python", "experiments/sweep.py", *arguments])
     known = rates(directory)
@@ -200,20 +195,22 @@ def sweep(
             })  # fmt: skip
             if validate is not None:
                 names = tuple(dict.fromkeys(cell.task for cell in cells))
-                validate(options.backend, names, directory, workers, lambda words: print(words, flush=True))
+                validate(options.backend, names, directory, here, lambda words: print(words, flush=True))
             finished = {name for name, task in tasks.items() if is_finished(store, task)}
             for name in tasks:
                 store.forget(name, name in finished)
             left = [task for name, task in tasks.items() if name not in finished]
             found = f"{len(mine)} cells, {len(finished)} of them finished before"
             print(f"{found}; results go to {directory}", flush=True)
-            progress = Progress(store, mine, finished, known, workers, screen(), f"{again} --cell")
-            per_process = 1 if options.backend == "highway-env" else TASKS_PER_PROCESS
-            try:
-                executor = open_executor(options.executor, workers, directory, per_process)
-                failures = run(left, executor, workers, progress, stop)
-            finally:
-                progress.close()
+            failures: dict[str, str] = {}
+            if left:
+                per_process = 1 if options.backend == "highway-env" else TASKS_PER_PROCESS
+                executor, limit = open_executor(options.executor, options.workers, directory, per_process)
+                progress = Progress(store, mine, finished, known, limit, screen(), f"{again} --cell")
+                try:
+                    failures = run(left, executor, limit, progress, stop)
+                finally:
+                    progress.close()
         except OSError as error:
             raise disk_error(error, directory) from None
         except Interrupted:

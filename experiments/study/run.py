@@ -198,6 +198,8 @@ class _Run(Generic[T]):
     def _end(self, task: T, future: Future[Ended]) -> None:
         error = future.exception()
         _, heard = self._heard.pop(task.name, (0, time.monotonic()))
+        if isinstance(error, UserError):
+            raise error
         if error is None:
             ended = future.result()
         elif (silence := time.monotonic() - heard) >= task.silence - POLL:
@@ -227,18 +229,30 @@ class _Run(Generic[T]):
             self._observer.failed(task, reason)
 
     def _watch(self) -> None:
-        """Look at the signs of life. Processes end themselves in a silence; one that is frozen cannot."""
+        """Look at the signs of life. Processes end themselves in a silence, but for those that are frozen or lost."""
         signs = {task.name: sign_of_life(task.folder) for task in self._running.values()}
         now = time.monotonic()
-        for task in self._running.values():
+        for future, task in list(self._running.items()):
             sign = signs[task.name]
             if sign is None:
                 continue
             seen = self._heard.get(task.name)
             if seen is None or seen[0] != sign.written:
                 self._heard[task.name] = (sign.written, now)
-            elif now - seen[1] > task.silence + GRACE and sign.host == socket.gethostname():
-                with suppress(OSError), locked(task.folder) as free:
-                    if not free:  # it is that process that holds the lock
-                        os.kill(sign.pid, signal.SIGKILL)
+            elif now - seen[1] > task.silence + GRACE and not _kill(task, sign):
+                del self._running[future], self._heard[task.name]
+                self._failed(task, f"no sign of life from process {sign.pid} on {sign.host}")
         self._observer.tick(signs)
+
+
+def _kill(task: Task, sign: Sign) -> bool:
+    """Kill a frozen process of this machine, which the executor will notice; False if it is none."""
+    if sign.host != socket.gethostname():
+        return False
+    try:
+        with locked(task.folder) as free:
+            if not free:  # it is that process that holds the lock
+                os.kill(sign.pid, signal.SIGKILL)
+            return not free
+    except OSError:
+        return False

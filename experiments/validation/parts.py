@@ -254,8 +254,8 @@ def run(work: Sequence[Work], folder: Path, workers: int, note: Callable[[Work],
             own = item.engine.backend == "highway-env"
             groups.setdefault((item.engine.backend, item.task if own else ""), []).append(task)
     for tasks in groups.values():
-        executor = open_executor("local", workers, folder, TASKS_PER_PROCESS)
-        if failures := compute(tasks, executor, workers, Noted(note)):
+        executor, limit = open_executor("local", workers, folder, TASKS_PER_PROCESS)
+        if failures := compute(tasks, executor, limit, Noted(note)):
             failed = next(task for task in tasks if task.name in failures)
             raise UserError(
                 f"{len(failures)} parts failed, one of them because {failures[failed.name]}; see {failed.folder / LOG} "

@@ -217,6 +217,30 @@ def test_neither_shards_nor_order_nor_company_change_anything(reference, tmp_pat
     assert fingerprint(tmp_path) == fingerprint(reference)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("executor", ["ray", "slurm"])
+def test_every_executor_gives_the_same_results(reference, tmp_path, monkeypatch, executor):
+    if executor == "ray":
+        pytest.importorskip("ray")
+    else:  # submitit's processes on this machine in the place of Slurm
+        pytest.importorskip("submitit")
+        from experiments.study.executors.slurm import SlurmExecutor
+
+        monkeypatch.setattr(
+            "experiments.sweep.open_executor",
+            lambda name, workers, directory, _: (SlurmExecutor(directory / name, "local"), workers),
+        )
+    assert run(tmp_path / "results", executor=executor) == 0
+    assert fingerprint(tmp_path / "results") == fingerprint(reference)
+
+
+def test_slurm_is_named_where_there_is_none(tmp_path, monkeypatch):
+    pytest.importorskip("submitit")
+    monkeypatch.setenv("PATH", "")
+    with pytest.raises(UserError, match="--executor slurm is for machines"):
+        run(tmp_path, executor="slurm")
+
+
 def tasks_of(directory: Path, shard: str = "1/1") -> list[CellTask]:
     cells = grid.shard(cells_of(Options(out=directory, **TINY)), shard)
     return [CellTask(cell, directory, make_env) for cell in cells]

@@ -44,8 +44,8 @@ def compute(
     tasks: list[Sum], workers: int = 2, tasks_per_process: int = 25
 ) -> tuple[dict[str, str], Witness]:
     witness = Witness()
-    executor = open_executor("local", workers, tasks[0].directory, tasks_per_process)
-    return run(tasks, executor, workers, witness), witness
+    executor, limit = open_executor("local", workers, tasks[0].directory, tasks_per_process)
+    return run(tasks, executor, limit, witness), witness
 
 
 def results(tasks: list[Sum]) -> list[str | None]:
@@ -142,8 +142,7 @@ def test_a_task_that_another_run_computes_is_waited_for_and_taken_over(tmp_path,
                 self.retries.append(("released", "", 0))
                 held.__exit__(None, None, None)
 
-    executor = open_executor("local", 1, tmp_path, 25)
-    assert run([task], executor, 1, Release()) == {}
+    assert run([task], *open_executor("local", 1, tmp_path, 25), Release()) == {}
     assert results([task]) == [TOTAL]
     assert len(task.tries()) == 1
 
@@ -180,7 +179,7 @@ if __name__ == "__main__":
     tasks = [Sum(f"t{{number}}", here, pause=0.05) for number in range(6)]
     with Stop(lambda: "go on") as stop:
         try:
-            sys.exit(bool(run(tasks, open_executor("local", 2, here, 25), 2, stop=stop)))
+            sys.exit(bool(run(tasks, *open_executor("local", 2, here, 25), stop=stop)))
         except Interrupted:
             stop.say()
             sys.exit(130)

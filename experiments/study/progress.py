@@ -128,12 +128,12 @@ class Progress:
     def left(self, cells: Sequence[Cell] | None = None) -> float:
         """Expected time [s] until some cells, or all, are done, if only they are worked on."""
         names = self.cells if cells is None else {cell.name: cell for cell in cells}
-        work = sum(
+        work = [
             self._rates.seconds(cell) * (1.0 - self._fractions.get(name, 0.0))
             for name, cell in names.items()
             if self.state[name] in ("running", "waiting", "elsewhere")
-        )
-        return work / self._speed()
+        ]
+        return max(sum(work) / self._speed(), *work) if work else 0.0
 
     def _speed(self) -> float:
         """Estimated core time that passes in a second: as measured in this run, else one a worker."""

@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 import threading
 from collections.abc import Callable
-from concurrent.futures import Executor, Future
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -60,10 +60,11 @@ class SlurmExecutor(Executor):
         self._closed.set()
         with self._lock:
             jobs = list(self._open.values())
-        for job in jobs:
-            if cancel_futures:
-                job.cancel(check=False)
-            elif wait:
+        if cancel_futures and jobs:
+            with ThreadPoolExecutor(16) as pool:  # every job takes a call of scancel
+                list(pool.map(lambda job: job.cancel(check=False), jobs))
+        elif wait:
+            for job in jobs:
                 job.wait()
 
     def _follow(self) -> None:
@@ -94,9 +95,10 @@ class SlurmExecutor(Executor):
 def _take(job: submitit.Job[Any], future: Future[Any]) -> None:
     try:
         future.set_result(job.result())
-    except Exception as error:
-        first = str(error).partition("\n")[0]
-        future.set_exception(JobFailed(f"job {job.job_id} is {job.state}: {first}; see {job.paths.stdout}"))
+    except (
+        Exception
+    ):  # submitit's own words name its files and show the end of the log, which is there to be read
+        future.set_exception(JobFailed(f"its job {job.job_id} is {job.state}, see {job.paths.stdout}"))
 
 
 class JobFailed(RuntimeError):

@@ -7,12 +7,13 @@ import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import Executor, Future
 from pathlib import Path
 
 import pytest
 
 from experiments.study import run as runner
-from experiments.study.attempt import LOG, Ended, attempt, locked
+from experiments.study.attempt import LOG, PROGRESS, Ended, attempt, locked
 from experiments.study.executors import open_executor
 from experiments.study.run import Silent, run
 from experiments.support.errors import UserError
@@ -145,6 +146,44 @@ def test_a_task_that_another_run_computes_is_waited_for_and_taken_over(tmp_path,
     assert run([task], *open_executor("local", 1, tmp_path, 25), Release()) == {}
     assert results([task]) == [TOTAL]
     assert len(task.tries()) == 1
+
+
+class Unreliable(Executor):
+    """Loses the first task: its process begins on another machine and is never heard of again."""
+
+    def __init__(self) -> None:
+        self.lost = False
+
+    def submit(self, function, /, task):
+        future = Future()
+        if self.lost:
+            future.set_result(function(task))
+        else:
+            self.lost = True
+            task.folder.mkdir(parents=True)
+            (task.folder / PROGRESS).write_text('{"fraction": 0.5, "host": "elsewhere", "pid": 1}')
+        return future
+
+
+def test_a_task_whose_process_is_lost_on_another_machine_is_handed_out_again(tmp_path, monkeypatch):
+    monkeypatch.setattr(runner, "GRACE", 0.5)
+    monkeypatch.setattr(runner, "POLL", 0.1)
+    task = Sum("task", tmp_path, silence=0.5)
+    witness = Witness()
+    assert run([task], Unreliable(), 1, witness) == {}
+    assert results([task]) == [TOTAL]
+    [(_, reason, _)] = witness.retries
+    assert "no sign of life from process 1 on elsewhere" in reason
+
+
+class Refusing(Executor):
+    def submit(self, function, /, task):
+        raise RuntimeError("the cluster is gone")
+
+
+def test_an_executor_that_takes_no_more_tasks_ends_the_run_in_one_line(tmp_path):
+    with pytest.raises(UserError, match=r"takes no more tasks \(the cluster is gone\): run the same command"):
+        run([Sum("task", tmp_path)], Refusing(), 1)
 
 
 def test_a_lock_is_free_as_soon_as_its_holder_is_killed(tmp_path):

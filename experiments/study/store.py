@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING, Any
 
 from experiments.study.grid import RESULT_SCHEMA, Cell, cell_name, versions
 from experiments.support.errors import UserError
-from experiments.support.files import publish, sha256_file, write_file, write_json
+from experiments.support.files import publish, sha256_bytes, sha256_file, write_file, write_json
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -31,6 +31,8 @@ if TYPE_CHECKING:
 CELL, EPISODES, GATES = "cell.json", "episodes.parquet", "gates.parquet"
 TRAINING, WEIGHTS = "training.parquet", "weights.npz"
 FAILED = "failed.json"
+HEAD = '{\n "checksum": "%s",\n'  # of cell.json
+ENTRIES = {"schema", "key", "versions", "source", "learner", "timing", "provenance", "files"}  # of cell.json
 # Columns of the key that every table of `Results` carries.
 KEY_COLUMNS = ("cell", "kind", "backend", "task", "level", "level_name", "arm", "seed", "policy", "preset")
 
@@ -121,17 +123,15 @@ class Store:
                 data = buffer.getvalue()
             write_file(staged / name, data)
         checksums = {name: sha256_file(staged / name) for name in sorted(files)}
-        write_json(
-            staged / CELL,
-            {
-                "schema": RESULT_SCHEMA,
-                "key": cell.key(),
-                "versions": versions(cell.backend),
-                "source": cell.source,
-                **record,
-                "files": checksums,
-            },
-        )
+        value = {
+            "schema": RESULT_SCHEMA,
+            "key": cell.key(),
+            "versions": versions(cell.backend),
+            "source": cell.source,
+            **record,
+            "files": checksums,
+        }
+        write_file(staged / CELL, seal(value))
         publish(staged, self.cells / cell.name)
 
     def write_sweep(self, record: Mapping[str, Any]) -> None:
@@ -170,7 +170,7 @@ def read_cell(path: Path) -> dict[str, Any]:
     Raises:
         DamagedCell: a file is missing, unreadable or changed.
     """
-    record = _read_json(path / CELL)
+    record = _read_sealed(path / CELL)
     try:
         files, key, version = record["files"], record["key"], record["versions"]
         name = cell_name(key, version)
@@ -332,17 +332,33 @@ def _learner(record: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _read_json(path: Path) -> dict[str, Any]:
+def seal(record: Mapping[str, Any]) -> bytes:
+    """A record as readable JSON whose first entry is the checksum of all bytes that follow."""
+    body = json.dumps(record, indent=1, allow_nan=False).removeprefix("{\n") + "\n"
+    return (HEAD % sha256_bytes(body.encode()) + body).encode()
+
+
+def _read_sealed(path: Path) -> dict[str, Any]:
+    """What `seal` wrote; or of an earlier version, without a checksum. Raises DamagedCell."""
     try:
-        return _parse(path)
-    except ValueError as error:
+        record = _parse(path)
+        data = path.read_bytes()
+    except (ValueError, OSError) as error:
         raise DamagedCell(path, str(error)) from None
+    begin = len(HEAD % ("0" * 64))
+    if data[:begin] == (HEAD % sha256_bytes(data[begin:])).encode():
+        del record["checksum"]
+    elif not record.keys() <= ENTRIES:
+        raise DamagedCell(path, "its checksum does not match")
+    return record
 
 
 def _parse(path: Path) -> dict[str, Any]:
     """The JSON object in a file. Raises ValueError with the reason in a few words."""
     try:
         value = json.loads(path.read_text())
+    except RecursionError:
+        raise ValueError("it cannot be read: it is nested too deeply") from None
     except FileNotFoundError:
         raise ValueError("it is missing") from None
     except (OSError, ValueError) as error:

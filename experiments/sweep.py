@@ -43,7 +43,7 @@ from experiments.study import grid
 from experiments.study.attempt import LOG, locked
 from experiments.study.cell import SILENCE, CellTask, MakeEnv
 from experiments.study.estimate import START, duration, rates
-from experiments.study.executors import cores, open_executor
+from experiments.study.executors import EXECUTORS, cores, open_executor
 from experiments.study.grid import Cell
 from experiments.study.policies import foreign
 from experiments.study.presets import PRESETS, get_preset
@@ -59,6 +59,7 @@ from experiments.support.errors import (
 )
 from experiments.validation.status import before_training
 
+MOST_SILENCE = 7 * 86400.0  # [s]
 TASKS_PER_PROCESS = 25  # of highway-env 1: its tasks change class attributes of each other
 
 # backend, tasks, directory of the results, processes, what to call with what is being done
@@ -168,6 +169,10 @@ def sweep(
     """
     if options.workers is not None and options.workers < 1:
         raise UserError(f"--workers must be at least 1, not {options.workers}")
+    if not 1.0 <= options.hang_after <= MOST_SILENCE:
+        raise UserError(f"--hang-after takes 1 to {MOST_SILENCE:.0f} seconds, not {options.hang_after:g}")
+    if options.executor not in EXECUTORS:
+        raise unknown("executor", options.executor, EXECUTORS)
     # Processes of this machine, which validates whoever computes the cells.
     here = options.workers if options.workers and options.executor == "local" else cores()
     cells = cells_of(options)

@@ -33,8 +33,8 @@ from numpy.typing import NDArray
 
 from experiments.backends import make_env
 from experiments.study import grid, store
+from experiments.study.cell import MakeEnv
 from experiments.study.evaluate import Policy, play
-from experiments.study.worker import MakeEnv
 from experiments.support import fcd
 from experiments.support.errors import UserError, disk_error, run_command
 

@@ -5,7 +5,8 @@
     python experiments/sweep.py --preset paper --dry-run
 
 The same command run again goes on where it was stopped, whatever stopped it; finished cells are never
-computed twice. Several sweeps on one directory, also from several machines, share the work.
+computed twice. Several sweeps on one directory, also from several machines, share the work. DIR/sweep.log says what
+happens (tail -f).
 
 Exit status: 0 all done, 1 some cells failed (everything else is kept), 2 something has to be put right
 first, 130 stopped with Ctrl-C.
@@ -22,15 +23,16 @@ if __package__ in (
 ):  # run as a file: import from the project, not from this folder (it has a statistics.py)
     sys.path[0] = str(Path(__file__).resolve().parents[1])
 
+from experiments.support.errors import leave_on_signals
 from experiments.support.threads import limit_threads
 
 limit_threads()
+if __name__ == "__main__":
+    leave_on_signals()  # the imports below take seconds
 
-import os
 import shlex
-import signal
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any
 
@@ -38,24 +40,30 @@ import tyro
 
 from experiments.backends import make_env
 from experiments.study import grid
-from experiments.study.engine import Engine
+from experiments.study.attempt import LOG, locked
+from experiments.study.cell import SILENCE, CellTask, MakeEnv
 from experiments.study.estimate import START, duration, rates
+from experiments.study.executors import EXECUTORS, cores, open_executor
 from experiments.study.grid import Cell
 from experiments.study.policies import foreign
 from experiments.study.presets import PRESETS, get_preset
-from experiments.study.progress import display
-from experiments.study.store import Store, cell_directories, read_sweep
-from experiments.study.worker import MakeEnv
-from experiments.support.errors import INTERRUPTED, UserError, disk_error, run_command
+from experiments.study.progress import Progress, screen
+from experiments.study.run import Interrupted, Stop, run
+from experiments.study.store import DamagedCell, Store, cell_directories
+from experiments.support.errors import (
+    INTERRUPTED,
+    UserError,
+    disk_error,
+    run_command,
+    unknown,
+)
 from experiments.validation.status import before_training
+
+MOST_SILENCE = 7 * 86400.0  # [s]
+TASKS_PER_PROCESS = 25  # of highway-env 1: its tasks change class attributes of each other
 
 # backend, tasks, directory of the results, processes, what to call with what is being done
 Validate = Callable[[str, Sequence[str], Path, int, Callable[[str], None]], object]
-
-
-def _cores() -> int:
-    """Cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _argument(metavar: str, default: str = "the preset's") -> Any:
@@ -91,10 +99,16 @@ class Options:
     """Policies of your own to test as well: FILE:MAKE, or a model.zip of Stable-Baselines3."""
     device: Annotated[str | None, _argument("NAME", "cpu")] = None
     """Where agents learn: cpu or cuda."""
-    workers: Annotated[int | None, _argument("N", "the number of cores")] = None
-    """Number of processes."""
+    executor: Annotated[str, _argument("NAME", "local")] = "local"
+    """Where cells are computed: local (processes of this machine), ray or slurm (docs/scaling.md)."""
+    workers: Annotated[int | None, _argument("N", "the number of cores; on Slurm 100")] = None
+    """Cells that are computed at a time."""
     shard: Annotated[str, _argument("I/N", "1/1")] = "1/1"
     """Compute only this part of the cells, for job arrays."""
+    cell: Annotated[str | None, _argument("NAME", "all")] = None
+    """Compute this cell alone and in this process, to see why it fails."""
+    hang_after: Annotated[float, _argument("SECONDS", "900")] = SILENCE
+    """A cell that makes no progress for so long hangs, and is begun again."""
     dry_run: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = False
     """Print the cells and an estimate of the time, and compute nothing."""
 
@@ -155,54 +169,105 @@ def sweep(
     """
     if options.workers is not None and options.workers < 1:
         raise UserError(f"--workers must be at least 1, not {options.workers}")
-    workers = options.workers or _cores()
+    if not 1.0 <= options.hang_after <= MOST_SILENCE:
+        raise UserError(f"--hang-after takes 1 to {MOST_SILENCE:.0f} seconds, not {options.hang_after:g}")
+    if options.executor not in EXECUTORS:
+        raise unknown("executor", options.executor, EXECUTORS)
+    # Processes of this machine, which validates whoever computes the cells.
+    here = options.workers if options.workers and options.executor == "local" else cores()
     cells = cells_of(options)
     mine = grid.shard(cells, options.shard)
     directory = options.directory
+    if options.cell:
+        return compute_one(options, cells, make_env)
     if options.dry_run:
-        describe(options, mine, workers)
+        describe(options, mine, here)
         return 0
     again = shlex.join(["python", "experiments/sweep.py", *arguments])
+    known = rates(directory)
+    tasks = {
+        cell.name: CellTask(cell, directory, make_env, known.seconds(cell), options.hang_after)
+        for cell in mine
+    }
+    with Stop(lambda: stopped(directory, again)) as stop:
+        try:
+            store = Store(directory)
+            store.write_sweep({
+                "command": again,
+                "backend": options.backend,
+                "preset": options.preset,
+                "cells": [cell.name for cell in cells],
+            })  # fmt: skip
+            if validate is not None:
+                names = tuple(dict.fromkeys(cell.task for cell in cells))
+                validate(options.backend, names, directory, here, lambda words: print(words, flush=True))
+            finished = {name for name, task in tasks.items() if is_finished(store, task)}
+            for name in tasks:
+                store.forget(name, name in finished)
+            left = [task for name, task in tasks.items() if name not in finished]
+            found = f"{len(mine)} cells, {len(finished)} of them finished before"
+            print(f"{found}; results go to {directory}", flush=True)
+            failures: dict[str, str] = {}
+            if left:
+                per_process = 1 if options.backend == "highway-env" else TASKS_PER_PROCESS
+                executor, limit = open_executor(options.executor, options.workers, directory, per_process)
+                progress = Progress(store, mine, finished, known, limit, screen(), f"{again} --cell")
+                try:
+                    failures = run(left, executor, limit, progress, stop)
+                finally:
+                    progress.close()
+        except OSError as error:
+            raise disk_error(error, directory) from None
+        except Interrupted:
+            stop.say()
+            return INTERRUPTED
+        return _conclude(directory, tasks, failures, again)
+
+
+def is_finished(store: Store, task: CellTask) -> bool:
+    """Whether a cell is stored; one that is damaged is named, and will be put aside and computed again."""
     try:
-        store = Store(directory)
-        record = {
-            "command": again,
-            "backend": options.backend,
-            "preset": options.preset,
-            "cells": [cell.name for cell in cells],
-        }
-        names = {cell.name for cell in mine}
-        failed = {k: v for k, v in read_sweep(directory).get("failed", {}).items() if k not in names}
-        store.write_sweep({**record, "failed": failed})
-        if validate is not None:
-            tasks = tuple(dict.fromkeys(cell.task for cell in cells))
-            validate(options.backend, tasks, directory, workers, lambda words: print(words, flush=True))
-        engine = Engine(directory, mine, workers, make_env, rates(directory).seconds)
-        found = len(engine.finished)
-        print(f"{len(mine)} cells, {found} of them finished before; results go to {directory}", flush=True)
-        engine.run(display())
-        store.write_sweep({**record, "failed": {**failed, **engine.failed}})
-    except OSError as error:
-        raise disk_error(error, directory) from None
-    except KeyboardInterrupt:
-        done = sum(1 for _ in cell_directories(directory)) if (directory / "cells").is_dir() else 0
-        print(f"\nstopped; {done} cells are finished and kept. To go on: {again}", file=sys.stderr)
-        return INTERRUPTED
-    return _conclude(directory, engine, again)
+        return store.is_finished(task.cell)
+    except DamagedCell as error:
+        print(
+            f"{error.file} is damaged ({error.reason}): the cell is put aside and computed again", flush=True
+        )
+        return False
 
 
-def _conclude(directory: Path, engine: Engine, again: str) -> int:
+def stopped(directory: Path, again: str) -> str:
+    """What is said when a signal ends the sweep."""
+    done = sum(1 for _ in cell_directories(directory)) if (directory / "cells").is_dir() else 0
+    return f"stopped; {done} cells are finished and kept. To go on: {again}"
+
+
+def compute_one(options: Options, cells: Sequence[Cell], make_env: MakeEnv) -> int:
+    """Compute one cell in this process, where a debugger can follow it and errors show their traceback."""
+    found = [cell for cell in cells if options.cell in (cell.name, cell.slug)]
+    if not found:
+        raise unknown("cell", options.cell, (cell.slug for cell in cells))
+    task = CellTask(found[0], options.directory, make_env)
+    with locked(task.folder) as mine:
+        if not mine:
+            raise UserError(f"another process computes {task.name}: wait until it ends")
+        if not task.done():
+            task.compute(lambda _: None)
+    Store(options.directory).forget(task.name, finished=True)
+    print(f"finished: {options.directory / 'cells' / task.name}")
+    return 0
+
+
+def _conclude(directory: Path, tasks: Mapping[str, CellTask], failures: Mapping[str, str], again: str) -> int:
     """Write the report and say how it went."""
-    if engine.finished:
+    if len(failures) < len(tasks):
         from experiments.report import write_report
 
         print(f"report: {write_report(directory)}", flush=True)
-    if engine.failed:
-        print(
-            f"{len(engine.failed)} of {len(engine.cells)} cells failed, all others are kept:", file=sys.stderr
-        )
-        for name, reason in engine.failed.items():
-            print(f"  {name}: {reason}", file=sys.stderr)
+    if failures:
+        print(f"{len(failures)} of {len(tasks)} cells failed, all others are kept:", file=sys.stderr)
+        for name, reason in failures.items():
+            print(f"  {name}: {reason}\n    log: {tasks[name].folder / LOG}", file=sys.stderr)
+            print(f"    to see it fail: {again} --cell {name}", file=sys.stderr)
         print(f"to try them again: {again}", file=sys.stderr)
         return 1
     return 0
@@ -238,9 +303,6 @@ def describe(options: Options, cells: Sequence[Cell], workers: int) -> None:
 
 def main() -> int:
     """The command line."""
-    signal.signal(
-        signal.SIGTERM, signal.default_int_handler
-    )  # schedulers end jobs politely: stop as for Ctrl-C
     arguments = [part for word in sys.argv[1:] for part in _split(word)]
     options = tyro.cli(Options, args=arguments, description=__doc__, config=(tyro.conf.FlagCreatePairsOff,))
     return sweep(options, arguments=sys.argv[1:], validate=before_training)

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import json
-from collections import defaultdict
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections import defaultdict, deque
 from pathlib import Path
 from statistics import median
 
 from experiments.study.grid import Cell
 from experiments.support.provenance import cpu
+
+Place = tuple[str, str, int]  # backend, task, level
 
 # Processor seconds of a common server for (a training step, a test episode) in the lightest traffic.
 DEFAULT_RATES: dict[tuple[str, str], tuple[float, float]] = {
@@ -24,60 +24,79 @@ DEFAULT_RATES: dict[tuple[str, str], tuple[float, float]] = {
     ("highway-env", "roundabout"): (0.070, 0.600),
     ("highway-env", "intersection"): (0.090, 0.900),
     ("highway-env", "u-turn"): (0.030, 0.300),
+    **{
+        ("replica", task): (step, episode)
+        for task, step, episode in (
+            ("highway", 0.0040, 0.050),
+            ("two-way", 0.0020, 0.010),
+            ("roundabout", 0.0020, 0.010),
+            ("intersection", 0.0020, 0.010),
+            ("u-turn", 0.0020, 0.010),
+        )
+    },
 }
 UPDATE = 0.006  # [s] of the learner, without the steps
 CELL = 0.5  # [s] beside training and test: environment, files
 START = 20.0  # [s] of a sweep: starting the processes, and the report
+RECENT = 50  # cells of a place that the measured rates are the median of
 GROWTH = 0.25  # how much longer each heavier level takes, where it was not measured
 
 
-@dataclass(frozen=True)
 class Rates:
     """Seconds for an update with its training steps and for a test episode, by (backend, task, level).
 
-    measured: how many stored cells they come from (0: the default rates alone).
+    Attributes:
+        measured: how many stored cells they come from (0: the default rates alone).
     """
 
-    by_level: Mapping[tuple[str, str, int], tuple[float, float]]
-    measured: int
+    def __init__(self) -> None:
+        self.measured = 0
+        self._updates: dict[Place, deque[float]] = defaultdict(lambda: deque(maxlen=RECENT))
+        self._episodes: dict[Place, deque[float]] = defaultdict(lambda: deque(maxlen=RECENT))
 
     def seconds(self, cell: Cell) -> float:
         """Expected time of a cell on one core [s], without what a sweep takes once (START)."""
-        factor = 1.0 + GROWTH * (cell.level - 1)
-        step, episode = (factor * rate for rate in DEFAULT_RATES[cell.backend, cell.task])
-        default = (UPDATE + cell.profile.get("steps_per_update", 1) * step, episode)
-        update, episode = self.by_level.get((cell.backend, cell.task, cell.level), default)
+        place = (cell.backend, cell.task, cell.level)
+        step, episode = self._default(place)
+        update = UPDATE + cell.profile.get("steps_per_update", 1) * step
+        if place in self._updates:
+            update = median(self._updates[place])
+        if place in self._episodes:
+            episode = median(self._episodes[place])
         return CELL + cell.updates * update + cell.work * episode
+
+    @staticmethod
+    def _default(place: Place) -> tuple[float, float]:
+        backend, task, level = place
+        factor = 1.0 + GROWTH * (level - 1)
+        step, episode = DEFAULT_RATES[backend, task]
+        return factor * step, factor * episode
+
+    def learn(self, file: Path) -> None:
+        """Take in a stored cell of this kind of processor.
+
+        One that cannot be read is passed over: an estimate is no place to complain about it.
+        """
+        try:
+            record = json.loads(file.read_text())
+            if record["provenance"]["cpu"] != cpu():
+                return
+            key, timing = record["key"], record["timing"]
+            place = (key["backend"], key["task"], key["level"])
+            self._episodes[place].append(timing["test_seconds"] / timing["test_episodes"])
+            if timing.get("timed_updates"):
+                self._updates[place].append(timing["train_seconds"] / timing["timed_updates"])
+            self.measured += 1
+        except (OSError, ValueError, KeyError, TypeError, ZeroDivisionError):
+            return
 
 
 def rates(directory: Path) -> Rates:
-    """The rates measured on this kind of processor in a result directory (which need not exist).
-
-    Cells that cannot be read are passed over: an estimate is no place to complain about them.
-    """
-    steps, episodes = defaultdict(list), defaultdict(list)
-    count = 0
-    for key, timing in _timings(directory.glob("cells/*/cell.json")):
-        count += 1
-        where = (key["backend"], key["task"], key["level"])
-        if timing.get("timed_updates"):
-            steps[where].append(timing["train_seconds"] / timing["timed_updates"])
-        episodes[where].append(timing["test_seconds"] / timing["test_episodes"])
-    by_level = {}
-    for where, values in episodes.items():
-        step, _ = DEFAULT_RATES[where[:2]]
-        by_level[where] = (median(steps[where]) if steps[where] else UPDATE + 4 * step, median(values))
-    return Rates(by_level, count)
-
-
-def _timings(files: Iterable[Path]) -> Iterable[tuple[dict, dict]]:
-    for file in files:
-        try:
-            record = json.loads(file.read_text())
-            if record["provenance"]["cpu"] == cpu():
-                yield record["key"], record["timing"]
-        except (OSError, ValueError, KeyError):
-            continue
+    """The rates measured on this kind of processor in a result directory (which need not exist)."""
+    found = Rates()
+    for file in sorted(directory.glob("cells/*/cell.json")):
+        found.learn(file)
+    return found
 
 
 def duration(seconds: float) -> str:

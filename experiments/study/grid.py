@@ -19,7 +19,9 @@ from sumo_env.config import resolve
 from sumo_env.tasks import TASKS
 
 RESULT_SCHEMA = 3  # raise it with every change that makes stored results mean, or be, something else
-BACKENDS = ("sumo", "highway-env", "replica")
+# The package that computes the traffic of each backend.
+SIMULATORS = {"sumo": "libsumo", "highway-env": "highway-env", "replica": "numba"}
+BACKENDS = tuple(SIMULATORS)
 ARMS: dict[str, float] = {"control": 0.0, "treatment": 1.0}  # dose of risk in training
 TRAFFICS: dict[str, float] = {"regular": 0.0, "risky": 1.0}  # dose of risk in the test
 BASELINES = ("idle", "random", "faster", "slower", "idm", "careful")
@@ -149,8 +151,7 @@ def versions(backend: str) -> dict[str, Any]:
     Raises:
         UserError: a package that the cell needs is not installed.
     """
-    simulator = "libsumo" if backend == "sumo" else backend
-    names = ["sumo-risky-driving", simulator, "numpy", "torch"]
+    names = ["sumo-risky-driving", SIMULATORS[backend], "numpy", "torch"]
     return {"schema": RESULT_SCHEMA, **{name: _installed(name) for name in names}}
 
 

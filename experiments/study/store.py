@@ -1,31 +1,38 @@
 """Finished cells on disk: written whole or not at all, checked when read, never computed twice.
 
 DIR/cells/<cell>/     cell.json, episodes.parquet, gates.parquet; for agents also training.parquet, weights.npz
-DIR/work/<cell>/      checkpoints of a cell in progress
-DIR/claims/           who computes what (see `claims`)
-DIR/sweep.json        what the last sweep asked for, and what failed
+DIR/work/<cell>/      a cell in progress: checkpoint, lock, log (see `attempt`); failed.json if it was given up
+DIR/damaged/          what was put aside because it was damaged
+DIR/sweep.json        what the last sweep asked for
 """
 
 from __future__ import annotations
 
 import io
+import itertools
 import json
 import math
+import os
 import shutil
+import socket
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from experiments.study.grid import RESULT_SCHEMA, Cell, cell_name, versions
 from experiments.support.errors import UserError
-from experiments.support.files import publish, sha256_file, write_file, write_json
+from experiments.support.files import publish, sha256_bytes, sha256_file, write_file, write_json
 
 if TYPE_CHECKING:
     import pandas as pd
 
 CELL, EPISODES, GATES = "cell.json", "episodes.parquet", "gates.parquet"
 TRAINING, WEIGHTS = "training.parquet", "weights.npz"
+FAILED = "failed.json"
+HEAD = '{\n "checksum": "%s",\n'  # of cell.json
+ENTRIES = {"schema", "key", "versions", "source", "learner", "timing", "provenance", "files"}  # of cell.json
 # Columns of the key that every table of `Results` carries.
 KEY_COLUMNS = ("cell", "kind", "backend", "task", "level", "level_name", "arm", "seed", "policy", "preset")
 
@@ -35,8 +42,9 @@ class DamagedCell(UserError):
 
     def __init__(self, file: Path, reason: str) -> None:
         super().__init__(
-            f"{file} is damaged ({reason}): delete the directory {file.parent} and run the sweep again"
+            f"{file} is damaged ({reason}): run the sweep again, which puts aside {file.parent} and computes it again"
         )
+        self.file, self.reason = file, reason
 
 
 @dataclass(frozen=True)
@@ -50,8 +58,7 @@ class Results:
     gate_episodes: the same of the scenarios that the gates are judged on.
     training: one row a training episode: KEY_COLUMNS and episode, step, return, length, crashed, arrived,
         mean_speed, epsilon.
-    cells: cell.json of each cell by name. failed: name and reason of the cells that the last sweep could not
-        finish.
+    cells: cell.json of each cell by name. failed: name and reason of the cells that were given up.
     expected: names of all cells that the last sweep asked for, finished or not.
     damaged: name and reason of the cells that cannot be read, if they were to be passed over.
     """
@@ -104,9 +111,9 @@ class Store:
         Raises:
             OSError: the disk is full or the directory cannot be written; nothing is stored then.
         """
-        staged = self.work / f"{cell.name}.finished"
+        staged = self.work / cell.name / f"finished-{socket.gethostname()}-{os.getpid()}"
         shutil.rmtree(staged, ignore_errors=True)
-        staged.mkdir()
+        staged.mkdir(parents=True)
         for name, content in files.items():
             if isinstance(content, Path):
                 data = content.read_bytes()
@@ -116,22 +123,45 @@ class Store:
                 data = buffer.getvalue()
             write_file(staged / name, data)
         checksums = {name: sha256_file(staged / name) for name in sorted(files)}
-        write_json(
-            staged / CELL,
-            {
-                "schema": RESULT_SCHEMA,
-                "key": cell.key(),
-                "versions": versions(cell.backend),
-                "source": cell.source,
-                **record,
-                "files": checksums,
-            },
-        )
+        value = {
+            "schema": RESULT_SCHEMA,
+            "key": cell.key(),
+            "versions": versions(cell.backend),
+            "source": cell.source,
+            **record,
+            "files": checksums,
+        }
+        write_file(staged / CELL, seal(value))
         publish(staged, self.cells / cell.name)
 
     def write_sweep(self, record: Mapping[str, Any]) -> None:
-        """Note what a sweep asks for (cells, arguments) and what failed."""
+        """Note what a sweep asks for (cells, arguments)."""
         write_json(self.directory / "sweep.json", record)
+
+    def write_failure(self, name: str, reason: str, command: str) -> None:
+        """Note that a cell was given up, and the command that tries it alone."""
+        (self.work / name).mkdir(exist_ok=True)
+        write_json(self.work / name / FAILED, {"reason": reason, "command": command})
+
+    def forget(self, name: str, finished: bool) -> None:
+        """Remove what earlier sweeps left of a cell: the note of a failure, and all of it if the cell is finished."""
+        if finished:
+            shutil.rmtree(self.work / name, ignore_errors=True)
+        else:
+            (self.work / name / FAILED).unlink(missing_ok=True)
+
+    def put_aside(self, path: Path) -> Path:
+        """Move something damaged to a name of its own in DIR/damaged, and return that."""
+        folder = self.directory / "damaged"
+        folder.mkdir(exist_ok=True)
+        names = path.relative_to(self.directory).parts
+        for number in itertools.count(1):
+            target = folder / f"{'-'.join(names[1:])}.{number}"
+            if not target.exists():
+                with suppress(FileNotFoundError):  # another sweep was faster
+                    path.rename(target)
+                return target
+        raise AssertionError
 
 
 def read_cell(path: Path) -> dict[str, Any]:
@@ -140,7 +170,7 @@ def read_cell(path: Path) -> dict[str, Any]:
     Raises:
         DamagedCell: a file is missing, unreadable or changed.
     """
-    record = _read_json(path / CELL)
+    record = _read_sealed(path / CELL)
     try:
         files, key, version = record["files"], record["key"], record["versions"]
         name = cell_name(key, version)
@@ -223,7 +253,7 @@ def load(directory: Path, skip_damaged: bool = False) -> Results:
         gate_episodes=_concatenate(gates),
         training=_concatenate(training),
         cells=cells,
-        failed={name: reason for name, reason in sweep.get("failed", {}).items() if name not in cells},
+        failed=read_failures(directory),
         expected=tuple(sweep.get("cells", ())),
         damaged=damaged,
     )
@@ -242,6 +272,17 @@ def read_sweep(directory: Path) -> dict[str, Any]:
         return _parse(path)
     except ValueError as error:
         raise UserError(f"{path} is damaged ({error}): delete this file and run the sweep again") from None
+
+
+def read_failures(directory: Path) -> dict[str, str]:
+    """Name and reason of the cells that were given up and are not finished since."""
+    failures = {}
+    for path in sorted(directory.glob(f"work/*/{FAILED}")):
+        name = path.parent.name
+        if not (directory / "cells" / name).exists():
+            with suppress(ValueError):  # a note that was cut off: the cell counts as missing
+                failures[name] = str(_parse(path).get("reason"))
+    return failures
 
 
 def read_episodes(path: Path) -> pd.DataFrame:
@@ -291,17 +332,33 @@ def _learner(record: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _read_json(path: Path) -> dict[str, Any]:
+def seal(record: Mapping[str, Any]) -> bytes:
+    """A record as readable JSON whose first entry is the checksum of all bytes that follow."""
+    body = json.dumps(record, indent=1, allow_nan=False).removeprefix("{\n") + "\n"
+    return (HEAD % sha256_bytes(body.encode()) + body).encode()
+
+
+def _read_sealed(path: Path) -> dict[str, Any]:
+    """What `seal` wrote; or of an earlier version, without a checksum. Raises DamagedCell."""
     try:
-        return _parse(path)
-    except ValueError as error:
+        record = _parse(path)
+        data = path.read_bytes()
+    except (ValueError, OSError) as error:
         raise DamagedCell(path, str(error)) from None
+    begin = len(HEAD % ("0" * 64))
+    if data[:begin] == (HEAD % sha256_bytes(data[begin:])).encode():
+        del record["checksum"]
+    elif not record.keys() <= ENTRIES:
+        raise DamagedCell(path, "its checksum does not match")
+    return record
 
 
 def _parse(path: Path) -> dict[str, Any]:
     """The JSON object in a file. Raises ValueError with the reason in a few words."""
     try:
         value = json.loads(path.read_text())
+    except RecursionError:
+        raise ValueError("it cannot be read: it is nested too deeply") from None
     except FileNotFoundError:
         raise ValueError("it is missing") from None
     except (OSError, ValueError) as error:

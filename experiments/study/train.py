@@ -12,7 +12,7 @@ import gymnasium as gym
 import numpy as np
 import pandas as pd
 
-from agents.checkpoint import CheckpointError
+from agents.checkpoint import CheckpointError, load_arrays
 from agents.dqn import DQNConfig
 from agents.greedy import Greedy
 from agents.models import network_class
@@ -44,6 +44,17 @@ def config_of(cell: Cell) -> DQNConfig:
     """The learner's configuration in a cell's profile."""
     names = {field.name for field in fields(DQNConfig)}
     return DQNConfig(**{name: value for name, value in cell.profile.items() if name in names})
+
+
+def checkpoint_damage(path: Path) -> str | None:
+    """Why a checkpoint cannot be read; None if it can, or if there is none."""
+    try:
+        load_arrays(path)
+    except FileNotFoundError:
+        return None
+    except (CheckpointError, OSError) as error:
+        return str(error)
+    return None
 
 
 def train_cell(

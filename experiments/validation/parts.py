@@ -4,16 +4,17 @@ from __future__ import annotations
 
 import copy
 import io
-import multiprocessing
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
-from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
 from experiments.backends import make_env
+from experiments.study.attempt import LOG, Beat
+from experiments.study.executors import open_executor
 from experiments.study.grid import level_names
+from experiments.study.run import Silent
+from experiments.study.run import run as compute
 from experiments.study.seeds import stream_seed
 from experiments.support.errors import UserError
 from experiments.support.files import canonical_json, sha256_bytes, write_file
@@ -28,6 +29,8 @@ STRAIGHT = ("highway", "two-way")  # roads without joins: the variants of highwa
 # Rough time of an episode at the lowest level, relative to each other, to start long parts first and to estimate
 # the end.
 COST = {"highway": 8.0, "two-way": 2.0, "roundabout": 2.0, "intersection": 2.0, "u-turn": 1.0}
+TASKS_PER_PROCESS = 25  # then a fresh process takes over
+SILENCE = 6 * 3600.0  # [s] a part that takes so long hangs
 SLOWNESS = {"highway-env": 60.0}  # of a backend
 
 
@@ -192,43 +195,72 @@ def drive_part(part: Part) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=list(COLUMNS)).astype(COLUMNS)
 
 
-def store(work: Work, folder: Path) -> Work:
-    """Compute some work and write its file; what the processes do."""
-    path = folder / work.file
-    path.parent.mkdir(parents=True, exist_ok=True)
-    write_file(path, work.compute())
-    return work
+@dataclass(frozen=True)
+class WorkTask:
+    """Some work whose file lies in the folder of all parts (an `attempt.Task`)."""
+
+    work: Work
+    parts: Path
+    silence: float = SILENCE
+
+    @property
+    def name(self) -> str:
+        """Path of the file within the folder."""
+        return self.work.file
+
+    @property
+    def cost(self) -> float:
+        """Rough time, in an arbitrary unit."""
+        return self.work.cost
+
+    @property
+    def folder(self) -> Path:
+        """For lock and log."""
+        return self.parts / "work" / self.work.file.replace("/", "-")
+
+    def done(self) -> bool:
+        """Whether the file is there."""
+        return (self.parts / self.name).exists()
+
+    def compute(self, beat: Beat) -> str:
+        """Compute the content and write the file."""
+        path = self.parts / self.name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_file(path, self.work.compute())
+        return ""
+
+
+class Noted(Silent):
+    """Calls a function with each finished piece of work."""
+
+    def __init__(self, note: Callable[[Work], None]) -> None:
+        self._note = note
+
+    def finished(self, task: WorkTask, remark: str) -> None:
+        """Note it."""
+        self._note(task.work)
 
 
 def run(work: Sequence[Work], folder: Path, workers: int, note: Callable[[Work], None]) -> None:
-    """Do the work whose files are not there yet, in spawned processes; `note` is called with each finished piece.
+    """Do the work whose files are not there yet, in processes; `note` is called with each finished piece.
 
     Raises:
-        UserError: a process died. What is finished stays, and the same call goes on from there.
+        UserError: some of it failed. What is finished stays, and the same call goes on from there.
     """
-    todo = sorted((item for item in work if not (folder / item.file).exists()), key=lambda item: -item.cost)
-    groups: dict[tuple[str, ...], list[Work]] = {}
-    for item in todo:
-        # highway-env's tasks change class attributes of each other's vehicles: a process sees one of them only
-        own = item.engine.backend == "highway-env"
-        groups.setdefault((item.engine.backend, item.task if own else ""), []).append(item)
-    for group in groups.values():
-        _run(group, folder, workers, note)
-
-
-def _run(work: Sequence[Work], folder: Path, workers: int, note: Callable[[Work], None]) -> None:
-    context = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(min(workers, len(work)), mp_context=context) as pool:
-        futures = [pool.submit(store, item, folder) for item in work]
-        try:
-            for future in as_completed(futures):
-                note(future.result())
-        except BrokenProcessPool:
+    groups: dict[tuple[str, ...], list[WorkTask]] = {}
+    for item in work:
+        if not (task := WorkTask(item, folder)).done():
+            # highway-env's tasks change class attributes of each other's vehicles: a process sees one of them only
+            own = item.engine.backend == "highway-env"
+            groups.setdefault((item.engine.backend, item.task if own else ""), []).append(task)
+    for tasks in groups.values():
+        executor, limit = open_executor("local", workers, folder, TASKS_PER_PROCESS)
+        if failures := compute(tasks, executor, limit, Noted(note)):
+            failed = next(task for task in tasks if task.name in failures)
             raise UserError(
-                "a process that drove episodes died; run the same command again to go on, with --workers 1 to see where"
-            ) from None
-        finally:
-            pool.shutdown(wait=True, cancel_futures=True)
+                f"{len(failures)} parts failed, one of them because {failures[failed.name]}; see {failed.folder / LOG} "
+                "and run the same command again to go on"
+            )
 
 
 def collect(parts: Sequence[Part], folder: Path) -> pd.DataFrame:

@@ -9,7 +9,9 @@ import pytest
 from PIL import Image
 
 from experiments.replay import Options, parse_case, replay
-from experiments.study import store, worker
+from experiments.study import store
+from experiments.study.attempt import Ended, attempt
+from experiments.study.cell import CellTask
 from experiments.support.errors import UserError
 from experiments.sweep import Options as SweepOptions
 from experiments.sweep import cells_of
@@ -19,12 +21,12 @@ from tests.experiments.fake_env import make_env
 @pytest.fixture(scope="module")
 def cells(tmp_path_factory):
     """Directories of a stored agent and of a stored baseline."""
-    home = store.Store(tmp_path_factory.mktemp("results"))
+    home = tmp_path_factory.mktemp("results")
     wanted = cells_of(SweepOptions(preset="smoke", tasks=("highway",), updates=100, episodes=3))
     chosen = [cell for cell in wanted if cell.arm == "control" or cell.policy == "random"]
     for cell in chosen:
-        worker.compute(cell, home, make_env)
-    return [home.cells / cell.name for cell in chosen]
+        assert attempt(CellTask(cell, home, make_env)) == Ended("done")
+    return [home / "cells" / cell.name for cell in chosen]
 
 
 @pytest.mark.parametrize("case", ["", ":regular:2", ":risky:1"])

@@ -183,8 +183,9 @@ class TestIncomplete:
 
     def test_failed_cells_are_named(self, tmp_path):
         cells = synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=1, tests=4, baselines=("idle",))
-        note = {"cells": [*(cell.name for cell in cells), "lost"], "failed": {"lost": "the <simulator> died"}}
-        store.Store(tmp_path).write_sweep(note)
+        home = store.Store(tmp_path)
+        home.write_sweep({"cells": [*(cell.name for cell in cells), "lost"]})
+        home.write_failure("lost", "the <simulator> died", "python experiments/sweep.py --cell lost")
         page = Page(report.write_report(tmp_path).read_text())
         assert "lost (the <simulator> died)" in page.text
 

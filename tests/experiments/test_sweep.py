@@ -16,8 +16,9 @@ import pytest
 
 from experiments.analysis.analysis import analyse
 from experiments.analysis.tables import comparable
-from experiments.study import grid, store, worker
-from experiments.study.claims import Claims, Heart
+from experiments.study import grid, store
+from experiments.study.attempt import Ended, attempt, locked
+from experiments.study.cell import CellTask
 from experiments.study.presets import PRESETS
 from experiments.support.errors import UserError
 from experiments.sweep import Options, cells_of, sweep
@@ -68,7 +69,6 @@ def test_a_sweep_computes_every_cell_once(reference, capsys):
     assert set(results.cells) == {cell.name for cell in wanted} == set(results.expected)
     assert not results.failed
     assert not list((reference / "work").iterdir())
-    assert not list((reference / "claims").glob("*.lock"))
     before = {path: path.stat().st_mtime_ns for path in reference.glob("cells/*/*")}
     assert run(reference) == 0
     assert {path: path.stat().st_mtime_ns for path in reference.glob("cells/*/*")} == before
@@ -102,7 +102,9 @@ def test_a_killed_worker_is_noticed_and_its_cells_come_out_the_same(reference, t
     plan_file.write_text("40")
     monkeypatch.setenv("FAKE_KILL", str(plan_file))
     assert run(tmp_path / "results", workers=1) == 0
-    assert "killed by signal 9; trying again (2 of 3)" in capsys.readouterr().out
+    output = capsys.readouterr().out
+    assert "its process was killed by SIGKILL, see" in output
+    assert "retry 1 of 3" in output
     assert fingerprint(tmp_path / "results") == fingerprint(reference)
 
 
@@ -110,10 +112,15 @@ def test_a_cell_that_always_fails_leaves_the_others(reference, tmp_path, monkeyp
     monkeypatch.setenv("FAKE_RAISE", "1")
     assert run(tmp_path) == 1
     output = capsys.readouterr()
-    assert "trying again (3 of 3)" in output.out
+    assert "retry 3 of 3" in output.out
     assert "1 of 8 cells failed, all others are kept" in output.err
     assert "the fake environment was told to fail" in output.err
-    assert "Traceback" in next((tmp_path / "logs").iterdir()).read_text()
+    log = next(tmp_path.glob("work/*/log.txt"))
+    assert str(log) in output.err
+    assert f"--cell {log.parent.name}" in output.err
+    assert log.read_text().count("Traceback") == 4
+    with pytest.raises(RuntimeError, match="told to fail"):
+        run(tmp_path, cell=log.parent.name)
     results = store.load(tmp_path)
     assert len(results.cells) == 7
     assert [name.rpartition("-")[0] for name in results.failed] == ["sumo-u-turn-3-treatment-s0"]
@@ -183,7 +190,7 @@ def test_a_stopped_sweep_says_how_to_go_on(tmp_path, number):
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path,
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # tests in the background inherit its neglect
     )  # fmt: skip
-    wait_for(lambda: (directory / "claims").is_dir() and list(directory.glob("claims/*.lock")), process)
+    wait_for(lambda: list(directory.glob("work/*/lock")), process)
     process.send_signal(number)
     _, errors = process.communicate(timeout=300)
     assert process.returncode == 130
@@ -195,7 +202,7 @@ def test_a_stopped_sweep_says_how_to_go_on(tmp_path, number):
 def test_two_sweeps_on_one_directory_share_the_work(reference, tmp_path):
     directory = tmp_path / "results"
     other = start(tmp_path, directory, workers=1)
-    wait_for(lambda: list(directory.glob("claims/*.lock")), other)
+    wait_for(lambda: list(directory.glob("work/*/lock")), other)
     assert run(directory, workers=1) == 0
     _, errors = other.communicate(timeout=300)
     assert other.returncode == 0, errors
@@ -204,52 +211,107 @@ def test_two_sweeps_on_one_directory_share_the_work(reference, tmp_path):
 
 def test_neither_shards_nor_order_nor_company_change_anything(reference, tmp_path):
     """Every cell in this process, in another order."""
-    home = store.Store(tmp_path)
-    cells = cells_of(Options(out=tmp_path, **TINY))
-    parts = [cell for i in (2, 1) for cell in grid.shard(cells, f"{i}/2")]
-    for cell in reversed(parts):
-        assert worker.compute(cell, home, make_env)
+    parts = [task for i in (2, 1) for task in tasks_of(tmp_path, shard=f"{i}/2")]
+    for task in reversed(parts):
+        assert attempt(task) == Ended("done")
     assert fingerprint(tmp_path) == fingerprint(reference)
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("executor", ["ray", "slurm"])
+def test_every_executor_gives_the_same_results(reference, tmp_path, monkeypatch, executor):
+    if executor == "ray":
+        pytest.importorskip("ray")
+    else:  # submitit's processes on this machine in the place of Slurm
+        pytest.importorskip("submitit")
+        from experiments.study.executors.slurm import SlurmExecutor
+
+        monkeypatch.setattr(
+            "experiments.sweep.open_executor",
+            lambda name, workers, directory, _: (SlurmExecutor(directory / name, "local"), workers),
+        )
+    assert run(tmp_path / "results", executor=executor) == 0
+    assert fingerprint(tmp_path / "results") == fingerprint(reference)
+
+
+def test_slurm_is_named_where_there_is_none(tmp_path, monkeypatch):
+    pytest.importorskip("submitit")
+    monkeypatch.setenv("PATH", "")
+    with pytest.raises(UserError, match="--executor slurm is for machines"):
+        run(tmp_path, executor="slurm")
+
+
+def tasks_of(directory: Path, shard: str = "1/1") -> list[CellTask]:
+    cells = grid.shard(cells_of(Options(out=directory, **TINY)), shard)
+    return [CellTask(cell, directory, make_env) for cell in cells]
+
+
+def baselines(directory: Path) -> list[CellTask]:
+    return [task for task in tasks_of(directory) if task.cell.kind == "baseline"]
+
+
 def test_a_cell_that_another_process_holds_is_left_to_it(tmp_path):
-    home = store.Store(tmp_path)
-    cell = next(cell for cell in cells_of(Options(out=tmp_path, **TINY)) if cell.policy == "idle")
-    held = Claims(tmp_path / "claims").acquire(cell.name)
-    assert not worker.compute(cell, home, make_env)
-    assert not home.is_finished(cell)
-    held.release()
-    assert worker.compute(cell, home, make_env)
-    assert home.is_finished(cell)
+    task = baselines(tmp_path)[0]
+    with locked(task.folder) as mine:
+        assert mine
+        assert attempt(task) == Ended("elsewhere")
+        assert not task.done()
+    assert attempt(task) == Ended("done")
+    assert task.done()
 
 
 def test_a_full_disk_stops_the_sweep_in_one_line_and_loses_nothing(tmp_path, monkeypatch):
-    home = store.Store(tmp_path)
-    first, second = [cell for cell in cells_of(Options(out=tmp_path, **TINY)) if cell.kind == "baseline"][:2]
-    worker.compute(first, home, make_env)
+    first, second = baselines(tmp_path)[:2]
+    attempt(first)
 
     def full(path, data):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
 
     monkeypatch.setattr("experiments.study.store.write_file", full)
-    answer = worker.attempt(worker.Job(second, 1.0), tmp_path, make_env, Heart(os.getppid()), lambda _: None)
-    assert answer.fatal
-    assert "no space left" in answer.message
-    assert "\n" not in answer.message
+    answer = attempt(second)
+    assert answer.state == "fatal"
+    assert "no space left" in answer.reason
+    assert "\n" not in answer.reason
     monkeypatch.undo()
-    assert (home.is_finished(first), home.is_finished(second)) == (True, False)
-    worker.compute(second, home, make_env)
-    assert home.is_finished(second)
+    assert (first.done(), second.done()) == (True, False)
+    assert attempt(second) == Ended("done")
+    assert second.done()
 
 
-def test_a_damaged_cell_stops_the_sweep_before_anything_is_computed(reference, tmp_path):
-    subprocess.run(["cp", "-r", str(reference), str(tmp_path / "copy")], check=True)
-    cell = sorted((tmp_path / "copy" / "cells").iterdir())[0]
+def test_a_damaged_cell_is_named_put_aside_and_computed_again(reference, tmp_path, capsys):
+    copy = tmp_path / "copy"
+    subprocess.run(["cp", "-r", str(reference), str(copy)], check=True)
+    cell = sorted((copy / "cells").iterdir())[0]
     (cell / store.EPISODES).write_bytes(b"PAR1")
-    with pytest.raises(store.DamagedCell) as error:
-        run(tmp_path / "copy", seeds=2)
-    assert str(cell / store.EPISODES) in str(error.value)
-    assert len(list((tmp_path / "copy" / "cells").iterdir())) == 8
+    assert run(copy) == 0
+    assert f"{cell / store.EPISODES} is damaged" in capsys.readouterr().out
+    assert (copy / "damaged" / f"{cell.name}.1" / store.EPISODES).read_bytes() == b"PAR1"
+    assert fingerprint(copy) == fingerprint(reference)
+
+
+def test_a_damaged_checkpoint_is_named_put_aside_and_the_training_begins_again(reference, tmp_path, capsys):
+    task = next(task for task in tasks_of(tmp_path) if task.cell.kind == "agent")
+    task.folder.mkdir(parents=True)
+    (task.folder / "checkpoint.npz").write_bytes(b"PK\3\4torn")
+    assert run(tmp_path) == 0
+    assert f"{task.name}: its checkpoint was damaged" in capsys.readouterr().out
+    assert (tmp_path / "damaged" / f"{task.name}-checkpoint.npz.1").read_bytes() == b"PK\3\4torn"
+    assert fingerprint(tmp_path) == fingerprint(reference)
+
+
+def test_what_an_earlier_sweep_left_of_a_finished_cell_is_removed(reference):
+    cell = sorted((reference / "cells").iterdir())[0]
+    (reference / "work" / cell.name).mkdir()
+    assert run(reference) == 0
+    assert not list((reference / "work").iterdir())
+
+
+def test_everything_that_happens_is_in_the_log(reference):
+    log = (reference / "sweep.log").read_text()
+    for name in store.load(reference).cells:
+        assert f"{name} started" in log
+        assert f"{name} finished after" in log
+    assert "task u-turn, control 1/1, treatment 1/1, policies 6/6, left done" in log
 
 
 @pytest.mark.parametrize(
@@ -262,6 +324,8 @@ def test_a_damaged_cell_stops_the_sweep_before_anything_is_computed(reference, t
         ({"levels": ("low",)}, "--levels takes numbers"),
         ({"shard": "0/2"}, "--shard"),
         ({"workers": 0}, "--workers"),
+        ({"executor": "lokal"}, "unknown executor 'lokal': did you mean 'local'"),
+        ({"cell": "sumo-u-turn-3-control-s7"}, "did you mean 'sumo-u-turn-3-control-s0'"),
         ({"updates": -5}, "updates"),
         ({"gamma": 1.5}, "gamma"),
     ],

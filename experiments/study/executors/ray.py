@@ -1,0 +1,73 @@
+"""A Ray cluster: the one that runs already, else one of this machine that ends with the sweep."""
+
+from __future__ import annotations
+
+import os
+import signal
+import threading
+from collections.abc import Callable
+from concurrent.futures import Executor, Future
+from pathlib import Path
+from typing import Any
+
+os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # read when ray is imported
+
+import ray
+
+from experiments.support.threads import VARIABLES
+
+ROOT = Path(__file__).resolve().parents[3]
+
+
+class RayExecutor(Executor):
+    """Ray tasks of one core each. Retries are the runner's, so that they are counted and logged alike everywhere.
+
+    The nodes must see the checkout, the Python environment and the result directory under the same paths.
+
+    Args:
+        workers: cores of a cluster that has to be started; all of the machine's by default.
+        tasks_per_process: then a fresh process takes over.
+    """
+
+    def __init__(self, workers: int | None, tasks_per_process: int) -> None:
+        handler = signal.getsignal(signal.SIGTERM)
+        environment = {"env_vars": {"PYTHONPATH": str(ROOT), **dict.fromkeys(VARIABLES, "1")}}
+        settings: dict[str, Any] = {
+            "runtime_env": environment,
+            "log_to_driver": False,
+            "logging_level": "ERROR",
+        }
+        try:
+            ray.init(address="auto", **settings)
+        except ConnectionError:  # none runs
+            ray.init(address="local", num_cpus=workers, include_dashboard=False, **settings)
+        if threading.current_thread() is threading.main_thread():
+            signal.signal(signal.SIGTERM, handler)  # Ray puts its own in the place of ours
+        self._call = ray.remote(num_cpus=1, max_retries=0, max_calls=tasks_per_process)(_call)
+        self._references: set[Any] = set()
+
+    @property
+    def workers(self) -> int:
+        """Cores of the cluster now."""
+        return max(int(ray.cluster_resources().get("CPU", 1)), 1)
+
+    def submit(self, function: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        """Call a function in a process of the cluster."""
+        reference = self._call.remote(function, args, kwargs)
+        future: Future[Any] = reference.future()
+        self._references.add(reference)
+        future.add_done_callback(lambda _: self._references.discard(reference))
+        return future
+
+    def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
+        """Leave the cluster; with `cancel_futures`, end the tasks at once."""
+        if cancel_futures:
+            for reference in list(self._references):
+                ray.cancel(reference, force=True)
+        elif wait and self._references:
+            ray.wait(list(self._references), num_returns=len(self._references))
+        ray.shutdown()
+
+
+def _call(function: Callable[..., Any], args: tuple[Any, ...], kwargs: dict[str, Any]) -> Any:
+    return function(*args, **kwargs)

@@ -1,0 +1,103 @@
+"""Tasks for tests of the runner: each adds up a few numbers, and some die, hang or fail on the way."""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import signal
+import threading
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+from experiments.study.attempt import Beat
+from experiments.support.errors import UserError
+from experiments.support.files import write_file
+
+STEPS = 10
+
+
+@dataclass(frozen=True)
+class Sum:
+    """Adds up some numbers, one a step, with a checkpoint after each; writes the sum to DIRECTORY/NAME.
+
+    fault: what goes wrong after half of the steps. times: in how many tries it goes wrong.
+    """
+
+    name: str
+    directory: Path
+    fault: str = ""
+    times: int = 0
+    pause: float = 0.0
+    cost: float = 1.0
+    silence: float = 60.0
+
+    @property
+    def folder(self) -> Path:
+        return self.directory / "work" / self.name
+
+    @property
+    def result(self) -> Path:
+        return self.directory / self.name
+
+    def done(self) -> bool:
+        return self.result.exists()
+
+    def compute(self, beat: Beat) -> str:
+        checkpoint = self.folder / "checkpoint"
+        step, total = map(int, checkpoint.read_text().split()) if checkpoint.exists() else (0, 0)
+        with (self.directory / f"{self.name}.tries").open("a") as file:
+            file.write(f"{os.getpid()} {step}\n")
+        while step < STEPS:
+            beat(step / STEPS)
+            if step == STEPS // 2:
+                self._misbehave()
+            time.sleep(self.pause)
+            step, total = step + 1, total + step
+            write_file(checkpoint, f"{step} {total}".encode())
+        write_file(self.result, str(total).encode())
+        return ""
+
+    def tries(self) -> list[tuple[int, int]]:
+        """Process and first step of each try."""
+        lines = (self.directory / f"{self.name}.tries").read_text().splitlines()
+        return [(int(pid), int(step)) for pid, step in map(str.split, lines)]
+
+    def _misbehave(self) -> None:
+        if self.fault and len(self.tries()) <= self.times:
+            FAULTS[self.fault]()
+
+
+def _segfault() -> None:
+    ctypes.string_at(0)
+
+
+def _hold_everything() -> None:
+    """An endless call into C that never gives the interpreter back."""
+    ctypes.PyDLL(None).sleep(600)
+
+
+def _deadlock() -> None:
+    lock = threading.Lock()
+    lock.acquire()
+    lock.acquire()
+
+
+def _fail() -> None:
+    raise ValueError("it was told to fail")
+
+
+def _refuse() -> None:
+    raise UserError("put this right first")
+
+
+FAULTS = {
+    "kill": lambda: os.kill(os.getpid(), signal.SIGKILL),
+    "segfault": _segfault,
+    "exit": lambda: os._exit(7),
+    "hold": _hold_everything,
+    "deadlock": _deadlock,
+    "freeze": lambda: os.kill(os.getpid(), signal.SIGSTOP),
+    "fail": _fail,
+    "refuse": _refuse,
+}

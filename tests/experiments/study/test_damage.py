@@ -1,0 +1,220 @@
+"""Whatever happens to the files of a sweep: a damaged one is named, never analysed, and its cell computed again."""
+
+from __future__ import annotations
+
+import pickle
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from experiments.study import store
+from experiments.study.attempt import Ended, attempt
+from experiments.study.cell import CellTask
+from experiments.support.errors import UserError
+from experiments.sweep import Options, cells_of
+from tests.experiments.fake_env import make_env
+
+pytestmark = pytest.mark.slow
+
+ROOT = Path(__file__).resolve().parents[3]
+TINY = {"preset": "smoke", "tasks": ("u-turn",), "updates": 300, "episodes": 2}
+PROPERTY = settings(
+    max_examples=25,
+    deadline=None,
+    derandomize=True,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
+)
+
+
+def tasks_of(directory: Path) -> list[CellTask]:
+    return [CellTask(cell, directory, make_env) for cell in cells_of(Options(out=directory, **TINY))]
+
+
+def files_of(directory: Path) -> dict[str, dict[str, str]]:
+    """Checksums of all results, by cell."""
+    return {name: record["files"] for name, record in store.load(directory).cells.items()}
+
+
+class Cut(Exception):
+    """Ends a training."""
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory) -> Path:
+    """A directory with all cells finished."""
+    directory = tmp_path_factory.mktemp("finished")
+    for task in tasks_of(directory):
+        assert attempt(task) == Ended("done")
+    store.Store(directory).write_sweep({"cells": [task.name for task in tasks_of(directory)]})
+    return directory
+
+
+@pytest.fixture(scope="module")
+def interrupted(tmp_path_factory) -> Path:
+    """A directory with an agent in the middle of its training, as `kill -9` leaves it."""
+    directory = tmp_path_factory.mktemp("interrupted")
+
+    def cut(fraction: float) -> None:
+        if (task.folder / "checkpoint.npz").exists():
+            raise Cut
+
+    task = next(task for task in tasks_of(directory) if task.cell.kind == "agent")
+    task.folder.mkdir(parents=True)
+    with pytest.raises(Cut):
+        task.compute(cut)
+    return directory
+
+
+@st.composite
+def damages(draw):
+    """A function from the content of a file to what is left of it; None if the file is gone."""
+    position, byte = draw(st.floats(0, 1, exclude_max=True)), draw(st.integers(1, 255))
+    garbage = draw(st.binary(max_size=100))
+
+    def flip(content: bytes) -> bytes:
+        at = int(position * len(content))
+        return content[:at] + bytes([content[at] ^ byte]) + content[at + 1 :]
+
+    return draw(
+        st.sampled_from(
+            [
+                flip,
+                lambda content: content[: int(position * len(content))],
+                lambda content: content[: int(position * len(content))].ljust(
+                    len(content), b"\0"
+                ),  # a torn write
+                lambda content: garbage,
+                lambda content: None,
+            ]
+        )
+    )
+
+
+def harm(path: Path, damage) -> bool:
+    """Damage a file; False if its content has stayed the same."""
+    before = path.read_bytes()
+    after = damage(before)
+    if after is None:
+        path.unlink()
+    else:
+        path.write_bytes(after)
+    return before != after
+
+
+@PROPERTY
+@given(number=st.integers(0, 10**6), damage=damages())
+def test_a_damaged_result_is_never_analysed_and_computed_again(finished, tmp_path_factory, number, damage):
+    directory = tmp_path_factory.mktemp("copy") / "results"
+    shutil.copytree(finished, directory)
+    files = sorted(directory.glob("cells/*/*"))
+    path = files[number % len(files)]
+    if harm(path, damage):
+        with pytest.raises(store.DamagedCell) as error:
+            store.load(directory)
+        assert str(path) in str(error.value)
+        assert "\n" not in str(error.value)
+    [task] = [task for task in tasks_of(directory) if task.name == path.parent.name]
+    assert attempt(task) == Ended("done")
+    assert files_of(directory) == files_of(finished)
+    shutil.rmtree(directory)
+
+
+@PROPERTY
+@given(
+    name=st.sampled_from(
+        ["checkpoint.npz", "progress.json", "lock", "log.txt", "failed.json", "finished-x-1/cell.json"]
+    ),
+    damage=damages(),
+)
+def test_a_damaged_working_file_costs_at_most_the_cell(finished, interrupted, tmp_path_factory, name, damage):
+    directory = tmp_path_factory.mktemp("copy") / "results"
+    shutil.copytree(interrupted, directory)
+    task = next(task for task in tasks_of(directory) if task.cell.kind == "agent")
+    path = task.folder / name
+    path.parent.mkdir(exist_ok=True)
+    if not path.exists():
+        path.write_text('{"reason": "none", "fraction": 0.5, "host": "here", "pid": 1}')
+    harm(path, damage)
+    store.read_failures(directory)
+    ended = attempt(task)
+    assert ended.state == "done", ended
+    assert files_of(directory)[task.name] == files_of(finished)[task.name]
+    shutil.rmtree(directory)
+
+
+@PROPERTY
+@given(damage=damages())
+def test_a_damaged_note_of_the_sweep_is_named(finished, tmp_path_factory, damage):
+    directory = tmp_path_factory.mktemp("copy") / "results"
+    shutil.copytree(finished, directory)
+    harm(directory / "sweep.json", damage)
+    try:
+        assert files_of(directory) == files_of(finished)
+    except UserError as error:
+        assert str(directory / "sweep.json") in str(error)
+    shutil.rmtree(directory)
+
+
+class Payload:
+    """Leaves a trace where it is unpickled."""
+
+    def __init__(self, trace: Path) -> None:
+        self.trace = trace
+
+    def __reduce__(self):
+        return Path.touch, (self.trace,)
+
+
+def test_nothing_is_unpickled_from_a_file(finished, interrupted, tmp_path):
+    trace = tmp_path / "unpickled"
+    bomb = np.array([Payload(trace)], dtype=object)
+    for number, origin in enumerate((finished, interrupted)):
+        directory = tmp_path / str(number)
+        shutil.copytree(origin, directory)
+        for path in [*directory.glob("cells/*/*"), *directory.glob("work/*/*"), directory / "sweep.json"]:
+            if path.suffix == ".npz":
+                with path.open("wb") as file:
+                    np.savez(file, settings=bomb, weights=bomb)
+            else:
+                path.write_bytes(pickle.dumps(bomb))
+        with pytest.raises(UserError):
+            store.load(directory)
+        for task in tasks_of(directory):
+            assert attempt(task).state == "done"
+    assert not trace.exists()
+    np.load(
+        directory / "damaged" / sorted(p.name for p in (directory / "damaged").iterdir())[0],
+        allow_pickle=True,
+    )["settings"]
+    assert trace.exists()  # the trap works
+
+
+AUDIT = """
+import sys
+sys.path.insert(0, {root!r})
+from pathlib import Path
+found = []
+sys.addaudithook(lambda event, arguments: found.append(arguments) if event == "pickle.find_class" else None)
+from experiments.report import write_report
+from experiments.replay import Options, replay
+from tests.experiments.fake_env import make_env
+directory = Path(sys.argv[1])
+write_report(directory)
+for cell in sorted(directory.glob("cells/*")):
+    replay(Options(f"{{cell}}:risky:0", out=directory / "picture.png"), make_env)
+print(found)
+"""
+
+
+def test_report_and_replay_unpickle_nothing(finished, tmp_path):
+    shutil.copytree(finished, tmp_path / "results")
+    command = [sys.executable, "-c", AUDIT.format(root=str(ROOT)), str(tmp_path / "results")]
+    result = subprocess.run(command, capture_output=True, text=True, timeout=300)
+    assert result.returncode == 0, result.stderr
+    assert result.stdout.splitlines()[-1] == "[]"

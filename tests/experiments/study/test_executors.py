@@ -1,0 +1,133 @@
+"""Ray and Slurm's interface give the same results, and lose nothing when a process or a node is killed."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+
+import pytest
+
+from experiments.study.executors import open_executor
+from experiments.study.run import run
+from tests.experiments.study.misbehaving import STEPS, Sum
+from tests.experiments.study.test_run import ROOT, TOTAL, Witness, results
+
+pytestmark = pytest.mark.slow
+
+
+def test_jobs_of_submitit_are_computed_and_retried(tmp_path):
+    """submitit's processes on this machine: its scripts, messages and logs are those of Slurm."""
+    pytest.importorskip("submitit")
+    from experiments.study.executors.slurm import SlurmExecutor
+
+    tasks = [
+        Sum("good", tmp_path),
+        Sum("dies", tmp_path, fault="kill", times=1),
+        Sum("fails", tmp_path, fault="fail", times=1),
+    ]
+    witness = Witness()
+    failures = run(tasks, SlurmExecutor(tmp_path / "slurm", cluster="local"), 4, witness)
+    assert failures == {}
+    assert results(tasks) == [TOTAL] * 3
+    assert [len(task.tries()) for task in tasks] == [1, 2, 2]
+    [reason] = [reason for name, reason, _ in witness.retries if name == "dies"]
+    assert str(tmp_path / "slurm") in reason  # submitit's log
+    assert tasks[1].tries()[1][1] == STEPS // 2  # from its checkpoint
+
+
+def test_a_job_at_its_time_limit_goes_on_from_its_checkpoint(tmp_path):
+    pytest.importorskip("submitit")
+    from experiments.study.executors.slurm import SlurmExecutor
+
+    task = Sum("long", tmp_path, pause=1.0)
+    executor = SlurmExecutor(tmp_path / "slurm", cluster="local")
+
+    class Limit(Witness):
+        """Sends the signal that Slurm sends before the time limit."""
+
+        def tick(self, running) -> None:
+            sign = running.get("long")
+            if sign is not None and sign.fraction >= 0.3 and not self.seen:
+                self.seen.add("long")
+                os.kill(sign.pid, signal.SIGUSR2)
+
+    witness = Limit()
+    assert run([task], executor, 1, witness) == {}
+    assert witness.seen and not witness.retries  # submitit handed it in again, the runner did not notice
+    assert results([task]) == [TOTAL]
+    (_, first), (_, second) = task.tries()
+    assert first == 0 and second >= 3
+
+
+@pytest.fixture
+def ray():
+    """Ray without a cluster: one is started, and must be gone afterwards."""
+    module = pytest.importorskip("ray")
+    assert not module.is_initialized()
+    yield module
+    assert not module.is_initialized()
+
+
+def test_ray_computes_and_retries_on_a_cluster_of_its_own(tmp_path, ray):
+    tasks = [
+        Sum("good", tmp_path),
+        Sum("dies", tmp_path, fault="segfault", times=1),
+        Sum("fails", tmp_path, fault="fail", times=1),
+    ]
+    failures = run(tasks, *open_executor("ray", 2, tmp_path, 25), Witness())
+    assert failures == {}
+    assert results(tasks) == [TOTAL] * 3
+    assert [len(task.tries()) for task in tasks] == [1, 2, 2]
+
+
+# Two nodes with one core each; the second one is killed as soon as both compute.
+NODES = """
+import os, sys
+from pathlib import Path
+sys.path.insert(0, {root!r})
+from ray.cluster_utils import Cluster
+from experiments.study.executors import open_executor
+from experiments.study.run import run
+from tests.experiments.study.misbehaving import Sum
+from tests.experiments.study.test_run import Witness
+
+cluster = Cluster(initialize_head=True, head_node_args={{"num_cpus": 1}})
+second = cluster.add_node(num_cpus=1)
+os.environ["RAY_ADDRESS"] = cluster.address
+here = Path(sys.argv[1])
+tasks = [Sum(f"t{{number}}", here, pause=0.3) for number in range(8)]
+
+class Killer(Witness):
+    def tick(self, running):
+        signs = [sign for sign in running.values() if sign is not None and sign.fraction > 0.2]
+        if len(signs) == 2 and not self.seen:
+            self.seen.add("killed")
+            cluster.remove_node(second, allow_graceful=False)
+
+executor, limit = open_executor("ray", None, here, 25)
+witness = Killer()
+failures = run(tasks, executor, limit, witness)
+print(limit, len(witness.seen), failures, witness.retries, flush=True)
+cluster.shutdown()
+"""
+
+
+@pytest.mark.long
+def test_a_ray_node_that_is_killed_costs_nothing_but_time(tmp_path):
+    pytest.importorskip("ray")
+    script = tmp_path / "nodes.py"
+    script.write_text(NODES.format(root=str(ROOT)))
+    result = subprocess.run(
+        [sys.executable, str(script), str(tmp_path)], capture_output=True, text=True, timeout=300
+    )
+    assert result.returncode == 0, result.stderr
+    assert "\n2 1 {} [(" in f"\n{result.stdout}", (
+        result.stdout
+    )  # two cores, one killed, none failed, some retried
+    tasks = [Sum(f"t{number}", tmp_path) for number in range(8)]
+    assert results(tasks) == [TOTAL] * 8
+    assert sum(len(task.tries()) for task in tasks) == 9
+    assert any(step > 0 for task in tasks for _, step in task.tries())
+    assert not list((tmp_path / "work").iterdir())

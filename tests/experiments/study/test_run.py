@@ -1,0 +1,291 @@
+"""The runner: every task is computed once, whatever dies, hangs or fails; what cannot be is named."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from concurrent.futures import Executor, Future
+from pathlib import Path
+
+import pytest
+
+from experiments.study import run as runner
+from experiments.study.attempt import LOG, PROGRESS, Ended, attempt, locked
+from experiments.study.executors import open_executor
+from experiments.study.run import Silent, run
+from experiments.support.errors import UserError
+from tests.experiments.study.misbehaving import STEPS, Sum
+
+ROOT = Path(__file__).resolve().parents[3]
+TOTAL = str(sum(range(STEPS)))
+
+
+class Witness(Silent):
+    """Keeps what the runner tells."""
+
+    def __init__(self) -> None:
+        self.retries: list[tuple[str, str, int]] = []
+        self.seen: set[str] = set()
+        self.order: list[str] = []
+
+    def started(self, task) -> None:
+        self.order.append(task.name)
+
+    def again(self, task, reason, number) -> None:
+        self.retries.append((task.name, reason, number))
+
+    def tick(self, running) -> None:
+        self.seen |= {name for name, sign in running.items() if sign is not None}
+
+
+def compute(
+    tasks: list[Sum], workers: int = 2, tasks_per_process: int = 25
+) -> tuple[dict[str, str], Witness]:
+    witness = Witness()
+    executor, limit = open_executor("local", workers, tasks[0].directory, tasks_per_process)
+    return run(tasks, executor, limit, witness), witness
+
+
+def results(tasks: list[Sum]) -> list[str | None]:
+    return [task.result.read_text() if task.done() else None for task in tasks]
+
+
+def test_every_task_is_computed_once_the_longest_first(tmp_path):
+    tasks = [Sum(f"t{number}", tmp_path, cost=number) for number in range(5)]
+    failures, witness = compute(tasks, workers=1)
+    assert failures == {}
+    assert witness.order == ["t4", "t3", "t2", "t1", "t0"]
+    assert results(tasks) == [TOTAL] * 5
+    assert [len(task.tries()) for task in tasks] == [1] * 5
+    assert not list((tmp_path / "work").iterdir())
+    compute(tasks)
+    assert [len(task.tries()) for task in tasks] == [1] * 5
+
+
+def test_processes_are_recycled(tmp_path):
+    tasks = [Sum(f"t{number}", tmp_path) for number in range(4)]
+    compute(tasks, workers=1, tasks_per_process=2)
+    assert len({task.tries()[0][0] for task in tasks}) == 2
+
+
+@pytest.mark.parametrize(
+    ("fault", "reason"),
+    [
+        ("kill", "killed by SIGKILL"),
+        ("segfault", "killed by SIGSEGV"),
+        ("exit", "ended with exit status 7"),
+        ("fail", "ValueError: it was told to fail"),
+    ],
+)
+def test_what_goes_wrong_goes_on_from_its_checkpoint_in_another_process(tmp_path, fault, reason):
+    bad = Sum("bad", tmp_path, fault=fault, times=1)
+    tasks = [bad, Sum("good", tmp_path, pause=0.2)]
+    failures, witness = compute(tasks)
+    assert failures == {}
+    assert results(tasks) == [TOTAL] * 2
+    (first, begin), (second, resumed) = bad.tries()
+    assert first != second
+    assert (begin, resumed) == (0, STEPS // 2)
+    [(name, why, number)] = witness.retries
+    assert (name, number) == ("bad", 1)
+    assert reason in why
+    assert len(tasks[1].tries()) == 1  # its process died alone
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("fault", ["hold", "deadlock", "freeze"])
+def test_what_hangs_is_ended_and_tried_again(tmp_path, fault, monkeypatch):
+    monkeypatch.setattr(runner, "GRACE", 2.0)
+    bad = Sum("bad", tmp_path, fault=fault, times=1, silence=3.0)
+    failures, witness = compute([bad, Sum("good", tmp_path)])
+    assert failures == {}
+    assert results([bad]) == [TOTAL]
+    [(_, reason, _)] = witness.retries
+    assert "it hung: no sign of life for" in reason
+
+
+@pytest.mark.parametrize("fault", ["segfault", "fail"])
+def test_what_always_goes_wrong_is_given_up_and_the_others_are_computed(tmp_path, fault):
+    bad, good = Sum("bad", tmp_path, fault=fault, times=99), Sum("good", tmp_path)
+    failures, witness = compute([bad, good])
+    assert list(failures) == ["bad"]
+    assert results([bad, good]) == [None, TOTAL]
+    assert [number for *_, number in witness.retries] == [1, 2, 3]
+    assert len(bad.tries()) == 4
+    log = (bad.folder / LOG).read_text()
+    assert "misbehaving.py" in log  # the stack says where
+    assert log.count("Traceback" if fault == "fail" else "Segmentation fault") == 4
+
+
+def test_what_concerns_every_task_ends_the_run(tmp_path):
+    tasks = [Sum("bad", tmp_path, fault="refuse", times=99, cost=2), Sum("good", tmp_path)]
+    with pytest.raises(UserError, match="put this right first"):
+        compute(tasks, workers=1)
+
+
+def test_progress_is_seen_while_a_task_runs(tmp_path):
+    _, witness = compute([Sum("slow", tmp_path, pause=0.2)])
+    assert witness.seen == {"slow"}
+
+
+def test_a_task_that_another_run_computes_is_waited_for_and_taken_over(tmp_path, monkeypatch):
+    monkeypatch.setattr(runner, "RECHECK", 0.5)
+    task = Sum("task", tmp_path)
+    held = locked(task.folder)
+    assert held.__enter__()
+
+    class Release(Witness):
+        def elsewhere(self, task) -> None:
+            if not self.retries:
+                self.retries.append(("released", "", 0))
+                held.__exit__(None, None, None)
+
+    assert run([task], *open_executor("local", 1, tmp_path, 25), Release()) == {}
+    assert results([task]) == [TOTAL]
+    assert len(task.tries()) == 1
+
+
+class Unreliable(Executor):
+    """Loses the first task: its process begins on another machine and is never heard of again."""
+
+    def __init__(self) -> None:
+        self.lost = False
+
+    def submit(self, function, /, task):
+        future = Future()
+        if self.lost:
+            future.set_result(function(task))
+        else:
+            self.lost = True
+            task.folder.mkdir(parents=True)
+            (task.folder / PROGRESS).write_text('{"fraction": 0.5, "host": "elsewhere", "pid": 1}')
+        return future
+
+
+def test_a_task_whose_process_is_lost_on_another_machine_is_handed_out_again(tmp_path, monkeypatch):
+    monkeypatch.setattr(runner, "GRACE", 0.5)
+    monkeypatch.setattr(runner, "POLL", 0.1)
+    task = Sum("task", tmp_path, silence=0.5)
+    witness = Witness()
+    assert run([task], Unreliable(), 1, witness) == {}
+    assert results([task]) == [TOTAL]
+    [(_, reason, _)] = witness.retries
+    assert "no sign of life from process 1 on elsewhere" in reason
+
+
+class Refusing(Executor):
+    def submit(self, function, /, task):
+        raise RuntimeError("the cluster is gone")
+
+
+def test_an_executor_that_takes_no_more_tasks_ends_the_run_in_one_line(tmp_path):
+    with pytest.raises(UserError, match=r"takes no more tasks \(the cluster is gone\): run the same command"):
+        run([Sum("task", tmp_path)], Refusing(), 1)
+
+
+def test_a_lock_is_free_as_soon_as_its_holder_is_killed(tmp_path):
+    code = f"""
+import sys, time
+sys.path.insert(0, {str(ROOT)!r})
+from pathlib import Path
+from experiments.study.attempt import locked
+with locked(Path({str(tmp_path / "work" / "task")!r})) as mine:
+    print(mine, flush=True)
+    time.sleep(600)
+"""
+    holder = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+    assert holder.stdout.readline() == "True\n"
+    task = Sum("task", tmp_path)
+    assert attempt(task) == Ended("elsewhere")
+    holder.kill()
+    holder.communicate()
+    assert attempt(task) == Ended("done")
+
+
+# A run in a process of its own, which can be killed as a user's can.
+DRIVER = """
+import sys
+from pathlib import Path
+sys.path.insert(0, {root!r})
+if __name__ == "__main__":
+    from experiments.study.executors import open_executor
+    from experiments.study.run import Interrupted, Stop, run
+    from tests.experiments.study.misbehaving import Sum
+    here = Path(sys.argv[1])
+    tasks = [Sum(f"t{{number}}", here, pause=0.05) for number in range(6)]
+    with Stop(lambda: "go on") as stop:
+        try:
+            sys.exit(bool(run(tasks, *open_executor("local", 2, here, 25), stop=stop)))
+        except Interrupted:
+            stop.say()
+            sys.exit(130)
+"""
+
+
+def start(directory: Path) -> subprocess.Popen:
+    directory.mkdir(exist_ok=True)
+    script = directory / "driver.py"
+    script.write_text(DRIVER.format(root=str(ROOT)))
+    command = [sys.executable, str(script), str(directory)]
+    return subprocess.Popen(
+        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
+    )
+
+
+def wait_for(condition, seconds: float = 60.0) -> None:
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "it did not happen"
+        time.sleep(0.02)
+
+
+def is_alive(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] not in "ZX"
+    except FileNotFoundError:
+        return False
+
+
+def begun(directory: Path) -> list[int]:
+    """Processes that have computed something."""
+    return [
+        int(line.split()[0]) for file in directory.glob("*.tries") for line in file.read_text().splitlines()
+    ]
+
+
+@pytest.mark.slow
+def test_workers_end_with_a_parent_that_is_killed_and_the_next_run_goes_on(tmp_path):
+    here = tmp_path / "results"
+    process = start(here)
+    wait_for(lambda: list(here.glob("work/*/checkpoint")))
+    process.kill()
+    process.communicate()
+    wait_for(lambda: not any(map(is_alive, begun(here))), 5.0)
+    process = start(here)
+    output = process.communicate(timeout=120)
+    assert process.returncode == 0, output
+    assert [(here / f"t{number}").read_text() for number in range(6)] == [TOTAL] * 6
+    assert any(step > 0 for number in range(6) for _, step in Sum(f"t{number}", here).tries())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("group", [False, True], ids=["process", "group"])
+def test_a_signal_ends_everything_within_five_seconds_with_one_line(tmp_path, number, group):
+    """To the process alone as by `kill`, and to the whole group as by a terminal or a scheduler."""
+    here = tmp_path / "results"
+    process = start(here)
+    wait_for(lambda: list(here.glob("work/*/checkpoint")))
+    then = time.monotonic()
+    if group:
+        os.killpg(process.pid, number)
+    else:
+        process.send_signal(number)
+    output, errors = process.communicate(timeout=30)
+    assert time.monotonic() - then < 5.0
+    assert process.returncode == 130
+    assert (output, errors) == ("", "\ngo on\n")
+    wait_for(lambda: not any(map(is_alive, begun(here))), 5.0)

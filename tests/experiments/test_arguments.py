@@ -1,0 +1,97 @@
+"""Any arguments of the sweep: cells, or one line that says what is wrong."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from dataclasses import fields
+from pathlib import Path
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from experiments.study import grid
+from experiments.study.presets import PRESETS
+from experiments.support.errors import UserError
+from experiments.sweep import Options, cells_of
+from sumo_env.tasks import TASKS
+
+ROOT = Path(__file__).resolve().parents[2]
+WORDS = st.text(max_size=12)
+NUMBERS = st.integers(-10, 10**7)
+
+
+def some(known, other=WORDS):
+    """Mostly what exists, sometimes anything."""
+    return st.one_of(st.sampled_from(list(known)), other)
+
+
+ARGUMENTS = {
+    "backend": some(grid.BACKENDS),
+    "preset": some(PRESETS),
+    "tasks": st.lists(some(TASKS), max_size=3).map(tuple),
+    "levels": st.lists(some(["1", "2", "3", "9", "-1", "0", "²"]), max_size=3).map(tuple),
+    "seeds": st.none() | st.integers(-3, 30),
+    "episodes": st.none() | NUMBERS,
+    "updates": st.none() | NUMBERS,
+    "gamma": st.none() | st.floats(),
+    "network": st.none() | some(["attention", "dueling", "none.py:Net", ":", "a:b:c"]),
+    "policy": st.lists(some(["none.py:make", "none.zip"]), max_size=1).map(tuple),
+    "device": st.none() | some(["cpu"]),
+    "shard": some(["1/1", "2/3", "3/2", "0/1", "1/0", "²/³", "1/2/3"]),
+}
+
+
+@settings(max_examples=300, deadline=None, derandomize=True)
+@given(arguments=st.fixed_dictionaries({}, optional=ARGUMENTS))
+def test_arguments_give_cells_or_one_clear_line(arguments):
+    options = Options(**arguments)
+    try:
+        cells = cells_of(options)
+        mine = grid.shard(cells, options.shard)
+    except UserError as error:
+        assert str(error).strip()
+        assert "\n" not in str(error)
+        return
+    assert cells
+    names = [cell.name for cell in cells]
+    assert len(set(names)) == len(names)
+    for cell in cells[:3]:
+        assert json.loads(json.dumps(cell.key(), allow_nan=False)) == cell.key()
+        assert len(f"{cell.name}.tmp") < 200  # a file's name
+        assert "/" not in cell.name
+    assert {cell.name for cell in mine} <= set(names)
+
+
+def test_every_argument_that_chooses_cells_is_tried():
+    others = {"out", "workers", "executor", "cell", "hang_after", "dry_run"}
+    assert {field.name for field in fields(Options)} - others == set(ARGUMENTS)
+
+
+@given(count=st.integers(1, 12))
+@settings(max_examples=12, deadline=None, derandomize=True)
+def test_shards_are_a_partition(count):
+    cells = cells_of(Options(preset="quick"))
+    parts = [grid.shard(cells, f"{index}/{count}") for index in range(1, count + 1)]
+    assert sorted(cell.name for part in parts for cell in part) == sorted(cell.name for cell in cells)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["--workers", "two"], ["--workers", "0"], ["--seeds", "1.5"], ["--no-such-option"], ["--shard", "0/0"],
+        ["--gamma", "nan"], ["--preset", "smoke", "--cell", "none"], ["--hang-after", "-1"], ["--executor", "pbs"],
+        ["--out", "/proc/none/results"], ["--tasks", "highway,,u-turn"],
+    ],
+    ids=" ".join,
+)  # fmt: skip
+def test_a_wrong_command_line_is_answered_without_a_traceback(arguments, tmp_path):
+    command = [sys.executable, str(ROOT / "experiments/sweep.py"), *arguments]
+    result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120)
+    assert result.returncode == 2, result
+    assert "Traceback" not in result.stderr + result.stdout
+    assert result.stderr.strip()
+    assert not list(tmp_path.iterdir())

@@ -5,6 +5,8 @@ And highway-env's classes as they were: making its intersection writes other num
 
 from __future__ import annotations
 
+import signal
+import threading
 from collections.abc import Iterator
 
 from experiments.support.threads import limit_threads
@@ -13,6 +15,10 @@ limit_threads()
 
 import pytest
 from highway_env.vehicle.behavior import IDMVehicle
+
+# A shell starts what it runs in the background with Ctrl-C ignored, and so would every process of a test.
+if threading.current_thread() is threading.main_thread():
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 LEAKED = ("DISTANCE_WANTED", "COMFORT_ACC_MAX", "COMFORT_ACC_MIN")
 PRISTINE = {name: getattr(IDMVehicle, name) for name in LEAKED}

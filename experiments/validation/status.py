@@ -83,13 +83,14 @@ def _covers(record: Mapping[str, Any], marks: Mapping[str, str]) -> bool:
     return record["versions"] == versions() and all(known.get(task) == mark for task, mark in marks.items())
 
 
-def stored_verdict(backend: str, marks: Mapping[str, str], path: Path = VERDICT) -> dict[str, Any] | None:
+def stored_verdict(backend: str, marks: Mapping[str, str], path: Path | None = None) -> dict[str, Any] | None:
     """The verdict of the last full validation on these tasks; None unless it is of the same versions and dynamics.
 
     Args:
         marks: task -> fingerprint of its dynamics now.
+        path: file with the verdict; None for the one that the package ships.
     """
-    record = read(path)
+    record = read(path or VERDICT)
     if record is None or record["backend"] != backend or not _covers(record, marks):
         return None
     return {

@@ -1,0 +1,177 @@
+"""A disk that fills up, and processes that are killed at random: nothing is lost, and the results are the same."""
+
+from __future__ import annotations
+
+import json
+import os
+import random
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from experiments.analysis.analysis import analyse
+from experiments.study import store
+
+ROOT = Path(__file__).resolve().parents[3]
+# A sweep of a fake task in a process of its own.
+SWEEP = """
+import sys
+from pathlib import Path
+from types import ModuleType
+sys.path.insert(0, {root!r})
+if __name__ == "__main__":
+    module = ModuleType("experiments.report")
+    module.write_report = lambda directory: directory
+    sys.modules["experiments.report"] = module
+    from experiments.support.errors import run_command
+    from experiments.sweep import Options, sweep
+    from tests.experiments.fake_env import make_env
+    options = Options(
+        out=Path(sys.argv[1]), preset="smoke", tasks=("u-turn",), seeds=2, updates=1000, episodes=10, workers=2,
+        executor=sys.argv[2],
+    )
+    run_command(lambda: sweep(options, make_env=make_env))
+"""
+
+
+@pytest.fixture(scope="module")
+def script(tmp_path_factory) -> Path:
+    path = tmp_path_factory.mktemp("script") / "driver.py"
+    path.write_text(SWEEP.format(root=str(ROOT)))
+    return path
+
+
+def command(script: Path, directory: Path, executor: str = "local") -> list[str]:
+    return [sys.executable, str(script), str(directory), executor]
+
+
+@pytest.fixture(scope="module")
+def reference(script, tmp_path_factory) -> Path:
+    directory = tmp_path_factory.mktemp("reference")
+    subprocess.run(command(script, directory), check=True, capture_output=True, timeout=600)
+    return directory
+
+
+def fingerprint(directory: Path) -> dict[str, dict[str, str]]:
+    return {name: record["files"] for name, record in store.load(directory).cells.items()}
+
+
+def analysis(directory: Path) -> str:
+    """What the report says, without where and when it was computed."""
+    value = analyse(store.load(directory))
+    return json.dumps({name: entry for name, entry in value.items() if name != "provenance"})
+
+
+# In a mount namespace: a file system of 20 MB, of which so many KiB are left, fills up; then there is room again.
+FULL = """
+set -e
+mount -t tmpfs -o size=20m none "$1"
+head -c $((20 * 1024 * 1024 - $2 * 1024)) /dev/zero > "$1/filler"
+set +e
+"$3" "$4" "$1/results" local; echo "status $?"
+rm "$1/filler"
+"$3" "$4" "$1/results" local; echo "status $?"
+cp -r "$1/results" "$5"
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("headroom", [0, 40, 300, 1200], ids=lambda kib: f"{kib}KiB")
+def test_a_disk_that_fills_up_stops_the_sweep_in_one_line_and_loses_nothing(
+    script, reference, tmp_path, headroom
+):
+    namespace = ["unshare", "--map-root-user", "--mount"]
+    if (
+        shutil.which("unshare") is None
+        or subprocess.run([*namespace, "true"], capture_output=True).returncode
+    ):
+        pytest.skip("no mount namespaces here")
+    disk = tmp_path / "disk"
+    disk.mkdir()
+    arguments = [str(disk), str(headroom), sys.executable, str(script), str(tmp_path / "copy")]
+    result = subprocess.run(
+        [*namespace, "sh", "-c", FULL, "sh", *arguments], capture_output=True, text=True, timeout=600
+    )
+    assert result.returncode == 0, result.stderr
+    assert [line for line in result.stdout.splitlines() if line.startswith("status")] == [
+        "status 2",
+        "status 0",
+    ]
+    errors = result.stderr.splitlines()
+    assert len(errors) == 1, result.stderr
+    assert "no space left on the disk" in errors[0]
+    assert "run the same command again" in errors[0]
+    assert fingerprint(tmp_path / "copy") == fingerprint(reference)
+    assert not (tmp_path / "copy" / "damaged").exists()
+
+
+def children(pid: int) -> list[int]:
+    """Worker processes of a sweep."""
+    found = []
+    for path in Path("/proc").glob("[0-9]*/stat"):
+        try:
+            fields = path.read_text().rpartition(")")[2].split()
+            line = (path.parent / "cmdline").read_bytes()
+        except OSError:
+            continue
+        if int(fields[1]) == pid and b"spawn_main" in line:
+            found.append(int(path.parent.name))
+    return found
+
+
+@pytest.mark.long
+def test_twenty_random_kills_lose_nothing_and_change_nothing(script, reference, tmp_path):
+    """kill -9 at random times of workers and of the sweep itself, which is then begun again."""
+    rng = random.Random(0)
+    kills = {"worker": 0, "sweep": 0}
+    tries = 0
+    while sum(kills.values()) < 20:
+        tries += 1
+        assert tries <= 10, kills
+        directory = tmp_path / str(tries)
+        again = True
+        while again:
+            process = subprocess.Popen(
+                command(script, directory), stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+            )
+            again = False
+            while process.poll() is None:
+                time.sleep(rng.uniform(0.2, 8.0))
+                victim = "sweep" if rng.random() < 0.5 else "worker"
+                workers = children(process.pid)
+                if process.poll() is not None or (victim == "worker" and not workers):
+                    continue
+                os.kill(process.pid if victim == "sweep" else rng.choice(workers), signal.SIGKILL)
+                kills[victim] += 1
+                if victim == "sweep":
+                    again = True
+                    break
+            output = process.communicate(timeout=600)[0]
+            assert again or process.returncode in (0, 1), output
+            again = again or process.returncode == 1  # a cell met four kills: the same command tries it again
+        assert fingerprint(directory) == fingerprint(reference)
+        assert analysis(directory) == analysis(reference)
+        assert not list((directory / "work").iterdir())
+        assert not (directory / "damaged").exists()
+    print(f"{kills} in {tries} sweeps")
+    assert all(kills.values())
+
+
+@pytest.mark.slow
+def test_two_sweeps_at_once_compute_every_cell_once(script, reference, tmp_path):
+    processes = [
+        subprocess.Popen(
+            command(script, tmp_path), stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+        )
+        for _ in range(2)
+    ]
+    for process in processes:
+        output, _ = process.communicate(timeout=600)
+        assert process.returncode == 0, output
+    assert fingerprint(tmp_path) == fingerprint(reference)
+    assert not list((tmp_path / "work").iterdir())

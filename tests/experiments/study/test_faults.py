@@ -17,6 +17,8 @@ import pytest
 from experiments.analysis.analysis import analyse
 from experiments.study import store
 
+pytestmark = pytest.mark.long  # whole sweeps in processes of their own, several times
+
 ROOT = Path(__file__).resolve().parents[3]
 # A sweep of a fake task in a process of its own.
 SWEEP = """

@@ -44,8 +44,9 @@ def python(tmp_path_factory: pytest.TempPathFactory) -> Path:
     (wheel,) = folder.glob("*.whl")
     venv.create(folder / "venv", with_pip=False)
     interpreter = folder / "venv" / "bin" / "python"
-    (site_packages(interpreter) / "dependencies.pth").write_text(sysconfig.get_path("purelib"))
     subprocess.run([*pip, "--python", interpreter, "install", *options, wheel], check=True)
+    # only now: pip would find our own installation there, and might leave the wheel out
+    (site_packages(interpreter) / "dependencies.pth").write_text(sysconfig.get_path("purelib"))
     return interpreter
 
 

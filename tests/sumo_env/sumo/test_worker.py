@@ -330,8 +330,13 @@ def test_workers_end_with_their_parent(tmp_path: Path, end: str) -> None:
 
 def test_ctrl_c_in_the_terminal_ends_the_script_alone(tmp_path: Path) -> None:
     """It is sent to the whole foreground process group; workers neither print anything nor stay."""
-    script = run(tmp_path, "try:\n    time.sleep(60)\nexcept KeyboardInterrupt:\n    print('stopped')\n")
+    script = run(
+        tmp_path,
+        "try:\n    print('in try', flush=True)\n    time.sleep(60)\n"
+        "except KeyboardInterrupt:\n    print('stopped')\n",
+    )
     workers = pids(script)
+    line(script)  # only now is the script where it catches the interrupt
     os.killpg(script.pid, signal.SIGINT)
     out, errors = script.communicate(timeout=60)
     assert (out, errors, script.returncode) == ("stopped\n", "", 0)
@@ -341,8 +346,8 @@ def test_ctrl_c_in_the_terminal_ends_the_script_alone(tmp_path: Path) -> None:
 def test_ctrl_c_while_a_worker_starts_prints_no_traceback_of_it(tmp_path: Path) -> None:
     script = run(
         tmp_path,
-        "print('more', flush=True)\n"
-        "try:\n    more = [open_simulator(FAKE) for _ in range(60)]\n"
+        "try:\n    print('more', flush=True)\n"
+        "    more = [open_simulator(FAKE) for _ in range(60)]\n"
         "    for one in more: one.reset(scenario())\n"
         "except KeyboardInterrupt:\n    print('stopped')\n",
     )

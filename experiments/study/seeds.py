@@ -1,7 +1,7 @@
 """Which scenarios are met: the test scenarios, and streams for what is not the traffic.
 
-A scenario is a seed given to ``env.reset``. Training scenarios have seeds below 2**32
-(`training_seed`, `agents.streams.episode_seed`), test scenarios have seeds of 2**32 and above: the two sets are disjoint by
+A scenario is a seed given to ``env.reset``. Training scenarios have seeds below 2**32 (`training_seed`,
+`agents.streams.episode_seed`), test scenarios have seeds of 2**32 and above: the two sets are disjoint by
 construction. A test scenario depends on the task, the level and its number alone, so all arms, training
 seeds, policies and both simulators are tested on the same ones. Regular and risky tests share their seeds:
 the same cars stand in the same places, with other drivers.

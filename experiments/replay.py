@@ -26,7 +26,6 @@ import re
 from dataclasses import dataclass
 from typing import Annotated, Any
 
-import gymnasium as gym
 import numpy as np
 import tyro
 from numpy.typing import NDArray
@@ -34,7 +33,8 @@ from numpy.typing import NDArray
 from experiments.backends import make_env
 from experiments.study import grid, store
 from experiments.study.cell import MakeEnv
-from experiments.study.evaluate import Policy, play
+from experiments.study.evaluate import play
+from experiments.study.rerun import changed_versions, differences, stored_policy
 from experiments.support import fcd
 from experiments.support.errors import UserError, disk_error, run_command
 
@@ -86,29 +86,6 @@ def parse_case(text: str) -> Case:
         near = sorted(p.name for p in path.parent.iterdir()) if path.parent.is_dir() else []
         raise grid.unknown("cell", path.name, near) if near else UserError(f"there is no cell {path}")
     return Case(path, traffic, int(match["scenario"] or 0))
-
-
-def stored_policy(
-    path: Path, record: dict[str, Any], env: gym.Env[Any, Any]
-) -> tuple[gym.Env[Any, Any], Policy]:
-    """The policy of a stored cell, and the environment as it observes it."""
-    from experiments.study.policies import load_agent, untrained_policy
-
-    key, source = record["key"], record["source"]
-    if key["kind"] == "agent":
-        return load_agent(key, source, path / store.WEIGHTS, env)
-    return env, untrained_policy(key, source, env)
-
-
-def differences(stored: dict[str, Any], row: dict[str, Any]) -> list[str]:
-    """Columns in which a replayed episode is not the stored one, in words; empty if it is reproduced."""
-    found = []
-    for name, old in stored.items():
-        new = row[name]
-        missing = [value is None or (isinstance(value, float) and math.isnan(value)) for value in (old, new)]
-        if missing != [True, True] and old != new:
-            found.append(f"{name} {new} instead of {old}")
-    return found
 
 
 def replay(options: Options, make_env: MakeEnv = make_env) -> int:
@@ -173,12 +150,7 @@ def _crashes(table: Any) -> str:
 
 def _changed(record: dict[str, Any]) -> str:
     """Versions that differ from those of the stored cell, in words."""
-    now = grid.versions(record["key"]["backend"])
-    changed = [
-        f"{name} {now.get(name)} (was {old})"
-        for name, old in record["versions"].items()
-        if now.get(name) != old
-    ]
+    changed = changed_versions(record)
     return f"; since then changed: {', '.join(changed)}" if changed else "; the versions are the same"
 
 

@@ -3,10 +3,11 @@
     python experiments/report.py results/sumo-quick
     python experiments/report.py results/sumo-quick --placebo
 
-Nothing is simulated or trained: the report is a function of the stored cells, and may be written at any
-time, also while a sweep is running (it then says what is missing). report.html is one file that needs
-nothing else, summary.csv has one row a task, level, policy and traffic, analysis.json every number with the
-cells that it rests on.
+Nothing is trained: the report is a function of the stored cells, and may be written at any time, also while a
+sweep is running (it then says what is missing). report.html is one file that needs nothing else, summary.csv has
+one row per task, level, policy and traffic, analysis.json every number with the cells that it rests on. For the
+films in the report some stored agents drive a few of their test episodes again; the trajectories are kept in
+showcase.json.
 
 Exit status: 0 written, 2 the directory holds no results, or cannot be written.
 """
@@ -28,10 +29,13 @@ from typing import Annotated, Any
 
 import tyro
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from markupsafe import Markup
 
 from experiments.analysis import wording
 from experiments.analysis.analysis import analyse, summary_table
+from experiments.backends import make_env
 from experiments.reporting.report_view import page
+from experiments.reporting.showcase import showcase
 from experiments.study.store import load
 from experiments.support.errors import disk_error, run_command
 from experiments.support.files import write_file, write_json
@@ -66,8 +70,9 @@ def _write(directory: Path) -> tuple[Path, dict[str, Any]]:
     results = load(directory, skip_damaged=True)
     analysis = analyse(results)
     path = directory / REPORT
-    html = render(page(results, analysis))
     try:
+        films = showcase(results, {entry["cell"] for entry in analysis["left_out"]}, make_env)
+        html = render(page(results, analysis, films))
         write_json(directory / ANALYSIS, analysis)
         write_file(directory / SUMMARY, summary_table(analysis).to_csv(index=False).encode())
         write_file(path, html.encode())
@@ -89,7 +94,8 @@ def render(variables: dict[str, Any]) -> str:
         name: getattr(wording, name)
         for name in ("number", "difference", "interval", "p_value", "count", "listing", "adjusted")
     }
-    return environment.get_template("report.html.j2").render(variables)
+    script = Markup((TEMPLATES / "player.js").read_text())
+    return environment.get_template("report.html.j2").render({**variables, "script": script})
 
 
 def show(analysis: dict[str, Any]) -> None:

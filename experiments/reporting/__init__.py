@@ -4,4 +4,5 @@ report_view        rows and words of the template
 report_figures     which figures, in which order
 figures            each a pure function that returns SVG
 collision_figures  the paper's figure 3
+showcase           films of two agents in the same scenario, for templates/player.js
 """

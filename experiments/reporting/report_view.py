@@ -6,6 +6,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+from markupsafe import Markup
+
 from experiments.analysis.effects import Record
 from experiments.analysis.gates import FAILURES, GATES
 from experiments.analysis.plan import ALPHA, OUTCOMES, TERMS
@@ -14,9 +16,11 @@ from experiments.analysis.statistics import MISSING
 from experiments.analysis.tables import CONFIRMATORY, TASK_ORDER
 from experiments.analysis.wording import BACKENDS, count, listing, place
 from experiments.reporting.report_figures import backend_figures
+from experiments.reporting.showcase import KINDS
 from experiments.study.estimate import duration
 from experiments.study.grid import ARMS
 from experiments.study.store import Results
+from experiments.support.files import canonical_json
 from experiments.validation import status
 
 # Parts of an analysis that are lists of records of one simulator each.
@@ -31,11 +35,11 @@ HOW_TO_VALIDATE = (
 )
 
 
-def page(results: Results, analysis: Mapping[str, Any]) -> dict[str, Any]:
+def page(results: Results, analysis: Mapping[str, Any], films: Mapping[str, Any]) -> dict[str, Any]:
     """The template's variables.
 
     Args:
-        results: all stored cells. analysis: from `analysis.analyse` of them.
+        results: all stored cells. analysis: from `analysis.analyse` of them. films: from `showcase.showcase`.
     """
     backends = list(dict.fromkeys(record["backend"] for record in analysis["policies"]))
     left_out = {entry["cell"] for entry in analysis["left_out"]}
@@ -44,6 +48,7 @@ def page(results: Results, analysis: Mapping[str, Any]) -> dict[str, Any]:
         "smoke": "smoke" in analysis["provenance"]["presets"],
         "warnings": warnings(analysis),
         "run": run(analysis, results, left_out),
+        "showcase": player(films, results.directory),
         "validation": validation(results.directory, backends),
         "backends": [backend_section(backend, results, analysis, left_out) for backend in backends],
         "gate_texts": GATES,
@@ -96,6 +101,54 @@ def warnings(analysis: Mapping[str, Any]) -> list[str]:
             "Only one training seed in an arm: differences are shown without intervals and prove nothing."
         )
     return words
+
+
+def player(films: Mapping[str, Any], directory: Path) -> dict[str, Any]:
+    """What the player shows: groups of films by task and level, their data as JSON, and why some are missing."""
+    groups: list[Record] = []
+    number = 0
+    titles = {kind: title for kind, title, _ in KINDS.values()}
+    for entry in films["places"]:
+        if not entry["films"]:
+            continue
+        name = " on ".join([place(entry), BACKENDS.get(entry["backend"], entry["backend"])])
+        group = {
+            "name": name,
+            "seed": entry["seed"],
+            "cells": entry["cells"],
+            "counts": entry["counts"],
+            "films": [],
+        }
+        for film in entry["films"]:
+            traffic, scenario = film["traffic"], film["scenario"]
+            arm = film["kind"] if film["kind"] in ARMS else "control"
+            case = directory / "cells" / entry["cells"][arm]
+            group["films"].append(
+                {
+                    "traffic": traffic,
+                    "scenario": scenario,
+                    "number": number,
+                    "title": f"{place(entry)}: {titles[film['kind']].lower()} ({traffic} scenario {scenario})",
+                    "endings": {arm: film[arm]["ending"] for arm in ARMS},
+                    "case": f"{case}:{traffic}:{scenario}",
+                }
+            )
+            number += 1
+        groups.append(group)
+    shown = [
+        {key: value for key, value in entry.items() if key not in ("made_of", "counts", "failed", "cells")}
+        for entry in films["places"]
+        if entry["films"]
+    ]
+    # A "<" could end the script element in which the data stand.
+    data = canonical_json(shown).replace("<", "\\u003c")
+    return {
+        "films": number,
+        "groups": groups,
+        "rule": films["rule"],
+        "notes": films["notes"],
+        "data": Markup(data),
+    }
 
 
 def run(analysis: Mapping[str, Any], results: Results, left_out: set[str]) -> dict[str, Any]:

@@ -1,0 +1,283 @@
+"""Films of test episodes: a control agent and a treated agent in the same scenario, for the report's player.
+
+The agents and the scenarios are chosen by a rule that is stated in the report (`RULE`), from the stored tables alone.
+Their trajectories come from playing the stored agents again; an episode that does not come out as it was stored is not
+shown. What was recorded is kept in DIR/showcase.json, so that the films are still there where the weights are not.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from experiments.analysis.tables import PLACE, TASK_ORDER
+from experiments.study.cell import MakeEnv
+from experiments.study.grid import ARMS
+from experiments.study.rerun import Recorder, differences
+from experiments.study.store import EPISODES, WEIGHTS, Results
+from experiments.support.files import canonical_json, write_file
+from sumo_env.rendering.markings import markings
+from sumo_env.tasks import get_task
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+FILE, SCHEMA = "showcase.json", 1
+RULE = (
+    "Of each task the lightest traffic, and there the agents of the lowest training seed in each arm. Of the test "
+    "scenarios at most three in which the control agent alone crashes, three in which the treated agent alone does, "
+    "and one in which both do; risky traffic first, then the crash with the highest closing speed."
+)
+# Kinds of scenarios by (control crashes, treated agent crashes), how they are called, and how many are shown at most.
+KINDS = {
+    (True, False): ("control", "Only the control agent crashes", 3),
+    (False, True): ("treatment", "Only the treated agent crashes", 3),
+    (True, True): ("both", "Both agents crash", 1),
+    (False, False): ("neither", "Neither agent crashes", 0),
+}
+INTERVAL = 0.2  # [s] between two frames of a film
+NEAR = 75.0  # [m] from the ego: other vehicles are not stored
+MARGIN = 90.0  # [m] around the egos' ways in which the road is stored
+FOLLOWED = 120.0  # [m] extent of the egos' ways from which the camera follows them
+
+
+@dataclass(frozen=True)
+class Scenario:
+    """A test scenario to be shown; kind: see KINDS."""
+
+    kind: str
+    traffic: str
+    scenario: int
+
+
+@dataclass(frozen=True)
+class Duo:
+    """The two agents of a task that are shown, by arm: the names of their cells."""
+
+    place: tuple[Any, ...]
+    seed: int
+    cells: Mapping[str, str]
+
+
+def showcase(results: Results, left_out: set[str], make_env: MakeEnv) -> dict[str, Any]:
+    """All films that the results allow; those that are not recorded yet are, and DIR/showcase.json is written.
+
+    Args:
+        left_out: cells that the analysis does not use.
+
+    Returns:
+        schema, rule, places (see `_record`) and notes (task by task, why films are missing, in words).
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    path = results.directory / FILE
+    kept = {canonical_json(place["made_of"]): place for place in _stored(path)}
+    places, notes = [], []
+    for duo in duos(results, left_out):
+        tables = {arm: results.episodes[results.episodes["cell"] == name] for arm, name in duo.cells.items()}
+        counts, chosen = choose(tables)
+        made_of = {
+            "cells": {arm: [name, results.cells[name]["files"][EPISODES]] for arm, name in duo.cells.items()},
+            "chosen": [[one.traffic, one.scenario] for one in chosen],
+        }
+        name = f"{duo.place[1]} {duo.place[3]}"
+        if (place := kept.get(canonical_json(made_of))) is None:
+            missing = [arm for arm, cell in duo.cells.items() if not _weights(results, cell).exists()]
+            if missing:
+                notes.append(f"{name}: the weights of the {' and '.join(missing)} agent are not here")
+                continue
+            try:
+                place = _record(results, duo, tables, chosen, make_env)
+            except Exception as error:  # whatever is wrong with a film must not cost the report
+                notes.append(f"{name}: the agents could not be replayed ({str(error).partition(chr(10))[0]})")
+                continue
+            place |= {"made_of": made_of, "counts": counts}
+        notes += [f"{name}: {reason}" for reason in place["failed"]]
+        places.append(place)
+    if places or path.exists():
+        data = {"schema": SCHEMA, "rule": RULE, "places": places}
+        text = json.dumps(data, separators=(",", ":"), allow_nan=False) + "\n"
+        if not path.exists() or path.read_text() != text:
+            write_file(path, text.encode())
+    return {"rule": RULE, "places": places, "notes": notes}
+
+
+def _stored(path: Path) -> list[dict[str, Any]]:
+    """The recorded places; none if the file is missing, damaged or of another version."""
+    try:
+        value = json.loads(path.read_text())
+        return list(value["places"]) if value["schema"] == SCHEMA else []
+    except (OSError, ValueError, KeyError, TypeError):
+        return []
+
+
+def _weights(results: Results, cell: str) -> Path:
+    return results.directory / "cells" / cell / WEIGHTS
+
+
+def duos(results: Results, left_out: set[str]) -> Iterator[Duo]:
+    """The agents that are shown: of each simulator and task at the lowest level, of the lowest seed in both arms."""
+    agents: dict[tuple[str, str], dict[tuple[int, int], dict[str, str]]] = {}
+    for name, cell in results.cells.items():
+        key = cell["key"]
+        if key["kind"] == "agent" and key["arm"] in ARMS and name not in left_out:
+            of_task = agents.setdefault((key["backend"], key["task"]), {})
+            of_task.setdefault((key["level"], key["seed"]), {})[key["arm"]] = name
+    for backend, task in sorted(agents, key=lambda place: (place[0], TASK_ORDER[place[1]])):
+        whole = {at: cells for at, cells in agents[backend, task].items() if set(cells) == set(ARMS)}
+        if whole:
+            level, seed = min(whole)
+            cells = {arm: whole[level, seed][arm] for arm in ARMS}
+            key = results.cells[cells["control"]]["key"]
+            yield Duo(tuple(key[column] for column in PLACE), seed, cells)
+
+
+def choose(tables: Mapping[str, pd.DataFrame]) -> tuple[dict[str, int], list[Scenario]]:
+    """How many of the common test scenarios are of each kind, and which of them are shown.
+
+    Args:
+        tables: the test episodes of the two agents by arm.
+    """
+    keys = ["traffic", "scenario"]
+    columns = [*keys, "crashed", "crash_closing_speed"]
+    both = tables["control"][columns].merge(tables["treatment"][columns], on=keys, suffixes=("_c", "_t"))
+    speed = both[["crash_closing_speed_c", "crash_closing_speed_t"]].astype(float).max(axis=1).fillna(0.0)
+    both = both.assign(speed=speed, calm=both["traffic"] != "risky")
+    both = both.sort_values(["calm", "speed", "scenario"], ascending=[True, False, True])
+    counts, chosen = {}, []
+    for (control, treated), (kind, _, most) in KINDS.items():
+        rows = both[(both["crashed_c"].astype(bool) == control) & (both["crashed_t"].astype(bool) == treated)]
+        counts[kind] = len(rows)
+        pairs = rows[keys].head(most).itertuples(index=False)
+        chosen += [Scenario(kind, str(traffic), int(number)) for traffic, number in pairs]
+    return counts, chosen
+
+
+def _record(
+    results: Results,
+    duo: Duo,
+    tables: Mapping[str, pd.DataFrame],
+    chosen: Sequence[Scenario],
+    make_env: MakeEnv,
+) -> dict[str, Any]:
+    """Play the chosen scenarios again.
+
+    Returns:
+        backend, task, level, level_name, seed, cells, road (see `_road`), follow (whether the camera follows the egos,
+        else it shows `view`, [x, y, width, height] in m), films (kind, traffic, scenario, and for each arm a track, see
+        `_film`), failed (what could not be shown, in words).
+    """
+    films, failed, ways = [], [], []
+    cells = {arm: results.cells[name] for arm, name in duo.cells.items()}
+    key = cells["control"]["key"]
+    env = make_env(key["backend"], key["task"], dict(key["env_config"]))
+    try:
+        recorder = Recorder(env)
+        for one in chosen:
+            film: dict[str, Any] = {"kind": one.kind, "traffic": one.traffic, "scenario": one.scenario}
+            for arm, name in duo.cells.items():
+                folder = results.directory / "cells" / name
+                row = recorder.play(folder, cells[arm], one.traffic, one.scenario)
+                at = (tables[arm]["traffic"] == one.traffic) & (tables[arm]["scenario"] == one.scenario)
+                stored = tables[arm][at].iloc[0][list(row)].to_dict()
+                if wrong := differences(stored, row):
+                    failed.append(
+                        f"{one.traffic} scenario {one.scenario} is not shown, because the {arm} agent drives it "
+                        f"differently on this machine ({wrong[0]})"
+                    )
+                    break
+                film[arm] = _film(recorder.scenes, row)
+                ways.append(np.array([(scene.x[0], scene.y[0]) for scene in recorder.scenes]))
+            else:
+                films.append(film)
+    finally:
+        env.close()
+    place = {**dict(zip(PLACE, duo.place, strict=True)), "seed": duo.seed, "cells": dict(duo.cells)}
+    way = np.concatenate(ways) if ways else np.zeros((1, 2))
+    low, high = way.min(axis=0), way.max(axis=0)
+    extent = high - low
+    view = [round(float(value), 1) for value in (*((low + high) / 2), *extent)]
+    road = _road(key["task"], key["env_config"], low - MARGIN, high + MARGIN)
+    camera = {"follow": bool(extent.max() > FOLLOWED), "flat": bool(extent[1] < 20.0), "view": view}
+    return {**place, **camera, "road": road, "films": films, "failed": failed}
+
+
+def _film(scenes: Sequence[Any], row: Mapping[str, Any]) -> dict[str, Any]:
+    """An episode as small numbers.
+
+    Returns:
+        times [0.01 s]; cars: the ego first, for each the number of its first frame and, a number a frame, x, y
+        [0.1 m] and heading [0.01 rad]: the first value, then differences; speeds of the ego [0.1 m/s]; crash [s] and
+        hit (number of the car that was hit), None without a crash; ending and row: what is said of it.
+    """
+    frames: list[Any] = []
+    for scene in scenes:
+        if not frames or scene.time - frames[-1].time > INTERVAL - 1e-6:
+            frames.append(scene)
+    if frames[-1] is not scenes[-1]:
+        frames.append(scenes[-1])
+    seen: dict[str, list[tuple[int, float, float, float]]] = {}
+    cars: list[dict[str, Any]] = []
+    hit = None
+    for number, scene in enumerate(frames):
+        x, y = np.asarray(scene.x), np.asarray(scene.y)
+        near = np.hypot(x - x[0], y - y[0]) <= NEAR
+        for index in np.flatnonzero(near):
+            name = scene.ids[index]
+            track = seen.get(name)
+            if track is None or track[-1][0] != number - 1:  # new, or back again: a car of its own
+                seen[name] = track = []
+                cars.append({"name": name, "track": track})
+            track.append((number, float(x[index]), float(y[index]), float(scene.heading[index])))
+    for number, car in enumerate(cars):
+        track = car.pop("track")
+        if row["crashed"] and car.pop("name", None) == row["crash_other"]:
+            hit = number
+        car.pop("name", None)
+        car["from"] = track[0][0]
+        values = np.array([entry[1:] for entry in track])
+        values[:, 2] = np.unwrap(values[:, 2])
+        whole = np.rint(values * (10, 10, 100)).astype(int)
+        steps = np.vstack([whole[:1], np.diff(whole, axis=0)])
+        car |= {name: steps[:, column].tolist() for column, name in enumerate(("x", "y", "h"))}
+    return {
+        "times": [round(100 * scene.time) for scene in frames],
+        "cars": cars,
+        "speeds": [round(10 * float(scene.speed[0])) for scene in frames],
+        "crash": round(float(row["crash_time"]), 2) if row["crashed"] else None,
+        "hit": hit,
+        "ending": ending(row),
+        "return": round(float(row["return"]), 2),
+    }
+
+
+def ending(row: Mapping[str, Any]) -> str:
+    """How an episode ended, in words."""
+    if row["crashed"]:
+        speed = row["crash_closing_speed"]
+        return f"{row['crash_type']} crash after {row['crash_time']:.1f} s, closing at {speed:.0f} m/s"
+    return "reaches its goal" if row["arrived"] else "no crash until the time is up"
+
+
+def _road(task: str, config: Mapping[str, Any], low: Any, high: Any) -> dict[str, Any]:
+    """The road around a window [m]: surfaces (polygons) and dashes (x, y, x, y), in 0.1 m."""
+    paint = markings(get_task(task).road(dict(config)))
+
+    def near(points: Any) -> bool:
+        return bool((points.min(axis=0) <= high).all() and (points.max(axis=0) >= low).all())
+
+    dashes = [np.array([(p[0] + p[-1]) / 2, (p[len(p) // 2 - 1] + p[len(p) // 2]) / 2]) for p in paint.dashes]
+    return {
+        "surfaces": [_dm(polygon) for polygon in paint.surfaces if near(polygon)],
+        "dashes": [_dm(dash) for dash in dashes if near(dash)],
+    }
+
+
+def _dm(points: Any) -> list[int]:
+    return [int(value) for value in np.rint(np.asarray(points) * 10).ravel()]

@@ -1,0 +1,87 @@
+"""A stored test episode again: the same policy on the same scenario, and whether the same numbers come out."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+
+from experiments.study import grid, store
+from experiments.study.evaluate import Policy, play
+from experiments.study.policies import load_agent, untrained_policy
+
+
+def stored_policy(
+    path: Path, record: Mapping[str, Any], env: gym.Env[Any, Any]
+) -> tuple[gym.Env[Any, Any], Policy]:
+    """The policy of a stored cell, and the environment as it observes it.
+
+    Raises:
+        UserError: its weights or the user's file are not there, or do not fit.
+    """
+    key, source = record["key"], record["source"]
+    if key["kind"] == "agent":
+        return load_agent(key, source, path / store.WEIGHTS, env)
+    return env, untrained_policy(key, source, env)
+
+
+def differences(stored: Mapping[str, Any], row: Mapping[str, Any]) -> list[str]:
+    """Columns in which a replayed episode is not the stored one, in words; empty if it is reproduced."""
+    found = []
+    for name, old in stored.items():
+        new = row[name]
+        missing = [value is None or (isinstance(value, float) and math.isnan(value)) for value in (old, new)]
+        if missing != [True, True] and old != new:
+            found.append(f"{name} {new} instead of {old}")
+    return found
+
+
+def changed_versions(record: Mapping[str, Any]) -> list[str]:
+    """Versions that differ from those of a stored cell, in words."""
+    now = grid.versions(record["key"]["backend"])
+    return [
+        f"{name} {now.get(name)} (was {old})"
+        for name, old in record["versions"].items()
+        if now.get(name) != old
+    ]
+
+
+class Recorder:
+    """Collects the scenes of an episode: after every sub-step on SUMO and the replica, else after every policy step.
+
+    Our environments offer every sub-step to a `gymnasium.wrappers.RecordVideo`, in whose place this stands.
+    """
+
+    recording = True
+    frames_per_sec = 0
+
+    def __init__(self, env: gym.Env[Any, Any]) -> None:
+        from sumo_env.env import DrivingEnv
+
+        self.scenes: list[Any] = []
+        self._env: Any = env.unwrapped
+        if isinstance(self._env, DrivingEnv):
+            self._env.set_record_video_wrapper(self)  # type: ignore[arg-type]
+
+    def _capture_frame(self) -> None:
+        self.scenes.append(self._env.scene)
+
+    def play(
+        self,
+        path: Path,
+        record: Mapping[str, Any],
+        traffic: str,
+        scenario: int,
+    ) -> dict[str, Any]:
+        """Play a test episode of a stored cell and return its row of `evaluate.COLUMNS`.
+
+        Raises:
+            UserError: see `stored_policy`.
+        """
+        self.scenes = []
+        seen, policy = stored_policy(path, record, self._env)
+        key = record["key"]
+        return play(seen, policy, key["task"], key["level"], traffic, scenario, self._capture_frame)

@@ -1,0 +1,148 @@
+"""The films of the report: which are chosen, that they show what was stored, and that the page plays them."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from experiments import report
+from experiments.reporting.showcase import FILE, choose, duos, showcase
+from experiments.study import store
+from experiments.study.attempt import Ended, attempt
+from experiments.study.cell import CellTask
+from experiments.study.rerun import Recorder
+from experiments.sweep import Options, cells_of
+from tests.experiments.fake_env import make_env
+
+
+@pytest.fixture(scope="module")
+def directory(tmp_path_factory):
+    """The agents of a tiny sweep in the fake environment."""
+    home = tmp_path_factory.mktemp("results")
+    cells = cells_of(Options(preset="smoke", tasks=("highway",), updates=100, episodes=6))
+    for cell in cells:
+        if cell.kind == "agent" or cell.policy == "slower":
+            assert attempt(CellTask(cell, home, make_env)) == Ended("done")
+    return home
+
+
+@pytest.fixture
+def copy(directory, tmp_path):
+    shutil.copytree(directory, tmp_path / "results")
+    return tmp_path / "results"
+
+
+def table(*rows) -> pd.DataFrame:
+    return pd.DataFrame(rows, columns=["traffic", "scenario", "crashed", "crash_closing_speed"])
+
+
+def test_the_choice_is_balanced_and_takes_the_hardest_crashes_in_risky_traffic_first():
+    control = table(
+        *(("regular", n, True, 30.0) for n in range(4)),
+        *(("risky", n, True, float(n)) for n in range(2)),
+        ("risky", 2, False, None),
+        ("risky", 3, True, 9.0),
+        ("risky", 4, False, None),
+    )
+    treated = control.assign(crashed=[False] * 6 + [True, True, False], crash_closing_speed=5.0)
+    counts, chosen = choose({"control": control, "treatment": treated})
+    assert counts == {"control": 6, "treatment": 1, "both": 1, "neither": 1}
+    assert [(one.kind, one.traffic, one.scenario) for one in chosen] == [
+        ("control", "risky", 0),
+        ("control", "risky", 1),
+        ("control", "regular", 0),
+        ("treatment", "risky", 2),
+        ("both", "risky", 3),
+    ]
+
+
+def test_the_agents_are_those_of_the_lowest_level_and_seed(directory):
+    results = store.load(directory)
+    [duo] = duos(results, set())
+    assert (duo.place, duo.seed) == (("sumo", "highway", 1, "50"), 0)
+    assert set(duo.cells) == {"control", "treatment"}
+    assert list(duos(results, {duo.cells["control"]})) == []
+
+
+def test_a_film_is_the_stored_episode(copy):
+    results = store.load(copy)
+    found = showcase(results, set(), make_env)
+    assert found["notes"] == []
+    [place] = found["places"]
+    assert place["films"] and sum(place["counts"].values()) == 12
+    for film in place["films"]:
+        for arm, name in place["cells"].items():
+            recorder = Recorder(make_env("sumo", "highway", results.cells[name]["key"]["env_config"]))
+            row = recorder.play(copy / "cells" / name, results.cells[name], film["traffic"], film["scenario"])
+            scenes = recorder.scenes
+            track = film[arm]
+            assert track["times"] == [round(100 * scene.time) for scene in scenes]
+            assert (track["crash"] is not None) == row["crashed"]
+            leader = track["cars"][1]
+            x = np.cumsum(leader["x"]) / 10
+            first = leader["from"]
+            assert x == pytest.approx([scene.x[1] for scene in scenes[first : first + len(x)]], abs=0.051)
+            if row["crashed"]:
+                assert track["hit"] == 1
+
+
+def test_films_outlive_the_weights(copy):
+    results = store.load(copy)
+    before = showcase(results, set(), make_env)
+    for path in copy.glob("cells/*/weights.npz"):
+        path.unlink()
+    assert showcase(results, set(), make_env) == before
+    (copy / FILE).unlink()
+    after = showcase(results, set(), make_env)
+    assert after["places"] == []
+    assert after["notes"] == ["highway 50: the weights of the control and treatment agent are not here"]
+
+
+@pytest.mark.parametrize("content", ["", "[]", '{"schema": 0}', '{"schema": 1}'])
+def test_a_damaged_record_is_made_again(copy, content):
+    results = store.load(copy)
+    before = showcase(results, set(), make_env)
+    (copy / FILE).write_text(content)
+    assert showcase(results, set(), make_env) == before
+    assert json.loads((copy / FILE).read_text())["places"]
+
+
+def test_an_episode_that_comes_out_differently_is_not_shown(copy):
+    def other_env(*arguments):
+        env = make_env(*arguments)
+        env.target_speeds = (10.0, 19.0, 29.0)
+        return env
+
+    found = showcase(store.load(copy), set(), other_env)
+    assert found["places"][0]["films"] == []
+    assert "differently on this machine" in found["notes"][0]
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("chromium") is None, reason="needs a browser")
+def test_the_page_plays_without_an_error(copy, monkeypatch):
+    monkeypatch.setattr(report, "make_env", make_env)
+    page = report.write_report(copy)
+    press = """<script>
+      window.onerror = (message) => { document.title = `error: ${message}`; };
+      const key = (name) => document.getElementById("player").dispatchEvent(new KeyboardEvent("keydown", {key: name}));
+      const player = document.getElementById("player"), start = player.dataset.time;
+      key("End"); const end = player.dataset.time; key("Home"); const home = player.dataset.time;
+      key("ArrowRight"); const step = player.dataset.time; key(" "); const playing = player.dataset.playing;
+      const tell = () => { document.title = JSON.stringify([start, end, home, step, playing, player.dataset.time]); };
+      setTimeout(tell, 700);
+    </script></body>"""
+    page.write_text(page.read_text().replace("</body>", press))
+    options = ["--headless", "--no-sandbox", "--disable-gpu", "--virtual-time-budget=2000", "--dump-dom"]
+    done = subprocess.run(["chromium", *options, str(page)], capture_output=True, text=True, timeout=300)
+    title = re.search("<title>(.*?)</title>", done.stdout)[1]
+    start, end, home, step, playing, later = json.loads(title)
+    assert (home, step, playing) == ("0.0", "0.2", "true")
+    assert 0 < float(start) <= float(end)
+    assert float(later) > float(step)

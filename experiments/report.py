@@ -1,11 +1,12 @@
-"""Write report.html, summary.csv and analysis.json from the cells that a sweep has stored.
+"""Write report.html, and the same as Markdown, CSV and JSON, from the cells that a sweep has stored.
 
     python experiments/report.py results/sumo-quick
     python experiments/report.py results/sumo-quick --placebo
 
 Nothing is trained: the report is a function of the stored cells, and may be written at any time, also while a
-sweep is running (it then says what is missing). report.html is one file that needs nothing else, summary.csv has
-one row per task, level, policy and traffic, analysis.json every number with the cells that it rests on. For the
+sweep is running (it then says what is missing). report.html is one file that needs nothing else; report.md has
+its words and tables; summary.csv has one row per task, level, policy and traffic, effects.csv one per task, level,
+outcome and term, analysis.json every number with the cells that it rests on. For the
 films in the report some stored agents drive a few of their test episodes again; the trajectories are kept in
 showcase.json.
 
@@ -32,7 +33,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
 from experiments.analysis import wording
-from experiments.analysis.analysis import analyse, summary_table
+from experiments.analysis.analysis import analyse, effect_table, summary_table
 from experiments.backends import make_env
 from experiments.reporting.report_view import page
 from experiments.reporting.showcase import showcase
@@ -41,12 +42,13 @@ from experiments.support.errors import disk_error, run_command
 from experiments.support.files import write_file, write_json
 
 TEMPLATES = Path(__file__).with_name("templates")
-REPORT, SUMMARY, ANALYSIS = "report.html", "summary.csv", "analysis.json"
+REPORT, TEXT, ANALYSIS = "report.html", "report.md", "analysis.json"
+SUMMARY, EFFECTS = "summary.csv", "effects.csv"
 
 
 @dataclass(frozen=True)
 class Options:
-    """Write report.html, summary.csv and analysis.json from the cells that a sweep has stored."""
+    """Write report.html, and the same as Markdown, CSV and JSON, from the cells that a sweep has stored."""
 
     directory: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
     """The --out directory of a sweep."""
@@ -55,7 +57,7 @@ class Options:
 
 
 def write_report(directory: Path) -> Path:
-    """Analyse the stored cells of a directory and write the three files into it.
+    """Analyse the stored cells of a directory and write the files of the report into it.
 
     Returns:
         The path of report.html.
@@ -72,20 +74,22 @@ def _write(directory: Path) -> tuple[Path, dict[str, Any]]:
     path = directory / REPORT
     try:
         films = showcase(results, {entry["cell"] for entry in analysis["left_out"]}, make_env)
-        html = render(page(results, analysis, films))
+        variables = page(results, analysis, films)
         write_json(directory / ANALYSIS, analysis)
-        write_file(directory / SUMMARY, summary_table(analysis).to_csv(index=False).encode())
-        write_file(path, html.encode())
+        for name, table in ((SUMMARY, summary_table(analysis)), (EFFECTS, effect_table(analysis))):
+            write_file(directory / name, table.to_csv(index=False).encode())
+        write_file(directory / TEXT, render(variables, "report.md.j2").encode())
+        write_file(path, render(variables).encode())
     except OSError as error:
         raise disk_error(error, directory) from None
     return path, analysis
 
 
-def render(variables: dict[str, Any]) -> str:
-    """The report as one HTML text."""
+def render(variables: dict[str, Any], template: str = "report.html.j2") -> str:
+    """The report as one HTML or Markdown text."""
     environment = Environment(
         loader=FileSystemLoader(TEMPLATES),
-        autoescape=True,
+        autoescape=template.endswith(".html.j2"),
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
@@ -95,7 +99,7 @@ def render(variables: dict[str, Any]) -> str:
         for name in ("number", "difference", "interval", "p_value", "count", "listing", "adjusted")
     }
     script = Markup((TEMPLATES / "player.js").read_text())
-    return environment.get_template("report.html.j2").render({**variables, "script": script})
+    return environment.get_template(template).render({**variables, "script": script})
 
 
 def show(analysis: dict[str, Any]) -> None:

@@ -155,6 +155,23 @@ def summary_table(analysis: Mapping[str, Any]) -> pd.DataFrame:
     )
 
 
+def effect_table(analysis: Mapping[str, Any]) -> pd.DataFrame:
+    """The treatment effects of an analysis as a flat table: one row per task, level, outcome and term."""
+    keys = (*PLACE, "outcome", "term", "family", "estimate", "se", "low", "high", "p", "p_adjusted", "status")
+    arms = ("treatment", "control")
+    return pd.DataFrame(
+        [
+            {
+                **{key: record[key] for key in keys},
+                **{f"seeds_{arm}": n for arm, n in zip(arms, record["seeds"], strict=True)},
+                **{f"mean_{arm}": record[f"mean_{arm}"] for arm in arms},
+                "cells": " ".join(record["cells"]),
+            }
+            for record in analysis["ate"]
+        ]
+    )
+
+
 def provenance(results: Results) -> dict[str, Any]:
     """Where the numbers come from.
 

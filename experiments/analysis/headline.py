@@ -9,8 +9,14 @@ from experiments.analysis.effects import Record
 from experiments.analysis.plan import DEFAULT, Plan
 from experiments.analysis.pooling import ALL_TASKS
 from experiments.analysis.statistics import DEGENERATE, MISSING, OK, ONE_SEED
-from experiments.analysis.verdicts import NOT_DECIDED
-from experiments.analysis.wording import BACKENDS, count, difference, listing, number, place
+from experiments.analysis.verdicts import CONTRADICTED, HOLDS, NOT_DECIDED
+from experiments.analysis.wording import BACKENDS, count, difference, listing, number, p_value, place
+
+VERBS = {
+    HOLDS: ("holds", "hold"),
+    CONTRADICTED: ("is contradicted", "are contradicted"),
+    NOT_DECIDED: ("is not decided", "are not decided"),
+}
 
 
 def headlines(value: Mapping[str, Any], grid: Mapping[str, int], plan: Plan = DEFAULT) -> list[Record]:
@@ -21,8 +27,8 @@ def headlines(value: Mapping[str, Any], grid: Mapping[str, int], plan: Plan = DE
         grid: number of traffic levels of each task in the complete grid.
 
     Returns:
-        Records with backend, answer ("safer", "less safe", "not decided", "no answer"), text (sentences) and
-        cells.
+        Records with backend, answer ("safer", "less safe", "not decided", "no answer"), text (sentences; where there is
+        an answer, the first three say it) and cells.
     """
     parts = ("ate", "pooled", "failures", "claims", "learnt", "policies")
     return [
@@ -46,22 +52,13 @@ def _headline(
                 f"{difference(primary, outcome)} on average; this number says nothing."
             )
         return {"backend": backend, "answer": "no answer", "text": text, "cells": cells}
-    if primary["p"] < plan.alpha:
-        answer = "safer" if primary["estimate"] < 0 else "less safe"
-        text = [f"On {name}, agents trained among risky drivers are {answer} in risky traffic."]
-    else:
-        answer = NOT_DECIDED
-        agents = count(primary["seeds"][0], "treated agent")
-        text = [
-            f"On {name}, {agents} are too few to tell: no difference is certain at the planned error rate."
-        ]
-    if unlearnt := [place(r) for r in own["learnt"] if r["learnt"] is False]:
-        text.insert(0, f"Not learnt, but counted: {listing(unlearnt)}.")
-    for term in ("risky", "regular"):
-        mean = next(
-            r for r in own["pooled"] if (r["scope"], r["outcome"], r["term"]) == (ALL_TASKS, outcome, term)
-        )
-        text.append(_sentence([r for r in rows if r["term"] == term], term, mean, outcome))
+    decided = primary["p"] < plan.alpha
+    answer = ("safer" if primary["estimate"] < 0 else "less safe") if decided else NOT_DECIDED
+    text = [
+        _primary(name, answer, [r for r in rows if r["term"] == "risky"], primary, own["learnt"], outcome),
+        _regular([r for r in rows if r["term"] == "regular"], own, outcome),
+        _of_the_paper(own["claims"]),
+    ]
     text.append(_graded(own["claims"], sum(grid.values())))
     text += _generality(primary, outcome)
     text += _failing(own["failures"])
@@ -71,17 +68,59 @@ def _headline(
     return {"backend": backend, "answer": answer, "text": text + _careful(own["policies"]), "cells": cells}
 
 
-def _sentence(rows: Sequence[Record], term: str, mean: Record, outcome: str) -> str:
+def _primary(
+    name: str, answer: str, rows: Sequence[Record], mean: Record, taught: Sequence[Record], outcome: str
+) -> str:
+    """The first sentence: the answer, its size and its certainty."""
+    beginning = (
+        f"On {name}, it is not decided whether agents trained among risky drivers are safer in risky traffic"
+        if answer == NOT_DECIDED
+        else f"On {name}, agents trained among risky drivers are {answer} in risky traffic"
+    )
+    treated, control = _rates(rows, outcome)
+    unlearnt = [place(r) for r in taught if r["learnt"] is False]
+    remark = f"; not learnt, but counted: {listing(unlearnt)}" if unlearnt else ""
+    agents = count(mean["seeds"][0], "treated agent")
+    return (
+        f"{beginning}: they crash in {treated} of the test episodes and control agents in {control}, a difference of "
+        f"{difference(mean, outcome)} (95 % interval, p {p_value(mean['p'])}, {agents}, every task weighted "
+        f"alike{remark})."
+    )
+
+
+def _regular(rows: Sequence[Record], own: Mapping[str, Sequence[Record]], outcome: str) -> str:
+    """The second sentence: the price in regular traffic."""
+    mean = next(
+        r for r in own["pooled"] if (r["scope"], r["outcome"], r["term"]) == (ALL_TASKS, outcome, "regular")
+    )
+    treated, control = _rates(rows, outcome)
+    harm = next(claim for claim in own["claims"] if claim["quantity"] == "equivalence")
+    return (
+        f"In regular traffic they crash in {treated} and control agents in {control}, a difference of "
+        f"{difference(mean, outcome)}; that it is smaller than the margin on every task and level "
+        f"{VERBS[harm['verdict']][0]}."
+    )
+
+
+def _of_the_paper(claims: Sequence[Record]) -> str:
+    """The third sentence: what comes of the paper's claims."""
+    groups: dict[str, list[str]] = {verdict: [] for verdict in VERBS}
+    for claim in claims:
+        if claim["source"] == "paper":
+            groups[claim["verdict"]].append(f"that {claim['short']}")
+    words = [f"{listing(shorts)} {VERBS[v][len(shorts) > 1]}" for v, shorts in groups.items() if shorts]
+    return f"Of the paper's claims, {'; '.join(words)}."
+
+
+def _rates(rows: Sequence[Record], outcome: str) -> tuple[str, str]:
+    """Means of the treated and of the control agents, every task weighted alike."""
     tasks = [r["task"] for r in rows]
     weights = [1 / len(set(tasks)) / tasks.count(task) for task in tasks]
     treated, control = (
         number(sum(w * r[f"mean_{arm}"] for w, r in zip(weights, rows, strict=True)), outcome)
         for arm in ("treatment", "control")
     )
-    return (
-        f"In {term} traffic treated agents crash in {treated} of the test episodes and control agents in {control}, "
-        f"over all agents and with every task weighted alike: a difference of {difference(mean, outcome)}."
-    )
+    return treated, control
 
 
 def _graded(claims: Sequence[Record], settings: int) -> str:

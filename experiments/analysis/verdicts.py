@@ -22,12 +22,14 @@ class Claim:
     """A statement about every task (and level).
 
     source: "paper" for the paper's own, "crash rate" for what this study asks of crashes.
+    short: the claim after "that", in a few words.
     quantity: a term of the effect in each setting, "effect" (the slope of the sum over traffic), "mean" (the
     outcome's slope) or "equivalence" (no difference as large as the margin, in regular traffic).
     sign: what the quantity has to be everywhere; 0 stands for the side that is better.
     """
 
     text: str
+    short: str
     source: str
     quantity: str
     outcome: str
@@ -37,23 +39,52 @@ class Claim:
 CLAIMS = (
     Claim(
         "Training among risky drivers raises the return, on every task and traffic level",
+        "it raises the return everywhere",
         "paper",
         "sum",
         "return",
     ),
-    Claim("This effect on the return grows with traffic, on every task", "paper", "effect", "return"),
-    Claim("The return falls as traffic grows, on every task", "paper", "mean", "return", -1),
+    Claim(
+        "This effect on the return grows with traffic, on every task",
+        "this effect grows with traffic",
+        "paper",
+        "effect",
+        "return",
+    ),
+    Claim(
+        "The return falls as traffic grows, on every task",
+        "the return falls as traffic grows",
+        "paper",
+        "mean",
+        "return",
+        -1,
+    ),
     Claim(
         "Training among risky drivers lowers the crash rate in risky traffic (on the two-way road: delays it), on "
         "every task and traffic level",
+        "it lowers the crash rate in risky traffic everywhere",
         "crash rate",
         "risky",
         PRIMARY,
     ),
-    Claim("This effect on crashes grows with traffic, on every task", "crash rate", "effect", "crashed"),
-    Claim("The crash rate rises as traffic grows, on every task", "crash rate", "mean", "crashed", +1),
+    Claim(
+        "This effect on crashes grows with traffic, on every task",
+        "this effect grows with traffic",
+        "crash rate",
+        "effect",
+        "crashed",
+    ),
+    Claim(
+        "The crash rate rises as traffic grows, on every task",
+        "the crash rate rises as traffic grows",
+        "crash rate",
+        "mean",
+        "crashed",
+        +1,
+    ),
     Claim(
         "It changes the crash rate in regular traffic by less than the margin, on every task and traffic level",
+        "it changes little in regular traffic",
         "crash rate",
         "equivalence",
         "crashed",
@@ -72,8 +103,8 @@ def claims(
         holds only if none of them is missing.
 
     Returns:
-        Records with claim, source, backend, outcome, verdict ("holds", "contradicted", "not decided"), reason, decides
-        (what would decide it, None where nothing is open), counts (see `decide`), cells.
+        Records with claim, short, source, quantity, backend, outcome, verdict ("holds", "contradicted", "not decided"),
+        reason, decides (what would decide it, None where nothing is open), counts (see `decide`), cells.
     """
     result = []
     for backend in dict.fromkeys(record["backend"] for record in ate):
@@ -90,12 +121,16 @@ def claims(
             result.append(
                 {
                     "claim": claim.text,
+                    "short": claim.short,
                     "source": claim.source,
+                    "quantity": claim.quantity,
                     "backend": backend,
                     "outcome": claim.outcome,
                     "verdict": verdict,
                     "reason": reason,
-                    "decides": _would_decide(items, counts) if verdict == NOT_DECIDED else None,
+                    "decides": _would_decide(items, counts, claim.quantity == "equivalence")
+                    if verdict == NOT_DECIDED
+                    else None,
                     "counts": counts,
                     "cells": sorted({cell for item in items for cell in item["cells"]}),
                 }
@@ -199,13 +234,25 @@ def _no_evidence(items: Sequence[Record]) -> list[str]:
     return [*parts, f"no evidence from {partial} (traffic levels are missing)"] if partial else parts
 
 
-def _would_decide(items: Sequence[Record], counts: Mapping[str, int]) -> str:
+def _would_decide(items: Sequence[Record], counts: Mapping[str, int], equivalence: bool) -> str:
     """What would decide an open claim, in words."""
-    words = []
+    words: list[str] = []
     if counts["not_run"]:
         words.append(f"the {count(counts['not_run'], 'setting')} that were not run")
     if few := sum(r["status"] == ONE_SEED for r in items):
         words.append(f"a second training seed in {few}")
+    if equivalence:
+        wide = [
+            max(abs(r["low"]), abs(r["high"])) for r in items if usable(r) and r.get("margin") is not None
+        ]
+        if wide:
+            margin, middle = (
+                number(x, "crashed") for x in (items[0]["margin"], sorted(wide)[len(wide) // 2])
+            )
+            words.append(
+                f"more seeds, until the intervals lie within the margin of {margin}; now they reach to {middle}"
+            )
+        return "; ".join(words) or "agents of both arms"
     open_ = [r for r in items if usable(r) and r["p_adjusted"] >= DEFAULT.alpha]
     planned = [r for r in open_ if "seeds_needed" in r]
     needed = sorted(r["seeds_needed"] for r in planned if r["seeds_needed"] is not None)
@@ -221,4 +268,4 @@ def _would_decide(items: Sequence[Record], counts: Mapping[str, int]) -> str:
         words.append(
             f"more seeds or scenarios: these find an effect of {number(middle, open_[0]['outcome'])} or more"
         )
-    return "; ".join(words) or "an effect in the settings that show none"
+    return "; ".join(words) or "an effect in the settings that show none yet"

@@ -15,11 +15,12 @@ from experiments.analysis.pooling import ALL_TASKS
 from experiments.analysis.statistics import MISSING
 from experiments.analysis.tables import CONFIRMATORY, TASK_ORDER
 from experiments.analysis.wording import BACKENDS, count, listing, place
+from experiments.reporting.card import card
 from experiments.reporting.report_figures import backend_figures
 from experiments.reporting.showcase import KINDS
 from experiments.study.estimate import duration
 from experiments.study.grid import ARMS
-from experiments.study.store import Results
+from experiments.study.store import Results, read_sweep
 from experiments.support.files import canonical_json
 from experiments.validation import status
 
@@ -49,6 +50,7 @@ def page(results: Results, analysis: Mapping[str, Any], films: Mapping[str, Any]
         "warnings": warnings(analysis),
         "run": run(analysis, results, left_out),
         "showcase": player(films, results.directory),
+        "card": card(analysis, {k: v for k, v in results.cells.items() if k not in left_out}),
         "validation": validation(results.directory, backends),
         "backends": [backend_section(backend, results, analysis, left_out) for backend in backends],
         "gate_texts": GATES,
@@ -164,6 +166,8 @@ def run(analysis: Mapping[str, Any], results: Results, left_out: set[str]) -> di
                 values.append(key["task"])
     return {
         "presets": origin["presets"],
+        "command": read_sweep(results.directory).get("command"),
+        "directory": str(results.directory),
         "agents": len(agents),
         "baselines": len(keys) - len(agents),
         "tests": sorted({key["eval"]["episodes"] for key in keys}),

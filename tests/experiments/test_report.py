@@ -14,7 +14,9 @@ import pandas as pd
 import pytest
 
 from experiments import report
+from experiments.analysis.analysis import analyse
 from experiments.reporting import figures
+from experiments.reporting.card import card
 from experiments.reporting.collision_figures import LENGTH, WIDTH, collisions, contacts, corners
 from experiments.reporting.report_view import effect_rows, pooled_rows, validation
 from experiments.study import store
@@ -84,13 +86,33 @@ def page(directory):
 
 
 class TestReport:
-    def test_three_files_are_written(self, directory):
+    def test_all_files_are_written(self, directory):
         value = json.loads((directory / "analysis.json").read_text(), parse_constant=pytest.fail)
         assert {"ate", "claims", "gates", "policies", "provenance"} <= set(value)
         table = pd.read_csv(directory / "summary.csv")
         assert len(table) == 3 * 8 * 2
         assert {"backend", "task", "level", "policy", "arm", "traffic", "return", "crashed"} <= set(
             table.columns
+        )
+
+    def test_the_answer_comes_in_three_sentences_also_as_text(self, directory, page):
+        (headline,) = json.loads((directory / "analysis.json").read_text())["headlines"]
+        text = (directory / "report.md").read_text()
+        for sentence in headline["text"]:
+            assert sentence in page.text and sentence in text
+        assert "risky traffic" in headline["text"][0] and "points [" in headline["text"][0]
+        assert "In regular traffic" in headline["text"][1]
+        assert "Of the paper's claims" in headline["text"][2]
+        assert "{" not in text and "None" not in text
+
+    def test_effects_are_written_as_a_table(self, directory):
+        table = pd.read_csv(directory / "effects.csv")
+        assert set(table["term"]) == {"risky", "regular", "sum", "interaction"}
+        assert set(table["family"].dropna()) == {"safety", "paper"}
+        rows = table.query("outcome == 'crashed' and term == 'risky'")
+        assert len(rows) == 3
+        assert rows["estimate"].tolist() == pytest.approx(
+            (rows["mean_treatment"] - rows["mean_control"]).tolist()
         )
 
     def test_needs_nothing_else(self, directory, page):
@@ -144,7 +166,7 @@ class TestReport:
         assert rows["all tasks"]["comparisons"] == [3, 3]
 
     def test_is_the_same_for_the_same_cells(self, directory):
-        names = ("report.html", "analysis.json", "summary.csv")
+        names = ("report.html", "report.md", "analysis.json", "summary.csv", "effects.csv")
         before = [(directory / name).read_bytes() for name in names]
         report.write_report(directory)
         assert [(directory / name).read_bytes() for name in names] == before
@@ -154,6 +176,33 @@ class TestReport:
 
     def test_is_no_smoke_test(self, page):
         assert "Smoke test" not in page.text
+
+
+class TestCard:
+    """What the paper says, what was done here, and whether that is the same."""
+
+    def rows(self, directory, **settings):
+        synthetic.write(directory, {"u-turn": (1,)}, seeds=3, tests=8, **settings)
+        results = store.load(directory)
+        return {row["topic"]: row for row in card(analyse(results), results.cells)}
+
+    def test_names_the_error_of_the_formula_and_that_there_are_no_numbers(self, tmp_path):
+        rows = self.rows(tmp_path)
+        assert "the last sign is an error" in rows["Formula of the effect"]["paper"]
+        assert "no table of numbers" in rows["Numbers"]["paper"]
+        assert {row["same"] for row in rows.values()} <= {"same", "in part", "different", "not decided"}
+
+    def test_follows_what_was_run(self, tmp_path):
+        rows = self.rows(tmp_path / "sumo")
+        assert rows["Simulator"]["same"] == "different" and "SUMO" in rows["Simulator"]["here"]
+        assert "1 of the same 18" in rows["Tasks and traffic"]["here"]
+        assert "3 training seeds per arm" in rows["Repetition"]["here"]
+        rows = self.rows(tmp_path / "replica", backend="replica")
+        assert rows["Simulator"]["same"] == "same"
+
+    def test_every_claim_of_the_paper_has_its_verdict(self, tmp_path):
+        rows = self.rows(tmp_path)
+        assert sum(topic.startswith("Result: ") for topic in rows) == 3
 
 
 class TestIncomplete:

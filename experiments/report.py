@@ -1,6 +1,7 @@
 """Write report.html, and the same as Markdown, CSV and JSON, from the cells that a sweep has stored.
 
     python experiments/report.py results/sumo-quick
+    python experiments/report.py results/sumo-quick results/replica-quick    # the second one beside it
     python experiments/report.py results/sumo-quick --placebo
 
 Nothing is trained: the report is a function of the stored cells, and may be written at any time, also while a
@@ -25,6 +26,7 @@ from experiments.support.threads import limit_threads
 
 limit_threads()
 
+import json
 from dataclasses import dataclass
 from typing import Annotated, Any
 
@@ -33,8 +35,9 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
 from experiments.analysis import wording
-from experiments.analysis.analysis import analyse, effect_table, summary_table
+from experiments.analysis.analysis import SCHEMA, analyse, effect_table, summary_table
 from experiments.backends import make_env
+from experiments.reporting.beside import beside
 from experiments.reporting.report_view import page
 from experiments.reporting.showcase import showcase
 from experiments.study.store import load
@@ -42,6 +45,7 @@ from experiments.support.errors import disk_error, run_command
 from experiments.support.files import write_file, write_json
 
 TEMPLATES = Path(__file__).with_name("templates")
+PUBLISHED = Path(__file__).resolve().parents[1] / "results" / "standard"
 REPORT, TEXT, ANALYSIS = "report.html", "report.md", "analysis.json"
 SUMMARY, EFFECTS = "summary.csv", "effects.csv"
 
@@ -52,29 +56,35 @@ class Options:
 
     directory: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
     """The --out directory of a sweep."""
+    other: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="DIR2")] = None
+    """Another one to show beside it; by default the published study, where there is one."""
     placebo: bool = False
     """Instead print the same analysis of control against control, where there is no effect."""
 
 
-def write_report(directory: Path) -> Path:
+def write_report(directory: Path, other: Path | None = None) -> Path:
     """Analyse the stored cells of a directory and write the files of the report into it.
+
+    Args:
+        other: another directory to show beside it; by default the published study, where there is one.
 
     Returns:
         The path of report.html.
 
     Raises:
-        UserError: no results there, a damaged cell, or no permission to write.
+        UserError: no results there, or no permission to write.
     """
-    return _write(Path(directory))[0]
+    return _write(Path(directory), other)[0]
 
 
-def _write(directory: Path) -> tuple[Path, dict[str, Any]]:
+def _write(directory: Path, other: Path | None) -> tuple[Path, dict[str, Any]]:
     results = load(directory, skip_damaged=True)
     analysis = analyse(results)
+    compared = _compared(directory, analysis, other)
     path = directory / REPORT
     try:
         films = showcase(results, {entry["cell"] for entry in analysis["left_out"]}, make_env)
-        variables = page(results, analysis, films)
+        variables = page(results, analysis, films) | {"beside": compared}
         write_json(directory / ANALYSIS, analysis)
         for name, table in ((SUMMARY, summary_table(analysis)), (EFFECTS, effect_table(analysis))):
             write_file(directory / name, table.to_csv(index=False).encode())
@@ -83,6 +93,19 @@ def _write(directory: Path) -> tuple[Path, dict[str, Any]]:
     except OSError as error:
         raise disk_error(error, directory) from None
     return path, analysis
+
+
+def _compared(directory: Path, analysis: dict[str, Any], other: Path | None) -> list[dict[str, Any]]:
+    """What is shown of another directory."""
+    if other is not None:
+        return beside(analysis, analyse(load(other, skip_damaged=True)), str(directory), str(other))
+    published = PUBLISHED / ANALYSIS
+    if directory.resolve() == PUBLISHED or not published.is_file():
+        return []
+    study = json.loads(published.read_text())
+    if study.get("schema") != SCHEMA:
+        return []
+    return beside(analysis, study, "This run", "the published study")
 
 
 def render(variables: dict[str, Any], template: str = "report.html.j2") -> str:
@@ -138,7 +161,7 @@ def main() -> int:
     if options.placebo:
         show_placebo(analyse(load(options.directory, skip_damaged=True)))
         return 0
-    path, analysis = _write(options.directory)
+    path, analysis = _write(options.directory, options.other)
     show(analysis)
     print(f"report: {path}")
     return 0

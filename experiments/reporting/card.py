@@ -166,8 +166,8 @@ def _measures() -> list[Row]:
             "(T − C) in risky traffic + (T − C) in regular traffic; what the printed formula gives is shown under "
             "“How it was computed”",
             DIFFERENT,
-            "Read as printed, the effect is positive even where the arms do not differ. The paper's text describes what "
-            "is computed here.",
+            "Read as printed, the effect is positive even where the arms do not differ. The paper's text describes "
+            "what is computed here.",
         ),
         _row(
             "Outcome",

@@ -31,6 +31,7 @@ from experiments.study.grid import ARMS, TRAFFICS
 WIDTH = 7.2  # [inch]
 INK, MUTED, GRID, PAPER = "#1f2328", "#6b7280", "#d9dde3", "#ffffff"
 CONTROL, TREATMENT, CAREFUL = "#0072b2", "#d55e00", "#009e73"  # Okabe and Ito: told apart by all eyes
+VIOLET = "#8a63d2"
 COLOURS = {"control": CONTROL, "treatment": TREATMENT}
 VARIABLES = {
     INK: "ink", MUTED: "muted", GRID: "grid", PAPER: "paper",
@@ -250,6 +251,43 @@ def effects_by_place(records: Sequence[Mapping[str, Any]], outcome: str) -> str:
         f"{records[0]['backend']}-ate-{outcome}",
         f"{label}: treatment effects by task and traffic level",
     )
+
+
+@styled
+def side_by_side(directories: Sequence[Sequence[Mapping[str, Any]]], names: Sequence[str], name: str) -> str:
+    """Effects on the crash rate in risky traffic of two directories, setting by setting, and their means.
+
+    directories: for each the records of its settings and of the mean over all tasks (one with a scope).
+    """
+    settings = [r for records in directories for r in records if "scope" not in r]
+    rows = _place_rows(settings)
+    figure, axes = new_figure(1, 1, 1.3 + 0.3 * (len(rows) + 1))
+    panel = axes[0, 0]
+    panel.axvline(0, color=INK, lw=0.8)
+    top = 1.1
+    styles: list[dict[str, Any]] = [{"color": VIOLET, "marker": "o"}, {"color": INK, "marker": "s"}]
+    for number, (records, style) in enumerate(zip(directories, styles, strict=True)):
+        for r in records:
+            if r["estimate"] is None:
+                continue
+            y = (top if "scope" in r else rows[r["task"], r["level"]]) + (0.13, -0.13)[number]
+            hollow = r["low"] is None
+            if not hollow:
+                panel.plot(
+                    [r["low"], r["high"]], [y, y], color=style["color"], lw=2.4 if "scope" in r else 1.4
+                )
+            mark = {**style, "mfc": PAPER if hollow else style["color"], "ms": 7 if "scope" in r else 4.5}
+            panel.plot(r["estimate"], y, ls="", **mark)
+    labels = {(r["task"], r["level"]): f"{r['task']} {r['level_name']}" for r in settings}
+    panel.set_yticks([top, *rows.values()], ["all tasks alike", *(labels[place] for place in rows)])
+    panel.set_ylim(min(rows.values()) - 0.7, top + 0.6)
+    panel.axhline(top - 0.55, color=GRID, lw=0.8)
+    panel.xaxis.set_major_formatter(lambda value, _: f"{100 * value:.0f}".replace("-", MINUS))
+    panel.set_xlabel(f"Crash rate in risky traffic, treatment {MINUS} control [points]; left of 0 is safer")
+    panel.grid(axis="y", visible=False)
+    handles = [Line2D([], [], label=label, **style) for label, style in zip(names, styles, strict=True)]
+    figure.legend(handles=handles, loc="outside upper left", ncols=1)
+    return to_svg(figure, name, f"Effects on the crash rate in risky traffic of {names[0]} and {names[1]}")
 
 
 @styled

@@ -205,6 +205,32 @@ class TestCard:
         assert sum(topic.startswith("Result: ") for topic in rows) == 3
 
 
+class TestTwoDirectories:
+    def test_are_shown_side_by_side(self, tmp_path):
+        first, second = tmp_path / "first", tmp_path / "second"
+        synthetic.write(first, {"u-turn": (1,)}, seeds=3, tests=10)
+        synthetic.write(second, {"u-turn": (1, 2)}, seeds=5, tests=10, backend="replica")
+        page = Page(report.write_report(first, second).read_text())
+        assert f"{first} (SUMO) beside {second} (replica)" in page.text
+        assert f"{first} (SUMO): 3 training seeds in each arm, 1 setting." in page.text
+        assert f"{second} (replica): 5 training seeds in each arm, 2 settings." in page.text
+        assert "neither show nor exclude" in page.text
+        assert len(page.ids) == len(set(page.ids))
+        assert "beside" in (first / "report.md").read_text()
+
+    def test_a_run_is_shown_beside_the_published_study_and_that_alone(self, tmp_path, monkeypatch):
+        study, own = tmp_path / "standard", tmp_path / "own"
+        monkeypatch.setattr(report, "PUBLISHED", study)
+        synthetic.write(study, {"u-turn": (1,)}, seeds=5, tests=10, preset="standard")
+        assert "the published study" not in report.write_report(study).read_text()
+        synthetic.write(own, {"u-turn": (1,)}, seeds=1, tests=4, preset="smoke")
+        page = Page(report.write_report(own).read_text())
+        assert "This run beside the published study" in page.text
+        assert "This run: one training seed in an arm cannot tell anything" in page.text
+        (study / "analysis.json").write_text('{"schema": 0}')
+        assert "beside the published" not in report.write_report(own).read_text()
+
+
 class TestIncomplete:
     """Results as they are while a sweep runs, or after one with little in it."""
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -183,6 +183,8 @@ def train(
     checkpoint: str | Path | None = None,
     checkpoint_interval: int = 1000,
     progress: Callable[[Progress], None] | None = None,
+    marks: Sequence[int] = (),
+    at_mark: Callable[[int, Greedy], None] | None = None,
 ) -> TrainedAgent:
     """Train an agent on ``env`` for ``config.updates`` updates.
 
@@ -201,6 +203,8 @@ def train(
         checkpoint: file to write the state to and, if it is there, to go on from. It is left in place.
         checkpoint_interval: updates between two checkpoints; there is one at the end in any case.
         progress: called after every block of updates; what it raises ends the training.
+        marks: numbers of updates after which (at the end of the block) `at_mark` gets the mark and the policy. A
+            training that goes on from a checkpoint calls it for marks after the checkpoint alone.
 
     Raises:
         ValueError: spaces that a DQN cannot handle, or an unknown network.
@@ -230,6 +234,9 @@ def train(
         training.play(config.warm_up + config.steps_per_update * done)
         while agent.updates < done:
             agent.update()
+        for mark in marks:
+            if at_mark is not None and updates < mark <= done:
+                at_mark(mark, agent.policy())
         if _due(updates, done, config.probe_interval) or done == config.updates:
             training.look()
         if checkpoint is not None and (_due(updates, done, checkpoint_interval) or done == config.updates):

@@ -59,7 +59,7 @@ class Options:
     other: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="DIR2")] = None
     """Another one to show beside it; by default the published study, where there is one."""
     placebo: bool = False
-    """Instead print the same analysis of control against control, where there is no effect."""
+    """Instead print what the controls find: control against control, a rule against itself, a doubled penalty."""
 
 
 def write_report(directory: Path, other: Path | None = None) -> Path:
@@ -142,7 +142,7 @@ def show(analysis: dict[str, Any]) -> None:
 
 
 def show_placebo(analysis: dict[str, Any]) -> None:
-    """Print what comes of comparisons whose truth is "no effect"."""
+    """Print what comes of comparisons whose truth is known."""
     if not analysis["placebo"]:
         print("no placebo: a setting needs four control agents, to be dealt into two arms")
     for row in analysis["placebo"]:
@@ -154,12 +154,24 @@ def show_placebo(analysis: dict[str, Any]) -> None:
     if control := analysis["negative_control"]:
         print(f"negative control ({control['policy']} against itself): largest effect {control['largest']:g}")
 
+    for record in analysis["exploratory"]["positive_control"]:
+        verdict = "found" if record["found"] else "not found"
+        print(
+            f"positive control (doubled penalty for crashes against control, regular traffic): {verdict}, "
+            f"{wording.difference(record, record['outcome'])}, p {wording.p_value(record['p'])}"
+        )
+
+
+def report_placebo(directory: Path) -> None:
+    """Print what the controls of the instrument find in a directory."""
+    show_placebo(analyse(load(directory, skip_damaged=True)))
+
 
 def main() -> int:
     """The command line."""
     options = tyro.cli(Options, description=__doc__)
     if options.placebo:
-        show_placebo(analyse(load(options.directory, skip_damaged=True)))
+        report_placebo(options.directory)
         return 0
     path, analysis = _write(options.directory, options.other)
     show(analysis)

@@ -3,6 +3,8 @@
     python experiments/sweep.py
     python experiments/sweep.py --preset smoke --out /tmp/smoke
     python experiments/sweep.py --preset paper --dry-run
+    python experiments/sweep.py --placebo                                  # control against control
+    python experiments/sweep.py --tasks highway --arms control penalty     # a positive control
 
 The same command run again goes on where it was stopped, whatever stopped it; finished cells are never
 computed twice. Several sweeps on one directory, also from several machines, share the work. DIR/sweep.log says what
@@ -30,6 +32,7 @@ limit_threads()
 if __name__ == "__main__":
     leave_on_signals()  # the imports below take seconds
 
+import json
 import shlex
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
@@ -49,7 +52,7 @@ from experiments.study.policies import foreign
 from experiments.study.presets import PRESETS, get_preset
 from experiments.study.progress import Progress, screen
 from experiments.study.run import Interrupted, Stop, run
-from experiments.study.store import DamagedCell, Store, cell_directories
+from experiments.study.store import WEIGHTS, DamagedCell, Store, cell_directories
 from experiments.support.errors import (
     INTERRUPTED,
     UserError,
@@ -59,6 +62,7 @@ from experiments.support.errors import (
 )
 from experiments.validation.status import before_training
 
+PLACEBO_SEEDS = 4  # control agents at least, to be dealt into two arms
 MOST_SILENCE = 7 * 86400.0  # [s]
 TASKS_PER_PROCESS = 25  # of highway-env 1: its tasks change class attributes of each other
 
@@ -76,7 +80,7 @@ class Options:
     """Train and test the agents of both arms and the baselines, then write the report."""
 
     backend: Annotated[str, _argument("NAME", "sumo")] = "sumo"
-    """Simulator: sumo or highway-env."""
+    """Simulator: sumo, replica (highway-env's physics, compiled) or highway-env."""
     preset: Annotated[str, _argument("NAME", "quick")] = "quick"
     """Size of the experiment: smoke (a minute), quick (20 minutes on two cores), standard or paper (many hours)."""
     out: Annotated[Path | None, _argument("DIR", "results/BACKEND-PRESET")] = None
@@ -91,6 +95,14 @@ class Options:
     """Test episodes in each of the two traffics."""
     updates: Annotated[int | None, _argument("N")] = None
     """Training budget of an agent in updates, the same for all tasks."""
+    arms: Annotated[tuple[str, ...], _argument("ARM ...", "control treatment")] = ()
+    """Arms: control, treatment, dose25, dose50, dose75 (agents are then tested at these doses too), dense, penalty."""
+    placebo: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = False
+    """Train control agents alone, twice as many, and compare them with each other: no effect should be found."""
+    test_on: Annotated[tuple[str, ...], _argument("NAME ...", "none")] = ()
+    """Other simulators on which the trained agents are tested as well."""
+    config: Annotated[tuple[str, ...], _argument("KEY=VALUE ...", "none")] = ()
+    """Keys of the environments' configuration to set, for training and test (values as in JSON, or plain words)."""
     gamma: Annotated[float | None, _argument("X")] = None
     """Discount factor."""
     network: Annotated[str | None, _argument("NAME")] = None
@@ -138,17 +150,34 @@ def cells_of(options: Options) -> list[Cell]:
     for level in options.levels:
         if not level.isdecimal():
             raise UserError(f"--levels takes numbers, 1 is the lightest traffic, not {level!r}")
+    seeds = preset.seeds if options.seeds is None else options.seeds
+    if options.placebo and options.arms:
+        raise UserError("--placebo trains control agents alone: leave out --arms")
     return grid.build(
         options.backend,
         grid.choose_levels(tasks, tuple(map(int, options.levels)) or preset.levels),
-        preset.seeds if options.seeds is None else options.seeds,
+        max(2 * seeds, PLACEBO_SEEDS) if options.placebo else seeds,
         preset.episodes if options.episodes is None else options.episodes,
         profiles,
         preset.name,
         gate_episodes=preset.gate_episodes,
         network=own_network,
         policies={label: (name, sha) for name in options.policy for label, sha in [foreign(name)]},
+        arms=("control",) if options.placebo else options.arms or tuple(grid.ARMS),
+        test_on=options.test_on,
+        changes=dict(map(_setting, options.config)),
     )
+
+
+def _setting(text: str) -> tuple[str, Any]:
+    """Key and value of "collision_reward=-2" or "risk_law=linear"."""
+    key, equals, value = text.partition("=")
+    if not (key and equals):
+        raise UserError(f"--config takes KEY=VALUE, for example collision_reward=-2, not {text!r}")
+    try:
+        return key, json.loads(value)
+    except ValueError:
+        return key, value
 
 
 def sweep(
@@ -208,20 +237,31 @@ def sweep(
             found = f"{len(mine)} cells, {len(finished)} of them finished before"
             print(f"{found}; results go to {directory}", flush=True)
             failures: dict[str, str] = {}
-            if left:
-                per_process = 1 if options.backend == "highway-env" else TASKS_PER_PROCESS
-                executor, limit = open_executor(options.executor, options.workers, directory, per_process)
-                progress = Progress(store, mine, finished, known, limit, screen(), f"{again} --cell")
-                try:
-                    failures = run(left, executor, limit, progress, stop)
-                finally:
-                    progress.close()
+            # Agents are tested elsewhere once all are trained.
+            for further in (False, True):
+                batch = [task for task in left if (task.cell.kind == "test") == further]
+                if further:
+                    batch = [
+                        task for task in batch if (store.cells / task.cell.parent.name / WEIGHTS).exists()
+                    ]
+                if batch:
+                    per_process = (
+                        1 if "highway-env" in (options.backend, *options.test_on) else TASKS_PER_PROCESS
+                    )
+                    executor, limit = open_executor(options.executor, options.workers, directory, per_process)
+                    known_names = {task.name for task in batch} | finished
+                    shown = [cell for cell in mine if cell.name in known_names]
+                    progress = Progress(store, shown, finished, known, limit, screen(), f"{again} --cell")
+                    try:
+                        failures |= run(batch, executor, limit, progress, stop)
+                    finally:
+                        progress.close()
         except OSError as error:
             raise disk_error(error, directory) from None
         except Interrupted:
             stop.say()
             return INTERRUPTED
-        return _conclude(directory, tasks, failures, again)
+        return _conclude(directory, tasks, failures, again, options.placebo)
 
 
 def is_finished(store: Store, task: CellTask) -> bool:
@@ -257,12 +297,18 @@ def compute_one(options: Options, cells: Sequence[Cell], make_env: MakeEnv) -> i
     return 0
 
 
-def _conclude(directory: Path, tasks: Mapping[str, CellTask], failures: Mapping[str, str], again: str) -> int:
+def _conclude(
+    directory: Path, tasks: Mapping[str, CellTask], failures: Mapping[str, str], again: str, placebo: bool
+) -> int:
     """Write the report and say how it went."""
     if len(failures) < len(tasks):
         from experiments.report import write_report
 
         print(f"report: {write_report(directory)}", flush=True)
+        if placebo:
+            from experiments.report import report_placebo
+
+            report_placebo(directory)
     if failures:
         print(f"{len(failures)} of {len(tasks)} cells failed, all others are kept:", file=sys.stderr)
         for name, reason in failures.items():
@@ -288,8 +334,9 @@ def describe(options: Options, cells: Sequence[Cell], workers: int) -> None:
         agents = [cell for cell in group if cell.kind == "agent"]
         left = sum(measured.seconds(cell) for cell in group if cell.name not in finished)
         done = sum(cell.name in finished for cell in group)
-        updates = agents[0].updates if agents else 0
-        row = (task, level, len(agents), updates, len(group) - len(agents), done, duration(left))
+        updates = agents[0].updates if agents else 0  # further tests of agents are in the core time alone
+        baselines = sum(cell.kind == "baseline" for cell in group)
+        row = (task, level, len(agents), updates, baselines, done, duration(left))
         print("{:<14}{:>8}{:>8}{:>9}{:>11}{:>10}{:>13}".format(*row))
         total += left
     kinds = Counter(cell.kind for cell in cells)

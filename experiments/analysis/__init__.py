@@ -8,6 +8,7 @@ effects      the average treatment effect of every task and level
 pooling      over levels and tasks: the primary answer, heterogeneity, slopes
 placebo      comparisons whose truth is known
 sensitivity  the primary answer in other ways; the next batch of seeds
+exploratory  what is looked at beside the plan: further arms, doses, transfer, kinds of crashes
 verdicts     what that says about each claim
 headline     the answer in words
 analysis     all of it as one value

@@ -12,6 +12,7 @@ import pandas as pd
 from experiments.analysis import plan as plans
 from experiments.analysis import statistics
 from experiments.analysis.effects import Record, effects
+from experiments.analysis.exploratory import exploratory
 from experiments.analysis.gates import GATES, gates
 from experiments.analysis.headline import headlines
 from experiments.analysis.placebo import negative_control, placebo
@@ -24,10 +25,13 @@ from experiments.analysis.tables import (
     comparable,
     complete,
     duplicates,
+    fitting,
     place_order,
     settings,
+    split,
     units,
     with_outcomes,
+    without,
 )
 from experiments.analysis.verdicts import claims
 from experiments.study.grid import ARMS, BASELINES, LEARNER, TRAFFICS
@@ -46,6 +50,7 @@ def analyse(results: Results) -> dict[str, Any]:
         plan, plan_hash: see `plan`. headlines: the answer in plain words, see `headline.headlines`.
         claims: see `verdicts.claims`. ate: see `effects.effects`. pooled, slopes, failures: see `pooling`.
         sensitivity, learnt, second_batch: see `sensitivity`. placebo, negative_control: see `placebo`.
+        exploratory: see `exploratory.exploratory`.
         gates: see `gates.gates`. policies: see `policies`.
         missing: cells that the last sweep asked for and that are not there; failed: why some of them failed;
         damaged: cells that cannot be read, with the reason; incomplete: cells whose tables lack something;
@@ -53,7 +58,14 @@ def analyse(results: Results) -> dict[str, Any]:
         provenance: see `provenance`.
     """
     whole, incomplete = complete(results)
-    chosen, left_out = comparable(whole)
+    main, extra = split(whole)
+    chosen, left_out = comparable(main)
+    further = fitting(extra, chosen)
+    left_out += [
+        {"cell": name, "reason": "no agents of both arms with its settings to compare with"}
+        for name in extra.cells
+        if name not in further.cells
+    ]
     plan = plans.plan_of(str(cell["key"]["profile"].get("preset")) for cell in chosen.cells.values())
     data = plans.as_data(plan, GATES)
     episodes = with_outcomes(chosen.episodes, chosen.cells)
@@ -76,6 +88,7 @@ def analyse(results: Results) -> dict[str, Any]:
         "second_batch": second_batch(pairs, ate, plan),
         "placebo": placebo(pairs, plan),
         "negative_control": negative_control(episodes),
+        "exploratory": exploratory(chosen, further, plan),
         "gates": verdicts,
         "policies": policies(units(episodes), episodes),
         "missing": [name for name in results.expected if name not in results.cells],
@@ -84,7 +97,7 @@ def analyse(results: Results) -> dict[str, Any]:
         "incomplete": incomplete,
         "duplicates": duplicates(chosen),
         "left_out": left_out,
-        "provenance": provenance(chosen),
+        "provenance": provenance(without(whole, {entry["cell"] for entry in left_out})),
     }
     value["headlines"] = headlines(value, grid, plan)
     return strict(value)

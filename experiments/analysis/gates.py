@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 
 from experiments.analysis.tables import PLACE, place_order
-from experiments.study.grid import ARMS, TRAFFICS
+from experiments.study.grid import gate_traffics
 
 Q_SLACK = 1.2  # over the largest value that any policy can have, max |r| / (1 - gamma)
 CONSTANT = 0.98  # share of the steps with the most common action from which a policy counts as constant
@@ -146,7 +146,7 @@ def gates(cells: Mapping[str, Mapping[str, Any]], episodes: pd.DataFrame) -> lis
         key = cell["key"]
         if key["kind"] != "agent":
             continue
-        traffic = next(traffic for traffic, risk in TRAFFICS.items() if risk == ARMS[key["arm"]])
+        (traffic,) = gate_traffics(key["arm"])
         if (name, traffic) not in tables:
             continue
         own = tables[name, traffic]

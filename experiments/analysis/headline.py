@@ -81,9 +81,11 @@ def _primary(
     unlearnt = [place(r) for r in taught if r["learnt"] is False]
     remark = f"; not learnt, but counted: {listing(unlearnt)}" if unlearnt else ""
     agents = count(mean["seeds"][0], "treated agent")
+    p = p_value(mean["p"])
+    p = p if p.startswith("<") else f"= {p}"
     return (
         f"{beginning}: they crash in {treated} of the test episodes and control agents in {control}, a difference of "
-        f"{difference(mean, outcome)} (95 % interval, p {p_value(mean['p'])}, {agents}, every task weighted "
+        f"{difference(mean, outcome)} (95 % interval, p {p}, {agents}, every task weighted "
         f"alike{remark})."
     )
 

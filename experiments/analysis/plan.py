@@ -44,6 +44,11 @@ OUTCOMES: dict[str, Outcome] = {
     "near_misses": Outcome("Near-misses", "per episode", -1, 2, poolable=True),
     "reward_per_step": Outcome("Reward per step", "", +1, 3),
 }
+# Beside the effects of the two arms; none of it enters a family or decides a claim.
+EXPLORATORY = (
+    "arms dose25, dose50, dose75, dense and penalty against control", "dose-response", "transfer between simulators",
+    "kinds of crashes", "time to crash in the worst tenth of the episodes", "effect after parts of the budget",
+)  # fmt: skip
 PROPORTIONS = ("crashed",)  # 0 or 1 in an episode: a mean near 0 or 1 still has an interval
 TERMS: dict[str, dict[str, float]] = {
     "risky": {"risky": 1.0},
@@ -140,7 +145,10 @@ def as_data(plan: Plan, gates: dict[str, str]) -> dict[str, Any]:
         "unit": "training seed",
         "adjustment": "Holm within a family, Benjamini-Hochberg over everything exploratory",
         "gates": gates,
-        "exploratory": [f"{o} {t}" for o in OUTCOMES for t in TERMS if (o, t) not in confirmatory],
+        "exploratory": [
+            *(f"{o} {t}" for o in OUTCOMES for t in TERMS if (o, t) not in confirmatory),
+            *EXPLORATORY,
+        ],
     }
 
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from experiments.analysis.plan import OUTCOMES, PROPORTIONS, TERMS
 from experiments.analysis.statistics import binomial_floor
-from experiments.study.grid import ARMS, TASKS, TRAFFICS
+from experiments.study.grid import ALL_TRAFFICS, ARMS, TASKS, TRAFFICS, gate_traffics
 from experiments.study.store import Results
 from experiments.support.files import canonical_json
 
@@ -84,13 +84,39 @@ def comparable(results: Results) -> tuple[Results, list[dict[str, str]]]:
     return without(results, {entry["cell"] for entry in left_out}), left_out
 
 
+def split(results: Results) -> tuple[Results, Results]:
+    """The cells of the comparison that the plan is about (both arms and the baselines), and the exploratory ones."""
+    main = {
+        name
+        for name, cell in results.cells.items()
+        if cell["key"]["kind"] == "baseline"
+        or (cell["key"]["kind"] == "agent" and cell["key"]["arm"] in ARMS)
+    }
+    return without(results, set(results.cells) - main), without(results, main)
+
+
+def fitting(extra: Results, main: Results) -> Results:
+    """The exploratory cells that are trained and tested as those of the comparison at their place are."""
+    wanted: dict[tuple[Any, ...], dict[str, Any]] = {}
+    for cell in main.cells.values():
+        if cell["key"]["kind"] == "agent":
+            wanted.setdefault(tuple(cell["key"][column] for column in PLACE), _settings(cell))
+    gone = set()
+    for name, cell in extra.cells.items():
+        reference = wanted.get(tuple(cell["key"][column] for column in PLACE))
+        own = _settings(cell)
+        if reference is None or any(own.get(setting) != value for setting, value in reference.items()):
+            gone.add(name)
+    return without(extra, gone)
+
+
 def without(results: Results, gone: set[str]) -> Results:
     """The results without some cells."""
     if not gone:
         return results
     tables = {
         name: table[~table["cell"].isin(gone)].reset_index(drop=True)
-        for name in ("agents", "episodes", "gate_episodes", "training")
+        for name in ("agents", "episodes", "gate_episodes", "training", "marks")
         for table in [getattr(results, name)]
     }
     return replace(results, cells={k: v for k, v in results.cells.items() if k not in gone}, **tables)
@@ -105,9 +131,10 @@ def complete(results: Results) -> tuple[Results, list[dict[str, str]]]:
     )
     for name, cell in results.cells.items():
         key = cell["key"]
-        own = [t for t, risk in TRAFFICS.items() if not key["arm"] or risk == ARMS.get(key["arm"], risk)]
-        faults = _faults(tests.get(name), int(key["eval"]["episodes"]), list(TRAFFICS), "test")
-        if "gate_episodes" in key["eval"]:
+        test = key.get("test_on", {"episodes": key["eval"]["episodes"], "traffics": list(TRAFFICS)})
+        faults = _faults(tests.get(name), int(test["episodes"]), test["traffics"], "test")
+        if "gate_episodes" in key["eval"] and key["kind"] != "test":
+            own = gate_traffics(key["arm"])
             faults += _faults(gates.get(name), int(key["eval"]["gate_episodes"]), own, "gate")
         if faults:
             incomplete.append({"cell": name, "reason": "; ".join(faults)})
@@ -185,7 +212,7 @@ def place_order(record: Mapping[str, Any]) -> tuple[str, int, int]:
 class Arm:
     """The agents of an arm in a setting, in order of their training seeds.
 
-    values: for each outcome an array (traffic in TRAFFICS' order, seed, scenario).
+    values: for each outcome an array (traffic in the order of its dose, seed, scenario).
     """
 
     seeds: tuple[int, ...]
@@ -200,7 +227,7 @@ class Arm:
 
     def floor(self, outcome: str, term: str) -> float:
         """The least variance of the arm's mean, see `statistics.binomial_floor`."""
-        if outcome not in PROPORTIONS or not self.seeds:
+        if (outcome in OUTCOMES and outcome not in PROPORTIONS) or not self.seeds:
             return 0.0
         return binomial_floor(
             [x for traffic, x in zip(TRAFFICS, self.values[outcome], strict=True) if traffic in TERMS[term]]
@@ -222,12 +249,18 @@ Pair = Mapping[str, Arm]  # by name of the arm
 Place = tuple[Any, ...]  # backend, task, level, level_name
 
 
-def settings(episodes: pd.DataFrame) -> dict[Place, Pair]:
-    """The scores of the trained agents by place, in the grid's order; `episodes` as from `with_outcomes`."""
-    agents = episodes[episodes["kind"] == "agent"]
+def settings(
+    episodes: pd.DataFrame, arms: Sequence[str] = tuple(ARMS), outcomes: Sequence[str] = tuple(OUTCOMES)
+) -> dict[Place, Pair]:
+    """The scores of the trained agents by place, in the grid's order.
+
+    Args:
+        episodes: as from `with_outcomes`, with these outcomes as columns; the same traffics for all agents.
+    """
+    agents = episodes[episodes["arm"].isin(arms)]
     if agents.empty:
         return {}
-    traffic = agents["traffic"].map({name: number for number, name in enumerate(TRAFFICS)})
+    traffic = agents["traffic"].map({name: number for number, name in enumerate(ALL_TRAFFICS)})
     agents = agents.assign(
         _traffic=traffic, _task=agents["task"].map(TASK_ORDER), seed=agents["seed"].astype(int)
     )
@@ -235,12 +268,13 @@ def settings(episodes: pd.DataFrame) -> dict[Place, Pair]:
     result: dict[Place, Pair] = {}
     for place, group in agents.groupby(PLACE, sort=False):
         by_arm = dict(tuple(group.groupby("arm")))
-        result[place] = {arm: _arm(by_arm.get(arm, group.iloc[:0])) for arm in ARMS}
+        result[place] = {arm: _arm(by_arm.get(arm, group.iloc[:0]), outcomes) for arm in arms}
     return result
 
 
-def _arm(rows: pd.DataFrame) -> Arm:
+def _arm(rows: pd.DataFrame, outcomes: Sequence[str]) -> Arm:
     agents = rows.drop_duplicates("cell")
-    shape = (len(TRAFFICS), len(agents), -1) if len(agents) else (len(TRAFFICS), 0, 0)
-    values = {name: rows[name].to_numpy(dtype=np.float64).reshape(shape) for name in OUTCOMES}
+    traffics = rows["traffic"].nunique() or len(TRAFFICS)
+    shape = (traffics, len(agents), -1) if len(agents) else (traffics, 0, 0)
+    values = {name: rows[name].to_numpy(dtype=np.float64).reshape(shape) for name in outcomes}
     return Arm(tuple(agents["seed"]), tuple(agents["cell"]), values)

@@ -46,7 +46,7 @@ def beside(
                 "name": BACKENDS.get(backend, backend),
                 "names": names,
                 "answers": [part["headlines"][0]["text"][0] for part in (mine, theirs)],
-                "power": [_power(name, part) for name, part in zip(names, (mine, theirs), strict=True)],
+                "power": [power(part, name) for name, part in zip(names, (mine, theirs), strict=True)],
                 "rows": _rows(effects),
                 "claims": _claims(mine["claims"], theirs["claims"]),
                 "figure": Markup(
@@ -92,13 +92,18 @@ def _claims(mine: Sequence[Record], theirs: Sequence[Record]) -> list[Record]:
     return [{**claim, "verdicts": [claim["verdict"], verdicts.get(claim["claim"], NONE)]} for claim in mine]
 
 
-def _power(name: str, part: Mapping[str, Sequence[Record]]) -> str:
-    """What the seeds of a directory can and cannot tell, in a sentence."""
+def power(part: Mapping[str, Sequence[Record]], name: str = "") -> str:
+    """What the seeds of a directory can and cannot tell, in sentences that begin with its name.
+
+    Args:
+        part: ate and pooled of one simulator.
+    """
+    name = f"{name}: " if name else ""
     settings = [r for r in part["ate"] if (r["outcome"], r["term"]) == (OUTCOME, TERM)]
     seeds = sorted({min(r["seeds"]) for r in settings})
     if not seeds or seeds[-1] < 2:
-        return f"{name}: one training seed in an arm cannot tell anything about training."
-    found = f"{name}: {seeds[0]}" + (f" to {seeds[-1]}" if seeds[-1] > seeds[0] else "")
+        return f"{name}One training seed in an arm cannot tell anything about training."
+    found = f"{name}{seeds[0]}" + (f" to {seeds[-1]}" if seeds[-1] > seeds[0] else "")
     text = f"{found} training seeds in each arm, {count(len(settings), 'setting')}."
     means = [r for r in _mean(part) if r["status"] == OK]
     single = sorted(

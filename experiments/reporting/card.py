@@ -142,7 +142,7 @@ def _seeds(agents: Sequence[Mapping[str, Any]]) -> Row:
         f"{here} training seeds per arm and setting; every difference with a 95 % interval over training seeds and "
         "test scenarios",
         DIFFERENT,
-        "What is randomised is the training. Two agents of one arm differ more than many a published effect.",
+        "What is randomised is the training. Agents that differ in nothing but the seed drive differently.",
     )
 
 

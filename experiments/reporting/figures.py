@@ -38,7 +38,6 @@ VARIABLES = {
     CONTROL: "control", TREATMENT: "treatment", CAREFUL: "careful",
 }  # fmt: skip
 MARKS = {"careful": "*", "idle": "o", "random": "D", "faster": "^", "slower": "v", "idm": "s"}
-BINS = 20  # of a learning curve
 STYLE: Any = {
     "font.family": "sans-serif", "font.sans-serif": ["DejaVu Sans"], "font.size": 8.5,
     "axes.titlesize": 9, "axes.titleweight": "bold", "axes.labelsize": 8.5,
@@ -109,27 +108,25 @@ def _mark(policy: str) -> dict[str, Any]:
 
 
 @styled
-def learning_curves(training: pd.DataFrame, task: str) -> str:
-    """Return and crash rate of the training episodes against environment steps, a column a traffic level.
+def learning_curves(cells: Mapping[str, Mapping[str, Any]], task: str) -> str:
+    """Return and crash rate of the training episodes against environment steps, a column per traffic level.
 
-    training: the training episodes of one backend and task.
+    cells: cell.json of the trained agents of one backend and task, by name.
     """
-    levels = training[["level", "level_name"]].drop_duplicates().sort_values("level")
+    curves = [(cell["key"], cell["learner"]["curve"]) for cell in cells.values()]
+    levels = dict(sorted({key["level"]: key["level_name"] for key, _ in curves}.items()))
     figure, axes = new_figure(2, len(levels), 3.6, sharex=True, sharey="row")
-    bins = int(np.clip(training.groupby("cell").size().min() // 4, 4, BINS))
-    edges = np.linspace(0, training["step"].max(), bins + 1)
-    centres = (edges[:-1] + edges[1:]) / 2 / 1000
-    table = training.assign(bin=np.clip(np.searchsorted(edges, training["step"]) - 1, 0, bins - 1))
-    for column, (level, level_name) in enumerate(levels.itertuples(index=False)):
+    for column, (level, level_name) in enumerate(levels.items()):
         axes[0, column].set_title(f"{task} {level_name}")
         for row, outcome in enumerate(("return", "crashed")):
             for arm, colour in COLOURS.items():
-                chosen = table[(table["level"] == level) & (table["arm"] == arm)]
-                if chosen.empty:
+                own = [curve for key, curve in curves if (key["level"], key["arm"]) == (level, arm)]
+                if not own:
                     continue
-                curves = chosen.groupby(["bin", "cell"])[outcome].mean().astype(float).unstack("cell")
-                mean, spread = curves.mean(axis=1), curves.std(axis=1, ddof=1).fillna(0)
-                x = centres[curves.index]
+                values = pd.DataFrame([curve[outcome] for curve in own], dtype=float)
+                ends = np.array([curve["step"] for curve in own], dtype=float).mean(axis=0)
+                x = (ends - ends[0] / 2) / 1000
+                mean, spread = values.mean(), values.std(ddof=1).fillna(0)
                 axes[row, column].plot(x, mean, color=colour)
                 band = (mean - spread, mean + spread)
                 if OUTCOMES[outcome].percent:
@@ -144,7 +141,7 @@ def learning_curves(training: pd.DataFrame, task: str) -> str:
     figure.legend(handles=handles, loc="outside upper right", ncols=2)
     return to_svg(
         figure,
-        f"{training['backend'].iloc[0]}-learning-{task}",
+        f"{curves[0][0]['backend']}-learning-{task}",
         f"Learning curves of {task}: return and crash rate of training episodes by arm",
     )
 

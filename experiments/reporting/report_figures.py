@@ -62,15 +62,17 @@ def backend_figures(
                     _safe(figures.against_traffic(records, task)),
                 )
             )
-    training = results.training[results.training["cell"].isin(agents)]
     for task in TASK_ORDER:
-        if agents and len(rows := training[training["task"] == task]):
+        own_task = {name: cell for name, cell in agents.items() if cell["key"]["task"] == task}
+        if curves := {
+            name: cell for name, cell in own_task.items() if "curve" in (cell.get("learner") or {})
+        }:
             shown.append(
                 Shown(
                     f"{task.capitalize()}: learning curves",
                     "Training episodes, with exploration, each arm in its own traffic: mean over seeds and one "
                     "standard deviation.",
-                    _safe(figures.learning_curves(rows, task)),
+                    _safe(figures.learning_curves(curves, task)),
                 )
             )
     shown.append(

@@ -13,14 +13,15 @@ from experiments.analysis.gates import FAILURES, GATES
 from experiments.analysis.plan import ALPHA, OUTCOMES, TERMS
 from experiments.analysis.pooling import ALL_TASKS
 from experiments.analysis.statistics import MISSING
-from experiments.analysis.tables import CONFIRMATORY, TASK_ORDER
+from experiments.analysis.tables import CONFIRMATORY, TASK_ORDER, split
 from experiments.analysis.wording import BACKENDS, count, listing, place
+from experiments.reporting.beside import power
 from experiments.reporting.card import card
 from experiments.reporting.report_figures import backend_figures
 from experiments.reporting.showcase import KINDS
 from experiments.study.estimate import duration
-from experiments.study.grid import ARMS
-from experiments.study.store import Results, read_sweep
+from experiments.study.grid import ARMS, MARKS
+from experiments.study.store import WEIGHTS, Results, read_sweep
 from experiments.support.files import canonical_json
 from experiments.validation import status
 
@@ -44,6 +45,9 @@ def page(results: Results, analysis: Mapping[str, Any], films: Mapping[str, Any]
     """
     backends = list(dict.fromkeys(record["backend"] for record in analysis["policies"]))
     left_out = {entry["cell"] for entry in analysis["left_out"]}
+    _, further = split(results)
+    more = {name: cell for name, cell in further.cells.items() if name not in left_out}
+    left_out |= set(further.cells)
     return {
         "analysis": analysis,
         "smoke": "smoke" in analysis["provenance"]["presets"],
@@ -53,6 +57,8 @@ def page(results: Results, analysis: Mapping[str, Any], films: Mapping[str, Any]
         "card": card(analysis, {k: v for k, v in results.cells.items() if k not in left_out}),
         "validation": validation(results.directory, backends),
         "backends": [backend_section(backend, results, analysis, left_out) for backend in backends],
+        "more": further_rows(more),
+        "marks": MARKS,
         "gate_texts": GATES,
         "terms": TERMS,
         "outcomes": OUTCOMES,
@@ -156,7 +162,8 @@ def player(films: Mapping[str, Any], directory: Path) -> dict[str, Any]:
 def run(analysis: Mapping[str, Any], results: Results, left_out: set[str]) -> dict[str, Any]:
     """What was run, for people."""
     origin = analysis["provenance"]
-    keys = [cell["key"] for name, cell in results.cells.items() if name not in left_out]
+    shown = [name for name in results.cells if name not in left_out]
+    keys = [results.cells[name]["key"] for name in shown]
     agents = [key for key in keys if key["kind"] == "agent"]
     settings: dict[str, dict[str, list[str]]] = {}
     for key in agents:
@@ -169,6 +176,7 @@ def run(analysis: Mapping[str, Any], results: Results, left_out: set[str]) -> di
         "command": read_sweep(results.directory).get("command"),
         "directory": str(results.directory),
         "agents": len(agents),
+        "weights": sum((results.directory / "cells" / name / WEIGHTS).exists() for name in shown),
         "baselines": len(keys) - len(agents),
         "tests": sorted({key["eval"]["episodes"] for key in keys}),
         "seconds": duration(origin["seconds"]),
@@ -230,6 +238,7 @@ def backend_section(
         "id": backend,
         "name": BACKENDS.get(backend, backend),
         "headline": own["headlines"][0],
+        "power": power(own) if own["ate"] else "",
         "claims": own["claims"],
         "effects": {outcome: effect_rows(own["ate"], outcome) for outcome in OUTCOMES},
         "confirmatory": CONFIRMATORY,
@@ -246,6 +255,10 @@ def backend_section(
         "gates": gate_rows(own["gates"]),
         "agents": own["gates"],
         "policies": policy_rows(own["policies"]),
+        "exploratory": {
+            part: [record for record in records if record["backend"] == backend]
+            for part, records in analysis["exploratory"].items()
+        },
         "figures": backend_figures(results, own, cells),
         "cells": cell_rows(cells, own["gates"]),
     }
@@ -344,6 +357,17 @@ def cell_rows(cells: Mapping[str, Mapping[str, Any]], verdicts: Sequence[Record]
             }
         )
     return [entries[order] for order in sorted(entries)]
+
+
+def further_rows(cells: Mapping[str, Mapping[str, Any]]) -> list[Record]:
+    """The cells of further arms and tests."""
+    rows = []
+    for name, cell in sorted(cells.items()):
+        key = cell["key"]
+        test_on = key.get("test_on")
+        what = f"tested on {test_on['backend']}, {', '.join(test_on['traffics'])}" if test_on else "trained"
+        rows.append({"name": name, "place": place(key), "arm": key["arm"], "seed": key["seed"], "what": what})
+    return rows
 
 
 def anchor(record: Mapping[str, Any]) -> str:

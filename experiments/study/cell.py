@@ -13,8 +13,19 @@ import gymnasium as gym
 from experiments.study.attempt import Beat
 from experiments.study.evaluate import Policy, evaluate
 from experiments.study.grid import Cell
-from experiments.study.store import EPISODES, GATES, TRAINING, WEIGHTS, DamagedCell, Store
+from experiments.study.store import (
+    EPISODES,
+    GATE_COLUMNS,
+    GATES,
+    MARK_COLUMNS,
+    MARKS,
+    TRAINING,
+    WEIGHTS,
+    DamagedCell,
+    Store,
+)
 from experiments.study.wrappers import observed
+from experiments.support.errors import UserError
 from experiments.support.provenance import provenance
 
 MakeEnv = Callable[..., gym.Env[Any, Any]]
@@ -58,11 +69,12 @@ class CellTask:
     def compute(self, beat: Beat) -> str:
         """Train, test and store it."""
         cell, store = self.cell, Store(self.directory)
-        env = self.make_env(cell.backend, cell.task, dict(cell.env_config))
+        config = cell.test_on["env_config"] if cell.test_on else cell.env_config
+        env = self.make_env(cell.runs_on, cell.task, dict(config))
         try:
             if cell.kind == "agent":
-                return _agent(cell, env, store, beat)
-            return _baseline(cell, env, store, beat)
+                return _agent(cell, env, self.make_env, store, beat)
+            return (_further_test if cell.kind == "test" else _baseline)(cell, env, store, beat)
         finally:
             env.close()
 
@@ -79,6 +91,22 @@ class Meter:
         self._beat(self._done / self._total)
 
 
+class Clock:
+    """Measures a test."""
+
+    def __init__(self) -> None:
+        self._started, self._processed = time.monotonic(), time.process_time()
+
+    def test(self, episodes: int) -> dict[str, Any]:
+        """What cell.json says of a test of so many episodes, which ends now."""
+        return {
+            "test_episodes": episodes,
+            "test_seconds": time.monotonic() - self._started,
+            "test_cpu_seconds": time.process_time() - self._processed,
+            "finished": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
+        }
+
+
 def _baseline(cell: Cell, env: gym.Env[Any, Any], store: Store, beat: Beat) -> str:
     from experiments.study.policies import untrained_policy
 
@@ -87,7 +115,31 @@ def _baseline(cell: Cell, env: gym.Env[Any, Any], store: Store, beat: Beat) -> s
     return ""
 
 
-def _agent(cell: Cell, env: gym.Env[Any, Any], store: Store, beat: Beat) -> str:
+def _further_test(cell: Cell, env: gym.Env[Any, Any], store: Store, beat: Beat) -> str:
+    """Test an agent that is stored already in other traffic, or on another simulator."""
+    from experiments.study.policies import load_agent
+
+    assert cell.test_on is not None
+    parent = store.cells / cell.parent.name
+    if not (parent / WEIGHTS).exists():
+        raise UserError(
+            f"the weights of {parent.name} are not here: train it first, by the same command without --cell"
+        )
+    env, policy = load_agent(cell.key(), cell.source, parent / WEIGHTS, env)
+    meter = Meter(beat, cell.work * TEST_EPISODE)
+    clock = Clock()
+    table = evaluate(
+        env, policy, cell.task, cell.level, int(cell.test_on["episodes"]), lambda: meter.add(TEST_EPISODE),
+        traffics=cell.test_on["traffics"],
+    )  # fmt: skip
+    store.write(cell, {"timing": clock.test(cell.work), "provenance": provenance()}, {EPISODES: table})
+    return ""
+
+
+def _agent(cell: Cell, env: gym.Env[Any, Any], make_env: MakeEnv, store: Store, beat: Beat) -> str:
+    import pandas as pd
+
+    from experiments.study.policies import load_agent
     from experiments.study.train import (  # here: baselines need no learner
         CHECKPOINT,
         checkpoint_damage,
@@ -101,15 +153,38 @@ def _agent(cell: Cell, env: gym.Env[Any, Any], store: Store, beat: Beat) -> str:
         remark = f"its checkpoint was damaged ({damage}) and put aside in {store.put_aside(checkpoint)}"
     meter = Meter(beat, cell.updates + cell.work * TEST_EPISODE)
     started, processed = time.monotonic(), time.process_time()
-    agent = train_cell(cell, env, scratch, meter.add)
+    if cell.trained_with:  # an environment of its own, closed before the test opens the simulator
+        own = make_env(cell.backend, cell.task, {**cell.env_config, **cell.trained_with})
+        try:
+            agent = train_cell(cell, own, scratch, meter.add)
+        finally:
+            own.close()
+    else:
+        agent = train_cell(cell, env, scratch, meter.add)
     timing = {
         "train_seconds": time.monotonic() - started,  # of this process: a resumed cell's covers its last part
         "train_cpu_seconds": time.process_time() - processed,
         "timed_updates": agent.timed_updates,
     }
     agent.policy.save(scratch / WEIGHTS)
+    tables = []
+    for number, file in enumerate(agent.marks, start=1):
+        try:
+            seen, policy = load_agent(cell.key(), cell.source, file, env)
+        except (UserError, OSError) as error:
+            checkpoint.unlink(missing_ok=True)
+            raise RuntimeError(
+                f"the policy in {file.name} is lost ({error}): the training begins again"
+            ) from None
+        table = evaluate(seen, policy, cell.task, cell.level, cell.episodes, lambda: meter.add(TEST_EPISODE))
+        table.insert(0, "mark", number)
+        tables.append(table)
     record = {"learner": agent.learner, "timing": timing}
-    files = {TRAINING: agent.episodes, WEIGHTS: scratch / WEIGHTS}
+    files = {
+        TRAINING: agent.episodes,
+        MARKS: pd.concat(tables)[list(MARK_COLUMNS)],
+        WEIGHTS: scratch / WEIGHTS,
+    }
     _test(cell, agent.policy, observed(env, cell.profile), store, meter, record, files)
     return remark
 
@@ -124,7 +199,7 @@ def _test(
     files: dict[str, Any],
 ) -> None:
     """Test a policy and store its cell."""
-    started, processed = time.monotonic(), time.process_time()
+    clock = Clock()
 
     def note() -> None:
         meter.add(TEST_EPISODE)
@@ -140,12 +215,7 @@ def _test(
         purpose="gate",
         traffics=cell.gate_traffics,
     )
-    timing = {
-        **record.get("timing", {}),
-        "test_episodes": cell.work,
-        "test_seconds": time.monotonic() - started,
-        "test_cpu_seconds": time.process_time() - processed,
-        "finished": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
-    }
-    tables = {EPISODES: table, GATES: gates}
+    work = 2 * cell.episodes + len(cell.gate_traffics) * cell.gate_episodes
+    timing = {**record.get("timing", {}), **clock.test(work)}
+    tables = {EPISODES: table, GATES: gates[list(GATE_COLUMNS)]}
     store.write(cell, {**record, "timing": timing, "provenance": provenance()}, {**tables, **files})

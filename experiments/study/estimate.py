@@ -56,7 +56,7 @@ class Rates:
 
     def seconds(self, cell: Cell) -> float:
         """Expected time of a cell on one core [s], without what a sweep takes once (START)."""
-        place = (cell.backend, cell.task, cell.level)
+        place = (cell.runs_on, cell.task, cell.level)
         step, episode = self._default(place)
         update = UPDATE + cell.profile.get("steps_per_update", 1) * step
         if place in self._updates:
@@ -82,7 +82,8 @@ class Rates:
             if record["provenance"]["cpu"] != cpu():
                 return
             key, timing = record["key"], record["timing"]
-            place = (key["backend"], key["task"], key["level"])
+            runs_on = key.get("test_on", {}).get("backend", key["backend"])
+            place = (runs_on, key["task"], key["level"])
             self._episodes[place].append(timing["test_seconds"] / timing["test_episodes"])
             if timing.get("timed_updates"):
                 self._updates[place].append(timing["train_seconds"] / timing["timed_updates"])

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import gymnasium as gym
 import numpy as np
 
-from experiments.study.grid import TRAFFICS
+from experiments.study.grid import ALL_TRAFFICS, TRAFFICS
 from experiments.study.seeds import scenario_seed, stream_seed
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ STOPPED = 1.0  # [m/s] an ego slower than this stands
 ACTIONS = 5
 # Columns of episodes.parquet and their types, one row a test episode.
 COLUMNS: dict[str, str] = {
-    "traffic": "str",  # "regular" or "risky"
+    "traffic": "str",  # of grid.ALL_TRAFFICS: "regular" or "risky", or a dose between
     "scenario": "int64",  # number of the scenario, the same seed in both traffics
     "return": "float64",  # undiscounted sum of rewards
     "length": "int64",  # policy steps
@@ -71,14 +71,15 @@ def play(
 
     Args:
         env: an environment of this task and level.
-        traffic: "regular" or "risky".
+        traffic: of `grid.ALL_TRAFFICS`.
         scenario: number of the test scenario.
         on_step: called after the reset and after every step (a recorder).
         purpose: what the scenario is for, "test" or "gate".
     """
     policy.reset(stream_seed("policy", task, level, traffic, scenario))
     observation, info = env.reset(
-        seed=scenario_seed(task, level, scenario, purpose), options={"config": {"risk": TRAFFICS[traffic]}}
+        seed=scenario_seed(task, level, scenario, purpose),
+        options={"config": {"risk": ALL_TRAFFICS[traffic]}},
     )
     if on_step:
         on_step()

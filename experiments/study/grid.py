@@ -9,13 +9,13 @@ from __future__ import annotations
 
 import importlib.metadata
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
 
 from experiments.support.errors import UserError, unknown
 from experiments.support.files import canonical_json, sha256_bytes
-from sumo_env.config import resolve
+from sumo_env.config import Config, ConfigError, resolve
 from sumo_env.tasks import TASKS
 
 RESULT_SCHEMA = 3  # raise it with every change that makes stored results mean, or be, something else
@@ -24,10 +24,22 @@ SIMULATORS = {"sumo": "libsumo", "highway-env": "highway-env", "replica": "numba
 BACKENDS = tuple(SIMULATORS)
 ARMS: dict[str, float] = {"control": 0.0, "treatment": 1.0}  # dose of risk in training
 TRAFFICS: dict[str, float] = {"regular": 0.0, "risky": 1.0}  # dose of risk in the test
+# Arms beside the two, and the dose of risk in their training. They are exploratory: none of them enters the primary
+# comparison. "dense" learns in regular traffic of the next higher level, so that risk can be told from more
+# interaction; "penalty" in regular traffic with a doubled penalty for crashes: a positive control, whose effect has
+# to be found.
+EXTRA_ARMS: dict[str, float] = {"dose25": 0.25, "dose50": 0.5, "dose75": 0.75, "dense": 0.0, "penalty": 0.0}
+DOSES: dict[str, float] = {**ARMS, **EXTRA_ARMS}
+DOSE_ARMS = ("control", "dose25", "dose50", "dose75", "treatment")
+DOSE_TRAFFICS: dict[str, float] = {"dose25": 0.25, "dose50": 0.5, "dose75": 0.75}
+TRANSFER_EPISODES = {"highway-env": 20}  # in each traffic on another simulator at most: it is slow
+ALL_TRAFFICS: dict[str, float] = {**TRAFFICS, **DOSE_TRAFFICS}
 BASELINES = ("idle", "random", "faster", "slower", "idm", "careful")
 LEARNER = "dqn"
 # highway-env's own time step, and drivers that see along their path (see `backends.highway_env`).
 HIGHWAY_ENV = {"simulation_frequency": 15, "variant": "path"}
+BACKEND_KEYS = ("variant", "risk_law")  # keys that only the replica and highway-env have
+MARKS = (1 / 3, 2 / 3)  # shares of the budget after which an agent is tested as well
 # Settings that say how an episode is drawn or which arm is meant, not what is simulated.
 NOT_IN_KEY = {
     "risk", "screen_width", "screen_height", "scaling", "centering_position", "show_trajectories",
@@ -36,12 +48,15 @@ NOT_IN_KEY = {
 
 @dataclass(frozen=True)
 class Cell:
-    """One unit of the experiment: a trained agent with its test, or the test of a policy that does not learn.
+    """One unit of the experiment: a trained agent with its test, the test of a policy that does not learn, or a further
+    test of an agent that another cell has trained.
 
-    kind: "agent" or "baseline". level: 1 is the lightest traffic. arm, seed: None for baselines.
+    kind: "agent", "baseline" or "test". level: 1 is the lightest traffic. arm, seed: None for baselines.
     profile: every hyper-parameter of the learner and its budget; for baselines empty but for the preset's
         name.
     env_config: the environment's configuration, without the dose of risk. eval: how it is tested.
+    trained_with: what differs in the environment that the agent is trained in, for arms that need it.
+    test_on: of a further test its backend, env_config, traffics and episodes.
     source: where the network or policy of the user's own lies, FILE:NAME or a zip file. Not part of the key, which has
         the file's fingerprint.
     """
@@ -58,9 +73,12 @@ class Cell:
     env_config: Mapping[str, Any]
     eval: Mapping[str, Any]
     source: str | None = None
+    trained_with: Mapping[str, Any] | None = None
+    test_on: Mapping[str, Any] | None = None
 
     def key(self) -> dict[str, Any]:
         """All of it as plain JSON values; what cell.json stores."""
+        more = {"trained_with": self.trained_with, "test_on": self.test_on}
         return {
             "kind": self.kind,
             "backend": self.backend,
@@ -73,12 +91,28 @@ class Cell:
             "profile": dict(self.profile),
             "env_config": dict(self.env_config),
             "eval": dict(self.eval),
+            **{name: dict(value) for name, value in more.items() if value},
         }
 
     @property
     def name(self) -> str:
         """Name of the cell's directory, "<slug>-<hash of 12 digits>"."""
-        return cell_name(self.key(), versions(self.backend))
+        return cell_name(self.key(), self.versions)
+
+    @property
+    def versions(self) -> dict[str, Any]:
+        """The versions that can change its result."""
+        return versions(self.backend, self.runs_on)
+
+    @property
+    def runs_on(self) -> str:
+        """The simulator that the tests run on."""
+        return str(self.test_on["backend"]) if self.test_on else self.backend
+
+    @property
+    def parent(self) -> Cell:
+        """The cell that has trained the agent of a further test."""
+        return replace(self, kind="agent", test_on=None)
 
     @property
     def slug(self) -> str:
@@ -88,12 +122,12 @@ class Cell:
     @property
     def risk(self) -> float:
         """Dose of risk in the cell's training traffic (0 for baselines)."""
-        return ARMS[self.arm] if self.arm else 0.0
+        return DOSES[self.arm] if self.arm else 0.0
 
     @property
     def updates(self) -> int:
-        """Training budget in gradient updates (0 for baselines)."""
-        return int(self.profile.get("updates", 0))
+        """Training budget in gradient updates (0 where nothing is trained)."""
+        return int(self.profile.get("updates", 0)) if self.kind == "agent" else 0
 
     @property
     def episodes(self) -> int:
@@ -108,17 +142,32 @@ class Cell:
     @property
     def work(self) -> int:
         """Episodes that are played after the training, in all traffics."""
-        return 2 * self.episodes + len(self.gate_traffics) * self.gate_episodes
+        if self.test_on:
+            return len(self.test_on["traffics"]) * int(self.test_on["episodes"])
+        marks = len(MARKS) if self.kind == "agent" else 0
+        return 2 * self.episodes * (1 + marks) + len(self.gate_traffics) * self.gate_episodes
 
     @property
     def gate_traffics(self) -> tuple[str, ...]:
-        """Traffics that the gates look at: an agent's own, for the policies it is held against all."""
-        return tuple(traffic for traffic, risk in TRAFFICS.items() if not self.arm or risk == self.risk)
+        """Traffics that the gates look at, see `gate_traffics`."""
+        return gate_traffics(self.arm)
+
+
+def gate_traffics(arm: str | None) -> tuple[str, ...]:
+    """Traffics that the gates of an arm look at: its own; for the policies it is held against (None) both.
+
+    Exploratory arms are judged in regular traffic, where all policies are.
+    """
+    own = ARMS.get(arm, 0.0) if arm else None
+    return tuple(traffic for traffic, risk in TRAFFICS.items() if own is None or risk == own)
 
 
 def slug(key: Mapping[str, Any]) -> str:
     """The readable part of a cell's name."""
-    last = f"{key['arm']}-s{key['seed']}" if key["kind"] == "agent" else key["policy"].replace(":", ".")
+    last = f"{key['arm']}-s{key['seed']}" if key["arm"] else key["policy"].replace(":", ".")
+    if test_on := key.get("test_on"):
+        elsewhere = test_on["backend"] != key["backend"]
+        last += f"-on-{test_on['backend']}" if elsewhere else "-doses"
     return f"{key['backend']}-{key['task']}-{key['level_name']}-{last}"
 
 
@@ -145,13 +194,16 @@ def _installed(package: str) -> str:
         ) from None
 
 
-def versions(backend: str) -> dict[str, Any]:
+def versions(backend: str, runs_on: str | None = None) -> dict[str, Any]:
     """The versions that can change the bits of a result; part of a cell's name.
+
+    runs_on: the simulator that an agent is tested on, if it is another one.
 
     Raises:
         UserError: a package that the cell needs is not installed.
     """
-    names = ["sumo-risky-driving", SIMULATORS[backend], "numpy", "torch"]
+    simulators = dict.fromkeys((SIMULATORS[backend], SIMULATORS[runs_on or backend]))
+    names = ["sumo-risky-driving", *simulators, "numpy", "torch"]
     return {"schema": RESULT_SCHEMA, **{name: _installed(name) for name in names}}
 
 
@@ -162,15 +214,49 @@ def level_names(task: str) -> tuple[str, ...]:
     return tuple(TASKS[task].levels)
 
 
-def env_config(backend: str, task: str, level: int) -> dict[str, Any]:
+def env_config(
+    backend: str, task: str, level: int, changes: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
     """The complete configuration of a task at a traffic level, without the dose of risk.
 
-    Defaults are written out, so that a changed default makes other cells.
+    Defaults are written out, so that a changed default makes other cells. changes: keys that are set to other values.
+
+    Raises:
+        UserError: an unknown key or a wrong value.
     """
     names = level_names(task)
-    settings = resolve(task, TASKS[task].defaults, TASKS[task].levels[names[level - 1]])
+    if free := NOT_IN_KEY.intersection(changes or {}):
+        raise UserError(
+            f"{', '.join(sorted(free))} cannot be set for an experiment: it is drawn or has no meaning there"
+        )
+    more = {} if backend == "sumo" else HIGHWAY_ENV
+    own = {name: value for name, value in (changes or {}).items() if name in BACKEND_KEYS}
+    if own and backend == "sumo":
+        raise UserError(f"{', '.join(own)} is a key of the backends replica and highway-env, not of sumo")
+    common = {name: value for name, value in (changes or {}).items() if name not in own}
+    try:
+        settings = resolve(task, TASKS[task].defaults, TASKS[task].levels[names[level - 1]], common)
+    except ConfigError as error:
+        raise UserError(str(error)) from None
     settings = {name: value for name, value in settings.items() if name not in NOT_IN_KEY}
-    return settings if backend == "sumo" else {**settings, **HIGHWAY_ENV}
+    return {**settings, **more, **own}
+
+
+def trained_with(arm: str, task: str, level: int) -> Config | None:
+    """What differs in the environment that an arm is trained in; None where there is no such arm.
+
+    "dense": the traffic of the next higher level (the highest has none). "penalty": twice the reward for a crash (the
+    two-way road's reward has no such term).
+    """
+    levels = list(TASKS[task].levels.values())
+    if arm == "dense":
+        if level == len(levels):
+            return None
+        return {k: v for k, v in levels[level].items() if levels[level - 1].get(k) != v}
+    if arm == "penalty":
+        penalty = TASKS[task].defaults.get("collision_reward", 0)
+        return {"collision_reward": 2 * penalty} if penalty else None
+    return {}
 
 
 def choose_tasks(wanted: Sequence[str]) -> tuple[str, ...]:
@@ -208,11 +294,16 @@ def build(
     gate_episodes: int | None = None,
     network: str | None = None,
     policies: Mapping[str, tuple[str, str]] | None = None,
+    arms: Sequence[str] = tuple(ARMS),
+    test_on: Sequence[str] = (),
+    changes: Mapping[str, Any] | None = None,
 ) -> list[Cell]:
-    """The cells of an experiment: on each task and level both arms of every training seed, and the baselines.
+    """The cells of an experiment: on each task and level the arms of every training seed, and the baselines.
+
+    With doses between 0 and 1 among the arms, the agents of DOSE_ARMS are tested at all these doses too.
 
     Args:
-        backend: "sumo" or "highway-env".
+        backend: of BACKENDS.
         levels: level numbers of each task, see `choose_levels`.
         seeds: training seeds an arm; they are 0, 1, ...
         episodes: test episodes in each traffic.
@@ -221,12 +312,18 @@ def build(
         gate_episodes: episodes for the gates in each traffic; as many as test episodes if left out.
         network: FILE:CLASS of a network of the user's own.
         policies: policies of the user's own to test: label -> (FILE:MAKE or zip file, fingerprint of the file).
+        arms: of DOSES. test_on: other simulators on which the trained agents are tested too.
+        changes: keys of the environments' configuration that are set for training and test.
 
     Raises:
-        UserError: unknown backend, or no seed or episode at all.
+        UserError: unknown backend, arm or key, or no seed or episode at all.
     """
-    if backend not in BACKENDS:
-        raise unknown("backend", backend, BACKENDS)
+    for name in (backend, *test_on):
+        if name not in BACKENDS:
+            raise unknown("backend", name, BACKENDS)
+    for arm in arms:
+        if arm not in DOSES:
+            raise unknown("arm", arm, DOSES)
     if seeds < 1 or episodes < 1:
         raise UserError(f"at least one seed and one test episode are needed, not {seeds} and {episodes}")
     cells = []
@@ -238,11 +335,11 @@ def build(
                 "task": task,
                 "level": level,
                 "level_name": level_names(task)[level - 1],
-                "env_config": env_config(backend, task, level),
+                "env_config": env_config(backend, task, level, changes),
                 "eval": evaluation,
             }
             profile = {"preset": preset, **profiles[task]}
-            cells += [
+            agents = [
                 Cell(
                     kind="agent",
                     arm=arm,
@@ -250,11 +347,29 @@ def build(
                     policy=LEARNER,
                     profile=profile,
                     source=network,
+                    trained_with=different,
                     **common,
                 )
                 for seed in range(seeds)
-                for arm in ARMS
+                for arm in arms
+                if (different := trained_with(arm, task, level)) is not None
             ]
+            cells += agents
+            if set(arms) & set(DOSE_TRAFFICS):
+                doses = {"backend": backend, "traffics": list(DOSE_TRAFFICS), "episodes": episodes}
+                doses["env_config"] = common["env_config"]
+                cells += [
+                    replace(agent, kind="test", test_on=doses) for agent in agents if agent.arm in DOSE_ARMS
+                ]
+            for other in test_on:
+                if other != backend:
+                    transfer = {
+                        "backend": other,
+                        "traffics": list(TRAFFICS),
+                        "episodes": min(episodes, TRANSFER_EPISODES.get(other, episodes)),
+                        "env_config": env_config(other, task, level, changes),
+                    }
+                    cells += [replace(agent, kind="test", test_on=transfer) for agent in agents]
             cells += [
                 Cell(
                     kind="baseline", arm=None, seed=None, policy=policy, profile={"preset": preset}, **common

@@ -12,6 +12,7 @@ import gymnasium as gym
 from experiments.study import grid, store
 from experiments.study.evaluate import Policy, play
 from experiments.study.policies import load_agent, untrained_policy
+from experiments.support.errors import UserError
 
 
 def stored_policy(
@@ -23,7 +24,14 @@ def stored_policy(
         UserError: its weights or the user's file are not there, or do not fit.
     """
     key, source = record["key"], record["source"]
+    if key["kind"] == "test":
+        raise UserError(f"{path.name} is a further test of an agent: replay the agent's own cell")
     if key["kind"] == "agent":
+        if not (path / store.WEIGHTS).exists():
+            raise UserError(
+                f"the weights of {path.name} are not here: train it again with the command in sweep.json, "
+                f"--cell {path.name} and another --out"
+            )
         return load_agent(key, source, path / store.WEIGHTS, env)
     return env, untrained_policy(key, source, env)
 

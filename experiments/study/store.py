@@ -1,9 +1,11 @@
 """Finished cells on disk: written whole or not at all, checked when read, never computed twice.
 
-DIR/cells/<cell>/     cell.json, episodes.parquet, gates.parquet; for agents also training.parquet, weights.npz
+DIR/cells/<cell>/     cell.json, episodes.parquet; but for further tests of an agent gates.parquet; for agents also
+                      training.parquet, marks.parquet (tests at parts of the budget), weights.npz
 DIR/work/<cell>/      a cell in progress: checkpoint, lock, log (see `attempt`); failed.json if it was given up
 DIR/damaged/          what was put aside because it was damaged
 DIR/sweep.json        what the last sweep asked for
+DIR/PUBLISHED.md      says that weights and training episodes of most agents are left out here on purpose
 """
 
 from __future__ import annotations
@@ -21,7 +23,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from experiments.study.grid import RESULT_SCHEMA, Cell, cell_name, versions
+from experiments.study.grid import RESULT_SCHEMA, Cell, cell_name
 from experiments.support.errors import UserError
 from experiments.support.files import publish, sha256_bytes, sha256_file, write_file, write_json
 
@@ -29,8 +31,27 @@ if TYPE_CHECKING:
     import pandas as pd
 
 CELL, EPISODES, GATES = "cell.json", "episodes.parquet", "gates.parquet"
-TRAINING, WEIGHTS = "training.parquet", "weights.npz"
+TRAINING, MARKS, WEIGHTS = "training.parquet", "marks.parquet", "weights.npz"
 FAILED = "failed.json"
+PUBLISHED = "PUBLISHED.md"
+UNPUBLISHED = {
+    TRAINING,
+    WEIGHTS,
+}  # files that a published directory may lack: the analysis does not need them
+COMPACT: dict[str, Any] = {"compression": "zstd", "write_statistics": False, "store_schema": False}
+# Columns of gates.parquet and marks.parquet, all that is analysed of those episodes.
+GATE_COLUMNS = (
+    "traffic", "scenario", "return", "length", "crashed", "mean_speed", "distance", "near_misses",
+    "action_0", "action_1", "action_2", "action_3", "action_4",
+)  # fmt: skip
+MARK_COLUMNS = (
+    "mark", "traffic", "scenario", "return", "length", "crashed", "mean_speed", "distance", "near_misses", "crash_time",
+)  # fmt: skip
+NEEDED = {
+    "baseline": {EPISODES, GATES},
+    "agent": {EPISODES, GATES, TRAINING, WEIGHTS},  # and MARKS, which cells of earlier versions lack
+    "test": {EPISODES},
+}
 HEAD = '{\n "checksum": "%s",\n'  # of cell.json
 ENTRIES = {"schema", "key", "versions", "source", "learner", "timing", "provenance", "files"}  # of cell.json
 # Columns of the key that every table of `Results` carries.
@@ -55,9 +76,10 @@ class Results:
         as columns (gamma, updates, ...; missing for baselines), and of the learner updates, episodes,
         q_bound, max_abs_q (largest on the probe states at any checkpoint), weights_sha256.
     episodes: one row a test episode: KEY_COLUMNS and the columns of `evaluate.COLUMNS`.
-    gate_episodes: the same of the scenarios that the gates are judged on.
+    gate_episodes: the same of the scenarios that the gates are judged on, with GATE_COLUMNS alone.
     training: one row a training episode: KEY_COLUMNS and episode, step, return, length, crashed, arrived,
         mean_speed, epsilon.
+    marks: the same with MARK_COLUMNS, of the policies that agents had at the parts `grid.MARKS` of their budget (1, 2).
     cells: cell.json of each cell by name. failed: name and reason of the cells that were given up.
     expected: names of all cells that the last sweep asked for, finished or not.
     damaged: name and reason of the cells that cannot be read, if they were to be passed over.
@@ -72,6 +94,7 @@ class Results:
     failed: dict[str, str] = field(default_factory=dict)
     expected: tuple[str, ...] = ()
     damaged: dict[str, str] = field(default_factory=dict)
+    marks: pd.DataFrame = field(default_factory=lambda: _concatenate([]))
 
 
 class Store:
@@ -119,14 +142,14 @@ class Store:
                 data = content.read_bytes()
             else:
                 buffer = io.BytesIO()
-                content.to_parquet(buffer, index=False)
+                content.to_parquet(buffer, index=False, **COMPACT)
                 data = buffer.getvalue()
             write_file(staged / name, data)
         checksums = {name: sha256_file(staged / name) for name in sorted(files)}
         value = {
             "schema": RESULT_SCHEMA,
             "key": cell.key(),
-            "versions": versions(cell.backend),
+            "versions": cell.versions,
             "source": cell.source,
             **record,
             "files": checksums,
@@ -174,14 +197,17 @@ def read_cell(path: Path) -> dict[str, Any]:
     try:
         files, key, version = record["files"], record["key"], record["versions"]
         name = cell_name(key, version)
-        needed = {EPISODES, GATES} | ({TRAINING, WEIGHTS} if key["kind"] == "agent" else set())
+        needed = NEEDED[key["kind"]]
     except (KeyError, TypeError) as error:
         raise DamagedCell(path / CELL, f"{error} is missing") from None
     if missing := needed - set(files):
         raise DamagedCell(path / CELL, f"no checksum of {', '.join(sorted(missing))}")
     if name != path.name:
         raise DamagedCell(path / CELL, f"its content is that of {name}")
+    published = (path.parents[1] / PUBLISHED).exists()
     for file, checksum in files.items():
+        if published and file in UNPUBLISHED and not (path / file).exists():
+            continue
         try:
             found = sha256_file(path / file)
         except OSError as error:
@@ -220,18 +246,15 @@ def load(directory: Path, skip_damaged: bool = False) -> Results:
     directory = Path(directory)
     cells: dict[str, dict[str, Any]] = {}
     agents: list[dict[str, Any]] = []
-    episodes: list[pd.DataFrame] = []
-    gates: list[pd.DataFrame] = []
-    training: list[pd.DataFrame] = []
+    parts: dict[str, list[pd.DataFrame]] = {EPISODES: [], GATES: [], TRAINING: [], MARKS: []}
     damaged: dict[str, str] = {}
     for path in cell_directories(directory):
         try:
             record = read_cell(path)
             columns = {name: {**record["key"], "cell": path.name}.get(name) for name in KEY_COLUMNS}
             columns["preset"] = record["key"]["profile"].get("preset")
-            learns = record["key"]["kind"] == "agent"
-            files = [EPISODES, GATES, *([TRAINING] if learns else [])]
-            tables = [_table(path / file, columns) for file in files]
+            there = [file for file in parts if file in record["files"] and (path / file).exists()]
+            tables = {file: _table(path / file, columns) for file in there}
         except DamagedCell as error:
             if not skip_damaged:
                 raise
@@ -239,8 +262,8 @@ def load(directory: Path, skip_damaged: bool = False) -> Results:
             continue
         cells[path.name] = record
         agents.append({**columns, **_scalars(record["key"]["profile"]), **_learner(record)})
-        for rows, table in zip((episodes, gates, training), tables, strict=False):
-            rows.append(table)
+        for file, table in tables.items():
+            parts[file].append(table)
     if damaged and not cells:
         raise UserError(next(iter(damaged.values())))
     if not cells:
@@ -249,9 +272,10 @@ def load(directory: Path, skip_damaged: bool = False) -> Results:
     return Results(
         directory=directory,
         agents=pd.DataFrame(agents).astype({"arm": "str", "seed": "Int64"}),
-        episodes=_concatenate(episodes),
-        gate_episodes=_concatenate(gates),
-        training=_concatenate(training),
+        episodes=_concatenate(parts[EPISODES]),
+        gate_episodes=_concatenate(parts[GATES]),
+        training=_concatenate(parts[TRAINING]),
+        marks=_concatenate(parts[MARKS]),
         cells=cells,
         failed=read_failures(directory),
         expected=tuple(sweep.get("cells", ())),

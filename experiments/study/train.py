@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -17,13 +17,14 @@ from agents.dqn import DQNConfig
 from agents.greedy import Greedy
 from agents.models import network_class
 from agents.training import Progress, TrainedAgent, train
-from experiments.study.grid import Cell
+from experiments.study.grid import MARKS, Cell
 from experiments.study.policies import check
 from experiments.study.seeds import training_seed
 from experiments.study.wrappers import trained_on
 from experiments.support.errors import UserError
 
 CHECKPOINT = "checkpoint.npz"
+CURVE = 20  # parts of a learning curve
 CHECKPOINTS = 20  # a training is checkpointed about so often
 MIN_INTERVAL = 100  # updates between two checkpoints at least
 
@@ -33,12 +34,14 @@ class Trained:
     """A trained agent as it is stored: policy, training episodes (one row each), and "learner" of cell.json.
 
     timed_updates: updates that were made in this process, not before a resumption.
+    marks: file with the policy at each of `grid.MARKS`.
     """
 
     policy: Greedy
     episodes: pd.DataFrame
     learner: dict[str, Any]
     timed_updates: int
+    marks: tuple[Path, ...] = ()
 
 
 def config_of(cell: Cell) -> DQNConfig:
@@ -77,6 +80,7 @@ def train_cell(
         check(cell.source, cell.profile["network_sha256"])
     begun: int | None = None
     last = 0
+    files = {round(share * config.updates): directory / f"mark-{k}.npz" for k, share in enumerate(MARKS)}
 
     def progress(state: Progress) -> None:
         nonlocal begun, last
@@ -95,11 +99,19 @@ def train_cell(
             checkpoint=directory / CHECKPOINT,
             checkpoint_interval=max(config.updates // CHECKPOINTS, MIN_INTERVAL),
             progress=progress,
+            marks=tuple(files),
+            at_mark=lambda mark, policy: policy.save(files[mark]),
         )
     except (CheckpointError, ValueError) as error:
         raise UserError(str(error)) from None
     timed = agent.updates - (agent.updates if begun is None else begun)
-    return Trained(agent.policy, pd.DataFrame(agent.episodes), learner_record(agent, config), timed)
+    return Trained(
+        agent.policy,
+        pd.DataFrame(agent.episodes),
+        learner_record(agent, config),
+        timed,
+        tuple(files.values()),
+    )
 
 
 def learner_record(agent: TrainedAgent, config: DQNConfig) -> dict[str, Any]:
@@ -107,7 +119,7 @@ def learner_record(agent: TrainedAgent, config: DQNConfig) -> dict[str, Any]:
 
     probe_q: [update, mean of max |Q|, largest |Q|] over the probe states. greedy_share: share of the probe
     states that have the most common greedy action, at the same updates. q_bound: the largest value that
-    any policy can have, max |r| / (1 - gamma). A number that is not finite is stored as null.
+    any policy can have, max |r| / (1 - gamma). curve: see `learning_curve`. A number that is not finite is null.
     """
     return {
         "updates": agent.updates,
@@ -115,10 +127,30 @@ def learner_record(agent: TrainedAgent, config: DQNConfig) -> dict[str, Any]:
         "episodes": len(agent.episodes["episode"]),
         "probe_q": [[look.update, _finite(look.mean), _finite(look.largest)] for look in agent.probe_q],
         "greedy_share": [look.greedy_share for look in agent.probe_q],
+        "curve": learning_curve(agent.episodes),
         "max_abs_reward": agent.max_abs_reward,
         "q_bound": agent.max_abs_reward / (1.0 - config.gamma),
         "weights_sha256": agent.policy.sha256,
     }
+
+
+def learning_curve(episodes: Mapping[str, Any]) -> dict[str, list[Any]]:
+    """Means of the training episodes over equal parts of an agent's steps.
+
+    Returns:
+        step (at the end of each part), return and crashed (None where no episode ended).
+    """
+    steps = np.asarray(episodes["step"])
+    edges = np.linspace(0, steps[-1], CURVE + 1)
+    part = np.clip(np.searchsorted(edges, steps) - 1, 0, CURVE - 1)
+
+    def mean(name: str) -> list[float | None]:
+        values = np.asarray(episodes[name], dtype=float)
+        return [
+            round(float(values[part == k].mean()), 6) if (part == k).any() else None for k in range(CURVE)
+        ]
+
+    return {"step": edges[1:].round().tolist(), "return": mean("return"), "crashed": mean("crashed")}
 
 
 def _finite(value: float) -> float | None:

@@ -16,7 +16,8 @@ import pandas as pd
 
 from experiments.study import grid
 from experiments.study.evaluate import COLUMNS
-from experiments.study.store import EPISODES, GATES, TRAINING, WEIGHTS, Store
+from experiments.study.store import EPISODES, GATES, MARKS, TRAINING, WEIGHTS, Store
+from experiments.study.train import learning_curve
 
 DURATION = {"highway": 20, "two-way": 15, "roundabout": 11, "intersection": 13, "u-turn": 10}
 CRASH = {"idle": 0.7, "random": 0.75, "faster": 0.9, "slower": 0.1, "idm": 0.2, "careful": 0.03, "dqn": 0.25}
@@ -39,6 +40,7 @@ SPEED = {
     "dqn": 20.0,
 }
 TYPES = ("rear-end", "side", "frontal", "junction")
+PENALTY = -0.2  # what a doubled penalty for crashes changes about the chance to crash
 # What can be wrong with an agent, by name.
 FAULTS = ("diverged", "constant", "tied", "poor")
 
@@ -52,12 +54,16 @@ def episodes(
 ) -> pd.DataFrame:
     """Episodes of a cell; `effect` is added to the treated agents' chance to crash in risky traffic."""
     random = generator(cell.slug, "test")
-    own = random.normal(0, spread) if cell.kind == "agent" else 0.0
+    if cell.kind == "test":  # of the same agent
+        own = generator(cell.parent.slug, "test").normal(0, spread)
+    else:
+        own = random.normal(0, spread) if cell.kind == "agent" else 0.0
     if purpose != "test":
         random = generator(cell.slug, purpose)
     tables = []
-    for traffic in grid.TRAFFICS if purpose == "test" else cell.gate_traffics:
-        n = cell.episodes if purpose == "test" else cell.gate_episodes
+    tested = cell.test_on or {"traffics": grid.TRAFFICS, "episodes": cell.episodes}
+    for traffic in tested["traffics"] if purpose == "test" else cell.gate_traffics:
+        n = tested["episodes"] if purpose == "test" else cell.gate_episodes
         steps = DURATION[cell.task]
         words = (
             (cell.task, cell.level, traffic)
@@ -65,8 +71,9 @@ def episodes(
             else (cell.task, cell.level, traffic, purpose)
         )
         luck = generator(*words).uniform(size=n)  # shared by all who are tested
-        chance = CRASH[cell.policy] + 0.05 * (cell.level - 1) + own + 0.15 * (traffic == "risky")
-        chance += effect * (cell.arm == "treatment" and traffic == "risky")
+        dose = grid.ALL_TRAFFICS[traffic]
+        chance = CRASH[cell.policy] + 0.05 * (cell.level - 1) + own + 0.15 * dose
+        chance += effect * cell.risk * dose + PENALTY * (cell.arm == "penalty")
         noise = random.uniform(-0.3, 0.3, n)
         crashed = luck + noise < chance if fault != "diverged" else np.zeros(n, bool)
         length = np.where(crashed, random.integers(2, steps, n), steps)
@@ -140,7 +147,13 @@ def learner(cell: grid.Cell, fault: str | None) -> dict[str, Any]:
     top = 1e9 if fault == "diverged" else 0.6 * bound
     largest = [float(top ** (k / 10)) for k in range(1, 11)]
     curve = [[int(u), q / 2, q] for u, q in zip(updates, largest, strict=True)]
-    return {"updates": cell.updates, "episodes": cell.updates // 8, "probe_q": curve, "q_bound": bound}
+    return {
+        "updates": cell.updates,
+        "episodes": cell.updates // 8,
+        "probe_q": curve,
+        "curve": learning_curve(training(cell)),
+        "q_bound": bound,
+    }
 
 
 def write(
@@ -157,14 +170,21 @@ def write(
     faults: Mapping[str, str] | None = None,
     updates: int = 400,
     sweep: bool = True,
+    further: Sequence[str] = (),
+    test_on: Sequence[str] = (),
+    marks: bool = False,
 ) -> list[grid.Cell]:
     """Write a result directory and return its cells.
 
-    levels: numbers by task. faults: a fault by slug, for example {"sumo-highway-50-control-s0": "diverged"}.
+    levels: numbers by task. further: arms beside the two. marks: with tests at parts of the budget.
+    faults: a fault by slug, for example {"sumo-highway-50-control-s0": "diverged"}.
     """
     profiles = {task: {"updates": updates, "gamma": 0.95} for task in grid.TASKS}
-    cells = grid.build(backend, levels, seeds, tests, profiles, preset, gate_episodes=100)
-    wanted = [cell for cell in cells if cell.arm in arms or cell.policy in baselines]
+    every = (*grid.ARMS, *further)
+    cells = grid.build(
+        backend, levels, seeds, tests, profiles, preset, gate_episodes=100, arms=every, test_on=test_on
+    )
+    wanted = [cell for cell in cells if cell.arm in (*arms, *further) or cell.policy in baselines]
     store = Store(directory)
     weights = directory / "weights.npz"
     weights.write_bytes(b"no weights")
@@ -174,10 +194,14 @@ def write(
             "timing": {"train_seconds": 30.0, "test_seconds": 2.0, "finished": "2026-01-01T00:00:00Z"},
             "provenance": {"packages": {"libsumo": "1.28.0"}, "cpu": "a processor", "git": "0123abc"},
         }
-        files: dict[str, Any] = {
-            EPISODES: episodes(cell, effect, spread, fault),
-            GATES: episodes(cell, 0.0, spread, fault, "gate"),  # sound agents pass, whatever the effect
-        }
+        files: dict[str, Any] = {EPISODES: episodes(cell, effect, spread, fault)}
+        if cell.kind != "test":
+            files[GATES] = episodes(
+                cell, 0.0, spread, fault, "gate"
+            )  # sound agents pass, whatever the effect
+        if marks and cell.kind == "agent":
+            parts = [episodes(cell, effect * part / 3, spread, fault).assign(mark=part) for part in (1, 2)]
+            files[MARKS] = pd.concat(parts)
         if cell.kind == "agent":
             files |= {TRAINING: training(cell), WEIGHTS: weights}
             record["learner"] = learner(cell, fault)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import shutil
 import xml.etree.ElementTree as ElementTree
 
 import pytest
@@ -89,6 +90,15 @@ def test_a_case_that_does_not_exist_is_named(cells, text, message, tmp_path):
         replay(Options(text.format(cell=cells[0]), out=tmp_path / "x.png"), make_env)
     assert message in str(error.value)
     assert "\n" not in str(error.value)
+
+
+def test_weights_that_are_left_out_are_told(cells, tmp_path):
+    home = tmp_path / "results"
+    shutil.copytree(cells[0].parents[1], home)
+    (home / store.PUBLISHED).write_text("left out on purpose")
+    (home / "cells" / cells[0].name / store.WEIGHTS).unlink()
+    with pytest.raises(UserError, match=r"weights of .* are not here: train it again"):
+        replay(Options(str(home / "cells" / cells[0].name), out=tmp_path / "x.png"), make_env)
 
 
 def test_a_case_is_split_from_the_right(cells):

@@ -140,7 +140,9 @@ class TestReport:
             "What was run", "Is the simulator right?", "Claims of the paper", "Average treatment effects",
             "Learning curves".lower(), "Collisions", "Near-misses", "Q-values", "How every policy drives",
             "Are the agents worth comparing?", "How it was computed", "as it is printed", "mark to beat",
-            "How far does the answer hold?", "Watch them drive", "Does the answer hang on a choice?",
+            "Does the instrument work?", "the largest effect of any kind is 0, as it has to be",
+            "More than the paper", "How far does the answer hold?", "Watch them drive",
+            "Does the answer hang on a choice?",
         ):  # fmt: skip
             assert words in page.text
 
@@ -226,7 +228,7 @@ class TestTwoDirectories:
         synthetic.write(own, {"u-turn": (1,)}, seeds=1, tests=4, preset="smoke")
         page = Page(report.write_report(own).read_text())
         assert "This run beside the published study" in page.text
-        assert "This run: one training seed in an arm cannot tell anything" in page.text
+        assert "This run: One training seed in an arm cannot tell anything" in page.text
         (study / "analysis.json").write_text('{"schema": 0}')
         assert "beside the published" not in report.write_report(own).read_text()
 
@@ -337,7 +339,8 @@ class TestCommand:
 class TestFigures:
     def test_colours_follow_the_page(self, directory):
         results = store.load(directory)
-        drawn = figures.learning_curves(results.training.query("task == 'u-turn'"), "u-turn")
+        agents = {k: v for k, v in results.cells.items() if v["key"]["task"] == "u-turn" and v.get("learner")}
+        drawn = figures.learning_curves(agents, "u-turn")
         assert drawn.startswith("<svg role")
         assert f"var(--control, {figures.CONTROL})" in drawn
         assert re.search(r"(?<!, )" + figures.CONTROL, drawn) is None

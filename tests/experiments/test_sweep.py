@@ -75,6 +75,48 @@ def test_a_sweep_computes_every_cell_once(reference, capsys):
     assert "8 of them finished before" in capsys.readouterr().out
 
 
+def test_further_arms_are_trained_and_agents_tested_elsewhere(reference, tmp_path):
+    directory = tmp_path / "results"
+    options = {"arms": tuple(grid.DOSES), "test_on": ("replica",)}
+    assert run(directory, **options) == 0
+    results = store.load(directory)
+    assert set(results.expected) == set(results.cells)
+    assert set(store.load(reference).cells) < set(results.cells)
+    tests = [record["key"] for record in results.cells.values() if record["key"]["kind"] == "test"]
+    assert len(tests) == 7 + 5
+    doses = next(key for key in tests if key["arm"] == "dose50" and key["test_on"]["backend"] == "sumo")
+    assert doses["test_on"]["traffics"] == ["dose25", "dose50", "dose75"]
+    assert {3} == set(results.episodes.groupby(["cell", "traffic"]).size())
+    assert set(results.marks["mark"]) == {1, 2}
+    assert set(results.marks.groupby(["cell", "mark", "traffic"]).size()) == {3}
+    weights = next(directory.glob("cells/*-dose25-s0-*/weights.npz"))
+    for path in directory.glob("cells/*-on-*/*"):
+        path.unlink()
+    for path in directory.glob("cells/*-on-*"):
+        path.rmdir()
+    weights.unlink()
+    with pytest.raises(UserError, match="are not here"):
+        run(directory, **options, cell="sumo-u-turn-3-dose25-s0-on-replica")
+
+
+def test_a_placebo_trains_control_agents_alone_and_compares_them():
+    cells = cells_of(Options(placebo=True, **TINY))
+    agents = [cell for cell in cells if cell.kind == "agent"]
+    assert sorted((cell.arm, cell.seed) for cell in agents) == [("control", seed) for seed in range(4)]
+    assert {cell.name for cell in cells_of(Options(**TINY)) if cell.arm == "control"} <= {
+        c.name for c in agents
+    }
+    with pytest.raises(UserError, match="leave out --arms"):
+        cells_of(Options(placebo=True, arms=("dense",), **TINY))
+
+
+def test_a_setting_of_the_environments_is_read_as_json_or_as_a_word():
+    cells = cells_of(Options(backend="replica", config=("risk_law=linear", "duration=7"), **TINY))
+    assert {(cell.env_config["risk_law"], cell.env_config["duration"]) for cell in cells} == {("linear", 7)}
+    with pytest.raises(UserError, match="KEY=VALUE"):
+        cells_of(Options(config=("duration",), **TINY))
+
+
 def test_cells_say_what_they_are_and_where_they_come_from(reference):
     results = store.load(reference)
     agents = [record for record in results.cells.values() if record["key"]["kind"] == "agent"]

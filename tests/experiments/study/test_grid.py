@@ -20,6 +20,11 @@ def cells(levels: dict | None = None, seeds: int = 2, preset: str = "smoke", **p
     return grid.build("sumo", levels or {"highway": (1,)}, seeds, 5, profiles, preset)
 
 
+def cells_of(levels: dict | None = None, **options) -> list[grid.Cell]:
+    profiles = dict.fromkeys(TASKS, PROFILE)
+    return grid.build("sumo", levels or {"highway": (1,)}, 2, 5, profiles, "smoke", **options)
+
+
 def test_the_paper_has_18_traffic_cells():
     levels = grid.choose_levels(tuple(TASKS), None)
     assert sum(map(len, levels.values())) == 18
@@ -42,6 +47,38 @@ def test_every_seed_has_both_arms_and_every_level_every_baseline():
     }
     assert {c.risk for c in found if c.arm == "control"} == {0.0}
     assert {c.risk for c in found if c.arm == "treatment"} == {1.0}
+
+
+def test_further_arms_and_tests_rename_nothing():
+    both = {c.name for c in cells()}
+    more = cells_of(arms=grid.DOSES, test_on=("replica", "highway-env"))
+    assert both <= {c.name for c in more}
+    assert len({c.name for c in more}) == len(more)
+    agents = [c for c in more if c.kind == "agent"]
+    assert {c.arm: c.risk for c in agents} == grid.DOSES
+    assert {c.arm: c.trained_with for c in agents if c.trained_with} == {
+        "dense": {"vehicles_count": 100, "vehicles_density": 1.5},
+        "penalty": {"collision_reward": -2},
+    }
+    tests = [c for c in more if c.kind == "test"]
+    assert {c.parent.name for c in tests} == {c.name for c in agents}
+    assert {c.arm for c in tests if c.runs_on == "sumo"} == set(grid.DOSE_ARMS)
+    assert {c.runs_on for c in tests} == {"sumo", "replica", "highway-env"}
+    assert all(c.updates == 0 for c in tests)
+    assert "sumo-highway-50-dose25-s1-on-replica" in {c.slug for c in tests}
+    assert "highway-env" in next(c for c in tests if c.runs_on == "highway-env").versions
+
+
+def test_an_arm_is_left_out_where_it_has_no_meaning():
+    highest = cells_of({"highway": (3,), "two-way": (1,)}, arms=("dense", "penalty"))
+    assert {(c.task, c.arm) for c in highest if c.arm} == {("highway", "penalty"), ("two-way", "dense")}
+
+
+def test_the_configuration_can_be_changed():
+    changed = cells_of(changes={"collision_reward": -2})
+    assert {c.env_config["collision_reward"] for c in changed} == {-2}
+    assert not {c.name for c in changed} & {c.name for c in cells()}
+    assert grid.env_config("replica", "u-turn", 1, {"risk_law": "linear"})["risk_law"] == "linear"
 
 
 def test_names_are_readable_unique_and_independent_of_the_rest_of_the_grid():
@@ -93,6 +130,11 @@ def test_levels_carry_the_papers_settings():
         (lambda: grid.choose_levels(["highway"], [4]), "did you mean 3?"),
         (lambda: grid.build("summo", {}, 1, 1, {}, ""), "did you mean 'sumo'"),
         (lambda: cells(seeds=0), "at least one seed"),
+        (lambda: cells_of(arms=("treatmen",)), "did you mean 'treatment'"),
+        (lambda: cells_of(test_on=("replca",)), "did you mean 'replica'"),
+        (lambda: cells_of(changes={"vehicle_count": 3}), "did you mean 'vehicles_count'"),
+        (lambda: cells_of(changes={"risk_law": "linear"}), "of the backends replica and highway-env"),
+        (lambda: cells_of(changes={"risk": 1}), "risk cannot be set"),
         (lambda: grid.shard([], "3/2"), "1 <= i <= n"),
         (lambda: grid.shard([], "half"), "--shard"),
     ],

@@ -25,7 +25,8 @@ Space = dict[str, Range | tuple[bool, ...]]
 
 SHARE = Range(0.0, 1.0)
 FACTOR = Range(0.1, 1.0)  # of the regular value
-# Car following is not searched: with highway-env's own numbers for IDM, nothing was gained by it on other scenarios.
+# Of car following only the time gap at the intersection is searched: elsewhere nothing was gained by changes of
+# highway-env's own numbers for IDM on other scenarios.
 DRIVERS: dict[str, Space] = {
     "highway": {
         "speed_gain": Range(2.0, 150.0, log=True),
@@ -43,6 +44,7 @@ DRIVERS: dict[str, Space] = {
         "waits_for_approaching": (False, True),
         "ignores_approaching": SHARE,
         "ignores_inside": SHARE,
+        "tau": Range(0.8, 1.6),
     },
     "u-turn": {"lane_changes": (False, True), "assertive": Range(0.5, 1.3)},
 }

@@ -6,14 +6,14 @@ import copy
 import math
 from collections.abc import Mapping
 from operator import index
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from sumo_env.actions import ego_route, target_lane, target_speed_index
-from sumo_env.config import Config, ConfigError, resolve
+from sumo_env.actions import available_actions, ego_route, target_lane, target_speed_index
+from sumo_env.config import COMMON, Config, ConfigError, resolve
 from sumo_env.contacts.measures import NEAR_MISS_TTC, density
 from sumo_env.interface import interface
 from sumo_env.networks.mapping import network
@@ -24,6 +24,7 @@ from sumo_env.sumo import open_simulator
 from sumo_env.tasks import get_task
 from sumo_env.tasks.base import EgoState, Task, nearest_index
 from sumo_env.traffic.scenario import Scenario
+from sumo_env.views import INSTEAD, NEVER_CALLED, ActionType, RoadView, Vehicle
 
 if TYPE_CHECKING:
     from gymnasium.wrappers import RecordVideo
@@ -39,6 +40,9 @@ class DrivingEnv(gym.Env[Observation, Any]):
     Observations, actions, rewards, endings and `config` keys are highway-env's; docs/environments has a page for each
     task. One policy step lasts ``1 / policy_frequency`` s. Any number of environments may live in one process: libsumo
     supports one simulation per process, so the first environment has it and every further one gets a worker process.
+
+    A subclass may override `_reward`, `_rewards`, `_is_terminated`, `_is_truncated` and `default_config`, as in
+    highway-env; one that overrides a method of highway-env's that would never be called here is a TypeError.
 
     Args:
         task: highway, two-way, roundabout, intersection or u-turn.
@@ -69,14 +73,30 @@ class DrivingEnv(gym.Env[Observation, Any]):
         self._renderer: Renderer | None = None
         self._video: RecordVideo[Any, Any] | None = None
         self._configured: Config | None = None
+        self._view: RoadView | None = None
         self.scenario: Scenario | None = None
         self.configure(config)
 
+    def __init_subclass__(cls, **kwargs: Any) -> None:
+        super().__init_subclass__(**kwargs)
+        for name in sorted(NEVER_CALLED.keys() & vars(cls).keys()):
+            raise TypeError(f"{cls.__name__}.{name} would never be called on SUMO: {NEVER_CALLED[name]}")
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> NoReturn:
+            hint = f": {INSTEAD[name]}" if name in INSTEAD else ""
+            raise AttributeError(f"{type(self).__name__!r} has no attribute {name!r}{hint}")
+
     # -- configuration -------------------------------------------------------------------------------------
+
+    def default_config(self) -> Config:
+        """Every key with its default. A subclass may change defaults and add keys for a reward of its own."""
+        return copy.deepcopy({**COMMON, **self.task.defaults})
 
     def configure(self, config: Mapping[str, Any] | None) -> None:
         """Change these keys of the configuration; they take effect at the next reset."""
-        changed = resolve(self.task.name, self.task.defaults, getattr(self, "config", None), config)
+        changed = resolve(self.task.name, self.default_config(), getattr(self, "config", None), config)
         offered = interface(self.task, changed)
         self.config: Config = changed  # assigned last: an error leaves the environment as it was
         self._configured = copy.deepcopy(changed)
@@ -115,11 +135,11 @@ class DrivingEnv(gym.Env[Observation, Any]):
             self._simulator = open_simulator()
         self.scene: Scene = self._simulator.reset(scenario)
         self.steps = 0
-        step = Step(self.scene, scenario.ego.lane, None, math.inf, 0.0)
-        self._target_lane = step.target_lane
+        self._last = Step(self.scene, scenario.ego.lane, None, math.inf, 0.0)
+        self._target_lane = scenario.ego.lane
         self.ego_state = self._ego_state(None)
         observation = self._observe()
-        return observation, self._info(None, step, self.task.rewards(self.ego_state, self.config))
+        return observation, self._info(observation)
 
     def step(self, action: int) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Drive one policy step.
@@ -147,18 +167,17 @@ class DrivingEnv(gym.Env[Observation, Any]):
             target_lane(name, self._road, self._target_lane, self._route, x, y),
         )
         films = self._video is not None and self._video.recording
-        step = self._simulator.step(command, trace=films or self._shows_trajectories())
+        self._last = step = self._simulator.step(command, trace=films or self._shows_trajectories())
         for scene in step.trace[:-1]:
             self._on_substep(scene)
         self.scene, self._target_lane = step.scene, step.target_lane
         self.steps += 1
-        self.ego_state = state = self._ego_state(int(action))
+        action = int(action)
+        self.ego_state = self._ego_state(action)
         observation = self._observe()
-        rewards = self.task.rewards(state, self.config)
-        reward = float(self.task.reward(rewards, self.config))
-        terminated = bool(self.task.terminated(state, self.config))
-        truncated = bool(self.steps / self.config["policy_frequency"] >= self.config["duration"])
-        return observation, reward, terminated, truncated, self._info(int(action), step, rewards)
+        reward = float(self._reward(action))
+        terminated, truncated = bool(self._is_terminated()), bool(self._is_truncated())
+        return observation, reward, terminated, truncated, self._info(observation, action)
 
     def render(self) -> NDArray[np.uint8] | None:
         """The scene as a picture, uint8 of shape (screen_height, screen_width, 3); None without a render mode."""
@@ -241,14 +260,33 @@ class DrivingEnv(gym.Env[Observation, Any]):
             self.scene, self._road, self.ego_state, self._spec_of, self.np_random
         )
 
-    def _info(self, action: int | None, step: Step, rewards: dict[str, float]) -> dict[str, Any]:
-        state, scene = self.ego_state, step.scene
+    # -- what a subclass may override, as in highway-env -----------------------------------------------------
+
+    def _reward(self, action: int) -> float:
+        """The reward of a step."""
+        return self.task.reward(self._rewards(action), self.config)
+
+    def _rewards(self, action: int | None) -> dict[str, float]:
+        """The raw terms of the reward, by name; the action is None at a reset."""
+        return self.task.rewards(self.ego_state, self.config)
+
+    def _is_terminated(self) -> bool:
+        """Whether the episode has ended by what happened in it."""
+        return self.task.terminated(self.ego_state, self.config)
+
+    def _is_truncated(self) -> bool:
+        """Whether time is up."""
+        return bool(self.steps / self.config["policy_frequency"] >= self.config["duration"])
+
+    def _info(self, obs: Observation, action: int | None = None) -> dict[str, Any]:
+        """What `step` and `reset` return beside the observation."""
+        state, scene, step = self.ego_state, self.scene, self._last
         info = {
             "speed": state.speed,
             "crashed": state.crashed,
             "arrived": bool(self.task.arrived(state)),
             "on_road": state.on_road,
-            "rewards": rewards,
+            "rewards": self._rewards(action),
             # always a dict: vector environments cannot merge None with a dict
             "crash": {} if step.crash is None else step.crash.as_dict(),
             "density": density(scene.x, scene.y),
@@ -259,3 +297,34 @@ class DrivingEnv(gym.Env[Observation, Any]):
         if action is not None:  # absent at a reset, not None: vector environments merge values by type
             info["action"] = action
         return info
+
+    # -- what highway-env's users read -----------------------------------------------------------------------
+
+    @property
+    def road(self) -> RoadView:
+        """The lanes (`road.network`) and the vehicles (`road.vehicles`) of the present scene."""
+        if self._view is None or self._view.scene is not self.scene:
+            self._view = RoadView(
+                self.scene,
+                self._road,
+                target_lane_index=self._target_lane,
+                speed_index=self._speed_index,
+                target_speeds=np.array(self.target_speeds),
+            )
+        return self._view
+
+    @property
+    def vehicle(self) -> Vehicle:
+        """The ego: position, speed, heading, lane_index, crashed, ..."""
+        return self.road.vehicles[0]
+
+    @property
+    def action_type(self) -> ActionType:
+        """The meta-actions: actions, actions_indexes, target_speeds, get_available_actions()."""
+        return ActionType(self.actions, np.array(self.target_speeds), self.get_available_actions)
+
+    def get_available_actions(self) -> list[int]:
+        """Indices of the actions that would change something now, and of IDLE."""
+        x, y, lane = self.scene.x.item(0), self.scene.y.item(0), self.ego_state.lane
+        speeds = len(self.target_speeds)
+        return available_actions(self.actions, self._road, lane, x, y, self._speed_index, speeds)

@@ -84,9 +84,7 @@ class ScenarioEnv(AbstractEnv):
         Raises:
             ConfigError: unknown key, wrong value.
         """
-        hidden = {*FIXED, "neighbour_vehicles_connected_lanes"}
-        present = {key: value for key, value in self.config.items() if key not in hidden}
-        chosen = resolve(self.task.name, self.default_config(), present, config)
+        chosen = resolve(self.task.name, self.default_config(), self.config, config)
         variant = chosen["variant"]
         if variant not in VARIANTS:
             raise ConfigError(f"unknown 'variant' {variant!r}: {nearest(str(variant), list(VARIANTS))}")

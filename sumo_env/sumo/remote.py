@@ -214,5 +214,6 @@ def refuse_to_copy() -> NoReturn:
     """What simulators answer to pickle and copy."""
     raise TypeError(
         "SUMO's environments cannot be copied or pickled: the state of a simulation lives in a process. "
-        "Make another environment, and reset both with one seed"
+        "Make another environment and reset both with one seed; planners that need copies run on the backend "
+        "'replica', highway-env's physics (README.md)"
     )

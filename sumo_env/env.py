@@ -6,6 +6,7 @@ import copy
 import math
 from collections.abc import Mapping
 from operator import index
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
 import gymnasium as gym
@@ -21,6 +22,7 @@ from sumo_env.observation import TimeToCollision
 from sumo_env.scene import Scene
 from sumo_env.simulator import EgoCommand, Simulator, Step
 from sumo_env.sumo import open_simulator
+from sumo_env.sumo.remote import RemoteSimulator
 from sumo_env.tasks import get_task
 from sumo_env.tasks.base import EgoState, Task, nearest_index
 from sumo_env.traffic.scenario import Scenario
@@ -135,6 +137,7 @@ class DrivingEnv(gym.Env[Observation, Any]):
             self._simulator = open_simulator()
         self.scene: Scene = self._simulator.reset(scenario)
         self.steps = 0
+        self._commands: list[EgoCommand] = []
         self._last = Step(self.scene, scenario.ego.lane, None, math.inf, 0.0)
         self._target_lane = scenario.ego.lane
         self.ego_state = self._ego_state(None)
@@ -166,6 +169,7 @@ class DrivingEnv(gym.Env[Observation, Any]):
             self.target_speeds[self._speed_index],
             target_lane(name, self._road, self._target_lane, self._route, x, y),
         )
+        self._commands.append(command)
         films = self._video is not None and self._video.recording
         self._last = step = self._simulator.step(command, trace=films or self._shows_trajectories())
         for scene in step.trace[:-1]:
@@ -187,6 +191,29 @@ class DrivingEnv(gym.Env[Observation, Any]):
         if self.scenario is None:
             raise gym.error.ResetNeeded("call reset() before render()")
         return self._camera().draw(self.scene, self.task.road(self.config), self.config)
+
+    def export(self, folder: str | Path) -> list[Path]:
+        """Write the present episode, as far as it was driven, for ``sumo`` and ``sumo-gui``; returns the files.
+
+        ``episode.sumocfg`` shows what happened; in ``traffic.sumocfg`` SUMO drives the traffic again around the ego on
+        its recorded way (see `sumo_env.export`). The episode is driven a second time, in a simulator of its own, so
+        that every simulation step is in the files.
+        """
+        from sumo_env import export
+
+        if self.scenario is None:
+            raise gym.error.ResetNeeded("call reset() before export()")
+        try:
+            simulator: Simulator = copy.deepcopy(self._given) or RemoteSimulator()
+        except TypeError:  # a simulator that is SUMO cannot be copied
+            simulator = RemoteSimulator()
+        try:
+            scenes = [simulator.reset(self.scenario)]
+            for command in self._commands:
+                scenes += simulator.step(command, trace=True).trace
+        finally:
+            simulator.close()
+        return export.write(Path(folder), self.scenario, scenes)
 
     def set_record_video_wrapper(self, wrapper: RecordVideo[Any, Any]) -> None:
         """Make a `gymnasium.wrappers.RecordVideo` film every simulation step, in real time, as in highway-env.

@@ -13,8 +13,8 @@ from pkgutil import resolve_name
 from typing import NoReturn
 
 from sumo_env.scene import Scene
-from sumo_env.simulator import EgoCommand, Simulator, Step
-from sumo_env.sumo.remote import SIMULATOR, RemoteSimulator, refuse_to_copy
+from sumo_env.simulator import EgoCommand, Simulator, Step, refuse_to_copy
+from sumo_env.sumo.remote import SIMULATOR, RemoteSimulator
 from sumo_env.traffic.scenario import Scenario
 
 

@@ -21,7 +21,7 @@ from contextlib import suppress
 from typing import Any, NoReturn
 
 from sumo_env.scene import Scene
-from sumo_env.simulator import EgoCommand, SimulatorError, Step
+from sumo_env.simulator import EgoCommand, SimulatorError, Step, refuse_to_copy
 from sumo_env.traffic.scenario import Scenario
 
 SIMULATOR = "sumo_env.sumo.world:SumoSimulator"  # what a worker runs, and the first environment of a process
@@ -208,12 +208,3 @@ def _disconnect_all() -> None:
 
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_disconnect_all)
-
-
-def refuse_to_copy() -> NoReturn:
-    """What simulators answer to pickle and copy."""
-    raise TypeError(
-        "SUMO's environments cannot be copied or pickled: the state of a simulation lives in a process. "
-        "Make another environment and reset both with one seed; planners that need copies run on the backend "
-        "'replica', highway-env's physics (README.md)"
-    )

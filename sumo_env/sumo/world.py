@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from math import inf
+from typing import NoReturn
 
 import numpy as np
 
@@ -17,7 +18,7 @@ from sumo_env.contacts.crash import CrashDetector, is_confirmed
 from sumo_env.contacts.measures import TTC_RADIUS, ego_ttc
 from sumo_env.networks.mapping import network
 from sumo_env.scene import Scene
-from sumo_env.simulator import EgoCommand, SimulatorError, Step
+from sumo_env.simulator import EgoCommand, SimulatorError, Step, refuse_to_copy
 from sumo_env.sumo.ego import Ego, coast
 from sumo_env.sumo.events import Events, modes
 from sumo_env.sumo.session import (
@@ -77,6 +78,9 @@ class SumoSimulator:
         """End the simulation."""
         self._loaded = None
         self._session.close()
+
+    def __reduce__(self) -> NoReturn:
+        refuse_to_copy()
 
     # -- start of an episode -------------------------------------------------------------------------------
 

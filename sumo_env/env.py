@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from operator import index
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -17,14 +17,15 @@ from sumo_env.actions import available_actions, ego_route, target_lane, target_s
 from sumo_env.config import COMMON, Config, ConfigError, resolve
 from sumo_env.contacts.measures import NEAR_MISS_TTC, density
 from sumo_env.interface import interface
-from sumo_env.networks.mapping import network
 from sumo_env.observation import TimeToCollision
 from sumo_env.scene import Scene
 from sumo_env.simulator import EgoCommand, Simulator, Step
 from sumo_env.sumo import open_simulator
+from sumo_env.sumo.options import check_options
 from sumo_env.sumo.remote import RemoteSimulator
 from sumo_env.tasks import get_task
 from sumo_env.tasks.base import EgoState, Task, nearest_index
+from sumo_env.tasks.network import NetworkTask
 from sumo_env.traffic.scenario import Scenario
 from sumo_env.views import INSTEAD, NEVER_CALLED, ActionType, RoadView, Vehicle
 
@@ -47,10 +48,11 @@ class DrivingEnv(gym.Env[Observation, Any]):
     highway-env; one that overrides a method of highway-env's that would never be called here is a TypeError.
 
     Args:
-        task: highway, two-way, roundabout, intersection or u-turn.
+        task: highway, two-way, roundabout, intersection or u-turn, or a task of your own (docs/own-parts.md).
         config: configuration keys to change; the defaults are `config.COMMON` and the task's `defaults`.
         render_mode: None or ``"rgb_array"``.
         simulator: the simulator that drives the traffic; None for SUMO. The environment closes it.
+        sumo_options: further options of SUMO, such as ``["--tripinfo-output", "trips.xml"]`` (docs/own-parts.md).
 
     Raises:
         ConfigError: unknown task or key, wrong value.
@@ -60,10 +62,11 @@ class DrivingEnv(gym.Env[Observation, Any]):
 
     def __init__(
         self,
-        task: str,
+        task: str | Task,
         config: Mapping[str, Any] | None = None,
         render_mode: str | None = None,
         simulator: Simulator | None = None,
+        sumo_options: Sequence[str] = (),
     ) -> None:
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ValueError(
@@ -72,6 +75,7 @@ class DrivingEnv(gym.Env[Observation, Any]):
         self.task: Task = get_task(task)
         self.render_mode = render_mode
         self._given = self._simulator = simulator
+        self._options = check_options(sumo_options)
         self._renderer: Renderer | None = None
         self._video: RecordVideo[Any, Any] | None = None
         self._configured: Config | None = None
@@ -125,7 +129,7 @@ class DrivingEnv(gym.Env[Observation, Any]):
         seed = int(self.np_random.integers(2**31))
         try:
             scenario = (options or {}).get("scenario") or self.task.scenario(self.config, seed)
-            network(scenario.task, scenario.lanes_count, scenario.road_length)
+            _ = scenario.network  # that there is one
         except ValueError as error:
             raise ConfigError(str(error)) from error
         self.scenario = scenario
@@ -134,7 +138,7 @@ class DrivingEnv(gym.Env[Observation, Any]):
         self._spec_of |= {spawn.vehicle.id: spawn.vehicle for spawn in scenario.spawns}
         self._speed_index = nearest_index(scenario.ego.speed, self.target_speeds)
         if self._simulator is None:
-            self._simulator = open_simulator()
+            self._simulator = open_simulator(options=self._options)
         self.scene: Scene = self._simulator.reset(scenario)
         self.steps = 0
         self._commands: list[EgoCommand] = []
@@ -355,3 +359,34 @@ class DrivingEnv(gym.Env[Observation, Any]):
         x, y, lane = self.scene.x.item(0), self.scene.y.item(0), self.ego_state.lane
         speeds = len(self.target_speeds)
         return available_actions(self.actions, self._road, lane, x, y, self._speed_index, speeds)
+
+
+class SumoDrivingEnv(DrivingEnv):
+    """Driving along a route of any SUMO network, with the observations, actions, dose of risk and crashes of the five.
+
+        env = SumoDrivingEnv("town.net.xml", "town.rou.xml", ego_route=["in", "main", "out"])
+
+    docs/own-parts.md lists the keys of `config` and how the episode ends.
+
+    Args:
+        network: SUMO's network (.net.xml).
+        routes: where the others drive: SUMO's demand (.rou.xml), or routes by name or in a row, each as edges. From a
+            file they depart as it says; on routes they are drawn (``vehicles_count``, ``spawn_probability``).
+        ego_route: edges that the ego drives along, one after the other.
+        config, render_mode, sumo_options: as of `DrivingEnv`.
+
+    Raises:
+        ConfigError: a file that cannot be read or that has what cannot be driven, edges that are not connected.
+    """
+
+    def __init__(
+        self,
+        network: str | Path,
+        routes: str | Path | Mapping[str, Sequence[str]] | Sequence[Sequence[str]],
+        ego_route: Sequence[str],
+        config: Mapping[str, Any] | None = None,
+        render_mode: str | None = None,
+        sumo_options: Sequence[str] = (),
+    ) -> None:
+        task = NetworkTask(network, routes, ego_route)
+        super().__init__(task, config, render_mode, sumo_options=sumo_options)

@@ -19,7 +19,7 @@ from xml.etree import ElementTree
 
 import numpy as np
 
-from sumo_env.networks.mapping import Network, SumoLane, network
+from sumo_env.networks.mapping import Network, SumoLane
 from sumo_env.scene import VEHICLE_LENGTH, Scene
 from sumo_env.tasks import get_task
 from sumo_env.traffic.drivers import Calibration, vehicle_type
@@ -43,7 +43,7 @@ def write(folder: Path, scenario: Scenario, scenes: Sequence[Scene]) -> list[Pat
     Raises:
         OSError: a file cannot be written.
     """
-    road = network(scenario.task, scenario.lanes_count, scenario.road_length)
+    road = scenario.network
     step = round((scenes[1].time if len(scenes) > 1 else 1.0 / scenario.simulation_frequency), 3)
     length = (len(scenes) + 1) * step
     warm_up = round(scenario.warm_up / step) * step
@@ -115,7 +115,7 @@ def _departures(
     road: Network, scenario: Scenario, scenes: Sequence[Scene], warm_up: float
 ) -> list[ElementTree.Element]:
     """Vehicle types, and the vehicles that were seen, with the departures that the scenario gives them."""
-    calibration = get_task(scenario.task).calibration
+    calibration = scenario.calibration or get_task(scenario.task).calibration
     seen = {name for scene in scenes for name in scene.ids}
     departures = [(spec, 0.0) for spec in scenario.vehicles]
     departures += [(s.vehicle, warm_up + s.step / scenario.policy_frequency) for s in scenario.spawns]

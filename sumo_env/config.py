@@ -115,6 +115,14 @@ def resolve(task: str, defaults: Config, *overrides: Mapping[str, Any] | None) -
     return config
 
 
+def simulated_frequency(config: Config) -> int:
+    """Steps that are simulated per second [Hz]: ``simulation_frequency``, or its first multiple of at least 5.
+
+    With longer steps, cars would pass through each other.
+    """
+    return int(config["simulation_frequency"]) * math.ceil(5 / config["simulation_frequency"])
+
+
 def _plain(value: Any) -> Any:
     """A copy of a value, with numpy's scalars and arrays as Python's numbers and lists."""
     if isinstance(value, np.generic | np.ndarray):
@@ -150,10 +158,6 @@ def _check(task: str, config: Config, defaults: Config) -> None:
         raise ConfigError(
             f"'simulation_frequency' ({config['simulation_frequency']}) must be a multiple of 'policy_frequency' "
             f"({config['policy_frequency']})"
-        )
-    if config["simulation_frequency"] < 5:
-        raise ConfigError(
-            "'simulation_frequency' below 5 Hz lets cars pass through each other; use at least 5"
         )
     kind = config["observation"].get("type")
     if kind not in OBSERVATION_KEYS:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sumo_env.actions import available_actions, ego_route, target_lane, target_speed_index
-from sumo_env.config import COMMON, Config, ConfigError, resolve
+from sumo_env.config import COMMON, Config, ConfigError, resolve, simulated_frequency
 from sumo_env.contacts.measures import NEAR_MISS_TTC, density
 from sumo_env.interface import interface
 from sumo_env.observation import TimeToCollision
@@ -232,8 +232,9 @@ class DrivingEnv(gym.Env[Observation, Any]):
 
     def _set_frame_rate(self) -> None:
         if self._video is not None:
-            self.metadata = {**self.metadata, "render_fps": self.config["simulation_frequency"]}
-            self._video.frames_per_sec = self.config["simulation_frequency"]
+            frequency = simulated_frequency(self.config)
+            self.metadata = {**self.metadata, "render_fps": frequency}
+            self._video.frames_per_sec = frequency
 
     def _on_substep(self, scene: Scene) -> None:
         """Between two policy steps: add a frame to the film and points to the trajectories."""

@@ -9,7 +9,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from sumo_env.config import Config
+from sumo_env.config import Config, simulated_frequency
 from sumo_env.networks import files
 from sumo_env.networks.roads import LaneIndex, Road
 from sumo_env.streams import stream
@@ -139,7 +139,7 @@ class Task:
             events=events,
             lanes_count=int(config.get("lanes_count", 4)),
             road_length=float(config.get("road_length", 800.0)),
-            simulation_frequency=int(config["simulation_frequency"]),
+            simulation_frequency=simulated_frequency(config),
             policy_frequency=int(config["policy_frequency"]),
             warm_up=self.warm_up,
             net=self.net or road.name,

@@ -102,7 +102,6 @@ def test_an_episode_ends_within_its_duration(id: str) -> None:
         ({"traffic_model": "SUMO"}, "can only be 'sumo'"),
         ({"traffic_model": "matched"}, "is gone.*'replica'"),
         ({"policy_frequency": 3}, "must be a multiple"),
-        ({"simulation_frequency": 2}, "at least 5"),
         ({"normalize_reward": "yes"}, "True or False"),
         ({"centering_position": 0.3}, "a list of 2 numbers"),
         ({"reward_speed_range": [20]}, "a list of 2 numbers"),

@@ -160,6 +160,16 @@ def test_numbers_may_be_numpys() -> None:
     env.close()
 
 
+def test_coarse_steps_are_refined() -> None:
+    """With steps of half a second, cars would pass through each other."""
+    env = DrivingEnv("highway", {"simulation_frequency": 2, "policy_frequency": 2, "duration": 2})
+    env.reset(seed=0)
+    assert env.scenario is not None and env.scenario.simulation_frequency == 6
+    assert [env.step(1)[3] for _ in range(4)] == [False, False, False, True]
+    assert env.scene.time == pytest.approx(2.0)
+    env.close()
+
+
 # -- subclasses --------------------------------------------------------------------------------------------
 
 

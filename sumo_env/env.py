@@ -72,6 +72,10 @@ class DrivingEnv(gym.Env[Observation, Any]):
             raise ValueError(
                 f"render_mode must be None or 'rgb_array' (drawn without a display), not {render_mode!r}"
             )
+        if simulator is not None and sumo_options:
+            raise ValueError(
+                "sumo_options are for SUMO, which this environment starts itself: leave out `simulator`"
+            )
         self.task: Task = get_task(task)
         self.render_mode = render_mode
         self._given = self._simulator = simulator

@@ -140,6 +140,14 @@ def test_a_task_on_a_road_of_the_five_runs_on_the_replica() -> None:
     assert len(episode(env)) > 2
 
 
+def test_what_only_sumo_can_drive_says_so_elsewhere(grid: Path) -> None:
+    env = DrivingEnv(NetworkTask(grid, ROUTES, EGO), simulator=Replica())
+    with pytest.raises(TypeError, match="other networks need SUMO"):
+        env.reset(seed=0)
+    with pytest.raises(ValueError, match="leave out `simulator`"):
+        DrivingEnv("highway", simulator=Replica(), sumo_options=["--tripinfo-output=trips.xml"])
+
+
 @pytest.mark.parametrize("attribute", ["length", "width"])
 def test_the_size_of_a_vehicle_cannot_be_changed(attribute: str) -> None:
     driver = Highway().drivers(0.0)[0]

@@ -307,6 +307,7 @@ def copied(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
     return twin
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("task", ["highway", "intersection"])
 @pytest.mark.parametrize("copier", [copied, copy.deepcopy])
 def test_the_replica_can_be_copied(task: str, copier: Any) -> None:

@@ -108,6 +108,7 @@ class Slalom(Highway):
         return rewards["progress"]
 
 
+@pytest.mark.slow
 def test_a_task_is_registered_and_driven() -> None:
     """In this process, in a worker (which knows nothing of the class), and in a vector environment."""
     sumo_env.register("test/slalom-v0", Slalom())
@@ -135,6 +136,7 @@ def test_keys_of_a_task_are_checked() -> None:
         DrivingEnv(Slalom(), {"gapp": 3})
 
 
+@pytest.mark.slow
 def test_a_task_on_a_road_of_the_five_runs_on_the_replica() -> None:
     env = DrivingEnv(Slalom(), {"simulation_frequency": 15}, simulator=Replica())
     assert len(episode(env)) > 2
@@ -188,6 +190,7 @@ def test_lanes_limits_and_junctions_are_read(grid: Path, merge: Path) -> None:
             assert lane.position(0.0, 1.0) != lane.position(0.0, -1.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("risk", [0.0, 1.0])
 def test_a_generated_network_is_driven(grid: Path, risk: float) -> None:
     config = {"vehicles_count": 15, "risk": risk, "duration": 20}
@@ -247,6 +250,7 @@ def test_a_network_written_by_hand_with_its_demand(merge: Path) -> None:
     env.close()
 
 
+@pytest.mark.slow
 def test_a_crash_on_a_network_is_recorded_and_exported(grid: Path, tmp_path: Path) -> None:
     env = SumoDrivingEnv(grid, ROUTES, EGO, {"vehicles_count": 40, "spawn_probability": 1.0, "risk": 1.0})
     for seed in range(30):
@@ -265,6 +269,7 @@ def test_a_crash_on_a_network_is_recorded_and_exported(grid: Path, tmp_path: Pat
     env.close()
 
 
+@pytest.mark.slow
 def test_a_network_is_registered_like_any_task(grid: Path) -> None:
     sumo_env.register("test/grid-v0", NetworkTask(grid, ROUTES, EGO))
     envs = gym.make_vec("test/grid-v0", num_envs=2)
@@ -324,6 +329,7 @@ def test_a_network_without_lanes_inside_its_junctions_is_refused(tmp_path: Path)
 # -- options -----------------------------------------------------------------------------------------------
 
 
+@pytest.mark.slow
 def test_sumo_writes_its_files(tmp_path: Path) -> None:
     """Of an environment in this process, and of one in a worker."""
     envs = []

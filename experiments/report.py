@@ -34,14 +34,17 @@ import tyro
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
+from agents.plugins import load_object
 from experiments.analysis import wording
 from experiments.analysis.analysis import SCHEMA, analyse, effect_table, summary_table
+from experiments.analysis.plan import OUTCOMES, Outcome
 from experiments.backends import make_env
 from experiments.reporting.beside import beside
 from experiments.reporting.report_view import page
 from experiments.reporting.showcase import showcase
+from experiments.study.evaluate import COLUMNS
 from experiments.study.store import load
-from experiments.support.errors import disk_error, run_command
+from experiments.support.errors import UserError, disk_error, run_command
 from experiments.support.files import write_file, write_json
 
 TEMPLATES = Path(__file__).with_name("templates")
@@ -58,6 +61,8 @@ class Options:
     """The --out directory of a sweep."""
     other: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="DIR2")] = None
     """Another one to show beside it; by default the published study, where there is one."""
+    outcome: tuple[Annotated[str, tyro.conf.arg(metavar="FILE:NAME")], ...] = ()
+    """Also analyse outcomes of your own: objects of the class experiments.analysis.plan.Outcome with `of`."""
     placebo: bool = False
     """Instead print what the controls find: control against control, a rule against itself, a doubled penalty."""
 
@@ -106,6 +111,24 @@ def _compared(directory: Path, analysis: dict[str, Any], other: Path | None) -> 
     if study.get("schema") != SCHEMA:
         return []
     return beside(analysis, study, "This run", "the published study")
+
+
+def add_outcome(name: str) -> None:
+    """Analyse an outcome of the user's own from now on, "FILE:NAME"; the report calls it NAME.
+
+    Raises:
+        UserError: there is no such object, it is no outcome, or the name is taken.
+    """
+    try:
+        outcome = load_object(name)
+    except ValueError as error:
+        raise UserError(str(error)) from None
+    key = name.rpartition(":")[2]
+    if not isinstance(outcome, Outcome) or outcome.of is None:
+        raise UserError(f"{name} must be an experiments.analysis.plan.Outcome with a function `of`")
+    if key in {*OUTCOMES, *COLUMNS}:
+        raise UserError(f"there is an outcome or a column {key!r} already; choose another name")
+    OUTCOMES[key] = outcome
 
 
 def render(variables: dict[str, Any], template: str = "report.html.j2") -> str:
@@ -170,6 +193,8 @@ def report_placebo(directory: Path) -> None:
 def main() -> int:
     """The command line."""
     options = tyro.cli(Options, description=__doc__)
+    for name in options.outcome:
+        add_outcome(name)
     if options.placebo:
         report_placebo(options.directory)
         return 0

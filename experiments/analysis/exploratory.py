@@ -284,12 +284,12 @@ def budget(main: Results, episodes: pd.DataFrame) -> list[Record]:
     """
     if main.marks.empty:
         return []
-    marks = with_outcomes(main.marks, main.cells)
+    marks = with_outcomes(main.marks, main.cells, users=False)
     tables = [(share, marks[marks["mark"] == number]) for number, share in enumerate(MARKS, start=1)]
     return [
         record
         for share, table in [*tables, (1.0, episodes)]
-        for backend, pairs in _backends(settings(table))
+        for backend, pairs in _backends(settings(table, outcomes=("crashed",)))
         for record in _estimates(pairs, ("crashed",), backend=backend, share=share)
         if record["scope"] == ALL_TASKS
     ]

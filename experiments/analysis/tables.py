@@ -167,8 +167,10 @@ def duplicates(results: Results) -> list[list[str]]:
     return [names for names in by_weights.values() if len(names) > 1]
 
 
-def with_outcomes(episodes: pd.DataFrame, cells: Mapping[str, Mapping[str, Any]]) -> pd.DataFrame:
-    """Episodes with the outcomes that are computed from others."""
+def with_outcomes(
+    episodes: pd.DataFrame, cells: Mapping[str, Mapping[str, Any]], users: bool = True
+) -> pd.DataFrame:
+    """Episodes with the outcomes that are computed from others; users: also with those of the user's own."""
     frequency = {name: cell["key"]["env_config"].get("policy_frequency", 1) for name, cell in cells.items()}
     lasted = episodes["length"] / episodes["cell"].map(frequency).astype(float)
     crashed = episodes["crashed"].astype(float)
@@ -177,7 +179,9 @@ def with_outcomes(episodes: pd.DataFrame, cells: Mapping[str, Mapping[str, Any]]
     # A ratio of sums, written so that the mean over an agent's episodes is the ratio and their spread its error.
     rate = crashes / way
     per_metre = rate + (crashed - rate * episodes["distance"]) / way
+    own = {name: outcome.of for name, outcome in OUTCOMES.items() if users and outcome.of is not None}
     return episodes.assign(
+        **own,
         crashed=crashed,
         reward_per_step=episodes["return"] / episodes["length"],
         crash_free_time=episodes["crash_time"].astype(float).where(crashed > 0).fillna(lasted),
@@ -250,7 +254,7 @@ Place = tuple[Any, ...]  # backend, task, level, level_name
 
 
 def settings(
-    episodes: pd.DataFrame, arms: Sequence[str] = tuple(ARMS), outcomes: Sequence[str] = tuple(OUTCOMES)
+    episodes: pd.DataFrame, arms: Sequence[str] = tuple(ARMS), outcomes: Sequence[str] | None = None
 ) -> dict[Place, Pair]:
     """The scores of the trained agents by place, in the grid's order.
 
@@ -268,7 +272,8 @@ def settings(
     result: dict[Place, Pair] = {}
     for place, group in agents.groupby(PLACE, sort=False):
         by_arm = dict(tuple(group.groupby("arm")))
-        result[place] = {arm: _arm(by_arm.get(arm, group.iloc[:0]), outcomes) for arm in arms}
+        columns = tuple(OUTCOMES) if outcomes is None else outcomes
+        result[place] = {arm: _arm(by_arm.get(arm, group.iloc[:0]), columns) for arm in arms}
     return result
 
 

@@ -105,21 +105,20 @@ def power(part: Mapping[str, Sequence[Record]], name: str = "") -> str:
         return f"{name}One training seed in an arm cannot tell anything about training."
     found = f"{name}{seeds[0]}" + (f" to {seeds[-1]}" if seeds[-1] > seeds[0] else "")
     text = f"{found} training seeds in each arm, {count(len(settings), 'setting')}."
-    means = [r for r in _mean(part) if r["status"] == OK]
-    single = sorted(
-        size
-        for r in settings
-        if r["status"] == OK
-        for size in [statistics.detectable(r["se"], r["df"], ALPHA, POWER)]
-        if size is not None
+    means, single = (
+        sorted(statistics.detectable(r["se"], r["df"], ALPHA, POWER) for r in rows if r["status"] == OK)
+        for rows in (_mean(part), settings)
     )
-    if means and (least := statistics.detectable(means[0]["se"], means[0]["df"], ALPHA, POWER)) is not None:
-        text += (
-            f" They find a mean difference in crash rate of {number(least, OUTCOME).removesuffix(' %')} points or "
-            f"more in {100 * POWER:.0f} % of repetitions"
+    if means and means[0] >= 1.0:
+        text += " They do not find even the largest difference that crash rates can have."
+    elif means:
+        least, middle = (
+            number(size, OUTCOME).removesuffix(" %")
+            for size in (means[0], (single or means)[len(single) // 2])
         )
-        if single:
-            middle = number(single[len(single) // 2], OUTCOME).removesuffix(" %")
-            text += f", and one of {middle} points in a single setting"
-        text += ". A smaller effect they can neither show nor exclude."
+        text += (
+            f" They find a mean difference in crash rate of {least} points or more in {100 * POWER:.0f} % of "
+            f"repetitions, and one of {middle} points in a single setting. A smaller effect they can neither show nor "
+            "exclude."
+        )
     return text

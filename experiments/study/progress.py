@@ -11,6 +11,7 @@ import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from datetime import timedelta
 from typing import Any, Protocol
 
 from experiments.study.attempt import Sign
@@ -38,8 +39,8 @@ class Screen(Protocol):
     def line(self, text: str) -> None:
         """Print a line that stays."""
 
-    def close(self) -> None:
-        """Leave the screen in order."""
+    def close(self, progress: Progress) -> None:
+        """Show the last state and leave the screen in order."""
 
 
 class Progress:
@@ -114,7 +115,7 @@ class Progress:
 
     def close(self) -> None:
         """Leave the screen in order, and the last state in the log."""
-        self._screen.close()
+        self._screen.close(self)
         for text in (self.summary(), *map(_row_text, self.rows())):
             self._log(text)
 
@@ -190,7 +191,7 @@ class Progress:
                 done = sum(self.state[name] == "finished" for name in names)
                 shares.append(f"{done}/{len(names)}" if names else "")
             left = self.left(mine)
-            rows.append((task, *shares, duration(left) if left else "done"))
+            rows.append((task, *shares, duration(left) if left else DONE))
         return rows
 
     # What stays.
@@ -210,11 +211,19 @@ class Progress:
             file.write(f"{time.strftime('%Y-%m-%d %H:%M:%S')} {text}\n")
 
 
+DONE = "done"
 HEADER = ("task", *ARMS, "policies", "left")
 
 
 def _row_text(row: Sequence[str]) -> str:
-    return "  " + ", ".join(f"{name} {value}" for name, value in zip(HEADER, row, strict=True) if value)
+    task, *shares, left = row
+    parts = [f"{name} {share}" for name, share in zip(HEADER[1:], shares, strict=False) if share]
+    return f"  {task}: {', '.join(parts)}, {left if left == DONE else f'about {left} left'}"
+
+
+def clock(seconds: float) -> str:
+    """Hours, minutes and seconds: 0:02:05."""
+    return str(timedelta(seconds=int(seconds)))
 
 
 class Plain:
@@ -227,14 +236,17 @@ class Plain:
         """Print a line when the last one is old enough."""
         if time.monotonic() - self._last >= LINE_EVERY:
             self._last = time.monotonic()
-            print(f"[{duration(progress.elapsed):>6}] {progress.summary()}", flush=True)
+            print(f"[{clock(progress.elapsed)}] {progress.summary()}", flush=True)
 
     def line(self, text: str) -> None:
         """Print a line."""
         print(text, flush=True)
 
-    def close(self) -> None:
-        """Nothing to do."""
+    def close(self, progress: Progress) -> None:
+        """Print the last state."""
+        print(f"[{clock(progress.elapsed)}] {progress.summary()}", flush=True)
+        for row in progress.rows():
+            print(_row_text(row), flush=True)
 
 
 class Table:
@@ -254,8 +266,9 @@ class Table:
         """Print a line above."""
         self._live.console.print(text, highlight=False, markup=False, soft_wrap=True)
 
-    def close(self) -> None:
-        """Stop drawing."""
+    def close(self, progress: Progress) -> None:
+        """Draw it for the last time."""
+        self.show(progress)
         self._live.stop()
 
 
@@ -265,11 +278,12 @@ def _drawing(progress: Progress) -> Any:
     from rich.progress_bar import ProgressBar
     from rich.table import Table as Grid
 
-    fraction, counts = progress.fraction(), progress.counts()
+    fraction, counts, left = progress.fraction(), progress.counts(), progress.left()
     bar = Columns(
         [
             ProgressBar(total=1.0, completed=fraction, width=40),
-            f"{fraction:.0%}, {duration(progress.elapsed)} so far, about {duration(progress.left())} left",
+            f"{fraction:.0%}, {clock(progress.elapsed)} so far"
+            + (f", about {duration(left)} left" if left else ""),
         ]
     )
     states = Grid.grid(padding=(0, 2))

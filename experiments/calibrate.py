@@ -1,13 +1,14 @@
 """Fit SUMO's drivers, and what a dose of risky traffic does, to highway-env, on other scenarios than validation's.
 
-    python experiments/calibrate.py --out results/calibration                      # hours; goes on where it was
-    stopped python experiments/calibrate.py --out /tmp/calibration --tasks u-turn --trials 5 --scenarios 10
+    python experiments/calibrate.py --out results/calibration      # hours
+    python experiments/calibrate.py --out /tmp/calibration --tasks u-turn --trials 5 --scenarios 10
 
-Three parts. `drivers` searches the calibrated settings of SUMO's drivers (`Calibration`), `risk` the rates of risk
-events (`RiskRates`); both write what they found beside what is in force, judged on the scenarios of validation.
-`doses` measures how often egos crash at every dose in both simulators, with and without events. Nothing in the
-package is changed: what is worth it is written into the task's file by hand. Writes calibration.json, doses.csv and
-doses.svg.
+The same command run again goes on where it was stopped. There are three parts. `drivers` searches the calibrated
+settings of SUMO's drivers (`Calibration`); `risk` searches the rates of risk events (`RiskRates`) and the ranges of
+the drivers' parameters (`RiskRanges`). Both write what they found beside what is in force, judged on the scenarios of
+validation. `doses` measures how often egos crash at every dose in both simulators, with and without events. Nothing
+in the package is changed: what is worth it is written into the task's file by hand. Writes calibration.json,
+doses.csv and doses.svg.
 """
 
 from __future__ import annotations
@@ -33,10 +34,10 @@ from rich.table import Table
 
 from experiments.calibration import doses, drivers
 from experiments.calibration.search import Settings, search
-from experiments.calibration.spaces import DRIVERS, RISK, Space
+from experiments.calibration.spaces import DRIVERS, RISK, Space, changes_of_risk, present_risk
 from experiments.study import grid
 from experiments.support.errors import UserError, disk_error, run_command, unknown
-from experiments.support.files import write_file, write_json
+from experiments.support.files import sha256_bytes, write_file, write_json
 from experiments.validation import parts
 from experiments.validation.checks import REFERENCE
 from experiments.validation.egos import CORE
@@ -135,13 +136,14 @@ class Fit:
     # -- risk --------------------------------------------------------------------------------------------------
 
     def risk_distance(self, settings: Settings, levels: Sequence[int], scenarios: range) -> float:
-        """How far a dose with these rates of events is from what it shall do."""
-        engines = [make(risk=settings, egos=doses.EGOS) for make in (self.sumo, self.reference)]
+        """How far a dose with these rates of events and ranges of parameters is from what it shall do."""
+        risk = changes_of_risk(TASKS[self.task], settings)
+        engines = [make(risk=risk, egos=doses.EGOS) for make in (self.sumo, self.reference)]
         return doses.distance(self.drive(engines, levels, doses.SEARCHED, scenarios), "sumo", self.task)
 
     def fit_risk(self, note: Callable[[int, float], None]) -> dict[str, Any] | None:
-        """Search the rates of risk events at the lowest level."""
-        present = asdict(TASKS[self.task].risk_rates)
+        """Search the rates of risk events and the ranges of parameters at the lowest level."""
+        present = present_risk(TASKS[self.task])
         return self._fit("risk", RISK[self.task], present, (1,), self.risk_distance, note, judged=(1,))
 
     def _fit(
@@ -152,7 +154,7 @@ class Fit:
         if not space:
             return None
         start = {name: present[name] for name in space}
-        journal = self.options.out / f"{part}-{self.task}-{'-'.join(self._key())}.journal"
+        journal = self.options.out / f"{part}-{self.task}-{'-'.join(self._key(space))}.journal"
         study = search(
             space,
             lambda settings: distance(settings, levels, self.training),
@@ -173,10 +175,11 @@ class Fit:
             "trials": [{"settings": trial.params, "distance": trial.value} for trial in study.trials],
         }
 
-    def _key(self) -> list[str]:
-        """What makes evaluations comparable: both simulators and the scenarios."""
+    def _key(self, space: Space) -> list[str]:
+        """What makes evaluations comparable: both simulators, the scenarios and what is searched."""
         marks = [self._stamps("sumo", {}), self.reference().stamps]
-        return [*(mark[self.task] for mark in marks), str(self.options.scenarios)]
+        searched = sha256_bytes(repr(sorted(space.items())).encode())[:8]
+        return [*(mark[self.task] for mark in marks), str(self.options.scenarios), searched]
 
     # -- doses -------------------------------------------------------------------------------------------------
 

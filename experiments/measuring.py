@@ -138,19 +138,24 @@ class Driver:
         return watch.slice(least)
 
     def bare_engine(self, seconds: float, episode: int) -> Slice:
-        """SUMO's own steps with the same vehicles on the road and nobody who reads or commands; counts policy steps."""
+        """SUMO's own steps with the same vehicles on the road and nobody who reads or commands; counts policy steps.
+
+        It takes as many steps of SUMO as an episode of this length does, a warm-up included.
+        """
         from sumo_env.contacts.measures import TTC_RADIUS
         from sumo_env.sumo.session import libsumo  # the only importer of it
 
-        config = self._env.unwrapped.config
-        substeps = episode * config["simulation_frequency"] // config["policy_frequency"]
+        env = self._env.unwrapped
+        frequency = env.config["simulation_frequency"]
+        steps = episode * frequency // env.config["policy_frequency"]
         wall = cpu = 0.0
         count = 0
         while not count or wall < seconds:
             self._reset()
             libsumo.vehicle.unsubscribeContext("ego", libsumo.CMD_GET_VEHICLE_VARIABLE, TTC_RADIUS)
+            warm_up = round(env.scenario.warm_up * frequency)
             watch = Stopwatch()
-            for _ in range(substeps):
+            for _ in range(warm_up + steps):
                 libsumo.simulationStep()
             part = watch.slice(episode)
             wall, cpu, count = wall + part.wall, cpu + part.cpu, count + part.count

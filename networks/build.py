@@ -75,7 +75,9 @@ def stale(folder: Path = HERE) -> list[str]:
 
 def main(arguments: list[str] | None = None) -> int:
     """The command line; returns the exit status, 1 when `--check` finds a difference."""
-    parser = argparse.ArgumentParser(prog="python -m sumo_env.networks.build", description=__doc__.split("\n")[0])
+    parser = argparse.ArgumentParser(
+        prog="python -m sumo_env.networks.build", description=__doc__.split("\n")[0]
+    )
     parser.add_argument("--check", action="store_true", help="compare with a fresh build, write nothing")
     if parser.parse_args(arguments).check:
         differing = stale()

@@ -19,6 +19,7 @@ from agents.models import network_class
 from agents.training import Progress, TrainedAgent, train
 from experiments.study.grid import Cell
 from experiments.study.policies import check
+from experiments.study.seeds import training_seed
 from experiments.study.wrappers import trained_on
 from experiments.support.errors import UserError
 
@@ -88,7 +89,7 @@ def train_cell(
         agent = train(
             trained_on(env, cell.profile),
             config,
-            cell.seed or 0,
+            training_seed(cell.task, cell.level, cell.seed or 0),
             network=network_class(cell.source or config.network),
             reset_options={"config": {"risk": cell.risk}},
             checkpoint=directory / CHECKPOINT,

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import io
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Protocol
 
@@ -21,6 +21,7 @@ from experiments.support.files import canonical_json, sha256_bytes, write_file
 from experiments.validation.egos import egos
 from experiments.validation.episodes import COLUMNS, ScenarioMaker, drive
 from sumo_env.tasks import TASKS
+from sumo_env.traffic.risk import RiskRates
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -43,7 +44,8 @@ class Engine:
         backend: of `experiments.backends.make_env`.
         config: changes of a task's configuration.
         calibration: changes of the task's calibrated drivers (`sumo_env.traffic.drivers.Calibration`); SUMO only.
-        risk: changes of the task's rates of risk events (`sumo_env.traffic.risk.RiskRates`); not highway-env itself.
+        risk: changes of the task's risk, by the names of `sumo_env.traffic.risk.RiskRates` and
+            `sumo_env.traffic.drivers.RiskRanges`; not highway-env itself.
         one_in: drives a random episode in so many.
         egos: that are driven, all of the task if empty.
         stamps: task -> fingerprint of what it drives; episodes of another fingerprint are never reused.
@@ -174,7 +176,11 @@ def scenario_maker(engine: Engine, task: str) -> ScenarioMaker | None:
     if not engine.risk:
         return None
     changed = copy.copy(TASKS[task])
-    changed.risk_rates = replace(changed.risk_rates, **engine.risk)  # type: ignore[misc]
+    names = {item.name for item in fields(RiskRates)}
+    rates = {name: value for name, value in engine.risk.items() if name in names}
+    ranges = {name: value for name, value in engine.risk.items() if name not in names}
+    changed.risk_rates = replace(changed.risk_rates, **rates)  # type: ignore[misc]
+    changed.risk_ranges = replace(changed.risk_ranges, **ranges)  # type: ignore[misc]
     return changed.scenario
 
 

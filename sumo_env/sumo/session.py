@@ -66,6 +66,7 @@ class Session:
 
     def __init__(self) -> None:
         self._settings: Settings | None = None
+        self._watched: tuple[str, float] | None = None  # vehicle and radius [m]
         self._limits: dict[str, float] = {}
         self._steps = 0  # since the network was loaded
 
@@ -73,10 +74,16 @@ class Session:
         """Load a network with its vehicle types and an empty road; only an empty road where it is loaded already."""
         # Where somebody else has moved SUMO's clock, a state may have been loaded: its vehicle types have fewer digits.
         if settings == self._settings and abs(_simulation.getTime() - self._steps * self.step_length) < 1e-6:
-            for name in _vehicle.getIDList():
+            present = _vehicle.getIDList()
+            if self._watched is not None and self._watched[0] in present:
+                # else the next step is an error, as long as no vehicle of this name is on the road
+                name, radius = self._watched
+                _vehicle.unsubscribeContext(name, libsumo.CMD_GET_VEHICLE_VARIABLE, radius)
+            self._watched = None
+            for name in present:
                 _vehicle.remove(name)
             return
-        self._settings = None  # until the new network is loaded
+        self._settings = self._watched = None  # until the new network is loaded
         with tempfile.TemporaryDirectory(prefix="sumo_env-") as folder:
             types = Path(folder) / "types.add.xml"
             _write_types(types, settings)
@@ -206,6 +213,7 @@ class Session:
     def watch(self, name: str, radius: float) -> None:
         """From now on, `near` tells what is within `radius` [m] of this vehicle after every step."""
         _vehicle.subscribeContext(name, libsumo.CMD_GET_VEHICLE_VARIABLE, radius, (_FRONT, _ANGLE, _SPEED))
+        self._watched = name, radius
 
     def near(self, name: str) -> dict[str, State]:
         """States of a watched vehicle and of those near it."""

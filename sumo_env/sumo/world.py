@@ -108,7 +108,9 @@ class SumoSimulator:
         loaded = self._loaded
         if loaded is None or (loaded.net_file, loaded.step_length) != (self._network.net_file, self._dt):
             self._drivers = {}
-        elif all((known := self._drivers.get(name)) is driver or known == driver for name, driver in wanted.items()):
+        elif all(
+            (known := self._drivers.get(name)) is driver or known == driver for name, driver in wanted.items()
+        ):
             return loaded
         self._drivers.update(wanted)
         self._loaded = Settings(

@@ -1,7 +1,7 @@
 """Who drives: a driver is a SUMO vehicle type.
 
 Car following is SUMO's IDM with highway-env's own numbers; lane changes are SUMO's LC2013; right of way is SUMO's
-junction model. Three settings per task (`Calibration`) bring their traffic close to highway-env's (docs/validation.md).
+junction model. A few settings per task (`Calibration`) bring their traffic close to highway-env's (docs/validation.md).
 Risky drivers have the same parameters from wider ranges (`RiskRanges`), so dose 0 *is* regular traffic.
 """
 
@@ -44,6 +44,8 @@ class Calibration:
         waits_for_approaching: whether vehicles that only approach a junction have right of way at all.
         ignores_approaching: share of drivers that do not wait for vehicles approaching a junction (jmIgnoreFoeProb).
         ignores_inside: share of drivers that do not wait for vehicles inside a junction (jmIgnoreJunctionFoeProb).
+        tau: factor on tau, SUMO's time gap. SUMO's IDM takes the gap between bumpers and highway-env's the distance
+            between centres, so that SUMO's drivers heed a distant leader less.
     """
 
     lane_changes: bool = True
@@ -53,6 +55,7 @@ class Calibration:
     waits_for_approaching: bool = True
     ignores_approaching: float = 0.0
     ignores_inside: float = 0.0
+    tau: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -187,7 +190,7 @@ def vehicle_type(driver: Driver, calibration: Calibration) -> dict[str, str]:
         "decel": f"{driver.decel:.6f}",
         "apparentDecel": f"{driver.decel:.6f}",
         "emergencyDecel": f"{max(driver.emergency_decel, driver.decel):.6f}",
-        "tau": f"{driver.tau:.6f}",
+        "tau": f"{calibration.tau * driver.tau:.6f}",
         "minGap": f"{driver.min_gap:.6f}",
         "delta": f"{driver.delta:.6f}",
         "laneChangeModel": "LC2013",

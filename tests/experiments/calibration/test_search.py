@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import asdict, fields
 from pathlib import Path
 
 import pytest
 
 from experiments.calibration.search import search
-from experiments.calibration.spaces import DRIVERS, RISK, Range
+from experiments.calibration.spaces import DRIVERS, RISK, Range, changes_of_risk, present_risk
 from sumo_env.tasks import TASKS
-from sumo_env.traffic.drivers import Calibration
-from sumo_env.traffic.risk import RiskRates
+from sumo_env.traffic.drivers import RISK_RANGES, RiskRanges
 
 SPACE = {"x": Range(0.0, 10.0), "on": (False, True)}
 START = {"x": 9.0, "on": False}
@@ -47,8 +46,27 @@ def test_goes_on_where_it_was_stopped(tmp_path: Path) -> None:
     assert len(values) == 12
 
 
-@pytest.mark.parametrize(("spaces", "settings"), [(DRIVERS, Calibration), (RISK, RiskRates)])
-def test_what_is_searched_exists_for_every_task(spaces: dict, settings: type) -> None:
-    assert set(spaces) == set(TASKS)
-    known = {field.name for field in fields(settings)}
-    assert all(set(space) <= known for space in spaces.values())
+def test_what_is_searched_exists_for_every_task() -> None:
+    assert set(DRIVERS) == set(RISK) == set(TASKS)
+    for name, task in TASKS.items():
+        assert set(DRIVERS[name]) <= set(asdict(task.calibration))
+        assert set(RISK[name]) <= set(present_risk(task))
+
+
+def test_ranges_of_a_tasks_own_are_searched() -> None:
+    for name, task in TASKS.items():
+        own = {
+            field.name
+            for field in fields(RiskRanges)
+            if getattr(task.risk_ranges, field.name) != getattr(RISK_RANGES, field.name)
+        }
+        assert own <= set(RISK[name])
+
+
+def test_the_lower_end_of_a_range_is_searched_and_its_upper_end_kept() -> None:
+    task = TASKS["u-turn"]
+    assert present_risk(task)["tau"] == task.risk_ranges.tau[0]
+    assert changes_of_risk(task, {"tau": 0.7, "cut_in": 0.3}) == {
+        "tau": (0.7, task.risk_ranges.tau[1]),
+        "cut_in": 0.3,
+    }

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from experiments.study import grid
-from experiments.study.seeds import TEST, scenario_seed
+from experiments.study.seeds import TEST, scenario_seed, training_seed
 from experiments.support.errors import UserError
 from sumo_env.tasks import TASKS
 
@@ -124,3 +124,11 @@ def test_test_scenarios_are_apart_from_all_training_scenarios_and_from_each_othe
     test = {scenario_seed(task, level, n) for task in TASKS for level in (1, 2) for n in range(100)}
     assert min(test) >= TEST
     assert len(test) == len(TASKS) * 2 * 100
+
+
+def test_no_two_settings_share_the_seed_of_a_training() -> None:
+    seeds = {
+        training_seed(task, level, number) for task in TASKS for level in (1, 2) for number in range(100)
+    }
+    assert len(seeds) == len(TASKS) * 2 * 100
+    assert max(seeds) < TEST

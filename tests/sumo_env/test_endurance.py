@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
-BOUND = 32.0  # [MiB] that a process may grow after its first block
+BOUND = 8.0  # [MiB] that a process may grow after its first block
 EPISODES = 2000
 
 

@@ -1,4 +1,4 @@
-# make setup | sweep [ARGS=..] | test | test-fast | test-long | lint | lock
+# make setup | sweep [ARGS=..] | test | test-fast | test-long | lint | docs | lock
 #
 #   make sweep ARGS="--preset smoke --out results/try"
 
@@ -9,7 +9,7 @@ STAMP  := $(VENV)/.installed
 # Simulators and learner use one thread each; parallel work is done by processes.
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: setup sweep test test-fast test-long lint lock clean
+.PHONY: setup sweep test test-fast test-long lint docs lock clean
 
 setup: $(STAMP)
 
@@ -44,6 +44,13 @@ lint: setup
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 
+# The documentation as a site; open site/index.html.
+docs: setup
+	$(BIN)/python -m pip install --disable-pip-version-check --quiet -c requirements.lock \
+	  --config-settings editable_mode=compat -e '.[docs]'
+	$(BIN)/mkdocs build --quiet
+	@echo "open site/index.html"
+
 # The installed versions as the new constraint file; the head of the old file is kept.
 lock: setup
 	@sed -n '/^#/p' requirements.lock > requirements.lock.new
@@ -52,4 +59,4 @@ lock: setup
 	@mv requirements.lock.new requirements.lock
 
 clean:
-	rm -rf .mypy_cache .ruff_cache .pytest_cache build *.egg-info
+	rm -rf .mypy_cache .ruff_cache .pytest_cache build site *.egg-info

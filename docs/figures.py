@@ -2,6 +2,7 @@
 
 docs/img/tasks.png            one moment of each task, with risky drivers
 docs/img/environments/*.png   one moment of each task, as its page shows it
+docs/img/films/*.gif          some seconds of each task
 docs/img/networks/*.png       SUMO's lanes (grey, orange in junctions) under highway-env's centre lines (bright, dashed)
 docs/img/collisions.png       how contacts are looked for
 """
@@ -100,6 +101,59 @@ def environments() -> None:
     """One frame for the page of each environment."""
     for task, scene in PAGES.items():
         frame(task, *scene).quantize(64).save(IMAGES / "environments" / f"{task}.png", optimize=True)
+
+
+# task -> seed, configuration of its film
+FILMS: dict[str, tuple[int, dict[str, Any]]] = {
+    "highway": (1, {"screen_width": 600, "screen_height": 100}),
+    "two-way": (5, {"screen_width": 600, "screen_height": 80}),
+    "roundabout": (2, {"screen_width": 400, "screen_height": 360, "scaling": 4.0}),
+    "intersection": (3, {"screen_width": 400, "screen_height": 360, "scaling": 4.5}),
+    "u-turn": (
+        1,
+        {"screen_width": 600, "screen_height": 240, "scaling": 3.4, "centering_position": [0.35, 0.85]},
+    ),
+}
+FILM_STEPS, FILM_FREQUENCY = 8, 5  # [s] at one policy step per second; pictures per second
+
+
+class Film:
+    """What `DrivingEnv.set_record_video_wrapper` expects: keeps every other picture of the simulation."""
+
+    recording, frames_per_sec = True, 0
+
+    def __init__(self, env: DrivingEnv) -> None:
+        self.env, self.pictures, self._seen = env, [], 0
+        env.set_record_video_wrapper(self)  # type: ignore[arg-type]
+
+    def _capture_frame(self) -> None:
+        self._seen += 1
+        if self._seen % (self.env.config["simulation_frequency"] // FILM_FREQUENCY) == 0:
+            self.pictures.append(Image.fromarray(self.env.render()).quantize(32))
+
+
+def films() -> None:
+    """The films of the gallery, driven by the rule `careful`."""
+    from agents.rules import make_policy
+
+    (IMAGES / "films").mkdir(exist_ok=True)
+    for task, (seed, config) in FILMS.items():
+        env = DrivingEnv(task, {**config, "risk": 1.0}, render_mode="rgb_array")
+        policy, film = make_policy("careful", env), Film(env)
+        observation, _ = env.reset(seed=seed)
+        policy.reset(seed)
+        over = False
+        for _ in range(FILM_STEPS):
+            if not over:
+                observation, _, terminated, truncated, _ = env.step(policy.act(observation))
+                film._capture_frame()
+                over = terminated or truncated
+        env.close()
+        first, *others = film.pictures
+        file = IMAGES / "films" / f"{task}.gif"
+        first.save(
+            file, save_all=True, append_images=others, duration=1000 // FILM_FREQUENCY, loop=0, optimize=True
+        )
 
 
 # -- networks ---------------------------------------------------------------------------------------------------------
@@ -265,5 +319,6 @@ def collisions() -> None:
 if __name__ == "__main__":
     tasks()
     environments()
+    films()
     networks()
     collisions()

@@ -3,7 +3,7 @@
     python experiments/replay.py results/sumo-quick/cells/sumo-highway-50-control-s0-...
     python experiments/replay.py results/sumo-quick/cells/sumo-highway-50-control-s0-...:risky:17
     python experiments/replay.py CASE --gif       # an animation instead of a sheet of pictures
-    python experiments/replay.py CASE --fcd       # positions, speeds and angles for sumo-gui
+    python experiments/replay.py CASE --sumo      # a folder with episode.sumocfg, for sumo and sumo-gui
 
 Exit status: 0 the episode was reproduced, 1 it came out differently (the message says what, and which
 versions have changed since), 2 the case does not exist.
@@ -35,7 +35,6 @@ from experiments.backends import make_env
 from experiments.study import grid, store
 from experiments.study.cell import MakeEnv
 from experiments.study.evaluate import Policy, play
-from experiments.support import fcd
 from experiments.support.errors import UserError, disk_error, run_command
 
 PICTURES = 12  # on a sheet, spread over the episode
@@ -48,11 +47,11 @@ class Options:
     case: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="CASE")]
     """DIR/cells/CELL[:TRAFFIC:SCENARIO]; traffic regular or risky, scenarios from 0; regular:0 if left out."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None
-    """File to write; by default CELL-TRAFFIC-SCENARIO with a fitting ending, in the current directory."""
+    """File (or folder) to write; by default CELL-TRAFFIC-SCENARIO with a fitting ending, in the current directory."""
     gif: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = False
     """Write an animated GIF instead of a sheet of pictures (PNG)."""
-    fcd: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = False
-    """Write floating car data (XML), and a configuration with the road, for SUMO's tools instead."""
+    sumo: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = False
+    """Write a folder that sumo and sumo-gui open instead: network, vehicles, the ego's way, and configurations."""
 
 
 @dataclass(frozen=True)
@@ -128,25 +127,22 @@ def replay(options: Options, make_env: MakeEnv = make_env) -> int:
         )
     env = make_env(key["backend"], key["task"], key["env_config"], "rgb_array")
     frames: list[NDArray[np.uint8]] = []
-    scenes: list[Any] = []
 
     def record_step() -> None:
-        scenes.append(env.unwrapped.scene)  # type: ignore[attr-defined]
-        if not options.fcd:
+        if not options.sumo:
             frames.append(np.asarray(env.render()))
 
     try:
         seen, policy = stored_policy(case.path, record, env)
         row = play(seen, policy, key["task"], key["level"], case.traffic, case.scenario, record_step)
-    finally:
-        env.close()
-    try:
-        files = _write(options, case, key, frames, scenes)
+        written = _write(options, case, env, frames)
     except OSError as error:
         raise disk_error(error, options.out or Path.cwd()) from None
+    finally:
+        env.close()
     print(f"{case.name}: return {row['return']:.3f} in {row['length']} steps, " + _ending(row))
     print("crashes in the stored test: " + _crashes(table))
-    print("written: " + ", ".join(map(str, files)))
+    print(f"written: {written}")
     wrong = differences(rows.iloc[0].to_dict(), row)
     if wrong:
         print(f"error: not reproduced: {'; '.join(wrong)}{_changed(record)}", file=sys.stderr)
@@ -195,13 +191,11 @@ def sheet(frames: list[NDArray[np.uint8]]) -> NDArray[np.uint8]:
     return paper
 
 
-def _write(
-    options: Options, case: Case, key: dict[str, Any], frames: list[NDArray[np.uint8]], scenes: list[Any]
-) -> list[Path]:
-    ending = ".fcd.xml" if options.fcd else ".gif" if options.gif else ".png"
-    path = options.out or Path(case.name + ending)
-    if options.fcd:
-        return fcd.write(path, scenes, key["task"], key["env_config"])
+def _write(options: Options, case: Case, env: gym.Env[Any, Any], frames: list[NDArray[np.uint8]]) -> Path:
+    path = options.out or Path(case.name + ("" if options.sumo else ".gif" if options.gif else ".png"))
+    if options.sumo:
+        env.unwrapped.export(path)  # type: ignore[attr-defined]
+        return path / "episode.sumocfg"
     from PIL import Image
 
     if options.gif:
@@ -210,7 +204,7 @@ def _write(
     else:
         chosen = np.unique(np.linspace(0, len(frames) - 1, PICTURES).round().astype(int))
         Image.fromarray(sheet([frames[number] for number in chosen])).save(path)
-    return [path]
+    return path
 
 
 if __name__ == "__main__":

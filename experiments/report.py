@@ -29,11 +29,14 @@ from typing import Annotated, Any
 import tyro
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 
+from agents.plugins import load_object
 from experiments.analysis import wording
 from experiments.analysis.analysis import analyse, summary_table
+from experiments.analysis.plan import OUTCOMES, Outcome
 from experiments.reporting.report_view import page
+from experiments.study.evaluate import COLUMNS
 from experiments.study.store import load
-from experiments.support.errors import disk_error, run_command
+from experiments.support.errors import UserError, disk_error, run_command
 from experiments.support.files import write_file, write_json
 
 TEMPLATES = Path(__file__).with_name("templates")
@@ -46,6 +49,8 @@ class Options:
 
     directory: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
     """The --out directory of a sweep."""
+    outcome: tuple[Annotated[str, tyro.conf.arg(metavar="FILE:NAME")], ...] = ()
+    """Also analyse outcomes of your own: objects of the class experiments.analysis.plan.Outcome with `of`."""
     placebo: bool = False
     """Instead print the same analysis of control against control, where there is no effect."""
 
@@ -74,6 +79,24 @@ def _write(directory: Path) -> tuple[Path, dict[str, Any]]:
     except OSError as error:
         raise disk_error(error, directory) from None
     return path, analysis
+
+
+def add_outcome(name: str) -> None:
+    """Analyse an outcome of the user's own from now on, "FILE:NAME"; the report calls it NAME.
+
+    Raises:
+        UserError: there is no such object, it is no outcome, or the name is taken.
+    """
+    try:
+        outcome = load_object(name)
+    except ValueError as error:
+        raise UserError(str(error)) from None
+    key = name.rpartition(":")[2]
+    if not isinstance(outcome, Outcome) or outcome.of is None:
+        raise UserError(f"{name} must be an experiments.analysis.plan.Outcome with a function `of`")
+    if key in {*OUTCOMES, *COLUMNS}:
+        raise UserError(f"there is an outcome or a column {key!r} already; choose another name")
+    OUTCOMES[key] = outcome
 
 
 def render(variables: dict[str, Any]) -> str:
@@ -125,6 +148,8 @@ def show_placebo(analysis: dict[str, Any]) -> None:
 def main() -> int:
     """The command line."""
     options = tyro.cli(Options, description=__doc__)
+    for name in options.outcome:
+        add_outcome(name)
     if options.placebo:
         show_placebo(analyse(load(options.directory, skip_damaged=True)))
         return 0

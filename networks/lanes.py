@@ -1,4 +1,4 @@
-"""Lane geometry: the three curves that highway-env's five tasks are made of.
+"""Lane geometry: the three curves that highway-env's five tasks are made of, and the lanes of other SUMO networks.
 
 Coordinates are highway-env's: x to the east, y *down*, metres; headings in radians from +x toward +y. A
 point in a lane's own frame is (s, lat): s metres along the centre line from the lane's start, lat metres
@@ -12,7 +12,9 @@ Arithmetic is on plain floats: a call takes about 0.2 microseconds, much less th
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from dataclasses import dataclass, field
+from itertools import pairwise
 
 WIDTH = 4.0  # [m], every lane of every task
 VEHICLE_LENGTH = 5.0  # [m], the margin highway-env allows before and behind a lane
@@ -197,3 +199,47 @@ class CircularLane(Lane):
         # The nearer way round: at most half a turn behind the start, then s jumps to half a turn ahead.
         turned = wrap_to_pi(math.atan2(y, x) - self.start_phase)
         return self._turn * turned * self.radius, self._turn * (self.radius - math.hypot(x, y))
+
+
+@dataclass(frozen=True, slots=True)
+class PolyLane(Lane):
+    """Straight pieces from point to point [m], as SUMO draws its lanes; the first and the last one extrapolate."""
+
+    points: tuple[Point, ...]
+    _pieces: tuple[StraightLane, ...] = field(init=False, repr=False)
+    _starts: tuple[float, ...] = field(init=False, repr=False)  # s where each piece begins [m]
+
+    def __post_init__(self) -> None:
+        pieces = tuple(StraightLane(a, b) for a, b in pairwise(self.points))
+        starts = [0.0]
+        for piece in pieces:
+            starts.append(starts[-1] + piece.length)
+        object.__setattr__(self, "length", starts.pop())
+        object.__setattr__(self, "_pieces", pieces)
+        object.__setattr__(self, "_starts", tuple(starts))
+
+    def _piece(self, s: float) -> int:
+        return max(bisect_right(self._starts, s) - 1, 0)
+
+    def position(self, s: float, lat: float) -> Point:
+        """See `Lane.position`."""
+        k = self._piece(s)
+        return self._pieces[k].position(s - self._starts[k], lat)
+
+    def heading_at(self, s: float) -> float:
+        """See `Lane.heading_at`."""
+        return self._pieces[self._piece(s)].heading
+
+    def local_coordinates(self, x: float, y: float) -> Point:
+        """See `Lane.local_coordinates`; on the nearest piece."""
+        best, nearest, last = (0.0, 0.0), math.inf, len(self._pieces) - 1
+        for k, piece in enumerate(self._pieces):
+            s, lat = piece.local_coordinates(x, y)
+            beyond = 0.0 if k == 0 else max(-s, 0.0)
+            beyond += 0.0 if k == last else max(s - piece.length, 0.0)
+            distance = math.hypot(beyond, lat)
+            if distance < nearest:
+                # at an outer corner between two pieces, s is that of the corner
+                s = s if beyond == 0.0 else min(max(s, 0.0), piece.length)
+                best, nearest = (self._starts[k] + s, math.copysign(distance, lat)), distance
+        return best

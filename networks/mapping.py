@@ -15,6 +15,7 @@ from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
 from types import MappingProxyType
+from typing import Any
 
 from sumo_env.networks import plans, roads
 from sumo_env.networks.lanes import VEHICLE_LENGTH, Lane, Point, SineLane
@@ -91,13 +92,15 @@ class Network:
         Raises ValueError, naming the choices, if no route leads there.
         """
         start = f"{index[0]}-{index[1]}>"
+        if destination is not None and destination in self.road.ways:
+            return destination
         if destination is None:
             ends = [key for key in self.routes if key.startswith(start)]
             if len(ends) == 1:
                 return ends[0]
         else:
             end = destination
-            while end not in ENDS[self.task] and len(self.road.successors.get(end, ())) == 1:
+            while end not in ENDS.get(self.task, ()) and len(self.road.successors.get(end, ())) == 1:
                 (end,) = self.road.successors[end]
             if start + end in self.routes:
                 return start + end
@@ -105,6 +108,10 @@ class Network:
         raise ValueError(
             f"no route from {index} to {destination!r} on {self.task}; ends: {choices or 'none'}"
         )
+
+    def sumo_index(self, index: LaneIndex) -> int:
+        """SUMO's number of a lane on its edge, 0 for the rightmost."""
+        return int(self.lanes[index].id.rpartition("_")[2])
 
     def place(self, index: LaneIndex, s: float, destination: str | None = None) -> tuple[str, str, float]:
         """Where SUMO has to put a vehicle whose centre highway-env has `s` [m] along lane `index`.
@@ -215,10 +222,15 @@ def network(task: str, lanes_count: int = 4, road_length: float = 800.0) -> Netw
 def _read(net_file: Path) -> dict[str, SumoLane]:
     """All lanes of a built network by their ids."""
     # sumolib takes 0.1 s to load, which only processes that run SUMO have to wait for
-    from sumolib.geomhelper import polyLength
     from sumolib.net import readNet
 
-    net = readNet(str(net_file), withInternal=True)
+    return sumo_lanes_of(readNet(str(net_file), withInternal=True))
+
+
+def sumo_lanes_of(net: Any) -> dict[str, SumoLane]:
+    """All lanes of a network that sumolib has read, by their ids."""
+    from sumolib.geomhelper import polyLength
+
     lanes = {lane.getID(): lane for edge in net.getEdges() for lane in edge.getLanes()}
     following = {
         name: tuple(joint.getViaLaneID() or joint.getToLane().getID() for joint in lane.getOutgoing())

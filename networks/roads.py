@@ -31,13 +31,17 @@ _Candidate = tuple[float, int, LaneIndex, Lane]  # lower bound of its distance [
 class Road:
     """An immutable set of named lanes and the graph that they form.
 
-    `lanes` keeps the order in which highway-env stores them, which decides ties in `closest_lane`.
+    `lanes` keeps the order in which highway-env stores them, which decides ties in `closest_lane`. `ways` are routes by
+    name, as nodes; a name stands for the end of its route wherever a destination is asked for.
     """
 
-    __slots__ = ("_cells", "_counts", "_items", "_samples", "lanes", "name", "successors")
+    __slots__ = ("_cells", "_counts", "_items", "_samples", "lanes", "name", "successors", "ways")
 
-    def __init__(self, name: str, lanes: Mapping[LaneIndex, Lane]) -> None:
+    def __init__(
+        self, name: str, lanes: Mapping[LaneIndex, Lane], ways: Mapping[str, tuple[str, ...]] | None = None
+    ) -> None:
         self.name = name
+        self.ways: Mapping[str, tuple[str, ...]] = MappingProxyType(dict(ways or {}))
         self.lanes: Mapping[LaneIndex, Lane] = MappingProxyType(dict(_graph_order(lanes)))
         self._items = tuple((0.0, rank, *item) for rank, item in enumerate(self.lanes.items()))
         self._cells: dict[tuple[float, float], tuple[_Candidate, ...]] = {}
@@ -55,8 +59,8 @@ class Road:
     def __repr__(self) -> str:
         return f"Road({self.name!r}, {len(self.lanes)} lanes)"
 
-    def __reduce__(self) -> tuple[type[Road], tuple[str, dict[LaneIndex, Lane]]]:
-        return Road, (self.name, dict(self.lanes))  # a MappingProxyType cannot be pickled
+    def __reduce__(self) -> tuple[type[Road], tuple[object, ...]]:
+        return Road, (self.name, dict(self.lanes), dict(self.ways))  # a MappingProxyType cannot be pickled
 
     def lane(self, index: LaneIndex) -> Lane:
         """The lane of this index; KeyError if the road has none."""
@@ -72,7 +76,13 @@ class Road:
         return tuple((start, end, j) for j in (i - 1, i + 1) if 0 <= j < self._counts[start, end])
 
     def route(self, start: str, goal: str) -> tuple[str, ...]:
-        """Nodes of the shortest path, both ends included; alphabetical among equals; () if there is none."""
+        """Nodes of the shortest path, both ends included; alphabetical among equals; () if there is none.
+
+        Towards one of the `ways`, what is left of it from `start` on.
+        """
+        if goal in self.ways:
+            way = self.ways[goal]
+            return way[way.index(start) :] if start in way else ()
         queue: deque[tuple[str, ...]] = deque([(start,)])
         while queue:
             path = queue.popleft()
@@ -124,6 +134,10 @@ class Road:
         for _ in nodes[2:]:
             lanes.append(self.next_lane(lanes[-1], nodes[1:]))  # a way around the ring may pass its start
         return lanes
+
+    def goal(self, destination: str) -> str:
+        """The node that a destination stands for."""
+        return self.ways[destination][-1] if destination in self.ways else destination
 
     def closest_lane(self, x: float, y: float, heading: float | None = None) -> LaneIndex:
         """Index of the lane with the least `distance_with_heading` (1 m a radian), first of equals.

@@ -6,6 +6,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import gymnasium as gym
 
 __version__ = "0.1.0"
@@ -18,16 +20,26 @@ def task_of(id: str) -> str:
     return id.removeprefix("sumo/").removesuffix("-v0")
 
 
+def register(id: str, task: Any) -> None:
+    """Register an environment with gymnasium: ``gym.make(id)`` and ``gym.make_vec(id)`` make it.
+
+    Args:
+        id: such as ``"me/ramp-v0"``.
+        task: a `sumo_env.tasks.base.Task` of your own (docs/own-parts.md), or the name of one of the five.
+    """
+    gym.register(
+        id,
+        entry_point="sumo_env.env:DrivingEnv",
+        vector_entry_point="sumo_env.vector:SumoVectorEnv",
+        kwargs={"task": task},
+    )
+
+
 def register_envs() -> None:
     """Register the five environments with gymnasium; again does nothing."""
     for id in IDS:
         if id not in gym.registry:
-            gym.register(
-                id,
-                entry_point="sumo_env.env:DrivingEnv",
-                vector_entry_point="sumo_env.vector:SumoVectorEnv",
-                kwargs={"task": task_of(id)},
-            )
+            register(id, task_of(id))
 
 
 register_envs()

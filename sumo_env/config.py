@@ -8,6 +8,9 @@ import math
 from collections.abc import Mapping
 from typing import Any
 
+import numpy as np
+from gymnasium import logger
+
 Config = dict[str, Any]
 
 COMMON: Config = {
@@ -52,15 +55,24 @@ POSITIVE = (
     "screen_height",
     "scaling",
 )
-# Keys of highway-env that have no meaning on SUMO; setting one is an error, so that it is not silently ignored.
-WITHOUT_MEANING = {
-    "controlled_vehicles": "SUMO tasks have one ego",
-    "manual_control": "SUMO tasks have no window",
-    "real_time_rendering": "SUMO tasks have no window",
-    "offscreen_rendering": "pictures are always drawn without a display",
-    "render_agent": "the ego is always drawn",
-    "other_vehicles_type": "use 'risk' and 'traffic_model' to choose the traffic",
-    "neighbour_vehicles_connected_lanes": "cars always see across lane joins in SUMO",
+# Keys of highway-env and rl-agents that the tasks on SUMO do not have. A whole configuration of theirs is accepted if
+# it describes the same task: keys that only concern the display or the file are left out (with a warning, unless they
+# have one of these values), the others may only have these values.
+LEFT_OUT: dict[str, tuple[Any, ...]] = {
+    "offscreen_rendering": (None, False, True),
+    "real_time_rendering": (False,),
+    "render_agent": (True,),
+    "show_history": (False,),
+    "neighbour_vehicles_connected_lanes": (False, True),  # SUMO's drivers always see across lane joins
+}
+FILE_KEYS = ("id", "import_module")  # rl-agents hands its whole JSON file to `configure`
+FIXED: dict[str, tuple[Any, str]] = {
+    "controlled_vehicles": (1, "there is one ego"),
+    "manual_control": (False, "the agent drives the ego"),
+    "other_vehicles_type": (
+        "highway_env.vehicle.behavior.IDMVehicle",
+        "SUMO drives the other vehicles; 'risk' makes them risky, and docs/own-parts.md brings drivers of your own",
+    ),
 }
 
 
@@ -82,15 +94,44 @@ def resolve(task: str, defaults: Config, *overrides: Mapping[str, Any] | None) -
         ConfigError: unknown key, wrong type or value out of range.
     """
     config = copy.deepcopy({**COMMON, **defaults})
+    ignored = []
     for override in overrides:
-        for key, value in (override or {}).items():
-            if key not in config:
-                if key in WITHOUT_MEANING:
-                    raise ConfigError(f"config key {key!r} has no meaning here: {WITHOUT_MEANING[key]}")
+        for key, given in (override or {}).items():
+            value = _plain(given)
+            if key in config:
+                config[key] = value
+            elif key in FIXED:
+                expected, reason = FIXED[key]
+                if value != expected:
+                    raise ConfigError(f"config key {key!r} can only be {expected!r}, not {value!r}: {reason}")
+            elif key in LEFT_OUT:
+                if value not in LEFT_OUT[key]:
+                    ignored.append(key)
+            elif key not in FILE_KEYS:
                 raise ConfigError(f"unknown config key {key!r} for task {task!r}: {nearest(key, config)}")
-            config[key] = copy.deepcopy(value)  # mutable values are not shared with the caller
+    if ignored:
+        logger.warn(f"config keys without effect on SUMO's pictures are ignored: {', '.join(ignored)}")
     _check(task, config, {**COMMON, **defaults})
     return config
+
+
+def simulated_frequency(config: Config) -> int:
+    """Steps that are simulated per second [Hz]: ``simulation_frequency``, or its first multiple of at least 5.
+
+    With longer steps, cars would pass through each other.
+    """
+    return int(config["simulation_frequency"]) * math.ceil(5 / config["simulation_frequency"])
+
+
+def _plain(value: Any) -> Any:
+    """A copy of a value, with numpy's scalars and arrays as Python's numbers and lists."""
+    if isinstance(value, np.generic | np.ndarray):
+        return value.tolist()
+    if isinstance(value, Mapping):
+        return {key: _plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    return copy.deepcopy(value)
 
 
 def _check(task: str, config: Config, defaults: Config) -> None:
@@ -118,13 +159,12 @@ def _check(task: str, config: Config, defaults: Config) -> None:
             f"'simulation_frequency' ({config['simulation_frequency']}) must be a multiple of 'policy_frequency' "
             f"({config['policy_frequency']})"
         )
-    if config["simulation_frequency"] < 5:
-        raise ConfigError(
-            "'simulation_frequency' below 5 Hz lets cars pass through each other; use at least 5"
-        )
     kind = config["observation"].get("type")
     if kind not in OBSERVATION_KEYS:
-        raise ConfigError(f"unknown observation type {kind!r}: {nearest(str(kind), OBSERVATION_KEYS)}")
+        raise ConfigError(
+            f"unknown observation type {kind!r}: {nearest(str(kind), OBSERVATION_KEYS)} (highway-env's other types are "
+            "not ported; for pictures use gymnasium.wrappers.AddRenderObservation)"
+        )
     for group, known in (("observation", OBSERVATION_KEYS[kind]), ("action", ACTION_KEYS)):
         for key in config[group]:
             if key not in known:

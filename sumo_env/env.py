@@ -4,26 +4,30 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from operator import index
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from sumo_env.actions import ego_route, target_lane, target_speed_index
-from sumo_env.config import Config, ConfigError, resolve
+from sumo_env.actions import available_actions, ego_route, target_lane, target_speed_index
+from sumo_env.config import COMMON, Config, ConfigError, resolve, simulated_frequency
 from sumo_env.contacts.measures import NEAR_MISS_TTC, density
 from sumo_env.interface import interface
-from sumo_env.networks.mapping import network
 from sumo_env.observation import TimeToCollision
 from sumo_env.scene import Scene
 from sumo_env.simulator import EgoCommand, Simulator, Step
 from sumo_env.sumo import open_simulator
+from sumo_env.sumo.options import check_options
+from sumo_env.sumo.remote import RemoteSimulator
 from sumo_env.tasks import get_task
 from sumo_env.tasks.base import EgoState, Task, nearest_index
+from sumo_env.tasks.network import NetworkTask
 from sumo_env.traffic.scenario import Scenario
+from sumo_env.views import INSTEAD, NEVER_CALLED, ActionType, RoadView, Vehicle
 
 if TYPE_CHECKING:
     from gymnasium.wrappers import RecordVideo
@@ -40,11 +44,15 @@ class DrivingEnv(gym.Env[Observation, Any]):
     task. One policy step lasts ``1 / policy_frequency`` s. Any number of environments may live in one process: libsumo
     supports one simulation per process, so the first environment has it and every further one gets a worker process.
 
+    A subclass may override `_reward`, `_rewards`, `_is_terminated`, `_is_truncated` and `default_config`, as in
+    highway-env; one that overrides a method of highway-env's that would never be called here is a TypeError.
+
     Args:
-        task: highway, two-way, roundabout, intersection or u-turn.
+        task: highway, two-way, roundabout, intersection or u-turn, or a task of your own (docs/own-parts.md).
         config: configuration keys to change; the defaults are `config.COMMON` and the task's `defaults`.
         render_mode: None or ``"rgb_array"``.
         simulator: the simulator that drives the traffic; None for SUMO. The environment closes it.
+        sumo_options: further options of SUMO, such as ``["--tripinfo-output", "trips.xml"]`` (docs/own-parts.md).
 
     Raises:
         ConfigError: unknown task or key, wrong value.
@@ -54,29 +62,51 @@ class DrivingEnv(gym.Env[Observation, Any]):
 
     def __init__(
         self,
-        task: str,
+        task: str | Task,
         config: Mapping[str, Any] | None = None,
         render_mode: str | None = None,
         simulator: Simulator | None = None,
+        sumo_options: Sequence[str] = (),
     ) -> None:
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ValueError(
                 f"render_mode must be None or 'rgb_array' (drawn without a display), not {render_mode!r}"
             )
+        if simulator is not None and sumo_options:
+            raise ValueError(
+                "sumo_options are for SUMO, which this environment starts itself: leave out `simulator`"
+            )
         self.task: Task = get_task(task)
         self.render_mode = render_mode
         self._given = self._simulator = simulator
+        self._options = check_options(sumo_options)
         self._renderer: Renderer | None = None
         self._video: RecordVideo[Any, Any] | None = None
         self._configured: Config | None = None
+        self._view: RoadView | None = None
         self.scenario: Scenario | None = None
         self.configure(config)
 
+    def __init_subclass__(cls, **kwargs: Any) -> None:
+        super().__init_subclass__(**kwargs)
+        for name in sorted(NEVER_CALLED.keys() & vars(cls).keys()):
+            raise TypeError(f"{cls.__name__}.{name} would never be called on SUMO: {NEVER_CALLED[name]}")
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> NoReturn:
+            hint = f": {INSTEAD[name]}" if name in INSTEAD else ""
+            raise AttributeError(f"{type(self).__name__!r} has no attribute {name!r}{hint}")
+
     # -- configuration -------------------------------------------------------------------------------------
+
+    def default_config(self) -> Config:
+        """Every key with its default. A subclass may change defaults and add keys for a reward of its own."""
+        return copy.deepcopy({**COMMON, **self.task.defaults})
 
     def configure(self, config: Mapping[str, Any] | None) -> None:
         """Change these keys of the configuration; they take effect at the next reset."""
-        changed = resolve(self.task.name, self.task.defaults, getattr(self, "config", None), config)
+        changed = resolve(self.task.name, self.default_config(), getattr(self, "config", None), config)
         offered = interface(self.task, changed)
         self.config: Config = changed  # assigned last: an error leaves the environment as it was
         self._configured = copy.deepcopy(changed)
@@ -103,7 +133,7 @@ class DrivingEnv(gym.Env[Observation, Any]):
         seed = int(self.np_random.integers(2**31))
         try:
             scenario = (options or {}).get("scenario") or self.task.scenario(self.config, seed)
-            network(scenario.task, scenario.lanes_count, scenario.road_length)
+            _ = scenario.network  # that there is one
         except ValueError as error:
             raise ConfigError(str(error)) from error
         self.scenario = scenario
@@ -112,14 +142,15 @@ class DrivingEnv(gym.Env[Observation, Any]):
         self._spec_of |= {spawn.vehicle.id: spawn.vehicle for spawn in scenario.spawns}
         self._speed_index = nearest_index(scenario.ego.speed, self.target_speeds)
         if self._simulator is None:
-            self._simulator = open_simulator()
+            self._simulator = open_simulator(options=self._options)
         self.scene: Scene = self._simulator.reset(scenario)
         self.steps = 0
-        step = Step(self.scene, scenario.ego.lane, None, math.inf, 0.0)
-        self._target_lane = step.target_lane
+        self._commands: list[EgoCommand] = []
+        self._last = Step(self.scene, scenario.ego.lane, None, math.inf, 0.0)
+        self._target_lane = scenario.ego.lane
         self.ego_state = self._ego_state(None)
         observation = self._observe()
-        return observation, self._info(None, step, self.task.rewards(self.ego_state, self.config))
+        return observation, self._info(observation)
 
     def step(self, action: int) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Drive one policy step.
@@ -146,19 +177,19 @@ class DrivingEnv(gym.Env[Observation, Any]):
             self.target_speeds[self._speed_index],
             target_lane(name, self._road, self._target_lane, self._route, x, y),
         )
+        self._commands.append(command)
         films = self._video is not None and self._video.recording
-        step = self._simulator.step(command, trace=films or self._shows_trajectories())
+        self._last = step = self._simulator.step(command, trace=films or self._shows_trajectories())
         for scene in step.trace[:-1]:
             self._on_substep(scene)
         self.scene, self._target_lane = step.scene, step.target_lane
         self.steps += 1
-        self.ego_state = state = self._ego_state(int(action))
+        action = int(action)
+        self.ego_state = self._ego_state(action)
         observation = self._observe()
-        rewards = self.task.rewards(state, self.config)
-        reward = float(self.task.reward(rewards, self.config))
-        terminated = bool(self.task.terminated(state, self.config))
-        truncated = bool(self.steps / self.config["policy_frequency"] >= self.config["duration"])
-        return observation, reward, terminated, truncated, self._info(int(action), step, rewards)
+        reward = float(self._reward(action))
+        terminated, truncated = bool(self._is_terminated()), bool(self._is_truncated())
+        return observation, reward, terminated, truncated, self._info(observation, action)
 
     def render(self) -> NDArray[np.uint8] | None:
         """The scene as a picture, uint8 of shape (screen_height, screen_width, 3); None without a render mode."""
@@ -168,6 +199,29 @@ class DrivingEnv(gym.Env[Observation, Any]):
         if self.scenario is None:
             raise gym.error.ResetNeeded("call reset() before render()")
         return self._camera().draw(self.scene, self.task.road(self.config), self.config)
+
+    def export(self, folder: str | Path) -> list[Path]:
+        """Write the present episode, as far as it was driven, for ``sumo`` and ``sumo-gui``; returns the files.
+
+        ``episode.sumocfg`` shows what happened; in ``traffic.sumocfg`` SUMO drives the traffic again around the ego on
+        its recorded way (see `sumo_env.export`). The episode is driven a second time, in a simulator of its own, so
+        that every simulation step is in the files.
+        """
+        from sumo_env import export
+
+        if self.scenario is None:
+            raise gym.error.ResetNeeded("call reset() before export()")
+        try:
+            simulator: Simulator = copy.deepcopy(self._given) or RemoteSimulator()
+        except TypeError:  # a simulator that is SUMO cannot be copied
+            simulator = RemoteSimulator()
+        try:
+            scenes = [simulator.reset(self.scenario)]
+            for command in self._commands:
+                scenes += simulator.step(command, trace=True).trace
+        finally:
+            simulator.close()
+        return export.write(Path(folder), self.scenario, scenes)
 
     def set_record_video_wrapper(self, wrapper: RecordVideo[Any, Any]) -> None:
         """Make a `gymnasium.wrappers.RecordVideo` film every simulation step, in real time, as in highway-env.
@@ -182,8 +236,9 @@ class DrivingEnv(gym.Env[Observation, Any]):
 
     def _set_frame_rate(self) -> None:
         if self._video is not None:
-            self.metadata = {**self.metadata, "render_fps": self.config["simulation_frequency"]}
-            self._video.frames_per_sec = self.config["simulation_frequency"]
+            frequency = simulated_frequency(self.config)
+            self.metadata = {**self.metadata, "render_fps": frequency}
+            self._video.frames_per_sec = frequency
 
     def _on_substep(self, scene: Scene) -> None:
         """Between two policy steps: add a frame to the film and points to the trajectories."""
@@ -241,14 +296,33 @@ class DrivingEnv(gym.Env[Observation, Any]):
             self.scene, self._road, self.ego_state, self._spec_of, self.np_random
         )
 
-    def _info(self, action: int | None, step: Step, rewards: dict[str, float]) -> dict[str, Any]:
-        state, scene = self.ego_state, step.scene
+    # -- what a subclass may override, as in highway-env -----------------------------------------------------
+
+    def _reward(self, action: int) -> float:
+        """The reward of a step."""
+        return self.task.reward(self._rewards(action), self.config)
+
+    def _rewards(self, action: int | None) -> dict[str, float]:
+        """The raw terms of the reward, by name; the action is None at a reset."""
+        return self.task.rewards(self.ego_state, self.config)
+
+    def _is_terminated(self) -> bool:
+        """Whether the episode has ended by what happened in it."""
+        return self.task.terminated(self.ego_state, self.config)
+
+    def _is_truncated(self) -> bool:
+        """Whether time is up."""
+        return bool(self.steps / self.config["policy_frequency"] >= self.config["duration"])
+
+    def _info(self, obs: Observation, action: int | None = None) -> dict[str, Any]:
+        """What `step` and `reset` return beside the observation."""
+        state, scene, step = self.ego_state, self.scene, self._last
         info = {
             "speed": state.speed,
             "crashed": state.crashed,
             "arrived": bool(self.task.arrived(state)),
             "on_road": state.on_road,
-            "rewards": rewards,
+            "rewards": self._rewards(action),
             # always a dict: vector environments cannot merge None with a dict
             "crash": {} if step.crash is None else step.crash.as_dict(),
             "density": density(scene.x, scene.y),
@@ -259,3 +333,65 @@ class DrivingEnv(gym.Env[Observation, Any]):
         if action is not None:  # absent at a reset, not None: vector environments merge values by type
             info["action"] = action
         return info
+
+    # -- what highway-env's users read -----------------------------------------------------------------------
+
+    @property
+    def road(self) -> RoadView:
+        """The lanes (`road.network`) and the vehicles (`road.vehicles`) of the present scene."""
+        if self._view is None or self._view.scene is not self.scene:
+            self._view = RoadView(
+                self.scene,
+                self._road,
+                target_lane_index=self._target_lane,
+                speed_index=self._speed_index,
+                target_speeds=np.array(self.target_speeds),
+            )
+        return self._view
+
+    @property
+    def vehicle(self) -> Vehicle:
+        """The ego: position, speed, heading, lane_index, crashed, ..."""
+        return self.road.vehicles[0]
+
+    @property
+    def action_type(self) -> ActionType:
+        """The meta-actions: actions, actions_indexes, target_speeds, get_available_actions()."""
+        return ActionType(self.actions, np.array(self.target_speeds), self.get_available_actions)
+
+    def get_available_actions(self) -> list[int]:
+        """Indices of the actions that would change something now, and of IDLE."""
+        x, y, lane = self.scene.x.item(0), self.scene.y.item(0), self.ego_state.lane
+        speeds = len(self.target_speeds)
+        return available_actions(self.actions, self._road, lane, x, y, self._speed_index, speeds)
+
+
+class SumoDrivingEnv(DrivingEnv):
+    """Driving along a route of any SUMO network, with the observations, actions, dose of risk and crashes of the five.
+
+        env = SumoDrivingEnv("town.net.xml", "town.rou.xml", ego_route=["in", "main", "out"])
+
+    docs/own-parts.md lists the keys of `config` and how the episode ends.
+
+    Args:
+        network: SUMO's network (.net.xml).
+        routes: where the others drive: SUMO's demand (.rou.xml), or routes by name or in a row, each as edges. From a
+            file they depart as it says; on routes they are drawn (``vehicles_count``, ``spawn_probability``).
+        ego_route: edges that the ego drives along, one after the other.
+        config, render_mode, sumo_options: as of `DrivingEnv`.
+
+    Raises:
+        ConfigError: a file that cannot be read or that has what cannot be driven, edges that are not connected.
+    """
+
+    def __init__(
+        self,
+        network: str | Path,
+        routes: str | Path | Mapping[str, Sequence[str]] | Sequence[Sequence[str]],
+        ego_route: Sequence[str],
+        config: Mapping[str, Any] | None = None,
+        render_mode: str | None = None,
+        sumo_options: Sequence[str] = (),
+    ) -> None:
+        task = NetworkTask(network, routes, ego_route)
+        super().__init__(task, config, render_mode, sumo_options=sumo_options)

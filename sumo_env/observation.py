@@ -35,7 +35,10 @@ def _longitudinal(lane: Lane, x: Floats, y: Floats) -> Floats:
         turned = np.arctan2(y - lane.center[1], x - lane.center[0]) - lane.start_phase
         turned = (turned + math.pi) % (2.0 * math.pi) - math.pi
         return turned * (lane.radius if lane.clockwise else -lane.radius)
-    assert isinstance(lane, StraightLane)
+    if not isinstance(lane, StraightLane):
+        return np.array(
+            [lane.local_coordinates(*place)[0] for place in zip(x.tolist(), y.tolist(), strict=True)]
+        )
     along_x, along_y = lane.direction
     return (x - lane.start[0]) * along_x + (y - lane.start[1]) * along_y
 
@@ -205,8 +208,9 @@ def _direction(scene: Scene, road: Road, row: int, spec: VehicleSpec | None) -> 
     """
     if spec is None or spec.destination is None:
         return 0.0, 0.0
-    last = next(index for index in road.lanes if index[1] == spec.destination)
-    lane = road.lane(spec.lane if spec.lane[1] == spec.destination else last)
+    goal = road.goal(spec.destination)
+    last = next(index for index in road.lanes if index[1] == goal)
+    lane = road.lane(spec.lane if spec.lane[1] == goal else last)
     x, y = float(scene.x[row]), float(scene.y[row])
     s, lateral = lane.local_coordinates(x, y)
     if s > lane.length - VEHICLE_LENGTH / 2 and abs(lateral) <= lane.width:

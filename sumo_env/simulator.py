@@ -8,7 +8,7 @@ another process; neither side modifies the other's state.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import NamedTuple, NoReturn, Protocol
 
 from sumo_env.contacts.crash import CrashRecord
 from sumo_env.networks.roads import LaneIndex
@@ -75,3 +75,12 @@ class Simulator(Protocol):
     def close(self) -> None:
         """Release what the simulator holds; `reset` acquires it again."""
         ...
+
+
+def refuse_to_copy() -> NoReturn:
+    """What simulators that are SUMO answer to pickle and copy."""
+    raise TypeError(
+        "SUMO's environments cannot be copied or pickled: the state of a simulation lives in a process. "
+        "Make another environment and reset both with one seed; planners that need copies run on the backend "
+        "'replica', highway-env's physics (README.md)"
+    )

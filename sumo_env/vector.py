@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from sumo_env.env import DrivingEnv
 from sumo_env.sumo.remote import RemoteSimulator, SimulatorDied
+from sumo_env.tasks.base import Task
 
 
 class SumoVectorEnv(SyncVectorEnv[Any, Any]):
@@ -30,7 +31,7 @@ class SumoVectorEnv(SyncVectorEnv[Any, Any]):
 
     Args:
         num_envs: how many.
-        task: highway, two-way, roundabout, intersection or u-turn.
+        task: highway, two-way, roundabout, intersection or u-turn, or a task of your own.
         config: as for one environment.
         render_mode: None or ``"rgb_array"``.
         autoreset_mode: as of `SyncVectorEnv`; by default the step after the end of an episode is its reset.
@@ -43,7 +44,7 @@ class SumoVectorEnv(SyncVectorEnv[Any, Any]):
     def __init__(
         self,
         num_envs: int,
-        task: str,
+        task: str | Task,
         config: Mapping[str, Any] | None = None,
         render_mode: str | None = None,
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,

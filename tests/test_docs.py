@@ -15,10 +15,12 @@ import pytest
 
 import sumo_env
 from experiments.validation.margins import MARGINS
-from sumo_env.config import COMMON
+from sumo_env.config import COMMON, FILE_KEYS, FIXED, LEFT_OUT
 from sumo_env.contacts.crash import CrashRecord
 from sumo_env.sumo.events import modes
 from sumo_env.tasks import TASKS
+from sumo_env.tasks.base import Task
+from sumo_env.tasks.network import NetworkTask
 from sumo_env.traffic.drivers import Calibration, RiskRanges, vehicle_type
 from sumo_env.traffic.risk import RiskRates
 
@@ -275,3 +277,42 @@ def test_examples_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatc
     for block in re.findall(r"^```python\n(.*?)^```", TEXTS[page], re.DOTALL | re.MULTILINE):
         code = block.replace("10_000", "150")  # training steps
         exec(compile(code, str(page), "exec"), shared)
+
+
+# -- what users bring --------------------------------------------------------------------------------------------------
+
+
+def test_the_keys_of_highway_env_that_are_left_out_or_fixed() -> None:
+    rows = table(section(TEXTS[ROOT / "docs" / "from-highway-env.md"], "Configurations"))
+    listed = {key.strip("` ") for keys in rows for key in keys.split(",")}
+    assert {*LEFT_OUT, *FILE_KEYS, *FIXED} <= listed
+    for key, (value, _) in FIXED.items():
+        (cell,) = (cells[0] for keys, cells in rows.items() if keys.strip("`") == key)
+        assert str(value) in cell, key
+
+
+def test_the_keys_of_a_network_of_one_s_own() -> None:
+    rows = table(section(TEXTS[ROOT / "docs" / "own-parts.md"], "A network and routes"))
+    shown: dict[str, Any] = {}
+    for keys, cells in rows.items():
+        names = [key.strip("` ") for key in keys.split(",")]
+        values = [literal(value) for value in re.findall(r"`[^`]*`", cells[0])]
+        shown |= dict(zip(names, values, strict=False))
+    assert shown == {key: NetworkTask.defaults[key] for key in shown}
+    known = {
+        "observation",
+        "action",
+        "offroad_terminal",
+        "screen_width",
+        "screen_height",
+        "centering_position",
+    }
+    assert set(NetworkTask.defaults) - known == set(shown)
+
+
+def test_the_attributes_of_a_task() -> None:
+    rows = table(section(TEXTS[ROOT / "docs" / "own-parts.md"], "A task"))
+    listed = {name for keys in rows for name in re.findall(r"([a-z_]+)(?:`|\(|,|$)", keys)}
+    assert {name for name in listed if name not in ("config", "road", "rng", "drivers", "seed", "ego", "rewards")} <= {
+        *vars(Task), *Task.__annotations__
+    }  # fmt: skip

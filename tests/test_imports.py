@@ -96,7 +96,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("traffic",),
     ("tasks",),
     ("actions", "simulator"),
-    ("observation", "interface", "rendering"),
+    ("observation", "interface", "rendering", "views", "export"),
     ("sumo",),
     ("env",),
     ("vector", "doctor"),

@@ -7,6 +7,7 @@ import shutil
 import subprocess
 import sys
 import sysconfig
+import tarfile
 import venv
 from pathlib import Path
 
@@ -77,3 +78,24 @@ def test_hostile_files_beside_the_script_change_nothing(python: Path, tmp_path: 
     )
     assert done.returncode == 0, done.stderr
     assert Path(done.stdout.strip()).is_relative_to(site_packages(python))
+
+
+def test_the_source_distribution_holds_documentation_and_tests(tmp_path: Path) -> None:
+    source = tmp_path / "source"
+    shutil.copytree(
+        ROOT, source, symlinks=True, ignore=lambda _, names: {name for name in names if name.startswith(".")}
+    )
+    build = f"from setuptools import build_meta; build_meta.build_sdist({str(tmp_path)!r})"
+    subprocess.run([sys.executable, "-c", build], cwd=source, check=True, capture_output=True)
+    (archive,) = tmp_path.glob("*.tar.gz")
+    with tarfile.open(archive) as opened:
+        files = {name.partition("/")[2] for name in opened.getnames()}
+    wanted = {
+        "CHANGELOG.md", "CITATION.cff", "CONTRIBUTING.md", "LICENSE", "Makefile", "mkdocs.yml", "requirements.lock",
+        "docs/own-parts.md", "docs/environments/highway.md", "docs/img/films/highway.gif", "examples/tour.ipynb",
+        "tests/test_packaging.py", "tests/sumo_env/test_env.py", "agents/dqn.py", "experiments/sweep.py",
+        "experiments/templates/report.html.j2", "networks/build.py", "sumo_env/env.py",
+        "sumo_env/networks/u_turn/u_turn.net.xml",
+    }  # fmt: skip
+    assert wanted - files == set()
+    assert not any("__pycache__" in name for name in files)

@@ -74,7 +74,7 @@ def effects(
     pairs: Mapping[Place, Pair],
     verdicts: Sequence[Mapping[str, Any]] = (),
     plan: Plan = DEFAULT,
-    outcomes: Sequence[str] = tuple(OUTCOMES),
+    outcomes: Sequence[str] | None = None,
     terms: Sequence[str] = tuple(TERMS),
 ) -> list[Record]:
     """Treatment effects of every setting, outcome and term.
@@ -96,7 +96,7 @@ def effects(
     for place, pair in pairs.items():
         cells = cells_of([pair])
         standing = [verdict for verdict in verdicts if verdict["cell"] in set(cells)]
-        for outcome in outcomes:
+        for outcome in OUTCOMES if outcomes is None else outcomes:
             for term in terms:
                 record = {**dict(zip(PLACE, place, strict=True)), "outcome": outcome, "term": term}
                 record |= _effect(pair, outcome, term, plan) | _failures(standing)

@@ -6,7 +6,7 @@ digest were made by the same plan. Whatever is not named confirmatory is explora
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -23,7 +23,8 @@ class Outcome:
     label: for people. unit: of a mean. better: +1 if more is better, -1 if less is, 0 if neither. digits: decimals to
     show. percent: shown as a percentage. poolable: means the same on every task, so may be averaged over tasks. margin:
     the difference that matters: below it two arms count as equivalent, and seeds are planned to find it; None where
-    none was fixed.
+    none was fixed. of: for an outcome of one's own, a function from the table of test episodes (one row per episode,
+    the columns of `experiments.study.evaluate.COLUMNS`) to one number per episode.
     """
 
     label: str
@@ -33,6 +34,7 @@ class Outcome:
     percent: bool = False
     poolable: bool = False
     margin: float | None = None
+    of: Callable[[Any], Any] | None = None
 
 
 OUTCOMES: dict[str, Outcome] = {
@@ -135,13 +137,20 @@ def as_data(plan: Plan, gates: dict[str, str]) -> dict[str, Any]:
     confirmatory = {(family.outcome, family.term) for family in plan.families}
     return {
         **asdict(plan),
-        "outcomes": {name: asdict(outcome) for name, outcome in OUTCOMES.items()},
+        "outcomes": {name: _described(outcome) for name, outcome in OUTCOMES.items()},
         "terms": TERMS,
         "unit": "training seed",
         "adjustment": "Holm within a family, Benjamini-Hochberg over everything exploratory",
         "gates": gates,
         "exploratory": [f"{o} {t}" for o in OUTCOMES for t in TERMS if (o, t) not in confirmatory],
     }
+
+
+def _described(outcome: Outcome) -> dict[str, Any]:
+    """An outcome as plain values."""
+    values = asdict(outcome)
+    del values["of"]
+    return values
 
 
 def digest(data: dict[str, Any]) -> str:

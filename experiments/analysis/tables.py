@@ -150,7 +150,9 @@ def with_outcomes(episodes: pd.DataFrame, cells: Mapping[str, Mapping[str, Any]]
     # A ratio of sums, written so that the mean over an agent's episodes is the ratio and their spread its error.
     rate = crashes / way
     per_metre = rate + (crashed - rate * episodes["distance"]) / way
+    own = {name: outcome.of for name, outcome in OUTCOMES.items() if outcome.of is not None}
     return episodes.assign(
+        **own,
         crashed=crashed,
         reward_per_step=episodes["return"] / episodes["length"],
         crash_free_time=episodes["crash_time"].astype(float).where(crashed > 0).fillna(lasted),

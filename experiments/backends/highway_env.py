@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, ClassVar
 
 import gymnasium as gym
@@ -36,6 +37,7 @@ from experiments.backends.highway_env_vehicle import (
     ScenarioVehicle,
 )
 from experiments.backends.linear import LAWS, LinearDriver, check_law, draw, linear_drivers
+from sumo_env import export
 from sumo_env.config import Config, ConfigError, nearest, resolve
 from sumo_env.contacts import measures
 from sumo_env.contacts.crash import CrashRecord, crash_record
@@ -84,9 +86,7 @@ class ScenarioEnv(AbstractEnv):
         Raises:
             ConfigError: unknown key, wrong value.
         """
-        hidden = {*FIXED, "neighbour_vehicles_connected_lanes"}
-        present = {key: value for key, value in self.config.items() if key not in hidden}
-        chosen = resolve(self.task.name, self.default_config(), present, config)
+        chosen = resolve(self.task.name, self.default_config(), self.config, config)
         variant = chosen["variant"]
         if variant not in VARIANTS:
             raise ConfigError(f"unknown 'variant' {variant!r}: {nearest(str(variant), list(VARIANTS))}")
@@ -163,6 +163,11 @@ class ScenarioEnv(AbstractEnv):
         self.min_ttc, self.distance = math.inf, 0.0
         super()._reset()
         self.scene = self._scene()
+        self._scenes = [self.scene]
+
+    def export(self, folder: str | Path) -> list[Path]:
+        """Write the present episode for ``sumo`` and ``sumo-gui``; see `sumo_env.export`."""
+        return export.write(Path(folder), self.scenario, self._scenes)
 
     def _make_vehicles(self, *_: Any) -> None:
         """Place the scenario, in place of highway-env's draws, and drive its warm-up (`Simulator.reset`)."""
@@ -219,6 +224,7 @@ class ScenarioEnv(AbstractEnv):
             self.road.step(1 / frequency)
             self.steps += 1
             self.scene = self._scene()
+            self._scenes.append(self.scene)
             self._measure()
             if frame < frames - 1:
                 self._automatic_rendering()

@@ -4,5 +4,4 @@ errors      what a user can put right, in one line
 files       whole or not at all
 threads     one thread a process
 provenance  versions, machine, revision
-fcd         an episode for SUMO's tools
 """

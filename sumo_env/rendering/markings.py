@@ -37,12 +37,13 @@ class Markings:
 
 def markings(road: Road) -> Markings:
     """The markings of a road."""
-    strips = [_strip(lane, *_extent(road, index, lane)) for index, lane in road.lanes.items()]
-    strips += [_bend(*joint) for joint in _open_joints(road)]
-    half = next(iter(road.lanes.values())).width / 2
+    strips = [
+        (_strip(lane, *_extent(road, index, lane)), lane.width / 2) for index, lane in road.lanes.items()
+    ]
+    strips += [(_bend(*joint), joint[0].width / 2) for joint in _open_joints(road)]
     return Markings(
-        rims=tuple(_outline(strip, half + LINE_WIDTH) for strip in strips),
-        surfaces=tuple(_outline(strip, half) for strip in strips),
+        rims=tuple(_outline(strip, half + LINE_WIDTH) for strip, half in strips),
+        surfaces=tuple(_outline(strip, half) for strip, half in strips),
         dashes=tuple(dash for divider in _dividers(road) for dash in _dashes(*divider)),
     )
 

@@ -64,7 +64,7 @@ class Ego:
         if self._network.task == "two-way":  # the lane of oncoming traffic is SUMO's opposite lane
             session.change_lane_relative(EGO, 1 if target == 0 else -1)
         elif count == self._road.count(*self.target_lane[:2]):
-            session.change_lane(EGO, count - 1 - target)
+            session.change_lane(EGO, self._network.sumo_index((start, end, target)))
 
 
 def approach(speed: float, target: float, tau: float, dt: float) -> tuple[float, float]:

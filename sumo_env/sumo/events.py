@@ -32,10 +32,13 @@ EARLY = 1e-9  # [s] rounding of sums of steps
 
 def modes(spec: VehicleSpec, calibration: Calibration) -> tuple[int, int]:
     """Speed mode and lane-change mode of a vehicle that SUMO drives."""
-    return (
-        REGULAR if calibration.waits_for_approaching else NO_RIGHT_OF_WAY,
-        OWN_LANE_CHANGES if spec.changes_lanes and calibration.lane_changes else COMMANDED_LANE_CHANGES,
-    )
+    speed_mode, lane_change_mode = spec.driver.speed_mode, spec.driver.lane_change_mode
+    if speed_mode is None:
+        speed_mode = REGULAR if calibration.waits_for_approaching else NO_RIGHT_OF_WAY
+    if lane_change_mode is None:
+        changes = spec.changes_lanes and calibration.lane_changes
+        lane_change_mode = OWN_LANE_CHANGES if changes else COMMANDED_LANE_CHANGES
+    return speed_mode, lane_change_mode
 
 
 @dataclass
@@ -109,7 +112,7 @@ class Events:
             if two_way:
                 session.change_lane_relative(name, 1)
             else:
-                session.change_lane(name, count - 1 - target)
+                session.change_lane(name, self._network.sumo_index((start, end, target)))
             self._cut_ins[name] = time + (SWERVE_TIME if two_way else CUT_IN_TIME)
             return
 

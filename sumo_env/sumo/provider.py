@@ -9,37 +9,40 @@ from __future__ import annotations
 import os
 import threading
 import weakref
-from pkgutil import resolve_name
 from typing import NoReturn
 
 from sumo_env.scene import Scene
-from sumo_env.simulator import EgoCommand, Simulator, Step
-from sumo_env.sumo.remote import SIMULATOR, RemoteSimulator, refuse_to_copy
+from sumo_env.simulator import EgoCommand, Simulator, Step, refuse_to_copy
+from sumo_env.sumo.options import make
+from sumo_env.sumo.remote import SIMULATOR, RemoteSimulator
 from sumo_env.traffic.scenario import Scenario
 
 
-def open_simulator(simulator: str = SIMULATOR) -> Simulator:
+def open_simulator(simulator: str = SIMULATOR, options: tuple[str, ...] = ()) -> Simulator:
     """SUMO in this process if no other environment has it, else in a worker process.
 
-    simulator: class that is to be run, as ``module:name``.
+    simulator: class that is to be run, as ``module:name``; options: of SUMO.
 
     The choice is made at the first `reset`, so an environment that is only looked at holds nothing. It stands until
     `close`; the reset after it chooses again. Threads may call this at once.
     """
-    return _Chosen(simulator)
+    return _Chosen(simulator, options)
 
 
 class _Chosen:
     """A simulator that chooses its process at `reset`."""
 
-    def __init__(self, simulator: str) -> None:
-        self._name = simulator
+    def __init__(self, simulator: str, options: tuple[str, ...]) -> None:
+        self._name, self._options = simulator, options
         self._simulator: Simulator | None = None
 
     def reset(self, scenario: Scenario) -> Scene:
         if self._simulator is None:
             local = _slot.claim(self)
-            self._simulator = resolve_name(self._name)() if local else RemoteSimulator(self._name)
+            if local:
+                self._simulator = make(self._name, self._options)
+            else:
+                self._simulator = RemoteSimulator(self._name, options=self._options)
         return self._simulator.reset(scenario)
 
     def step(self, command: EgoCommand, trace: bool = False) -> Step:

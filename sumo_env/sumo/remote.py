@@ -21,7 +21,7 @@ from contextlib import suppress
 from typing import Any, NoReturn
 
 from sumo_env.scene import Scene
-from sumo_env.simulator import EgoCommand, SimulatorError, Step
+from sumo_env.simulator import EgoCommand, SimulatorError, Step, refuse_to_copy
 from sumo_env.traffic.scenario import Scenario
 
 SIMULATOR = "sumo_env.sumo.world:SumoSimulator"  # what a worker runs, and the first environment of a process
@@ -45,11 +45,14 @@ class RemoteSimulator:
     Args:
         simulator: class that the worker is to run, as ``module:name``.
         timeout: longest time to wait for an answer [s].
+        options: of SUMO.
     """
 
-    def __init__(self, simulator: str = SIMULATOR, timeout: float = TIMEOUT) -> None:
+    def __init__(
+        self, simulator: str = SIMULATOR, timeout: float = TIMEOUT, options: tuple[str, ...] = ()
+    ) -> None:
         self.timeout = timeout
-        self._name = simulator
+        self._name, self._options = simulator, options
         self._worker: _Worker | None = None
         self._episode, self._steps = "", 0  # for error messages
 
@@ -106,7 +109,7 @@ class RemoteSimulator:
         refuse_to_copy()
 
     def _start(self) -> None:
-        self._worker = worker = _Worker(self._name)
+        self._worker = worker = _Worker(self._name, self._options)
         self._forgotten = weakref.finalize(self, worker.end)  # as garbage, or at the interpreter's exit
 
     def _end(self, grace: float = GRACE) -> None:
@@ -140,13 +143,13 @@ class RemoteSimulator:
 class _Worker:
     """The process, and the socket to talk with it."""
 
-    def __init__(self, simulator: str) -> None:
+    def __init__(self, simulator: str, options: tuple[str, ...]) -> None:
         self._owner = os.getpid()
         self._folder = tempfile.mkdtemp(prefix="sumo_env-")  # for its files, which outlive it if it is killed
         ours, theirs = socket.socketpair()
         # -P, and the search path of this process: the worker imports what this process would import
         path = os.pathsep.join(folder or os.getcwd() for folder in sys.path)
-        arguments = [str(theirs.fileno()), simulator, self._folder]
+        arguments = [str(theirs.fileno()), simulator, self._folder, *options]
         self.process = subprocess.Popen(
             [sys.executable, "-P", "-m", "sumo_env.sumo.worker", *arguments],
             env={**os.environ, **SINGLE_THREAD, "PYTHONPATH": path},
@@ -208,11 +211,3 @@ def _disconnect_all() -> None:
 
 if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_disconnect_all)
-
-
-def refuse_to_copy() -> NoReturn:
-    """What simulators answer to pickle and copy."""
-    raise TypeError(
-        "SUMO's environments cannot be copied or pickled: the state of a simulation lives in a process. "
-        "Make another environment, and reset both with one seed"
-    )

@@ -50,7 +50,7 @@ class Settings:
         step_length: [s].
         lane_change_duration: time that a lane change takes [s].
         vehicle_types: (id, attributes of SUMO's vType).
-        options: further options of SUMO.
+        options: further options of SUMO, as ``--name=value``.
     """
 
     net_file: Path
@@ -87,25 +87,28 @@ class Session:
         with tempfile.TemporaryDirectory(prefix="sumo_env-") as folder:
             types = Path(folder) / "types.add.xml"
             _write_types(types, settings)
-            options = [
-                "-n", str(settings.net_file),
-                "-a", str(types),
-                "--step-length", f"{settings.step_length:.6g}",
-                "--lanechange.duration", f"{settings.lane_change_duration:g}",
-                "--collision.action", "warn",
-                "--collision.check-junctions", "true",
-                "--collision.mingap-factor", "0",
-                "--time-to-teleport", "-1",
-                "--max-depart-delay", "-1",
-                "--default.speeddev", "0",
-                "--xml-validation", "never",
-                "--xml-validation.net", "never",
-                "--no-step-log", "true",
-                "--no-warnings", "true",
-                "--duration-log.disable", "true",
-                "--seed", "42",
-                *settings.options,
-            ]  # fmt: skip
+            given = dict(option.split("=", 1) for option in settings.options)
+            additional = [str(types), given.pop("--additional-files", "")]
+            values = {
+                "--net-file": str(settings.net_file),
+                "--additional-files": ",".join(filter(None, additional)),
+                "--step-length": f"{settings.step_length:.6g}",
+                "--lanechange.duration": f"{settings.lane_change_duration:g}",
+                "--collision.action": "warn",
+                "--collision.check-junctions": "true",
+                "--collision.mingap-factor": "0",
+                "--time-to-teleport": "-1",
+                "--max-depart-delay": "-1",
+                "--default.speeddev": "0",
+                "--xml-validation": "never",
+                "--xml-validation.net": "never",
+                "--no-step-log": "true",
+                "--no-warnings": "true",
+                "--duration-log.disable": "true",
+                "--seed": "42",
+                **given,
+            }
+            options = [f"{name}={value}" for name, value in values.items()]
             if libsumo.isLoaded():
                 libsumo.load(options)
             else:

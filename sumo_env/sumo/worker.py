@@ -1,4 +1,4 @@
-"""The process of `remote.RemoteSimulator`: ``python -m sumo_env.sumo.worker FILE_DESCRIPTOR MODULE:CLASS FOLDER``.
+"""The process of `remote.RemoteSimulator`: ``python -m sumo_env.sumo.worker DESCRIPTOR MODULE:CLASS FOLDER OPTIONS``.
 
 Answers requests (command, arguments) to a simulator by (exception or None, value) until the other end is gone.
 Temporary files are made in FOLDER, which is removed at the end. Nothing is printed but what SUMO prints, and only what
@@ -16,10 +16,10 @@ import sys
 import tempfile
 import traceback
 from contextlib import suppress
-from pkgutil import resolve_name
 from typing import Any
 
 from sumo_env.simulator import SimulatorError
+from sumo_env.sumo.options import make
 
 PORTABLE = ("builtins", "gymnasium", "sumo_env")  # packages whose exceptions keep their class
 
@@ -27,7 +27,7 @@ PORTABLE = ("builtins", "gymnasium", "sumo_env")  # packages whose exceptions ke
 def main() -> None:
     """Serve until the client is gone."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the client's to handle
-    descriptor, name, folder = sys.argv[1:]
+    descriptor, name, folder, *options = sys.argv[1:]
     tempfile.tempdir = folder
     stream = socket.socket(fileno=int(descriptor)).makefile("rwb")
     simulator: Any = None
@@ -36,7 +36,7 @@ def main() -> None:
             command, arguments = pickle.load(stream)
             try:
                 if simulator is None:
-                    simulator = resolve_name(name)()
+                    simulator = make(name, tuple(options))
                 answer = pickle.dumps((None, getattr(simulator, command)(*arguments)), 5)
             except Exception as error:
                 answer = pickle.dumps((portable(error), None), 5)

@@ -10,16 +10,17 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from math import inf
+from typing import NoReturn
 
 import numpy as np
 
 from sumo_env.contacts.crash import CrashDetector, is_confirmed
 from sumo_env.contacts.measures import TTC_RADIUS, ego_ttc
-from sumo_env.networks.mapping import network
 from sumo_env.scene import Scene
-from sumo_env.simulator import EgoCommand, SimulatorError, Step
+from sumo_env.simulator import EgoCommand, SimulatorError, Step, refuse_to_copy
 from sumo_env.sumo.ego import Ego, coast
 from sumo_env.sumo.events import Events, modes
+from sumo_env.sumo.options import check_options
 from sumo_env.sumo.session import (
     ALL_CHECKS_OFF,
     COMMANDED_LANE_CHANGES,
@@ -27,7 +28,7 @@ from sumo_env.sumo.session import (
     Settings,
     SumoErrors,
 )
-from sumo_env.tasks import get_task
+from sumo_env.tasks import TASKS, get_task
 from sumo_env.traffic.drivers import Calibration, Driver, vehicle_type
 from sumo_env.traffic.scenario import EGO, EGO_DISTANCE, Scenario, VehicleSpec, fits
 
@@ -46,7 +47,7 @@ class SumoSimulator:
 
     def __init__(self, calibration: Calibration | None = None, options: tuple[str, ...] = ()) -> None:
         self._session = Session()
-        self._calibration, self._options = calibration, options
+        self._calibration, self._options = calibration, check_options(options)
         self._drivers: dict[str, Driver] = {}  # whose vehicle types are loaded
         self._loaded: Settings | None = None
 
@@ -59,7 +60,14 @@ class SumoSimulator:
         except SumoErrors:
             # SUMO was closed, or loaded with something else, behind our back
             self._session.forget()
+        try:
             return self._begin(scenario)
+        except SumoErrors as error:
+            self._session.forget()
+            raise SimulatorError(
+                f"SUMO cannot begin this episode ({scenario.task}, seed {scenario.seed}): {error} What it says is "
+                f"above; was it given wrong options ({' '.join(self._options) or 'none'}) or vehicle types?"
+            ) from error
 
     def step(self, command: EgoCommand, trace: bool = False) -> Step:
         """Drive one policy step."""
@@ -78,12 +86,15 @@ class SumoSimulator:
         self._loaded = None
         self._session.close()
 
+    def __reduce__(self) -> NoReturn:
+        refuse_to_copy()
+
     # -- start of an episode -------------------------------------------------------------------------------
 
     def _begin(self, scenario: Scenario) -> Scene:
         self._scenario = scenario
-        self._network = network(scenario.task, scenario.lanes_count, scenario.road_length)
-        self._set_up = self._calibration or get_task(scenario.task).calibration
+        self._network = scenario.network
+        self._set_up = self._calibration or scenario.calibration or get_task(scenario.task).calibration
         self._dt = 1.0 / scenario.simulation_frequency
         self._substeps = scenario.simulation_frequency // scenario.policy_frequency
         self._session.load(self._settings(scenario))
@@ -101,7 +112,8 @@ class SumoSimulator:
 
     def _settings(self, scenario: Scenario) -> Settings:
         """What has to be loaded: the network, and every driver that may come; those loaded before are kept."""
-        wanted = {driver.type: driver for driver in get_task(scenario.task).drivers(scenario.risk)}
+        task = TASKS.get(scenario.task)
+        wanted = {driver.type: driver for driver in task.drivers(scenario.risk)} if task else {}
         # a scenario may hold drivers of its own
         wanted.update((spec.driver.type, spec.driver) for spec in scenario.specs)
         wanted.update((spawn.vehicle.driver.type, spawn.vehicle.driver) for spawn in scenario.spawns)
@@ -252,7 +264,7 @@ class SumoSimulator:
         if len(present) != len(self._specs):
             for name in set(self._specs).difference(present):
                 self._forget(name)
-        if self._scenario.task != "intersection":
+        if self._network.task != "intersection":
             return
         for name, state in self._session.read(n for n in self._specs if n != EGO).items():
             start, end, place = self._network.indices[self._session.lane_of(name)]

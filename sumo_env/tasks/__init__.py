@@ -15,12 +15,14 @@ TASKS: dict[str, Task] = {
 }
 
 
-def get_task(name: str) -> Task:
-    """The task of this name.
+def get_task(name: str | Task) -> Task:
+    """The task of this name; a task stands for itself.
 
     Raises:
         ConfigError: there is none; the message names the nearest one.
     """
+    if isinstance(name, Task):
+        return name
     if name not in TASKS:
         raise ConfigError(f"unknown task {name!r}: {nearest(name, list(TASKS))}")
     return TASKS[name]

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
+from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from sumo_env.config import Config
+from sumo_env.config import Config, simulated_frequency
+from sumo_env.networks import files
 from sumo_env.networks.roads import LaneIndex, Road
 from sumo_env.streams import stream
 from sumo_env.traffic.drivers import (
@@ -52,23 +54,29 @@ class EgoState(NamedTuple):
 
 
 class Task:
-    """Base of the five tasks; highway-env's `AbstractEnv` split into its physics-free parts."""
+    """Base of the five tasks, and of your own; highway-env's `AbstractEnv` split into its physics-free parts."""
 
-    name: ClassVar[str]
-    defaults: ClassVar[Config]
-    ego_road: ClassVar[tuple[str, str]]  # where the ego starts
+    name: str
+    defaults: Config
+    ego_road: tuple[str, str]  # where the ego starts
     levels: ClassVar[dict[str, Config]]  # the paper's traffic levels, lowest first
+    net: str = ""  # file of the SUMO network, on a road of one's own
+    routes: Mapping[str, Sequence[str]] = MappingProxyType({})  # on that network: name -> SUMO's edges
     car_following: ClassVar[CarFollowing] = CarFollowing()
     calibration: ClassVar[Calibration] = Calibration()
     warm_up: ClassVar[float] = 0.0  # [s] that the traffic drives before the ego is placed
     risk_ranges: ClassVar[RiskRanges] = RISK_RANGES
-    risk_rates: ClassVar[RiskRates]
+    risk_rates: ClassVar[RiskRates] = RiskRates()
     fixed_delta: ClassVar[bool] = False  # IDM exponent 4 for all (no randomize_behavior in highway-env)
-    target_speeds: ClassVar[tuple[float, ...]] = (20.0, 25.0, 30.0)  # MDPVehicle.DEFAULT_TARGET_SPEEDS [m/s]
+    target_speeds: tuple[float, ...] = (20.0, 25.0, 30.0)  # MDPVehicle.DEFAULT_TARGET_SPEEDS [m/s]
 
     def road(self, config: Config) -> Road:
-        """The road of this task in highway-env's geometry."""
-        raise NotImplementedError
+        """The road of this task in highway-env's geometry; that of the SUMO network `net`, if there is one."""
+        return files.network(self.net, self._routes).road
+
+    @property
+    def _routes(self) -> files.Routes:
+        return tuple((name, tuple(edges)) for name, edges in self.routes.items())
 
     def ego(self, config: Config, road: Road, rng: np.random.Generator) -> VehicleSpec:
         """The ego at the start."""
@@ -131,9 +139,12 @@ class Task:
             events=events,
             lanes_count=int(config.get("lanes_count", 4)),
             road_length=float(config.get("road_length", 800.0)),
-            simulation_frequency=int(config["simulation_frequency"]),
+            simulation_frequency=simulated_frequency(config),
             policy_frequency=int(config["policy_frequency"]),
             warm_up=self.warm_up,
+            net=self.net or road.name,
+            routes=self._routes,
+            calibration=self.calibration,
         )
 
 

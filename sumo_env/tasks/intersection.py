@@ -63,9 +63,9 @@ class Intersection(Task):
         return intersection()
 
     def ego(self, config: Config, road: Road, rng: np.random.Generator) -> VehicleSpec:
-        destination = config["destination"]
+        destination = config["destination"] or f"o{rng.integers(1, 4)}"
         if destination not in ("o1", "o2", "o3"):
-            raise ConfigError(f"'destination' must be 'o1', 'o2' or 'o3', not {destination!r}")
+            raise ConfigError(f"'destination' must be 'o1', 'o2', 'o3' or None, not {destination!r}")
         s = 60.0 + 5.0 * float(rng.normal(1.0))
         return make_on_lane(
             road,

@@ -7,8 +7,10 @@ Risky drivers have the same parameters from wider ranges (`RiskRanges`), so dose
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -75,6 +77,8 @@ class Driver:
         speed_gain: factor on lcSpeedGain.
         attention: in [0, 1), decides who is among the share that ignores others at junctions.
         gives_way: whether the driver obeys right of way.
+        attributes: of SUMO's vType, in place of those that follow from the parameters.
+        speed_mode, lane_change_mode: SUMO's, in place of those of the task (`sumo_env.sumo.session` lists them).
     """
 
     type: str
@@ -88,6 +92,30 @@ class Driver:
     speed_gain: float = 1.0
     attention: float = 0.5
     gives_way: bool = True
+    attributes: tuple[tuple[str, str], ...] = ()
+    speed_mode: int | None = None
+    lane_change_mode: int | None = None
+
+    def like(
+        self,
+        name: str,
+        attributes: Mapping[str, object],
+        speed_mode: int | None = None,
+        lane_change_mode: int | None = None,
+    ) -> Driver:
+        """This driver with attributes of SUMO's vType, such as ``{"carFollowModel": "Krauss", "accel": 1.3}``.
+
+        Raises:
+            ValueError: attributes of the vehicle's size; all vehicles are 5 m long and 2 m wide.
+        """
+        fixed = sorted({"id", "length", "width", "guiShape"} & attributes.keys())
+        if fixed:
+            raise ValueError(f"{', '.join(fixed)} of {name!r} cannot be changed: all vehicles are 5 m by 2 m")
+        own = tuple((key, str(value)) for key, value in attributes.items())
+        type = f"{name}.{self.type}"
+        return replace(
+            self, type=type, attributes=own, speed_mode=speed_mode, lane_change_mode=lane_change_mode
+        )
 
     @property
     def safe_braking(self) -> float:
@@ -152,7 +180,7 @@ def driver_pool(
     gives_way = uniform() >= ranges.not_giving_way * dose
     attention = uniform()
 
-    def parameter(name: str, k: int) -> float:
+    def parameter(name: str, k: int) -> Any:
         regular = float(getattr(base, name, 1.0))
         low, high = (regular * (1.0 + (factor - 1.0) * dose) for factor in getattr(ranges, name))
         return low + float(draws[name][k]) * (high - low)
@@ -206,4 +234,5 @@ def vehicle_type(driver: Driver, calibration: Calibration) -> dict[str, str]:
         "jmIgnoreFoeProb": str(int(ignores_approaching)),
         "jmIgnoreFoeSpeed": "100" if ignores_approaching else "0",
         "jmIgnoreJunctionFoeProb": str(int(ignores_inside)),
+        **dict(driver.attributes),
     }

@@ -11,8 +11,10 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from sumo_env.networks.roads import LaneIndex, Road, road
-from sumo_env.traffic.drivers import Driver
+from sumo_env.networks import files, mapping
+from sumo_env.networks.mapping import Network
+from sumo_env.networks.roads import ROADS, LaneIndex, Road, road
+from sumo_env.traffic.drivers import Calibration, Driver
 from sumo_env.traffic.risk import RiskEvent
 
 EGO = "ego"
@@ -69,7 +71,7 @@ class Scenario:
     """An episode before it is driven: all that a simulator has to know, and all that the traffic owes to chance.
 
     Attributes:
-        task: name of the task, which is also that of its road.
+        task: name of the task.
         seed: that the scenario was drawn from.
         risk: dose of risky traffic, 0 to 1.
         ego, vehicles: at the start.
@@ -80,6 +82,9 @@ class Scenario:
         warm_up: time that the traffic drives before the ego is placed [s], see `Simulator.reset`.
         simulation_frequency, policy_frequency: sub-steps and policy steps per second [Hz]; the former is a multiple of
             the latter.
+        net: name of the road, or the file of a SUMO network; the road is that of `task` without it.
+        routes: SUMO's edges of the routes on a SUMO network, by name.
+        calibration: of SUMO's drivers; None for that of `task`, if it is one of the five.
     """
 
     task: str
@@ -94,11 +99,23 @@ class Scenario:
     simulation_frequency: int = 10
     policy_frequency: int = 1
     warm_up: float = 0.0
+    net: str = ""
+    routes: files.Routes = ()
+    calibration: Calibration | None = None
+
+    @property
+    def network(self) -> Network:
+        """The road in SUMO; ValueError if there is none."""
+        name = self.net or self.task
+        if name.endswith(".xml"):
+            return files.network(name, self.routes)
+        return mapping.network(name, self.lanes_count, self.road_length)
 
     @property
     def road(self) -> Road:
         """The road in highway-env's geometry."""
-        return road(self.task, self.lanes_count, self.road_length)
+        name = self.net or self.task
+        return road(name, self.lanes_count, self.road_length) if name in ROADS else self.network.road
 
     @property
     def specs(self) -> tuple[VehicleSpec, ...]:

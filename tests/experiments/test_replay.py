@@ -1,9 +1,6 @@
-"""One stored episode again: the same numbers, as a picture, an animation or floating car data."""
+"""One stored episode again: the same numbers, as a picture, an animation or a scenario for SUMO."""
 
 from __future__ import annotations
-
-import math
-import xml.etree.ElementTree as ElementTree
 
 import pytest
 from PIL import Image
@@ -59,20 +56,19 @@ def test_an_animation_has_a_frame_a_step(cells, tmp_path):
     assert Image.open(path).n_frames in (length, length + 1)  # equal neighbours are merged
 
 
-def test_floating_car_data_are_in_sumos_coordinates(cells, tmp_path):
-    path = tmp_path / "episode.fcd.xml"
-    replay(Options(f"{cells[1]}:regular:1", out=path, fcd=True), make_env)
-    steps = ElementTree.parse(path).getroot().findall("timestep")
+def test_an_episode_is_exported_for_sumo(cells, tmp_path, capsys):
+    """By the environment (tests/sumo_env/test_export.py), once the episode is over."""
+    steps = []
+
+    def exporting(*arguments):
+        env = make_env(*arguments)
+        env.export = lambda folder: steps.append((folder, env.time))
+        return env
+
+    assert replay(Options(f"{cells[1]}:regular:1", out=tmp_path / "episode", sumo=True), exporting) == 0
     row = store.read_episodes(cells[1]).query("traffic == 'regular' and scenario == 1").iloc[0]
-    assert len(steps) == row["length"] + 1
-    assert [float(step.get("time")) for step in steps] == list(range(len(steps)))
-    ego = steps[0].find("vehicle")
-    assert ego.get("id") == "ego"
-    assert float(ego.get("x")) == pytest.approx(2.5)  # the front bumper of a car of 5 m
-    assert float(ego.get("y")) == pytest.approx(-4.0)  # y points up
-    assert math.isclose(float(ego.get("angle")), 90.0)  # east
-    road = ElementTree.parse(tmp_path / "episode.sumocfg").find("input/net-file").get("value")
-    assert road.endswith("highway-4.net.xml")
+    assert steps == [(tmp_path / "episode", row["length"])]
+    assert "episode.sumocfg" in capsys.readouterr().out
 
 
 @pytest.mark.parametrize(

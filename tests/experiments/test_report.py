@@ -14,6 +14,7 @@ import pandas as pd
 import pytest
 
 from experiments import report
+from experiments.analysis.plan import OUTCOMES
 from experiments.reporting import figures
 from experiments.reporting.collision_figures import LENGTH, WIDTH, collisions, contacts, corners
 from experiments.reporting.report_view import effect_rows, pooled_rows, validation
@@ -308,3 +309,42 @@ class TestContacts:
         shape = corners(np.array([1.0]), np.array([2.0]), np.array([np.pi / 2]))[0]
         assert shape.mean(axis=0) == pytest.approx([1.0, 2.0])
         assert np.ptp(shape, axis=0) == pytest.approx([WIDTH, LENGTH])
+
+
+OWN = """
+from experiments.analysis.plan import Outcome
+waiting = Outcome("Time at a standstill", "share", better=-1, digits=3, of=lambda episodes: episodes["stopped"])
+nothing = Outcome("Nothing", "", better=0, digits=1)
+"""
+
+
+def test_an_outcome_of_the_user_s_own_is_analysed(tmp_path):
+    """As an exploratory one: what decides is fixed."""
+    (tmp_path / "mine.py").write_text(OWN)
+    synthetic.write(tmp_path, {"u-turn": (1,)}, tests=6)
+    before = json.loads((report.write_report(tmp_path).parent / report.ANALYSIS).read_text())
+    try:
+        report.add_outcome(f"{tmp_path}/mine.py:waiting")
+        with pytest.raises(UserError, match="already"):
+            report.add_outcome(f"{tmp_path}/mine.py:waiting")
+        page = Page(report.write_report(tmp_path).read_text())
+    finally:
+        del OUTCOMES["waiting"]
+    after = json.loads((tmp_path / report.ANALYSIS).read_text())
+    rows = [row for row in after["ate"] if row["outcome"] == "waiting"]
+    assert rows and {row["family"] for row in rows} == {None}
+    assert {row["status"] for row in rows} & {"ok", "degenerate"}
+    assert [row for row in after["ate"] if row["outcome"] == "crashed"] == [
+        row for row in before["ate"] if row["outcome"] == "crashed"
+    ]
+    assert after["plan"]["outcomes"]["waiting"]["label"] == "Time at a standstill" in page.text
+
+
+@pytest.mark.parametrize(
+    ("name", "message"), [("nothing", "function `of`"), ("nobody", "defines no"), ("OWN.py", "FILE:NAME")]
+)
+def test_an_outcome_that_is_none_is_refused(name, message, tmp_path):
+    (tmp_path / "mine.py").write_text(OWN)
+    target = name if name == "OWN.py" else f"{tmp_path}/mine.py:{name}"
+    with pytest.raises(UserError, match=message):
+        report.add_outcome(target)

@@ -102,7 +102,6 @@ def test_an_episode_ends_within_its_duration(id: str) -> None:
         ({"traffic_model": "SUMO"}, "can only be 'sumo'"),
         ({"traffic_model": "matched"}, "is gone.*'replica'"),
         ({"policy_frequency": 3}, "must be a multiple"),
-        ({"simulation_frequency": 2}, "at least 5"),
         ({"normalize_reward": "yes"}, "True or False"),
         ({"centering_position": 0.3}, "a list of 2 numbers"),
         ({"reward_speed_range": [20]}, "a list of 2 numbers"),
@@ -114,7 +113,10 @@ def test_an_episode_ends_within_its_duration(id: str) -> None:
         ({"action": None}, "must be a dict"),
         ({"action": {"type": "ContinuousAction"}}, "DiscreteMetaAction"),
         ({"action": {"type": "DiscreteMetaAction", "target_speeds": [30, 20]}}, "rising speeds"),
-        ({"manual_control": True}, "has no meaning here"),
+        ({"manual_control": True}, "can only be False"),
+        ({"controlled_vehicles": 2}, "there is one ego"),
+        ({"other_vehicles_type": "highway_env.vehicle.behavior.LinearVehicle"}, "SUMO drives"),
+        ({"observation": {"type": "OccupancyGrid"}}, "not ported"),
     ],
 )
 def test_a_wrong_configuration_is_named(config: dict[str, Any], message: str) -> None:
@@ -129,7 +131,7 @@ def test_a_wrong_configuration_is_named(config: dict[str, Any], message: str) ->
         ("two-way", {"vehicles_count": 500}, "do not fit"),
         ("u-turn", {"vehicles_count": 13}, "at most 12"),
         ("roundabout", {"incoming_vehicle_destination": 5}, "0, 1 or 2"),
-        ("intersection", {"destination": "o9"}, "'o1', 'o2' or 'o3'"),
+        ("intersection", {"destination": "o9"}, "'o1', 'o2', 'o3' or None"),
         ("intersection", {"spawn_probability": 2}, "must lie in"),
     ],
 )

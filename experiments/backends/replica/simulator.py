@@ -47,15 +47,15 @@ class Replica:
 
     def reset(self, scenario: Scenario) -> Scene:
         """See `Simulator.reset`."""
-        joined = scenario.task in JOINED and self.variant != "v0"
+        joined = scenario.road.name in JOINED and self.variant != "v0"
         frequency = scenario.simulation_frequency
         self._scenario = scenario
         self._lanes = lanes_of(scenario.road, joined)
         self._rules = Rules(
             along_path=joined and self.variant == "path",
-            is_two_way=scenario.task == "two-way",
+            is_two_way=scenario.road.name == "two-way",
             # highway-env's expression: 7 at 15 Hz
-            regulation_interval=int(1 / (1 / frequency) / 2) if scenario.task == "intersection" else 0,
+            regulation_interval=int(1 / (1 / frequency) / 2) if scenario.road.name == "intersection" else 0,
             dt=1.0 / frequency,
         )
         specs = [*scenario.specs, *(spawn.vehicle for spawn in scenario.spawns)]
@@ -79,7 +79,7 @@ class Replica:
         scenario = self._scenario
         if scenario is None:
             raise RuntimeError("call reset() before step()")
-        if self._policy_steps > 0 and scenario.task == "intersection":
+        if self._policy_steps > 0 and scenario.road.name == "intersection":
             self._let_out_and_in()
         ego = self._cars[0]
         ego["target_speed"] = command.target_speed

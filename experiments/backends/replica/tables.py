@@ -230,7 +230,9 @@ def _write_geometry(record: Any, lane: Lane) -> None:
                 lane.phase,
             )
     else:
-        raise TypeError(f"no records for a {type(lane).__name__}")
+        raise TypeError(
+            f"the replica drives highway-env's roads, which have no {type(lane).__name__}; other networks need SUMO"
+        )
 
 
 NOT_LINEAR = (False, 0.0, 0.0, 0.0, 0.0, 0.0)

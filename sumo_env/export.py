@@ -1,0 +1,204 @@
+"""An episode as a SUMO scenario: files that ``sumo`` and ``sumo-gui`` open without this package.
+
+``episode.sumocfg`` shows what happened: every vehicle is replayed along its recorded way.
+``traffic.sumocfg`` is the scenario itself: SUMO drives the traffic again with the same vehicle types, departures and
+routes, around the ego on its recorded way. Speed modes and risk events are commands of a running simulation, which
+files cannot express, so its traffic is the recorded one only as far as they do not matter.
+
+SUMO's convention differs from the scenes' (highway-env's): y points up, a position is the middle of the front bumper,
+and an angle is in degrees, clockwise from north.
+"""
+
+from __future__ import annotations
+
+import math
+import shutil
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+
+from sumo_env.networks.mapping import Network, SumoLane
+from sumo_env.scene import VEHICLE_LENGTH, Scene
+from sumo_env.tasks import get_task
+from sumo_env.traffic.drivers import Calibration, vehicle_type
+from sumo_env.traffic.scenario import EGO, Scenario, VehicleSpec
+
+# What a replayed vehicle must be able to do, so that SUMO lets it start and move as it was recorded.
+REPLAYED = {"tau": "0.1", "minGap": "0", "decel": "200", "emergencyDecel": "200", "guiShape": "delivery"}
+NO_LANE_CHANGES = {"lcStrategic": "-1", "lcCooperative": "-1", "lcSpeedGain": "0", "lcKeepRight": "0"}
+NO_WAITING = {"jmIgnoreFoeProb": "1", "jmIgnoreFoeSpeed": "100"}
+VIEW = 200.0  # [m] that the window of sumo-gui shows around the ego at the beginning
+
+
+def write(folder: Path, scenario: Scenario, scenes: Sequence[Scene]) -> list[Path]:
+    """Write an episode to a folder, which is made; returns the files.
+
+    Args:
+        folder: where to; files of an earlier export are overwritten.
+        scenario: the episode before it was driven.
+        scenes: from its start on, at equal intervals (after every sub-step, say).
+
+    Raises:
+        OSError: a file cannot be written.
+    """
+    road = scenario.network
+    step = round((scenes[1].time if len(scenes) > 1 else 1.0 / scenario.simulation_frequency), 3)
+    length = (len(scenes) + 1) * step
+    warm_up = round(scenario.warm_up / step) * step
+    specs = {spec.id: spec for spec in (*scenario.specs, *(spawn.vehicle for spawn in scenario.spawns))}
+    files = [folder / name for name in ("network.net.xml", "recorded.fcd.xml", "types.add.xml", "ego.fcd.xml",
+             "traffic.rou.xml", "view.xml", "episode.sumocfg", "traffic.sumocfg")]  # fmt: skip
+    net, recorded, types, ego, routes, view, episode, traffic = files
+    folder.mkdir(parents=True, exist_ok=True)
+    shutil.copyfile(road.net_file, net)
+    _write(recorded, _floating_car_data(road, specs, scenes, step, 0.0))
+    _write(ego, _floating_car_data(road, {EGO: scenario.ego}, scenes, step, warm_up))
+    ego_type = ElementTree.Element("vType", {"id": EGO, "color": "80,200,60", **REPLAYED})
+    car_type = ElementTree.Element("vType", {"id": "car", "color": "100,170,255", **REPLAYED})
+    _write(types, _element("additional", ego_type, car_type))
+    _write(routes, _element("routes", *_departures(road, scenario, scenes, warm_up)))
+    _write(view, _view(road, scenes[0]))
+    inputs = {"net-file": net.name, "additional-files": types.name}
+    _write(episode, _configuration(inputs, recorded, view, step, length))
+    inputs["route-files"] = routes.name
+    _write(traffic, _configuration(inputs, ego, view, step, warm_up + length))
+    return files
+
+
+def _floating_car_data(
+    road: Network, specs: Mapping[str, VehicleSpec], scenes: Sequence[Scene], step: float, start: float
+) -> ElementTree.Element:
+    """Ways of these vehicles, as SUMO's device fcd-replay reads them; `start` is the time of the first scene [s]."""
+    ways = {name: _Way(road, spec) for name, spec in specs.items()}
+    root = ElementTree.Element("fcd-export")
+    for number, scene in enumerate(scenes):
+        now = ElementTree.SubElement(root, "timestep", time=f"{start + number * step:.3f}")
+        for row, name in enumerate(scene.ids):
+            if name not in ways:
+                continue
+            heading = float(scene.heading[row])
+            x = float(scene.x[row]) + VEHICLE_LENGTH / 2 * math.cos(heading)
+            y = float(scene.y[row]) + VEHICLE_LENGTH / 2 * math.sin(heading)
+            lane, position = ways[name].locate(x, y)
+            ElementTree.SubElement(
+                now, "vehicle", id=name, x=f"{x:.3f}", y=f"{-y:.3f}",
+                angle=f"{(math.degrees(heading) + 90.0) % 360.0:.3f}", type=EGO if name == EGO else "car",
+                speed=f"{float(scene.speed[row]):.3f}", pos=f"{position:.3f}", lane=lane, slope="0",
+            )  # fmt: skip
+    return root
+
+
+class _Way:
+    """A vehicle's route as SUMO's lanes, on which its places are looked up in driving order."""
+
+    def __init__(self, road: Network, spec: VehicleSpec) -> None:
+        edges = road.routes[_route(road, spec)]
+        self._lanes: list[list[SumoLane]] = [
+            [lane for lane in road.sumo_lanes.values() if lane.id.rpartition("_")[0] == edge]
+            for edge in edges
+        ]
+        self._edge = 0
+
+    def locate(self, x: float, y: float) -> tuple[str, float]:
+        """SUMO's lane and the position on it [m] nearest to (x, y) [m], never on an edge before the last one."""
+        from sumolib.geomhelper import distancePointToPolygon, polygonOffsetWithMinimumDistanceToPoint
+
+        ahead = [(k, lane) for k, lanes in enumerate(self._lanes) if k >= self._edge for lane in lanes]
+        self._edge, lane = min(ahead, key=lambda item: distancePointToPolygon((x, y), item[1].shape))
+        offset: float = polygonOffsetWithMinimumDistanceToPoint((x, y), lane.shape)
+        return lane.id, offset * lane.length / lane.drawn
+
+
+def _departures(
+    road: Network, scenario: Scenario, scenes: Sequence[Scene], warm_up: float
+) -> list[ElementTree.Element]:
+    """Vehicle types, and the vehicles that were seen, with the departures that the scenario gives them."""
+    calibration = scenario.calibration or get_task(scenario.task).calibration
+    seen = {name for scene in scenes for name in scene.ids}
+    departures = [(spec, 0.0) for spec in scenario.vehicles]
+    departures += [(s.vehicle, warm_up + s.step / scenario.policy_frequency) for s in scenario.spawns]
+    departures = [(spec, time) for spec, time in departures if spec.id in seen]
+    drivers = {spec.driver.type: spec for spec, _ in departures}
+    types = [
+        ElementTree.Element("vType", {"id": name, **_attributes(spec, calibration)})
+        for name, spec in drivers.items()
+    ]
+    vehicles = []
+    for spec, time in departures:
+        key, lane, position = road.place(spec.lane, spec.s, spec.destination)
+        if lane.startswith(":"):  # inside a joint nobody can depart
+            lane = road.sumo_lanes[lane].preceding[0]
+            position = road.sumo_lanes[lane].length
+        edge, _, index = lane.rpartition("_")
+        edges = road.routes[key]
+        limit = road.road.lane(spec.lane).speed_limit
+        desired = max(min(spec.target_speed, limit), 0.01)
+        vehicle = ElementTree.Element(
+            "vehicle", id=spec.id, type=spec.driver.type, depart=f"{time:.2f}", departLane=index,
+            departPos=f"{position:.3f}", departSpeed=f"{min(spec.speed, desired):.3f}", insertionChecks="none",
+            speedFactor=f"{desired / limit:.6f}",
+        )  # fmt: skip
+        ElementTree.SubElement(vehicle, "route", edges=" ".join(edges[edges.index(edge) :]))
+        vehicles.append(vehicle)
+    return types + vehicles
+
+
+def _attributes(spec: VehicleSpec, calibration: Calibration) -> dict[str, str]:
+    """A driver's vehicle type, with what speed mode and lane-change mode say in a running simulation."""
+    return {
+        **vehicle_type(spec.driver, calibration),
+        **({} if spec.changes_lanes and calibration.lane_changes else NO_LANE_CHANGES),
+        **({} if calibration.waits_for_approaching else NO_WAITING),
+    }
+
+
+def _route(road: Network, spec: VehicleSpec) -> str:
+    return road.sumo_route(spec.lane, spec.destination)
+
+
+def _view(road: Network, scene: Scene) -> ElementTree.Element:
+    """Settings of sumo-gui: the ego in the middle, 0.1 s between two steps."""
+    places = np.array([point for lane in road.sumo_lanes.values() for point in lane.shape])
+    view = ElementTree.Element("viewsettings")
+    ElementTree.SubElement(view, "scheme", name="real world")
+    ElementTree.SubElement(view, "delay", value="100")
+    zoom = 100.0 * float(np.ptp(places, axis=0).max()) / VIEW  # in per cent of the whole network
+    x, y = float(scene.x[0]), -float(scene.y[0])
+    ElementTree.SubElement(view, "viewport", zoom=f"{zoom:.0f}", x=f"{x:.2f}", y=f"{y:.2f}")
+    return view
+
+
+def _configuration(
+    inputs: Mapping[str, str], replayed: Path, view: Path, step: float, end: float
+) -> ElementTree.Element:
+    """A .sumocfg; the files are named relative to it, so that the folder can be moved."""
+    options = {
+        "input": inputs,
+        "time": {"begin": "0", "end": f"{end:g}", "step-length": f"{step:g}"},
+        "processing": {
+            "collision.action": "none", "collision.check-junctions": "true", "collision.mingap-factor": "0",
+            "time-to-teleport": "-1", "lanechange.duration": "0.8", "default.speeddev": "0",
+        },
+        "fcd_replay": {"device.fcd-replay.file": replayed.name},
+        "report": {"no-step-log": "true", "no-warnings": "true", "duration-log.disable": "true"},
+        "gui_only": {"gui-settings-file": view.name, "start": "false"},
+    }  # fmt: skip
+    root = ElementTree.Element("configuration")
+    for section, values in options.items():
+        group = ElementTree.SubElement(root, section)
+        for name, value in values.items():
+            ElementTree.SubElement(group, name, value=value)
+    return root
+
+
+def _element(tag: str, *children: ElementTree.Element) -> ElementTree.Element:
+    root = ElementTree.Element(tag)
+    root.extend(children)
+    return root
+
+
+def _write(path: Path, root: ElementTree.Element) -> None:
+    ElementTree.indent(root)
+    ElementTree.ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)

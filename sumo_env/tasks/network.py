@@ -1,0 +1,320 @@
+"""Driving along a route of any SUMO network, among the traffic of a route file or of routes (`SumoDrivingEnv`)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, NamedTuple
+from xml.etree import ElementTree
+
+import numpy as np
+
+from sumo_env.config import DISCRETE_META_ACTION, Config, ConfigError
+from sumo_env.networks import files
+from sumo_env.networks.lanes import VEHICLE_LENGTH, Lane
+from sumo_env.networks.roads import LaneIndex, Road
+from sumo_env.streams import stream
+from sumo_env.tasks.base import Drivers, EgoState, Task, ego_driver, make_on_lane, speed_term, weighted
+from sumo_env.traffic.drivers import Driver
+from sumo_env.traffic.risk import RiskRates
+from sumo_env.traffic.scenario import EGO, Spawn, VehicleSpec, fits
+
+EGO_ROUTE = "ego"
+MARGIN = VEHICLE_LENGTH  # [m] that a vehicle keeps from both ends of an edge when it is placed
+SPACING = 15.0  # [m] between centres when vehicles are placed
+EGO_SPACING = 25.0  # [m] likewise, from the ego
+LONGEST = 3600.0  # [s] that flows without an end go on
+
+
+class Departure(NamedTuple):
+    """A vehicle of a route file: when, on which route and how it departs. None is drawn at random or left out."""
+
+    id: str
+    route: str
+    time: float  # [s]
+    lane: int | None  # SUMO's number, 0 for the rightmost
+    front: float | None  # position of the front bumper [m]
+    speed: float | None  # [m/s]; None for the speed limit
+    kind: tuple[str, dict[str, str]] | None  # name and attributes of its vType; None for a driver of the pool
+
+
+class NetworkTask(Task):
+    """The ego drives along its route: fast, without a crash, and in the lanes that lead on."""
+
+    name = "network"
+    defaults = {
+        "observation": {
+            "type": "Kinematics",
+            "vehicles_count": 10,
+            "features": ["presence", "x", "y", "vx", "vy", "cos_h", "sin_h", "cos_d", "sin_d"],
+            "features_range": {"x": [-100, 100], "y": [-100, 100], "vx": [-40, 40], "vy": [-40, 40]},
+        },
+        "action": DISCRETE_META_ACTION,
+        "vehicles_count": 20,  # placed at random on the routes, beside those of a route file
+        "spawn_probability": 0.3,  # [1/s] that a vehicle comes at the beginning of a route
+        "initial_speed": None,  # of the ego [m/s]; None for two thirds of the speed limit
+        "duration": 60,  # [s]
+        "collision_reward": -1,
+        "high_speed_reward": 0.4,
+        "arrived_reward": 1,
+        "missed_turn_reward": -1,
+        "reward_speed_range": None,  # [m/s]; None for half the speed limit to the speed limit
+        "offroad_terminal": False,
+        "screen_width": 600,
+        "screen_height": 600,
+        "centering_position": [0.5, 0.5],
+    }
+    risk_rates = RiskRates(cut_in=0.05, brake=0.05, surge=0.05)
+
+    def __init__(
+        self,
+        network: str | Path,
+        routes: str | Path | Mapping[str, Sequence[str]] | Sequence[Sequence[str]],
+        ego_route: Sequence[str],
+    ) -> None:
+        """See `sumo_env.env.SumoDrivingEnv`."""
+        self.net = str(Path(network).resolve())
+        self._departures: tuple[Departure, ...] = ()
+        if isinstance(routes, str | Path):
+            named, self._departures = read_routes(Path(routes))
+            # what a file says is all the traffic there is, unless more is asked for
+            self.defaults = {**self.defaults, "vehicles_count": 0, "spawn_probability": 0.0}
+        else:
+            items = routes.items() if isinstance(routes, Mapping) else enumerate(routes)
+            named = {f"route {name}": tuple(way) for name, way in items}
+        if not ego_route or isinstance(ego_route, str):
+            raise ConfigError(f"ego_route must be a list of edges, not {ego_route!r}")
+        self.routes = {**named, EGO_ROUTE: tuple(ego_route)}
+        self._others = tuple(named)
+        try:
+            road = files.network(self.net, self._routes).road
+        except ValueError as error:
+            raise ConfigError(str(error)) from error
+        way = self.routes[EGO_ROUTE]
+        self.ego_road = files.lane(way[0])[:2]
+        self._goal = files.lane(way[-1])[:2]
+        self._lengths = {
+            index: lane.length for index, lane in road.lanes.items() if index[0].endswith(":from")
+        }
+        self._limit = limit = max(road.lane(files.lane(edge)).speed_limit for edge in way)
+        self._zone = limit + VEHICLE_LENGTH  # [m] before the end of an edge, within reach of one policy step
+        self.target_speeds = (0.0, round(limit / 2, 2), round(limit, 2))
+        # lanes of the ego's route in which it cannot go on: no connection to the next edge begins at their end
+        self._wrong = frozenset(
+            index
+            for edge, following in pairwise(way)
+            for index, lane in road.lanes.items()
+            if index[:2] == files.lane(edge)[:2]
+            and not any(
+                joint[:2] == (f"{edge}:to", f"{following}:from") and _meet(lane, other)
+                for joint, other in road.lanes.items()
+            )
+        )
+
+    # -- traffic -------------------------------------------------------------------------------------------
+
+    def ego(self, config: Config, road: Road, rng: np.random.Generator) -> VehicleSpec:
+        fastest = max(config["action"].get("target_speeds") or self.target_speeds)
+        if fastest / config["policy_frequency"] > self._limit:
+            raise ConfigError(
+                f"the ego may drive at most {self._limit:g} m (one second at the speed limit) in a policy step: lower "
+                "its 'target_speeds', or raise 'policy_frequency'"
+            )
+        first, last = road.lane((*self.ego_road, 0)), road.lane((*self._goal, 0))
+        if last.length < 2 * self._zone or first.length < 2 * MARGIN:
+            raise ConfigError(
+                f"the first edge of ego_route must be at least {2 * MARGIN:g} m long and the last one "
+                f"{2 * self._zone:g} m, not {first.length:.0f} m and {last.length:.0f} m"
+            )
+        number = int(rng.integers(road.count(*self.ego_road)))
+        speed = config["initial_speed"]
+        return make_on_lane(
+            road,
+            EGO,
+            (*self.ego_road, number),
+            MARGIN,
+            2 / 3 * first.speed_limit if speed is None else float(speed),
+            ego_driver(self),
+            destination=EGO_ROUTE,
+        )
+
+    def vehicles(
+        self, config: Config, road: Road, ego: VehicleSpec, rng: np.random.Generator, drivers: Drivers
+    ) -> list[VehicleSpec]:
+        vehicles: list[VehicleSpec] = []
+        for departure in self._departures:
+            if departure.time <= 0:
+                vehicle = self._departing(departure, road, rng, drivers)
+                if fits(vehicle, [(other.x, other.y) for other in (ego, *vehicles)]):
+                    vehicles.append(vehicle)
+        for number in range(int(config["vehicles_count"]) if self._others else 0):
+            for _ in range(100):
+                route = self._others[int(rng.integers(len(self._others)))]
+                edge = self.routes[route][int(rng.integers(len(self.routes[route])))]
+                place = _anywhere(road, edge, rng)
+                x, y = road.lane(place[0]).position(place[1], 0.0)
+                near = any(math.hypot(x - v.x, y - v.y) < SPACING for v in vehicles)
+                if not near and math.hypot(x - ego.x, y - ego.y) >= EGO_SPACING:
+                    break
+            else:  # the roads are full
+                break
+            limit = road.lane(place[0]).speed_limit
+            speed = float(rng.uniform(0.5, 0.8)) * limit
+            vehicles.append(
+                make_on_lane(
+                    road, f"v{number}", *place, speed, drivers.next(), destination=route, target_speed=limit
+                )
+            )
+        return vehicles
+
+    def spawns(self, config: Config, road: Road, seed: int, drivers: Drivers) -> list[Spawn]:
+        rng, frequency = stream(seed, "spawns"), config["policy_frequency"]
+        steps = math.ceil(config["duration"] * frequency)
+        found = [
+            Spawn(math.ceil(departure.time * frequency), self._departing(departure, road, rng, drivers))
+            for departure in self._departures
+            if 0 < departure.time <= config["duration"]
+        ]
+        for step in range(1, steps + 1) if self._others else ():
+            if rng.random() < config["spawn_probability"] / frequency:
+                route = self._others[int(rng.integers(len(self._others)))]
+                departure = Departure(f"s{step}", route, 0.0, None, 2 * MARGIN, None, None)
+                found.append(Spawn(step, self._departing(departure, road, rng, drivers)))
+        return found
+
+    def _departing(
+        self, departure: Departure, road: Road, rng: np.random.Generator, drivers: Drivers
+    ) -> VehicleSpec:
+        start, end, _ = files.lane(self.routes[departure.route][0])
+        count = road.count(start, end)
+        number = int(rng.integers(count)) if departure.lane is None else count - 1 - departure.lane
+        if not 0 <= number < count:
+            raise ConfigError(
+                f"vehicle {departure.id!r} departs on lane {departure.lane}: {start} has {count}"
+            )
+        lane = road.lane((start, end, number))
+        drawn = float(rng.uniform(2 * MARGIN, max(lane.length - MARGIN, 2 * MARGIN)))
+        front = drawn if departure.front is None else departure.front % lane.length
+        s = min(max(front - VEHICLE_LENGTH / 2, 0.0), max(lane.length - MARGIN, 0.0))
+        speed = lane.speed_limit if departure.speed is None else departure.speed
+        driver: Driver = drivers.next()
+        if departure.kind is not None:
+            driver = driver.like(*departure.kind)
+        return make_on_lane(
+            road, departure.id, (start, end, number), s, speed, driver,
+            destination=departure.route, target_speed=lane.speed_limit,
+        )  # fmt: skip
+
+    # -- reward and end ------------------------------------------------------------------------------------
+
+    def rewards(self, ego: EgoState, config: Config) -> dict[str, float]:
+        limits = config["reward_speed_range"] or [self._limit / 2, self._limit]
+        return {
+            "collision_reward": float(ego.crashed),
+            "high_speed_reward": speed_term(ego.speed, {"reward_speed_range": limits}),
+            "arrived_reward": float(self.arrived(ego)),
+            "missed_turn_reward": float(self._missed_turn(ego)),
+            "on_road_reward": float(ego.on_road),
+        }
+
+    def reward(self, rewards: dict[str, float], config: Config) -> float:
+        return weighted(rewards, config) * rewards["on_road_reward"]
+
+    def arrived(self, ego: EgoState) -> bool:
+        return ego.lane[:2] == self._goal and self._lengths[ego.lane] - ego.s < self._zone
+
+    def terminated(self, ego: EgoState, config: Config) -> bool:
+        return super().terminated(ego, config) or self._missed_turn(ego)
+
+    def _missed_turn(self, ego: EgoState) -> bool:
+        """Whether the ego is about to leave an edge in a lane that does not lead on to the next one of its route."""
+        return ego.lane in self._wrong and self._lengths[ego.lane] - ego.s < self._zone
+
+
+def _meet(lane: Lane, joint: Lane) -> bool:
+    return math.dist(lane.position(lane.length, 0.0), joint.position(0.0, 0.0)) < 0.01
+
+
+def _anywhere(road: Road, edge: str, rng: np.random.Generator) -> tuple[LaneIndex, float]:
+    """A lane of an edge, and a place on it [m]."""
+    start, end, _ = files.lane(edge)
+    index = (start, end, int(rng.integers(road.count(start, end))))
+    return index, float(rng.uniform(MARGIN, max(road.lane(index).length - MARGIN, MARGIN + 0.1)))
+
+
+# -- route files -------------------------------------------------------------------------------------------------------
+
+
+def read_routes(file: Path) -> tuple[dict[str, tuple[str, ...]], tuple[Departure, ...]]:
+    """Routes and departures of a route file: its routes, vehicles and flows, with their vTypes.
+
+    Raises:
+        ConfigError: it cannot be read, or it has something that is not supported (trips, flows by chance, ...).
+    """
+    types: dict[str, dict[str, str]] = {}
+    routes: dict[str, tuple[str, ...]] = {}
+    departures: list[Departure] = []
+    try:
+        root = ElementTree.parse(file).getroot()
+    except (OSError, ElementTree.ParseError) as error:
+        raise ConfigError(f"{file} cannot be read as a route file: {error}") from error
+    for item in root:
+        given = dict(item.attrib)
+        name = given.get("id", "")
+        if item.tag == "vType":
+            del given["id"]
+            types[name] = given
+        elif item.tag == "route":
+            routes[name] = tuple(given["edges"].split())
+        elif item.tag in ("vehicle", "flow"):
+            inner = item.find("route")
+            if inner is not None:
+                given["route"] = f"route of {name}"
+                routes[given["route"]] = tuple(inner.get("edges", "").split())
+            if given.get("route") not in routes:
+                raise ConfigError(
+                    f"{item.tag} {name!r} of {file} has no route; duarouter makes routes of trips"
+                )
+            kind = given.get("type")
+            if kind is not None and kind not in types:
+                raise ConfigError(f"{item.tag} {name!r} of {file} has the unknown type {kind!r}")
+            departures += _departures(given, None if kind is None else (kind, types[kind]))
+        else:
+            raise ConfigError(
+                f"{file} has a {item.tag}, which cannot be driven (duarouter makes routes of trips)"
+            )
+    return routes, tuple(departures)
+
+
+def _departures(given: Mapping[str, str], kind: tuple[str, dict[str, str]] | None) -> Iterator[Departure]:
+    """The departures of a vehicle or a flow."""
+    lane, front, speed = (given.get(f"depart{part}", "") for part in ("Lane", "Pos", "Speed"))
+    common: dict[str, Any] = {
+        "route": given["route"],
+        "lane": int(lane) if lane.isdigit() else None,
+        "front": None if front in ("random", "free", "random_free") else _number(front, VEHICLE_LENGTH),
+        "speed": None if speed in ("max", "desired", "speedLimit") else _number(speed, 0.0),
+        "kind": kind,
+    }
+    if "depart" in given:
+        yield Departure(given["id"], time=_number(given["depart"], 0.0), **common)
+        return
+    begin, end = _number(given.get("begin", ""), 0.0), _number(given.get("end", ""), math.inf)
+    if "number" in given and math.isfinite(end):
+        count, period = int(given["number"]), (end - begin) / max(int(given["number"]), 1)
+    elif "vehsPerHour" in given or "period" in given:
+        period = 3600.0 / float(given["vehsPerHour"]) if "vehsPerHour" in given else float(given["period"])
+        count = math.ceil((min(end, begin + LONGEST) - begin) / period)
+    else:
+        raise ConfigError(f"flow {given['id']!r} needs vehsPerHour, a number as period, or number and end")
+    for k in range(count):
+        yield Departure(f"{given['id']}.{k}", time=begin + k * period, **common)
+
+
+def _number(text: str, default: float) -> float:
+    try:
+        return float(text)
+    except ValueError:
+        return default

@@ -1,0 +1,190 @@
+"""The scene under highway-env's names: ``env.unwrapped.vehicle``, ``.road`` and ``.action_type``, to be read only.
+
+Rewards and scripts written for highway-env read the ego's position, speed or lane from these. They are pictures of the
+present scene: SUMO drives, so nothing can be changed through them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from functools import cached_property
+from math import cos, sin
+from typing import TYPE_CHECKING, Any, NoReturn
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sumo_env.networks.lanes import Lane
+from sumo_env.networks.roads import LaneIndex, Road
+from sumo_env.scene import VEHICLE_LENGTH, VEHICLE_WIDTH, Floats, Scene
+
+# What takes the place of attributes of highway-env's environments that do not exist on SUMO.
+INSTEAD = {
+    "vehicle": "call reset() first",
+    "road": "call reset() first",
+    "scene": "call reset() first",
+    "controlled_vehicles": "there is one ego, 'vehicle'",
+    "viewer": "pictures are drawn by render(), films by gymnasium.wrappers.RecordVideo",
+    "done": "step() returns terminated and truncated",
+    "time": "use 'scene.time' [s]",
+    "define_spaces": "configure() sets the spaces",
+    "simplify": "planners that copy the environment run on the backend 'replica' (README.md)",
+    "to_finite_mdp": "use the observation 'TimeToCollision'",
+    **dict.fromkeys(
+        ("change_vehicles", "set_vehicle_field", "call_vehicle_method", "randomize_behavior", "set_preferred_lane",
+         "set_route_at_intersection"),
+        "SUMO drives the other vehicles; use 'risk' or drivers of your own (docs/own-parts.md)",
+    ),
+}  # fmt: skip
+
+# Methods of highway-env's environments that subclasses override there and that would never be called here.
+NEVER_CALLED = {
+    **dict.fromkeys(
+        ("_make_road", "_create_road", "_make_vehicles", "_create_vehicles", "_spawn_vehicle", "_clear_vehicles"),
+        "the road and the vehicles are a task's: subclass sumo_env.tasks.base.Task",
+    ),
+    **dict.fromkeys(("_reset", "_simulate"), "SUMO simulates: override reset() or step(), or bring a Simulator"),
+    "define_spaces": "override configure()",
+    "has_arrived": "the goal is a task's: override Task.arrived",
+    "_agent_reward": "there is one ego: override _reward()",
+    "_agent_rewards": "there is one ego: override _rewards()",
+}  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class Vehicle:
+    """A vehicle of the scene, as ``highway_env.vehicle.kinematics.Vehicle`` is read.
+
+    Attributes:
+        id: its name, ``"ego"`` for the ego.
+        position: centre (x, y) [m].
+        speed: [m/s].
+        heading: [rad].
+        crashed: whether it has crashed.
+    """
+
+    id: str
+    position: Floats
+    speed: float
+    heading: float
+    crashed: bool
+    _road: Road = field(repr=False)
+    LENGTH = VEHICLE_LENGTH
+    WIDTH = VEHICLE_WIDTH
+
+    @cached_property
+    def lane_index(self) -> LaneIndex:
+        """Index of the closest lane."""
+        x, y = self.position.tolist()
+        return self._road.closest_lane(x, y, self.heading)
+
+    @property
+    def lane(self) -> Lane:
+        """The closest lane; its methods take x and y."""
+        return self._road.lane(self.lane_index)
+
+    @property
+    def on_road(self) -> bool:
+        """Whether the centre is on the closest lane."""
+        return self.lane.on_lane(*self.position.tolist())
+
+    @property
+    def direction(self) -> Floats:
+        """Unit vector along the heading."""
+        return np.array([cos(self.heading), sin(self.heading)])
+
+    @property
+    def velocity(self) -> Floats:
+        """[m/s]."""
+        return self.speed * self.direction
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> NoReturn:
+            raise AttributeError(
+                f"vehicles have no attribute {name!r} on SUMO, which drives them; they have id, position, speed, "
+                "heading, crashed, lane_index, lane, on_road, direction and velocity, the ego also target_lane_index, "
+                "target_speed, target_speeds and speed_index"
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class Ego(Vehicle):
+    """The ego, as ``highway_env.vehicle.controller.MDPVehicle`` is read.
+
+    Attributes:
+        target_lane_index: lane that it steers for.
+        speed_index: of its target speed.
+        target_speeds: that it can be commanded [m/s].
+    """
+
+    target_lane_index: LaneIndex
+    speed_index: int
+    target_speeds: NDArray[np.float64]
+
+    @property
+    def target_speed(self) -> float:
+        """That the ego approaches [m/s]."""
+        return float(self.target_speeds[self.speed_index])
+
+
+class RoadNetwork:
+    """The lanes, as ``highway_env.road.road.RoadNetwork`` is asked for them; `road` has the rest."""
+
+    def __init__(self, road: Road) -> None:
+        self.road = road
+
+    def get_lane(self, index: LaneIndex) -> Lane:
+        """The lane of an index."""
+        return self.road.lane(index)
+
+    def side_lanes(self, index: LaneIndex) -> list[LaneIndex]:
+        """Lanes beside one, the left one first."""
+        return list(self.road.side_lanes(index))
+
+    def all_side_lanes(self, index: LaneIndex) -> list[LaneIndex]:
+        """All lanes of the same road."""
+        return [(*index[:2], lane) for lane in range(self.road.count(*index[:2]))]
+
+    def get_closest_lane_index(self, position: Any, heading: float | None = None) -> LaneIndex:
+        """Index of the lane closest to (x, y) [m]."""
+        return self.road.closest_lane(float(position[0]), float(position[1]), heading)
+
+
+class RoadView:
+    """Road and traffic of a scene, as ``highway_env.road.road.Road`` is read.
+
+    Attributes:
+        network: the lanes.
+        vehicles: all vehicles of the scene, the ego first.
+    """
+
+    def __init__(self, scene: Scene, road: Road, **ego: Any) -> None:
+        self.scene, self.network = scene, RoadNetwork(road)
+        rows = zip(
+            scene.ids, np.column_stack((scene.x, scene.y)), scene.speed.tolist(), scene.heading.tolist(),
+            scene.crashed.tolist(), strict=True,
+        )  # fmt: skip
+        first, *others = rows
+        self.vehicles: list[Vehicle] = [Ego(*first, road, **ego), *(Vehicle(*row, road) for row in others)]
+
+
+@dataclass(frozen=True)
+class ActionType:
+    """The meta-actions, as ``highway_env.envs.common.action.DiscreteMetaAction`` is read.
+
+    Attributes:
+        actions: names by index.
+        target_speeds: [m/s].
+        get_available_actions: indices of the actions that would change something now, and of IDLE.
+    """
+
+    actions: dict[int, str]
+    target_speeds: NDArray[np.float64]
+    get_available_actions: Callable[[], list[int]]
+
+    @property
+    def actions_indexes(self) -> dict[str, int]:
+        """Indices by name."""
+        return {name: index for index, name in self.actions.items()}

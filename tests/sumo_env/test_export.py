@@ -1,0 +1,137 @@
+"""Exported episodes: SUMO itself opens them, with every car where it was."""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import gymnasium as gym
+import pytest
+
+from experiments.backends import make_env
+from sumo_env.env import DrivingEnv
+
+SUMO = Path(sys.executable).with_name("sumo")  # of the eclipse-sumo wheel
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(not SUMO.exists(), reason="needs eclipse-sumo: pip install '.[networks]'"),
+]
+
+Rows = dict[float, dict[str, dict[str, str]]]
+
+CASES: dict[str, tuple[int, dict[str, Any]]] = {
+    "highway": (3, {"vehicles_count": 20, "risk": 1.0}),
+    "two-way": (0, {"risk": 1.0}),
+    "roundabout": (1, {"vehicles_count": 12}),
+    "intersection": (1, {"initial_vehicle_count": 20}),
+    "u-turn": (0, {}),
+}
+
+
+def driven(env: gym.Env[Any, Any], action: int) -> DrivingEnv:
+    """The environment at the end of an episode."""
+    env.reset(seed=1)
+    over = False
+    while not over:
+        _, _, terminated, truncated, _ = env.step(action)
+        over = terminated or truncated
+    return env.unwrapped  # type: ignore[return-value]
+
+
+def floating_car_data(path: Path) -> Rows:
+    root = ElementTree.parse(path).getroot()
+    return {
+        round(float(now.get("time", "")), 2): {car.get("id", ""): car.attrib for car in now} for now in root
+    }
+
+
+def opened(configuration: Path) -> Rows:
+    """What SUMO shows of a configuration."""
+    out = configuration.with_suffix(".out.xml")
+    done = subprocess.run(
+        [SUMO, "-c", configuration, "--fcd-output", out], capture_output=True, text=True, check=False
+    )
+    assert (done.returncode, done.stderr) == (0, "")
+    return floating_car_data(out)
+
+
+def distances(recorded: Rows, shown: Rows, later: float = 0.0) -> dict[str, float]:
+    """Largest distance [m] of each vehicle from where it was, from the first step on; inf where it is missing."""
+    found: dict[str, float] = {}
+    for time, cars in recorded.items():
+        for name, car in cars.items() if time > 0 else ():
+            there = shown.get(round(time + later, 2), {}).get(name)
+            gap = math.inf
+            if there is not None:
+                gap = math.hypot(*(float(car[axis]) - float(there[axis]) for axis in "xy"))
+            found[name] = max(gap, found.get(name, 0.0))
+    return found
+
+
+@pytest.mark.parametrize("task", CASES)
+def test_sumo_shows_the_episode_with_its_cars(task: str, tmp_path: Path) -> None:
+    action, config = CASES[task]
+    env = driven(gym.make(f"sumo/{task}-v0", config=config), action)
+    files = env.export(tmp_path / "episode")
+    folder = (tmp_path / "episode").rename(tmp_path / "moved")  # nothing in it names its place
+    assert sorted(file.name for file in files) == sorted(file.name for file in folder.iterdir())
+    recorded = floating_car_data(folder / "recorded.fcd.xml")
+    assert len(recorded) == 1 + env.steps * 10
+    last = recorded[max(recorded)]
+    assert set(last) == set(env.scene.ids)
+    assert float(last["ego"]["speed"]) == pytest.approx(env.scene.speed[0], abs=1e-3)
+    heading = float(env.scene.heading[0])
+    assert float(last["ego"]["x"]) == pytest.approx(env.scene.x[0] + 2.5 * math.cos(heading), abs=1e-3)
+    assert float(last["ego"]["y"]) == pytest.approx(-env.scene.y[0] - 2.5 * math.sin(heading), abs=1e-3)
+    assert max(distances(recorded, opened(folder / "episode.sumocfg")).values()) < 0.1
+    env.close()
+
+
+@pytest.mark.parametrize("task", CASES)
+def test_sumo_drives_the_traffic_again(task: str, tmp_path: Path) -> None:
+    """Everybody departs, the ego is where it was, and so are most others, because no risk event comes between."""
+    action, config = CASES[task]
+    env = driven(gym.make(f"sumo/{task}-v0", config={**config, "risk": 0.0}), action)
+    env.export(tmp_path)
+    assert env.scenario is not None
+    recorded, shown = floating_car_data(tmp_path / "recorded.fcd.xml"), opened(tmp_path / "traffic.sumocfg")
+    gaps = distances(recorded, shown, later=env.scenario.warm_up)
+    assert gaps["ego"] < 0.1
+    assert math.inf not in gaps.values()
+    assert sorted(gaps.values())[len(gaps) // 2] < 5.0  # [m]
+    types = ElementTree.parse(tmp_path / "traffic.rou.xml").findall("vType")
+    assert {kind.get("carFollowModel") for kind in types} == {"IDM"}
+    env.close()
+
+
+@pytest.mark.parametrize("backend", ["replica", "highway-env"])
+def test_the_other_backends_export_as_well(backend: str, tmp_path: Path) -> None:
+    env = driven(make_env(backend, "u-turn"), 1)
+    env.export(tmp_path)
+    recorded = floating_car_data(tmp_path / "recorded.fcd.xml")
+    assert len(recorded) == 1 + len(env._commands if backend == "replica" else range(env.steps // 15)) * 15
+    assert max(distances(recorded, opened(tmp_path / "episode.sumocfg")).values()) < 0.1
+    env.close()
+
+
+def test_an_export_leaves_the_episode_as_it_is(tmp_path: Path) -> None:
+    env = DrivingEnv("u-turn")
+    env.reset(seed=0)
+    expected = [env.step(1)[1] for _ in range(3)]
+    env.reset(seed=0)
+    rewards = []
+    for number in range(3):
+        rewards.append(env.step(1)[1])
+        env.export(tmp_path / str(number))
+    assert rewards == expected
+    env.close()
+
+
+def test_there_is_nothing_to_export_before_a_reset(tmp_path: Path) -> None:
+    with pytest.raises(gym.error.ResetNeeded):
+        DrivingEnv("u-turn").export(tmp_path)

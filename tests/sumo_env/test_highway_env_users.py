@@ -1,0 +1,322 @@
+"""What users of highway-env and rl-agents bring: configurations, subclasses, and scripts that read its objects."""
+
+from __future__ import annotations
+
+import copy
+import json
+from collections.abc import Iterator
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from highway_env import envs
+
+import sumo_env
+from experiments.backends import make_env
+from sumo_env.config import Config, ConfigError
+from sumo_env.env import DrivingEnv
+
+ORIGINALS = {
+    "highway": envs.HighwayEnv,
+    "two-way": envs.TwoWayEnv,
+    "roundabout": envs.RoundaboutEnv,
+    "intersection": envs.IntersectionEnv,
+    "u-turn": envs.UTurnEnv,
+}
+CROSSING = {
+    "type": "Kinematics",
+    "vehicles_count": 15,
+    "features": ["presence", "x", "y", "vx", "vy", "cos_h", "sin_h"],
+    "features_range": {"x": [-100, 100], "y": [-100, 100], "vx": [-20, 20], "vy": [-20, 20]},
+    "absolute": True,
+}
+LINEAR = "highway_env.vehicle.behavior.LinearVehicle"
+# The environments of rl-agents' scripts/configs, by file.
+RL_AGENTS: dict[str, tuple[str, Config]] = {
+    "HighwayEnv/env": ("highway", {}),
+    "HighwayEnv/env_easy_constraint": (
+        "highway",
+        {
+            "lanes_count": 2, "vehicles_count": 5, "duration": 20, "centering_position": [0.3, 0.5],
+            "other_vehicles_type": "highway_env.vehicle.behavior.IDMVehicle", "collision_reward": 0,
+        },
+    ),
+    "HighwayEnv/env_medium": (
+        "highway", {"lanes_count": 3, "vehicles_count": 15, "duration": 40, "policy_frequency": 2}
+    ),
+    "HighwayEnv/env_obs_attention": (
+        "highway",
+        {
+            "lanes_count": 3, "vehicles_count": 15, "policy_frequency": 2, "duration": 40,
+            "observation": {**CROSSING, "absolute": False},
+        },
+    ),
+    "IntersectionEnv/env": (
+        "intersection", {"observation": {**CROSSING, "order": "shuffled"}, "destination": "o1"}
+    ),
+    "IntersectionEnv/env_5fps": (
+        "intersection",
+        {
+            "policy_frequency": 5, "show_history": False, "destination": "o1", "duration": 15,
+            "observation": {**CROSSING, "order": "sorted"},
+        },
+    ),
+    "IntersectionEnv/env_right": ("intersection", {"destination": "o3"}),
+    "RoundaboutEnv/env_route_0 without its vehicles": ("roundabout", {"incoming_vehicle_destination": 0}),
+    "TwoWayEnv/env": (
+        "two-way", {"screen_height": 300, "observation": {"type": "TimeToCollision", "horizon": 5}}
+    ),
+}  # fmt: skip
+REFUSED: dict[str, tuple[str, Config, str]] = {
+    "HighwayEnv/env_easy": ("highway", {"lanes_count": 2, "other_vehicles_type": LINEAR}, "SUMO drives"),
+    "HighwayEnv/env_continuous": (
+        "highway", {"action": {"type": "ContinuousAction", "steering_range": [-0.1, 0.1]}}, "'steering_range'"
+    ),
+    "HighwayEnv/env_multi_agent": ("highway", {"controlled_vehicles": 3}, "there is one ego"),
+    "IntersectionEnv/env_grid": ("intersection", {"observation": {"type": "OccupancyGrid"}}, "not ported"),
+    "RoundaboutEnv/env": ("roundabout", {"other_vehicles_type": LINEAR}, "SUMO drives"),
+}  # fmt: skip
+
+
+@pytest.fixture
+def highway() -> Iterator[DrivingEnv]:
+    env = DrivingEnv("highway", {"vehicles_count": 10, "initial_lane_id": 0})
+    env.reset(seed=0)
+    yield env
+    env.close()
+
+
+# -- configurations ----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("task", ORIGINALS)
+def test_the_whole_configuration_of_highway_env_is_accepted(
+    task: str, recwarn: pytest.WarningsRecorder
+) -> None:
+    """In silence, and what it says is what the environment then has."""
+    theirs = ORIGINALS[task].default_config()
+    env = DrivingEnv(task, theirs)
+    observation, _ = env.reset(seed=0)
+    assert env.observation_space.contains(observation)
+    assert {
+        key: value for key, value in theirs.items() if key in env.config and env.config[key] != value
+    } == {}
+    assert env.config["simulation_frequency"] == 15
+    env.step(1)
+    env.close()
+    assert [str(warning.message) for warning in recwarn] == []
+
+
+@pytest.mark.parametrize("name", RL_AGENTS)
+def test_configurations_of_rl_agents_are_accepted(name: str, recwarn: pytest.WarningsRecorder) -> None:
+    """As its ``load_environment`` hands them over: the whole file, to ``configure`` and then ``reset``."""
+    task, config = RL_AGENTS[name]
+    env = gym.make(f"sumo/{task}-v0", render_mode="rgb_array")
+    file = json.dumps({"id": f"{task}-v0", "import_module": "highway_env", **config})
+    env.unwrapped.configure(json.loads(file))  # type: ignore[attr-defined]
+    observation, _ = env.reset()
+    assert env.observation_space.contains(observation)  # of the wrapped environment
+    env.close()
+    assert [str(w.message) for w in recwarn if "env.reset()" not in str(w.message)] == []
+
+
+@pytest.mark.parametrize("name", REFUSED)
+def test_configurations_of_another_task_are_refused(name: str) -> None:
+    task, config, message = REFUSED[name]
+    with pytest.raises(ConfigError, match=message):
+        DrivingEnv(task).configure({"id": f"{task}-v0", "import_module": "highway_env", **config})
+
+
+def test_keys_of_the_display_without_effect_are_named_once() -> None:
+    with pytest.warns(UserWarning, match="real_time_rendering, render_agent") as caught:
+        DrivingEnv("u-turn", {"real_time_rendering": True, "render_agent": False})
+    assert len(caught) == 1
+
+
+def test_a_null_destination_is_drawn() -> None:
+    """As in rl-agents' intersection/env_linear."""
+    env = DrivingEnv("intersection", {"destination": None})
+    scenarios = [env.task.scenario(env.config, seed) for seed in range(12)]
+    assert {scenario.ego.destination for scenario in scenarios} == {"o1", "o2", "o3"}
+
+
+def test_numbers_may_be_numpys() -> None:
+    env = DrivingEnv(
+        "highway",
+        {
+            "vehicles_count": np.int64(5),
+            "risk": np.float32(0.5),
+            "normalize_reward": np.bool_(False),
+            "reward_speed_range": np.array([10.0, 20.0]),
+            "observation": {"type": "Kinematics", "vehicles_count": np.int32(3)},
+        },
+    )
+    assert env.reset(seed=0)[0].shape == (3, 5)
+    json.dumps(env.config)
+    env.config["vehicles_count"] = np.int16(4)
+    env.reset(seed=0)
+    assert env.scenario is not None and len(env.scenario.vehicles) == 4
+    env.close()
+
+
+def test_coarse_steps_are_refined() -> None:
+    """With steps of half a second, cars would pass through each other."""
+    env = DrivingEnv("highway", {"simulation_frequency": 2, "policy_frequency": 2, "duration": 2})
+    env.reset(seed=0)
+    assert env.scenario is not None and env.scenario.simulation_frequency == 6
+    assert [env.step(1)[3] for _ in range(4)] == [False, False, False, True]
+    assert env.scene.time == pytest.approx(2.0)
+    env.close()
+
+
+# -- subclasses --------------------------------------------------------------------------------------------
+
+
+class Overridden(DrivingEnv):
+    """A task as highway-env's documentation changes one."""
+
+    def __init__(self) -> None:
+        super().__init__("highway")
+
+    def default_config(self) -> Config:
+        return {**super().default_config(), "vehicles_count": 3, "bonus": 5.0}
+
+    def _rewards(self, action: int | None) -> dict[str, float]:
+        lanes = self.road.network.all_side_lanes(self.vehicle.lane_index)
+        return {"lane": self.vehicle.lane_index[2] / (len(lanes) - 1), "speed": self.vehicle.speed}
+
+    def _reward(self, action: int) -> float:
+        return self.config["bonus"] + self._rewards(action)["speed"]
+
+    def _is_terminated(self) -> bool:
+        return self.steps == 2
+
+    def _is_truncated(self) -> bool:
+        return self.steps == 1
+
+
+def test_overridden_methods_are_called() -> None:
+    env = Overridden()
+    _, info = env.reset(seed=0)
+    assert set(info["rewards"]) == {"lane", "speed"}
+    assert len(env.road.vehicles) == 4
+    _, reward, terminated, truncated, info = env.step(3)
+    assert reward == pytest.approx(5.0 + info["speed"])
+    assert (terminated, truncated) == (False, True)
+    assert env.step(1)[2:4] == (True, False)
+    env.configure({"bonus": 7.0})
+    with pytest.raises(ConfigError, match="did you mean 'bonus'"):
+        env.configure({"bonos": 7.0})
+    env.close()
+
+
+@pytest.mark.parametrize(
+    ("method", "message"),
+    [
+        ("_make_road", "Task"),
+        ("_create_vehicles", "Task"),
+        ("_simulate", "Simulator"),
+        ("has_arrived", "arrived"),
+    ],
+)
+def test_methods_that_would_never_be_called_are_refused(method: str, message: str) -> None:
+    with pytest.raises(TypeError, match=f"{method} would never be called.*{message}"):
+        type("Mine", (DrivingEnv,), {method: lambda self: None})
+
+
+# -- what scripts read -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("id", sumo_env.IDS)
+def test_vehicles_and_road_can_be_read(id: str) -> None:
+    env = gym.make(id).unwrapped
+    assert isinstance(env, DrivingEnv)
+    env.reset(seed=0)
+    for _ in range(2):
+        env.step(1)
+        ego = env.vehicle
+        np.testing.assert_allclose(ego.position, [env.scene.x[0], env.scene.y[0]])
+        assert (ego.speed, ego.heading) == (env.scene.speed[0], env.scene.heading[0])
+        assert ego.lane_index == env.ego_state.lane
+        assert (ego.crashed, ego.on_road) == (env.ego_state.crashed, env.ego_state.on_road)
+        assert ego is env.vehicle is env.road.vehicles[0]  # so that `is` finds it among the others
+        assert [vehicle.id for vehicle in env.road.vehicles] == list(env.scene.ids)
+        np.testing.assert_allclose(ego.velocity, ego.speed * ego.direction)
+        assert env.road.network.get_closest_lane_index(ego.position, ego.heading) == ego.lane_index
+    env.close()
+
+
+def test_what_is_read_cannot_be_written(highway: DrivingEnv) -> None:
+    with pytest.raises(AttributeError, match="cannot assign"):
+        highway.vehicle.speed = 30.0  # type: ignore[misc]
+
+
+def test_available_actions_are_those_that_change_something(highway: DrivingEnv) -> None:
+    """In the left lane there is nothing to the left; at the top speed nothing is faster."""
+    names = highway.action_type.actions_indexes
+    assert highway.vehicle.lane_index == ("0", "1", 0)
+    assert sorted(highway.get_available_actions()) == [
+        names[n] for n in ("IDLE", "LANE_RIGHT", "FASTER", "SLOWER")
+    ]
+    highway.step(names["FASTER"])
+    assert highway.vehicle.target_speed == 30.0  # type: ignore[attr-defined]
+    available = highway.action_type.get_available_actions()
+    assert sorted(available) == [names[n] for n in ("IDLE", "LANE_RIGHT", "SLOWER")]
+
+
+@pytest.mark.parametrize(
+    ("name", "message"),
+    [("viewer", "render"), ("simplify", "replica"), ("nonsense", "no attribute 'nonsense'$")],
+)
+def test_what_does_not_exist_says_what_replaces_it(highway: DrivingEnv, name: str, message: str) -> None:
+    assert not hasattr(highway, name)
+    with pytest.raises(AttributeError, match=message):
+        getattr(highway, name)
+    with pytest.raises(AttributeError, match="they have id, position"):
+        highway.vehicle.act  # noqa: B018
+
+
+def test_vehicles_before_a_reset_are_an_error() -> None:
+    with pytest.raises(AttributeError, match="reset"):
+        DrivingEnv("highway").vehicle  # noqa: B018
+
+
+# -- planners ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("others", [0, 1])
+def test_sumo_cannot_be_copied_and_says_what_can(others: int) -> None:
+    """In this process and in a worker."""
+    envs = [gym.make("sumo/u-turn-v0") for _ in range(1 + others)]
+    for env in envs:
+        env.reset(seed=0)
+    with pytest.raises(TypeError, match="'replica'"):
+        copy.deepcopy(envs[-1])
+    for env in envs:
+        env.step(1)
+        env.close()
+
+
+def copied(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
+    """As rl-agents' planners copy: attribute by attribute, without calling the constructor."""
+    twin = object.__new__(type(env))
+    memo = {id(env): twin}
+    for name, value in vars(env).items():
+        setattr(twin, name, copied(value) if isinstance(value, gym.Env) else copy.deepcopy(value, memo=memo))
+    return twin
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("task", ["highway", "intersection"])
+@pytest.mark.parametrize("copier", [copied, copy.deepcopy])
+def test_the_replica_can_be_copied(task: str, copier: Any) -> None:
+    """A planner's imagined steps leave the environment as it was, and come true when they are taken."""
+    env = make_env("replica", task)
+    env.reset(seed=0)
+    env.step(1)
+    twin = copier(env)
+    assert twin.unwrapped.get_available_actions() == env.unwrapped.get_available_actions()  # type: ignore[attr-defined]
+    imagined = [twin.step(2)[0] for _ in range(2)]
+    np.testing.assert_array_equal([env.step(2)[0] for _ in range(2)], imagined)
+    env.close()

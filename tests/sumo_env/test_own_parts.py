@@ -1,0 +1,377 @@
+"""Tasks, drivers, networks and options of a user's own, with nothing but what docs/own-parts.md names."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+import sumo_env
+from experiments.backends.replica import Replica
+from sumo_env.config import ConfigError
+from sumo_env.env import DrivingEnv, SumoDrivingEnv
+from sumo_env.networks import files
+from sumo_env.simulator import SimulatorError
+from sumo_env.tasks.highway import Highway
+from sumo_env.tasks.network import NetworkTask
+
+NETGENERATE = Path(sys.executable).with_name("netgenerate")  # of the eclipse-sumo wheel
+NETCONVERT = NETGENERATE.with_name("netconvert")
+
+pytestmark = pytest.mark.skipif(
+    not NETCONVERT.exists(), reason="needs eclipse-sumo: pip install '.[networks]'"
+)
+
+ROUTES = [["A0A1", "A1B1", "B1C1"], ["C2C1", "C1B1", "B1A1"], ["B0B1", "B1B2"]]
+EGO = ["A0A1", "A1A2", "A2B2"]
+
+# A merge by hand: a slip road joins a main road with two lanes, which ends in a bend.
+NODES = """<nodes>
+    <node id="west" x="0" y="0"/> <node id="merge" x="300" y="0" type="priority"/>
+    <node id="south" x="100" y="-100"/> <node id="east" x="600" y="100"/>
+</nodes>"""
+EDGES = """<edges>
+    <edge id="main" from="west" to="merge" numLanes="2" speed="25" priority="3"/>
+    <edge id="slip" from="south" to="merge" numLanes="1" speed="15" priority="1"/>
+    <edge id="out" from="merge" to="east" numLanes="2" speed="20" priority="3" shape="300,0 500,0 580,30 600,100"/>
+</edges>"""
+DEMAND = """<routes>
+    <vType id="lorry" carFollowModel="Krauss" accel="1.0" maxSpeed="12"/>
+    <route id="through" edges="main out"/>
+    <vehicle id="first" type="lorry" route="through" depart="0" departLane="0" departPos="120" departSpeed="10"/>
+    <vehicle id="late" depart="2.5"><route edges="slip out"/></vehicle>
+    <flow id="stream" route="through" begin="4" end="14" number="5" departSpeed="max"/>
+</routes>"""
+
+
+@pytest.fixture(scope="module")
+def grid(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A network of netgenerate."""
+    net = tmp_path_factory.mktemp("grid") / "grid.net.xml"
+    options = ["--grid", "--grid.number=3", "--grid.length=150", "-L=2", "--no-turnarounds"]
+    subprocess.run([NETGENERATE, *options, "-o", net], check=True, capture_output=True)
+    return net
+
+
+@pytest.fixture(scope="module")
+def merge(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A network written by hand, and its demand beside it."""
+    folder = tmp_path_factory.mktemp("merge")
+    for name, text in (("m.nod.xml", NODES), ("m.edg.xml", EDGES), ("m.rou.xml", DEMAND)):
+        (folder / name).write_text(text)
+    net = folder / "merge.net.xml"
+    plain = ["-n", folder / "m.nod.xml", "-e", folder / "m.edg.xml"]
+    subprocess.run([NETCONVERT, *plain, "-o", net], check=True, capture_output=True)
+    return net
+
+
+def episode(env: gym.Env[Any, Any], action: int = 1, seed: int = 0) -> list[np.ndarray]:
+    """The observations of an episode."""
+    seen, over = [env.reset(seed=seed)[0]], False
+    while not over:
+        observation, reward, terminated, truncated, _ = env.step(action)
+        assert env.observation_space.contains(observation) and np.isfinite(reward)
+        seen.append(observation)
+        over = terminated or truncated
+    return seen
+
+
+# -- tasks and drivers -------------------------------------------------------------------------------------
+
+
+class Slalom(Highway):
+    """Vehicles of a driver of its own, in turn on the left and on the right."""
+
+    name = "slalom"
+    defaults = {**Highway.defaults, "lanes_count": 2, "vehicles_count": 6, "duration": 8, "gap": 60.0}  # noqa: RUF012
+
+    def vehicles(self, config: Any, road: Any, ego: Any, rng: Any, drivers: Any) -> list[Any]:
+        specs = []
+        for k, spec in enumerate(super().vehicles(config, road, ego, rng, drivers)):
+            s = ego.s + config["gap"] * (k + 1)
+            driver = spec.driver.like("slow", {"maxSpeed": 9.0, "accel": 1.5}, lane_change_mode=0)
+            place = {"lane": ("0", "1", k % 2), "s": s, "x": s, "y": 4.0 * (k % 2)}
+            specs.append(spec._replace(**place, speed=9.0, driver=driver))
+        return specs
+
+    def rewards(self, ego: Any, config: Any) -> dict[str, float]:
+        return {"progress": ego.s / 100.0}
+
+    def reward(self, rewards: dict[str, float], config: Any) -> float:
+        return rewards["progress"]
+
+
+@pytest.mark.slow
+def test_a_task_is_registered_and_driven() -> None:
+    """In this process, in a worker (which knows nothing of the class), and in a vector environment."""
+    sumo_env.register("test/slalom-v0", Slalom())
+    first, second = gym.make("test/slalom-v0"), gym.make("test/slalom-v0")
+    seen = episode(first)
+    np.testing.assert_array_equal(episode(second), seen)
+    env = first.unwrapped
+    assert isinstance(env, DrivingEnv)
+    env.reset(seed=0)
+    *_, info = env.step(1)
+    assert info["rewards"] == {"progress": env.ego_state.s / 100.0}
+    assert max(env.scene.speed[1:]) < 9.01  # SUMO obeys the vehicle type, which would drive 20 m/s else
+    assert {vehicle.lane_index[2] for vehicle in env.road.vehicles[1:]} == {0, 1}
+    for made in (first, second):
+        made.close()
+    envs = gym.make_vec("test/slalom-v0", num_envs=2, config={"gap": 80.0})
+    observations, _ = envs.reset(seed=0)
+    assert observations.shape == (2, 5, 5)
+    envs.close()
+    del gym.registry["test/slalom-v0"]
+
+
+def test_keys_of_a_task_are_checked() -> None:
+    with pytest.raises(ConfigError, match="did you mean 'gap'"):
+        DrivingEnv(Slalom(), {"gapp": 3})
+
+
+@pytest.mark.slow
+def test_a_task_on_a_road_of_the_five_runs_on_the_replica() -> None:
+    env = DrivingEnv(Slalom(), {"simulation_frequency": 15}, simulator=Replica())
+    assert len(episode(env)) > 2
+
+
+def test_what_only_sumo_can_drive_says_so_elsewhere(grid: Path) -> None:
+    env = DrivingEnv(NetworkTask(grid, ROUTES, EGO), simulator=Replica())
+    with pytest.raises(TypeError, match="other networks need SUMO"):
+        env.reset(seed=0)
+    with pytest.raises(ValueError, match="leave out `simulator`"):
+        DrivingEnv("highway", simulator=Replica(), sumo_options=["--tripinfo-output=trips.xml"])
+
+
+@pytest.mark.parametrize("attribute", ["length", "width"])
+def test_the_size_of_a_vehicle_cannot_be_changed(attribute: str) -> None:
+    driver = Highway().drivers(0.0)[0]
+    with pytest.raises(ValueError, match=f"{attribute} of 'bus'"):
+        driver.like("bus", {attribute: 12.0})
+
+
+def test_sumo_s_words_are_passed_on_when_it_refuses_a_driver() -> None:
+    class Wrong(Slalom):
+        def vehicles(self, *arguments: Any) -> list[Any]:
+            return [
+                spec._replace(driver=spec.driver.like("odd", {"carFollowModel": "Kraus"}))
+                for spec in super().vehicles(*arguments)
+            ]
+
+    env = DrivingEnv(Wrong())
+    with pytest.raises(SimulatorError, match="vehicle types"):
+        env.reset(seed=0)
+    env.close()
+
+
+# -- networks ----------------------------------------------------------------------------------------------
+
+
+def test_lanes_limits_and_junctions_are_read(grid: Path, merge: Path) -> None:
+    road = files.network(merge).road
+    assert road.count("main:from", "main:to") == 2 and road.count("slip:from", "slip:to") == 1
+    assert road.lane(files.lane("main")).speed_limit == 25.0
+    left, right = (road.lane(files.lane("out", k)) for k in (0, 1))
+    assert left.length < right.length  # it bends to the left
+    assert ("slip:to", "out:from", 0) in road.lanes
+    for net in (grid, merge):
+        for index, lane in files.network(net).road.lanes.items():
+            for s in np.linspace(0.5, lane.length - 0.5, 7).tolist():
+                assert lane.local_coordinates(*lane.position(s, 0.0)) == pytest.approx((s, 0.0), abs=0.3), (
+                    index
+                )
+            assert lane.position(0.0, 1.0) != lane.position(0.0, -1.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("risk", [0.0, 1.0])
+def test_a_generated_network_is_driven(grid: Path, risk: float) -> None:
+    config = {"vehicles_count": 15, "risk": risk, "duration": 20}
+    env = SumoDrivingEnv(grid, ROUTES, EGO, config, render_mode="rgb_array")
+    check_env(env, skip_render_check=True)
+    first = episode(env, 1, seed=3)
+    np.testing.assert_array_equal(episode(env, 1, seed=3), first)
+    assert env.scenario is not None and (len(env.scenario.events) > 0) == (risk > 0)
+    other = SumoDrivingEnv(grid, ROUTES, EGO, config)  # in a worker
+    env.reset(seed=0)
+    np.testing.assert_array_equal(episode(other, 1, seed=3), first)
+    picture = env.render()
+    assert picture is not None and len(np.unique(picture.reshape(-1, 3), axis=0)) > 4
+    other.close()
+    env.close()
+
+
+def endings(env: SumoDrivingEnv, action: int, seeds: int = 6) -> set[str]:
+    """How episodes end in which the ego first changes lane, then keeps it."""
+    found = set()
+    for seed in range(seeds):
+        env.reset(seed=seed)
+        over, steps = False, 0
+        while not over:
+            *_, terminated, truncated, info = env.step(action if steps < 2 else 1)
+            over, steps = terminated or truncated, steps + 1
+        terms = ("collision_reward", "arrived_reward", "missed_turn_reward")
+        found |= {name for name in terms if info["rewards"][name]} or {"time"}
+    return found
+
+
+def test_the_ego_arrives_in_the_lane_that_leads_on_and_misses_its_turn_in_the_other(grid: Path) -> None:
+    env = SumoDrivingEnv(grid, ROUTES, ["A0A1", "A1B1"], {"vehicles_count": 0, "spawn_probability": 0.0})
+    assert endings(env, action=2, seeds=2) == {"arrived_reward"}  # a right turn, from the right lane
+    assert endings(env, action=0, seeds=2) == {"missed_turn_reward"}
+    env.close()
+
+
+def test_a_network_written_by_hand_with_its_demand(merge: Path) -> None:
+    env = SumoDrivingEnv(merge, merge.with_name("m.rou.xml"), ["main", "out"], {"duration": 20})
+    assert env.target_speeds == (0.0, 12.5, 25.0)
+    env.reset(seed=0)
+    seen: dict[str, float] = {}
+    over = False
+    while not over:
+        *_, terminated, truncated, _ = env.step(1)
+        for vehicle in env.road.vehicles:
+            seen.setdefault(vehicle.id, env.scene.time)
+        over = terminated or truncated
+    assert {"ego", "first", "late", "stream.0"} <= set(seen)
+    assert 3.0 <= seen["late"] <= 4.0  # at the first policy step after 2.5 s
+    assert env.scenario is not None
+    (lorry,) = (spec for spec in env.scenario.vehicles if spec.id == "first")
+    assert dict(lorry.driver.attributes)["carFollowModel"] == "Krauss"
+    assert lorry.lane == files.lane("main", 1)  # SUMO's lane 0 is the right one
+    assert lorry.s == pytest.approx(117.5)
+    env.close()
+
+
+@pytest.mark.slow
+def test_a_crash_on_a_network_is_recorded_and_exported(grid: Path, tmp_path: Path) -> None:
+    env = SumoDrivingEnv(grid, ROUTES, EGO, {"vehicles_count": 40, "spawn_probability": 1.0, "risk": 1.0})
+    for seed in range(30):
+        episode(env, 3, seed)
+        if env.vehicle.crashed:
+            break
+    assert env._last.crash is not None and env._last.crash.other in env.scene.ids
+    env.export(tmp_path)
+    done = subprocess.run(
+        [NETGENERATE.with_name("sumo"), "-c", tmp_path / "episode.sumocfg", "--fcd-output", tmp_path / "out.xml"],
+        capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert (done.returncode, done.stderr) == (0, "")
+    shown = {car.get("id") for car in ElementTree.parse(tmp_path / "out.xml").iter("vehicle")}
+    assert set(env.scene.ids) <= shown
+    env.close()
+
+
+@pytest.mark.slow
+def test_a_network_is_registered_like_any_task(grid: Path) -> None:
+    sumo_env.register("test/grid-v0", NetworkTask(grid, ROUTES, EGO))
+    envs = gym.make_vec("test/grid-v0", num_envs=2)
+    envs.reset(seed=0)
+    assert envs.step(np.array([1, 1]))[0].shape == (2, 10, 9)
+    envs.close()
+    del gym.registry["test/grid-v0"]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"network": "nowhere.net.xml"}, "there is no SUMO network"),
+        ({"ego_route": ["A0A1", "B1B2"]}, "no connection leads from edge 'A0A1' to edge 'B1B2'"),
+        ({"ego_route": ["A0A9"]}, "edge 'A0A9'"),
+        ({"ego_route": "A0A1"}, "a list of edges"),
+        ({"routes": [["A0A1", "B1B2"]]}, "route 0"),
+        ({"routes": "nowhere.rou.xml"}, "route file"),
+        ({"config": {"action": {"type": "DiscreteMetaAction", "target_speeds": [0, 90]}}}, "target_speeds"),
+        ({"config": {"vehicle_count": 3}}, "did you mean 'vehicles_count'"),
+    ],
+)
+def test_what_cannot_be_driven_is_named(grid: Path, change: dict[str, Any], message: str) -> None:
+    parts: dict[str, Any] = {"network": grid, "routes": ROUTES, "ego_route": EGO, **change}
+    with pytest.raises(ConfigError, match=message):
+        SumoDrivingEnv(**parts).reset(seed=0)
+
+
+@pytest.mark.parametrize(
+    ("element", "message"),
+    [
+        ('<trip id="t" from="main" to="out" depart="0"/>', "duarouter"),
+        ('<vehicle id="v" route="none" depart="0"/>', "no route"),
+        ('<vehicle id="v" type="none" depart="0"><route edges="main"/></vehicle>', "unknown type"),
+        ('<flow id="f" begin="0"><route edges="main"/></flow>', "vehsPerHour"),
+        ('<vehicle id="v" depart="0" departLane="7"><route edges="main"/></vehicle>', "departs on lane 7"),
+        ("<vehicle", "cannot be read"),
+    ],
+)
+def test_what_a_route_file_cannot_say_is_named(
+    merge: Path, tmp_path: Path, element: str, message: str
+) -> None:
+    demand = tmp_path / "wrong.rou.xml"
+    demand.write_text(f"<routes>{element}</routes>")
+    with pytest.raises(ConfigError, match=message):
+        SumoDrivingEnv(merge, demand, ["main", "out"]).reset(seed=0)
+
+
+def test_a_network_without_lanes_inside_its_junctions_is_refused(tmp_path: Path) -> None:
+    net = tmp_path / "bare.net.xml"
+    options = ["--grid", "--grid.number=2", "--no-internal-links"]
+    subprocess.run([NETGENERATE, *options, "-o", net], check=True, capture_output=True)
+    with pytest.raises(ConfigError, match="no-internal-links"):
+        SumoDrivingEnv(net, [], ["A0A1"])
+
+
+# -- options -----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+def test_sumo_writes_its_files(tmp_path: Path) -> None:
+    """Of an environment in this process, and of one in a worker."""
+    envs = []
+    for number in range(2):
+        trips, detectors = tmp_path / f"trips{number}.xml", tmp_path / f"loop{number}.add.xml"
+        loop = (
+            f'<inductionLoop id="loop" lane="0-1_0" pos="400" period="1" file="{tmp_path}/loop{number}.xml"/>'
+        )
+        detectors.write_text(f"<additional>{loop}</additional>")
+        options = ["--tripinfo-output", str(trips), "--tripinfo-output.write-unfinished"]
+        options.append(f"--additional-files={detectors}")
+        envs.append(gym.make("sumo/highway-v0", config={"vehicles_count": 5}, sumo_options=options))
+    plain = gym.make("sumo/highway-v0", config={"vehicles_count": 5})
+    seen = [episode(env) for env in (*envs, plain)]
+    np.testing.assert_array_equal(seen[0], seen[2])  # they change nothing
+    np.testing.assert_array_equal(seen[1], seen[2])
+    for env in (*envs, plain):
+        env.close()
+    for number in range(2):
+        trips = ElementTree.parse(tmp_path / f"trips{number}.xml").findall("tripinfo")
+        assert {trip.get("id") for trip in trips} == {"ego", *(f"v{k}" for k in range(5))}
+        assert ElementTree.parse(tmp_path / f"loop{number}.xml").findall("interval")
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--net-file", "x.net.xml"], "SumoDrivingEnv"),
+        (["--step-length=0.5"], "simulation_frequency"),
+        (["--gui"], "export"),
+        (["-c", "x.sumocfg"], "long name"),
+        ("--tripinfo-output trips.xml", "list of strings"),
+        ([3], "list of strings"),
+    ],
+)
+def test_options_that_cannot_work_are_refused(options: Any, message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        DrivingEnv("highway", sumo_options=options)
+
+
+def test_a_mistyped_option_is_named() -> None:
+    env = DrivingEnv("highway", sumo_options=["--tripinfo-outptu", "trips.xml"])
+    with pytest.raises(SimulatorError, match=r"--tripinfo-outptu=trips\.xml"):
+        env.reset(seed=0)
+    env.close()

@@ -1,0 +1,52 @@
+"""The scripts and the notebook in examples/ run, for a few steps."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).resolve().parents[1]
+EXAMPLES = ROOT / "examples"
+SCRIPTS = {
+    "sb3_dqn.py": (["--steps", "120"], "risk 1: return"),
+    "ppo.py": (["--steps", "96", "--envs", "2", "--rollout", "24"], "96 steps, return of the last"),
+    "rl_agents_config.py": (["--steps", "30"], "observation (15, 7)"),
+    "torchrl_rollout.py": (["--steps", "12"], "torch.Size([12, 5, 5])"),
+}
+
+pytestmark = pytest.mark.slow
+
+
+def test_every_example_is_listed_and_tested() -> None:
+    listed = (EXAMPLES / "README.md").read_text(encoding="utf-8")
+    files = {path.name for path in EXAMPLES.iterdir() if path.suffix in (".py", ".json", ".ipynb")}
+    assert {name for name in files if f"`{name}`" not in listed} == set()
+    assert {name for name in files if name.endswith(".py")} == set(SCRIPTS)
+
+
+@pytest.mark.parametrize("name", SCRIPTS)
+def test_a_script_runs(name: str, tmp_path: Path) -> None:
+    arguments, expected = SCRIPTS[name]
+    done = subprocess.run(
+        [sys.executable, EXAMPLES / name, *arguments],
+        cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr[-3000:]
+    assert expected in done.stdout
+
+
+def test_the_notebook_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    notebook = json.loads((EXAMPLES / "tour.ipynb").read_text(encoding="utf-8"))
+    shared: dict[str, object] = {}
+    for cell in notebook["cells"]:
+        if cell["cell_type"] == "code":
+            assert cell["outputs"] == []
+            code = "".join(cell["source"]).replace("EPISODES = 20", "EPISODES = 1")
+            exec(compile(code, cell["id"], "exec"), shared)
+    assert (tmp_path / "episode" / "episode.sumocfg").is_file()

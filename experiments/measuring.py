@@ -20,6 +20,7 @@ import gymnasium as gym
 import numpy as np
 
 from experiments.backends import make_env
+from experiments.support.processes import end_with_parent
 from experiments.support.threads import limit_threads
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -84,6 +85,7 @@ _objects: list[Any] = []  # the one object of a `Remote`'s process
 
 
 def _make(factory: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
+    end_with_parent()
     _objects.append(factory(*arguments))
 
 

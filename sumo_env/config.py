@@ -44,6 +44,7 @@ OBSERVATION_KEYS: dict[str, set[str]] = {
     },
     "TimeToCollision": {"type", "horizon"},
 }
+MOST_STEPS = 1000  # per second: SUMO's clock counts milliseconds
 POSITIVE = (
     "lanes_count",
     "road_length",
@@ -154,6 +155,14 @@ def _check(task: str, config: Config, defaults: Config) -> None:
     for key in POSITIVE:
         if key in config and config[key] <= 0:
             raise ConfigError(f"config key {key!r} must be positive, not {config[key]!r}")
+    for key in ("policy_frequency", "simulation_frequency"):
+        if config[key] != int(config[key]) or config[key] > MOST_STEPS:
+            raise ConfigError(
+                f"config key {key!r} must be a whole number of at most {MOST_STEPS}, not {config[key]!r}"
+            )
+    limits = config.get("reward_speed_range")
+    if limits is not None and limits[0] == limits[1]:
+        raise ConfigError(f"config key 'reward_speed_range' must be two different speeds, not {limits!r}")
     if config["simulation_frequency"] % config["policy_frequency"]:
         raise ConfigError(
             f"'simulation_frequency' ({config['simulation_frequency']}) must be a multiple of 'policy_frequency' "

@@ -133,7 +133,10 @@ class DrivingEnv(gym.Env[Observation, Any]):
         seed = int(self.np_random.integers(2**31))
         try:
             scenario = (options or {}).get("scenario") or self.task.scenario(self.config, seed)
-            _ = scenario.network  # that there is one
+            ego = scenario.ego
+            scenario.network.place(
+                ego.lane, ego.s, ego.destination
+            )  # that there are such a network and place
         except ValueError as error:
             raise ConfigError(str(error)) from error
         self.scenario = scenario

@@ -39,7 +39,8 @@ def interface(task: Task, config: Config) -> Interface:
     """The interface of a task under a resolved configuration.
 
     Raises:
-        ConfigError: the target speeds do not rise, or the entry of the observation is malformed.
+        ConfigError: the target speeds do not rise, the reward cannot be normalised, or the entry of the observation
+            is malformed.
     """
     actions = action_names(config["action"])
     ladder = config["action"].get("target_speeds") or task.target_speeds
@@ -49,6 +50,12 @@ def interface(task: Task, config: Config) -> Interface:
         speeds = ()
     if len(speeds) < 2 or any(low >= high for low, high in pairwise(speeds)):
         raise ConfigError(f"'target_speeds' must be at least two rising speeds [m/s], not {ladder!r}")
+    limits = task.reward_limits(config)
+    if limits and config["normalize_reward"] and limits[0] == limits[1]:
+        raise ConfigError(
+            f"the reward cannot be normalised: the weights make {limits[0]:g} both its least and its largest value; "
+            "change 'collision_reward' or another weight, or set 'normalize_reward' to False"
+        )
     road = task.road(config)
     observation: Kinematics | TimeToCollision
     if config["observation"]["type"] == "Kinematics":

@@ -83,6 +83,11 @@ class Kinematics:
             raise ConfigError(
                 f"observation 'features_range' must map features to [low, high]: {ranges!r}"
             ) from error
+        for name, (low, high) in self.ranges.items():
+            if not abs(high - low) > 0.0:
+                raise ConfigError(
+                    f"'features_range' of {name!r} must be two different numbers, not [{low:g}, {high:g}]"
+                )
         self.absolute = bool(config.get("absolute", False))
         self.order = config.get("order", "sorted")
         if self.order not in ("sorted", "shuffled"):

@@ -36,7 +36,7 @@ def search(
         journal: file of the evaluations.
         note: called with the number of evaluations and the least value so far, after each.
     """
-    optuna.logging.set_verbosity(optuna.logging.WARNING)
+    optuna.logging.set_verbosity(optuna.logging.ERROR)  # a failed trial raises; it is not logged as well
     warnings.filterwarnings("ignore", category=optuna.exceptions.ExperimentalWarning)
     study = optuna.create_study(
         study_name=journal.stem,

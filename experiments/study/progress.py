@@ -11,6 +11,7 @@ import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
+from datetime import timedelta
 from typing import Any, Protocol
 
 from experiments.study.attempt import Sign
@@ -25,6 +26,9 @@ LOG_EVERY = 300.0  # [s] between summaries in the log
 TRUST_AFTER = (
     60.0  # [s] from when on the speed of this run is believed rather than that of its number of workers
 )
+SHARE = (
+    0.05  # of its time that a sweep spends on this at most: with 10,000 cells one look takes half a second
+)
 LOG = "sweep.log"
 STATES = ("finished", "running", "waiting", "elsewhere", "failed")
 
@@ -38,8 +42,8 @@ class Screen(Protocol):
     def line(self, text: str) -> None:
         """Print a line that stays."""
 
-    def close(self) -> None:
-        """Leave the screen in order."""
+    def close(self, progress: Progress) -> None:
+        """Show the last state and leave the screen in order."""
 
 
 class Progress:
@@ -69,7 +73,7 @@ class Progress:
         self._begun: dict[str, float] = {}
         self._done_here = 0.0  # estimated core time of what this run finished [s]
         self._start = time.monotonic()
-        self._logged = self._start
+        self._logged = self._next = self._start
         self._log(f"{len(cells)} cells, {len(finished)} of them finished before, {workers} workers")
 
     # What the runner tells.
@@ -106,7 +110,11 @@ class Progress:
     def tick(self, running: Mapping[str, Sign | None]) -> None:
         """Show it, and summarise it in the log now and then."""
         self._fractions = {name: sign.fraction for name, sign in running.items() if sign is not None}
+        now = time.monotonic()
+        if now < self._next:
+            return
         self._screen.show(self)
+        self._next = now + (time.monotonic() - now) / SHARE
         if time.monotonic() - self._logged > LOG_EVERY:
             self._logged = time.monotonic()
             for text in (self.summary(), *map(_row_text, self.rows())):
@@ -114,7 +122,7 @@ class Progress:
 
     def close(self) -> None:
         """Leave the screen in order, and the last state in the log."""
-        self._screen.close()
+        self._screen.close(self)
         for text in (self.summary(), *map(_row_text, self.rows())):
             self._log(text)
 
@@ -190,7 +198,7 @@ class Progress:
                 done = sum(self.state[name] == "finished" for name in names)
                 shares.append(f"{done}/{len(names)}" if names else "")
             left = self.left(mine)
-            rows.append((task, *shares, duration(left) if left else "done"))
+            rows.append((task, *shares, duration(left) if left else DONE))
         return rows
 
     # What stays.
@@ -210,11 +218,19 @@ class Progress:
             file.write(f"{time.strftime('%Y-%m-%d %H:%M:%S')} {text}\n")
 
 
+DONE = "done"
 HEADER = ("task", *ARMS, "policies", "left")
 
 
 def _row_text(row: Sequence[str]) -> str:
-    return "  " + ", ".join(f"{name} {value}" for name, value in zip(HEADER, row, strict=True) if value)
+    task, *shares, left = row
+    parts = [f"{name} {share}" for name, share in zip(HEADER[1:], shares, strict=False) if share]
+    return f"  {task}: {', '.join(parts)}, {left if left == DONE else f'about {left} left'}"
+
+
+def clock(seconds: float) -> str:
+    """Hours, minutes and seconds: 0:02:05."""
+    return str(timedelta(seconds=int(seconds)))
 
 
 class Plain:
@@ -227,14 +243,17 @@ class Plain:
         """Print a line when the last one is old enough."""
         if time.monotonic() - self._last >= LINE_EVERY:
             self._last = time.monotonic()
-            print(f"[{duration(progress.elapsed):>6}] {progress.summary()}", flush=True)
+            print(f"[{clock(progress.elapsed)}] {progress.summary()}", flush=True)
 
     def line(self, text: str) -> None:
         """Print a line."""
         print(text, flush=True)
 
-    def close(self) -> None:
-        """Nothing to do."""
+    def close(self, progress: Progress) -> None:
+        """Print the last state."""
+        print(f"[{clock(progress.elapsed)}] {progress.summary()}", flush=True)
+        for row in progress.rows():
+            print(_row_text(row), flush=True)
 
 
 class Table:
@@ -254,8 +273,9 @@ class Table:
         """Print a line above."""
         self._live.console.print(text, highlight=False, markup=False, soft_wrap=True)
 
-    def close(self) -> None:
-        """Stop drawing."""
+    def close(self, progress: Progress) -> None:
+        """Draw it for the last time."""
+        self.show(progress)
         self._live.stop()
 
 
@@ -265,11 +285,12 @@ def _drawing(progress: Progress) -> Any:
     from rich.progress_bar import ProgressBar
     from rich.table import Table as Grid
 
-    fraction, counts = progress.fraction(), progress.counts()
+    fraction, counts, left = progress.fraction(), progress.counts(), progress.left()
     bar = Columns(
         [
             ProgressBar(total=1.0, completed=fraction, width=40),
-            f"{fraction:.0%}, {duration(progress.elapsed)} so far, about {duration(progress.left())} left",
+            f"{fraction:.0%}, {clock(progress.elapsed)} so far"
+            + (f", about {duration(left)} left" if left else ""),
         ]
     )
     states = Grid.grid(padding=(0, 2))

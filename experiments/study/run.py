@@ -24,6 +24,7 @@ from experiments.support.errors import INTERRUPTED, UserError
 
 RETRIES = 3  # a task that goes wrong is begun again at most so often
 POLL = 0.5  # [s] between two looks at the running tasks
+LOOKS = 200.0  # [1/s] signs of life read at most: with many workers, a shared file system is what is short
 RECHECK = 5.0  # [s] between two tries at a task that another run computes
 GRACE = (
     30.0  # [s] beyond a task's own limit of silence, after which the runner kills a process that is frozen
@@ -53,7 +54,7 @@ class Observer(Protocol[T_contra]):
         """Another run computes it."""
 
     def tick(self, running: Mapping[str, Sign | None]) -> None:
-        """Called about twice a second with the signs of life of what runs, by task."""
+        """Called twice a second, with many workers less often, with the signs of life of what runs, by task."""
 
 
 class Silent:
@@ -158,6 +159,7 @@ class _Run(Generic[T]):
         self._later: deque[tuple[float, T]] = deque()  # computed by another run: when to look again
         self._running: dict[Future[Ended], T] = {}
         self._heard: dict[str, tuple[int, float]] = {}  # the last sign of life, and when it was seen here
+        self._next_look = 0.0
         self._tries: Counter[str] = Counter()
 
     def is_busy(self) -> bool:
@@ -193,7 +195,9 @@ class _Run(Generic[T]):
         """Take in what has ended, and look after the rest."""
         for future in ended:
             self._end(self._running.pop(future), future)
-        self._watch()
+        if time.monotonic() >= self._next_look:
+            self._watch()
+            self._next_look = time.monotonic() + len(self._running) / LOOKS
 
     def _end(self, task: T, future: Future[Ended]) -> None:
         error = future.exception()

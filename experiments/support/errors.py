@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 import errno
 import os
+import shlex
 import signal
 import sys
 from collections.abc import Callable, Iterable
@@ -56,15 +57,25 @@ def leave_on_signals() -> None:
         signal.signal(number, leave)
 
 
-def run_command(main: Callable[[], int]) -> None:
-    """Run a command's `main` and leave the process with its exit status (0, 1, 2 or 130)."""
+def run_command(main: Callable[[], int], resumes: bool = False) -> None:
+    """Run a command's `main` and leave the process with its exit status (0, 1, 2 or 130).
+
+    SIGTERM is answered as Ctrl-C is: the processes of a pool are ended, and one line says what happened.
+
+    Args:
+        resumes: whether the same command goes on where it was stopped, which is then said.
+    """
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     try:
         status = main()
     except UserError as error:
         print(f"error: {error}", file=sys.stderr)
         status = USAGE
     except KeyboardInterrupt:
-        print("interrupted", file=sys.stderr)
+        again = (
+            f"; what is finished is kept. To go on: {shlex.join(['python', *sys.argv])}" if resumes else ""
+        )
+        print(f"interrupted{again}", file=sys.stderr)
         status = INTERRUPTED
     except BrokenPipeError:  # the reader of our output (head, less) has gone
         sys.stderr.close()

@@ -109,6 +109,15 @@ class Task:
         """The scalar reward of a step from its terms."""
         raise NotImplementedError
 
+    def reward_limits(self, config: Config) -> tuple[float, float] | None:
+        """Rewards that ``normalize_reward`` maps to 0 and 1, which must differ; None where there is no such key."""
+        return None
+
+    def normalized(self, reward: float, config: Config) -> float:
+        """A reward mapped from `reward_limits` to [0, 1] where ``normalize_reward`` asks for it."""
+        limits = self.reward_limits(config)
+        return lmap(reward, limits, (0.0, 1.0)) if limits and config["normalize_reward"] else reward
+
     def arrived(self, ego: EgoState) -> bool:
         """Whether the ego has reached the goal (intersection only)."""
         return False

@@ -9,7 +9,7 @@ import numpy as np
 from sumo_env.config import DISCRETE_META_ACTION, Config, ConfigError
 from sumo_env.networks.roads import Road, highway
 from sumo_env.scene import PERCEPTION_DISTANCE, Floats
-from sumo_env.tasks.base import Drivers, EgoState, Task, ego_driver, lmap, make_on_lane, speed_term, weighted
+from sumo_env.tasks.base import Drivers, EgoState, Task, ego_driver, make_on_lane, speed_term, weighted
 from sumo_env.traffic.drivers import Calibration
 from sumo_env.traffic.risk import RiskRates
 from sumo_env.traffic.scenario import EGO, VehicleSpec
@@ -87,11 +87,10 @@ class Highway(Task):
         }
 
     def reward(self, rewards: dict[str, float], config: Config) -> float:
-        reward = weighted(rewards, config)
-        if config["normalize_reward"]:
-            best = config["high_speed_reward"] + config["right_lane_reward"]
-            reward = lmap(reward, (config["collision_reward"], best), (0.0, 1.0))
-        return reward * rewards["on_road_reward"]
+        return self.normalized(weighted(rewards, config), config) * rewards["on_road_reward"]
+
+    def reward_limits(self, config: Config) -> tuple[float, float]:
+        return config["collision_reward"], config["high_speed_reward"] + config["right_lane_reward"]
 
 
 def _spacing(speed: Floats, spacing: float, config: Config) -> Floats:

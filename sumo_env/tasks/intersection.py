@@ -9,7 +9,7 @@ import numpy as np
 from sumo_env.config import DISCRETE_META_ACTION, Config, ConfigError
 from sumo_env.networks.roads import Road, intersection
 from sumo_env.streams import stream
-from sumo_env.tasks.base import Drivers, EgoState, Task, ego_driver, lmap, make_on_lane, speed_term, weighted
+from sumo_env.tasks.base import Drivers, EgoState, Task, ego_driver, make_on_lane, speed_term, weighted
 from sumo_env.traffic.drivers import Calibration, CarFollowing, RiskRanges
 from sumo_env.traffic.risk import RiskRates
 from sumo_env.traffic.scenario import EGO, Spawn, VehicleSpec, fits
@@ -112,10 +112,10 @@ class Intersection(Task):
     def reward(self, rewards: dict[str, float], config: Config) -> float:
         # Arrival replaces everything else, a crash included.
         reward = config["arrived_reward"] if rewards["arrived_reward"] else weighted(rewards, config)
-        reward *= rewards["on_road_reward"]
-        if config["normalize_reward"]:
-            reward = lmap(reward, (config["collision_reward"], config["arrived_reward"]), (0.0, 1.0))
-        return float(reward)
+        return self.normalized(float(reward * rewards["on_road_reward"]), config)
+
+    def reward_limits(self, config: Config) -> tuple[float, float]:
+        return config["collision_reward"], config["arrived_reward"]
 
     def arrived(self, ego: EgoState) -> bool:
         return ego.lane[0].startswith("il") and ego.lane[1].startswith("o") and ego.s >= 25.0

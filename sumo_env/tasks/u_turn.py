@@ -6,7 +6,7 @@ import numpy as np
 
 from sumo_env.config import DISCRETE_META_ACTION, Config, ConfigError
 from sumo_env.networks.roads import LaneIndex, Road, u_turn
-from sumo_env.tasks.base import Drivers, EgoState, Task, ego_driver, lmap, make_on_lane, speed_term, weighted
+from sumo_env.tasks.base import Drivers, EgoState, Task, ego_driver, make_on_lane, speed_term, weighted
 from sumo_env.traffic.drivers import Calibration, RiskRanges
 from sumo_env.traffic.risk import RiskRates
 from sumo_env.traffic.scenario import EGO, VehicleSpec
@@ -96,11 +96,10 @@ class UTurn(Task):
         }
 
     def reward(self, rewards: dict[str, float], config: Config) -> float:
-        reward = weighted(rewards, config)
-        if config["normalize_reward"]:
-            best = config["high_speed_reward"] + config["left_lane_reward"]
-            reward = lmap(reward, (config["collision_reward"], best), (0.0, 1.0))
-        return reward * rewards["on_road_reward"]
+        return self.normalized(weighted(rewards, config), config) * rewards["on_road_reward"]
+
+    def reward_limits(self, config: Config) -> tuple[float, float]:
+        return config["collision_reward"], config["high_speed_reward"] + config["left_lane_reward"]
 
     def terminated(self, ego: EgoState, config: Config) -> bool:
         return ego.crashed

@@ -353,7 +353,7 @@ def test_everything_that_happens_is_in_the_log(reference):
     for name in store.load(reference).cells:
         assert f"{name} started" in log
         assert f"{name} finished after" in log
-    assert "task u-turn, control 1/1, treatment 1/1, policies 6/6, left done" in log
+    assert "u-turn: control 1/1, treatment 1/1, policies 6/6, done" in log
 
 
 @pytest.mark.parametrize(

@@ -7,11 +7,12 @@ import threading
 from collections.abc import Callable
 from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
-from multiprocessing import parent_process, resource_tracker
+from multiprocessing import resource_tracker
 from multiprocessing.context import SpawnContext
 from multiprocessing.process import BaseProcess
-from os import _exit
 from typing import Any
+
+from experiments.support.processes import end_with_parent
 
 
 class LocalExecutor(ThreadPoolExecutor):
@@ -84,7 +85,7 @@ class _Process:
 
     def __init__(self) -> None:
         self._context = _Context()
-        self._pool = ProcessPoolExecutor(1, self._context, initializer=_begin)
+        self._pool = ProcessPoolExecutor(1, self._context, initializer=end_with_parent)
         self.calls = 0
 
     def call(self, function: Callable[..., Any], args: tuple[Any, ...], kwargs: dict[str, Any]) -> Any:
@@ -115,16 +116,3 @@ class _Process:
 def _block_interrupts() -> None:
     """Ctrl-C reaches all processes of a terminal; those that this thread starts leave it to their parent."""
     signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-
-
-def _begin() -> None:
-    """The first thing that a process does: it must not outlive its parent, however that one ends."""
-    signal.signal(signal.SIGTERM, signal.SIG_DFL)
-    threading.Thread(target=_end_with_parent, name="end with parent", daemon=True).start()
-
-
-def _end_with_parent() -> None:
-    parent = parent_process()
-    assert parent is not None
-    parent.join()
-    _exit(1)

@@ -7,6 +7,7 @@ SBATCH_MEM_PER_NODE), which take precedence over what is set here.
 from __future__ import annotations
 
 import os
+import subprocess
 import threading
 from collections.abc import Callable
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
@@ -39,6 +40,10 @@ class SlurmExecutor(Executor):
             self._jobs = submitit.AutoExecutor(folder=folder, cluster=cluster, slurm_max_num_timeout=REQUEUES)
         except RuntimeError as error:
             raise UserError(f"{error}: --executor slurm is for machines that submit jobs to Slurm") from None
+        if cluster == "slurm" and subprocess.run(["sacct"], capture_output=True, check=False).returncode:
+            raise UserError(
+                "sacct fails, which tells submitit what jobs have died: use --shard in a job array instead"
+            )
         self._jobs.update_parameters(
             name="sweep", timeout_min=TIME, mem_gb=MEMORY, cpus_per_task=1, stderr_to_stdout=True
         )
@@ -98,7 +103,7 @@ def _take(job: submitit.Job[Any], future: Future[Any]) -> None:
     except (
         Exception
     ):  # submitit's own words name its files and show the end of the log, which is there to be read
-        future.set_exception(JobFailed(f"its job {job.job_id} is {job.state}, see {job.paths.stdout}"))
+        future.set_exception(JobFailed(f"its job {job.job_id} is {job.state} (output: {job.paths.stdout})"))
 
 
 class JobFailed(RuntimeError):

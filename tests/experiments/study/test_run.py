@@ -18,6 +18,7 @@ from experiments.study.executors import open_executor
 from experiments.study.run import Silent, run
 from experiments.support.errors import UserError
 from tests.experiments.study.misbehaving import STEPS, Sum
+from tests.processes import is_alive, wait_for
 
 ROOT = Path(__file__).resolve().parents[3]
 TOTAL = str(sum(range(STEPS)))
@@ -233,20 +234,6 @@ def start(directory: Path) -> subprocess.Popen:
     return subprocess.Popen(
         command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True
     )
-
-
-def wait_for(condition, seconds: float = 60.0) -> None:
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end, "it did not happen"
-        time.sleep(0.02)
-
-
-def is_alive(pid: int) -> bool:
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] not in "ZX"
-    except FileNotFoundError:
-        return False
 
 
 def begun(directory: Path) -> list[int]:

@@ -1,0 +1,80 @@
+"""No worker outlives the command that started it, however that one ends and whatever the worker is doing."""
+
+from __future__ import annotations
+
+import os
+import shlex
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from tests.processes import children, is_alive, wait_for
+
+ROOT = Path(__file__).resolve().parents[3]
+# Workers in a call into C that never gives the interpreter back, as in a compiler.
+HOLD = """
+import sys, time
+from pathlib import Path
+sys.path.insert(0, {root!r})
+if __name__ == "__main__":
+    from experiments.study.executors import open_executor
+    from tests.experiments.study.misbehaving import FAULTS, Sum
+    executor, _ = open_executor("local", 2, Path(sys.argv[1]), 25)
+    tasks = [Sum(name, Path(sys.argv[1]), fault="hold", times=1) for name in "ab"]
+    for task in tasks:
+        task.folder.mkdir(parents=True)
+        executor.submit(task.compute, print)
+    time.sleep(600)
+"""
+
+
+def start(*command: str) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        [sys.executable, *command],
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # tests in the background ignore it
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
+def test_workers_that_hold_the_interpreter_end_with_their_parent(tmp_path: Path, number: int) -> None:
+    script = tmp_path / "driver.py"
+    script.write_text(HOLD.format(root=str(ROOT)))
+    process = start(str(script), str(tmp_path))
+    wait_for(lambda: len(list(tmp_path.glob("work/*/checkpoint"))) == 2, 60)
+    time.sleep(0.5)  # until they are in the call
+    found = children(process.pid, "spawn_main")
+    assert len(found) == 2
+    os.kill(process.pid, number)
+    process.communicate(timeout=30)
+    wait_for(lambda: not any(map(is_alive, found)), 30)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
+@pytest.mark.parametrize("command", ["validate", "calibrate"])
+def test_workers_of_long_commands_end_with_them(tmp_path: Path, command: str, number: int) -> None:
+    out = tmp_path / "out"
+    arguments = ["--out", str(out), "--tasks", "highway"]
+    process = start(str(ROOT / "experiments" / f"{command}.py"), *arguments)
+    wait_for(
+        lambda: len(list(out.glob("parts/work/*/progress.json"))) == 2 or process.poll() is not None, 300
+    )
+    found = children(process.pid, "spawn_main")
+    assert len(found) == 2
+    os.kill(process.pid, number)
+    _, errors = process.communicate(timeout=30)
+    wait_for(lambda: not any(map(is_alive, found)), 30)
+    if number != signal.SIGKILL:
+        assert process.returncode == 130
+        assert (
+            errors
+            == f"interrupted; what is finished is kept. To go on: python {shlex.join(process.args[1:])}\n"
+        )

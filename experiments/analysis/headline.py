@@ -55,7 +55,7 @@ def _headline(
     decided = primary["p"] < plan.alpha
     answer = ("safer" if primary["estimate"] < 0 else "less safe") if decided else NOT_DECIDED
     text = [
-        _primary(name, answer, [r for r in rows if r["term"] == "risky"], primary, own["learnt"], outcome),
+        _primary(name, answer, [r for r in rows if r["term"] == "risky"], primary, own["learnt"], plan),
         _regular([r for r in rows if r["term"] == "regular"], own, outcome),
         _of_the_paper(own["claims"]),
     ]
@@ -69,7 +69,7 @@ def _headline(
 
 
 def _primary(
-    name: str, answer: str, rows: Sequence[Record], mean: Record, taught: Sequence[Record], outcome: str
+    name: str, answer: str, rows: Sequence[Record], mean: Record, taught: Sequence[Record], plan: Plan
 ) -> str:
     """The first sentence: the answer, its size and its certainty."""
     beginning = (
@@ -77,15 +77,17 @@ def _primary(
         if answer == NOT_DECIDED
         else f"On {name}, agents trained among risky drivers are {answer} in risky traffic"
     )
+    outcome = plan.primary_outcome
     treated, control = _rates(rows, outcome)
     unlearnt = [place(r) for r in taught if r["learnt"] is False]
     remark = f"; not learnt, but counted: {listing(unlearnt)}" if unlearnt else ""
     agents = count(mean["seeds"][0], "treated agent")
     p = p_value(mean["p"])
     p = p if p.startswith("<") else f"= {p}"
+    p += f" adjusted for {len(plan.looks)} planned looks at the results" if plan.looks else ""
     return (
         f"{beginning}: they crash in {treated} of the test episodes and control agents in {control}, a difference of "
-        f"{difference(mean, outcome)} (95 % interval, p {p}, {agents}, every task weighted "
+        f"{difference(mean, outcome)} (95 % interval; p {p}; {agents}, every task weighted "
         f"alike{remark})."
     )
 

@@ -1,14 +1,19 @@
 """The experiment itself, from the grid to stored cells.
 
-grid      the cells, their names, and what the names are made of
-presets   named sizes
-seeds     which scenarios are met
-train     one agent in its traffic, resumable
-evaluate  a policy on the test scenarios
-worker    the process that computes cells
-engine    supervises the workers
-claims    who computes which cell
-store     finished cells on disk
-estimate  how long it will take
-progress  what a person sees meanwhile
+grid         the cells, their names, and what the names are made of
+presets      named sizes
+seeds        which scenarios are met
+wrappers     what a task's training changes about its environment
+policies     the policy of a cell
+train        one agent in its traffic, resumable
+evaluate     a policy on the test scenarios
+cell         what is computed for a cell: train, test, store
+run          hands tasks to an executor and tries again what dies
+attempt      one try at a task, in whatever process
+executors/   processes of this machine, Ray, Slurm
+store        finished cells on disk
+rerun        a stored episode again
+clairvoyant  what is possible at all
+estimate     how long it will take
+progress     what a person sees meanwhile
 """

@@ -318,6 +318,7 @@ def build(
     Raises:
         UserError: unknown backend, arm or key, or no seed or episode at all.
     """
+    arms, test_on = tuple(dict.fromkeys(arms)), tuple(dict.fromkeys(test_on))
     for name in (backend, *test_on):
         if name not in BACKENDS:
             raise unknown("backend", name, BACKENDS)

@@ -40,6 +40,12 @@ ARGUMENTS = {
     "network": st.none() | some(["attention", "dueling", "none.py:Net", ":", "a:b:c"]),
     "policy": st.lists(some(["none.py:make", "none.zip"]), max_size=1).map(tuple),
     "device": st.none() | some(["cpu"]),
+    "arms": st.lists(some(grid.DOSES), max_size=3).map(tuple),
+    "placebo": st.booleans(),
+    "test_on": st.lists(some(grid.BACKENDS), max_size=2).map(tuple),
+    "config": st.lists(
+        some(["collision_reward=-2", "risk_law=linear", "none=1", "=", "duration"]), max_size=2
+    ).map(tuple),
     "shard": some(["1/1", "2/3", "3/2", "0/1", "1/0", "²/³", "1/2/3"]),
 }
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import signal
 import threading
+import time
 from collections.abc import Callable
 from concurrent.futures import Future, ProcessPoolExecutor, ThreadPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -99,8 +100,10 @@ class _Process:
         process = self._context.started
         if process is None:
             return "its process could not be started"
-        process.join(5)
-        code = process.exitcode
+        # The pool's own thread waits for it too: whoever is second sees no status until the first has it.
+        deadline = time.monotonic() + 5.0
+        while (code := process.exitcode) is None and time.monotonic() < deadline:
+            time.sleep(0.01)
         if code is not None and code < 0:
             return f"its process was killed by {signal.Signals(-code).name}"
         return f"its process ended with exit status {code}"

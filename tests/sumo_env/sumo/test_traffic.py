@@ -194,7 +194,7 @@ def test_every_parameter_of_a_driver_arrives_in_sumo(
             """The lane-change model answers for a vehicle only, in two digits."""
             return float(libsumo.vehicle.getParameter(name, f"laneChangeModel.{key}"))
 
-        assert sumo.getTau(name) == pytest.approx(driver.tau, abs=1e-6)
+        assert sumo.getTau(name) == pytest.approx(setting.tau * driver.tau, abs=1e-6)
         assert sumo.getAccel(name) == pytest.approx(driver.accel, abs=1e-6)
         assert sumo.getDecel(name) == pytest.approx(driver.decel, abs=1e-6)
         assert sumo.getApparentDecel(name) == pytest.approx(driver.decel, abs=1e-6)

@@ -44,7 +44,17 @@ OBSERVATION_KEYS: dict[str, set[str]] = {
     },
     "TimeToCollision": {"type", "horizon"},
 }
-MOST_STEPS = 1000  # per second: SUMO's clock counts milliseconds
+# What takes all memory or all time beyond; frequencies: SUMO's clock counts milliseconds.
+LARGEST = {
+    "policy_frequency": 1000,
+    "simulation_frequency": 1000,
+    "lanes_count": 50,
+    "road_length": 100_000.0,
+    "duration": 100_000.0,
+    "screen_width": 10_000,
+    "screen_height": 10_000,
+}
+MOST_VEHICLES = 10_000
 POSITIVE = (
     "lanes_count",
     "road_length",
@@ -140,8 +150,10 @@ def _check(task: str, config: Config, defaults: Config) -> None:
         wanted = _wanted(defaults[key], value)
         if wanted:
             raise ConfigError(f"config key {key!r} must be {wanted}, not {value!r}")
-        if key.endswith("_count") and (value != int(value) or value < 0):
-            raise ConfigError(f"config key {key!r} must be a whole number of at least 0, not {value!r}")
+        if key.endswith("_count") and (value != int(value) or not 0 <= value <= MOST_VEHICLES):
+            raise ConfigError(
+                f"config key {key!r} must be a whole number from 0 to {MOST_VEHICLES}, not {value!r}"
+            )
     if config["traffic_model"] == "matched":
         raise ConfigError(
             "traffic_model 'matched' is gone: SUMO's own drivers drive now. highway-env's physics is the backend "
@@ -155,11 +167,12 @@ def _check(task: str, config: Config, defaults: Config) -> None:
     for key in POSITIVE:
         if key in config and config[key] <= 0:
             raise ConfigError(f"config key {key!r} must be positive, not {config[key]!r}")
+    for key, most in LARGEST.items():
+        if key in config and config[key] > most:
+            raise ConfigError(f"config key {key!r} must be at most {most:g}, not {config[key]!r}")
     for key in ("policy_frequency", "simulation_frequency"):
-        if config[key] != int(config[key]) or config[key] > MOST_STEPS:
-            raise ConfigError(
-                f"config key {key!r} must be a whole number of at most {MOST_STEPS}, not {config[key]!r}"
-            )
+        if config[key] != int(config[key]):
+            raise ConfigError(f"config key {key!r} must be a whole number, not {config[key]!r}")
     limits = config.get("reward_speed_range")
     if limits is not None and limits[0] == limits[1]:
         raise ConfigError(f"config key 'reward_speed_range' must be two different speeds, not {limits!r}")

@@ -11,7 +11,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from sumo_env.config import ConfigError, nearest
+from sumo_env.config import MOST_VEHICLES, ConfigError, nearest
 from sumo_env.networks.lanes import CircularLane, Lane, StraightLane, wrap_to_pi
 from sumo_env.networks.roads import LaneIndex, Road
 from sumo_env.scene import PERCEPTION_DISTANCE, VEHICLE_LENGTH, Floats, Scene
@@ -65,9 +65,9 @@ class Kinematics:
                     f"unknown observation feature {feature!r}: {nearest(feature, list(FEATURES))}"
                 )
         count = config.get("vehicles_count", 5)
-        if not isinstance(count, int) or count < 1:
+        if not isinstance(count, int) or not 1 <= count <= MOST_VEHICLES:
             raise ConfigError(
-                f"observation 'vehicles_count' must be a whole number of at least 1, not {count!r}"
+                f"observation 'vehicles_count' must be a whole number from 1 to {MOST_VEHICLES}, not {count!r}"
             )
         self.vehicles_count = count
         default = {

@@ -101,6 +101,10 @@ WRONG: list[tuple[str, dict[str, Any]]] = [
     ("roundabout", {"high_speed_reward": -1}),
     ("u-turn", {"collision_reward": 0.5}),
     ("u-turn", {"simulation_frequency": 10**9}),
+    ("highway", {"lanes_count": 10**9}),
+    ("highway", {"vehicles_count": 10**9}),
+    ("two-way", {"duration": 1e9}),
+    ("roundabout", {"observation": {"type": "Kinematics", "vehicles_count": 10**9}}),
     ("roundabout", {"observation": {"type": "Kinematics", "features_range": {"vx": [0, 0]}}}),
 ]
 

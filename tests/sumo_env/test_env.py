@@ -109,7 +109,7 @@ def test_an_episode_ends_within_its_duration(id: str) -> None:
         ({"observation": {"type": "Kinematic"}}, "did you mean 'Kinematics'"),
         ({"observation": {"type": "Kinematics", "feature": []}}, "did you mean 'features'"),
         ({"observation": {"type": "Kinematics", "features": ["presence", "vxx"]}}, "did you mean"),
-        ({"observation": {"type": "Kinematics", "vehicles_count": 0}}, "at least 1"),
+        ({"observation": {"type": "Kinematics", "vehicles_count": 0}}, "from 1 to"),
         ({"action": None}, "must be a dict"),
         ({"action": {"type": "ContinuousAction"}}, "DiscreteMetaAction"),
         ({"action": {"type": "DiscreteMetaAction", "target_speeds": [30, 20]}}, "rising speeds"),

@@ -150,6 +150,7 @@ class Driver:
         steps = episode * frequency // env.config["policy_frequency"]
         wall = cpu = 0.0
         count = 0
+        usual = len(self._resets)
         while not count or wall < seconds:
             self._reset()
             libsumo.vehicle.unsubscribeContext("ego", libsumo.CMD_GET_VEHICLE_VARIABLE, TTC_RADIUS)
@@ -159,7 +160,8 @@ class Driver:
                 libsumo.simulationStep()
             part = watch.slice(episode)
             wall, cpu, count = wall + part.wall, cpu + part.cpu, count + part.count
-        self._done = True
+        self._reset()
+        del self._resets[usual:]  # SUMO's clock has been moved, so that these have loaded the network anew
         return Slice(count, wall, cpu)
 
     def _reset(self) -> None:

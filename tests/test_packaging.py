@@ -9,6 +9,7 @@ import sys
 import sysconfig
 import tarfile
 import venv
+from functools import partial
 from pathlib import Path
 
 import pytest
@@ -41,14 +42,20 @@ def python(tmp_path_factory: pytest.TempPathFactory) -> Path:
     )  # fmt: skip
     pip = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check"]
     options = ["--no-deps", "--no-index"]
-    subprocess.run([*pip, "wheel", *options, "--no-build-isolation", "-w", folder, source], check=True)
+    # without PYTHONPATH, in which pip would take the checkout for an installation
+    run = partial(subprocess.run, check=True, cwd=folder, env=clean_environment())
+    run([*pip, "wheel", *options, "--no-build-isolation", "-w", folder, source])
     (wheel,) = folder.glob("*.whl")
     venv.create(folder / "venv", with_pip=False)
     interpreter = folder / "venv" / "bin" / "python"
-    subprocess.run([*pip, "--python", interpreter, "install", *options, wheel], check=True)
+    run([*pip, "--python", interpreter, "install", *options, wheel])
     # only now: pip would find our own installation there, and might leave the wheel out
     (site_packages(interpreter) / "dependencies.pth").write_text(sysconfig.get_path("purelib"))
     return interpreter
+
+
+def clean_environment() -> dict[str, str]:
+    return {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
 
 
 def site_packages(interpreter: Path) -> Path:
@@ -72,9 +79,8 @@ def test_hostile_files_beside_the_script_change_nothing(python: Path, tmp_path: 
         file.write_text(hostile)
     script = tmp_path / "script.py"
     script.write_text(SCRIPT)
-    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
     done = subprocess.run(
-        [python, script], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+        [python, script], cwd=tmp_path, env=clean_environment(), capture_output=True, text=True, check=False
     )
     assert done.returncode == 0, done.stderr
     assert Path(done.stdout.strip()).is_relative_to(site_packages(python))

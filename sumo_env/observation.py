@@ -58,7 +58,10 @@ class Kinematics:
         Raises:
             ConfigError: unknown feature, order or malformed range.
         """
-        self.features: tuple[str, ...] = tuple(config.get("features") or ("presence", "x", "y", "vx", "vy"))
+        features = config.get("features") or ("presence", "x", "y", "vx", "vy")
+        if not isinstance(features, list | tuple) or not all(isinstance(name, str) for name in features):
+            raise ConfigError(f"observation 'features' must be a list of names, not {features!r}")
+        self.features: tuple[str, ...] = tuple(features)
         for feature in self.features:
             if feature not in FEATURES:
                 raise ConfigError(
@@ -79,7 +82,7 @@ class Kinematics:
         ranges = config.get("features_range") or default
         try:
             self.ranges = {name: (float(low), float(high)) for name, (low, high) in ranges.items()}
-        except (TypeError, ValueError) as error:
+        except (AttributeError, TypeError, ValueError) as error:
             raise ConfigError(
                 f"observation 'features_range' must map features to [low, high]: {ranges!r}"
             ) from error

@@ -101,6 +101,8 @@ WRONG: list[tuple[str, dict[str, Any]]] = [
     ("roundabout", {"high_speed_reward": -1}),
     ("u-turn", {"collision_reward": 0.5}),
     ("u-turn", {"simulation_frequency": 10**9}),
+    ("highway", {"observation": {"type": "Kinematics", "features": object}}),
+    ("highway", {"observation": {"type": "Kinematics", "features_range": "yes"}}),
     ("highway", {"lanes_count": 10**9}),
     ("highway", {"vehicles_count": 10**9}),
     ("two-way", {"duration": 1e9}),

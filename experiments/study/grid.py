@@ -18,7 +18,7 @@ from experiments.support.files import canonical_json, sha256_bytes
 from sumo_env.config import Config, ConfigError, resolve
 from sumo_env.tasks import TASKS
 
-RESULT_SCHEMA = 3  # raise it with every change that makes stored results mean, or be, something else
+RESULT_SCHEMA = 4  # raise it with every change that makes stored results mean, or be, something else
 # The package that computes the traffic of each backend.
 SIMULATORS = {"sumo": "libsumo", "highway-env": "highway-env", "replica": "numba"}
 BACKENDS = tuple(SIMULATORS)

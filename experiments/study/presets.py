@@ -119,7 +119,7 @@ PRESETS = {
             seeds=10,
             episodes=100,
             gate_episodes=100,
-            # on the two-way road, agents get better up to the end of 20,000 (docs/learner.md)
+            # on the two-way road, 10,000 are too few (docs/learner.md)
             updates={**dict.fromkeys(TASKS, 10_000), "two-way": 20_000},
         ),
         Preset(

@@ -54,17 +54,18 @@ class LocalExecutor(ThreadPoolExecutor):
             if not reuse:
                 self._mine.process = None
                 self._all.remove(process)
-                process.close()
+                process.close(wait=self._closed)
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """End the processes: after their tasks, or at once with `cancel_futures`."""
+        """End the processes: after their tasks, or at once with `cancel_futures`, which waits until they have ended."""
         self._closed = cancel_futures
         if cancel_futures:
+            wait = True  # it is short, and the exit handlers of Python fail on a pool that is just closing
             for process in list(self._all):
                 process.kill()
         super().shutdown(wait, cancel_futures=cancel_futures)
         for process in list(self._all):
-            process.close()
+            process.close(wait)
 
 
 class WorkerDied(RuntimeError):
@@ -112,8 +113,8 @@ class _Process:
         if self._context.started is not None:
             self._context.started.kill()
 
-    def close(self) -> None:
-        self._pool.shutdown(wait=False)
+    def close(self, wait: bool) -> None:
+        self._pool.shutdown(wait)
 
 
 def _block_interrupts() -> None:

@@ -36,12 +36,12 @@ from experiments.calibration import doses, drivers
 from experiments.calibration.search import Settings, search
 from experiments.calibration.spaces import DRIVERS, RISK, Space, changes_of_risk, present_risk
 from experiments.study import grid
+from experiments.study.fingerprint import fingerprint
 from experiments.support.errors import UserError, disk_error, run_command, unknown
 from experiments.support.files import sha256_bytes, write_file, write_json
 from experiments.validation import parts
 from experiments.validation.checks import REFERENCE
 from experiments.validation.egos import CORE
-from experiments.validation.fingerprint import fingerprint
 from experiments.validation.parts import Engine
 from sumo_env.tasks import TASKS
 

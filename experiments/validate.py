@@ -38,12 +38,12 @@ from rich.progress import (
 from rich.table import Table
 
 from experiments.study import grid
+from experiments.study.fingerprint import fingerprint
 from experiments.support.errors import UserError, disk_error, run_command, unknown
 from experiments.support.files import write_file, write_json
 from experiments.support.provenance import provenance
 from experiments.validation import checks, compare, mobil, page, parts, status
 from experiments.validation.egos import CORE
-from experiments.validation.fingerprint import fingerprint
 from experiments.validation.parts import Engine
 
 if TYPE_CHECKING:

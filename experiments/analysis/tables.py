@@ -36,12 +36,13 @@ def _settings(cell: Mapping[str, Any]) -> dict[str, Any]:
     key, versions = cell["key"], cell["versions"]
     flat = {f"{part} {name}": value for part in ("env_config", "eval") for name, value in key[part].items()}
     flat |= {f"version of {name}": value for name, value in versions.items()}
+    flat["dynamics"] = key.get("dynamics")
     return flat | {name: value for name, value in key["profile"].items() if name != "preset"}
 
 
 def _is_learner(setting: str) -> bool:
     """Settings that only cells with a trained agent have."""
-    return not setting.startswith(("env_config ", "eval ", "version of "))
+    return not setting.startswith(("env_config ", "eval ", "version of ", "dynamics"))
 
 
 def _difference(settings: Mapping[str, Any], reference: Mapping[str, Any]) -> str:

@@ -11,10 +11,12 @@ from typing import Any
 
 import gymnasium as gym
 
-from experiments.study.grid import BACKENDS, choose_tasks
 from experiments.support.errors import UserError, unknown
+from sumo_env.tasks import TASKS
 
-__all__ = ["BACKENDS", "make_env"]
+# The package that computes the traffic of each backend.
+SIMULATORS = {"sumo": "libsumo", "highway-env": "highway-env", "replica": "numba"}
+BACKENDS = tuple(SIMULATORS)
 
 
 def make_env(
@@ -33,7 +35,8 @@ def make_env(
     """
     if backend not in BACKENDS:
         raise unknown("backend", backend, BACKENDS)
-    choose_tasks([task])
+    if task not in TASKS:
+        raise unknown("task", task, TASKS)
     try:
         if backend == "sumo":
             import sumo_env  # noqa: F401  (registers the ids)

@@ -2,6 +2,7 @@
 
 grid         the cells, their names, and what the names are made of
 presets      named sizes
+fingerprint  what a simulator does, as eight digits
 seeds        which scenarios are met
 wrappers     what a task's training changes about its environment
 policies     the policy of a cell

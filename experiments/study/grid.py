@@ -1,8 +1,8 @@
 """The grid of the experiment as data: cells, their names, and what their names are made of.
 
-A cell is named by what it computes: a readable slug and a hash of its complete key and of the versions that
-can change a result. Adding tasks, levels or seeds to the grid therefore never renames a cell that is there
-already.
+A cell is named by what it computes: a readable slug and a hash of its complete key, the fingerprint of the simulator's
+behaviour included, and of the versions that can change a result. Results of other dynamics therefore never mix, and
+adding tasks, levels or seeds to the grid never renames a cell that is there already.
 """
 
 from __future__ import annotations
@@ -13,15 +13,14 @@ from dataclasses import dataclass, replace
 from functools import cache
 from typing import Any
 
+from experiments.backends import BACKENDS, SIMULATORS
+from experiments.study.fingerprint import dynamics
 from experiments.support.errors import UserError, unknown
 from experiments.support.files import canonical_json, sha256_bytes
 from sumo_env.config import Config, ConfigError, resolve
 from sumo_env.tasks import TASKS
 
 RESULT_SCHEMA = 4  # raise it with every change that makes stored results mean, or be, something else
-# The package that computes the traffic of each backend.
-SIMULATORS = {"sumo": "libsumo", "highway-env": "highway-env", "replica": "numba"}
-BACKENDS = tuple(SIMULATORS)
 ARMS: dict[str, float] = {"control": 0.0, "treatment": 1.0}  # dose of risk in training
 TRAFFICS: dict[str, float] = {"regular": 0.0, "risky": 1.0}  # dose of risk in the test
 # Arms beside the two, and the dose of risk in their training. They are exploratory: none of them enters the primary
@@ -55,6 +54,7 @@ class Cell:
     profile: every hyper-parameter of the learner and its budget; for baselines empty but for the preset's
         name.
     env_config: the environment's configuration, without the dose of risk. eval: how it is tested.
+    dynamics: fingerprint of what the backend does on this task, see `fingerprint.dynamics`.
     trained_with: what differs in the environment that the agent is trained in, for arms that need it.
     test_on: of a further test its backend, env_config, traffics and episodes.
     source: where the network or policy of the user's own lies, FILE:NAME or a zip file. Not part of the key, which has
@@ -72,6 +72,7 @@ class Cell:
     profile: Mapping[str, Any]
     env_config: Mapping[str, Any]
     eval: Mapping[str, Any]
+    dynamics: str
     source: str | None = None
     trained_with: Mapping[str, Any] | None = None
     test_on: Mapping[str, Any] | None = None
@@ -91,6 +92,7 @@ class Cell:
             "profile": dict(self.profile),
             "env_config": dict(self.env_config),
             "eval": dict(self.eval),
+            "dynamics": self.dynamics,
             **{name: dict(value) for name, value in more.items() if value},
         }
 
@@ -338,6 +340,7 @@ def build(
                 "level_name": level_names(task)[level - 1],
                 "env_config": env_config(backend, task, level, changes),
                 "eval": evaluation,
+                "dynamics": dynamics(backend, task),
             }
             profile = {"preset": preset, **profiles[task]}
             agents = [
@@ -369,6 +372,7 @@ def build(
                         "traffics": list(TRAFFICS),
                         "episodes": min(episodes, TRANSFER_EPISODES.get(other, episodes)),
                         "env_config": env_config(other, task, level, changes),
+                        "dynamics": dynamics(other, task),
                     }
                     cells += [replace(agent, kind="test", test_on=transfer) for agent in agents]
             cells += [

@@ -11,6 +11,7 @@ import gymnasium as gym
 
 from experiments.study import grid, store
 from experiments.study.evaluate import Policy, play
+from experiments.study.fingerprint import dynamics
 from experiments.study.policies import load_agent, untrained_policy
 from experiments.support.errors import UserError
 
@@ -49,10 +50,11 @@ def differences(stored: Mapping[str, Any], row: Mapping[str, Any]) -> list[str]:
 
 def changed_versions(record: Mapping[str, Any]) -> list[str]:
     """Versions that differ from those of a stored cell, in words."""
-    now = grid.versions(record["key"]["backend"])
+    key = record["key"]
+    now = {**grid.versions(key["backend"]), "dynamics": dynamics(key["backend"], key["task"])}
     return [
         f"{name} {now.get(name)} (was {old})"
-        for name, old in record["versions"].items()
+        for name, old in {**record["versions"], "dynamics": key.get("dynamics")}.items()
         if now.get(name) != old
     ]
 

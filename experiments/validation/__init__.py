@@ -8,6 +8,5 @@ mobil        lane changes of the highway against MOBIL's criteria
 compare      paired differences, their intervals, the order of egos
 checks       the checks of a task and level, with their verdicts
 page, figures  what a person reads
-fingerprint  what a simulator does, as eight digits
 status       what a sweep and its report may say before training
 """

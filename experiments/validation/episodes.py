@@ -7,7 +7,6 @@ start and after every policy step.
 from __future__ import annotations
 
 import math
-import zlib
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
@@ -16,6 +15,7 @@ import numpy as np
 from gymnasium.utils.seeding import np_random
 from numpy.typing import NDArray
 
+from experiments.study.fingerprint import checksum
 from experiments.study.grid import TRAFFICS
 from experiments.study.seeds import scenario_seed, stream_seed
 from experiments.validation.egos import make_ego
@@ -137,21 +137,6 @@ class Recorder:
 def mean(values: Any) -> float:
     """The mean, nan of nothing."""
     return float(np.mean(values)) if len(values) else math.nan
-
-
-def checksum(scenario: Scenario) -> int:
-    """A number that tells scenarios apart by what is driven: places, speeds, drivers, later arrivals and events.
-
-    Of the vehicles only the first five count: some simulators leave out those that the ego cannot reach.
-    """
-    specs = (scenario.ego, *scenario.vehicles[:5], *(spawn.vehicle for spawn in scenario.spawns))
-    drawn = [
-        (v.id, v.lane, round(v.s, 6), round(v.speed, 6), round(v.target_speed, 6), v.destination,
-         *(round(value, 6) for value in (v.driver.delta, v.driver.accel, v.driver.tau, v.driver.min_gap)))
-        for v in specs
-    ]  # fmt: skip
-    events = [(round(event.time, 6), event.vehicle, event.kind) for event in scenario.events]
-    return zlib.crc32(repr((drawn, events)).encode())
 
 
 def dose(traffic: str) -> float:

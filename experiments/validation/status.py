@@ -13,9 +13,9 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from experiments.study.fingerprint import dynamics
 from experiments.study.grid import level_names
 from experiments.support.files import write_json
-from experiments.validation.fingerprint import fingerprint
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -47,7 +47,7 @@ def before_training(
     """
     if backend != VALIDATED:
         return None
-    marks = {task: fingerprint(backend, task) for task in tasks}
+    marks = {task: dynamics(backend, task) for task in tasks}
     known = of_results(out)
     if known is not None and known["backend"] == backend and _covers(known, marks):
         return known

@@ -103,6 +103,13 @@ def test_versions_are_part_of_the_name(monkeypatch):
     assert cells()[0].name != before
 
 
+def test_results_of_other_dynamics_have_other_names(monkeypatch):
+    before = cells()[0]
+    monkeypatch.setattr(grid, "dynamics", lambda backend, task: "01234567")
+    assert cells()[0].dynamics == "01234567" != before.dynamics
+    assert cells()[0].name != before.name
+
+
 def test_a_baseline_does_not_depend_on_the_learner():
     def names(**profile):
         return {c.name for c in cells(**profile) if c.kind == "baseline"}

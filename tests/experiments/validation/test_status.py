@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
+from experiments.study.fingerprint import fingerprint
 from experiments.validation import status
 from experiments.validation.checks import REFERENCE, scorecard
 from experiments.validation.egos import CORE
-from experiments.validation.fingerprint import fingerprint
 from experiments.validation.parts import Engine, Part, drive_part
 from sumo_env.tasks import TASKS
 from tests.experiments.validation.tables import compared

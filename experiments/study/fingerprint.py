@@ -7,18 +7,19 @@ differ by.
 from __future__ import annotations
 
 import importlib.metadata
+import zlib
+from functools import cache
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from experiments.backends import make_env
-from experiments.study.grid import level_names
 from experiments.study.seeds import scenario_seed
 from experiments.support.files import canonical_json, sha256_bytes
-from experiments.validation.episodes import checksum
 from sumo_env.config import resolve
 from sumo_env.tasks import TASKS, get_task
+from sumo_env.traffic.scenario import Scenario
 
 SCENARIOS, STEPS = 2, 4
 DECIMALS = 2  # of metres and metres per second
@@ -40,13 +41,34 @@ def fingerprint(backend: str, task: str, config: dict[str, Any] | None = None) -
         ]
         values.append(importlib.metadata.version("highway-env"))
     else:
-        names = level_names(task)
+        levels = list(TASKS[task].levels.values())
         values = [
-            _rollout(backend, task, {**TASKS[task].levels[names[level - 1]], **(config or {})}, level, risk)
-            for level in dict.fromkeys((1, len(names)))
+            _rollout(backend, task, {**levels[level - 1], **(config or {})}, level, risk)
+            for level in dict.fromkeys((1, len(levels)))
             for risk in (0.0, 1.0)
         ]
     return sha256_bytes(canonical_json([values, config or {}]).encode())[:8]
+
+
+@cache
+def dynamics(backend: str, task: str) -> str:
+    """The fingerprint of a task as it is, taken once in a process."""
+    return fingerprint(backend, task)
+
+
+def checksum(scenario: Scenario) -> int:
+    """A number that tells scenarios apart by what is driven: places, speeds, drivers, later arrivals and events.
+
+    Of the vehicles only the first five count: some simulators leave out those that the ego cannot reach.
+    """
+    specs = (scenario.ego, *scenario.vehicles[:5], *(spawn.vehicle for spawn in scenario.spawns))
+    drawn = [
+        (v.id, v.lane, round(v.s, 6), round(v.speed, 6), round(v.target_speed, 6), v.destination,
+         *(round(value, 6) for value in (v.driver.delta, v.driver.accel, v.driver.tau, v.driver.min_gap)))
+        for v in specs
+    ]  # fmt: skip
+    events = [(round(event.time, 6), event.vehicle, event.kind) for event in scenario.events]
+    return zlib.crc32(repr((drawn, events)).encode())
 
 
 def _scenarios(task: str) -> list[int]:

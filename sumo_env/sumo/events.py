@@ -71,6 +71,8 @@ class Events:
 
         specs: of the vehicles on the road; crashed: those for whom all events are over.
         """
+        if not (self._cut_ins or self._pushes or (self._coming and self._coming[-1].time <= time + EARLY)):
+            return
         while self._coming and self._coming[-1].time <= time + EARLY:
             event = self._coming.pop()
             if event.vehicle in specs and event.vehicle not in crashed:

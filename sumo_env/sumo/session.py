@@ -62,9 +62,14 @@ class Settings:
 
 
 class Session:
-    """One simulation. `load` first; every method may raise one of `SumoErrors`."""
+    """One simulation. `load` first; every method may raise one of `SumoErrors`.
+
+    Attributes:
+        step_length: time between two steps as SUMO counts it, in whole milliseconds [s]: 0.067 at 15 Hz.
+    """
 
     def __init__(self) -> None:
+        self.step_length = 0.0
         self._settings: Settings | None = None
         self._watched: tuple[str, float] | None = None  # vehicle and radius [m]
         self._limits: dict[str, float] = {}
@@ -116,12 +121,7 @@ class Session:
         self._limits.clear()
         self._steps = 0
         self._settings = settings
-
-    @property
-    def step_length(self) -> float:
-        """Time between two steps as SUMO counts it, in whole milliseconds [s]: 0.067 at 15 Hz."""
-        assert self._settings is not None
-        return round(self._settings.step_length, 3)
+        self.step_length = round(settings.step_length, 3)
 
     def forget(self) -> None:
         """Load anew at the next `load`, whatever is loaded (somebody else may have changed it)."""
@@ -218,14 +218,15 @@ class Session:
         _vehicle.subscribeContext(name, libsumo.CMD_GET_VEHICLE_VARIABLE, radius, (_FRONT, _ANGLE, _SPEED))
         self._watched = name, radius
 
-    def near(self, name: str) -> dict[str, State]:
-        """States of a watched vehicle and of those near it."""
+    def near(self, name: str) -> tuple[State, dict[str, State]]:
+        """States of a watched vehicle, and of those near it."""
         found = _vehicle.getContextSubscriptionResults(name)
         if name not in found:  # it has left the road, or somebody else has loaded a state
             raise libsumo.TraCIException(f"Vehicle '{name}' is not watched any more.")
-        return {
+        states = {
             other: _state(values[_FRONT], values[_ANGLE], values[_SPEED]) for other, values in found.items()
         }
+        return states.pop(name), states
 
     def arrived(self) -> tuple[str, ...]:
         """Names of the vehicles that have left the road in the last step: they were at the end of their route."""

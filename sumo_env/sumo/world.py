@@ -15,7 +15,8 @@ from typing import NoReturn
 import numpy as np
 
 from sumo_env.contacts.crash import CrashDetector, is_confirmed
-from sumo_env.contacts.measures import TTC_RADIUS, ego_ttc
+from sumo_env.contacts.measures import HORIZON, TTC_RADIUS, ego_ttc
+from sumo_env.contacts.rectangles import DIAGONAL
 from sumo_env.scene import Scene
 from sumo_env.simulator import EgoCommand, SimulatorError, Step, refuse_to_copy
 from sumo_env.sumo.ego import Ego, coast
@@ -34,6 +35,7 @@ from sumo_env.traffic.scenario import EGO, EGO_DISTANCE, Scenario, VehicleSpec, 
 
 # [s] The ego's centre then crosses the line between two lanes when highway-env's does, after 0.45 to 0.5 s.
 LANE_CHANGE_DURATION = 0.8
+FASTEST = 200.0  # [m/s] no two vehicles close in faster
 EXIT_LENGTH = 20.0  # [m] from the end of the intersection's exits, where vehicles leave (_clear_vehicles)
 
 
@@ -107,7 +109,7 @@ class SumoSimulator:
         self._ego = Ego(scenario, self._network)
         self._place(scenario.ego)
         self._session.watch(EGO, TTC_RADIUS)
-        self._near = self._session.near(EGO)
+        self._seen, self._near = self._session.near(EGO)  # the ego, and the vehicles near it
         return self._read()
 
     def _settings(self, scenario: Scenario) -> Settings:
@@ -185,12 +187,11 @@ class SumoSimulator:
         least_ttc, distance, scenes = inf, 0.0, []
         for _ in range(self._substeps):
             self._events.act(self._session, self._time, self._dt, self._specs, self._crashed)
-            x, y, _, _ = self._near[EGO]
+            x, y, _, _ = self._seen
             distance += ego.drive(self._session, x, y, self._dt)
             self._look(self._advance())
             if not ego.crashed:
-                others = (state for name, state in self._near.items() if name != EGO)
-                least_ttc = min(least_ttc, ego_ttc(self._near[EGO], others))
+                least_ttc = min(least_ttc, ego_ttc(self._seen, self._near.values(), min(least_ttc, HORIZON)))
             if trace:
                 scenes.append(self._read())
         scene = scenes[-1] if trace else self._read()
@@ -215,17 +216,21 @@ class SumoSimulator:
 
     def _look(self, reported: Sequence[tuple[str, str]]) -> None:
         """After a sub-step: who is near the ego, and who has crashed."""
-        before, self._near = self._near, self._session.near(EGO)
-        ego = self._ego
-        x, y, _, heading = self._near[EGO]
-        self._near[EGO] = (x, y, ego.speed, heading)
-        ids = [EGO, *(name for name in self._near if name != EGO and name in before)]
+        ego, seen, before = self._ego, self._seen, self._near
+        (x, y, _, heading), self._near = self._session.near(EGO)
+        self._seen = x, y, ego.speed, heading
+        reach = DIAGONAL + FASTEST * self._dt  # whoever is further away now has not touched the ego
+        ids = [
+            name
+            for name, other in self._near.items()
+            if abs(other[0] - x) < reach and abs(other[1] - y) < reach and name in before
+        ]
         crash = self._detector.look(
             self._time,
             self._dt,
-            ids,
-            [before[name] for name in ids],
-            [self._near[name] for name in ids],
+            (EGO, *ids),
+            (seen, *[before[name] for name in ids]),
+            (self._seen, *[self._near[name] for name in ids]),
             {first if second == EGO else second for first, second in reported if EGO in (first, second)},
         )
         if crash is not None and not ego.crashed:

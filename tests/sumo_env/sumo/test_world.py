@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 
+from sumo_env.contacts.rectangles import State
 from sumo_env.env import DrivingEnv
 from sumo_env.scene import Scene
 from sumo_env.simulator import EgoCommand, Simulator, SimulatorError, Step
@@ -216,12 +216,11 @@ def test_a_contact_that_is_over_within_a_sub_step_is_a_crash(
     looks: list[int] = []
     look = Session.near
 
-    def crossing(session: Session, name: str) -> dict[str, Any]:
-        found = look(session, name)
-        x, y, _, _ = found["ego"]
+    def crossing(session: Session, name: str) -> tuple[State, dict[str, State]]:
+        ego, _ = look(session, name)
         looks.append(1)
         side = -6.0 if len(looks) == 1 else 6.0
-        return {"ego": found["ego"], "v0": (x + 1.0, y + side, 25.0, np.pi / 2)}
+        return ego, {"v0": (ego[0] + 1.0, ego[1] + side, 25.0, np.pi / 2)}
 
     monkeypatch.setattr(Session, "near", crossing)
     env = start("highway", with_leader(30.0, 25.0))

@@ -17,6 +17,7 @@ from pathlib import Path
 if __package__ in (None, ""):  # run as a file: import from the project, not from this folder (statistics.py!)
     sys.path[0] = str(Path(__file__).resolve().parents[1])
 
+from experiments.study.arms import TRAFFICS
 from experiments.support.threads import limit_threads
 
 limit_threads()
@@ -80,8 +81,8 @@ def parse_case(text: str) -> Case:
         raise UserError(f"a case is DIR/cells/CELL[:TRAFFIC:SCENARIO], not {text!r}")
     path = Path(match["path"])
     traffic = match["traffic"] or "regular"
-    if traffic not in grid.TRAFFICS:
-        raise grid.unknown("traffic", traffic, grid.TRAFFICS)
+    if traffic not in TRAFFICS:
+        raise grid.unknown("traffic", traffic, TRAFFICS)
     if not path.is_dir():
         near = sorted(p.name for p in path.parent.iterdir()) if path.parent.is_dir() else []
         raise grid.unknown("cell", path.name, near) if near else UserError(f"there is no cell {path}")
@@ -138,7 +139,7 @@ def _ending(row: dict[str, Any]) -> str:
 def _crashes(table: Any) -> str:
     """Scenarios with a crash, for the next call."""
     parts = []
-    for traffic in grid.TRAFFICS:
+    for traffic in TRAFFICS:
         numbers = table[(table["traffic"] == traffic) & table["crashed"]]["scenario"].tolist()
         shown = " ".join(map(str, numbers[:12])) + (" ..." if len(numbers) > 12 else "")
         parts.append(f"{traffic} {shown or 'none'}")

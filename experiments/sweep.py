@@ -25,6 +25,7 @@ if __package__ in (
 ):  # run as a file: import from the project, not from this folder (it has a statistics.py)
     sys.path[0] = str(Path(__file__).resolve().parents[1])
 
+from experiments.study.arms import ARMS
 from experiments.support.errors import leave_on_signals
 from experiments.support.threads import limit_threads
 
@@ -163,7 +164,7 @@ def cells_of(options: Options) -> list[Cell]:
         gate_episodes=preset.gate_episodes,
         network=own_network,
         policies={label: (name, sha) for name in options.policy for label, sha in [foreign(name)]},
-        arms=("control",) if options.placebo else options.arms or tuple(grid.ARMS),
+        arms=("control",) if options.placebo else options.arms or tuple(ARMS),
         test_on=options.test_on,
         changes=dict(map(_setting, options.config)),
     )

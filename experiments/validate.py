@@ -15,6 +15,7 @@ from pathlib import Path
 if __package__ in (None, ""):  # run as a file: import from the project, not from this folder
     sys.path[0] = str(Path(__file__).resolve().parents[1])
 
+from experiments.study.arms import TRAFFICS
 from experiments.support.threads import limit_threads
 
 limit_threads()
@@ -228,8 +229,8 @@ def main() -> int:
         if backend not in grid.BACKENDS:
             raise unknown("backend", backend, grid.BACKENDS)
     for traffic in options.traffics:
-        if traffic not in grid.TRAFFICS:
-            raise unknown("traffic", traffic, grid.TRAFFICS)
+        if traffic not in TRAFFICS:
+            raise unknown("traffic", traffic, TRAFFICS)
     console = Console()
     try:
         options.out.mkdir(parents=True, exist_ok=True)

@@ -19,7 +19,6 @@ from experiments.analysis.statistics import MISSING, OK, Estimate, Mean
 from experiments.analysis.tables import CONFIRMATORY, PLACE, Pair, Place
 
 Record = dict[str, Any]
-Failed = frozenset[str]  # cells of agents that fail a gate
 
 
 def contrast(pair: Pair, outcome: str, term: str) -> Mean:

@@ -23,7 +23,8 @@ from experiments.analysis.pooling import ALL_TASKS, Pairs, by_task, task_weights
 from experiments.analysis.statistics import OK, Mean
 from experiments.analysis.tables import PLACE, settings, with_outcomes
 from experiments.analysis.wording import place
-from experiments.study.grid import ALL_TRAFFICS, ARMS, DOSE_ARMS, DOSES, EXTRA_ARMS, MARKS
+from experiments.study.arms import ALL_TRAFFICS, ARMS, DOSE_ARMS, DOSES, EXTRA_ARMS
+from experiments.study.grid import MARKS
 from experiments.study.store import Results
 
 OUTCOMES = ("crashed", "return")

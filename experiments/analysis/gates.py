@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 
 from experiments.analysis.tables import PLACE, place_order
-from experiments.study.grid import gate_traffics
+from experiments.study.arms import gate_traffics
 
 Q_SLACK = 1.2  # over the largest value that any policy can have, max |r| / (1 - gamma)
 CONSTANT = 0.98  # share of the steps with the most common action from which a policy counts as constant

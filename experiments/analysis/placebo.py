@@ -14,7 +14,7 @@ from experiments.analysis.plan import DEFAULT, OUTCOMES, TERMS, Plan
 from experiments.analysis.pooling import balanced
 from experiments.analysis.statistics import OK
 from experiments.analysis.tables import CONFIRMATORY, Arm, Pair, Place, settings
-from experiments.study.grid import ARMS
+from experiments.study.arms import ARMS
 
 
 def false_arms(pairs: Mapping[Place, Pair]) -> dict[Place, Pair]:

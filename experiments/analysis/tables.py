@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from experiments.analysis.plan import OUTCOMES, PROPORTIONS, TERMS
 from experiments.analysis.statistics import binomial_floor
-from experiments.study.grid import ALL_TRAFFICS, ARMS, TASKS, TRAFFICS, gate_traffics
+from experiments.study.arms import ALL_TRAFFICS, ARMS, TRAFFICS, gate_traffics
+from experiments.study.grid import TASKS
 from experiments.study.store import Results
 from experiments.support.files import canonical_json
 

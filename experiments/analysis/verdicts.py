@@ -175,19 +175,13 @@ def decide(
         "wrong_at_least": statistics.at_least([1 - p for p in one_sided], plan.alpha / 2),
         "not_run": max(0, expected - sum(r["status"] != MISSING for r in items)),
     }
-    verdict = CONTRADICTED if wrong else HOLDS if known and alone >= expected else NOT_DECIDED
-    parts = [f"as claimed in {alone if verdict == HOLDS else len(right)} of {expected}"]
-    if counts["at_least"] > len(right):
-        parts[0] += f" one by one, and in {counts['at_least']} at least taken together"
-    if wrong:
-        found = listing([f"{place(r)} ({difference(r, r['outcome'])})" for r in wrong])
-        parts.append(f"the opposite in {len(wrong)}: {found}")
-    if counts["open"] and verdict != HOLDS:
-        parts.append(f"undecided in {counts['open']} (the interval at Holm's level includes 0)")
-    parts += _no_evidence(items)
-    if counts["not_run"]:
-        parts.append(f"{counts['not_run']} not run")
-    return verdict, "; ".join(parts), counts
+    more = counts["at_least"] > len(right)
+    return _conclude(
+        items, known, wrong, alone, counts,
+        said=f" one by one, and in {counts['at_least']} at least taken together" if more else "",
+        against="the opposite",
+        undecided=" (the interval at Holm's level includes 0)",
+    )  # fmt: skip
 
 
 def decide_equivalence(
@@ -209,15 +203,39 @@ def decide_equivalence(
         "open": len(known) - len(right) - len(wrong),
         "not_run": max(0, expected - sum(r["status"] != MISSING for r in items)),
     }
+    margin = number(known[0]["margin"], known[0]["outcome"]) if known else ""
+    return _conclude(
+        items, known, wrong, alone, counts,
+        said=f" (margin {margin})" if known else "",
+        against="a larger difference",
+    )  # fmt: skip
+
+
+def _conclude(
+    items: Sequence[Record],
+    known: Sequence[Record],
+    wrong: Sequence[Record],
+    alone: int,
+    counts: dict[str, int],
+    said: str,
+    against: str,
+    undecided: str = "",
+) -> tuple[str, str, dict[str, int]]:
+    """The verdict on a claim about all places, why, and the counts.
+
+    Args:
+        items, known, wrong: effects in all places, those that say something, and those that contradict.
+        alone: places in which the claim holds without adjustment, which is what a claim about all of them needs.
+        said, against, undecided: words for the places as claimed, against the claim and between.
+    """
+    expected = counts["expected"]
     verdict = CONTRADICTED if wrong else HOLDS if known and alone >= expected else NOT_DECIDED
-    parts = [f"as claimed in {alone if verdict == HOLDS else len(right)} of {expected}"]
-    if known:
-        parts[0] += f" (margin {number(known[0]['margin'], known[0]['outcome'])})"
+    parts = [f"as claimed in {alone if verdict == HOLDS else counts['right']} of {expected}{said}"]
     if wrong:
         found = listing([f"{place(r)} ({difference(r, r['outcome'])})" for r in wrong])
-        parts.append(f"a larger difference in {len(wrong)}: {found}")
+        parts.append(f"{against} in {len(wrong)}: {found}")
     if counts["open"] and verdict != HOLDS:
-        parts.append(f"undecided in {counts['open']}")
+        parts.append(f"undecided in {counts['open']}{undecided}")
     parts += _no_evidence(items)
     if counts["not_run"]:
         parts.append(f"{counts['not_run']} not run")

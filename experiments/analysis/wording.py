@@ -10,10 +10,6 @@ from experiments.analysis.plan import OUTCOMES
 MINUS = "\N{MINUS SIGN}"
 NONE = "\N{EN DASH}"  # where there is no number
 BACKENDS = {"sumo": "SUMO", "highway-env": "highway-env"}
-ARM_NAMES = {
-    "control": "trained in regular traffic (control)",
-    "treatment": "trained among risky drivers (treatment)",
-}
 
 
 def number(value: float | None, outcome: str, signed: bool = False) -> str:

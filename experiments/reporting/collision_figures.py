@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from experiments.analysis.tables import TASK_ORDER
 from experiments.reporting.figures import INK, MUTED, PAPER, new_figure, styled, to_svg
-from experiments.study.grid import ARMS, TRAFFICS
+from experiments.study.arms import ARMS, TRAFFICS
 
 LENGTH, WIDTH = 5.0, 2.0  # [m] of every vehicle, in both simulators
 # Seen best by all eyes beside each other: Okabe and Ito's sky blue, orange, reddish purple and yellow-green.

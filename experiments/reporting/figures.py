@@ -26,7 +26,7 @@ from experiments.analysis.gates import Q_SLACK
 from experiments.analysis.plan import ALPHA, OUTCOMES
 from experiments.analysis.tables import TASK_ORDER
 from experiments.analysis.wording import MINUS
-from experiments.study.grid import ARMS, TRAFFICS
+from experiments.study.arms import ARMS, TRAFFICS
 
 WIDTH = 7.2  # [inch]
 INK, MUTED, GRID, PAPER = "#1f2328", "#6b7280", "#d9dde3", "#ffffff"

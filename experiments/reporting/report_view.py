@@ -19,8 +19,9 @@ from experiments.reporting.beside import power
 from experiments.reporting.card import card
 from experiments.reporting.report_figures import backend_figures
 from experiments.reporting.showcase import KINDS
+from experiments.study.arms import ARMS
 from experiments.study.estimate import duration
-from experiments.study.grid import ARMS, MARKS
+from experiments.study.grid import MARKS
 from experiments.study.store import WEIGHTS, Results, read_sweep
 from experiments.support.files import canonical_json
 from experiments.validation import status

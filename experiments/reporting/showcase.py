@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from experiments.analysis.tables import PLACE, TASK_ORDER
+from experiments.study.arms import ARMS
 from experiments.study.cell import MakeEnv
-from experiments.study.grid import ARMS
 from experiments.study.rerun import Recorder, differences
 from experiments.study.store import EPISODES, WEIGHTS, Results
 from experiments.support.files import canonical_json, write_file

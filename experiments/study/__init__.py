@@ -1,5 +1,6 @@
 """The experiment itself, from the grid to stored cells.
 
+arms         the traffic that agents are trained and tested in
 grid         the cells, their names, and what the names are made of
 presets      named sizes
 fingerprint  what a simulator does, as eight digits

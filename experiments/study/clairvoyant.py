@@ -18,7 +18,8 @@ import numpy as np
 import tyro
 
 from experiments.backends import make_env
-from experiments.study.grid import TRAFFICS, env_config
+from experiments.study.arms import TRAFFICS
+from experiments.study.grid import env_config
 from experiments.study.seeds import scenario_seed
 from experiments.support.threads import limit_threads
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 import gymnasium as gym
 import numpy as np
 
-from experiments.study.grid import ALL_TRAFFICS, TRAFFICS
+from experiments.study.arms import ALL_TRAFFICS, TRAFFICS
 from experiments.study.seeds import scenario_seed, stream_seed
 
 if TYPE_CHECKING:
@@ -19,7 +19,7 @@ STOPPED = 1.0  # [m/s] an ego slower than this stands
 ACTIONS = 5
 # Columns of episodes.parquet and their types, one row a test episode.
 COLUMNS: dict[str, str] = {
-    "traffic": "str",  # of grid.ALL_TRAFFICS: "regular" or "risky", or a dose between
+    "traffic": "str",  # of arms.ALL_TRAFFICS: "regular" or "risky", or a dose between
     "scenario": "int64",  # number of the scenario, the same seed in both traffics
     "return": "float64",  # undiscounted sum of rewards
     "length": "int64",  # policy steps
@@ -71,7 +71,7 @@ def play(
 
     Args:
         env: an environment of this task and level.
-        traffic: of `grid.ALL_TRAFFICS`.
+        traffic: of `arms.ALL_TRAFFICS`.
         scenario: number of the test scenario.
         on_step: called after the reset and after every step (a recorder).
         purpose: what the scenario is for, "test" or "gate".

@@ -14,25 +14,23 @@ from functools import cache
 from typing import Any
 
 from experiments.backends import BACKENDS, SIMULATORS
+from experiments.study.arms import (
+    ARMS,
+    DOSE_ARMS,
+    DOSE_TRAFFICS,
+    DOSES,
+    TRAFFICS,
+    gate_traffics,
+    trained_with,
+)
 from experiments.study.fingerprint import dynamics
 from experiments.support.errors import UserError, unknown
 from experiments.support.files import canonical_json, sha256_bytes
-from sumo_env.config import Config, ConfigError, resolve
+from sumo_env.config import ConfigError, resolve
 from sumo_env.tasks import TASKS
 
 RESULT_SCHEMA = 4  # raise it with every change that makes stored results mean, or be, something else
-ARMS: dict[str, float] = {"control": 0.0, "treatment": 1.0}  # dose of risk in training
-TRAFFICS: dict[str, float] = {"regular": 0.0, "risky": 1.0}  # dose of risk in the test
-# Arms beside the two, and the dose of risk in their training. They are exploratory: none of them enters the primary
-# comparison. "dense" learns in regular traffic of the next higher level, so that risk can be told from more
-# interaction; "penalty" in regular traffic with a doubled penalty for crashes: a positive control, whose effect has
-# to be found.
-EXTRA_ARMS: dict[str, float] = {"dose25": 0.25, "dose50": 0.5, "dose75": 0.75, "dense": 0.0, "penalty": 0.0}
-DOSES: dict[str, float] = {**ARMS, **EXTRA_ARMS}
-DOSE_ARMS = ("control", "dose25", "dose50", "dose75", "treatment")
-DOSE_TRAFFICS: dict[str, float] = {"dose25": 0.25, "dose50": 0.5, "dose75": 0.75}
 TRANSFER_EPISODES = {"highway-env": 20}  # in each traffic on another simulator at most: it is slow
-ALL_TRAFFICS: dict[str, float] = {**TRAFFICS, **DOSE_TRAFFICS}
 BASELINES = ("idle", "random", "faster", "slower", "idm", "careful")
 LEARNER = "dqn"
 # highway-env's own time step, and drivers that see along their path (see `backends.highway_env`).
@@ -155,15 +153,6 @@ class Cell:
         return gate_traffics(self.arm)
 
 
-def gate_traffics(arm: str | None) -> tuple[str, ...]:
-    """Traffics that the gates of an arm look at: its own; for the policies it is held against (None) both.
-
-    Exploratory arms are judged in regular traffic, where all policies are.
-    """
-    own = ARMS.get(arm, 0.0) if arm else None
-    return tuple(traffic for traffic, risk in TRAFFICS.items() if own is None or risk == own)
-
-
 def slug(key: Mapping[str, Any]) -> str:
     """The readable part of a cell's name."""
     last = f"{key['arm']}-s{key['seed']}" if key["arm"] else key["policy"].replace(":", ".")
@@ -242,23 +231,6 @@ def env_config(
         raise UserError(str(error)) from None
     settings = {name: value for name, value in settings.items() if name not in NOT_IN_KEY}
     return {**settings, **more, **own}
-
-
-def trained_with(arm: str, task: str, level: int) -> Config | None:
-    """What differs in the environment that an arm is trained in; None where there is no such arm.
-
-    "dense": the traffic of the next higher level (the highest has none). "penalty": twice the reward for a crash (the
-    two-way road's reward has no such term).
-    """
-    levels = list(TASKS[task].levels.values())
-    if arm == "dense":
-        if level == len(levels):
-            return None
-        return {k: v for k, v in levels[level].items() if levels[level - 1].get(k) != v}
-    if arm == "penalty":
-        penalty = TASKS[task].defaults.get("collision_reward", 0)
-        return {"collision_reward": 2 * penalty} if penalty else None
-    return {}
 
 
 def choose_tasks(wanted: Sequence[str]) -> tuple[str, ...]:

@@ -14,10 +14,11 @@ from contextlib import suppress
 from datetime import timedelta
 from typing import Any, Protocol
 
+from experiments.study.arms import ARMS
 from experiments.study.attempt import Sign
 from experiments.study.cell import CellTask
 from experiments.study.estimate import Rates, duration
-from experiments.study.grid import ARMS, Cell
+from experiments.study.grid import Cell
 from experiments.study.run import RETRIES
 from experiments.study.store import CELL, Store
 

@@ -15,8 +15,8 @@ import numpy as np
 from gymnasium.utils.seeding import np_random
 from numpy.typing import NDArray
 
+from experiments.study.arms import TRAFFICS
 from experiments.study.fingerprint import checksum
-from experiments.study.grid import TRAFFICS
 from experiments.study.seeds import scenario_seed, stream_seed
 from experiments.validation.egos import make_ego
 from sumo_env.contacts.measures import DENSITY_RADIUS, headways

@@ -15,6 +15,7 @@ import numpy as np
 import pandas as pd
 
 from experiments.study import grid
+from experiments.study.arms import ALL_TRAFFICS, ARMS, TRAFFICS
 from experiments.study.evaluate import COLUMNS
 from experiments.study.store import EPISODES, GATES, MARKS, TRAINING, WEIGHTS, Store
 from experiments.study.train import learning_curve
@@ -61,7 +62,7 @@ def episodes(
     if purpose != "test":
         random = generator(cell.slug, purpose)
     tables = []
-    tested = cell.test_on or {"traffics": grid.TRAFFICS, "episodes": cell.episodes}
+    tested = cell.test_on or {"traffics": TRAFFICS, "episodes": cell.episodes}
     for traffic in tested["traffics"] if purpose == "test" else cell.gate_traffics:
         n = tested["episodes"] if purpose == "test" else cell.gate_episodes
         steps = DURATION[cell.task]
@@ -71,7 +72,7 @@ def episodes(
             else (cell.task, cell.level, traffic, purpose)
         )
         luck = generator(*words).uniform(size=n)  # shared by all who are tested
-        dose = grid.ALL_TRAFFICS[traffic]
+        dose = ALL_TRAFFICS[traffic]
         chance = CRASH[cell.policy] + 0.05 * (cell.level - 1) + own + 0.15 * dose
         chance += effect * cell.risk * dose + PENALTY * (cell.arm == "penalty")
         noise = random.uniform(-0.3, 0.3, n)
@@ -180,7 +181,7 @@ def write(
     faults: a fault by slug, for example {"sumo-highway-50-control-s0": "diverged"}.
     """
     profiles = {task: {"updates": updates, "gamma": 0.95} for task in grid.TASKS}
-    every = (*grid.ARMS, *further)
+    every = (*ARMS, *further)
     cells = grid.build(
         backend, levels, seeds, tests, profiles, preset, gate_episodes=100, arms=every, test_on=test_on
     )

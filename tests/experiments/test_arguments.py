@@ -13,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from experiments.study import grid
+from experiments.study.arms import DOSES
 from experiments.study.presets import PRESETS
 from experiments.support.errors import UserError
 from experiments.sweep import Options, cells_of
@@ -40,7 +41,7 @@ ARGUMENTS = {
     "network": st.none() | some(["attention", "dueling", "none.py:Net", ":", "a:b:c"]),
     "policy": st.lists(some(["none.py:make", "none.zip"]), max_size=1).map(tuple),
     "device": st.none() | some(["cpu"]),
-    "arms": st.lists(some(grid.DOSES), max_size=3).map(tuple),
+    "arms": st.lists(some(DOSES), max_size=3).map(tuple),
     "placebo": st.booleans(),
     "test_on": st.lists(some(grid.BACKENDS), max_size=2).map(tuple),
     "config": st.lists(

@@ -17,6 +17,7 @@ import pytest
 from experiments.analysis.analysis import analyse
 from experiments.analysis.tables import comparable
 from experiments.study import grid, store
+from experiments.study.arms import DOSES
 from experiments.study.attempt import Ended, attempt, locked
 from experiments.study.cell import CellTask
 from experiments.study.presets import PRESETS
@@ -77,7 +78,7 @@ def test_a_sweep_computes_every_cell_once(reference, capsys):
 
 def test_further_arms_are_trained_and_agents_tested_elsewhere(reference, tmp_path):
     directory = tmp_path / "results"
-    options = {"arms": tuple(grid.DOSES), "test_on": ("replica",)}
+    options = {"arms": tuple(DOSES), "test_on": ("replica",)}
     assert run(directory, **options) == 0
     results = store.load(directory)
     assert set(results.expected) == set(results.cells)

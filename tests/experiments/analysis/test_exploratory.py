@@ -8,7 +8,8 @@ import pytest
 
 from experiments.analysis.analysis import analyse
 from experiments.analysis.exploratory import ALL_TASKS, CRASH_TYPES, _tail, kind_of_crash
-from experiments.study import grid, store
+from experiments.study import store
+from experiments.study.arms import EXTRA_ARMS
 from tests.experiments import synthetic
 
 LEVELS = {"highway": (1,), "u-turn": (1,)}
@@ -30,7 +31,7 @@ MAIN = (
 def results(tmp_path_factory):
     home = tmp_path_factory.mktemp("further")
     synthetic.write(
-        home, LEVELS, seeds=6, tests=60, effect=-0.4, spread=0.01, further=tuple(grid.EXTRA_ARMS),
+        home, LEVELS, seeds=6, tests=60, effect=-0.4, spread=0.01, further=tuple(EXTRA_ARMS),
         test_on=("replica", "highway-env"), marks=True,
     )  # fmt: skip
     return store.load(home)

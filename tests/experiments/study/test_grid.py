@@ -8,6 +8,7 @@ from dataclasses import replace
 import pytest
 
 from experiments.study import grid
+from experiments.study.arms import DOSE_ARMS, DOSES
 from experiments.study.seeds import TEST, scenario_seed, training_seed
 from experiments.support.errors import UserError
 from sumo_env.tasks import TASKS
@@ -51,18 +52,18 @@ def test_every_seed_has_both_arms_and_every_level_every_baseline():
 
 def test_further_arms_and_tests_rename_nothing():
     both = {c.name for c in cells()}
-    more = cells_of(arms=grid.DOSES, test_on=("replica", "highway-env"))
+    more = cells_of(arms=DOSES, test_on=("replica", "highway-env"))
     assert both <= {c.name for c in more}
     assert len({c.name for c in more}) == len(more)
     agents = [c for c in more if c.kind == "agent"]
-    assert {c.arm: c.risk for c in agents} == grid.DOSES
+    assert {c.arm: c.risk for c in agents} == DOSES
     assert {c.arm: c.trained_with for c in agents if c.trained_with} == {
         "dense": {"vehicles_count": 100, "vehicles_density": 1.5},
         "penalty": {"collision_reward": -2},
     }
     tests = [c for c in more if c.kind == "test"]
     assert {c.parent.name for c in tests} == {c.name for c in agents}
-    assert {c.arm for c in tests if c.runs_on == "sumo"} == set(grid.DOSE_ARMS)
+    assert {c.arm for c in tests if c.runs_on == "sumo"} == set(DOSE_ARMS)
     assert {c.runs_on for c in tests} == {"sumo", "replica", "highway-env"}
     assert all(c.updates == 0 for c in tests)
     assert "sumo-highway-50-dose25-s1-on-replica" in {c.slug for c in tests}

@@ -1,0 +1,44 @@
+"""The arms of the experiment: the traffic that agents are trained in, and the traffic that they are tested in."""
+
+from __future__ import annotations
+
+from sumo_env.config import Config
+from sumo_env.tasks import TASKS
+
+ARMS: dict[str, float] = {"control": 0.0, "treatment": 1.0}  # dose of risk in training
+TRAFFICS: dict[str, float] = {"regular": 0.0, "risky": 1.0}  # dose of risk in the test
+# Arms beside the two, and the dose of risk in their training. They are exploratory: none of them enters the primary
+# comparison. "dense" learns in regular traffic of the next higher level, so that risk can be told from more
+# interaction; "penalty" in regular traffic with a doubled penalty for crashes: a positive control, whose effect has
+# to be found.
+EXTRA_ARMS: dict[str, float] = {"dose25": 0.25, "dose50": 0.5, "dose75": 0.75, "dense": 0.0, "penalty": 0.0}
+DOSES: dict[str, float] = {**ARMS, **EXTRA_ARMS}
+DOSE_ARMS = ("control", "dose25", "dose50", "dose75", "treatment")
+DOSE_TRAFFICS: dict[str, float] = {"dose25": 0.25, "dose50": 0.5, "dose75": 0.75}
+ALL_TRAFFICS: dict[str, float] = {**TRAFFICS, **DOSE_TRAFFICS}
+
+
+def gate_traffics(arm: str | None) -> tuple[str, ...]:
+    """Traffics that the gates of an arm look at: its own; for the policies it is held against (None) both.
+
+    Exploratory arms are judged in regular traffic, where all policies are.
+    """
+    own = ARMS.get(arm, 0.0) if arm else None
+    return tuple(traffic for traffic, risk in TRAFFICS.items() if own is None or risk == own)
+
+
+def trained_with(arm: str, task: str, level: int) -> Config | None:
+    """What differs in the environment that an arm is trained in; None where there is no such arm.
+
+    "dense": the traffic of the next higher level (the highest has none). "penalty": twice the reward for a crash (the
+    two-way road's reward has no such term).
+    """
+    levels = list(TASKS[task].levels.values())
+    if arm == "dense":
+        if level == len(levels):
+            return None
+        return {k: v for k, v in levels[level].items() if levels[level - 1].get(k) != v}
+    if arm == "penalty":
+        penalty = TASKS[task].defaults.get("collision_reward", 0)
+        return {"collision_reward": 2 * penalty} if penalty else None
+    return {}

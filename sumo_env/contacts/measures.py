@@ -36,10 +36,13 @@ def ego_ttc(ego: State, others: Iterable[State], horizon: float = HORIZON) -> fl
         dx, dy = ox - x, oy - y
         # No two vehicles close in faster than by the sum of their speeds.
         reach = DIAGONAL + (abs(speed) + abs(other_speed)) * limit
-        if dx * dx + dy * dy > reach * reach:
+        squared = dx * dx + dy * dy
+        if squared > reach * reach:
             continue
         c2, s2 = cos(other_heading), sin(other_heading)
         wx, wy = other_speed * c2 - vx, other_speed * s2 - vy
+        if dx * wx + dy * wy >= 0.0 and squared > DIAGONAL * DIAGONAL:
+            continue  # who is out of touch and moves away stays so
         parallel, across = abs(c1 * c2 + s1 * s2), abs(c1 * s2 - s1 * c2)
         width = HALF_WIDTH + HALF_LENGTH * across + HALF_WIDTH * parallel
         # Along each of the four directions of the sides the shadows of the rectangles overlap during one interval of

@@ -106,10 +106,10 @@ PRESETS = {
             gate_episodes=100,
             updates={
                 "highway": 5000,
-                "two-way": 3000,
+                "two-way": 8000,
                 "roundabout": 4000,
-                "intersection": 6000,
-                "u-turn": 3000,
+                "intersection": 7000,
+                "u-turn": 4000,
             },
         ),
         Preset(

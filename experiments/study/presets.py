@@ -34,8 +34,12 @@ PROFILES: dict[str, dict[str, Any]] = {
 }
 # What the profile "tuned" changes about a task, in both arms. finite_horizon: the time limit is terminal and the time
 # is observed (see `wrappers`). The roundabout's reward pays for standing at the entry: with values beyond the limit,
-# waiting is worth more than driving, and agents learn to wait (docs/learner.md).
-TASK_SETTINGS: dict[str, dict[str, Any]] = {"roundabout": {"finite_horizon": True}}
+# waiting is worth more than driving, and agents learn to wait. On the u-turn nothing is ever learnt of the places where
+# the limit ends an episode, so that the values beyond it, guessed there, grow without bound (docs/learner.md).
+TASK_SETTINGS: dict[str, dict[str, Any]] = {
+    "roundabout": {"finite_horizon": True},
+    "u-turn": {"finite_horizon": True},
+}
 
 
 @dataclass(frozen=True)

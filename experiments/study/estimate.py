@@ -14,11 +14,11 @@ Place = tuple[str, str, int]  # backend, task, level
 
 # Processor seconds of a common server for (a training step, a test episode) in the lightest traffic.
 DEFAULT_RATES: dict[tuple[str, str], tuple[float, float]] = {
-    ("sumo", "highway"): (0.0055, 0.050),
-    ("sumo", "two-way"): (0.0040, 0.012),
-    ("sumo", "roundabout"): (0.0040, 0.012),
-    ("sumo", "intersection"): (0.0045, 0.020),
-    ("sumo", "u-turn"): (0.0035, 0.010),
+    ("sumo", "highway"): (0.0025, 0.050),
+    ("sumo", "two-way"): (0.0010, 0.010),
+    ("sumo", "roundabout"): (0.0016, 0.017),
+    ("sumo", "intersection"): (0.0020, 0.017),
+    ("sumo", "u-turn"): (0.0011, 0.010),
     ("highway-env", "highway"): (0.400, 6.000),
     ("highway-env", "two-way"): (0.040, 0.300),
     ("highway-env", "roundabout"): (0.070, 0.600),
@@ -27,15 +27,15 @@ DEFAULT_RATES: dict[tuple[str, str], tuple[float, float]] = {
     **{
         ("replica", task): (step, episode)
         for task, step, episode in (
-            ("highway", 0.0040, 0.050),
-            ("two-way", 0.0020, 0.010),
-            ("roundabout", 0.0020, 0.010),
-            ("intersection", 0.0020, 0.010),
-            ("u-turn", 0.0020, 0.010),
+            ("highway", 0.0008, 0.015),
+            ("two-way", 0.0006, 0.005),
+            ("roundabout", 0.0006, 0.005),
+            ("intersection", 0.0006, 0.005),
+            ("u-turn", 0.0006, 0.005),
         )
     },
 }
-UPDATE = 0.006  # [s] of the learner, without the steps
+UPDATE = 0.005  # [s] of the learner, without the steps
 CELL = 0.5  # [s] beside training and test: environment, files
 START = 20.0  # [s] of a sweep: starting the processes, and the report
 RECENT = 50  # cells of a place that the measured rates are the median of

@@ -110,7 +110,7 @@ def _compared(directory: Path, analysis: dict[str, Any], other: Path | None) -> 
     study = json.loads(published.read_text())
     if study.get("schema") != SCHEMA:
         return []
-    return beside(analysis, study, "This run", "The published study")
+    return beside(analysis, study, "This run", "the published study")
 
 
 def add_outcome(name: str) -> None:

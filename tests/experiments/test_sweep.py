@@ -421,7 +421,7 @@ def test_presets_name_every_task_and_keep_the_arms_comparable():
     for name in ("quick", "standard"):
         tuned = PRESETS[name].profiles()
         assert {task: profile["finite_horizon"] for task, profile in tuned.items()} == {
-            task: task == "roundabout" for task in grid.TASKS
+            task: task in ("roundabout", "u-turn") for task in grid.TASKS
         }
         assert {profile["network"] for profile in tuned.values()} == {"attention"}
 

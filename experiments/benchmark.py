@@ -1,6 +1,6 @@
 """Speed side by side: the environments against highway-env, the learner against Stable-Baselines3.
 
-    python experiments/benchmark.py --out results/benchmark            # about half an hour
+    python experiments/benchmark.py --out results/benchmark            # long: two tasks took over 8 minutes
     python experiments/benchmark.py --out /tmp/benchmark --quick       # minutes, less certain
 
 Writes benchmark.json and prints one table. What is compared takes turns in one run, and medians over the turns are

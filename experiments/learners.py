@@ -1,4 +1,4 @@
-"""Learners from elsewhere in the control arm's traffic, as a mark outside: the table in docs/learner.md.
+"""Learners from elsewhere in the control arm's traffic, as a mark outside.
 
     python experiments/learners.py --out results/other-learners --beside results/standard
 
@@ -26,6 +26,7 @@ from typing import TYPE_CHECKING, Any
 import tyro
 
 from agents.dqn import DQNConfig
+from agents.policies import StableBaselines
 from experiments.analysis.gates import CONSTANT_POLICIES
 from experiments.backends import make_env
 from experiments.study import store
@@ -47,7 +48,7 @@ if TYPE_CHECKING:
 
 OURS = "tuned"
 STABLE_BASELINES: dict[str, dict[str, Any]] = {
-    # highway-env's own example for Stable-Baselines3 (scripts/sb3_highway_dqn.py); rl-zoo has no settings for driving
+    # highway-env's own example for Stable-Baselines3 (scripts/sb3_highway_dqn.py)
     "sb3": {
         "policy_kwargs": {"net_arch": [256, 256]},
         "learning_rate": 5e-4,
@@ -74,7 +75,8 @@ STABLE_BASELINES: dict[str, dict[str, Any]] = {
     },
 }
 # Settings of rl-agents' files on networks of this project, the paper's dueling network and ego attention:
-# HighwayEnv/agents/DQNAgent/dueling_ddqn.json and IntersectionEnv/agents/DQNAgent/ego_attention_2h.json
+# HighwayEnv/agents/DQNAgent/dueling_ddqn.json and IntersectionEnv/agents/DQNAgent/ego_attention_2h.json. The clip of
+# the gradient's norm and the random steps before the first update are this project's.
 RL_AGENTS: dict[str, dict[str, Any]] = {
     "rl-agents-dueling": {"network": "dueling", "gamma": 0.8, "batch_size": 32, "target_interval": 50},
     "rl-agents-attention": {"network": "attention", "gamma": 0.95, "batch_size": 64, "target_interval": 512},
@@ -199,19 +201,9 @@ def _stable_baselines(training: Training, env: gym.Env[Any, Any], seed: int, bea
         settings["learning_rate"] = lambda left: first * left
     model = DQN("MlpPolicy", env, seed=seed, device="cpu", **settings)
     model.learn(training.steps, callback=Alive())
-    return _Model(model)
-
-
-class _Model:
-    """A model of Stable-Baselines3 that is in memory."""
-
-    def __init__(self, model: Any) -> None:
-        self._model = model
-
-    def act(self, observation: Any) -> int:
-        return int(self._model.predict(observation, deterministic=True)[0])
-
-    def reset(self, seed: int) -> None: ...
+    file = training.folder / "model.zip"
+    model.save(file)
+    return StableBaselines(file, env)
 
 
 def _rl_agents(training: Training, env: gym.Env[Any, Any], seed: int, beat: Beat) -> Policy:

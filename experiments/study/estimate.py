@@ -12,7 +12,8 @@ from experiments.support.provenance import cpu
 
 Place = tuple[str, str, int]  # backend, task, level
 
-# Processor seconds of a common server for (a training step, a test episode) in the lightest traffic.
+# Processor seconds of a common server for (a training step, a test episode) in the lightest traffic. SUMO's are those
+# of the published study and a quarter; the others are rough.
 DEFAULT_RATES: dict[tuple[str, str], tuple[float, float]] = {
     ("sumo", "highway"): (0.0025, 0.050),
     ("sumo", "two-way"): (0.0010, 0.010),

@@ -59,6 +59,21 @@ STABLE_BASELINES: dict[str, dict[str, Any]] = {
         "train_freq": 1,
         "target_update_interval": 50,
     },
+    # RL Baselines3 Zoo has no DQN for highway-env; this is what it tuned for LunarLander-v3 (hyperparams/dqn.yml),
+    # its nearest task: few continuous observations, four actions, crashes
+    "sb3-zoo": {
+        "policy_kwargs": {"net_arch": [256, 256]},
+        "learning_rate": 6.3e-4,
+        "buffer_size": 50_000,
+        "learning_starts": 0,
+        "batch_size": 128,
+        "gamma": 0.99,
+        "train_freq": 4,
+        "gradient_steps": -1,
+        "target_update_interval": 250,
+        "exploration_fraction": 0.12,
+        "exploration_final_eps": 0.1,
+    },
     # what Stable-Baselines3's DQN can take over of the profile "tuned"
     "sb3-tuned": {
         "policy_kwargs": {"net_arch": [256, 192, 128]},
@@ -96,7 +111,7 @@ class Options:
     tasks: tuple[str, ...] = tuple(TASKS)
     """Tasks, in their lightest traffic."""
     learners: tuple[str, ...] = LEARNERS
-    """Of sb3, sb3-tuned, rl-agents-dueling, rl-agents-attention."""
+    """Of sb3, sb3-zoo, sb3-tuned, rl-agents-dueling, rl-agents-attention."""
     seeds: int = 3
     """Trainings of each."""
     steps: int | None = None

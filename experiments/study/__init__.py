@@ -16,7 +16,6 @@ executors/   processes of this machine, Ray, Slurm
 store        finished cells on disk
 rerun        a stored episode again
 clairvoyant  what is possible at all
-other_learners  what Stable-Baselines3 and the settings of rl-agents reach
 estimate     how long it will take
 progress     what a person sees meanwhile
 """

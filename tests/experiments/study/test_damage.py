@@ -23,7 +23,7 @@ from tests.experiments.fake_env import make_env
 pytestmark = pytest.mark.slow
 
 ROOT = Path(__file__).resolve().parents[3]
-TINY = {"preset": "smoke", "tasks": ("u-turn",), "updates": 300, "episodes": 2}
+TINY = {"preset": "smoke", "tasks": ("u-turn",), "updates": 150, "episodes": 2, "network": "dueling"}
 PROPERTY = settings(
     max_examples=25,
     deadline=None,

@@ -246,7 +246,8 @@ def load(directory: Path, skip_damaged: bool = False) -> Results:
     directory = Path(directory)
     cells: dict[str, dict[str, Any]] = {}
     agents: list[dict[str, Any]] = []
-    parts: dict[str, list[pd.DataFrame]] = {EPISODES: [], GATES: [], TRAINING: [], MARKS: []}
+    # by file, then by cell
+    parts: dict[str, dict[str, pd.DataFrame]] = {EPISODES: {}, GATES: {}, TRAINING: {}, MARKS: {}}
     damaged: dict[str, str] = {}
     for path in cell_directories(directory):
         try:
@@ -254,7 +255,7 @@ def load(directory: Path, skip_damaged: bool = False) -> Results:
             columns = {name: {**record["key"], "cell": path.name}.get(name) for name in KEY_COLUMNS}
             columns["preset"] = record["key"]["profile"].get("preset")
             there = [file for file in parts if file in record["files"] and (path / file).exists()]
-            tables = {file: _table(path / file, columns) for file in there}
+            tables = {file: _table(path / file) for file in there}
         except DamagedCell as error:
             if not skip_damaged:
                 raise
@@ -263,19 +264,21 @@ def load(directory: Path, skip_damaged: bool = False) -> Results:
         cells[path.name] = record
         agents.append({**columns, **_scalars(record["key"]["profile"]), **_learner(record)})
         for file, table in tables.items():
-            parts[file].append(table)
+            parts[file][path.name] = table
     if damaged and not cells:
         raise UserError(next(iter(damaged.values())))
     if not cells:
         raise UserError(f"{directory} holds no finished cell yet: run the sweep first")
     sweep = read_sweep(directory)
+    # A baseline has neither arm nor seed: types that know missing values keep seeds whole numbers.
+    known = pd.DataFrame(agents).astype({"arm": "str", "seed": "Int64"})
     return Results(
         directory=directory,
-        agents=pd.DataFrame(agents).astype({"arm": "str", "seed": "Int64"}),
-        episodes=_concatenate(parts[EPISODES]),
-        gate_episodes=_concatenate(parts[GATES]),
-        training=_concatenate(parts[TRAINING]),
-        marks=_concatenate(parts[MARKS]),
+        agents=known,
+        episodes=_concatenate(parts[EPISODES], known),
+        gate_episodes=_concatenate(parts[GATES], known),
+        training=_concatenate(parts[TRAINING], known),
+        marks=_concatenate(parts[MARKS], known),
         cells=cells,
         failed=read_failures(directory),
         expected=tuple(sweep.get("cells", ())),
@@ -312,29 +315,29 @@ def read_failures(directory: Path) -> dict[str, str]:
 def read_episodes(path: Path) -> pd.DataFrame:
     """The test episodes of one stored cell directory, checked. Raises DamagedCell."""
     read_cell(path)
-    return _table(path / EPISODES, {})
+    return _table(path / EPISODES)
 
 
-def _table(file: Path, columns: Mapping[str, Any]) -> pd.DataFrame:
+def _table(file: Path) -> pd.DataFrame:
     import pandas as pd
     import pyarrow
 
     try:
-        table = pd.read_parquet(file)
+        return pd.read_parquet(file)
     except (OSError, pyarrow.ArrowException) as error:
         raise DamagedCell(file, str(error).partition("\n")[0]) from None
-    for position, (name, value) in enumerate(columns.items()):
-        table.insert(position, name, value)
-    return table
 
 
-def _concatenate(tables: list[pd.DataFrame]) -> pd.DataFrame:
+def _concatenate(tables: Mapping[str, pd.DataFrame], agents: pd.DataFrame) -> pd.DataFrame:
+    """All rows of the tables of these cells, behind KEY_COLUMNS."""
     import pandas as pd
 
+    keys = agents.set_index("cell", drop=False)[list(KEY_COLUMNS)]
     if not tables:
-        return pd.DataFrame(columns=list(KEY_COLUMNS))
-    # A baseline has neither arm nor seed: types that know missing values keep seeds whole numbers.
-    return pd.concat([table.astype({"arm": "str", "seed": "Int64"}) for table in tables], ignore_index=True)
+        return keys.iloc[:0].reset_index(drop=True)
+    cells = [name for name, table in tables.items() for _ in range(len(table))]
+    rows = pd.concat(tables.values(), ignore_index=True)
+    return pd.concat([keys.loc[cells].reset_index(drop=True), rows], axis=1)
 
 
 def _scalars(profile: Mapping[str, Any]) -> dict[str, Any]:

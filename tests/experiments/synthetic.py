@@ -81,7 +81,7 @@ def episodes(
         per_step = {"poor": 0.1, "diverged": 0.6}.get(
             fault or "", REWARD[cell.policy] - 0.03 * cell.level - own / 2
         )
-        table = pd.DataFrame({"traffic": traffic, "scenario": np.arange(n)})
+        table: dict[str, Any] = {"traffic": traffic, "scenario": np.arange(n)}
         table["return"] = (
             length * per_step - crashed + (0 if fault == "diverged" else random.normal(0, 0.3, n))
         )
@@ -111,8 +111,9 @@ def episodes(
         table["crash_detected_by"] = "both"
         for column in COLUMNS:
             if column.startswith("crash_"):
-                table[column] = table[column].astype(object).where(crashed, None)
-        tables.append(table)
+                known = np.broadcast_to(np.asarray(table[column], dtype=object), n)
+                table[column] = np.where(crashed, known, None)
+        tables.append(pd.DataFrame(table))
     result = pd.concat(tables)[list(COLUMNS)].astype(COLUMNS)
     if fault == "tied":  # what it does is never constant, but pays exactly what a constant policy is paid
         slower = replace(cell, kind="baseline", arm=None, seed=None, policy="slower")

@@ -90,11 +90,11 @@ class Results:
     episodes: pd.DataFrame
     gate_episodes: pd.DataFrame
     training: pd.DataFrame
+    marks: pd.DataFrame
     cells: dict[str, dict[str, Any]]
     failed: dict[str, str] = field(default_factory=dict)
     expected: tuple[str, ...] = ()
     damaged: dict[str, str] = field(default_factory=dict)
-    marks: pd.DataFrame = field(default_factory=lambda: _concatenate([]))
 
 
 class Store:

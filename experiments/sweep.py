@@ -222,12 +222,7 @@ def sweep(
     with Stop(lambda: stopped(directory, again)) as stop:
         try:
             store = Store(directory)
-            store.write_sweep({
-                "command": again,
-                "backend": options.backend,
-                "preset": options.preset,
-                "cells": [cell.name for cell in cells],
-            })  # fmt: skip
+            store.write_sweep(again, cells)
             if validate is not None:
                 names = tuple(dict.fromkeys(cell.task for cell in cells))
                 validate(options.backend, names, directory, here, lambda words: print(words, flush=True))

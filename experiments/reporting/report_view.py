@@ -22,7 +22,7 @@ from experiments.reporting.showcase import KINDS
 from experiments.study.arms import ARMS
 from experiments.study.estimate import duration
 from experiments.study.grid import MARKS
-from experiments.study.store import WEIGHTS, Results, read_sweep
+from experiments.study.store import WEIGHTS, Results, read_sweeps
 from experiments.support.files import canonical_json
 from experiments.validation import status
 
@@ -71,8 +71,8 @@ def warnings(analysis: Mapping[str, Any]) -> list[str]:
     words = []
     if missing := analysis["missing"]:
         words.append(
-            f"{count(len(missing), 'cell')} of the last sweep {'is' if len(missing) == 1 else 'are'} not there yet; "
-            "run the same command again to go on."
+            f"{count(len(missing), 'cell')} that a sweep has asked for {'is' if len(missing) == 1 else 'are'} missing: "
+            "run the command again to go on."
         )
     if failed := analysis["failed"]:
         words.append(
@@ -174,7 +174,7 @@ def run(analysis: Mapping[str, Any], results: Results, left_out: set[str]) -> di
                 values.append(key["task"])
     return {
         "presets": origin["presets"],
-        "command": read_sweep(results.directory).get("command"),
+        "commands": [sweep["command"] for sweep in read_sweeps(results.directory)],
         "directory": str(results.directory),
         "agents": len(agents),
         "weights": sum((results.directory / "cells" / name / WEIGHTS).exists() for name in shown),

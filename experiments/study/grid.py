@@ -115,6 +115,11 @@ class Cell:
         return replace(self, kind="agent", test_on=None)
 
     @property
+    def setting(self) -> str:
+        """What is compared within: backend, task and level, for example "sumo-highway-50"."""
+        return setting(self.key())
+
+    @property
     def slug(self) -> str:
         """The readable part of the name, for example "sumo-highway-50-control-s0"."""
         return slug(self.key())
@@ -153,13 +158,18 @@ class Cell:
         return gate_traffics(self.arm)
 
 
+def setting(key: Mapping[str, Any]) -> str:
+    """The first part of a cell's name: backend, task and level."""
+    return f"{key['backend']}-{key['task']}-{key['level_name']}"
+
+
 def slug(key: Mapping[str, Any]) -> str:
     """The readable part of a cell's name."""
     last = f"{key['arm']}-s{key['seed']}" if key["arm"] else key["policy"].replace(":", ".")
     if test_on := key.get("test_on"):
         elsewhere = test_on["backend"] != key["backend"]
         last += f"-on-{test_on['backend']}" if elsewhere else "-doses"
-    return f"{key['backend']}-{key['task']}-{key['level_name']}-{last}"
+    return f"{setting(key)}-{last}"
 
 
 def cell_name(key: Mapping[str, Any], version: Mapping[str, Any]) -> str:

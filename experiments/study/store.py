@@ -4,7 +4,7 @@ DIR/cells/<cell>/     cell.json, episodes.parquet; but for further tests of an a
                       training.parquet, marks.parquet (tests at parts of the budget), weights.npz
 DIR/work/<cell>/      a cell in progress: checkpoint, lock, log (see `attempt`); failed.json if it was given up
 DIR/damaged/          what was put aside because it was damaged
-DIR/sweep.json        what the last sweep asked for
+DIR/sweep.json        what sweeps have asked for
 DIR/PUBLISHED.md      says that weights and training episodes of most agents are left out here on purpose
 """
 
@@ -17,7 +17,7 @@ import math
 import os
 import shutil
 import socket
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -34,6 +34,7 @@ CELL, EPISODES, GATES = "cell.json", "episodes.parquet", "gates.parquet"
 TRAINING, MARKS, WEIGHTS = "training.parquet", "marks.parquet", "weights.npz"
 FAILED = "failed.json"
 PUBLISHED = "PUBLISHED.md"
+SWEEPS = "sweep.json"
 UNPUBLISHED = {
     TRAINING,
     WEIGHTS,
@@ -81,7 +82,7 @@ class Results:
         mean_speed, epsilon.
     marks: the same with MARK_COLUMNS, of the policies that agents had at the parts `grid.MARKS` of their budget (1, 2).
     cells: cell.json of each cell by name. failed: name and reason of the cells that were given up.
-    expected: names of all cells that the last sweep asked for, finished or not.
+    expected: names of all cells that sweeps have asked for, finished or not (`read_sweeps`).
     damaged: name and reason of the cells that cannot be read, if they were to be passed over.
     """
 
@@ -157,9 +158,20 @@ class Store:
         write_file(staged / CELL, seal(value))
         publish(staged, self.cells / cell.name)
 
-    def write_sweep(self, record: Mapping[str, Any]) -> None:
-        """Note what a sweep asks for (cells, arguments)."""
-        write_json(self.directory / "sweep.json", record)
+    def write_sweep(self, command: str, cells: Sequence[Cell]) -> None:
+        """Note what a sweep asks for. Of what earlier ones asked for, that of other tasks and levels stays.
+
+        Raises:
+            UserError: the note of earlier sweeps cannot be read.
+        """
+        settings = tuple({f"{cell.setting}-" for cell in cells})
+        sweeps = [
+            {**sweep, "cells": kept}
+            for sweep in read_sweeps(self.directory)
+            if (kept := [name for name in sweep["cells"] if not name.startswith(settings)])
+        ]
+        sweeps.append({"command": command, "cells": [cell.name for cell in cells]})
+        write_json(self.directory / SWEEPS, {"sweeps": sweeps})
 
     def write_failure(self, name: str, reason: str, command: str) -> None:
         """Note that a cell was given up, and the command that tries it alone."""
@@ -269,7 +281,6 @@ def load(directory: Path, skip_damaged: bool = False) -> Results:
         raise UserError(next(iter(damaged.values())))
     if not cells:
         raise UserError(f"{directory} holds no finished cell yet: run the sweep first")
-    sweep = read_sweep(directory)
     # A baseline has neither arm nor seed: types that know missing values keep seeds whole numbers.
     known = pd.DataFrame(agents).astype({"arm": "str", "seed": "Int64"})
     return Results(
@@ -281,23 +292,27 @@ def load(directory: Path, skip_damaged: bool = False) -> Results:
         marks=_concatenate(parts[MARKS], known),
         cells=cells,
         failed=read_failures(directory),
-        expected=tuple(sweep.get("cells", ())),
+        expected=tuple(name for sweep in read_sweeps(directory) for name in sweep["cells"]),
         damaged=damaged,
     )
 
 
-def read_sweep(directory: Path) -> dict[str, Any]:
-    """What the last sweep in a directory asked for; empty if there was none.
+def read_sweeps(directory: Path) -> list[dict[str, Any]]:
+    """The sweeps that have asked for cells of a directory, with `command` and the names of the `cells`, oldest first.
+
+    The last sweep over a task and level of a backend decides what is asked for there.
 
     Raises:
         UserError: the note cannot be read.
     """
-    path = directory / "sweep.json"
+    path = directory / SWEEPS
     if not path.exists():
-        return {}
+        return []
     try:
-        return _parse(path)
-    except ValueError as error:
+        return [
+            {"command": sweep["command"], "cells": list(sweep["cells"])} for sweep in _parse(path)["sweeps"]
+        ]
+    except (ValueError, KeyError, TypeError) as error:
         raise UserError(f"{path} is damaged ({error}): delete this file and run the sweep again") from None
 
 

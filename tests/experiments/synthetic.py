@@ -210,6 +210,5 @@ def write(
         store.write(cell, record, files)
     weights.unlink()
     if sweep:
-        note = {"command": "python experiments/sweep.py", "backend": backend, "preset": preset}
-        store.write_sweep({**note, "cells": [cell.name for cell in cells], "failed": {}})
+        store.write_sweep("python experiments/sweep.py", cells)
     return wanted

@@ -51,7 +51,7 @@ def finished(tmp_path_factory) -> Path:
     directory = tmp_path_factory.mktemp("finished")
     for task in tasks_of(directory):
         assert attempt(task) == Ended("done")
-    store.Store(directory).write_sweep({"cells": [task.name for task in tasks_of(directory)]})
+    store.Store(directory).write_sweep("sweep", [task.cell for task in tasks_of(directory)])
     return directory
 
 

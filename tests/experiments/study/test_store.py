@@ -135,6 +135,19 @@ def test_a_damaged_note_does_not_ask_for_the_results_to_be_deleted(directory):
         store.load(directory)
 
 
+def test_sweeps_in_parts_add_up_and_the_last_one_over_a_setting_counts(directory, cells):
+    home = store.Store(directory)
+    highway, u_turn = ([cell for cell in cells if cell.task == task] for task in ("highway", "u-turn"))
+    home.write_sweep("both", cells)
+    home.write_sweep("u-turn", u_turn[:1])
+    home.write_sweep("u-turn again", u_turn[1:])
+    assert store.read_sweeps(directory) == [
+        {"command": "both", "cells": [cell.name for cell in highway]},
+        {"command": "u-turn again", "cells": [cell.name for cell in u_turn[1:]]},
+    ]
+    assert store.load(directory).expected == tuple(cell.name for cell in highway + u_turn[1:])
+
+
 def test_a_directory_without_results_is_told_from_an_empty_one(tmp_path):
     with pytest.raises(UserError, match="no results"):
         store.load(tmp_path / "nowhere")

@@ -42,6 +42,7 @@ from experiments.backends import make_env
 from experiments.reporting.beside import beside
 from experiments.reporting.report_view import page
 from experiments.reporting.showcase import showcase
+from experiments.study import store
 from experiments.study.evaluate import COLUMNS
 from experiments.study.store import load
 from experiments.support.errors import UserError, disk_error, run_command
@@ -105,7 +106,8 @@ def _compared(directory: Path, analysis: dict[str, Any], other: Path | None) -> 
     if other is not None:
         return beside(analysis, analyse(load(other, skip_damaged=True)), str(directory), str(other))
     published = PUBLISHED / ANALYSIS
-    if directory.resolve() == PUBLISHED or not published.is_file():
+    is_published = directory.resolve() == PUBLISHED or (directory / store.PUBLISHED).exists()
+    if is_published or not published.is_file():
         return []
     study = json.loads(published.read_text())
     if study.get("schema") != SCHEMA:

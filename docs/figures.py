@@ -5,10 +5,12 @@ docs/img/environments/*.png   one moment of each task, as its page shows it
 docs/img/films/*.gif          some seconds of each task
 docs/img/networks/*.png       SUMO's lanes (grey, orange in junctions) under highway-env's centre lines (bright, dashed)
 docs/img/collisions.png       how contacts are looked for
+docs/img/effects.svg          the effect on the crash rate in the published study, as in its report
 """
 
 from __future__ import annotations
 
+import json
 import math
 import sys
 from pathlib import Path
@@ -29,6 +31,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Polygon
 from PIL import Image
 
+from experiments.reporting.figures import effects_by_place
 from sumo_env.contacts.rectangles import LENGTH, WIDTH, State, separation, state_between, touch_moment
 from sumo_env.env import DrivingEnv
 from sumo_env.networks.lanes import WIDTH as LANE_WIDTH
@@ -316,9 +319,20 @@ def collisions() -> None:
     plt.close(figure)
 
 
+# -- the published study -----------------------------------------------------------------------------------------------
+
+
+def effects() -> None:
+    """The effect on the crash rate in every setting, on a white ground."""
+    analysis = json.loads((ROOT / "results" / "standard" / "analysis.json").read_text())
+    svg = effects_by_place(analysis["ate"], "crashed")
+    (IMAGES / "effects.svg").write_text(svg.replace("<svg ", '<svg style="background: white" ', 1) + "\n")
+
+
 if __name__ == "__main__":
     tasks()
     environments()
     films()
     networks()
     collisions()
+    effects()

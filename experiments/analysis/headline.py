@@ -60,7 +60,7 @@ def _headline(
         _of_the_paper(own["claims"]),
     ]
     text.append(_graded(own["claims"], sum(grid.values())))
-    text += _generality(primary, outcome)
+    text += _generality(primary, own["pooled"], outcome)
     text += _failing(own["failures"])
     used, every = primary["comparisons"]
     if every < sum(grid.values()) or used < every:
@@ -139,15 +139,22 @@ def _graded(claims: Sequence[Record], settings: int) -> str:
     return text + "."
 
 
-def _generality(primary: Record, outcome: str) -> list[str]:
+def _generality(primary: Record, pooled: Sequence[Record], outcome: str) -> list[str]:
     """How far the answer goes beyond these tasks."""
     population = primary["over_tasks"]
     if not population or not population["prediction"]:
         return []
     low, high = (number(value, outcome, signed=True) for value in population["prediction"])
+    tasks = [
+        r for r in pooled
+        if r["scope"] != ALL_TASKS and (r["outcome"], r["term"]) == (outcome, primary["term"]) and r["status"] == OK
+    ]  # fmt: skip
+    ends = [extreme(tasks, key=lambda r: r["estimate"]) for extreme in (min, max)]
+    least, most = (f"{number(r['estimate'], outcome, signed=True)} ({r['scope']})" for r in ends)
     return [
-        f"The tasks differ with a standard deviation of {number(population['tau'], outcome)}; for another task "
-        f"of their kind one has to expect a difference between {low} and {high} points."
+        f"By task the difference is between {least} and {most} points, with a standard deviation of "
+        f"{number(population['tau'], outcome)}; for another task of their kind one has to expect a difference between "
+        f"{low} and {high} points."
     ]
 
 

@@ -14,7 +14,7 @@ from statsmodels.tools.sm_exceptions import PerfectSeparationWarning
 from experiments.analysis import statistics
 from experiments.analysis.effects import Record, as_record, cells_of, contrast, least, paired
 from experiments.analysis.plan import DEFAULT, Plan
-from experiments.analysis.pooling import Pairs, task_weights
+from experiments.analysis.pooling import Pairs, by_task, task_weights
 from experiments.analysis.statistics import OK, Mean
 from experiments.analysis.tables import PLACE, Pair
 
@@ -55,8 +55,8 @@ def sensitivity(
     """The primary question in other ways, for each backend.
 
     Returns:
-        Records with backend, variant (in words), and the fields of an estimate; settings [used, existing]. The last
-        ones are of other scales: "odds ratio" is a logarithm.
+        Records with backend, variant (in words), and the fields of an estimate; settings [used, existing]. With
+        several tasks each is left out once. The last ones are of other scales: "odds ratio" is a logarithm.
     """
     result: list[Record] = []
     outcome, term = plan.primary_outcome, plan.primary_term
@@ -67,6 +67,11 @@ def sensitivity(
         sound = passing(own, verdicts)
         taught = {tuple(r[k] for k in PLACE) for r in learnt(own, verdicts, plan) if r["learnt"] is not False}
         only_learnt = {place: pair for place, pair in own.items() if place in taught}
+        tasks = by_task(own)
+        without = {
+            f"without {task}": {place: pair for place, pair in own.items() if place[1] != task}
+            for task in (tasks if len(tasks) > 1 else ())
+        }
         means = {
             "all agents, tasks alike (primary)": (own, _mean(own, outcome, term)),
             "agents that pass the gates": (sound, _mean(sound, outcome, term)),
@@ -74,6 +79,7 @@ def sensitivity(
             "every setting alike": (own, _mean(own, outcome, term, alike=True)),
             "the paper's sum instead of risky traffic": (own, _mean(own, outcome, "sum")),
             "agents paired by training seed": (own, _mean(own, outcome, term, pair_by_seed=True)),
+            **{variant: (used, _mean(used, outcome, term)) for variant, used in without.items()},
         }
         for variant, (used, mean) in means.items():
             record = {"backend": backend, "variant": variant, **as_record(statistics.interval(mean))}

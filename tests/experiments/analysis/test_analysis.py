@@ -263,10 +263,21 @@ class TestSensitivity:
         assert found["agents paired by training seed"]["seeds"] == [10]
 
     def test_all_variants_agree_on_a_clear_effect(self, analysis):
-        assert len(analysis["sensitivity"]) == 8
+        assert len(analysis["sensitivity"]) == 8 + len({record["task"] for record in analysis["ate"]})
         for record in analysis["sensitivity"]:
             assert record["estimate"] < 0
             assert record["p"] < 0.05
+
+    def test_each_task_is_left_out_once(self):
+        random = np.random.default_rng(3)
+        highway = agents(2, 5, random, spread=0.1)
+        found = {
+            r["variant"]: r for r in sensitivity(highway | agents(2, 5, random, effect=3.0, task="u-turn"))
+        }
+        assert found["without u-turn"]["settings"] == found["without highway"]["settings"] == [2, 4]
+        assert found["without u-turn"]["estimate"] == pytest.approx(0, abs=0.3)
+        assert found["without highway"]["estimate"] == pytest.approx(3, abs=1.5)
+        assert not any("without" in record["variant"] for record in sensitivity(highway))
 
     def test_the_permutation_is_exact_for_a_complete_separation(self):
         pairs = agents(1, 4, np.random.default_rng(3), spread=0.01, effect=5.0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import importlib.util
+import json
 import re
 from dataclasses import asdict
 from itertools import dropwhile, takewhile
@@ -14,6 +15,7 @@ import gymnasium as gym
 import pytest
 
 import sumo_env
+from experiments.analysis.wording import difference
 from experiments.validation.margins import MARGINS
 from sumo_env.config import COMMON, FILE_KEYS, FIXED, LEFT_OUT
 from sumo_env.contacts.crash import CrashRecord
@@ -316,3 +318,20 @@ def test_the_attributes_of_a_task() -> None:
     assert {name for name in listed if name not in ("config", "road", "rng", "drivers", "seed", "ego", "rewards")} <= {
         *vars(Task), *Task.__annotations__
     }  # fmt: skip
+
+
+# -- the published study -----------------------------------------------------------------------------------------------
+
+
+def test_the_readme_tells_the_numbers_of_the_published_study() -> None:
+    analysis = json.loads((ROOT / "results" / "standard" / "analysis.json").read_text())
+    pooled = [r for r in analysis["pooled"] if (r["scope"], r["outcome"]) == ("all tasks", "crashed")]
+    elsewhere = [
+        r for r in analysis["exploratory"]["transfer"]
+        if (r["scope"], r["tested_on"]) == ("all tasks", "highway-env")
+    ]  # fmt: skip
+    told = [r for r in (*pooled, *elsewhere) if r["term"] in ("risky", "regular")]
+    told += [r for r in analysis["sensitivity"] if r["variant"] == "without u-turn"]
+    assert len(told) == 5
+    readme = " ".join(TEXTS[ROOT / "README.md"].split())
+    assert [difference(r, "crashed") for r in told if difference(r, "crashed") not in readme] == []

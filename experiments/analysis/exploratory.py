@@ -196,17 +196,23 @@ def transfer(episodes: pd.DataFrame, cells: Mapping[str, Mapping[str, Any]]) -> 
     """The effect on the crash rate where agents are tested on another simulator than they were trained on.
 
     Returns:
-        Records with backend (of the training), tested_on, and the fields of `arms`.
+        Records with backend (of the training), tested_on, the fields of `arms`, and at_home: the same agents on the
+        same scenarios on the simulator of their training, as another such record.
     """
     tests: dict[str, list[str]] = {}
     for name in _elsewhere(cells):
         if test_on := cells[name]["key"].get("test_on"):
             tests.setdefault(test_on["backend"], []).append(name)
+    trained = episodes[episodes["cell"].isin(name for name in cells if cells[name]["key"]["kind"] == "agent")]
+    agent = [*PLACE, "arm", "seed"]
     records = []
     for other, names in sorted(tests.items()):
-        away = episodes[episodes["cell"].isin(names)]
+        away = episodes[episodes["cell"].isin(names)].merge(trained[agent].drop_duplicates())
+        homes = dict(_backends(settings(trained.merge(away[[*agent, "traffic", "scenario"]]))))
         for backend, pairs in _backends(settings(away)):
-            records += _estimates(pairs, ("crashed",), backend=backend, tested_on=other)
+            here = _estimates(pairs, ("crashed",), backend=backend, tested_on=other)
+            home = _estimates(homes[backend], ("crashed",), backend=backend, tested_on=backend)
+            records += [{**r, "at_home": h} for r, h in zip(here, home, strict=True)]
     return records
 
 

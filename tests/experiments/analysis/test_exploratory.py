@@ -7,7 +7,8 @@ import pandas as pd
 import pytest
 
 from experiments.analysis.analysis import analyse
-from experiments.analysis.exploratory import ALL_TASKS, CRASH_TYPES, _tail, kind_of_crash
+from experiments.analysis.exploratory import ALL_TASKS, CRASH_TYPES, _tail, kind_of_crash, transfer
+from experiments.analysis.tables import with_outcomes
 from experiments.study import store
 from experiments.study.arms import EXTRA_ARMS
 from tests.experiments import synthetic
@@ -82,6 +83,28 @@ def test_agents_are_compared_on_other_simulators(analysis):
     for simulator in ("replica", "highway-env"):
         record = one(found, tested_on=simulator, scope=ALL_TASKS, term="risky")
         assert record["high"] < 0 and record["seeds"] == [12, 12]
+        assert record["at_home"]["tested_on"] == "sumo" and record["at_home"]["seeds"] == [12, 12]
+    chosen = {"scope": ALL_TASKS, "term": "risky"}
+    replica, highway_env = (
+        one(found, **chosen, tested_on=name)["at_home"] for name in ("replica", "highway-env")
+    )
+    over_all_scenarios = one(analysis["pooled"], primary=True)["estimate"]
+    assert replica["estimate"] == pytest.approx(over_all_scenarios)
+    assert highway_env["estimate"] != pytest.approx(over_all_scenarios)  # the first 20 alone
+
+
+def test_an_agent_that_is_lost_at_home_is_not_compared_elsewhere(results):
+    keys = {name: cell["key"] for name, cell in results.cells.items()}
+    lost = next(n for n, key in keys.items() if (key["kind"], key["arm"]) == ("agent", "treatment"))
+    cells = {name: cell for name, cell in results.cells.items() if name != lost}
+    episodes = with_outcomes(results.episodes, results.cells)
+    record = one(
+        transfer(episodes[episodes["cell"] != lost], cells),
+        tested_on="replica",
+        scope=ALL_TASKS,
+        term="risky",
+    )
+    assert record["seeds"] == record["at_home"]["seeds"] == [11, 12]
 
 
 def test_the_effect_grows_with_the_budget(analysis):

@@ -159,18 +159,23 @@ class Store:
         publish(staged, self.cells / cell.name)
 
     def write_sweep(self, command: str, cells: Sequence[Cell]) -> None:
-        """Note what a sweep asks for. Of what earlier ones asked for, that of other tasks and levels stays.
+        """Note what a sweep asks for.
+
+        What earlier sweeps asked for stays, but for cells of the same tasks and levels that were never finished.
 
         Raises:
             UserError: the note of earlier sweeps cannot be read.
         """
+        wanted = [cell.name for cell in cells]
         settings = tuple({f"{cell.setting}-" for cell in cells})
-        sweeps = [
-            {**sweep, "cells": kept}
-            for sweep in read_sweeps(self.directory)
-            if (kept := [name for name in sweep["cells"] if not name.startswith(settings)])
-        ]
-        sweeps.append({"command": command, "cells": [cell.name for cell in cells]})
+        sweeps = []
+        for sweep in read_sweeps(self.directory):
+            kept = [
+                name for name in sweep["cells"]
+                if name not in wanted and (not name.startswith(settings) or (self.cells / name).is_dir())
+            ]  # fmt: skip
+            sweeps += [{**sweep, "cells": kept}] if kept else []
+        sweeps.append({"command": command, "cells": wanted})
         write_json(self.directory / SWEEPS, {"sweeps": sweeps})
 
     def write_failure(self, name: str, reason: str, command: str) -> None:
@@ -299,8 +304,6 @@ def load(directory: Path, skip_damaged: bool = False) -> Results:
 
 def read_sweeps(directory: Path) -> list[dict[str, Any]]:
     """The sweeps that have asked for cells of a directory, with `command` and the names of the `cells`, oldest first.
-
-    The last sweep over a task and level of a backend decides what is asked for there.
 
     Raises:
         UserError: the note cannot be read.

@@ -135,17 +135,27 @@ def test_a_damaged_note_does_not_ask_for_the_results_to_be_deleted(directory):
         store.load(directory)
 
 
-def test_sweeps_in_parts_add_up_and_the_last_one_over_a_setting_counts(directory, cells):
-    home = store.Store(directory)
-    highway, u_turn = ([cell for cell in cells if cell.task == task] for task in ("highway", "u-turn"))
-    home.write_sweep("both", cells)
-    home.write_sweep("u-turn", u_turn[:1])
-    home.write_sweep("u-turn again", u_turn[1:])
-    assert store.read_sweeps(directory) == [
-        {"command": "both", "cells": [cell.name for cell in highway]},
-        {"command": "u-turn again", "cells": [cell.name for cell in u_turn[1:]]},
+def test_sweeps_add_up_but_for_what_was_never_finished_and_is_not_asked_for_again(tmp_path, cells):
+    home = store.Store(tmp_path)
+    first, _, third, *rest = (cell for cell in cells if cell.task == "u-turn")
+    highway = [cell for cell in cells if cell.task == "highway"]
+    (home.cells / first.name).mkdir()
+    home.write_sweep("all", cells)
+    home.write_sweep("third", [third])
+    home.write_sweep("rest", rest)
+    assert store.read_sweeps(tmp_path) == [
+        {"command": "all", "cells": [cell.name for cell in (*highway, first)]},
+        {"command": "rest", "cells": [cell.name for cell in rest]},
     ]
-    assert store.load(directory).expected == tuple(cell.name for cell in highway + u_turn[1:])
+    home.write_sweep("all again", cells)
+    assert store.read_sweeps(tmp_path) == [{"command": "all again", "cells": [cell.name for cell in cells]}]
+
+
+def test_results_know_all_cells_that_sweeps_asked_for(directory, cells):
+    home = store.Store(directory)
+    home.write_sweep("most", cells[1:])
+    home.write_sweep("one", cells[:1])
+    assert store.load(directory).expected == tuple(cell.name for cell in (*cells[1:], cells[0]))
 
 
 def test_a_directory_without_results_is_told_from_an_empty_one(tmp_path):

@@ -61,7 +61,7 @@ def comparable(results: Results) -> tuple[Results, list[dict[str, str]]]:
     versions.
     """
     left_out: list[dict[str, str]] = []
-    expected = set(results.expected)
+    latest = {name: number for number, name in enumerate(results.expected)}  # the last sweep stands last
     places: dict[tuple[Any, ...], list[str]] = {}
     for name, cell in results.cells.items():
         places.setdefault(tuple(cell["key"][column] for column in PLACE), []).append(name)
@@ -70,9 +70,8 @@ def comparable(results: Results) -> tuple[Results, list[dict[str, str]]]:
         agents = [name for name in names if results.cells[name]["key"]["kind"] == "agent"]
         for name in agents or names:
             groups.setdefault(canonical_json(_settings(results.cells[name])), []).append(name)
-        best = max(
-            groups, key=lambda group: (len(expected.intersection(groups[group])), len(groups[group]), group)
-        )
+        asked = {group: max(latest.get(name, -1) for name in groups[group]) for group in groups}
+        best = max(groups, key=lambda group: (asked[group], len(groups[group]), group))
         reference = _settings(results.cells[groups[best][0]])
         environment = {name: value for name, value in reference.items() if not _is_learner(name)}
         for name in names:

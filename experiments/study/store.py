@@ -166,7 +166,7 @@ class Store:
         Raises:
             UserError: the note of earlier sweeps cannot be read.
         """
-        wanted = [cell.name for cell in cells]
+        wanted = dict.fromkeys(cell.name for cell in cells)
         settings = tuple({f"{cell.setting}-" for cell in cells})
         sweeps = []
         for sweep in read_sweeps(self.directory):
@@ -175,7 +175,7 @@ class Store:
                 if name not in wanted and (not name.startswith(settings) or (self.cells / name).is_dir())
             ]  # fmt: skip
             sweeps += [{**sweep, "cells": kept}] if kept else []
-        sweeps.append({"command": command, "cells": wanted})
+        sweeps.append({"command": command, "cells": list(wanted)})
         write_json(self.directory / SWEEPS, {"sweeps": sweeps})
 
     def write_failure(self, name: str, reason: str, command: str) -> None:

@@ -1,7 +1,7 @@
 """Write report.html, and the same as Markdown, CSV and JSON, from the cells that a sweep has stored.
 
     python experiments/report.py results/sumo-quick
-    python experiments/report.py results/sumo-quick results/replica-quick    # the second one beside it
+    python experiments/report.py results/sumo-quick results/replica-quick    # others beside it
     python experiments/report.py results/sumo-quick --placebo
 
 Nothing is trained: the report is a function of the stored cells, and may be written at any time, also while a
@@ -17,6 +17,7 @@ Exit status: 0 written, 2 the directory holds no results, or cannot be written.
 from __future__ import annotations
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 
 if __package__ in (None, ""):  # run as a file: import from the project, not from this folder (statistics.py!)
@@ -60,19 +61,19 @@ class Options:
 
     directory: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
     """The --out directory of a sweep."""
-    other: Annotated[Path | None, tyro.conf.Positional, tyro.conf.arg(metavar="DIR2")] = None
-    """Another one to show beside it; by default the published study, where there is one."""
+    others: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="OTHER")] = ()
+    """Others to show beside it; by default the published study, beside which its variants are shown."""
     outcome: tuple[Annotated[str, tyro.conf.arg(metavar="FILE:NAME")], ...] = ()
     """Also analyse outcomes of your own: objects of the class experiments.analysis.plan.Outcome with `of`."""
     placebo: bool = False
     """Instead print what the controls find: control against control, a rule against itself, a doubled penalty."""
 
 
-def write_report(directory: Path, other: Path | None = None) -> Path:
+def write_report(directory: Path, *others: Path) -> Path:
     """Analyse the stored cells of a directory and write the files of the report into it.
 
     Args:
-        other: another directory to show beside it; by default the published study, where there is one.
+        others: directories to show beside it; by default the published study, beside which its variants are shown.
 
     Returns:
         The path of report.html.
@@ -80,13 +81,16 @@ def write_report(directory: Path, other: Path | None = None) -> Path:
     Raises:
         UserError: no results there, or no permission to write.
     """
-    return _write(Path(directory), other)[0]
+    return _write(Path(directory), others)[0]
 
 
-def _write(directory: Path, other: Path | None) -> tuple[Path, dict[str, Any]]:
+def _write(directory: Path, others: Sequence[Path]) -> tuple[Path, dict[str, Any]]:
     results = load(directory, skip_damaged=True)
     analysis = analyse(results)
-    compared = _compared(directory, analysis, other)
+    named = [(_title(other, str(other)), analyse(load(other, skip_damaged=True))) for other in others]
+    compared = beside(
+        [(_title(directory, "This run"), analysis), *(named or _published(directory, analysis))]
+    )
     path = directory / REPORT
     try:
         films = showcase(results, {entry["cell"] for entry in analysis["left_out"]}, make_env)
@@ -101,18 +105,28 @@ def _write(directory: Path, other: Path | None) -> tuple[Path, dict[str, Any]]:
     return path, analysis
 
 
-def _compared(directory: Path, analysis: dict[str, Any], other: Path | None) -> list[dict[str, Any]]:
-    """What is shown of another directory."""
-    if other is not None:
-        return beside(analysis, analyse(load(other, skip_damaged=True)), str(directory), str(other))
-    published = PUBLISHED / ANALYSIS
-    is_published = directory.resolve() == PUBLISHED or (directory / store.PUBLISHED).exists()
-    if is_published or not published.is_file():
-        return []
-    study = json.loads(published.read_text())
-    if study.get("schema") != SCHEMA:
-        return []
-    return beside(analysis, study, "This run", "the published study")
+def _published(directory: Path, analysis: dict[str, Any]) -> list[tuple[str, dict[str, Any]]]:
+    """What is shown beside a directory by itself: beside the published study its variants, beside others the study."""
+    if directory.resolve() == PUBLISHED:
+        folders = sorted(file.parent for file in PUBLISHED.parent.glob(f"*/{store.PUBLISHED}"))
+    else:
+        folders = [PUBLISHED]
+    found = [(_title(folder, folder.name), _stored(folder / ANALYSIS)) for folder in folders]
+    own = analysis["provenance"]["hash"]
+    return [(title, other) for title, other in found if other and other["provenance"]["hash"] != own]
+
+
+def _stored(path: Path) -> dict[str, Any] | None:
+    """An analysis that is stored; None if it is not there or of another version."""
+    found: dict[str, Any] | None = json.loads(path.read_text()) if path.is_file() else None
+    return found if found and found.get("schema") == SCHEMA else None
+
+
+def _title(directory: Path, otherwise: str) -> str:
+    """What a directory is called: by the heading of its PUBLISHED.md."""
+    path = directory / store.PUBLISHED
+    heading = path.read_text().partition("\n")[0] if path.is_file() else ""
+    return heading.removeprefix("#").strip() or otherwise
 
 
 def add_outcome(name: str) -> None:
@@ -200,7 +214,7 @@ def main() -> int:
     if options.placebo:
         report_placebo(options.directory)
         return 0
-    path, analysis = _write(options.directory, options.other)
+    path, analysis = _write(options.directory, options.others)
     show(analysis)
     print(f"report: {path}")
     return 0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -37,9 +37,9 @@ def by_task(pairs: Pairs) -> dict[str, dict[Place, Pair]]:
     return result
 
 
-def task_weights(pairs: Pairs) -> list[float]:
+def task_weights(places: Iterable[Place]) -> list[float]:
     """Weights of settings with which every task counts alike, and in a task every level."""
-    tasks = [place[1] for place in pairs]
+    tasks = [place[1] for place in places]
     return [1 / len(set(tasks)) / tasks.count(task) for task in tasks]
 
 

@@ -9,7 +9,7 @@ from experiments.analysis.plan import OUTCOMES
 
 MINUS = "\N{MINUS SIGN}"
 NONE = "\N{EN DASH}"  # where there is no number
-BACKENDS = {"sumo": "SUMO", "highway-env": "highway-env"}
+BACKENDS = {"sumo": "SUMO", "replica": "the replica"}
 
 
 def number(value: float | None, outcome: str, signed: bool = False) -> str:

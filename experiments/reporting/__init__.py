@@ -4,7 +4,7 @@ report_view        rows and words of the template
 report_figures     which figures, in which order
 figures            each a pure function that returns SVG
 collision_figures  the paper's figure 3
-beside             two result directories side by side
+beside             result directories side by side
 card               what the paper says and what was done here
 showcase           films of two agents in the same scenario, for templates/player.js
 """

@@ -37,6 +37,17 @@ VARIABLES = {
     INK: "ink", MUTED: "muted", GRID: "grid", PAPER: "paper",
     CONTROL: "control", TREATMENT: "treatment", CAREFUL: "careful",
 }  # fmt: skip
+SIDES: list[dict[str, Any]] = [
+    {"color": colour, "marker": marker}
+    for colour, marker in (
+        (VIOLET, "o"),
+        (INK, "s"),
+        (CONTROL, "D"),
+        (TREATMENT, "^"),
+        (CAREFUL, "v"),
+        (MUTED, "P"),
+    )
+]  # of directories side by side
 MARKS = {"careful": "*", "idle": "o", "random": "D", "faster": "^", "slower": "v", "idm": "s"}
 STYLE: Any = {
     "font.family": "sans-serif", "font.sans-serif": ["DejaVu Sans"], "font.size": 8.5,
@@ -251,40 +262,45 @@ def effects_by_place(records: Sequence[Mapping[str, Any]], outcome: str) -> str:
 
 
 @styled
-def side_by_side(directories: Sequence[Sequence[Mapping[str, Any]]], names: Sequence[str], name: str) -> str:
-    """Effects on the crash rate in risky traffic of two directories, setting by setting, and their means.
+def side_by_side(
+    sides: Sequence[Mapping[tuple[str, int] | None, Mapping[str, Any]]], names: Sequence[str], name: str
+) -> str:
+    """Effects on the crash rate in risky traffic of several directories, setting by setting, and their means.
 
-    directories: for each the records of its settings and of the mean over all tasks (one with a scope).
+    sides: for each the records of its settings by task and level, and that of the mean under None.
     """
-    settings = [r for records in directories for r in records if "scope" not in r]
-    rows = _place_rows(settings)
-    figure, axes = new_figure(1, 1, 1.3 + 0.3 * (len(rows) + 1))
+    settings = [r for side in sides for key, r in side.items() if key is not None]
+    rows: dict[tuple[str, int] | None, float] = dict(_place_rows(settings).items())
+    labels: dict[tuple[str, int] | None, str] = {
+        (r["task"], r["level"]): f"{r['task']} {r['level_name']}" for r in settings
+    }
+    if any(None in side for side in sides):
+        rows[None], labels[None] = 1.4, "mean, tasks alike"
+    styles = [SIDES[number % len(SIDES)] for number in range(len(sides))]
+    height = 0.2 + 0.1 * len(sides)
+    figure, axes = new_figure(1, 1, 0.9 + 0.18 * len(sides) + height * (len(rows) + 1))
     panel = axes[0, 0]
     panel.axvline(0, color=INK, lw=0.8)
-    top = 1.1
-    styles: list[dict[str, Any]] = [{"color": VIOLET, "marker": "o"}, {"color": INK, "marker": "s"}]
-    for number, (records, style) in enumerate(zip(directories, styles, strict=True)):
-        for r in records:
-            if r["estimate"] is None:
-                continue
-            y = (top if "scope" in r else rows[r["task"], r["level"]]) + (0.13, -0.13)[number]
+    for number, (side, style) in enumerate(zip(sides, styles, strict=True)):
+        for key, r in side.items():
+            y = rows[key] + 0.7 * ((len(sides) - 1) / 2 - number) / len(sides)
             hollow = r["low"] is None
             if not hollow:
                 panel.plot(
-                    [r["low"], r["high"]], [y, y], color=style["color"], lw=2.4 if "scope" in r else 1.4
+                    [r["low"], r["high"]], [y, y], color=style["color"], lw=2.4 if key is None else 1.4
                 )
-            mark = {**style, "mfc": PAPER if hollow else style["color"], "ms": 7 if "scope" in r else 4.5}
+            mark = {**style, "mfc": PAPER if hollow else style["color"], "ms": 7 if key is None else 4.5}
             panel.plot(r["estimate"], y, ls="", **mark)
-    labels = {(r["task"], r["level"]): f"{r['task']} {r['level_name']}" for r in settings}
-    panel.set_yticks([top, *rows.values()], ["all tasks alike", *(labels[place] for place in rows)])
-    panel.set_ylim(min(rows.values()) - 0.7, top + 0.6)
-    panel.axhline(top - 0.55, color=GRID, lw=0.8)
+    panel.set_yticks(list(rows.values()), [labels[key] for key in rows])
+    panel.set_ylim(min(rows.values()) - 0.7, max(rows.values()) + 0.6)
     panel.xaxis.set_major_formatter(lambda value, _: f"{100 * value:.0f}".replace("-", MINUS))
     panel.set_xlabel(f"Crash rate in risky traffic, treatment {MINUS} control [points]; left of 0 is safer")
     panel.grid(axis="y", visible=False)
     handles = [Line2D([], [], label=label, **style) for label, style in zip(names, styles, strict=True)]
     figure.legend(handles=handles, loc="outside upper left", ncols=1)
-    return to_svg(figure, name, f"Effects on the crash rate in risky traffic of {names[0]} and {names[1]}")
+    return to_svg(
+        figure, name, f"Effects on the crash rate in risky traffic, side by side: {', '.join(names)}"
+    )
 
 
 @styled

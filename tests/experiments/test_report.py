@@ -16,7 +16,9 @@ import pytest
 from experiments import report
 from experiments.analysis.analysis import analyse
 from experiments.analysis.plan import OUTCOMES
+from experiments.analysis.wording import difference
 from experiments.reporting import figures
+from experiments.reporting.beside import beside
 from experiments.reporting.card import card
 from experiments.reporting.collision_figures import LENGTH, WIDTH, collisions, contacts, corners
 from experiments.reporting.report_view import effect_rows, pooled_rows, validation
@@ -208,30 +210,62 @@ class TestCard:
         assert sum(topic.startswith("Result: ") for topic in rows) == 3
 
 
-class TestTwoDirectories:
-    def test_are_shown_side_by_side(self, tmp_path):
-        first, second = tmp_path / "first", tmp_path / "second"
-        synthetic.write(first, {"u-turn": (1,)}, seeds=3, tests=10)
-        synthetic.write(second, {"u-turn": (1, 2)}, seeds=5, tests=10, backend="replica")
-        page = Page(report.write_report(first, second).read_text())
-        assert f"{first} (SUMO) beside {second} (replica)" in page.text
-        assert f"{first} (SUMO): 3 training seeds in each arm, 1 setting." in page.text
-        assert f"{second} (replica): 5 training seeds in each arm, 2 settings." in page.text
+class TestSideBySide:
+    def test_directories_are_shown_by_what_they_have_in_common(self, tmp_path):
+        own, second, third = tmp_path / "own", tmp_path / "second", tmp_path / "third"
+        synthetic.write(own, {"highway": (1, 2), "u-turn": (1,)}, seeds=3, tests=10)
+        synthetic.write(second, {"highway": (1,), "u-turn": (1, 2)}, seeds=5, tests=10, backend="replica")
+        synthetic.write(third, {"u-turn": (1,)}, seeds=3, tests=10)
+        page = Page(report.write_report(own, second, third).read_text())
+        assert f"{second} (the replica): On the replica, it is not decided" in page.text
+        assert "5 training seeds in each arm, 3 settings." in page.text
         assert "neither show nor exclude" in page.text
         assert len(page.ids) == len(set(page.ids))
-        assert "beside" in (first / "report.md").read_text()
+        text = (own / "report.md").read_text().partition("## Side by side")[2].partition("## ")[0]
+        rows = [line.split(" | ") for line in text.splitlines() if line.startswith("| ")]
+        risky = next(k for k, row in enumerate(rows) if row[0] == "| crash rate in risky traffic")
+        assert [row[0] for row in rows[risky + 1 : risky + 4]] == [
+            "| highway 50",
+            "| u-turn 3",
+            "| all tasks",
+        ]
+        assert [row[3] == "– |" for row in rows[risky + 1 : risky + 4]] == [True, False, True]
 
-    def test_a_run_is_shown_beside_the_published_study_and_that_alone(self, tmp_path, monkeypatch):
-        study, own = tmp_path / "standard", tmp_path / "own"
+    def test_the_mean_is_that_of_the_settings_in_common(self, tmp_path):
+        own, other = tmp_path / "own", tmp_path / "other"
+        synthetic.write(own, {"highway": (1, 2), "u-turn": (1,)}, seeds=3, tests=10)
+        synthetic.write(other, {"highway": (1,), "u-turn": (1,)}, seeds=3, tests=10)
+        analyses = [(name, analyse(store.load(home))) for name, home in (("own", own), ("other", other))]
+        [section] = beside(analyses)
+        mean = section["tables"][0]["rows"][-1]["effects"][1]
+        [primary] = [r for r in analyses[1][1]["pooled"] if r["primary"]]
+        assert mean == difference(primary, "crashed")
+
+    def test_nothing_is_shown_without_a_setting_in_common(self, tmp_path):
+        own, other = tmp_path / "own", tmp_path / "other"
+        synthetic.write(own, {"highway": (1,)}, seeds=3, tests=4)
+        synthetic.write(other, {"u-turn": (1,)}, seeds=3, tests=4)
+        assert "Side by side" not in Page(report.write_report(own, other).read_text()).text
+
+    def test_a_run_is_shown_beside_the_published_study_and_that_beside_its_variants(
+        self, tmp_path, monkeypatch
+    ):
+        study, variant, own = tmp_path / "standard", tmp_path / "replica", tmp_path / "own"
         monkeypatch.setattr(report, "PUBLISHED", study)
         synthetic.write(study, {"u-turn": (1,)}, seeds=5, tests=10, preset="standard")
-        assert "the published study" not in report.write_report(study).read_text()
+        (study / store.PUBLISHED).write_text("# The published study\n\nWords.\n")
+        assert "Side by side" not in report.write_report(study).read_text()
         synthetic.write(own, {"u-turn": (1,)}, seeds=1, tests=4, preset="smoke")
         page = Page(report.write_report(own).read_text())
-        assert "This run beside the published study" in page.text
-        assert "This run: One training seed in an arm cannot tell anything" in page.text
+        assert "The published study: On SUMO" in page.text
+        assert "One training seed in an arm cannot tell anything" in page.text
+        synthetic.write(variant, {"u-turn": (1,)}, seeds=4, tests=10, backend="replica")
+        (variant / store.PUBLISHED).write_text("# The study on the replica\n")
+        assert "The published study (SUMO): On SUMO" in Page(report.write_report(variant).read_text()).text
+        page = Page(report.write_report(study).read_text())
+        assert "The study on the replica: On the replica" in page.text
         (study / "analysis.json").write_text('{"schema": 0}')
-        assert "beside the published" not in report.write_report(own).read_text()
+        assert "Side by side" not in report.write_report(own).read_text()
 
 
 class TestIncomplete:

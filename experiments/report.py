@@ -158,7 +158,7 @@ def render(variables: dict[str, Any], template: str = "report.html.j2") -> str:
     )
     environment.filters |= {
         name: getattr(wording, name)
-        for name in ("number", "difference", "interval", "p_value", "count", "listing", "adjusted")
+        for name in ("number", "difference", "interval", "p_value", "count", "listing", "adjusted", "signed")
     }
     script = Markup((TEMPLATES / "player.js").read_text())
     return environment.get_template(template).render({**variables, "script": script})

@@ -24,6 +24,11 @@ def number(value: float | None, outcome: str, signed: bool = False) -> str:
     return f"{text} %" if kind.percent and not signed else text
 
 
+def signed(value: float, digits: int) -> str:
+    """A number with its sign ("-0.92", with a true minus)."""
+    return f"{value:+.{digits}f}".replace("-", MINUS)
+
+
 def difference(record: Mapping[str, Any], outcome: str) -> str:
     """An estimated difference: "-3.1 points [-7.0, +0.8]", "-3.1 points (no interval)"."""
     estimate = number(record["estimate"], outcome, signed=True)

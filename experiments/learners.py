@@ -29,13 +29,13 @@ from agents.dqn import DQNConfig
 from agents.policies import StableBaselines
 from experiments.analysis.gates import CONSTANT_POLICIES
 from experiments.backends import make_env
-from experiments.study import store
 from experiments.study.attempt import Beat
 from experiments.study.evaluate import Policy, evaluate
 from experiments.study.executors import open_executor
 from experiments.study.fingerprint import dynamics
 from experiments.study.grid import TASKS, env_config, level_names
 from experiments.study.presets import get_preset
+from experiments.study.results import load
 from experiments.study.run import Silent, run
 from experiments.study.seeds import training_seed
 from experiments.study.wrappers import observed, trained_on
@@ -246,7 +246,7 @@ def rows(trainings: list[Training], beside: Path | None) -> pd.DataFrame:
         if t.done()
     ]
     if beside is not None:
-        known = store.load(beside).episodes
+        known = load(beside).episodes
         known = known[(known["level"] == 1) & known["task"].isin({t.task for t in trainings})]
         control = known[known["arm"] == "control"].assign(learner=OURS)
         constant = known[known["policy"].isin(CONSTANT_POLICIES)]

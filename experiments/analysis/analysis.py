@@ -36,7 +36,7 @@ from experiments.analysis.tables import (
 from experiments.analysis.verdicts import claims
 from experiments.study.arms import ARMS, TRAFFICS
 from experiments.study.grid import BASELINES, LEARNER
-from experiments.study.store import Results
+from experiments.study.results import Results
 from experiments.support.files import canonical_json, sha256_bytes
 from sumo_env.tasks import TASKS
 

@@ -25,7 +25,7 @@ from experiments.analysis.tables import PLACE, settings, with_outcomes
 from experiments.analysis.wording import place
 from experiments.study.arms import ALL_TRAFFICS, ARMS, DOSE_ARMS, DOSES, EXTRA_ARMS
 from experiments.study.grid import MARKS
-from experiments.study.store import Results
+from experiments.study.results import Results
 
 OUTCOMES = ("crashed", "return")
 # Kinds of crashes by the pose of the other vehicle in the ego's frame (`crash_type`); "striking": the other's centre is

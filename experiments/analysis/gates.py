@@ -123,7 +123,7 @@ def gates(cells: Mapping[str, Mapping[str, Any]], episodes: pd.DataFrame) -> lis
 
     Args:
         cells: cell.json by name.
-        episodes: the gate episodes of all of them, as in `store.Results`.
+        episodes: the gate episodes of all of them, as in `results.Results`.
 
     Returns:
         One record an agent: cell, backend, task, level, level_name, arm, seed, passed (False if any gate

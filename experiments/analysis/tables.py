@@ -19,7 +19,7 @@ from experiments.analysis.plan import OUTCOMES, PROPORTIONS, TERMS
 from experiments.analysis.statistics import binomial_floor
 from experiments.study.arms import ALL_TRAFFICS, ARMS, TRAFFICS, gate_traffics
 from experiments.study.grid import TASKS
-from experiments.study.store import Results
+from experiments.study.results import Results
 from experiments.support.files import canonical_json
 
 TASK_ORDER = {task: number for number, task in enumerate(TASKS)}

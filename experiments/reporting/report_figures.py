@@ -12,7 +12,7 @@ from experiments.analysis.effects import Record
 from experiments.analysis.plan import OUTCOMES
 from experiments.analysis.tables import CONFIRMATORY, TASK_ORDER
 from experiments.reporting import collision_figures, figures
-from experiments.study.store import Results
+from experiments.study.results import Results
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,8 @@ from experiments.reporting.showcase import KINDS
 from experiments.study.arms import ARMS
 from experiments.study.estimate import duration
 from experiments.study.grid import MARKS
-from experiments.study.store import WEIGHTS, Results, read_sweeps
+from experiments.study.results import Results
+from experiments.study.store import WEIGHTS, read_sweeps
 from experiments.support.files import canonical_json
 from experiments.validation import status
 

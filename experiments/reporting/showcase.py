@@ -19,7 +19,8 @@ from experiments.analysis.tables import PLACE, TASK_ORDER
 from experiments.study.arms import ARMS
 from experiments.study.cell import MakeEnv
 from experiments.study.rerun import Recorder, differences
-from experiments.study.store import EPISODES, WEIGHTS, Results
+from experiments.study.results import Results
+from experiments.study.store import EPISODES, WEIGHTS
 from experiments.support.files import canonical_json, write_file
 from sumo_env.rendering.markings import markings
 from sumo_env.tasks import get_task

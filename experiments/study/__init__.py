@@ -14,6 +14,7 @@ run          hands tasks to an executor and tries again what dies
 attempt      one try at a task, in whatever process
 executors/   processes of this machine, Ray, Slurm
 store        finished cells on disk
+results      all of them as tables
 rerun        a stored episode again
 clairvoyant  what is possible at all
 estimate     how long it will take

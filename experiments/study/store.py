@@ -6,6 +6,8 @@ DIR/work/<cell>/      a cell in progress: checkpoint, lock, log (see `attempt`);
 DIR/damaged/          what was put aside because it was damaged
 DIR/sweep.json        what sweeps have asked for
 DIR/PUBLISHED.md      says that weights and training episodes of most agents are left out here on purpose
+
+`results` reads all of it as tables.
 """
 
 from __future__ import annotations
@@ -13,13 +15,11 @@ from __future__ import annotations
 import io
 import itertools
 import json
-import math
 import os
 import shutil
 import socket
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -55,8 +55,6 @@ NEEDED = {
 }
 HEAD = '{\n "checksum": "%s",\n'  # of cell.json
 ENTRIES = {"schema", "key", "versions", "source", "learner", "timing", "provenance", "files"}  # of cell.json
-# Columns of the key that every table of `Results` carries.
-KEY_COLUMNS = ("cell", "kind", "backend", "task", "level", "level_name", "arm", "seed", "policy", "preset")
 
 
 class DamagedCell(UserError):
@@ -67,35 +65,6 @@ class DamagedCell(UserError):
             f"{file} is damaged ({reason}): run the sweep again, which puts aside {file.parent} and computes it again"
         )
         self.file, self.reason = file, reason
-
-
-@dataclass(frozen=True)
-class Results:
-    """All finished cells of a directory as tidy tables.
-
-    agents: one row a cell, trained agents and baselines alike (`kind`): KEY_COLUMNS, the profile's settings
-        as columns (gamma, updates, ...; missing for baselines), and of the learner updates, episodes,
-        q_bound, max_abs_q (largest on the probe states at any checkpoint), weights_sha256.
-    episodes: one row a test episode: KEY_COLUMNS and the columns of `evaluate.COLUMNS`.
-    gate_episodes: the same of the scenarios that the gates are judged on, with GATE_COLUMNS alone.
-    training: one row a training episode: KEY_COLUMNS and episode, step, return, length, crashed, arrived,
-        mean_speed, epsilon.
-    marks: the same with MARK_COLUMNS, of the policies that agents had at the parts `grid.MARKS` of their budget (1, 2).
-    cells: cell.json of each cell by name. failed: name and reason of the cells that were given up.
-    expected: names of all cells that sweeps have asked for, finished or not (`read_sweeps`).
-    damaged: name and reason of the cells that cannot be read, if they were to be passed over.
-    """
-
-    directory: Path
-    agents: pd.DataFrame
-    episodes: pd.DataFrame
-    gate_episodes: pd.DataFrame
-    training: pd.DataFrame
-    marks: pd.DataFrame
-    cells: dict[str, dict[str, Any]]
-    failed: dict[str, str] = field(default_factory=dict)
-    expected: tuple[str, ...] = ()
-    damaged: dict[str, str] = field(default_factory=dict)
 
 
 class Store:
@@ -248,60 +217,6 @@ def cell_directories(directory: Path) -> Iterator[Path]:
     return (path for path in sorted(cells.iterdir()) if path.is_dir())
 
 
-def load(directory: Path, skip_damaged: bool = False) -> Results:
-    """Read and check all finished cells of a directory.
-
-    Args:
-        skip_damaged: note damaged cells in `Results.damaged` and go on with the others.
-
-    Raises:
-        UserError: no result directory, or no finished cell in it.
-        DamagedCell: a stored file is missing, unreadable or changed.
-    """
-    import pandas as pd
-
-    directory = Path(directory)
-    cells: dict[str, dict[str, Any]] = {}
-    agents: list[dict[str, Any]] = []
-    # by file, then by cell
-    parts: dict[str, dict[str, pd.DataFrame]] = {EPISODES: {}, GATES: {}, TRAINING: {}, MARKS: {}}
-    damaged: dict[str, str] = {}
-    for path in cell_directories(directory):
-        try:
-            record = read_cell(path)
-            columns = {name: {**record["key"], "cell": path.name}.get(name) for name in KEY_COLUMNS}
-            columns["preset"] = record["key"]["profile"].get("preset")
-            there = [file for file in parts if file in record["files"] and (path / file).exists()]
-            tables = {file: _table(path / file) for file in there}
-        except DamagedCell as error:
-            if not skip_damaged:
-                raise
-            damaged[path.name] = str(error)
-            continue
-        cells[path.name] = record
-        agents.append({**columns, **_scalars(record["key"]["profile"]), **_learner(record)})
-        for file, table in tables.items():
-            parts[file][path.name] = table
-    if damaged and not cells:
-        raise UserError(next(iter(damaged.values())))
-    if not cells:
-        raise UserError(f"{directory} holds no finished cell yet: run the sweep first")
-    # A baseline has neither arm nor seed: types that know missing values keep seeds whole numbers.
-    known = pd.DataFrame(agents).astype({"arm": "str", "seed": "Int64"})
-    return Results(
-        directory=directory,
-        agents=known,
-        episodes=_concatenate(parts[EPISODES], known),
-        gate_episodes=_concatenate(parts[GATES], known),
-        training=_concatenate(parts[TRAINING], known),
-        marks=_concatenate(parts[MARKS], known),
-        cells=cells,
-        failed=read_failures(directory),
-        expected=tuple(name for sweep in read_sweeps(directory) for name in sweep["cells"]),
-        damaged=damaged,
-    )
-
-
 def read_sweeps(directory: Path) -> list[dict[str, Any]]:
     """The sweeps that have asked for cells of a directory, with `command` and the names of the `cells`, oldest first.
 
@@ -333,10 +248,11 @@ def read_failures(directory: Path) -> dict[str, str]:
 def read_episodes(path: Path) -> pd.DataFrame:
     """The test episodes of one stored cell directory, checked. Raises DamagedCell."""
     read_cell(path)
-    return _table(path / EPISODES)
+    return read_table(path / EPISODES)
 
 
-def _table(file: Path) -> pd.DataFrame:
+def read_table(file: Path) -> pd.DataFrame:
+    """A table of a stored cell. Raises DamagedCell."""
     import pandas as pd
     import pyarrow
 
@@ -344,37 +260,6 @@ def _table(file: Path) -> pd.DataFrame:
         return pd.read_parquet(file)
     except (OSError, pyarrow.ArrowException) as error:
         raise DamagedCell(file, str(error).partition("\n")[0]) from None
-
-
-def _concatenate(tables: Mapping[str, pd.DataFrame], agents: pd.DataFrame) -> pd.DataFrame:
-    """All rows of the tables of these cells, behind KEY_COLUMNS."""
-    import pandas as pd
-
-    keys = agents.set_index("cell", drop=False)[list(KEY_COLUMNS)]
-    if not tables:
-        return keys.iloc[:0].reset_index(drop=True)
-    cells = [name for name, table in tables.items() for _ in range(len(table))]
-    rows = pd.concat(tables.values(), ignore_index=True)
-    return pd.concat([keys.loc[cells].reset_index(drop=True), rows], axis=1)
-
-
-def _scalars(profile: Mapping[str, Any]) -> dict[str, Any]:
-    return {name: value for name, value in profile.items() if not isinstance(value, list | dict)}
-
-
-def _learner(record: Mapping[str, Any]) -> dict[str, Any]:
-    learner = record.get("learner")
-    if not learner:
-        return {}
-    probe = learner.get("probe_q", [])
-    return {
-        "updates": learner.get("updates"),
-        "episodes": learner.get("episodes"),
-        "q_bound": learner.get("q_bound"),
-        # JSON knows no infinity: a diverged agent's value is stored as null
-        "max_abs_q": max((math.inf if row[2] is None else row[2] for row in probe), default=None),
-        "weights_sha256": learner.get("weights_sha256"),
-    }
 
 
 def seal(record: Mapping[str, Any]) -> bytes:

@@ -23,6 +23,7 @@ from experiments.reporting.card import card
 from experiments.reporting.collision_figures import LENGTH, WIDTH, collisions, contacts, corners
 from experiments.reporting.report_view import effect_rows, pooled_rows, validation
 from experiments.study import store
+from experiments.study.results import load
 from experiments.support.errors import UserError
 from experiments.validation.status import SCHEMA
 from tests.experiments import synthetic
@@ -135,7 +136,7 @@ class TestReport:
                 assert (directory / link).exists()
 
     def test_every_cell_is_listed(self, directory, page):
-        for cell in store.load(directory).cells:
+        for cell in load(directory).cells:
             assert cell in page.ids
 
     def test_sections_are_there(self, page):
@@ -188,7 +189,7 @@ class TestCard:
 
     def rows(self, directory, **settings):
         synthetic.write(directory, {"u-turn": (1,)}, seeds=3, tests=8, **settings)
-        results = store.load(directory)
+        results = load(directory)
         return {row["topic"]: row for row in card(analyse(results), results.cells)}
 
     def test_names_the_error_of_the_formula_and_that_there_are_no_numbers(self, tmp_path):
@@ -235,7 +236,7 @@ class TestSideBySide:
         own, other = tmp_path / "own", tmp_path / "other"
         synthetic.write(own, {"highway": (1, 2), "u-turn": (1,)}, seeds=3, tests=10)
         synthetic.write(other, {"highway": (1,), "u-turn": (1,)}, seeds=3, tests=10)
-        analyses = [(name, analyse(store.load(home))) for name, home in (("own", own), ("other", other))]
+        analyses = [(name, analyse(load(home))) for name, home in (("own", own), ("other", other))]
         [section] = beside(analyses)
         mean = section["tables"][0]["rows"][-1]["effects"][1]
         [primary] = [r for r in analyses[1][1]["pooled"] if r["primary"]]
@@ -373,7 +374,7 @@ class TestCommand:
 
 class TestFigures:
     def test_colours_follow_the_page(self, directory):
-        results = store.load(directory)
+        results = load(directory)
         agents = {k: v for k, v in results.cells.items() if v["key"]["task"] == "u-turn" and v.get("learner")}
         drawn = figures.learning_curves(agents, "u-turn")
         assert drawn.startswith("<svg role")
@@ -382,14 +383,14 @@ class TestFigures:
         assert "<dc:date>" not in drawn
 
     def test_ids_carry_the_name_of_the_figure(self, directory):
-        drawn = collisions(store.load(directory).episodes)
+        drawn = collisions(load(directory).episodes)
         ids = re.findall(r'\bid="([^"]+)"', drawn)
         assert ids and all(name.startswith("sumo-collisions-") for name in ids)
         references = set(re.findall(r'(?:url\(|href=")#([^")]+)', drawn))
         assert references <= set(ids)
 
     def test_unknown_types_of_crash_are_shown_as_such(self, directory):
-        episodes = store.load(directory).episodes
+        episodes = load(directory).episodes
         drawn = collisions(episodes.assign(crash_type=pd.Series(pd.NA, index=episodes.index, dtype="str")))
         assert "not recorded" in drawn
 

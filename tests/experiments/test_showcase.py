@@ -13,10 +13,10 @@ import pytest
 
 from experiments import report
 from experiments.reporting.showcase import FILE, choose, duos, showcase
-from experiments.study import store
 from experiments.study.attempt import Ended, attempt
 from experiments.study.cell import CellTask
 from experiments.study.rerun import Recorder
+from experiments.study.results import load
 from experiments.sweep import Options, cells_of
 from tests.experiments.fake_env import make_env
 
@@ -63,7 +63,7 @@ def test_the_choice_is_balanced_and_takes_the_hardest_crashes_in_risky_traffic_f
 
 
 def test_the_agents_are_those_of_the_lowest_level_and_seed(directory):
-    results = store.load(directory)
+    results = load(directory)
     [duo] = duos(results, set())
     assert (duo.place, duo.seed) == (("sumo", "highway", 1, "50"), 0)
     assert set(duo.cells) == {"control", "treatment"}
@@ -71,7 +71,7 @@ def test_the_agents_are_those_of_the_lowest_level_and_seed(directory):
 
 
 def test_a_film_is_the_stored_episode(copy):
-    results = store.load(copy)
+    results = load(copy)
     found = showcase(results, set(), make_env)
     assert found["notes"] == []
     [place] = found["places"]
@@ -93,7 +93,7 @@ def test_a_film_is_the_stored_episode(copy):
 
 
 def test_films_outlive_the_weights(copy):
-    results = store.load(copy)
+    results = load(copy)
     before = showcase(results, set(), make_env)
     for path in copy.glob("cells/*/weights.npz"):
         path.unlink()
@@ -106,7 +106,7 @@ def test_films_outlive_the_weights(copy):
 
 @pytest.mark.parametrize("content", ["", "[]", '{"schema": 0}', '{"schema": 1}'])
 def test_a_damaged_record_is_made_again(copy, content):
-    results = store.load(copy)
+    results = load(copy)
     before = showcase(results, set(), make_env)
     (copy / FILE).write_text(content)
     assert showcase(results, set(), make_env) == before
@@ -119,7 +119,7 @@ def test_an_episode_that_comes_out_differently_is_not_shown(copy):
         env.target_speeds = (10.0, 19.0, 29.0)
         return env
 
-    found = showcase(store.load(copy), set(), other_env)
+    found = showcase(load(copy), set(), other_env)
     assert found["places"][0]["films"] == []
     assert "differently on this machine" in found["notes"][0]
 

@@ -21,6 +21,7 @@ from experiments.study.arms import DOSES
 from experiments.study.attempt import Ended, attempt, locked
 from experiments.study.cell import CellTask
 from experiments.study.presets import PRESETS
+from experiments.study.results import load
 from experiments.support.errors import UserError
 from experiments.sweep import Options, cells_of, sweep
 from tests.experiments.fake_env import make_env
@@ -49,7 +50,7 @@ def run(directory: Path, **options) -> int:
 
 def fingerprint(directory: Path) -> dict[str, dict[str, str]]:
     """Checksums of all results, by cell: two sweeps that computed the same have the same."""
-    return {name: record["files"] for name, record in store.load(directory).cells.items()}
+    return {name: record["files"] for name, record in load(directory).cells.items()}
 
 
 @pytest.fixture(scope="module")
@@ -65,7 +66,7 @@ def reference(tmp_path_factory):
 
 
 def test_a_sweep_computes_every_cell_once(reference, capsys):
-    results = store.load(reference)
+    results = load(reference)
     wanted = cells_of(Options(out=reference, **TINY))
     assert set(results.cells) == {cell.name for cell in wanted} == set(results.expected)
     assert not results.failed
@@ -80,9 +81,9 @@ def test_further_arms_are_trained_and_agents_tested_elsewhere(reference, tmp_pat
     directory = tmp_path / "results"
     options = {"arms": tuple(DOSES), "test_on": ("replica",)}
     assert run(directory, **options) == 0
-    results = store.load(directory)
+    results = load(directory)
     assert set(results.expected) == set(results.cells)
-    assert set(store.load(reference).cells) < set(results.cells)
+    assert set(load(reference).cells) < set(results.cells)
     tests = [record["key"] for record in results.cells.values() if record["key"]["kind"] == "test"]
     assert len(tests) == 7 + 5
     doses = next(key for key in tests if key["arm"] == "dose50" and key["test_on"]["backend"] == "sumo")
@@ -119,7 +120,7 @@ def test_a_setting_of_the_environments_is_read_as_json_or_as_a_word():
 
 
 def test_cells_say_what_they_are_and_where_they_come_from(reference):
-    results = store.load(reference)
+    results = load(reference)
     agents = [record for record in results.cells.values() if record["key"]["kind"] == "agent"]
     for record in agents:
         assert record["learner"]["updates"] == 300
@@ -135,7 +136,7 @@ def test_cells_say_what_they_are_and_where_they_come_from(reference):
 
 
 def test_both_arms_meet_the_same_training_scenarios_and_all_the_same_tests(reference):
-    results = store.load(reference)
+    results = load(reference)
     scenarios = results.episodes.groupby(["cell", "traffic"]).scenario.apply(tuple)
     assert len(set(scenarios)) == 1
 
@@ -164,12 +165,12 @@ def test_a_cell_that_always_fails_leaves_the_others(reference, tmp_path, monkeyp
     assert log.read_text().count("Traceback") == 4
     with pytest.raises(RuntimeError, match="told to fail"):
         run(tmp_path, cell=log.parent.name)
-    results = store.load(tmp_path)
+    results = load(tmp_path)
     assert len(results.cells) == 7
     assert [name.rpartition("-")[0] for name in results.failed] == ["sumo-u-turn-3-treatment-s0"]
     monkeypatch.delenv("FAKE_RAISE")
     assert run(tmp_path) == 0
-    assert not store.load(tmp_path).failed
+    assert not load(tmp_path).failed
     assert fingerprint(tmp_path) == fingerprint(reference)
 
 
@@ -351,7 +352,7 @@ def test_what_an_earlier_sweep_left_of_a_finished_cell_is_removed(reference):
 
 def test_everything_that_happens_is_in_the_log(reference):
     log = (reference / "sweep.log").read_text()
-    for name in store.load(reference).cells:
+    for name in load(reference).cells:
         assert f"{name} started" in log
         assert f"{name} finished after" in log
     assert "u-turn: control 1/1, treatment 1/1, policies 6/6, done" in log
@@ -448,7 +449,7 @@ def test_a_network_of_the_users_own_is_trained_and_stored(tmp_path, monkeypatch)
     assert (
         run(tmp_path / "results", network=f"{file}:Mine", tasks=("roundabout",)) == 0
     )  # the time is observed
-    results = store.load(tmp_path / "results")
+    results = load(tmp_path / "results")
     agents = [record for record in results.cells.values() if record["key"]["kind"] == "agent"]
     assert len(agents) == 2
     for record in agents:
@@ -479,7 +480,7 @@ def test_policies_of_the_users_own_get_cells_of_their_own(tmp_path):
     file.write_text(POLICY)
     stable_baselines3.DQN("MlpPolicy", make_env("sumo", "u-turn"), device="cpu").save(zipped)
     assert run(tmp_path / "results", policy=(f"{file}:Mine", str(zipped))) == 0
-    results = store.load(tmp_path / "results")
+    results = load(tmp_path / "results")
     episodes = results.episodes.set_index("policy")
     assert {"mine.py:Mine", "model.zip"} <= set(episodes.index)
     mine, slower = (episodes.loc[policy, "return"].tolist() for policy in ("mine.py:Mine", "slower"))

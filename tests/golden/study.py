@@ -12,7 +12,7 @@ import numpy as np
 
 from agents.training import train
 from experiments.analysis.analysis import analyse
-from experiments.study import store
+from experiments.study.results import load
 from tests.agents.curves import Config
 from tests.agents.road import Road
 from tests.agents.test_training import Small
@@ -43,7 +43,7 @@ def analysis() -> dict[str, Any]:
     """analysis.json of made-up cells, without its provenance and the hashes in the names of cells (versions)."""
     with tempfile.TemporaryDirectory() as folder:
         synthetic.write(Path(folder), LEVELS, seeds=4, faults=FAULTS, effect=-0.2)
-        value = analyse(store.load(Path(folder)))
+        value = analyse(load(Path(folder)))
     del value["provenance"]
     for part in ("ate", "pooled"):  # the others are computed alike
         value[part] = [record for record in value[part] if record["outcome"] in ("return", "crashed")]

@@ -18,8 +18,8 @@ from experiments.analysis.sensitivity import learnt, second_batch, sensitivity
 from experiments.analysis.statistics import interval, linear
 from experiments.analysis.tables import Arm, comparable
 from experiments.analysis.verdicts import claims, decide, decide_equivalence
-from experiments.study import store
 from experiments.study.grid import BASELINES
+from experiments.study.results import load
 from tests.experiments import synthetic
 
 FAULTS = {
@@ -34,7 +34,7 @@ FAULTS = {
 def results(tmp_path_factory):
     directory = tmp_path_factory.mktemp("results")
     synthetic.write(directory, {"highway": (1, 2), "u-turn": (1, 2, 3)}, seeds=4, faults=FAULTS, effect=-0.2)
-    return store.load(directory)
+    return load(directory)
 
 
 @pytest.fixture(scope="module")
@@ -424,12 +424,12 @@ class TestHeadline:
 
     def test_says_less_safe(self, tmp_path):
         synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=4, tests=60, effect=+0.4, spread=0.01)
-        (headline,) = analyse(store.load(tmp_path))["headlines"]
+        (headline,) = analyse(load(tmp_path))["headlines"]
         assert headline["answer"] == "less safe"
 
     def test_one_seed_is_no_answer(self, tmp_path):
         synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=1)
-        found = analyse(store.load(tmp_path))
+        found = analyse(load(tmp_path))
         assert found["headlines"][0]["answer"] == "no answer"
         assert "single training seed" in found["headlines"][0]["text"][0]
         record = find(found["ate"], outcome="crashed", term="sum")
@@ -439,7 +439,7 @@ class TestHeadline:
 
     def test_one_arm_is_no_answer(self, tmp_path):
         synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=2, arms=("control",))
-        found = analyse(store.load(tmp_path))
+        found = analyse(load(tmp_path))
         assert found["headlines"][0]["answer"] == "no answer"
         assert {r["status"] for r in found["ate"]} == {"missing"}
         assert len(found["missing"]) == 2
@@ -449,24 +449,24 @@ class TestSettingsAreNotMixed:
     def test_the_last_sweep_decides(self, tmp_path):
         synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=3, updates=200, baselines=())
         synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=2, updates=400)
-        chosen, left_out = comparable(store.load(tmp_path))
+        chosen, left_out = comparable(load(tmp_path))
         assert len(left_out) == 6
         assert all("updates 200 instead of 400" in entry["reason"] for entry in left_out)
         assert set(chosen.agents["updates"].dropna()) == {400}
         assert set(chosen.episodes["cell"]) == set(chosen.cells)
-        assert analyse(store.load(tmp_path))["ate"][0]["seeds"] == [2, 2]
+        assert analyse(load(tmp_path))["ate"][0]["seeds"] == [2, 2]
 
     def test_baselines_of_another_test_are_left_out(self, tmp_path):
         synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=2, tests=10, arms=())
         synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=2, tests=20, baselines=())
-        found = analyse(store.load(tmp_path))
+        found = analyse(load(tmp_path))
         assert len(found["left_out"]) == len(BASELINES)
         assert "episodes 10 instead of 20" in found["left_out"][0]["reason"]
 
     def test_presets_are_labels(self, tmp_path):
         synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=2, preset="quick")
         synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=3, preset="paper")
-        found = analyse(store.load(tmp_path))
+        found = analyse(load(tmp_path))
         assert found["left_out"] == []
         assert found["ate"][0]["seeds"] == [3, 3]
         assert found["provenance"]["presets"] == ["paper", "quick"]
@@ -508,7 +508,7 @@ class TestAnalysis:
     def test_two_simulators_are_kept_apart(self, tmp_path):
         synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=2)
         synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=3, backend="highway-env")
-        found = analyse(store.load(tmp_path))
+        found = analyse(load(tmp_path))
         assert {(r["backend"], *r["seeds"]) for r in found["ate"]} == {("sumo", 2, 2), ("highway-env", 3, 3)}
         assert [h["backend"] for h in found["headlines"]] == ["highway-env", "sumo"]
         assert len(found["claims"]) == 14

@@ -9,8 +9,8 @@ import pytest
 from experiments.analysis.analysis import analyse
 from experiments.analysis.exploratory import ALL_TASKS, CRASH_TYPES, _tail, kind_of_crash, transfer
 from experiments.analysis.tables import with_outcomes
-from experiments.study import store
 from experiments.study.arms import EXTRA_ARMS
+from experiments.study.results import load
 from tests.experiments import synthetic
 
 LEVELS = {"highway": (1,), "u-turn": (1,)}
@@ -35,7 +35,7 @@ def results(tmp_path_factory):
         home, LEVELS, seeds=6, tests=60, effect=-0.4, spread=0.01, further=tuple(EXTRA_ARMS),
         test_on=("replica", "highway-env"), marks=True,
     )  # fmt: skip
-    return store.load(home)
+    return load(home)
 
 
 @pytest.fixture(scope="module")
@@ -50,7 +50,7 @@ def one(records, **wanted):
 
 def test_nothing_that_the_plan_decides_changes(analysis, tmp_path):
     synthetic.write(tmp_path, LEVELS, seeds=6, tests=60, effect=-0.4, spread=0.01)
-    alone = analyse(store.load(tmp_path))
+    alone = analyse(load(tmp_path))
     assert {part: analysis[part] for part in MAIN} == {part: alone[part] for part in MAIN}
     assert analysis["left_out"] == [] and analysis["incomplete"] == []
 
@@ -151,7 +151,7 @@ def test_the_worst_tenth(results):
 def test_cells_that_fit_no_comparison_are_left_out_and_named(tmp_path):
     synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=2, tests=8, further=("dense",), updates=200)
     synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=2, tests=8, updates=400)
-    found = analyse(store.load(tmp_path))
+    found = analyse(load(tmp_path))
     assert found["exploratory"]["arms"] == []
     reasons = {entry["cell"]: entry["reason"] for entry in found["left_out"]}
     assert sum("no agents of both arms" in reason for reason in reasons.values()) == 2

@@ -12,7 +12,7 @@ from experiments.analysis.effects import effects
 from experiments.analysis.placebo import negative_control, placebo, planted
 from experiments.analysis.pooling import pooled
 from experiments.analysis.tables import settings, with_outcomes
-from experiments.study import store
+from experiments.study.results import load
 from tests.experiments import synthetic
 from tests.experiments.analysis import instrument
 from tests.experiments.analysis.instrument import WORLDS, World, one
@@ -99,7 +99,7 @@ def test_the_whole_table() -> None:
 def episodes(tmp_path_factory):
     directory = tmp_path_factory.mktemp("results")
     synthetic.write(directory, {"highway": (1,), "u-turn": (1, 2)}, seeds=8, tests=40, effect=-0.3)
-    results = store.load(directory)
+    results = load(directory)
     return with_outcomes(results.episodes, results.cells)
 
 

@@ -14,6 +14,7 @@ from experiments.analysis.analysis import analyse
 from experiments.analysis.verdicts import claims
 from experiments.reporting.report_view import effect_rows
 from experiments.study import store
+from experiments.study.results import load
 from sumo_env.tasks import TASKS
 from tests.experiments import synthetic
 
@@ -25,7 +26,7 @@ SEEDS = 6
 def results(tmp_path_factory):
     directory = tmp_path_factory.mktemp("results")
     synthetic.write(directory, LEVELS, seeds=SEEDS, tests=40, effect=0.0)
-    return store.load(directory)
+    return load(directory)
 
 
 def changed(results, **columns):
@@ -66,7 +67,7 @@ def test_a_treatment_that_ruins_agents_is_no_success(tmp_path):
     """On one task all treated agents fail the gates, and crash: the answer counts them."""
     faults = {f"sumo-highway-50-treatment-s{seed}": "poor" for seed in range(4)}
     synthetic.write(tmp_path, {"highway": (1,), "u-turn": (1,)}, seeds=4, tests=40, effect=0.0, faults=faults)
-    loaded = store.load(tmp_path)
+    loaded = load(tmp_path)
     ruined = changed(
         loaded,
         crashed=lambda rows: rows["crashed"] | ((rows["task"] == "highway") & (rows["arm"] == "treatment")),
@@ -78,7 +79,7 @@ def test_a_treatment_that_ruins_agents_is_no_success(tmp_path):
 
 def test_one_agent_that_fails_does_not_void_its_setting(tmp_path):
     synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=4, faults={"sumo-u-turn-3-control-s1": "poor"})
-    record = find(analyse(store.load(tmp_path))["ate"], outcome="return", term="sum")
+    record = find(analyse(load(tmp_path))["ate"], outcome="return", term="sum")
     assert record["status"] == "ok"
     assert record["failed"] == [0, 1]
 

@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from experiments.study import store
 from experiments.study.attempt import Ended, attempt
 from experiments.study.cell import CellTask
+from experiments.study.results import load
 from experiments.support.errors import UserError
 from experiments.sweep import Options, cells_of
 from tests.experiments.fake_env import make_env
@@ -38,7 +39,7 @@ def tasks_of(directory: Path) -> list[CellTask]:
 
 def files_of(directory: Path) -> dict[str, dict[str, str]]:
     """Checksums of all results, by cell."""
-    return {name: record["files"] for name, record in store.load(directory).cells.items()}
+    return {name: record["files"] for name, record in load(directory).cells.items()}
 
 
 class Cut(Exception):
@@ -116,7 +117,7 @@ def test_a_damaged_result_is_never_analysed_and_computed_again(finished, tmp_pat
     path = files[number % len(files)]
     if harm(path, damage):
         with pytest.raises(store.DamagedCell) as error:
-            store.load(directory)
+            load(directory)
         assert str(path) in str(error.value)
         assert "\n" not in str(error.value)
     [task] = [task for task in tasks_of(directory) if task.name == path.parent.name]
@@ -184,7 +185,7 @@ def test_nothing_is_unpickled_from_a_file(finished, interrupted, tmp_path):
             else:
                 path.write_bytes(pickle.dumps(bomb))
         with pytest.raises(UserError):
-            store.load(directory)
+            load(directory)
         for task in tasks_of(directory):
             assert attempt(task).state == "done"
     assert not trace.exists()

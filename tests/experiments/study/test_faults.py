@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from experiments.analysis.analysis import analyse
-from experiments.study import store
+from experiments.study.results import load
 from tests.processes import children
 
 pytestmark = pytest.mark.long  # whole sweeps in processes of their own, several times
@@ -69,12 +69,12 @@ def reference(undisturbed) -> Path:
 
 
 def fingerprint(directory: Path) -> dict[str, dict[str, str]]:
-    return {name: record["files"] for name, record in store.load(directory).cells.items()}
+    return {name: record["files"] for name, record in load(directory).cells.items()}
 
 
 def analysis(directory: Path) -> str:
     """What the report says, without where and when it was computed."""
-    value = analyse(store.load(directory))
+    value = analyse(load(directory))
     return json.dumps({name: entry for name, entry in value.items() if name != "provenance"})
 
 

@@ -13,6 +13,7 @@ from torch import nn
 from agents.greedy import Greedy
 from experiments.study import grid, store
 from experiments.study.evaluate import evaluate
+from experiments.study.results import KEY_COLUMNS, load
 from experiments.support.errors import UserError
 from sumo_env.tasks import TASKS
 from tests.experiments.fake_env import make_env
@@ -67,10 +68,10 @@ def test_a_stored_cell_is_finished_and_comes_back(directory, cells):
 
 
 def test_results_are_tidy(directory, cells):
-    results = store.load(directory)
+    results = load(directory)
     assert len(results.agents) == len(cells) == len(results.cells)
     assert len(results.episodes) == len(cells) * 2 * 3
-    assert set(store.KEY_COLUMNS) <= set(results.episodes.columns) & set(results.training.columns)
+    assert set(KEY_COLUMNS) <= set(results.episodes.columns) & set(results.training.columns)
     agents = results.agents[results.agents.kind == "agent"]
     assert (agents.max_abs_q == 0.5).all()
     assert (agents.gamma == 0.95).all()
@@ -113,7 +114,7 @@ def test_damage_is_told_in_one_line_that_names_file_and_remedy(directory, cells,
         path.write_bytes(content.replace(content[-30:-20], b"0123456789"))
     else:
         path.write_bytes(content[: len(content) // 2] if damage == "cut" else b"")
-    for read in (store.Store(directory).is_finished, lambda cell: store.load(directory)):
+    for read in (store.Store(directory).is_finished, lambda cell: load(directory)):
         with pytest.raises(store.DamagedCell) as error:
             read(cells[0])
         message = str(error.value)
@@ -126,13 +127,13 @@ def test_a_cell_under_a_wrong_name_is_noticed(directory, cells):
     path = directory / "cells" / cells[0].name
     shutil.move(path, path.with_name("sumo-highway-50-control-s9-0123456789ab"))
     with pytest.raises(store.DamagedCell, match="content"):
-        store.load(directory)
+        load(directory)
 
 
 def test_a_damaged_note_does_not_ask_for_the_results_to_be_deleted(directory):
     (directory / "sweep.json").write_text("{")
     with pytest.raises(UserError, match="delete this file"):
-        store.load(directory)
+        load(directory)
 
 
 def test_sweeps_add_up_but_for_what_was_never_finished_and_is_not_asked_for_again(tmp_path, cells):
@@ -155,20 +156,20 @@ def test_results_know_all_cells_that_sweeps_asked_for(directory, cells):
     home = store.Store(directory)
     home.write_sweep("most", cells[1:])
     home.write_sweep("one", cells[:1])
-    assert store.load(directory).expected == tuple(cell.name for cell in (*cells[1:], cells[0]))
+    assert load(directory).expected == tuple(cell.name for cell in (*cells[1:], cells[0]))
 
 
 def test_a_directory_without_results_is_told_from_an_empty_one(tmp_path):
     with pytest.raises(UserError, match="no results"):
-        store.load(tmp_path / "nowhere")
+        load(tmp_path / "nowhere")
     store.Store(tmp_path / "new")
     with pytest.raises(UserError, match="no finished cell"):
-        store.load(tmp_path / "new")
+        load(tmp_path / "new")
 
 
 def test_damaged_cells_are_passed_over_and_named_on_request(directory, cells):
     (directory / "cells" / cells[0].name / store.EPISODES).write_bytes(b"")
-    results = store.load(directory, skip_damaged=True)
+    results = load(directory, skip_damaged=True)
     assert list(results.damaged) == [cells[0].name]
     assert "run the sweep again" in results.damaged[cells[0].name]
     assert cells[0].name not in results.cells
@@ -177,19 +178,19 @@ def test_damaged_cells_are_passed_over_and_named_on_request(directory, cells):
 
 def test_a_published_directory_may_lack_weights_and_training_episodes_and_nothing_else(directory, cells):
     agent = directory / "cells" / cells[0].name
-    whole = store.load(directory)
+    whole = load(directory)
     (agent / store.WEIGHTS).unlink()
     with pytest.raises(store.DamagedCell, match=r"weights\.npz"):
-        store.load(directory)
+        load(directory)
     (directory / store.PUBLISHED).write_text("left out on purpose")
     (agent / store.TRAINING).unlink()
-    found = store.load(directory)
+    found = load(directory)
     pd.testing.assert_frame_equal(found.episodes, whole.episodes)
     assert store.Store(directory).is_finished(cells[0])
     other = next(cell for cell in cells[1:] if cell.kind == "agent")
     (directory / "cells" / other.name / store.WEIGHTS).write_bytes(b"changed")
     with pytest.raises(store.DamagedCell, match=r"weights.npz is damaged \(its checksum"):
-        store.load(directory)
+        load(directory)
     (agent / store.EPISODES).unlink()
     with pytest.raises(store.DamagedCell, match=r"episodes.parquet"):
         store.read_cell(agent)
@@ -202,7 +203,7 @@ def test_a_further_test_has_test_episodes_alone(directory, cells):
     env = make_env(test.backend, test.task, test.env_config)
     table = evaluate(env, Idle(), test.task, test.level, 3, traffics=("dose50",))
     store.Store(directory).write(test, {}, {store.EPISODES: table})
-    found = store.load(directory)
+    found = load(directory)
     assert found.cells[test.name]["key"]["test_on"]["traffics"] == ["dose50"]
     assert (found.episodes["cell"] == test.name).sum() == 3
     assert test.name not in set(found.gate_episodes["cell"])

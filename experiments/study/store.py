@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING, Any
 
 from experiments.study.grid import RESULT_SCHEMA, Cell, cell_name
 from experiments.support.errors import UserError
-from experiments.support.files import publish, sha256_bytes, sha256_file, write_file, write_json
+from experiments.support.files import alone, publish, sha256_bytes, sha256_file, write_file, write_json
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -137,15 +137,16 @@ class Store:
         """
         wanted = dict.fromkeys(cell.name for cell in cells)
         settings = tuple({f"{cell.setting}-" for cell in cells})
-        sweeps = []
-        for sweep in read_sweeps(self.directory):
-            kept = [
-                name for name in sweep["cells"]
-                if name not in wanted and (not name.startswith(settings) or (self.cells / name).is_dir())
-            ]  # fmt: skip
-            sweeps += [{**sweep, "cells": kept}] if kept else []
-        sweeps.append({"command": command, "cells": list(wanted)})
-        write_json(self.directory / SWEEPS, {"sweeps": sweeps})
+        with alone(self.work / "sweep.lock"):
+            sweeps = []
+            for sweep in read_sweeps(self.directory):
+                kept = [
+                    name for name in sweep["cells"]
+                    if name not in wanted and (not name.startswith(settings) or (self.cells / name).is_dir())
+                ]  # fmt: skip
+                sweeps += [{**sweep, "cells": kept}] if kept else []
+            sweeps.append({"command": command, "cells": list(wanted)})
+            write_json(self.directory / SWEEPS, {"sweeps": sweeps})
 
     def write_failure(self, name: str, reason: str, command: str) -> None:
         """Note that a cell was given up, and the command that tries it alone."""

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import shutil
+import threading
 from dataclasses import replace
 
 import pandas as pd
@@ -150,6 +152,26 @@ def test_sweeps_add_up_but_for_what_was_never_finished_and_is_not_asked_for_agai
     ]
     home.write_sweep("all again", cells)
     assert store.read_sweeps(tmp_path) == [{"command": "all again", "cells": [cell.name for cell in cells]}]
+
+
+def test_sweeps_that_start_at_once_lose_no_note(tmp_path, cells, monkeypatch):
+    read, both = store.read_sweeps, threading.Barrier(2)
+
+    def slowly(directory):
+        found = read(directory)
+        with contextlib.suppress(threading.BrokenBarrierError):
+            both.wait(0.5)  # for the other, which must not be here
+        return found
+
+    monkeypatch.setattr(store, "read_sweeps", slowly)
+    home = store.Store(tmp_path)
+    halves = [[cell for cell in cells if cell.task == task] for task in ("highway", "u-turn")]
+    threads = [threading.Thread(target=home.write_sweep, args=(half[0].task, half)) for half in halves]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert {sweep["command"] for sweep in read(tmp_path)} == {"highway", "u-turn"}
 
 
 def test_results_know_all_cells_that_sweeps_asked_for(directory, cells):

@@ -137,7 +137,7 @@ class Store:
         """
         wanted = dict.fromkeys(cell.name for cell in cells)
         settings = tuple({f"{cell.setting}-" for cell in cells})
-        with alone(self.work / "sweep.lock"):
+        with alone(self.directory):
             sweeps = []
             for sweep in read_sweeps(self.directory):
                 kept = [

@@ -64,9 +64,9 @@ def write_json(path: Path, value: Any) -> None:
 
 
 @contextmanager
-def alone(lock: Path) -> Iterator[None]:
-    """Wait until no other process holds this lock, and hold it; on a file system without locks nothing is held."""
-    descriptor = os.open(lock, os.O_RDWR | os.O_CREAT, 0o644)
+def alone(directory: Path) -> Iterator[None]:
+    """Wait until nobody else holds this directory, and hold it; a file system without such locks lets everybody in."""
+    descriptor = os.open(directory, os.O_RDONLY)
     try:
         with suppress(OSError):
             fcntl.flock(descriptor, fcntl.LOCK_EX)

@@ -59,7 +59,7 @@ def _headline(
         _regular([r for r in rows if r["term"] == "regular"], own, outcome),
         _of_the_paper(own["claims"]),
     ]
-    text.append(_graded(own["claims"], sum(grid.values())))
+    text.append(_graded(own["claims"]))
     text += _generality(primary, own["pooled"], outcome)
     text += _failing(own["failures"])
     used, every = primary["comparisons"]
@@ -127,9 +127,10 @@ def _rates(rows: Sequence[Record], outcome: str) -> tuple[str, str]:
     return treated, control
 
 
-def _graded(claims: Sequence[Record], settings: int) -> str:
+def _graded(claims: Sequence[Record]) -> str:
     safety = next(claim for claim in claims if claim["outcome"] == "primary")
     counts = safety["counts"]
+    settings = counts["expected"] - counts["not_run"]
     text = (
         f"One by one, {counts['right']} of {settings} settings are safer and {counts['wrong']} less safe, adjusted for "
         "their number"

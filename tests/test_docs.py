@@ -16,6 +16,7 @@ import pytest
 
 import sumo_env
 from experiments.analysis.wording import difference
+from experiments.reporting.beside import beside
 from experiments.validation.margins import MARGINS
 from sumo_env.config import COMMON, FILE_KEYS, FIXED, LEFT_OUT
 from sumo_env.contacts.crash import CrashRecord
@@ -335,3 +336,22 @@ def test_the_readme_tells_the_numbers_of_the_published_study() -> None:
     assert len(told) == 5
     readme = " ".join(TEXTS[ROOT / "README.md"].split())
     assert [difference(r, "crashed") for r in told if difference(r, "crashed") not in readme] == []
+
+
+def test_the_studys_page_tells_the_numbers_of_every_folder() -> None:
+    text = section(TEXTS[ROOT / "docs" / "study.md"], "The published study")
+    told = table(text[text.index("Treatment minus control") :])
+    folders = sorted(path.parent for path in (ROOT / "results").glob("*/PUBLISHED.md"))
+    assert set(told) <= set(table(text)) == {f"results/{folder.name}" for folder in folders}
+    analyses = {
+        f"results/{folder.name}": json.loads((folder / "analysis.json").read_text()) for folder in folders
+    }
+    study = analyses["results/standard"]
+    for name, row in told.items():
+        analysis = analyses[name]
+        other = analysis if analysis is not study else analyses["results/replica"]
+        [compared] = beside([("the study", study), ("the other", other)])
+        means = [compared["tables"][k]["rows"][-1]["effects"][analysis is not study] for k in (0, 1)]
+        gates = [gate["passed"] is True for gate in analysis["gates"] if gate["level"] == 1]
+        assert row == [*means, f"{sum(gates)} of {len(gates)}"], name
+        assert means[0] in " ".join(TEXTS[ROOT / "README.md"].split()), name

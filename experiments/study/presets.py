@@ -118,7 +118,7 @@ PRESETS = {
         ),
         Preset(
             name="standard",
-            about="the paper's 18 settings, ten seeds an arm: the published study, many hours",
+            about="the paper's 18 settings, ten seeds per arm (the published study has five in most), many hours",
             levels=None,
             seeds=10,
             episodes=100,

@@ -117,9 +117,12 @@ def _published(directory: Path, analysis: dict[str, Any]) -> list[tuple[str, dic
 
 
 def _stored(path: Path) -> dict[str, Any] | None:
-    """An analysis that is stored; None if it is not there or of another version."""
-    found: dict[str, Any] | None = json.loads(path.read_text()) if path.is_file() else None
-    return found if found and found.get("schema") == SCHEMA else None
+    """An analysis that is stored; None if it is not there, damaged, or of another version."""
+    try:
+        found: dict[str, Any] = json.loads(path.read_text())
+    except (OSError, ValueError):
+        return None
+    return found if found.get("schema") == SCHEMA else None
 
 
 def _title(directory: Path, otherwise: str) -> str:

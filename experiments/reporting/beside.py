@@ -34,14 +34,6 @@ class Side:
     name: str
     parts: Mapping[str, Sequence[Record]]
 
-    def effects(self, outcome: str, term: str) -> dict[Setting, Record]:
-        """The effects that are known, by setting."""
-        return {
-            (r["task"], r["level"]): r
-            for r in self.parts["ate"]
-            if (r["outcome"], r["term"]) == (outcome, term) and r["status"] != MISSING
-        }
-
 
 def beside(named: Sequence[tuple[str, Mapping[str, Any]]]) -> list[dict[str, Any]]:
     """What the report shows of other directories, a section for each simulator of its own.
@@ -61,7 +53,9 @@ def beside(named: Sequence[tuple[str, Mapping[str, Any]]]) -> list[dict[str, Any
         sides = [_side(own_name, own, backend), *(_side(name, other, backend) for name, other in others)]
         tables, drawn = [], []
         for (outcome, term), question in QUESTIONS.items():
-            columns = _columns([side.effects(outcome, term) for side in sides], OUTCOMES[outcome].poolable)
+            columns = _columns(
+                [_effects(side.parts, outcome, term) for side in sides], OUTCOMES[outcome].poolable
+            )
             tables.append({"question": question, "rows": _rows(columns, outcome)})
             drawn.append(columns)
         if not tables[0]["rows"]:
@@ -95,6 +89,15 @@ def _side(name: str, analysis: Mapping[str, Any], backend: str) -> Side:
     parts = {part: [r for r in analysis[part] if r["backend"] == match] for part in PARTS}
     simulator = BACKENDS.get(match, match)
     return Side(name if match == backend or simulator in name else f"{name} ({simulator})", parts)
+
+
+def _effects(parts: Mapping[str, Sequence[Record]], outcome: str, term: str) -> dict[Setting, Record]:
+    """The effects that are known, by setting."""
+    return {
+        (r["task"], r["level"]): r
+        for r in parts["ate"]
+        if (r["outcome"], r["term"]) == (outcome, term) and r["status"] != MISSING
+    }
 
 
 def _columns(
@@ -147,7 +150,7 @@ def power(part: Mapping[str, Sequence[Record]]) -> str:
     Args:
         part: ate and pooled of one simulator.
     """
-    settings = list(Side("", part).effects("crashed", "risky").values())
+    settings = list(_effects(part, "crashed", "risky").values())
     seeds = sorted({min(r["seeds"]) for r in settings})
     if not seeds or seeds[-1] < 2:
         return "One training seed in an arm cannot tell anything about training."

@@ -5,7 +5,7 @@ DIR/cells/<cell>/     cell.json, episodes.parquet; but for further tests of an a
 DIR/work/<cell>/      a cell in progress: checkpoint, lock, log (see `attempt`); failed.json if it was given up
 DIR/damaged/          what was put aside because it was damaged
 DIR/sweep.json        what sweeps have asked for
-DIR/PUBLISHED.md      says that weights and training episodes of most agents are left out here on purpose
+DIR/PUBLISHED.md      allows that weights and training episodes are missing; its heading is the name of DIR in reports
 
 `results` reads all of it as tables.
 """

@@ -6,6 +6,7 @@ docs/img/films/*.gif          some seconds of each task
 docs/img/networks/*.png       SUMO's lanes (grey, orange in junctions) under highway-env's centre lines (bright, dashed)
 docs/img/collisions.png       how contacts are looked for
 docs/img/effects.svg          the effect on the crash rate in the published study, as in its report
+docs/img/arms.svg             the crash rate of its further arms, likewise
 """
 
 from __future__ import annotations
@@ -31,6 +32,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Polygon
 from PIL import Image
 
+from experiments.reporting.arm_figures import further_arms
 from experiments.reporting.figures import effects_by_place
 from sumo_env.contacts.rectangles import LENGTH, WIDTH, State, separation, state_between, touch_moment
 from sumo_env.env import DrivingEnv
@@ -322,11 +324,16 @@ def collisions() -> None:
 # -- the published study -----------------------------------------------------------------------------------------------
 
 
-def effects() -> None:
-    """The effect on the crash rate in every setting, on a white ground."""
+def study() -> None:
+    """The effect on the crash rate in every setting, and that of the further arms, on a white ground."""
     analysis = json.loads((ROOT / "results" / "standard" / "analysis.json").read_text())
-    svg = effects_by_place(analysis["ate"], "crashed")
-    (IMAGES / "effects.svg").write_text(svg.replace("<svg ", '<svg style="background: white" ', 1) + "\n")
+    drawn = {
+        "effects": effects_by_place(analysis["ate"], "crashed"),
+        "arms": further_arms(analysis["ate"], analysis["exploratory"]["arms"]),
+    }
+    for name, svg in drawn.items():
+        on_white = svg.replace("<svg ", '<svg style="background: white" ', 1)
+        (IMAGES / f"{name}.svg").write_text(on_white + "\n")
 
 
 if __name__ == "__main__":
@@ -335,4 +342,4 @@ if __name__ == "__main__":
     films()
     networks()
     collisions()
-    effects()
+    study()

@@ -15,6 +15,7 @@ import gymnasium as gym
 import pytest
 
 import sumo_env
+from experiments.analysis.pooling import ALL_TASKS
 from experiments.analysis.wording import difference
 from experiments.reporting.beside import beside
 from experiments.validation.margins import MARGINS
@@ -333,9 +334,35 @@ def test_the_readme_tells_the_numbers_of_the_published_study() -> None:
     ]  # fmt: skip
     told = [r for r in (*pooled, *elsewhere) if r["term"] in ("risky", "regular")]
     told += [r for r in analysis["sensitivity"] if r["variant"] == "without u-turn"]
-    assert len(told) == 5
+    told += [r for r in further_arms(analysis) if (r["arm"], r["term"]) == ("dense", "risky")]
+    assert len(told) == 7
     readme = " ".join(TEXTS[ROOT / "README.md"].split())
     assert [difference(r, "crashed") for r in told if difference(r, "crashed") not in readme] == []
+
+
+def test_the_studys_page_tells_what_further_arms_do() -> None:
+    analysis = json.loads((ROOT / "results" / "standard" / "analysis.json").read_text())
+    text = " ".join(section(TEXTS[ROOT / "docs" / "study.md"], "Risk or more interaction?").split())
+    told = [
+        r
+        for r in further_arms(analysis)
+        if (r["arm"], r["term"]) in (("dense", "risky"), ("dose25", "risky"))
+    ]
+    told += [
+        r for r in analysis["exploratory"]["arms"]
+        if (r["arm"], r["against"], r["outcome"], r["term"]) == ("dense", "treatment", "crashed", "risky")
+        and r["scope"] != ALL_TASKS
+    ]  # fmt: skip
+    assert len(told) == 6
+    assert [difference(r, "crashed") for r in told if difference(r, "crashed") not in text] == []
+
+
+def further_arms(analysis: dict[str, Any]) -> list[dict[str, Any]]:
+    """The effects of further arms on the crash rate, against the control, by setting."""
+    return [
+        r for r in analysis["exploratory"]["arms"]
+        if (r["against"], r["outcome"]) == ("control", "crashed") and r["scope"] != ALL_TASKS
+    ]  # fmt: skip
 
 
 def test_the_studys_page_tells_the_numbers_of_every_folder() -> None:

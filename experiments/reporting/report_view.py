@@ -15,6 +15,7 @@ from experiments.analysis.pooling import ALL_TASKS
 from experiments.analysis.statistics import MISSING
 from experiments.analysis.tables import CONFIRMATORY, TASK_ORDER, split
 from experiments.analysis.wording import BACKENDS, count, listing, place
+from experiments.reporting.arm_figures import further_arms
 from experiments.reporting.beside import power
 from experiments.reporting.card import card
 from experiments.reporting.report_figures import backend_figures
@@ -236,6 +237,10 @@ def backend_section(
         for name, cell in results.cells.items()
         if name not in left_out and cell["key"]["backend"] == backend
     }
+    exploratory = {
+        part: [record for record in records if record["backend"] == backend]
+        for part, records in analysis["exploratory"].items()
+    }
     return {
         "id": backend,
         "name": BACKENDS.get(backend, backend),
@@ -257,10 +262,8 @@ def backend_section(
         "gates": gate_rows(own["gates"]),
         "agents": own["gates"],
         "policies": policy_rows(own["policies"]),
-        "exploratory": {
-            part: [record for record in records if record["backend"] == backend]
-            for part, records in analysis["exploratory"].items()
-        },
+        "exploratory": exploratory,
+        "arms": Markup(further_arms(own["ate"], exploratory["arms"])) if exploratory["arms"] else None,
         "figures": backend_figures(results, own, cells),
         "cells": cell_rows(cells, own["gates"]),
     }

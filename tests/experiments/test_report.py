@@ -283,6 +283,13 @@ class TestIncomplete:
         assert "No control agents" in page.text
         assert "2 cells that a sweep has asked for are missing" in page.text
 
+    def test_further_arms_are_drawn_and_told(self, tmp_path):
+        page = write(tmp_path, {"u-turn": (1,)}, seeds=2, tests=8, further=("dense", "dose50"))
+        start = page.text.index("Further arms")
+        told = page.text[start : page.text.index("On another simulator", start)]
+        assert all(name in told for name in ("risk at dose .5", "risk at dose 1", "denser, no risk"))
+        assert "mean of" not in told  # one setting is no mean
+
     def test_no_agents(self, tmp_path):
         page = write(tmp_path, {"u-turn": (1,)}, tests=4, arms=(), sweep=False)
         assert "No trained agents" in page.text

@@ -12,12 +12,14 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
+import pandas as pd
 import pytest
 
 import sumo_env
 from experiments.analysis.pooling import ALL_TASKS
 from experiments.analysis.wording import difference
 from experiments.reporting.beside import beside
+from experiments.study.results import load
 from experiments.validation.margins import MARGINS
 from sumo_env.config import COMMON, FILE_KEYS, FIXED, LEFT_OUT
 from sumo_env.contacts.crash import CrashRecord
@@ -355,6 +357,24 @@ def test_the_studys_page_tells_what_further_arms_do() -> None:
     ]  # fmt: skip
     assert len(told) == 6
     assert [difference(r, "crashed") for r in told if difference(r, "crashed") not in text] == []
+
+
+def test_the_replicas_agents_do_the_same_on_highway_env() -> None:
+    found = load(ROOT / "results" / "replica")
+    tested = {
+        name: cell["key"].get("test_on", {}).get("backend", "replica")
+        for name, cell in found.cells.items()
+        if cell["key"]["kind"] != "baseline"
+    }
+    episodes = found.episodes[found.episodes["cell"].isin(tested)]
+    simulator = episodes["cell"].map(tested)
+    where = ["task", "arm", "seed", "traffic", "scenario"]
+    same = ["return", "length", "crashed"]
+    here, there = (
+        episodes[simulator == name].set_index(where)[same].sort_index() for name in ("replica", "highway-env")
+    )
+    assert len(there) == 2000
+    pd.testing.assert_frame_equal(here.loc[there.index], there, check_exact=True)
 
 
 def further_arms(analysis: dict[str, Any]) -> list[dict[str, Any]]:

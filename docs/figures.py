@@ -7,6 +7,7 @@ docs/img/networks/*.png       SUMO's lanes (grey, orange in junctions) under hig
 docs/img/collisions.png       how contacts are looked for
 docs/img/effects.svg          the effect on the crash rate in the published study, as in its report
 docs/img/arms.svg             the crash rate of its further arms, likewise
+docs/img/beside.gif           its first film of the u-turn: a control and a treated agent in the same scenario
 """
 
 from __future__ import annotations
@@ -27,13 +28,14 @@ matplotlib.use("agg")
 
 import numpy as np
 from matplotlib import pyplot as plt
+from matplotlib.animation import PillowWriter
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Polygon
 from PIL import Image
 
 from experiments.reporting.arm_figures import further_arms
-from experiments.reporting.figures import effects_by_place
+from experiments.reporting.figures import COLOURS, effects_by_place
 from sumo_env.contacts.rectangles import LENGTH, WIDTH, State, separation, state_between, touch_moment
 from sumo_env.env import DrivingEnv
 from sumo_env.networks.lanes import WIDTH as LANE_WIDTH
@@ -336,6 +338,52 @@ def study() -> None:
         (IMAGES / f"{name}.svg").write_text(on_white + "\n")
 
 
+def moments(track: dict[str, Any]) -> list[list[State]]:
+    """The cars in each picture of a stored film (see `experiments.reporting.showcase`), the agent first."""
+    shown: list[list[State]] = [[] for _ in track["times"]]
+    for car in track["cars"]:
+        x, y, heading = (np.cumsum(car[name]) for name in "xyh")
+        states = zip(x / 10, y / 10, np.zeros(len(x)), heading / 100, strict=True)
+        for number, state in enumerate(states, car["from"]):
+            shown[number].append(state)
+    return shown
+
+
+def beside() -> None:
+    """The film that the report shows first of the u-turn."""
+    stored = json.loads((ROOT / "results" / "standard" / "showcase.json").read_text())
+    place = next(place for place in stored["places"] if place["task"] == "u-turn")
+    film = place["films"][0]
+    x, y, across, down = place["view"]
+    figure, axes = plt.subplots(2, 1, figsize=(6.6, 4.8), layout="constrained")
+    writer = PillowWriter(fps=5)
+    tracks = {arm: moments(film[arm]) for arm in COLOURS}
+    for arm, track in tracks.items():
+        if film[arm]["crash"] is not None:  # stops there
+            del track[int(np.searchsorted(film[arm]["times"], 100 * film[arm]["crash"])) + 1 :]
+    with writer.saving(figure, IMAGES / "beside.gif", dpi=80):
+        for number in range(max(map(len, tracks.values())) + 5):
+            for panel, (arm, colour) in zip(axes, COLOURS.items(), strict=True):
+                over = number >= len(tracks[arm]) - 1
+                scene = tracks[arm][-1 if over else number]
+                panel.clear()
+                for surface in place["road"]["surfaces"]:
+                    panel.fill(*np.array(surface).reshape(-1, 2).T / 10, color="#9aa0a8", lw=0)
+                for x1, y1, x2, y2 in np.array(place["road"]["dashes"]) / 10:
+                    panel.plot([x1, x2], [y1, y2], color="#f4f5f3", lw=0.8)
+                for who, state in enumerate(scene):
+                    fill, above = (colour, 4) if who == 0 else ("#ffffff", 3)
+                    panel.add_patch(Polygon(corners(state), fc=fill, ec="#2b3138", lw=0.6, zorder=above))
+                panel.set_title(f"{arm}: {film[arm]['ending']}" if over else arm, color=colour, loc="left")
+                panel.set(
+                    xlim=(x - across / 2 - 5, x + across / 2 + 5), ylim=(y + down / 2 + 6, y - down / 2 - 6)
+                )
+                panel.set(aspect="equal")
+                panel.axis("off")
+            writer.grab_frame()
+    plt.close(figure)
+
+
 if __name__ == "__main__":
     tasks()
     environments()
@@ -343,3 +391,4 @@ if __name__ == "__main__":
     networks()
     collisions()
     study()
+    beside()

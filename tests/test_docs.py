@@ -342,6 +342,15 @@ def test_the_readme_tells_the_numbers_of_the_published_study() -> None:
     assert [difference(r, "crashed") for r in told if difference(r, "crashed") not in readme] == []
 
 
+def test_the_readme_tells_how_often_the_agents_of_its_film_crash() -> None:
+    stored = json.loads((ROOT / "results" / "standard" / "showcase.json").read_text())
+    [counts] = [place["counts"] for place in stored["places"] if place["task"] == "u-turn"]
+    readme = " ".join(TEXTS[ROOT / "README.md"].split())
+    assert f"In {sum(counts.values())} scenarios" in readme
+    assert f"this control agent alone crashes in {counts['control']}" in readme
+    assert f"this treated agent alone in {counts['treatment']}." in readme
+
+
 def test_the_studys_page_tells_what_further_arms_do() -> None:
     analysis = json.loads((ROOT / "results" / "standard" / "analysis.json").read_text())
     text = " ".join(section(TEXTS[ROOT / "docs" / "study.md"], "Risk or more interaction?").split())

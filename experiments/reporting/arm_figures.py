@@ -22,6 +22,7 @@ NAMES = {
     "dense": "denser, no risk",
     "penalty": "twice the penalty",
 }
+COLUMNS = 3  # settings beside each other
 MARKS: dict[str, dict[str, Any]] = {
     "risky": {"color": TREATMENT, "marker": "o", "mfc": TREATMENT},
     "regular": {"color": INK, "marker": "s", "mfc": PAPER},
@@ -39,8 +40,12 @@ def further_arms(effects: Sequence[Mapping[str, Any]], arms: Sequence[Mapping[st
     scopes = list(dict.fromkeys(r["scope"] for r in records))
     records += [{**r, "arm": "treatment", "scope": place(r)} for r in effects if place(r) in scopes]
     rows = {arm: -number for number, arm in enumerate(NAMES) if any(r["arm"] == arm for r in records)}
-    figure, axes = new_figure(1, len(scopes), 1.2 + 0.3 * len(rows), sharey=True)
-    for panel, scope in zip(axes[0], scopes, strict=True):
+    columns = min(len(scopes), COLUMNS)
+    lines = -(-len(scopes) // columns)
+    figure, axes = new_figure(lines, columns, 0.5 + lines * (0.7 + 0.3 * len(rows)), sharey=True)
+    for panel in axes.flat[len(scopes) :]:
+        panel.set_visible(False)
+    for panel, scope in zip(axes.flat, scopes, strict=False):
         panel.axvline(0, color=INK, lw=0.8)
         panel.set_title(scope)
         for r in records:
@@ -54,7 +59,7 @@ def further_arms(effects: Sequence[Mapping[str, Any]], arms: Sequence[Mapping[st
         panel.set_yticks(list(rows.values()), [NAMES[arm] for arm in rows])
         panel.xaxis.set_major_locator(MaxNLocator(5))
         panel.xaxis.set_major_formatter(lambda value, _: f"{100 * value:.0f}".replace("-", MINUS))
-        panel.set_xlabel(f"crash rate, arm {MINUS} control [points]")
+        panel.set_xlabel(f"arm {MINUS} control [points]")
         panel.grid(axis="y", visible=False)
     handles = [Line2D([], [], label=f"tested in {term} traffic", **mark) for term, mark in MARKS.items()]
     figure.legend(handles=handles, loc="outside lower center", ncols=2)

@@ -17,7 +17,7 @@ import pytest
 
 import sumo_env
 from experiments.analysis.pooling import ALL_TASKS
-from experiments.analysis.wording import difference
+from experiments.analysis.wording import difference, place
 from experiments.reporting.beside import beside
 from experiments.study.results import load
 from experiments.validation.margins import MARGINS
@@ -336,8 +336,11 @@ def test_the_readme_tells_the_numbers_of_the_published_study() -> None:
     ]  # fmt: skip
     told = [r for r in (*pooled, *elsewhere) if r["term"] in ("risky", "regular")]
     told += [r for r in analysis["sensitivity"] if r["variant"] == "without u-turn"]
-    told += [r for r in further_arms(analysis) if (r["arm"], r["term"]) == ("dense", "risky")]
-    assert len(told) == 7
+    told += [
+        r for r in further_arms(analysis)
+        if (r["arm"], r["scope"], r["term"]) == ("dense", ALL_TASKS, "risky")
+    ]  # fmt: skip
+    assert len(told) == 6
     readme = " ".join(TEXTS[ROOT / "README.md"].split())
     assert [difference(r, "crashed") for r in told if difference(r, "crashed") not in readme] == []
 
@@ -353,19 +356,21 @@ def test_the_readme_tells_how_often_the_agents_of_its_film_crash() -> None:
 
 def test_the_studys_page_tells_what_further_arms_do() -> None:
     analysis = json.loads((ROOT / "results" / "standard" / "analysis.json").read_text())
-    text = " ".join(section(TEXTS[ROOT / "docs" / "study.md"], "Risk or more interaction?").split())
-    told = [
-        r
-        for r in further_arms(analysis)
-        if (r["arm"], r["term"]) in (("dense", "risky"), ("dose25", "risky"))
-    ]
-    told += [
-        r for r in analysis["exploratory"]["arms"]
-        if (r["arm"], r["against"], r["outcome"], r["term"]) == ("dense", "treatment", "crashed", "risky")
-        and r["scope"] != ALL_TASKS
-    ]  # fmt: skip
-    assert len(told) == 6
-    assert [difference(r, "crashed") for r in told if difference(r, "crashed") not in text] == []
+    text = section(TEXTS[ROOT / "docs" / "study.md"], "Risk or more interaction?")
+    arms = {(r["arm"], r["scope"], r["term"]): difference(r, "crashed") for r in further_arms(analysis)}
+    arms |= {
+        ("treatment", place(r), r["term"]): difference(r, "crashed")
+        for r in analysis["ate"]
+        if r["outcome"] == "crashed"
+    }
+    columns = [(arm, term) for term in ("risky", "regular") for arm in ("dense", "treatment")]
+    rows = table(text)
+    assert len(rows) == len(TASKS)
+    for name, cells in rows.items():
+        assert [arms[arm, name, term].replace(" points", "") for arm, term in columns] == cells
+    told = " ".join(text.split())
+    assert all(arms["dose25", name, "risky"] in told for name in ("highway 50", "u-turn 3"))
+    assert arms["dense", ALL_TASKS, "risky"] in told
 
 
 def test_the_replicas_agents_do_the_same_on_highway_env() -> None:
@@ -387,10 +392,10 @@ def test_the_replicas_agents_do_the_same_on_highway_env() -> None:
 
 
 def further_arms(analysis: dict[str, Any]) -> list[dict[str, Any]]:
-    """The effects of further arms on the crash rate, against the control, by setting."""
+    """The effects of further arms on the crash rate, against the control."""
     return [
         r for r in analysis["exploratory"]["arms"]
-        if (r["against"], r["outcome"]) == ("control", "crashed") and r["scope"] != ALL_TASKS
+        if (r["against"], r["outcome"]) == ("control", "crashed")
     ]  # fmt: skip
 
 

@@ -21,7 +21,7 @@ from experiments.analysis.effects import Record, as_record, cells_of, contrast, 
 from experiments.analysis.plan import DEFAULT, Plan
 from experiments.analysis.pooling import ALL_TASKS, Pairs, by_task, task_weights
 from experiments.analysis.statistics import OK, Mean
-from experiments.analysis.tables import PLACE, settings, with_outcomes
+from experiments.analysis.tables import PLACE, place_order, settings, with_outcomes
 from experiments.analysis.wording import place
 from experiments.study.arms import ALL_TRAFFICS, ARMS, DOSE_ARMS, DOSES, EXTRA_ARMS
 from experiments.study.grid import MARKS
@@ -79,7 +79,9 @@ def _elsewhere(cells: Mapping[str, Mapping[str, Any]]) -> set[str]:
 def _scopes(pairs: Pairs) -> list[tuple[str, Pairs]]:
     """Every setting with both arms, and all of them."""
     whole = {where: pair for where, pair in pairs.items() if least(pair)}
-    single = [(place(dict(zip(PLACE, where, strict=True))), {where: pair}) for where, pair in whole.items()]
+    places = [(dict(zip(PLACE, where, strict=True)), where) for where in whole]
+    places.sort(key=lambda found: place_order(found[0]))
+    single = [(place(record), {where: whole[where]}) for record, where in places]
     return [*single, (ALL_TASKS, whole)] if whole else []
 
 

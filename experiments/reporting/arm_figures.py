@@ -37,8 +37,9 @@ def further_arms(effects: Sequence[Mapping[str, Any]], arms: Sequence[Mapping[st
         effects: of `effects.effects`, for the treatment. arms: of `exploratory.arms`. Both of one backend.
     """
     records = [r for r in arms if r["against"] == "control" and r["scope"] != ALL_TASKS]
-    scopes = list(dict.fromkeys(r["scope"] for r in records))
-    records += [{**r, "arm": "treatment", "scope": place(r)} for r in effects if place(r) in scopes]
+    known = {r["scope"] for r in records}
+    records += [{**r, "arm": "treatment", "scope": place(r)} for r in effects if place(r) in known]
+    scopes = list(dict.fromkeys(place(r) for r in effects if place(r) in known))
     rows = {arm: -number for number, arm in enumerate(NAMES) if any(r["arm"] == arm for r in records)}
     columns = min(len(scopes), COLUMNS)
     lines = -(-len(scopes) // columns)

@@ -4,22 +4,15 @@ from __future__ import annotations
 
 import ast
 import importlib.util
-import json
 import re
 from dataclasses import asdict
-from itertools import dropwhile, takewhile
 from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
-import pandas as pd
 import pytest
 
 import sumo_env
-from experiments.analysis.pooling import ALL_TASKS
-from experiments.analysis.wording import difference, place
-from experiments.reporting.beside import beside
-from experiments.study.results import load
 from experiments.validation.margins import MARGINS
 from sumo_env.config import COMMON, FILE_KEYS, FIXED, LEFT_OUT
 from sumo_env.contacts.crash import CrashRecord
@@ -29,10 +22,8 @@ from sumo_env.tasks.base import Task
 from sumo_env.tasks.network import NetworkTask
 from sumo_env.traffic.drivers import Calibration, RiskRanges, vehicle_type
 from sumo_env.traffic.risk import RiskRates
+from tests.pages import PAGES, ROOT, TEXTS, section, table
 
-ROOT = Path(__file__).resolve().parents[1]
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
-TEXTS = {page: page.read_text(encoding="utf-8") for page in PAGES}
 names = [str(page.relative_to(ROOT)) for page in PAGES]
 each_page = pytest.mark.parametrize("page", PAGES, ids=names)
 each_task = pytest.mark.parametrize("task", TASKS)
@@ -41,21 +32,6 @@ each_task = pytest.mark.parametrize("task", TASKS)
 def environment(task: str) -> str:
     """The page of a task."""
     return TEXTS[ROOT / "docs" / "environments" / f"{task}.md"]
-
-
-def section(text: str, title: str) -> str:
-    """What stands under a heading, subsections included."""
-    found = re.search(rf"^(#+) {re.escape(title)}\n(.*?)(?=^\1 |\Z)", text, re.DOTALL | re.MULTILINE)
-    assert found, f"no section {title!r}"
-    return found[2]
-
-
-def table(text: str) -> dict[str, list[str]]:
-    """The rows of the first table of a text: first cell -> the other cells, backticks removed from the first."""
-    rows = dropwhile(lambda line: not line.startswith("|"), text.splitlines())
-    lines = list(takewhile(lambda line: line.startswith("|"), rows))[2:]
-    cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
-    return {first.strip("`"): others for first, *others in cells}
 
 
 def literal(cell: str) -> Any:
@@ -322,97 +298,3 @@ def test_the_attributes_of_a_task() -> None:
     assert {name for name in listed if name not in ("config", "road", "rng", "drivers", "seed", "ego", "rewards")} <= {
         *vars(Task), *Task.__annotations__
     }  # fmt: skip
-
-
-# -- the published study -----------------------------------------------------------------------------------------------
-
-
-def test_the_readme_tells_the_numbers_of_the_published_study() -> None:
-    analysis = json.loads((ROOT / "results" / "standard" / "analysis.json").read_text())
-    pooled = [r for r in analysis["pooled"] if (r["scope"], r["outcome"]) == ("all tasks", "crashed")]
-    elsewhere = [
-        r for r in analysis["exploratory"]["transfer"]
-        if (r["scope"], r["tested_on"]) == ("all tasks", "highway-env")
-    ]  # fmt: skip
-    told = [r for r in (*pooled, *elsewhere) if r["term"] in ("risky", "regular")]
-    told += [r for r in analysis["sensitivity"] if r["variant"] == "without u-turn"]
-    told += [
-        r for r in further_arms(analysis)
-        if (r["arm"], r["scope"], r["term"]) == ("dense", ALL_TASKS, "risky")
-    ]  # fmt: skip
-    assert len(told) == 6
-    readme = " ".join(TEXTS[ROOT / "README.md"].split())
-    assert [difference(r, "crashed") for r in told if difference(r, "crashed") not in readme] == []
-
-
-def test_the_readme_tells_how_often_the_agents_of_its_film_crash() -> None:
-    stored = json.loads((ROOT / "results" / "standard" / "showcase.json").read_text())
-    [counts] = [place["counts"] for place in stored["places"] if place["task"] == "u-turn"]
-    readme = " ".join(TEXTS[ROOT / "README.md"].split())
-    assert f"In {sum(counts.values())} scenarios" in readme
-    assert f"this control agent alone crashes in {counts['control']}" in readme
-    assert f"this treated agent alone in {counts['treatment']}." in readme
-
-
-def test_the_studys_page_tells_what_further_arms_do() -> None:
-    analysis = json.loads((ROOT / "results" / "standard" / "analysis.json").read_text())
-    text = section(TEXTS[ROOT / "docs" / "study.md"], "Risk or more interaction?")
-    arms = {(r["arm"], r["scope"], r["term"]): difference(r, "crashed") for r in further_arms(analysis)}
-    arms |= {
-        ("treatment", place(r), r["term"]): difference(r, "crashed")
-        for r in analysis["ate"]
-        if r["outcome"] == "crashed"
-    }
-    columns = [(arm, term) for term in ("risky", "regular") for arm in ("dense", "treatment")]
-    rows = table(text)
-    assert len(rows) == len(TASKS)
-    for name, cells in rows.items():
-        assert [arms[arm, name, term].replace(" points", "") for arm, term in columns] == cells
-    told = " ".join(text.split())
-    assert all(arms["dose25", name, "risky"] in told for name in ("highway 50", "u-turn 3"))
-    assert arms["dense", ALL_TASKS, "risky"] in told
-
-
-def test_the_replicas_agents_do_the_same_on_highway_env() -> None:
-    found = load(ROOT / "results" / "replica")
-    tested = {
-        name: cell["key"].get("test_on", {}).get("backend", "replica")
-        for name, cell in found.cells.items()
-        if cell["key"]["kind"] != "baseline"
-    }
-    episodes = found.episodes[found.episodes["cell"].isin(tested)]
-    simulator = episodes["cell"].map(tested)
-    where = ["task", "arm", "seed", "traffic", "scenario"]
-    same = ["return", "length", "crashed"]
-    here, there = (
-        episodes[simulator == name].set_index(where)[same].sort_index() for name in ("replica", "highway-env")
-    )
-    assert len(there) == 2000
-    pd.testing.assert_frame_equal(here.loc[there.index], there, check_exact=True)
-
-
-def further_arms(analysis: dict[str, Any]) -> list[dict[str, Any]]:
-    """The effects of further arms on the crash rate, against the control."""
-    return [
-        r for r in analysis["exploratory"]["arms"]
-        if (r["against"], r["outcome"]) == ("control", "crashed")
-    ]  # fmt: skip
-
-
-def test_the_studys_page_tells_the_numbers_of_every_folder() -> None:
-    text = section(TEXTS[ROOT / "docs" / "study.md"], "The published study")
-    told = table(text[text.index("Treatment minus control") :])
-    folders = sorted(path.parent for path in (ROOT / "results").glob("*/PUBLISHED.md"))
-    assert set(told) <= set(table(text)) == {f"results/{folder.name}" for folder in folders}
-    analyses = {
-        f"results/{folder.name}": json.loads((folder / "analysis.json").read_text()) for folder in folders
-    }
-    study = analyses["results/standard"]
-    for name, row in told.items():
-        analysis = analyses[name]
-        other = analysis if analysis is not study else analyses["results/replica"]
-        [compared] = beside([("the study", study), ("the other", other)])
-        means = [compared["tables"][k]["rows"][-1]["effects"][analysis is not study] for k in (0, 1)]
-        gates = [gate["passed"] is True for gate in analysis["gates"] if gate["level"] == 1]
-        assert row == [*means, f"{sum(gates)} of {len(gates)}"], name
-        assert means[0] in " ".join(TEXTS[ROOT / "README.md"].split()), name

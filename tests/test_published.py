@@ -10,6 +10,7 @@ import pandas as pd
 from experiments.analysis.pooling import ALL_TASKS
 from experiments.analysis.wording import difference, place
 from experiments.reporting.beside import beside
+from experiments.study.arms import TRAFFICS
 from experiments.study.results import load
 from sumo_env.tasks import TASKS
 from tests.pages import ROOT, TEXTS, section, table
@@ -57,8 +58,11 @@ def test_the_studys_page_tells_what_further_arms_do() -> None:
     for name, cells in rows.items():
         assert [arms[arm, name, term].replace(" points", "") for arm, term in columns] == cells
     told = " ".join(text.split())
-    assert all(arms["dose25", name, "risky"] in told for name in ("highway 50", "u-turn 3"))
-    assert arms["dense", ALL_TASKS, "risky"] in told
+    over_all = [
+        (arm, ALL_TASKS, term) for arm in ("dose25", "dose50", "dose75", "penalty") for term in TRAFFICS
+    ]
+    shown = [*over_all, ("dense", ALL_TASKS, "risky"), ("dose25", "two-way 5+2", "risky")]
+    assert [key for key in shown if arms[key] not in told] == []
 
 
 def test_the_replicas_agents_do_the_same_on_highway_env() -> None:

@@ -191,7 +191,7 @@ def doses(episodes: pd.DataFrame, cells: Mapping[str, Mapping[str, Any]]) -> lis
                 "cells": sorted(group["cell"].unique()),
             }
         )
-    return records
+    return sorted(records, key=place_order)
 
 
 def transfer(episodes: pd.DataFrame, cells: Mapping[str, Mapping[str, Any]]) -> list[Record]:

@@ -117,10 +117,16 @@ def _published(directory: Path, analysis: dict[str, Any]) -> list[tuple[str, dic
 
 
 def _stored(path: Path) -> dict[str, Any] | None:
-    """An analysis that is stored; None if it is not there, damaged, or of another version."""
+    """An analysis that is stored; None if it is not there, of another version, or damaged, which is said."""
+    if not path.is_file():
+        return None
     try:
         found: dict[str, Any] = json.loads(path.read_text())
-    except (OSError, ValueError):
+    except ValueError:
+        print(
+            f"{path} is damaged and not shown: python experiments/report.py {path.parent} writes it again",
+            file=sys.stderr,
+        )
         return None
     return found if found.get("schema") == SCHEMA else None
 

@@ -7,10 +7,11 @@ from typing import Any
 
 import pandas as pd
 
+from experiments.analysis.gates import gates
 from experiments.analysis.pooling import ALL_TASKS
 from experiments.analysis.wording import difference, place
 from experiments.reporting.beside import beside
-from experiments.study.arms import TRAFFICS
+from experiments.study.arms import EXTRA_ARMS, TRAFFICS
 from experiments.study.results import load
 from sumo_env.tasks import TASKS
 from tests.pages import ROOT, TEXTS, section, table
@@ -65,6 +66,15 @@ def test_the_studys_page_tells_what_further_arms_do() -> None:
     assert [key for key in shown if arms[key] not in told] == []
 
 
+def test_the_agents_of_further_arms_pass_the_gates() -> None:
+    found = load(ROOT / "results" / "standard")
+    cells = {name: cell for name, cell in found.cells.items() if cell["key"]["kind"] in ("agent", "baseline")}
+    verdicts = gates(cells, found.gate_episodes[found.gate_episodes["cell"].isin(cells)])
+    further = [verdict["passed"] for verdict in verdicts if verdict["arm"] in EXTRA_ARMS]
+    assert further == [True] * 120
+    assert "All 120 agents of these arms pass the gates." in TEXTS[ROOT / "docs" / "study.md"]
+
+
 def test_the_replicas_agents_do_the_same_on_highway_env() -> None:
     found = load(ROOT / "results" / "replica")
     tested = {
@@ -105,6 +115,6 @@ def test_the_studys_page_tells_the_numbers_of_every_folder() -> None:
         other = analysis if analysis is not study else analyses["results/replica"]
         [compared] = beside([("the study", study), ("the other", other)])
         means = [compared["tables"][k]["rows"][-1]["effects"][analysis is not study] for k in (0, 1)]
-        gates = [gate["passed"] is True for gate in analysis["gates"] if gate["level"] == 1]
-        assert row == [*means, f"{sum(gates)} of {len(gates)}"], name
+        passed = [gate["passed"] is True for gate in analysis["gates"] if gate["level"] == 1]
+        assert row == [*means, f"{sum(passed)} of {len(passed)}"], name
         assert means[0] in " ".join(TEXTS[ROOT / "README.md"].split()), name

@@ -79,9 +79,7 @@ def _elsewhere(cells: Mapping[str, Mapping[str, Any]]) -> set[str]:
 def _scopes(pairs: Pairs) -> list[tuple[str, Pairs]]:
     """Every setting with both arms, and all of them."""
     whole = {where: pair for where, pair in pairs.items() if least(pair)}
-    places = [(dict(zip(PLACE, where, strict=True)), where) for where in whole]
-    places.sort(key=lambda found: place_order(found[0]))
-    single = [(place(record), {where: whole[where]}) for record, where in places]
+    single = [(place(dict(zip(PLACE, where, strict=True))), {where: pair}) for where, pair in whole.items()]
     return [*single, (ALL_TASKS, whole)] if whole else []
 
 

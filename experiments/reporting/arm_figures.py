@@ -31,7 +31,7 @@ MARKS: dict[str, dict[str, Any]] = {
 
 @styled
 def further_arms(effects: Sequence[Mapping[str, Any]], arms: Sequence[Mapping[str, Any]]) -> str:
-    """How the crash rate of every arm differs from the control's, with intervals, a column per setting.
+    """How the crash rate of every arm differs from the control's, with intervals, a panel per setting.
 
     Args:
         effects: of `effects.effects`, for the treatment. arms: of `exploratory.arms`. Both of one backend.

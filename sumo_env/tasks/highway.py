@@ -69,7 +69,7 @@ class Highway(Task):
         places = np.cumsum(np.append(ego.s, gaps))[1:]
         # Even at full speed the ego gets no closer than 400 m to a crashed vehicle further ahead. Leaving such vehicles
         # out changed what the ego sees by less than 2e-5 in 80 episodes; at 200 m, where LC2013 looks further ahead
-        # than the ego sees, by more than 1e-4 in every fifth (docs/decisions.md).
+        # than the ego sees, by more than 1e-4 in every fifth (docs/developers/decisions.md).
         fastest = max(config["action"].get("target_speeds") or self.target_speeds)
         reach = ego.s + fastest * config["duration"] + 2 * PERCEPTION_DISTANCE
         vehicles = zip(lanes.tolist(), places.tolist(), speeds.tolist(), strict=True)

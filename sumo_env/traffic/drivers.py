@@ -137,7 +137,7 @@ class RiskRanges:
 
     The default is highway-env's own range for risky behaviour, 0.5 to 1.5 times the mean
     (LinearVehicle.ACCELERATION_RANGE). On straight roads ranges are symmetric because one-sided ones (short headways,
-    strong brakes) make traffic that leaves gaps, and the ego safer (docs/decisions.md).
+    strong brakes) make traffic that leaves gaps, and the ego safer (docs/developers/decisions.md).
 
     Attributes:
         not_giving_way: share of drivers that do not obey right of way.
@@ -207,7 +207,7 @@ def vehicle_type(driver: Driver, calibration: Calibration) -> dict[str, str]:
         "length": f"{VEHICLE_LENGTH:g}",
         "width": f"{VEHICLE_WIDTH:g}",
         # A box. SUMO checks contacts at junctions against the outline that it draws, and a passenger car's has rounded
-        # corners: with it 17 of 400 contacts were missed, with this one none (docs/decisions.md).
+        # corners: with it 17 of 400 contacts were missed, with this one none (docs/developers/decisions.md).
         "guiShape": "delivery",
         "maxSpeed": f"{MAX_SPEED:g}",
         "speedFactor": "1",

@@ -24,7 +24,7 @@ HALF_CORRIDOR = 2.0  # [m] to either side of the centre: half a lane
 
 @dataclass(frozen=True, slots=True)
 class RiskRates:
-    """What the drivers of a task do at dose 1, per vehicle and second (calibration: docs/decisions.md)."""
+    """What the drivers of a task do at dose 1, per vehicle and second (calibration: docs/developers/decisions.md)."""
 
     cut_in: float = 0.0  # unsafe lane changes [1/s]
     brake: float = 0.0  # sudden braking [1/s]

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 from matplotlib.lines import Line2D
 
-from experiments.reporting.figures import INK, new_figure, styled, to_svg
+from experiments.reporting.style import INK, new_figure, styled, to_svg
 from experiments.validation.checks import REFERENCE
 from experiments.validation.episodes import dose
 

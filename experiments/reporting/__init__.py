@@ -1,5 +1,6 @@
 """From an analysis to report.html (`experiments/report.py` writes it).
 
+style              the palette and number formats, for everything that draws
 report_view        rows and words of the template
 report_figures     which figures, in which order
 figures            each a pure function that returns SVG

@@ -10,7 +10,7 @@ from matplotlib.ticker import MaxNLocator
 
 from experiments.analysis.pooling import ALL_TASKS
 from experiments.analysis.wording import MINUS, place
-from experiments.reporting.figures import INK, PAPER, TREATMENT, new_figure, styled, to_svg
+from experiments.reporting.style import INK, PAPER, TREATMENT, new_figure, styled, to_svg
 from experiments.study.arms import TRAFFICS
 
 # Arms from top to bottom, by what tells them from the control.

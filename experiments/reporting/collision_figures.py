@@ -10,7 +10,7 @@ from matplotlib.patches import FancyArrow, Rectangle
 from numpy.typing import NDArray
 
 from experiments.analysis.tables import TASK_ORDER
-from experiments.reporting.figures import INK, MUTED, PAPER, new_figure, styled, to_svg
+from experiments.reporting.style import INK, MUTED, PAPER, new_figure, styled, to_svg
 from experiments.study.arms import ARMS, TRAFFICS
 
 LENGTH, WIDTH = 5.0, 2.0  # [m] of every vehicle, in both simulators

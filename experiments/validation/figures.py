@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from matplotlib.lines import Line2D
 
-from experiments.reporting.figures import CONTROL, GRID, INK, MUTED, TREATMENT, new_figure, styled, to_svg
+from experiments.reporting.style import CONTROL, GRID, INK, MUTED, TREATMENT, new_figure, styled, to_svg
 from experiments.validation.checks import REFERENCE
 from experiments.validation.episodes import BIN, BINS, HEADWAYS
 

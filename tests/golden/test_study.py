@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tests.golden import study
+from tests.golden import numbers, study
 from tests.golden.regenerate import read, significant
 from tests.golden.scenes import differences
 from tests.golden.test_golden import report
@@ -12,6 +12,12 @@ from tests.golden.test_golden import report
 
 def test_the_analysis_of_made_up_cells_is_the_golden_one() -> None:
     found = differences(significant(study.analysis()), read("analysis.json"))
+    assert not found, report(found)
+
+
+@pytest.mark.parametrize("folder", numbers.FOLDERS)
+def test_the_published_numbers_are_the_golden_ones(folder: str) -> None:
+    found = numbers.differences(folder)
     assert not found, report(found)
 
 

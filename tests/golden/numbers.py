@@ -2,8 +2,8 @@
 
     python tests/golden/regenerate.py numbers     # numbers.parquet, a minute
 
-One row is one number: folder, table, key (what it is of, by "|") and name. Restructuring leaves them as they are to 1e-9
-relative; a correction of the analysis changes them in the commit that announces it.
+One row is one number: folder, table, key (what it is of, by "|") and name. Restructuring leaves them as they are to
+1e-9 relative; a correction of the analysis changes them in the commit that announces it.
 """
 
 from __future__ import annotations

@@ -40,6 +40,7 @@ from rich.table import Table
 
 from experiments.study import grid
 from experiments.study.fingerprint import fingerprint
+from experiments.study.verdict import summary
 from experiments.support.errors import UserError, disk_error, run_command, unknown
 from experiments.support.files import write_file, write_json
 from experiments.support.provenance import provenance
@@ -173,7 +174,7 @@ def drive(work: Sequence[parts.Work], folder: Path, workers: int, console: Conso
 def scorecard(table: pd.DataFrame, backend: str, tasks: Sequence[str]) -> dict[str, Any]:
     """The checks of every task, with how many came out how."""
     result = checks.scorecard(table, backend, {task: grid.level_names(task) for task in tasks})
-    counts = status.summary(result)
+    counts = summary(result)
     return {task: {**found, "counts": counts[task]["counts"]} for task, found in result.items()}
 
 

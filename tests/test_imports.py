@@ -64,28 +64,31 @@ def test_imports_point_one_way(package: str) -> None:
     assert wrong == []
 
 
-# Packages of the study by layer: each may use those of lower layers and its own.
-LAYERS = {
-    "support": 0,
-    "study": 1,
-    "backends": 1,
-    "analysis": 2,
-    "reporting": 3,
-    "validation": 3,
-    "calibration": 4,
-}
+# Rooms of the study by layer, the lowest first. Each may use those below it and itself; the commands use them all.
+LAYERS = ("support", "backends", "study", "analysis", "reporting", "validation", "calibration")
+COMMANDS_SHARE = {
+    "measuring": ("benchmark",),
+    "report": ("sweep",),
+}  # a module beside the commands, and its users
 
 
-def test_the_packages_of_the_study_are_layers() -> None:
+def test_the_rooms_of_the_study_are_layers() -> None:
     wrong = []
-    for package, layer in LAYERS.items():
-        for path in sources(f"experiments/{package}"):
-            for line, name in imports(path):
-                if name.startswith("experiments."):
-                    used = name.split(".")[1]
-                    if used != package and LAYERS.get(used, 99) > layer:
-                        wrong.append(f"{path.relative_to(ROOT)}:{line} imports {name}")
+    for path in sources("experiments"):
+        name = path.relative_to(ROOT / "experiments").parts[0].removesuffix(".py")
+        below = LAYERS[: LAYERS.index(name) + 1] if name in LAYERS else (*LAYERS, name)
+        for line, module in imports(path):
+            if not module.startswith("experiments."):
+                continue
+            used = module.split(".")[1]
+            if used not in below and name not in COMMANDS_SHARE.get(used, ()):
+                wrong.append(f"{path.relative_to(ROOT)}:{line} imports {module}")
     assert wrong == []
+
+
+def test_every_room_of_the_study_has_a_layer() -> None:
+    folders = {path.name for path in (ROOT / "experiments").iterdir() if any(path.glob("*.py"))}
+    assert folders == set(LAYERS)
 
 
 # The modules and packages of sumo_env by floor, the lowest first. Each may use those of lower floors and its own.
@@ -103,11 +106,10 @@ FLOORS: tuple[tuple[str, ...], ...] = (
 )
 
 
-def modules_of_sumo_env() -> dict[str, Path]:
+def modules(*packages: str) -> dict[str, Path]:
     """Name -> file. The roads are found by their link."""
-    files = [*sources("sumo_env"), *sources("networks")]
     names = {}
-    for path in files:
+    for path in (path for package in packages for path in sources(package)):
         parts = list(path.relative_to(ROOT).with_suffix("").parts)
         if parts[0] == "networks":
             parts.insert(0, "sumo_env")
@@ -116,8 +118,8 @@ def modules_of_sumo_env() -> dict[str, Path]:
 
 
 def used_modules(path: Path, known: dict[str, Path]) -> set[str]:
-    """Modules of sumo_env that a file imports, wherever; ``from package import module`` means the module."""
-    used = set()
+    """Known modules that a file imports, wherever; ``from package import module`` means the module."""
+    used: set[str] = set()
     for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
         if isinstance(node, ast.Import):
             used |= {alias.name for alias in node.names}
@@ -125,6 +127,10 @@ def used_modules(path: Path, known: dict[str, Path]) -> set[str]:
             inner = {f"{node.module}.{alias.name}" for alias in node.names}
             used |= inner & known.keys() or {node.module or ""}
     return used & known.keys() - {"sumo_env"}
+
+
+def modules_of_sumo_env() -> dict[str, Path]:
+    return modules("sumo_env", "networks")
 
 
 def test_every_part_of_the_environments_has_a_floor() -> None:
@@ -144,11 +150,20 @@ def test_the_environments_are_built_on_floors() -> None:
     assert wrong == []
 
 
-def test_the_environments_import_in_no_circle() -> None:
-    known = modules_of_sumo_env()
-    uses = {name: used_modules(path, known) for name, path in known.items()}
-    assert sum(map(len, uses.values())) > 50  # something was found
-    TopologicalSorter(uses).prepare()  # raises CycleError, which names the circle
+def test_no_folder_holds_a_circle() -> None:
+    """Of the files and folders beside each other in any folder, none uses one that uses it, over however many."""
+    known = modules(*PACKAGES)
+    folders: dict[str, dict[str, set[str]]] = {}
+    for name, path in known.items():
+        for used in used_modules(path, known):
+            ours, theirs = (f"{name}.__init__".split("."), f"{used}.__init__".split("."))
+            depth = next((k for k, (a, b) in enumerate(zip(ours, theirs, strict=False)) if a != b), None)
+            if depth:  # where the two ways part, below their package
+                uses = folders.setdefault(".".join(ours[:depth]), {})
+                uses.setdefault(ours[depth], set()).add(theirs[depth])
+    assert sum(len(used) for uses in folders.values() for used in uses.values()) > 100  # something was found
+    for uses in folders.values():
+        TopologicalSorter(uses).prepare()  # raises CycleError, which names the circle
 
 
 def test_the_environments_compile_nothing() -> None:

@@ -25,8 +25,8 @@ from experiments.study.estimate import duration
 from experiments.study.grid import MARKS
 from experiments.study.results import Results
 from experiments.study.store import WEIGHTS, read_sweeps
+from experiments.study.verdict import of_results
 from experiments.support.files import canonical_json
-from experiments.validation import status
 
 # Parts of an analysis that are lists of records of one simulator each.
 PARTS = (
@@ -204,7 +204,7 @@ def validation(directory: Path, backends: Sequence[str]) -> Record:
         relevant (whether SUMO was used at all), source (what the verdict comes from), note (a sentence, None if there
         is a verdict on every task), tasks (task, verdict and reason each).
     """
-    found = status.of_results(directory)
+    found = of_results(directory)
     tasks = {} if found is None else found["tasks"]
     rows = [{"task": task, **_verdict(tasks.get(task))} for task in TASK_ORDER]
     open_ = [row["task"] for row in rows if row["verdict"] == NOT_VALIDATED]

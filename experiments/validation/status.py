@@ -7,14 +7,13 @@ the verdict holds; where not, the simulator is driven through the stored scenari
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping, Sequence
-from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from experiments.study.fingerprint import dynamics
 from experiments.study.grid import level_names
+from experiments.study.verdict import covers, of_results, read, summary, verdict, verdict_of
 from experiments.support.files import write_json
 
 if TYPE_CHECKING:
@@ -22,15 +21,9 @@ if TYPE_CHECKING:
 
 HERE = Path(__file__).parent
 VERDICT, STORED_REFERENCE = HERE / "verdict.json", HERE / "reference.parquet"
-SCHEMA = 2
 VALIDATED = (
     "sumo"  # the backend that a sweep has to know about; the others are highway-env, or tested against it
 )
-
-
-def versions() -> dict[str, str]:
-    """The packages that a verdict depends on, apart from what a fingerprint covers."""
-    return {name: version(name) for name in ("libsumo",)}
 
 
 def before_training(
@@ -49,7 +42,7 @@ def before_training(
         return None
     marks = {task: dynamics(backend, task) for task in tasks}
     known = of_results(out)
-    if known is not None and known["backend"] == backend and _covers(known, marks):
+    if known is not None and known["backend"] == backend and covers(known, marks):
         return known
     known = stored_verdict(backend, marks)
     if known is None:
@@ -60,29 +53,6 @@ def before_training(
     return known
 
 
-def of_results(directory: Path) -> dict[str, Any] | None:
-    """The verdict beside some results, None without one."""
-    return read(directory / "verdict.json") or read(directory / "validation.json")
-
-
-def read(path: Path) -> dict[str, Any] | None:
-    """The verdict in a file, a full validation.json included; None if there is none that this version understands."""
-    try:
-        record = json.loads(path.read_text())
-        if record["schema"] != SCHEMA:
-            return None
-        if any("traffics" in found for found in record["tasks"].values()):
-            return verdict_of(record)
-        return record
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        return None
-
-
-def _covers(record: Mapping[str, Any], marks: Mapping[str, str]) -> bool:
-    known = record["fingerprints"]
-    return record["versions"] == versions() and all(known.get(task) == mark for task, mark in marks.items())
-
-
 def stored_verdict(backend: str, marks: Mapping[str, str], path: Path | None = None) -> dict[str, Any] | None:
     """The verdict of the last full validation on these tasks; None unless it is of the same versions and dynamics.
 
@@ -91,7 +61,7 @@ def stored_verdict(backend: str, marks: Mapping[str, str], path: Path | None = N
         path: file with the verdict; None for the one that the package ships.
     """
     record = read(path or VERDICT)
-    if record is None or record["backend"] != backend or not _covers(record, marks):
+    if record is None or record["backend"] != backend or not covers(record, marks):
         return None
     return {
         **record,
@@ -130,7 +100,7 @@ def quick_verdict(
             for item in checks:
                 if item["verdict"] == "missed" and not _surely(item):
                     item["verdict"] = None
-    return _record(backend, f"{number} stored scenarios", summary(tasks), marks)
+    return verdict(backend, f"{number} stored scenarios", summary(tasks), marks)
 
 
 def _surely(item: Mapping[str, Any]) -> bool:
@@ -140,52 +110,6 @@ def _surely(item: Mapping[str, Any]) -> bool:
     ):  # a distance is never negative and grows with noise
         return False
     return bool(item["low"] > item["margin"] or item["high"] < -item["margin"])
-
-
-def summary(tasks: Mapping[str, Any]) -> dict[str, Any]:
-    """What the verdict on each task says: passed, how many checks came out how, and by name those that were missed."""
-    result = {}
-    for task, found in tasks.items():
-        every = [
-            (traffic, level, item)
-            for traffic, levels in found["traffics"].items()
-            for level, checks in levels.items()
-            for item in checks
-        ]
-        counts = {
-            word: sum(item["verdict"] == word for _, _, item in every)
-            for word in ("equivalent", "within", "missed")
-        }
-        keys = ("name", "ego", "sumo", "reference", "difference", "margin", "note")
-        missed = [
-            {"traffic": traffic, "level": level, **{key: item[key] for key in keys}}
-            for traffic, level, item in every
-            if item["verdict"] == "missed"
-        ]
-        passed = not missed if sum(counts.values()) else None
-        result[task] = {"passed": passed, "counts": counts, "missed": missed}
-    return result
-
-
-def verdict_of(record: Mapping[str, Any]) -> dict[str, Any]:
-    """The verdict of a full validation, from the content of its validation.json."""
-    source = f"{record['scenarios']} scenarios of each level ({record['command']})"
-    used = {name: record["versions"][name] for name in versions()}
-    return {
-        **_record(record["backend"], source, summary(record["tasks"]), record["fingerprints"]),
-        "versions": used,
-    }
-
-
-def _record(backend: str, source: str, tasks: Mapping[str, Any], marks: Mapping[str, str]) -> dict[str, Any]:
-    return {
-        "schema": SCHEMA,
-        "backend": backend,
-        "source": source,
-        "versions": versions(),
-        "fingerprints": dict(marks),
-        "tasks": dict(tasks),
-    }
 
 
 def store(record: Mapping[str, Any], table: pd.DataFrame, scenarios: int, egos: Sequence[str]) -> None:

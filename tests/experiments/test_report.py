@@ -24,8 +24,8 @@ from experiments.reporting.collision_figures import LENGTH, WIDTH, collisions, c
 from experiments.reporting.report_view import effect_rows, pooled_rows, validation
 from experiments.study import store
 from experiments.study.results import load
+from experiments.study.verdict import SCHEMA
 from experiments.support.errors import UserError
-from experiments.validation.status import SCHEMA
 from tests.experiments import synthetic
 
 SCRIPT = Path(report.__file__)

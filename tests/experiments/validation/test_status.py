@@ -7,6 +7,7 @@ from pathlib import Path
 
 import pytest
 
+from experiments.study import verdict
 from experiments.study.fingerprint import fingerprint
 from experiments.validation import status
 from experiments.validation.checks import REFERENCE, scorecard
@@ -21,12 +22,12 @@ MARKS = {"u-turn": "abc"}
 def full_record(table):
     tasks = scorecard(table, "sumo", {"u-turn": ["3", "6", "9", "12"]})
     return {
-        "schema": status.SCHEMA,
+        "schema": verdict.SCHEMA,
         "backend": "sumo",
         "scenarios": 40,
         "command": "validate",
         "fingerprints": MARKS,
-        "versions": status.versions(),
+        "versions": verdict.versions(),
         "tasks": tasks,
     }
 
@@ -62,7 +63,7 @@ def test_it_does_not_hold_for_another_version_of_sumo(stored: Path) -> None:
 
 def test_a_full_validation_can_be_read_as_a_verdict(tmp_path: Path) -> None:
     (tmp_path / "validation.json").write_text(json.dumps(full_record(compared())))
-    known = status.read(tmp_path / "validation.json")
+    known = verdict.read(tmp_path / "validation.json")
     assert known is not None
     assert known["tasks"]["u-turn"]["passed"] is True
     assert known["tasks"]["u-turn"]["counts"]["missed"] == 0
@@ -92,7 +93,7 @@ def test_without_anything_to_compare_with_there_is_no_verdict(
     monkeypatch.setattr(status, "VERDICT", tmp_path / "nothing.json")
     monkeypatch.setattr(status, "STORED_REFERENCE", tmp_path / "nothing.parquet")
     assert status.before_training("sumo", ["u-turn"], tmp_path) is None
-    assert status.of_results(tmp_path) is None
+    assert verdict.of_results(tmp_path) is None
 
 
 @pytest.mark.slow
@@ -111,6 +112,6 @@ def test_other_dynamics_are_driven_through_the_stored_scenarios(
     assert known is not None
     assert known["source"] == "4 stored scenarios"
     assert known["tasks"]["u-turn"]["passed"] is True  # SUMO is compared with itself here
-    assert status.of_results(out) == known
+    assert verdict.of_results(out) == known
     assert status.before_training("sumo", ["u-turn"], out, 1) == known
     assert status.before_training("highway-env", ["u-turn"], out, 1) is None

@@ -1,0 +1,90 @@
+"""The verdict on a simulator that lies beside results: how close it is to highway-env, task by task.
+
+`experiments/validation` finds it; a sweep keeps it with its results, where the report reads it.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+SCHEMA = 2
+
+
+def versions() -> dict[str, str]:
+    """The packages that a verdict depends on, apart from what a fingerprint covers."""
+    return {name: version(name) for name in ("libsumo",)}
+
+
+def of_results(directory: Path) -> dict[str, Any] | None:
+    """The verdict beside some results, None without one."""
+    return read(directory / "verdict.json") or read(directory / "validation.json")
+
+
+def read(path: Path) -> dict[str, Any] | None:
+    """The verdict in a file, a full validation.json included; None if there is none that this version understands."""
+    try:
+        record = json.loads(path.read_text())
+        if record["schema"] != SCHEMA:
+            return None
+        if any("traffics" in found for found in record["tasks"].values()):
+            return verdict_of(record)
+        return record
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        return None
+
+
+def covers(record: Mapping[str, Any], marks: Mapping[str, str]) -> bool:
+    """Whether a verdict is of these versions and of these dynamics (task -> fingerprint)."""
+    known = record["fingerprints"]
+    return record["versions"] == versions() and all(known.get(task) == mark for task, mark in marks.items())
+
+
+def summary(tasks: Mapping[str, Any]) -> dict[str, Any]:
+    """What the verdict on each task says: passed, how many checks came out how, and by name those that were missed."""
+    result = {}
+    for task, found in tasks.items():
+        every = [
+            (traffic, level, item)
+            for traffic, levels in found["traffics"].items()
+            for level, checks in levels.items()
+            for item in checks
+        ]
+        counts = {
+            word: sum(item["verdict"] == word for _, _, item in every)
+            for word in ("equivalent", "within", "missed")
+        }
+        keys = ("name", "ego", "sumo", "reference", "difference", "margin", "note")
+        missed = [
+            {"traffic": traffic, "level": level, **{key: item[key] for key in keys}}
+            for traffic, level, item in every
+            if item["verdict"] == "missed"
+        ]
+        passed = not missed if sum(counts.values()) else None
+        result[task] = {"passed": passed, "counts": counts, "missed": missed}
+    return result
+
+
+def verdict_of(record: Mapping[str, Any]) -> dict[str, Any]:
+    """The verdict of a full validation, from the content of its validation.json."""
+    source = f"{record['scenarios']} scenarios of each level ({record['command']})"
+    used = {name: record["versions"][name] for name in versions()}
+    return {
+        **verdict(record["backend"], source, summary(record["tasks"]), record["fingerprints"]),
+        "versions": used,
+    }
+
+
+def verdict(backend: str, source: str, tasks: Mapping[str, Any], marks: Mapping[str, str]) -> dict[str, Any]:
+    """A verdict as plain JSON values, of the versions that are installed."""
+    return {
+        "schema": SCHEMA,
+        "backend": backend,
+        "source": source,
+        "versions": versions(),
+        "fingerprints": dict(marks),
+        "tasks": dict(tasks),
+    }

@@ -2,8 +2,8 @@
 
 support    errors, files, provenance
 study      grid -> train -> evaluate -> stored cells (sweep.py)
-backends   the two simulators behind one function
+backends   the simulators behind one function
 analysis   stored cells -> effects and verdicts (report.py)
 reporting  effects -> report.html
-validation, benchmarks  the parts of validate.py and benchmark.py
+validation, calibration  the parts of validate.py and calibrate.py
 """

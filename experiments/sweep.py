@@ -19,10 +19,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-if __package__ in (
-    None,
-    "",
-):  # run as a file: import from the project, not from this folder (it has a statistics.py)
+if __package__ in (None, ""):  # run as a file: import from the project, not from this folder
     sys.path[0] = str(Path(__file__).resolve().parents[1])
 
 from experiments.study.arms import ARMS
@@ -48,6 +45,7 @@ from experiments.study.attempt import LOG, locked
 from experiments.study.cell import SILENCE, CellTask, MakeEnv
 from experiments.study.estimate import START, duration, rates
 from experiments.study.executors import EXECUTORS, cores, open_executor
+from experiments.study.fingerprint import check_dynamics
 from experiments.study.grid import Cell
 from experiments.study.policies import foreign
 from experiments.study.presets import PRESETS, get_preset
@@ -208,6 +206,9 @@ def sweep(
     cells = cells_of(options)
     mine = grid.shard(cells, options.shard)
     directory = options.directory
+    if validate is not None and not options.dry_run:
+        driven = ((backend, cell.task) for cell in mine for backend in (cell.backend, cell.runs_on))
+        check_dynamics(dict.fromkeys(driven))
     if options.cell:
         return compute_one(options, cells, make_env)
     if options.dry_run:

@@ -1,13 +1,21 @@
 """What a simulator does, as eight digits: results of other dynamics must never be mixed or believed to be of these.
 
 Behaviour is taken, not source code: the first policy steps of a few episodes, rounded far above what processors
-differ by.
+differ by. `fingerprints.json` has, for each backend and task, the eight digits that cells are named with and those of
+the behaviour that they stand for; a sweep checks the simulator against them before it begins. After a change of the
+dynamics that is meant,
+
+    python -m experiments.study.fingerprint
+
+gives the changed dynamics names of their own.
 """
 
 from __future__ import annotations
 
-import importlib.metadata
+import json
+import sys
 import zlib
+from collections.abc import Iterable
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -16,44 +24,77 @@ import numpy as np
 
 from experiments.backends import make_env
 from experiments.study.seeds import scenario_seed
-from experiments.support.files import canonical_json, sha256_bytes
-from sumo_env.config import resolve
-from sumo_env.tasks import TASKS, get_task
+from experiments.support.errors import UserError
+from experiments.support.files import canonical_json, sha256_bytes, write_json
+from sumo_env.tasks import TASKS
 from sumo_env.traffic.scenario import Scenario
 
 SCENARIOS, STEPS = 2, 4
 DECIMALS = 2  # of metres and metres per second
-BACKENDS = Path(__file__).resolve().parents[1] / "backends"
+LIGHTEST_ALONE = (
+    "highway-env",
+)  # backends that are too slow for the fingerprint to cover the heaviest traffic too
+TABLE = Path(__file__).with_name("fingerprints.json")
 
 
 def fingerprint(backend: str, task: str, config: dict[str, Any] | None = None) -> str:
     """Eight digits that change with the dynamics of a task: of its roads, drivers, risk and simulator.
 
     Args:
-        backend: of `experiments.backends.make_env`. highway-env is too slow to be driven for this; its version, the
-            scenarios, and the sources of its backend stand for it.
+        backend: of `experiments.backends.make_env`.
         config: changes of the task's configuration.
     """
-    if backend == "highway-env":
-        values: Any = [
-            _scenarios(task),
-            [path.read_text() for path in sorted(BACKENDS.glob("highway_env*.py"))],
-        ]
-        values.append(importlib.metadata.version("highway-env"))
-    else:
-        levels = list(TASKS[task].levels.values())
-        values = [
-            _rollout(backend, task, {**levels[level - 1], **(config or {})}, level, risk)
-            for level in dict.fromkeys((1, len(levels)))
-            for risk in (0.0, 1.0)
-        ]
+    levels = list(TASKS[task].levels.values())
+    driven = (1,) if backend in LIGHTEST_ALONE else dict.fromkeys((1, len(levels)))
+    values = [
+        _rollout(backend, task, {**levels[level - 1], **(config or {})}, level, risk)
+        for level in driven
+        for risk in (0.0, 1.0)
+    ]
     return sha256_bytes(canonical_json([values, config or {}]).encode())[:8]
+
+
+def _table() -> dict[str, dict[str, dict[str, str]]]:
+    """`name` and `behaviour` by backend and task."""
+    table: dict[str, dict[str, dict[str, str]]] = json.loads(TABLE.read_text())
+    return table
 
 
 @cache
 def dynamics(backend: str, task: str) -> str:
-    """The fingerprint of a task as it is, taken once in a process."""
-    return fingerprint(backend, task)
+    """The digits that cells of a task are named with; of a task that the table does not have, its fingerprint."""
+    known = _table().get(backend, {}).get(task)
+    return known["name"] if known else fingerprint(backend, task)
+
+
+def check_dynamics(pairs: Iterable[tuple[str, str]]) -> None:
+    """Check that simulators do what the names of cells say, for pairs of backend and task.
+
+    Raises:
+        UserError: one does not.
+    """
+    table = _table()
+    for backend, task in pairs:
+        known = table.get(backend, {}).get(task)
+        if known and (found := fingerprint(backend, task)) != known["behaviour"]:
+            raise UserError(
+                f"the task {task} on the backend {backend} does not behave as the stored results of this name did "
+                f"(fingerprint {found}, expected {known['behaviour']}): undo the change of its dynamics, or run "
+                "python -m experiments.study.fingerprint, which gives the changed dynamics a name of their own"
+            )
+
+
+def main() -> int:
+    """Compare all simulators with the table, and name those anew that have changed."""
+    table = _table()
+    for backend, tasks in table.items():
+        for task, known in tasks.items():
+            found = fingerprint(backend, task)
+            if found != known["behaviour"]:
+                print(f"{backend} {task}: {known['name']} -> {found}")
+                known.update(name=found, behaviour=found)
+    write_json(TABLE, table)
+    return 0
 
 
 def checksum(scenario: Scenario) -> int:
@@ -69,11 +110,6 @@ def checksum(scenario: Scenario) -> int:
     ]  # fmt: skip
     events = [(round(event.time, 6), event.vehicle, event.kind) for event in scenario.events]
     return zlib.crc32(repr((drawn, events)).encode())
-
-
-def _scenarios(task: str) -> list[int]:
-    config = resolve(task, TASKS[task].defaults, {"risk": 1.0})
-    return [checksum(get_task(task).scenario(config, seed)) for seed in range(SCENARIOS)]
 
 
 def _rollout(backend: str, task: str, config: dict[str, Any], level: int, risk: float) -> list[Any]:
@@ -94,3 +130,7 @@ def _rollout(backend: str, task: str, config: dict[str, Any], level: int, risk: 
     finally:
         env.close()
     return seen
+
+
+if __name__ == "__main__":
+    sys.exit(main())

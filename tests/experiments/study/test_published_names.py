@@ -9,9 +9,11 @@ from typing import Any
 
 import pytest
 
-from experiments.study.fingerprint import fingerprint
+from experiments.study.fingerprint import check_dynamics, dynamics, fingerprint
 from experiments.study.grid import cell_name
 from experiments.study.results import load
+from experiments.support.errors import UserError
+from sumo_env.tasks import TASKS
 
 RESULTS = Path(__file__).resolve().parents[3] / "results"
 # Number of published cells of each folder, and the SHA-256 of their sorted names, one per line.
@@ -66,10 +68,33 @@ def test_the_dynamics_of_published_cells_are_known(folder: str) -> None:
     for cell in cells(folder).values():
         for key in (cell["key"], {**cell["key"], **cell["key"].get("test_on", {})}):
             stored.add((key["backend"], key["task"], key["dynamics"]))
-    assert stored <= {(backend, task, digits) for backend in DYNAMICS for task, digits in DYNAMICS[backend].items()}
+    assert stored <= {
+        (backend, task, digits) for backend in DYNAMICS for task, digits in DYNAMICS[backend].items()
+    }
 
 
 @pytest.mark.parametrize("backend", ["sumo", "replica"])
 @pytest.mark.parametrize("task", DYNAMICS["sumo"])
 def test_the_simulators_do_what_they_did(backend: str, task: str) -> None:
     assert fingerprint(backend, task) == DYNAMICS[backend][task]
+
+
+def test_the_names_of_dynamics_stay() -> None:
+    assert {
+        backend: {task: dynamics(backend, task) for task in tasks} for backend, tasks in DYNAMICS.items()
+    } == DYNAMICS
+
+
+def test_a_simulator_that_behaves_otherwise_is_named_before_a_sweep_begins(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    check_dynamics([("sumo", "u-turn"), ("highway-env", "u-turn"), ("sumo", "a task of the user's own")])
+    rates = TASKS["u-turn"].risk_rates
+    monkeypatch.setattr(type(TASKS["u-turn"]), "risk_rates", type(rates)(brake=1.0))
+    with pytest.raises(UserError, match="task u-turn on the backend sumo does not behave"):
+        check_dynamics([("sumo", "u-turn")])
+
+
+@pytest.mark.slow
+def test_highway_env_does_what_it_did() -> None:
+    check_dynamics(("highway-env", task) for task in DYNAMICS["highway-env"])

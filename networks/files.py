@@ -7,6 +7,9 @@ count. `lane("E", 0)` is the index of a lane.
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
+from dataclasses import replace
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
@@ -18,6 +21,12 @@ from sumo_env.networks.mapping import Network, SumoLane, sumo_lanes_of
 from sumo_env.networks.roads import LaneIndex, Road
 
 Routes = tuple[tuple[str, tuple[str, ...]], ...]  # (name, SUMO's edges)
+Shape = tuple[Point, ...]
+
+CLOSE = 0.05  # [m] points of a lane that are nearer to each other count as one: between them is no direction
+SHORT = (
+    2.0  # [m] in lanes shorter than this, SUMO's length is taken for the drawn one: their ratio means nothing
+)
 
 
 def lane(edge: str, number: int = 0) -> LaneIndex:
@@ -25,8 +34,13 @@ def lane(edge: str, number: int = 0) -> LaneIndex:
     return f"{edge}:from", f"{edge}:to", number
 
 
+def is_file(name: str) -> bool:
+    """Whether the name of a road is that of a file of SUMO's."""
+    return name.endswith((".xml", ".xml.gz"))
+
+
 def network(net_file: str | Path, routes: Routes = ()) -> Network:
-    """The network of a file (.net.xml), with named routes; it is read again when it has changed.
+    """The network of a file (.net.xml, .net.xml.gz), with named routes; it is read again when it has changed.
 
     Raises:
         ValueError: there is no such file, it is no network with lanes inside its junctions, or a route leads over
@@ -35,24 +49,45 @@ def network(net_file: str | Path, routes: Routes = ()) -> Network:
     path = Path(net_file).resolve()
     if not path.is_file():
         raise ValueError(f"there is no SUMO network {path}")
-    return _read(path, path.stat().st_mtime_ns, routes)
+    return _with_routes(path, path.stat().st_mtime_ns, routes)
 
 
 @lru_cache(maxsize=16)
-def _read(path: Path, changed: int, routes: Routes) -> Network:
+def _with_routes(path: Path, changed: int, routes: Routes) -> Network:
+    plain = _read(path, changed)
+    lanes = plain.road.lanes
+    for name, way in routes:
+        for edge in way:
+            if lane(edge) not in lanes:
+                raise ValueError(
+                    f"route {name!r} leads over edge {edge!r}, which {path.name} does not have for passenger cars"
+                )
+        for one, other in pairwise(way):
+            if (f"{one}:to", f"{other}:from", 0) not in lanes:
+                raise ValueError(f"route {name!r}: no connection leads from edge {one!r} to edge {other!r}")
+    ways = {name: tuple(f"{edge}:{end}" for edge in way for end in ("from", "to")) for name, way in routes}
+    return replace(plain, road=plain.road.with_ways(ways), routes=MappingProxyType(dict(routes)))
+
+
+@lru_cache(maxsize=4)
+def _read(path: Path, changed: int) -> Network:
+    """The network of a file without routes."""
     from sumolib.net import readNet
 
     try:
         net = readNet(str(path), withInternal=True)
-        sumo_lanes = sumo_lanes_of(net)
+        sumo_lanes = {name: _to_scale(found) for name, found in sumo_lanes_of(net).items()}
     except Exception as error:  # of the XML parser, or whatever sumolib stumbles over
         raise ValueError(f"{path} cannot be read as a SUMO network: {error}") from error
     lanes: dict[LaneIndex, Lane] = {}
     first: dict[LaneIndex, SumoLane] = {}  # SUMO's lane where each begins
     indices: dict[str, LaneIndex] = {}
 
-    def add(index: LaneIndex, parts: list[Any], points: list[Point]) -> None:
-        points = [points[0], *(b for a, b in pairwise(points) if a != b)]
+    def add(index: LaneIndex, parts: list[Any], before: Shape = (), after: Shape = ()) -> None:
+        own = [point for part in parts for point in sumo_lanes[part.getID()].shape]
+        points = _distinct([*before[-1:], *own, *after[:1]])
+        if len(points) == 1:
+            points = _stub(points[0], before, after)
         lanes[index] = PolyLane(tuple(points), width=parts[0].getWidth(), speed_limit=parts[0].getSpeed())
         first[index] = sumo_lanes[parts[0].getID()]
         indices.update((part.getID(), index) for part in parts)
@@ -61,40 +96,65 @@ def _read(path: Path, changed: int, routes: Routes) -> Network:
     for name, edge in edges.items():
         own = [part for part in reversed(edge.getLanes()) if part.allows("passenger")]
         for number, part in enumerate(own):
-            add(lane(name, number), [part], list(sumo_lanes[part.getID()].shape))
+            add(lane(name, number), [part])
         joints: dict[str, int] = {}
         for part in own:
             for joint in part.getOutgoing():
                 after, inside = joint.getToLane(), joint.getViaLaneID()
-                if after.getEdge().getID() not in edges or not after.allows("passenger"):
+                goal = after.getEdge().getID()
+                if goal not in edges or not after.allows("passenger"):
                     continue
                 parts = []
                 while inside.startswith(":"):  # a long way through a junction is made of several lanes
                     parts.append(net.getLane(inside))
-                    (inside,) = sumo_lanes[inside].following
+                    inside = sumo_lanes[inside].following[0]
                 if not parts:
-                    raise ValueError(f"{path} has no lanes inside its junctions (--no-internal-links?)")
-                ends = [sumo_lanes[part.getID()].shape[-1], sumo_lanes[after.getID()].shape[0]]
-                points = [p for inner in parts for p in sumo_lanes[inner.getID()].shape]
-                goal = after.getEdge().getID()
+                    raise ValueError(
+                        f"{path} has no lanes inside its junctions (--no-internal-links?): "
+                        f"from edge {name!r} to edge {goal!r}"
+                    )
                 number = joints[goal] = joints.get(goal, -1) + 1
-                add((f"{name}:to", f"{goal}:from", number), parts, [ends[0], *points, ends[1]])
+                shapes = [sumo_lanes[end.getID()].shape for end in (part, after)]
+                add((f"{name}:to", f"{goal}:from", number), parts, *shapes)
     if not lanes:
-        raise ValueError(f"{path} has no lane for passenger cars")
-    for name, way in routes:
-        for edge in way:
-            if lane(edge) not in lanes:
-                raise ValueError(f"route {name!r} leads over edge {edge!r}, which {path.name} does not have")
-        for one, other in pairwise(way):
-            if (f"{one}:to", f"{other}:from", 0) not in lanes:
-                raise ValueError(f"route {name!r}: no connection leads from edge {one!r} to edge {other!r}")
-    ways = {name: tuple(f"{edge}:{end}" for edge in way for end in ("from", "to")) for name, way in routes}
+        classes = {
+            name for edge in edges.values() for part in edge.getLanes() for name in part.getPermissions()
+        }
+        raise ValueError(
+            f"{path} has no lane for passenger cars, only for: {', '.join(sorted(classes)) or 'nobody'}"
+        )
     return Network(
         path.name,
-        Road(path.name, lanes, ways),
+        Road(path.name, lanes),
         path,
-        MappingProxyType(dict(routes)),
+        MappingProxyType({}),
         MappingProxyType(first),
         MappingProxyType(indices),
         MappingProxyType(sumo_lanes),
     )
+
+
+def _to_scale(found: SumoLane) -> SumoLane:
+    """Without the difference between a short lane's length and its shape, which says nothing about driving on it."""
+    return replace(found, drawn=found.length) if min(found.length, found.drawn) < SHORT else found
+
+
+def _distinct(points: Sequence[Point]) -> list[Point]:
+    """The points of a lane without those that coincide with others; the last one is kept."""
+    kept = [points[0]]
+    for point in points[1:]:
+        if math.dist(kept[-1], point) >= CLOSE:
+            kept.append(point)
+    while kept and math.dist(kept[-1], points[-1]) < CLOSE:
+        kept.pop()
+    return [*kept, points[-1]]
+
+
+def _stub(point: Point, before: Shape, after: Shape) -> list[Point]:
+    """A lane without a length (junctions without a gap): a short line with the direction of the lane beside it."""
+    pieces = [
+        piece for piece in (*reversed([*pairwise(before)]), *pairwise(after)) if math.dist(*piece) >= CLOSE
+    ]
+    (x0, y0), (x1, y1) = pieces[0] if pieces else ((0.0, 0.0), (1.0, 0.0))
+    scale = CLOSE / math.hypot(x1 - x0, y1 - y0)
+    return [point, (point[0] + scale * (x1 - x0), point[1] + scale * (y1 - y0))]

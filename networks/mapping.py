@@ -236,6 +236,10 @@ def sumo_lanes_of(net: Any) -> dict[str, SumoLane]:
         name: tuple(joint.getViaLaneID() or joint.getToLane().getID() for joint in lane.getOutgoing())
         for name, lane in lanes.items()
     }
+    preceding: dict[str, list[str]] = {name: [] for name in lanes}
+    for before, after in following.items():
+        for name in dict.fromkeys(after):
+            preceding[name].append(before)
     return {
         name: SumoLane(
             name,
@@ -243,7 +247,7 @@ def sumo_lanes_of(net: Any) -> dict[str, SumoLane]:
             polyLength(lane.getShape()),
             tuple((x, -y) for x, y in lane.getShape()),
             following[name],
-            tuple(before for before, after in following.items() if name in after),
+            tuple(preceding[name]),
         )
         for name, lane in lanes.items()
     }

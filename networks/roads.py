@@ -12,6 +12,7 @@ from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
 from types import MappingProxyType
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,6 +24,8 @@ LaneIndex = tuple[str, str, int]
 CELL = 4.0  # [m] side of the squares for which `closest_lane` keeps lanes in the order of their distance
 SAMPLE = 1.0  # [m] between the points that stand for a lane there
 FEW = 6  # lanes that are all looked at: ordering them would cost more
+MANY = 256  # lanes of which only those around a cell are kept for it
+AROUND = 50.0  # [m] further from the cell than the nearest lane
 
 
 _Candidate = tuple[float, int, LaneIndex, Lane]  # lower bound of its distance [m], place among the lanes
@@ -45,7 +48,7 @@ class Road:
         self.lanes: Mapping[LaneIndex, Lane] = MappingProxyType(dict(_graph_order(lanes)))
         self._items = tuple((0.0, rank, *item) for rank, item in enumerate(self.lanes.items()))
         self._cells: dict[tuple[float, float], tuple[_Candidate, ...]] = {}
-        self._samples: tuple[NDArray[np.float64], NDArray[np.int64]] | None = None
+        self._samples: tuple[list[NDArray[np.float64]], NDArray[np.float64]] | None = None
         self._counts: dict[tuple[str, str], int] = {}
         successors: dict[str, list[str]] = {}
         for start, end, _ in self.lanes:
@@ -61,6 +64,14 @@ class Road:
 
     def __reduce__(self) -> tuple[type[Road], tuple[object, ...]]:
         return Road, (self.name, dict(self.lanes), dict(self.ways))  # a MappingProxyType cannot be pickled
+
+    def with_ways(self, ways: Mapping[str, tuple[str, ...]]) -> Road:
+        """The same road with other ways."""
+        road = Road.__new__(Road)
+        for name in self.__slots__:
+            setattr(road, name, getattr(self, name))
+        road.ways = MappingProxyType(dict(ways))
+        return road
 
     def lane(self, index: LaneIndex) -> Lane:
         """The lane of this index; KeyError if the road has none."""
@@ -155,26 +166,38 @@ class Road:
             distance = lane.distance_with_heading(x, y, heading)
             if distance < best_distance or (distance == best_distance and rank < best_rank):
                 best, best_rank, best_distance = index, rank, distance
+        if best_distance > _bound(AROUND) and len(candidates) < len(self._items):  # far from the road
+            return min(self.lanes, key=lambda index: self.lanes[index].distance_with_heading(x, y, heading))
         return best
 
     def _by_distance(self, cell: tuple[float, float]) -> tuple[_Candidate, ...]:
         """The lanes by a lower bound of their distance from all points of a cell, which is kept for the next time."""
         if self._samples is None:
             lanes = [_points(lane) for lane in self.lanes.values()]
-            starts = np.cumsum([0, *(len(points) for points in lanes[:-1])])
-            self._samples = np.concatenate(lanes), starts
-        points, starts = self._samples
+            self._samples = lanes, np.array([(points.min(axis=0), points.max(axis=0)) for points in lanes])
+        samples, boxes = self._samples
         centre = (np.array(cell) + 0.5) * CELL
-        nearest = np.minimum.reduceat(np.hypot(*(points - centre).T), starts)
-        # The distance in a lane's frame is at least that as the crow flies, but for a sine lane, whose s is measured
-        # along its axis: 7 % may be missing.
-        bounds = 0.9 * (nearest - CELL / math.sqrt(2.0) - SAMPLE)
+        places = np.arange(len(samples))
+        if len(samples) > MANY:
+            gaps = np.hypot(*np.maximum(0.0, np.maximum(boxes[:, 0] - centre, centre - boxes[:, 1])).T)
+            places = np.flatnonzero(gaps <= gaps.min() + AROUND)
+        points = [samples[place] for place in places]
+        starts = np.cumsum([0, *(len(some) for some in points[:-1])])
+        nearest = np.minimum.reduceat(np.hypot(*(np.concatenate(points) - centre).T), starts)
         order = [
-            (bound, rank, index, lane)
-            for bound, (_, rank, index, lane) in zip(bounds.tolist(), self._items, strict=True)
+            (bound, *self._items[place][1:])
+            for bound, place in zip(_bound(nearest).tolist(), places.tolist(), strict=True)
         ]
         self._cells[cell] = tuple(sorted(order))
         return self._cells[cell]
+
+
+def _bound(distance: Any) -> Any:
+    """The least distance, in a lane's frame, of all points of a cell to a lane this far [m] from its centre.
+
+    It is at least that as the crow flies, but for a sine lane, whose s is measured along its axis: 7 % may be missing.
+    """
+    return 0.9 * (distance - CELL / math.sqrt(2.0) - SAMPLE)
 
 
 def _points(lane: Lane) -> NDArray[np.float64]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
 from xml.etree import ElementTree
@@ -13,16 +12,18 @@ import numpy as np
 
 from sumo_env.config import DISCRETE_META_ACTION, Config, ConfigError
 from sumo_env.networks import files
-from sumo_env.networks.lanes import VEHICLE_LENGTH, Lane
+from sumo_env.networks.lanes import VEHICLE_LENGTH
 from sumo_env.networks.roads import LaneIndex, Road
 from sumo_env.streams import stream
 from sumo_env.tasks.base import Drivers, EgoState, Task, ego_driver, make_on_lane, speed_term, weighted
+from sumo_env.tasks.way import Way
 from sumo_env.traffic.drivers import Driver
 from sumo_env.traffic.risk import RiskRates
 from sumo_env.traffic.scenario import EGO, Spawn, VehicleSpec, fits
 
 EGO_ROUTE = "ego"
 MARGIN = VEHICLE_LENGTH  # [m] that a vehicle keeps from both ends of an edge when it is placed
+END = 0.1  # [m] that the front of a vehicle keeps from the end of a lane when it is placed
 SPACING = 15.0  # [m] between centres when vehicles are placed
 EGO_SPACING = 25.0  # [m] likewise, from the ego
 LONGEST = 3600.0  # [s] that flows without an end go on
@@ -89,56 +90,30 @@ class NetworkTask(Task):
         self.routes = {**named, EGO_ROUTE: tuple(ego_route)}
         self._others = tuple(named)
         try:
-            road = files.network(self.net, self._routes).road
+            driven = files.network(self.net, self._routes)
         except ValueError as error:
             raise ConfigError(str(error)) from error
-        way = self.routes[EGO_ROUTE]
-        self.ego_road = files.lane(way[0])[:2]
-        self._goal = files.lane(way[-1])[:2]
-        self._lengths = {
-            index: lane.length for index, lane in road.lanes.items() if index[0].endswith(":from")
-        }
-        self._limit = limit = max(road.lane(files.lane(edge)).speed_limit for edge in way)
-        self._zone = limit + VEHICLE_LENGTH  # [m] before the end of an edge, within reach of one policy step
-        self.target_speeds = (0.0, round(limit / 2, 2), round(limit, 2))
-        # lanes of the ego's route in which it cannot go on: no connection to the next edge begins at their end
-        self._wrong = frozenset(
-            index
-            for edge, following in pairwise(way)
-            for index, lane in road.lanes.items()
-            if index[:2] == files.lane(edge)[:2]
-            and not any(
-                joint[:2] == (f"{edge}:to", f"{following}:from") and _meet(lane, other)
-                for joint, other in road.lanes.items()
-            )
-        )
+        self._indices = dict(driven.indices)
+        self._way = Way(driven, self.routes[EGO_ROUTE], VEHICLE_LENGTH)
+        self.ego_road = files.lane(ego_route[0])[:2]
+        limit = self._way.limit
+        if type(self).target_speeds is Task.target_speeds:  # else a subclass has speeds of its own
+            self.target_speeds = (0.0, round(limit / 2, 2), round(limit, 2))
 
     # -- traffic -------------------------------------------------------------------------------------------
 
     def ego(self, config: Config, road: Road, rng: np.random.Generator) -> VehicleSpec:
         fastest = max(config["action"].get("target_speeds") or self.target_speeds)
-        if fastest / config["policy_frequency"] > self._limit:
+        if fastest / config["policy_frequency"] > self._way.limit:
             raise ConfigError(
-                f"the ego may drive at most {self._limit:g} m (one second at the speed limit) in a policy step: lower "
-                "its 'target_speeds', or raise 'policy_frequency'"
+                f"the ego may drive at most {self._way.limit:g} m (one second at the speed limit) in a policy step: "
+                "lower its 'target_speeds', or raise 'policy_frequency'"
             )
-        first, last = road.lane((*self.ego_road, 0)), road.lane((*self._goal, 0))
-        if last.length < 2 * self._zone or first.length < 2 * MARGIN:
-            raise ConfigError(
-                f"the first edge of ego_route must be at least {2 * MARGIN:g} m long and the last one "
-                f"{2 * self._zone:g} m, not {first.length:.0f} m and {last.length:.0f} m"
-            )
-        number = int(rng.integers(road.count(*self.ego_road)))
+        starts = self._way.starts
+        index: LaneIndex = (*self.ego_road, starts[int(rng.integers(len(starts)))])
         speed = config["initial_speed"]
-        return make_on_lane(
-            road,
-            EGO,
-            (*self.ego_road, number),
-            MARGIN,
-            2 / 3 * first.speed_limit if speed is None else float(speed),
-            ego_driver(self),
-            destination=EGO_ROUTE,
-        )
+        speed = 2 / 3 * road.lane(index).speed_limit if speed is None else float(speed)
+        return _placed(road, EGO, index, MARGIN, speed, ego_driver(self), EGO_ROUTE)
 
     def vehicles(
         self, config: Config, road: Road, ego: VehicleSpec, rng: np.random.Generator, drivers: Drivers
@@ -149,10 +124,12 @@ class NetworkTask(Task):
                 vehicle = self._departing(departure, road, rng, drivers)
                 if fits(vehicle, [(other.x, other.y) for other in (ego, *vehicles)]):
                     vehicles.append(vehicle)
-        for number in range(int(config["vehicles_count"]) if self._others else 0):
+        roomy = {route: _roomy(road, self.routes[route]) for route in self._others}
+        routes = [route for route in self._others if roomy[route]]
+        for number in range(int(config["vehicles_count"]) if routes else 0):
             for _ in range(100):
-                route = self._others[int(rng.integers(len(self._others)))]
-                edge = self.routes[route][int(rng.integers(len(self.routes[route])))]
+                route = routes[int(rng.integers(len(routes)))]
+                edge = roomy[route][int(rng.integers(len(roomy[route])))]
                 place = _anywhere(road, edge, rng)
                 x, y = road.lane(place[0]).position(place[1], 0.0)
                 near = any(math.hypot(x - v.x, y - v.y) < SPACING for v in vehicles)
@@ -162,11 +139,7 @@ class NetworkTask(Task):
                 break
             limit = road.lane(place[0]).speed_limit
             speed = float(rng.uniform(0.5, 0.8)) * limit
-            vehicles.append(
-                make_on_lane(
-                    road, f"v{number}", *place, speed, drivers.next(), destination=route, target_speed=limit
-                )
-            )
+            vehicles.append(_placed(road, f"v{number}", *place, speed, drivers.next(), route, limit))
         return vehicles
 
     def spawns(self, config: Config, road: Road, seed: int, drivers: Drivers) -> list[Spawn]:
@@ -187,30 +160,34 @@ class NetworkTask(Task):
     def _departing(
         self, departure: Departure, road: Road, rng: np.random.Generator, drivers: Drivers
     ) -> VehicleSpec:
-        start, end, _ = files.lane(self.routes[departure.route][0])
-        count = road.count(start, end)
-        number = int(rng.integers(count)) if departure.lane is None else count - 1 - departure.lane
-        if not 0 <= number < count:
-            raise ConfigError(
-                f"vehicle {departure.id!r} departs on lane {departure.lane}: {start} has {count}"
-            )
-        lane = road.lane((start, end, number))
+        index = self._departure_lane(departure, road, rng)
+        lane = road.lane(index)
         drawn = float(rng.uniform(2 * MARGIN, max(lane.length - MARGIN, 2 * MARGIN)))
         front = drawn if departure.front is None else departure.front % lane.length
-        s = min(max(front - VEHICLE_LENGTH / 2, 0.0), max(lane.length - MARGIN, 0.0))
         speed = lane.speed_limit if departure.speed is None else departure.speed
         driver: Driver = drivers.next()
         if departure.kind is not None:
             driver = driver.like(*departure.kind)
-        return make_on_lane(
-            road, departure.id, (start, end, number), s, speed, driver,
-            destination=departure.route, target_speed=lane.speed_limit,
-        )  # fmt: skip
+        s = max(front - VEHICLE_LENGTH / 2, 0.0)
+        return _placed(road, departure.id, index, s, speed, driver, departure.route, lane.speed_limit)
+
+    def _departure_lane(self, departure: Departure, road: Road, rng: np.random.Generator) -> LaneIndex:
+        """The lane in which a vehicle departs: SUMO's number counts all lanes, pavements too."""
+        edge = self.routes[departure.route][0]
+        if departure.lane is None:
+            return files.lane(edge, int(rng.integers(road.count(*files.lane(edge)[:2]))))
+        index = self._indices.get(f"{edge}_{departure.lane}")
+        if index is None:
+            raise ConfigError(
+                f"vehicle {departure.id!r} departs on lane {departure.lane} of edge {edge!r}, which has no such lane "
+                "for passenger cars"
+            )
+        return index
 
     # -- reward and end ------------------------------------------------------------------------------------
 
     def rewards(self, ego: EgoState, config: Config) -> dict[str, float]:
-        limits = config["reward_speed_range"] or [self._limit / 2, self._limit]
+        limits = config["reward_speed_range"] or [self._way.limit / 2, self._way.limit]
         return {
             "collision_reward": float(ego.crashed),
             "high_speed_reward": speed_term(ego.speed, {"reward_speed_range": limits}),
@@ -223,18 +200,37 @@ class NetworkTask(Task):
         return weighted(rewards, config) * rewards["on_road_reward"]
 
     def arrived(self, ego: EgoState) -> bool:
-        return ego.lane[:2] == self._goal and self._lengths[ego.lane] - ego.s < self._zone
+        return self._way.remaining(ego) < self._way.zone
 
     def terminated(self, ego: EgoState, config: Config) -> bool:
         return super().terminated(ego, config) or self._missed_turn(ego)
 
     def _missed_turn(self, ego: EgoState) -> bool:
-        """Whether the ego is about to leave an edge in a lane that does not lead on to the next one of its route."""
-        return ego.lane in self._wrong and self._lengths[ego.lane] - ego.s < self._zone
+        """Whether the ego is about to get to the end of a lane that does not lead on along its route."""
+        return self._way.free(ego) < self._way.zone
 
 
-def _meet(lane: Lane, joint: Lane) -> bool:
-    return math.dist(lane.position(lane.length, 0.0), joint.position(0.0, 0.0)) < 0.01
+def _placed(
+    road: Road,
+    id: str,
+    index: LaneIndex,
+    s: float,
+    speed: float,
+    driver: Driver,
+    route: str,
+    target_speed: float | None = None,
+) -> VehicleSpec:
+    """A vehicle with its front on the lane, at `s` [m] or, if that is beyond, at the lane's end."""
+    lane = road.lane(index)
+    s = min(s, lane.length - VEHICLE_LENGTH / 2 - END)
+    inside = make_on_lane(road, id, index, 0.0, speed, driver, destination=route, target_speed=target_speed)
+    x, y = lane.position(s, 0.0)
+    return inside._replace(s=s, x=x, y=y, heading=lane.heading_at(s))
+
+
+def _roomy(road: Road, way: Sequence[str]) -> list[str]:
+    """The edges of a route on which a vehicle can be placed at random."""
+    return [edge for edge in way if road.lane(files.lane(edge)).length >= 2 * MARGIN]
 
 
 def _anywhere(road: Road, edge: str, rng: np.random.Generator) -> tuple[LaneIndex, float]:

@@ -107,7 +107,7 @@ class Scenario:
     def network(self) -> Network:
         """The road in SUMO; ValueError if there is none."""
         name = self.net or self.task
-        if name.endswith(".xml"):
+        if files.is_file(name):
             return files.network(name, self.routes)
         return mapping.network(name, self.lanes_count, self.road_length)
 

@@ -1,0 +1,189 @@
+"""Networks as they are found: junctions without a gap, edges of a metre, compressed files, thousands of lanes."""
+
+from __future__ import annotations
+
+import gzip
+import random
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sumo_env.config import ConfigError
+from sumo_env.env import SumoDrivingEnv
+from sumo_env.networks import files
+from sumo_env.networks.mapping import Network
+from sumo_env.tasks.network import NetworkTask
+
+sumo = pytest.importorskip("sumo", reason="needs eclipse-sumo: pip install '.[networks]'")
+NETGENERATE = Path(sys.executable).with_name("netgenerate")
+NETCONVERT = NETGENERATE.with_name("netconvert")
+SHIPPED = Path(sumo.SUMO_HOME) / "tools"
+
+# A road that gets from two lanes to one by edges of a metre; the right lane goes on.
+NODES = """<nodes>
+    <node id="a" x="0" y="0"/> <node id="b" x="200" y="0"/> <node id="c" x="201" y="0"/>
+    <node id="d" x="202" y="0"/> <node id="e" x="203" y="0"/> <node id="f" x="330" y="0"/>
+</nodes>"""
+EDGES = """<edges>
+    <edge id="ab" from="a" to="b" numLanes="2" speed="14"/> <edge id="bc" from="b" to="c" numLanes="2" speed="14"/>
+    <edge id="cd" from="c" to="d" numLanes="1" speed="14"/> <edge id="de" from="d" to="e" numLanes="1" speed="14"/>
+    <edge id="ef" from="e" to="f" numLanes="1" speed="14"/>
+</edges>"""
+JOINED = """<connections>
+    <connection from="ab" to="bc" fromLane="0" toLane="0"/> <connection from="ab" to="bc" fromLane="1" toLane="1"/>
+    <connection from="bc" to="cd" fromLane="0" toLane="0"/>
+</connections>"""
+WAY = ["ab", "bc", "cd", "de", "ef"]
+
+
+@pytest.fixture(scope="module")
+def pieces(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A road of which three edges are a metre long; the lanes that join them have no length."""
+    folder = tmp_path_factory.mktemp("pieces")
+    for name, text in (("p.nod.xml", NODES), ("p.edg.xml", EDGES), ("p.con.xml", JOINED)):
+        (folder / name).write_text(text)
+    plain = ["-n", folder / "p.nod.xml", "-e", folder / "p.edg.xml", "-x", folder / "p.con.xml"]
+    options = [*plain, "--default.junctions.radius=0", "-o", folder / "pieces.net.xml"]
+    subprocess.run([NETCONVERT, *options], check=True, capture_output=True)
+    return folder / "pieces.net.xml"
+
+
+@pytest.fixture(scope="module")
+def town(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A network of hundreds of lanes, compressed."""
+    net = tmp_path_factory.mktemp("town") / "grid.net.xml"
+    options = ["--grid", "--grid.number=6", "--grid.length=60", "-L=2"]
+    subprocess.run([NETGENERATE, *options, "-o", net], check=True, capture_output=True)
+    packed = net.with_name("grid.net.xml.gz")
+    packed.write_bytes(gzip.compress(net.read_bytes()))
+    return packed
+
+
+def endings(env: SumoDrivingEnv, seeds: range, action: int | None = None) -> set[str]:
+    """How episodes end; every observation is finite."""
+    found = set()
+    for seed in seeds:
+        env.reset(seed=seed)
+        env.action_space.seed(seed)
+        over = False
+        while not over:
+            chosen = env.action_space.sample() if action is None else action
+            seen, reward, terminated, truncated, info = env.step(int(chosen))
+            assert np.isfinite(seen).all() and np.isfinite(reward)
+            over = terminated or truncated
+        terms = ("collision_reward", "arrived_reward", "missed_turn_reward")
+        found |= {name for name in terms if info["rewards"][name]} or {"time"}
+    return found
+
+
+def walk(network: Network, rng: random.Random, count: int) -> list[str]:
+    """Edges one after the other, none twice."""
+    ends = network.road.successors
+    way = [rng.choice(sorted(node[:-5] for node in ends if node.endswith(":from")))]
+    while len(way) < count:
+        following = [node[:-5] for node in ends.get(f"{way[-1]}:to", ()) if node[:-5] not in way]
+        if not following:
+            break
+        way.append(rng.choice(following))
+    return way
+
+
+def test_lanes_without_a_length_point_where_their_neighbours_do(pieces: Path) -> None:
+    network = files.network(pieces)
+    joint = network.road.lane(("cd:to", "de:from", 0))
+    assert joint.length < 0.2 and joint.heading_at(0.0) == pytest.approx(0.0, abs=1e-6)
+    assert joint.local_coordinates(*joint.position(0.0, 1.0)) == pytest.approx((0.0, 1.0))
+    assert all(network.stretch(name) == pytest.approx(1.0, abs=0.01) for name in network.sumo_lanes)
+
+
+def test_a_compressed_network_is_driven(town: Path) -> None:
+    env = SumoDrivingEnv(
+        town, [["A0A1", "A1A2"], ["C0C1", "C1B1"]], ["A0B0", "B0B1", "B1C1"], {"duration": 12}
+    )
+    assert endings(env, range(3)) <= {"collision_reward", "arrived_reward", "missed_turn_reward", "time"}
+    env.close()
+
+
+def test_the_closest_of_many_lanes_is_the_first_with_the_least_distance(town: Path) -> None:
+    road = files.network(town).road
+    assert len(road.lanes) > 256
+    for x, y, heading in np.random.default_rng(0).uniform((-90, -390, -4), (390, 90, 4), (100, 3)).tolist():
+        expected = min(road.lanes, key=lambda index: road.lane(index).distance_with_heading(x, y, heading))
+        assert road.closest_lane(x, y, heading) == expected
+    far = min(road.lanes, key=lambda index: road.lane(index).distance_with_heading(5e3, 1e3, 0.0))
+    assert road.closest_lane(5e3, 1e3, 0.0) == far
+
+
+def test_edges_of_a_metre_are_driven_and_turns_missed_beyond_them(pieces: Path) -> None:
+    """The left lane ends behind the first of them, within one policy step."""
+    quiet: dict[str, Any] = {"vehicles_count": 0, "spawn_probability": 0.0}
+    env = SumoDrivingEnv(pieces, [WAY], WAY, quiet)
+    assert endings(env, range(2), action=2) == {"arrived_reward"}  # keeps to the right
+    assert endings(env, range(2), action=0) == {"missed_turn_reward"}
+    env.close()
+
+
+def test_vehicles_depart_from_edges_of_a_metre(pieces: Path, tmp_path: Path) -> None:
+    demand = tmp_path / "short.rou.xml"
+    demand.write_text('<routes><vehicle id="v" depart="0"><route edges="bc cd de ef"/></vehicle></routes>')
+    env = SumoDrivingEnv(pieces, demand, WAY, {"duration": 5})
+    env.reset(seed=0)
+    assert env.road.vehicles[1].id == "v"
+    assert env.road.vehicles[1].position[0] < 201.0
+    env.close()
+
+
+@pytest.mark.parametrize(
+    ("ego_route", "message"),
+    [
+        (["bc", "cd", "de"], "from edge 'bc' to edge 'de' is . m long"),
+        (["ab", "ab"], "no connection leads from edge 'ab'"),
+        (["ab", "nowhere"], "edge 'nowhere'"),
+    ],
+)
+def test_what_the_ego_cannot_drive_is_named_when_the_environment_is_made(
+    pieces: Path, ego_route: list[str], message: str
+) -> None:
+    with pytest.raises(ConfigError, match=message):
+        SumoDrivingEnv(pieces, [], ego_route)
+
+
+def test_a_route_in_a_circle_is_refused(town: Path) -> None:
+    with pytest.raises(ConfigError, match="edge 'A0A1' twice"):
+        SumoDrivingEnv(town, [], ["A0A1", "A1B1", "B1B0", "B0A0", "A0A1"])
+
+
+def test_a_task_of_ones_own_keeps_its_target_speeds(pieces: Path) -> None:
+    class Slow(NetworkTask):
+        target_speeds = (3.0, 6.0, 9.0)
+
+    assert Slow(pieces, [], WAY).target_speeds == (3.0, 6.0, 9.0)
+    assert NetworkTask(pieces, [], WAY).target_speeds == (0.0, 7.0, 14.0)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    "net", sorted(SHIPPED.rglob("*.net.xml*")), ids=lambda path: str(path.relative_to(SHIPPED))
+)
+def test_every_network_that_comes_with_sumo_is_driven_or_has_no_lane_for_cars(net: Path) -> None:
+    """Random routes, towns of OpenStreetMap among them (A10KW, bs3d, DRT)."""
+    try:
+        network = files.network(net)
+    except ValueError as error:
+        assert "no lane for passenger cars" in str(error)
+        return
+    rng, driven = random.Random(0), 0
+    while driven < 3:
+        routes = [walk(network, rng, rng.randint(2, 12)) for _ in range(20)]
+        try:
+            env = SumoDrivingEnv(net, routes, walk(network, rng, rng.randint(4, 14)), {"duration": 30})
+        except ConfigError as error:
+            assert "ego_route" in str(error)  # too short
+            continue
+        endings(env, range(3))
+        env.close()
+        driven += 1

@@ -11,6 +11,7 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from experiments.support.files import canonical_json, sha256_bytes
+from sumo_env.tasks import TASKS
 
 ALPHA = 0.05
 POWER = 0.8
@@ -105,11 +106,14 @@ class Plan:
         """The primary outcome of a task."""
         return self.outcome_of_task.get(task, self.primary_outcome)
 
+    def resolve(self, family: Family, task: str) -> str:
+        """The outcome of a family on a task."""
+        return self.outcome(task) if family.outcome == "primary" else family.outcome
+
     def family(self, task: str, outcome: str, term: str) -> Family | None:
         """The family that an effect of a setting is tested in; None if it is exploratory."""
         for family in self.families:
-            wanted = self.outcome(task) if family.outcome == "primary" else family.outcome
-            if not family.equivalence and (outcome, term) == (wanted, family.term):
+            if not family.equivalence and (outcome, term) == (self.resolve(family, task), family.term):
                 return family
         return None
 
@@ -139,7 +143,7 @@ def plan_of(presets: Iterable[str]) -> Plan:
 
 def as_data(plan: Plan, gates: dict[str, str]) -> dict[str, Any]:
     """The plan as plain values, with the outcomes, terms and gates that it refers to."""
-    confirmatory = {(family.outcome, family.term) for family in plan.families}
+    confirmatory = {(plan.resolve(f, task), f.term) for f in plan.families for task in TASKS}
     return {
         **asdict(plan),
         "outcomes": {name: _described(outcome) for name, outcome in OUTCOMES.items()},

@@ -12,7 +12,7 @@ from scipy import stats
 
 from experiments.analysis.analysis import analyse, summary_table
 from experiments.analysis.effects import effects
-from experiments.analysis.plan import DEFAULT, OUTCOMES, TERMS, TWO_BATCHES, as_data, digest
+from experiments.analysis.plan import DEFAULT, OUTCOMES, TERMS, TWO_BATCHES, Plan, as_data, digest
 from experiments.analysis.pooling import failures, slopes
 from experiments.analysis.sensitivity import learnt, second_batch, sensitivity
 from experiments.analysis.statistics import interval, linear
@@ -20,6 +20,7 @@ from experiments.analysis.tables import Arm, comparable
 from experiments.analysis.verdicts import claims, decide, decide_equivalence
 from experiments.study.grid import BASELINES
 from experiments.study.results import load
+from sumo_env.tasks import TASKS
 from tests.experiments import synthetic
 
 FAULTS = {
@@ -74,6 +75,14 @@ class TestPlan:
     def test_is_in_the_analysis_with_its_digest(self, analysis):
         assert analysis["plan"]["primary_outcome"] == "crashed"
         assert analysis["plan_hash"] == digest(analysis["plan"])
+
+    @pytest.mark.parametrize("plan", [DEFAULT, TWO_BATCHES])
+    def test_what_a_family_tests_is_not_called_exploratory(self, plan: Plan) -> None:
+        named = as_data(plan, {})["exploratory"]
+        assert f"{plan.primary_outcome} {plan.primary_term}" not in named
+        tested = [(o, t) for o in OUTCOMES for t in TERMS if any(plan.family(task, o, t) for task in TASKS)]
+        assert tested
+        assert [f"{o} {t}" for o, t in tested if f"{o} {t}" in named] == []
 
     def test_another_choice_is_another_digest(self):
         other = replace(DEFAULT, primary_term="sum")

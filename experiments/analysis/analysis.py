@@ -43,8 +43,11 @@ from sumo_env.tasks import TASKS
 SCHEMA = 2
 
 
-def analyse(results: Results) -> dict[str, Any]:
+def analyse(results: Results, version: int = plans.DEFAULT.version) -> dict[str, Any]:
     """Analyse the stored cells of a directory.
+
+    Args:
+        version: of the plan.
 
     Returns:
         A value that is strict JSON (no NaN, no infinity):
@@ -67,7 +70,9 @@ def analyse(results: Results) -> dict[str, Any]:
         for name in extra.cells
         if name not in further.cells
     ]
-    plan = plans.plan_of(str(cell["key"]["profile"].get("preset")) for cell in chosen.cells.values())
+    plan = plans.plan_of(
+        (str(cell["key"]["profile"].get("preset")) for cell in chosen.cells.values()), version
+    )
     data = plans.as_data(plan, GATES)
     episodes = with_outcomes(chosen.episodes, chosen.cells)
     pairs = settings(episodes)
@@ -217,7 +222,10 @@ def provenance(results: Results) -> dict[str, Any]:
 
 
 def strict(value: Any) -> Any:
-    """The same value with plain types only; what is not a finite number becomes None."""
+    """The same value with plain types only; what is not a finite number becomes None.
+
+    Numbers have twelve significant digits: those beyond differ between processors.
+    """
     if isinstance(value, Mapping):
         return {str(key): strict(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
@@ -226,4 +234,4 @@ def strict(value: Any) -> Any:
         value = value.item()
     if isinstance(value, float) and not math.isfinite(value):
         return None
-    return value
+    return float(f"{value:.12g}") if isinstance(value, float) else value

@@ -15,10 +15,12 @@ from typing import Any
 from experiments.analysis import statistics
 from experiments.analysis.gates import FAILURES, GATES
 from experiments.analysis.plan import DEFAULT, OUTCOMES, TERMS, Plan
-from experiments.analysis.statistics import MISSING, OK, Estimate, Mean
+from experiments.analysis.statistics import MISSING, OK, SATURATED, Estimate, Mean
 from experiments.analysis.tables import CONFIRMATORY, PLACE, Pair, Place
+from experiments.study.arms import TRAFFICS
 
 Record = dict[str, Any]
+ALL_CRASH = "every agent of both arms crashes in every episode"
 
 
 def contrast(pair: Pair, outcome: str, term: str) -> Mean:
@@ -110,11 +112,13 @@ def effects(
 
 def _effect(pair: Pair, outcome: str, term: str, plan: Plan) -> Record:
     found, mean, share = estimated(lambda seed: contrast(below(pair, seed), outcome, term), plan, least(pair))
+    if plan.version > 1 and saturated(pair, outcome, term):
+        found = Estimate(found.estimate, None, None, None, None, found.n, SATURATED, ALL_CRASH)
     record: Record = as_record(found) | {"share": share}
     scores = {name: arm.scores(outcome, term) for name, arm in pair.items()}
     for name, values in scores.items():
         record[f"mean_{name}"] = float(values.mean()) if len(values) else None
-    if found.status == MISSING:
+    if found.status in (MISSING, SATURATED):
         return record
     margin = OUTCOMES[outcome].margin
     if margin is not None and term in ("risky", "regular"):
@@ -128,6 +132,16 @@ def _effect(pair: Pair, outcome: str, term: str, plan: Plan) -> Record:
             sides = pair["control"].scores(outcome, "interaction")
             record["literal"] = record["mean_treatment"] - float(sides.mean())
     return record
+
+
+def saturated(pair: Pair, outcome: str, term: str) -> bool:
+    """Whether every agent of both arms crashes in every episode that a term is about: none of them can be safer."""
+    return outcome == "crashed" and all(
+        arm.values[outcome][number].size > 0 and bool((arm.values[outcome][number] == 1).all())
+        for arm in pair.values()
+        for number, traffic in enumerate(TRAFFICS)
+        if traffic in TERMS[term]
+    )
 
 
 def paired(pair: Pair, outcome: str, term: str) -> Mean:

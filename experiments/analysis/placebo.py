@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import pandas as pd
@@ -39,7 +40,7 @@ def placebo(pairs: Mapping[Place, Pair], plan: Plan = DEFAULT) -> list[Record]:
         expected), primary (estimate of the plan's primary question, None if this is not its outcome), cells.
     """
     dealt = false_arms(pairs)
-    single = Plan()  # half the seeds: the planned looks do not apply
+    single = replace(plan, looks=())  # half the seeds: the planned looks do not apply
     records = effects(dealt, plan=single, outcomes=CONFIRMATORY, terms=("sum",))
     result = []
     for backend in dict.fromkeys(record["backend"] for record in records):

@@ -7,7 +7,7 @@ digest were made by the same plan. Whatever is not named confirmatory is explora
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from experiments.support.files import canonical_json, sha256_bytes
@@ -83,17 +83,22 @@ class Family:
 class Plan:
     """All choices of an analysis.
 
+    version: 1: what the published folders were first analysed by. Its primary outcome on the two-way road was the time
+    to crash, and it counted harms by equivalence alone. 2: one primary outcome on all tasks; harms in regular traffic
+    are counted as benefits in risky traffic are; nothing is concluded from a setting where every agent always crashes.
     primary: outcome and term of the one primary question, over all agents, with every task weighted alike.
     outcome_of_task: tasks on which another outcome is the primary one. looks: planned looks; none: the number of seeds
     was fixed beforehand. learnt: share of the control agents that has to pass the gates for a setting to count as
     learnt.
     """
 
+    version: int = 2
     primary_outcome: str = "crashed"
     primary_term: str = "risky"
-    outcome_of_task: dict[str, str] = field(default_factory=lambda: {"two-way": "crash_free_time"})
+    outcome_of_task: dict[str, str] = field(default_factory=dict)
     families: tuple[Family, ...] = (
         Family("safety", "primary", "risky"),
+        Family("harm", "primary", "regular"),
         Family("paper", "return", "sum"),
         Family("no harm", "crashed", "regular", equivalence=True),
     )
@@ -131,14 +136,21 @@ class Plan:
         return [*limits, (last.seeds, last.share)]
 
 
-DEFAULT = Plan()
 # Five seeds everywhere first, then five more where the first look leaves it open and ten can decide it.
-TWO_BATCHES = Plan(looks=(Look(5, 0.2), Look(10, 0.8)))
+LOOKS = (Look(5, 0.2), Look(10, 0.8))
+DEFAULT = Plan()
+TWO_BATCHES = Plan(looks=LOOKS)
+FIRST = Plan(
+    version=1,
+    outcome_of_task={"two-way": "crash_free_time"},
+    families=tuple(family for family in DEFAULT.families if family.name != "harm"),
+)
+VERSIONS = {1: FIRST, 2: DEFAULT}
 
 
-def plan_of(presets: Iterable[str]) -> Plan:
-    """The plan of results that these presets asked for."""
-    return TWO_BATCHES if "standard" in set(presets) else DEFAULT
+def plan_of(presets: Iterable[str], version: int = DEFAULT.version) -> Plan:
+    """The plan of this version for results that these presets asked for."""
+    return replace(VERSIONS[version], looks=LOOKS if "standard" in set(presets) else ())
 
 
 def as_data(plan: Plan, gates: dict[str, str]) -> dict[str, Any]:

@@ -26,6 +26,7 @@ OK = "ok"
 ONE_SEED = "no interval: one seed"
 DEGENERATE = "degenerate"
 MISSING = "missing"
+SATURATED = "no information"
 FEW = 10  # crashes in an arm below which its scores say little of their own variance
 
 Scores = NDArray[np.float64]  # (seeds, scenarios)
@@ -37,7 +38,8 @@ class Estimate:
 
     estimate, se, low, high: in the unit of the outcome; se, low, high, p (two-sided, against 0) and df are None unless
     status is "ok". n: units (training seeds) in each arm. status: "ok", "no interval: one seed", "degenerate" (nothing
-    varies, e.g. diverged agents), "missing" (an arm without agents).
+    varies, e.g. diverged agents), "missing" (an arm without agents), "no information" (every agent of both arms
+    crashes in every episode, so that none can be safer).
     """
 
     estimate: float | None

@@ -10,7 +10,7 @@ from scipy import stats
 from experiments.analysis import statistics
 from experiments.analysis.effects import Record
 from experiments.analysis.plan import DEFAULT, OUTCOMES, Plan
-from experiments.analysis.statistics import DEGENERATE, MISSING, OK, ONE_SEED
+from experiments.analysis.statistics import DEGENERATE, MISSING, OK, ONE_SEED, SATURATED
 from experiments.analysis.wording import count, difference, listing, number, place
 
 HOLDS, CONTRADICTED, NOT_DECIDED = "holds", "contradicted", "not decided"
@@ -60,7 +60,7 @@ CLAIMS = (
         -1,
     ),
     Claim(
-        "Training among risky drivers lowers the crash rate in risky traffic (on the two-way road: delays it), on "
+        "Training among risky drivers lowers the crash rate in risky traffic, on "
         "every task and traffic level",
         "it lowers the crash rate in risky traffic everywhere",
         "crash rate",
@@ -245,7 +245,11 @@ def _conclude(
 def _no_evidence(items: Sequence[Record]) -> list[str]:
     parts = [
         f"no evidence from {found} ({words})"
-        for status, words in ((ONE_SEED, "one training seed an arm"), (DEGENERATE, "nothing varies"))
+        for status, words in (
+            (ONE_SEED, "one training seed an arm"),
+            (DEGENERATE, "nothing varies"),
+            (SATURATED, "everybody crashes"),
+        )
         if (found := sum(r["status"] == status for r in items))
     ]
     partial = sum(r["status"] == OK and not r.get("complete", True) for r in items)

@@ -12,7 +12,17 @@ from scipy import stats
 
 from experiments.analysis.analysis import analyse, summary_table
 from experiments.analysis.effects import effects
-from experiments.analysis.plan import DEFAULT, OUTCOMES, TERMS, TWO_BATCHES, Plan, as_data, digest
+from experiments.analysis.plan import (
+    DEFAULT,
+    FIRST,
+    OUTCOMES,
+    TERMS,
+    TWO_BATCHES,
+    Plan,
+    as_data,
+    digest,
+    plan_of,
+)
 from experiments.analysis.pooling import failures, slopes
 from experiments.analysis.sensitivity import learnt, second_batch, sensitivity
 from experiments.analysis.statistics import interval, linear
@@ -76,6 +86,24 @@ class TestPlan:
         assert analysis["plan"]["primary_outcome"] == "crashed"
         assert analysis["plan_hash"] == digest(analysis["plan"])
 
+    def test_the_first_plan_can_still_be_asked_for(self) -> None:
+        first = plan_of(["standard"], version=1)
+        assert first.family("two-way", "crash_free_time", "risky") is not None
+        assert first.family("two-way", "crashed", "regular") is None
+        second = plan_of(["standard"])
+        assert second.family("two-way", "crashed", "risky") is not None
+        assert second.family("two-way", "crashed", "regular") is not None
+        assert first.looks == second.looks == TWO_BATCHES.looks
+
+    @pytest.mark.parametrize("regular, status", [(1.0, "no information"), (0.0, "ok")])
+    def test_a_setting_where_everybody_crashes_says_nothing(self, regular: float, status: str) -> None:
+        values = np.stack([np.full((4, 30), regular), np.full((4, 30), 0.5)])
+        arm = Arm(tuple(range(4)), ("a", "b", "c", "d"), {"crashed": values})
+        place = ("sumo", "highway", 1, "50")
+        records = effects({place: {"treatment": arm, "control": arm}}, outcomes=["crashed"])
+        [found] = [r for r in records if r["term"] == "regular"]
+        assert (found["status"], found["p"] is None) == (status, status != "ok")
+
     @pytest.mark.parametrize("plan", [DEFAULT, TWO_BATCHES])
     def test_what_a_family_tests_is_not_called_exploratory(self, plan: Plan) -> None:
         named = as_data(plan, {})["exploratory"]
@@ -89,10 +117,12 @@ class TestPlan:
         assert digest(as_data(other, {})) != digest(as_data(DEFAULT, {}))
         assert digest(as_data(DEFAULT, {"gate": "another"})) != digest(as_data(DEFAULT, {}))
 
-    def test_on_the_two_way_road_the_time_to_crash_is_primary(self):
+    def test_in_the_first_plan_the_time_to_crash_is_primary_on_the_two_way_road(self):
         random = np.random.default_rng(0)
         for task, outcome in (("highway", "crashed"), ("two-way", "crash_free_time")):
-            safety = [r for r in effects(agents(1, 3, random, task=task)) if r["family"] == "safety"]
+            safety = [
+                r for r in effects(agents(1, 3, random, task=task), plan=FIRST) if r["family"] == "safety"
+            ]
             assert [(r["outcome"], r["term"]) for r in safety] == [(outcome, "risky")]
 
 

@@ -35,7 +35,7 @@ EPISODE_COLUMNS = {
     "mean_speed": np.float64,
     "epsilon": np.float64,
 }
-Q_MARGIN = 1.2  # values may overshoot what the rewards allow by a fifth before the agent counts as diverged
+Q_SLACK = 1.2  # values may overshoot what the rewards allow by a fifth before the agent counts as diverged
 
 
 @dataclass(frozen=True)
@@ -63,14 +63,12 @@ class TrainedAgent:
     updates: int
     steps: int
     max_abs_reward: float
-    q_bound: (
-        float  # no true value can be larger than max_abs_reward / (1 - gamma); this is Q_MARGIN times that
-    )
+    q_bound: float  # no true value can be larger: max_abs_reward / (1 - gamma)
 
     @property
     def diverged(self) -> bool:
-        """Whether some probe value was ever beyond the bound, or no number at all."""
-        return not all(look.largest <= self.q_bound for look in self.probe_q)
+        """Whether some probe value was ever beyond Q_SLACK times the bound, or no number at all."""
+        return not all(look.largest <= Q_SLACK * self.q_bound for look in self.probe_q)
 
 
 @dataclass(frozen=True)
@@ -146,7 +144,7 @@ class Training:
             updates=self.agent.updates,
             steps=self.steps,
             max_abs_reward=self.max_abs_reward,
-            q_bound=Q_MARGIN * self.max_abs_reward / (1.0 - self.agent.config.gamma),
+            q_bound=self.max_abs_reward / (1.0 - self.agent.config.gamma),
         )
 
     def state_dict(self) -> dict[str, np.ndarray]:

@@ -14,10 +14,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from agents.training import Q_SLACK
 from experiments.analysis.tables import PLACE, place_order
 from experiments.study.arms import gate_traffics
 
-Q_SLACK = 1.2  # over the largest value that any policy can have, max |r| / (1 - gamma)
 CONSTANT = 0.98  # share of the steps with the most common action from which a policy counts as constant
 TIED = (
     0.98  # share of the scenarios with the return of one constant policy from which an agent is tied with it

@@ -15,7 +15,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator, NullFormatter
 from scipy import stats
 
-from experiments.analysis.gates import Q_SLACK
+from agents.training import Q_SLACK
 from experiments.analysis.plan import ALPHA, OUTCOMES
 from experiments.analysis.tables import TASK_ORDER
 from experiments.reporting.style import (

@@ -108,13 +108,13 @@ def train_cell(
     return Trained(
         agent.policy,
         pd.DataFrame(agent.episodes),
-        learner_record(agent, config),
+        learner_record(agent),
         timed,
         tuple(files.values()),
     )
 
 
-def learner_record(agent: TrainedAgent, config: DQNConfig) -> dict[str, Any]:
+def learner_record(agent: TrainedAgent) -> dict[str, Any]:
     """What cell.json says of the learner.
 
     probe_q: [update, mean of max |Q|, largest |Q|] over the probe states. greedy_share: share of the probe
@@ -129,7 +129,7 @@ def learner_record(agent: TrainedAgent, config: DQNConfig) -> dict[str, Any]:
         "greedy_share": [look.greedy_share for look in agent.probe_q],
         "curve": learning_curve(agent.episodes),
         "max_abs_reward": agent.max_abs_reward,
-        "q_bound": agent.max_abs_reward / (1.0 - config.gamma),
+        "q_bound": agent.q_bound,
         "weights_sha256": agent.policy.sha256,
     }
 

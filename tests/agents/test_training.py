@@ -233,8 +233,8 @@ def test_a_target_network_without_lag_shows_as_divergence() -> None:
     )  # fmt: skip
     for seed in (0, 1):
         agent = training.train(Road(), replace(config, network="dueling"), seed)
-        assert agent.q_bound == pytest.approx(1.2 * agent.max_abs_reward / 0.01)
-        assert max(look.largest for look in agent.probe_q) > agent.q_bound
+        assert agent.q_bound == pytest.approx(agent.max_abs_reward / 0.01)
+        assert max(look.largest for look in agent.probe_q) > 1.2 * agent.q_bound
         assert agent.diverged
         assert agent.probe_q[-1].greedy_share == 1.0
         stable = training.train(Road(), replace(config, network="dueling", target_interval=500), seed)

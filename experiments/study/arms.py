@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from agents.streams import stream
 from sumo_env.config import Config
 from sumo_env.tasks import TASKS
 
@@ -11,11 +12,24 @@ TRAFFICS: dict[str, float] = {"regular": 0.0, "risky": 1.0}  # dose of risk in t
 # comparison. "dense" learns in regular traffic of the next higher level, so that risk can be told from more
 # interaction; "penalty" in regular traffic with a doubled penalty for crashes: a positive control, whose effect has
 # to be found.
-EXTRA_ARMS: dict[str, float] = {"dose25": 0.25, "dose50": 0.5, "dose75": 0.75, "dense": 0.0, "penalty": 0.0}
+# The arms of DRAWN have another dose in every training episode, and here its mean.
+EXTRA_ARMS: dict[str, float] = {
+    "dose25": 0.25, "dose50": 0.5, "dose75": 0.75, "dense": 0.0, "penalty": 0.0, "mixed": 0.5, "drawn": 0.5,
+}  # fmt: skip
+DRAWN = ("mixed", "drawn")
 DOSES: dict[str, float] = {**ARMS, **EXTRA_ARMS}
 DOSE_ARMS = ("control", "dose25", "dose50", "dose75", "treatment")
 DOSE_TRAFFICS: dict[str, float] = {"dose25": 0.25, "dose50": 0.5, "dose75": 0.75}
 ALL_TRAFFICS: dict[str, float] = {**TRAFFICS, **DOSE_TRAFFICS}
+
+
+def drawn_dose(arm: str, seed: int) -> float:
+    """Dose of risk in the training episode with this seed: "mixed" learns at 0 or 1, "drawn" at any between.
+
+    It depends on the seed alone, so that a training that is resumed meets the same traffic.
+    """
+    share = float(stream(seed, "dose").random())
+    return float(share < 0.5) if arm == "mixed" else share
 
 
 def gate_traffics(arm: str | None) -> tuple[str, ...]:

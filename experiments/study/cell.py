@@ -153,8 +153,8 @@ def _agent(cell: Cell, env: gym.Env[Any, Any], make_env: MakeEnv, store: Store, 
         remark = f"its checkpoint was damaged ({damage}) and put aside in {store.put_aside(checkpoint)}"
     meter = Meter(beat, cell.updates + cell.work * TEST_EPISODE)
     started, processed = time.monotonic(), time.process_time()
-    if cell.trained_with:  # an environment of its own, closed before the test opens the simulator
-        own = make_env(cell.backend, cell.task, {**cell.env_config, **cell.trained_with})
+    if cell.training_config != cell.env_config:  # an environment of its own, closed before the test opens one
+        own = make_env(cell.backend, cell.task, cell.training_config)
         try:
             agent = train_cell(cell, own, scratch, meter.add)
         finally:

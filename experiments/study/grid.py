@@ -130,6 +130,13 @@ class Cell:
         return DOSES[self.arm] if self.arm else 0.0
 
     @property
+    def training_config(self) -> dict[str, Any]:
+        """The environment's configuration in training; a training clock may run longer than the test."""
+        clock = self.profile.get("training_clock")
+        longer = {"duration": clock[1]} if clock else {}
+        return {**self.env_config, **(self.trained_with or {}), **longer}
+
+    @property
     def updates(self) -> int:
         """Training budget in gradient updates (0 where nothing is trained)."""
         return int(self.profile.get("updates", 0)) if self.kind == "agent" else 0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -16,11 +16,13 @@ from agents.checkpoint import CheckpointError, load_arrays
 from agents.dqn import DQNConfig
 from agents.greedy import Greedy
 from agents.models import network_class
+from agents.streams import episode_seed
 from agents.training import Progress, TrainedAgent, train
+from experiments.study.arms import DRAWN, drawn_dose
 from experiments.study.grid import MARKS, Cell
 from experiments.study.policies import check
 from experiments.study.seeds import training_seed
-from experiments.study.wrappers import trained_on
+from experiments.study.wrappers import DrawnDose, trained_on
 from experiments.support.errors import UserError
 
 CHECKPOINT = "checkpoint.npz"
@@ -62,7 +64,11 @@ def checkpoint_damage(path: Path) -> str | None:
 
 
 def train_cell(
-    cell: Cell, env: gym.Env[Any, Any], directory: Path, on_updates: Callable[[int], None] = lambda _: None
+    cell: Cell,
+    env: gym.Env[Any, Any],
+    directory: Path,
+    on_updates: Callable[[int], None] = lambda _: None,
+    marks: Sequence[float] = MARKS,
 ) -> Trained:
     """Train the agent of a cell; bit for bit the same however often it is interrupted.
 
@@ -70,6 +76,7 @@ def train_cell(
         env: an environment of the cell's task and level.
         directory: where the checkpoint lies, or is written.
         on_updates: called now and then with the number of updates made since the last call.
+        marks: shares of the budget after which the policy is kept.
 
     Raises:
         UserError: the checkpoint is damaged, or the network does not fit.
@@ -80,7 +87,9 @@ def train_cell(
         check(cell.source, cell.profile["network_sha256"])
     begun: int | None = None
     last = 0
-    files = {round(share * config.updates): directory / f"mark-{k}.npz" for k, share in enumerate(MARKS)}
+    seed = training_seed(cell.task, cell.level, cell.seed or 0)
+    traffic = DrawnDose(env, cell.arm) if cell.arm in DRAWN else env
+    files = {round(share * config.updates): directory / f"mark-{k}.npz" for k, share in enumerate(marks)}
 
     def progress(state: Progress) -> None:
         nonlocal begun, last
@@ -91,9 +100,9 @@ def train_cell(
 
     try:
         agent = train(
-            trained_on(env, cell.profile),
+            trained_on(traffic, cell.profile),
             config,
-            training_seed(cell.task, cell.level, cell.seed or 0),
+            seed,
             network=network_class(cell.source or config.network),
             reset_options={"config": {"risk": cell.risk}},
             checkpoint=directory / CHECKPOINT,
@@ -105,9 +114,12 @@ def train_cell(
     except (CheckpointError, ValueError) as error:
         raise UserError(str(error)) from None
     timed = agent.updates - (agent.updates if begun is None else begun)
+    episodes = pd.DataFrame(agent.episodes)
+    if cell.arm in DRAWN:
+        episodes["risk"] = [drawn_dose(cell.arm, episode_seed(seed, k)) for k in episodes["episode"]]
     return Trained(
         agent.policy,
-        pd.DataFrame(agent.episodes),
+        episodes,
         learner_record(agent),
         timed,
         tuple(files.values()),

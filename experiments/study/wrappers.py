@@ -8,6 +8,9 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
+from agents.streams import stream
+from experiments.study.arms import drawn_dose
+
 
 class TimeObserved(gym.ObservationWrapper[Any, Any, Any], gym.utils.RecordConstructorArgs):
     """Adds a column to observations (vehicles, features): in the ego's row the share of the episode that is over.
@@ -58,6 +61,54 @@ class TerminalLimit(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructor
         return observation, reward, terminated or truncated, False, info
 
 
+class TrainingClock(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs):
+    """Ends an episode after a whole number of seconds that is drawn from its seed, uniformly from first to last.
+
+    The end is terminal and nobody observes the time, so that an agent cannot know when a test ends. The environment's
+    own limit has to be ``last`` [s] or later.
+    """
+
+    def __init__(self, env: gym.Env[Any, Any], first: int, last: int) -> None:
+        gym.utils.RecordConstructorArgs.__init__(self, first=first, last=last)
+        gym.Wrapper.__init__(self, env)
+        if not 0 < first <= last:
+            raise ValueError(
+                f"A training clock runs from 1 s or more to no less, not from {first} to {last} s."
+            )
+        self._range, self._left = (first, last), 0
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Begin an episode and draw its end. ValueError without a seed."""
+        first, last = self._range
+        seconds = stream(_given(seed), "training clock").integers(first, last, endpoint=True)
+        self._left = round(seconds * self.env.unwrapped.config.get("policy_frequency", 1))  # type: ignore[attr-defined]
+        return self.env.reset(seed=seed, options=options)
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        """A step, which is the last one when the time is over."""
+        self._left -= 1
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        return observation, reward, terminated or truncated or self._left <= 0, False, info
+
+
+class DrawnDose(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs):
+    """Every episode has the dose of risk that `arms.drawn_dose` draws for this arm from the episode's seed."""
+
+    def __init__(self, env: gym.Env[Any, Any], arm: str) -> None:
+        gym.utils.RecordConstructorArgs.__init__(self, arm=arm)
+        gym.Wrapper.__init__(self, env)
+        self._arm = arm
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Begin an episode in the traffic of its dose. ValueError without a seed."""
+        config = {**(options or {}).get("config", {}), "risk": drawn_dose(self._arm, _given(seed))}
+        return self.env.reset(seed=seed, options={**(options or {}), "config": config})
+
+
 def observed(env: gym.Env[Any, Any], profile: Mapping[str, Any]) -> gym.Env[Any, Any]:
     """The environment as an agent of this profile observes it."""
     if not profile.get("finite_horizon"):
@@ -69,4 +120,14 @@ def observed(env: gym.Env[Any, Any], profile: Mapping[str, Any]) -> gym.Env[Any,
 def trained_on(env: gym.Env[Any, Any], profile: Mapping[str, Any]) -> gym.Env[Any, Any]:
     """The environment as an agent of this profile is trained on it."""
     env = observed(env, profile)
+    if clock := profile.get("training_clock"):
+        env = TrainingClock(env, *clock)
     return TerminalLimit(env) if profile.get("finite_horizon") else env
+
+
+def _given(seed: int | None) -> int:
+    if seed is None:
+        raise ValueError(
+            "What is drawn for an episode is drawn from its seed: reset the environment with one."
+        )
+    return seed

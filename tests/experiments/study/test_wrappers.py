@@ -1,4 +1,4 @@
-"""A finite horizon: the time is observed by the ego, and its end is terminal in training only."""
+"""What training changes about an environment: the end of its episodes, the time in view, the dose of risk."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import sumo_env  # noqa: F401  (registers the ids)
-from experiments.study.wrappers import TimeObserved, observed, trained_on
+from experiments.study.wrappers import DrawnDose, TimeObserved, TrainingClock, observed, trained_on
 from tests.experiments.fake_env import make_env
 
 FINITE, PLAIN = {"finite_horizon": True}, {"finite_horizon": False}
@@ -54,3 +54,58 @@ def test_gymnasium_accepts_the_environment() -> None:
 def test_other_observations_are_refused() -> None:
     with pytest.raises(ValueError, match="vehicles, features"):
         TimeObserved(gym.make("CartPole-v1"), 10)
+
+
+def length(env: gym.Env, seed: int) -> tuple[int, bool, bool]:
+    env.reset(seed=seed)
+    for steps in range(1, 20):
+        _, _, terminated, truncated, _ = env.step(SLOWER)
+        if terminated or truncated:
+            return steps, terminated, truncated
+    raise AssertionError("the episode does not end")
+
+
+def test_a_training_clock_ends_episodes_at_a_time_drawn_from_their_seed() -> None:
+    profile = {"training_clock": [7, 13]}
+    env = trained_on(make_env("sumo", "u-turn", {"duration": 13}), profile)
+    ends = [length(env, seed) for seed in range(200)]
+    assert {steps for steps, *_ in ends} == set(range(7, 14))
+    assert all(terminated and not truncated for _, terminated, truncated in ends)
+    again = trained_on(make_env("sumo", "u-turn", {"duration": 13}), profile)
+    assert length(again, 123) == ends[123]  # whatever was played before
+
+
+def test_nobody_observes_a_training_clock_and_the_test_has_none() -> None:
+    plain = make_env("sumo", "u-turn")
+    profile = {"training_clock": [7, 13], "finite_horizon": False}
+    assert observed(plain, profile) is plain
+    assert trained_on(plain, profile).observation_space == plain.observation_space
+
+
+def test_a_training_clock_counts_seconds_not_steps() -> None:
+    env = make_env("sumo", "u-turn", {"duration": 13, "policy_frequency": 2})
+    assert length(TrainingClock(env, 3, 3), 0)[0] == 6
+    with pytest.raises(ValueError, match="no less"):
+        TrainingClock(env, 5, 4)
+
+
+@pytest.mark.parametrize(("arm", "mean"), [("mixed", 0.5), ("drawn", 0.5)])
+def test_an_episode_has_a_dose_that_its_seed_draws(arm: str, mean: float) -> None:
+    env = DrawnDose(make_env("sumo", "u-turn"), arm)
+    doses = []
+    for seed in range(400):
+        env.reset(seed=seed, options={"config": {"risk": 0.25}})
+        doses.append(env.unwrapped.config["risk"])
+    assert np.mean(doses) == pytest.approx(mean, abs=0.06)
+    assert (set(doses) == {0.0, 1.0}) if arm == "mixed" else (len(set(doses)) == 400 and max(doses) < 1)
+    env.reset(seed=17)
+    assert env.unwrapped.config["risk"] == doses[17]
+
+
+def test_what_is_drawn_needs_a_seed() -> None:
+    for env in (
+        DrawnDose(make_env("sumo", "u-turn"), "mixed"),
+        TrainingClock(make_env("sumo", "u-turn"), 1, 2),
+    ):
+        with pytest.raises(ValueError, match="seed"):
+            env.reset()

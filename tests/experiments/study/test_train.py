@@ -1,0 +1,78 @@
+"""Training of a cell: arms whose dose is drawn meet and log it, and go on to the bit after an interruption."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from agents.streams import episode_seed
+from experiments.study.arms import drawn_dose
+from experiments.study.cell import CellTask
+from experiments.study.grid import Cell
+from experiments.study.seeds import training_seed
+from experiments.study.store import EPISODES, TRAINING, Store, read_table
+from experiments.study.train import train_cell
+from tests.experiments.fake_env import FakeEnv, make_env
+
+PROFILE = {"network": "dueling", "updates": 60, "steps_per_update": 2, "warm_up": 40, "batch_size": 8}
+
+
+def cell(arm: str, **profile: object) -> Cell:
+    return Cell(
+        kind="agent", backend="sumo", task="u-turn", level=1, level_name="3", arm=arm, seed=2, policy="dqn",
+        profile={**PROFILE, **profile}, env_config={"duration": 10}, eval={"episodes": 3, "gate_episodes": 3},
+        dynamics="none",
+    )  # fmt: skip
+
+
+class Interrupted(Exception):
+    pass
+
+
+@pytest.mark.parametrize("arm", ["mixed", "drawn"])
+def test_a_drawn_dose_is_met_logged_and_the_same_after_an_interruption(
+    arm: str, tmp_path: Path, monkeypatch
+) -> None:
+    met = []
+    reset = FakeEnv.reset
+
+    def noting(self, **arguments):
+        result = reset(self, **arguments)
+        met.append(self.config["risk"])
+        return result
+
+    def stop(updates: int) -> None:
+        nonlocal left
+        left -= updates
+        if left <= 0:
+            raise Interrupted
+
+    monkeypatch.setattr("experiments.study.train.MIN_INTERVAL", 20)
+    clock = {"training_clock": [7, 13]}
+    whole_folder, resumed_folder = tmp_path / "whole", tmp_path / "resumed"
+    monkeypatch.setattr(FakeEnv, "reset", noting)
+    whole = train_cell(cell(arm, **clock), make_env("sumo", "u-turn", {"duration": 13}), whole_folder)
+    seed = training_seed("u-turn", 1, 2)
+    expected = [drawn_dose(arm, episode_seed(seed, k)) for k in range(len(whole.episodes))]
+    assert met == expected == whole.episodes["risk"].tolist()
+    assert len(set(expected)) == (2 if arm == "mixed" else len(expected))
+    assert whole.episodes["length"].max() > 10
+
+    left = 40
+    with pytest.raises(Interrupted):
+        train_cell(cell(arm, **clock), make_env("sumo", "u-turn", {"duration": 13}), resumed_folder, stop)
+    resumed = train_cell(cell(arm, **clock), make_env("sumo", "u-turn", {"duration": 13}), resumed_folder)
+    assert resumed.timed_updates < 60
+    assert resumed.policy.sha256 == whole.policy.sha256
+    assert resumed.episodes.equals(whole.episodes)
+
+
+def test_tests_keep_their_own_clock_and_doses(tmp_path: Path) -> None:
+    task = CellTask(cell("mixed", training_clock=[13, 13], finite_horizon=False), tmp_path, make_env)
+    assert task.cell.training_config == {"duration": 13}
+    task.compute(lambda _: None)
+    stored = Store(tmp_path).cells / task.name
+    assert read_table(stored / EPISODES)["length"].max() <= 10
+    training = read_table(stored / TRAINING)
+    assert training["length"].max() > 10 and set(training["risk"]) == {0.0, 1.0}

@@ -1,0 +1,162 @@
+"""Choose the second version of the profile "tuned": train its variants and compare their returns.
+
+    python -m experiments.study.choice --out DIR                 train what is missing, block by block
+    python -m experiments.study.choice --out DIR --table FILE    pack what is there into FILE (parquet), and judge it
+
+Design, rule and outcome: docs/developers/learner_choice.md. The same command goes on where it was stopped; several
+of them on one folder share the work.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import time
+from collections.abc import Iterator
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import tyro
+
+from experiments.backends import make_env
+from experiments.study import grid
+from experiments.study.arms import ARMS
+from experiments.study.attempt import locked
+from experiments.study.evaluate import evaluate
+from experiments.study.grid import Cell
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+TASKS = ("u-turn", "two-way")  # in their lightest traffic
+STEPS = {"u-turn": 40_000, "two-way": 80_000}  # environment steps of the first version
+RANGE = {"u-turn": 10.0, "two-way": 15.0}  # of the return: one a second
+SEEDS = (900, 901, 902)  # no report uses these
+EPISODES, PURPOSE = 100, "choice"  # scenarios of their own, see `seeds.scenario_seed`
+MARK = 3 / 4  # of the budget: what the last quarter changes
+TOLERANCE = 0.02  # of the return's range
+
+LEARNERS: dict[str, dict[str, Any]] = {
+    "quarter-100": {"steps_per_update": 4, "batch_size": 100},  # the first version's
+    "quarter-256": {"steps_per_update": 4, "batch_size": 256},
+    "half-128": {"steps_per_update": 2, "batch_size": 128},
+    "one-64": {"steps_per_update": 1, "batch_size": 64},
+}
+CLOCKS = {
+    "drawn": [7, 13],
+    "longer": [13, 13],
+}  # [s] ends of training episodes on the u-turn; a test lasts 10 s
+VARIANTS = {
+    "u-turn": {
+        **{name: {**learner, "training_clock": CLOCKS["drawn"]} for name, learner in LEARNERS.items()},
+        "half-128-longer": {**LEARNERS["half-128"], "training_clock": CLOCKS["longer"]},
+    },
+    "two-way": LEARNERS,
+}
+
+
+def cells() -> Iterator[tuple[str, Cell]]:
+    """Every variant's name and training, in the order of computation: by seed, task, variant and arm."""
+    from agents.dqn import DQNConfig
+
+    for seed in SEEDS:
+        for task in TASKS:
+            for name, variant in VARIANTS[task].items():
+                learner = {key: value for key, value in variant.items() if key != "training_clock"}
+                every = learner["steps_per_update"]
+                config = DQNConfig(**learner, updates=STEPS[task] // every, tau=0.005 * every / 4)
+                profile = {**asdict(config), "finite_horizon": False, **variant}
+                built = grid.build("sumo", {task: [1]}, 1, EPISODES, {task: profile}, name)
+                yield from ((name, replace(cell, seed=seed)) for cell in built if cell.kind == "agent")
+
+
+def compute(name: str, cell: Cell, folder: Path) -> pd.DataFrame:
+    """Train an agent and test it in the traffic of its own arm, at MARK and at the end; one row an episode."""
+    import pandas as pd
+
+    from experiments.study.policies import load_agent
+    from experiments.study.train import train_cell
+
+    assert cell.arm is not None
+    started = time.process_time()
+    env = make_env(cell.backend, cell.task, cell.training_config)
+    try:
+        trained = train_cell(cell, env, folder, marks=(MARK,))
+    finally:
+        env.close()
+    env = make_env(cell.backend, cell.task, dict(cell.env_config))
+    try:
+        seen, early = load_agent(cell.key(), None, trained.marks[0], env)
+        (own,) = cell.gate_traffics
+        tables = [
+            evaluate(seen, policy, cell.task, 1, EPISODES, purpose=PURPOSE, traffics=(own,)).assign(
+                share=share
+            )
+            for share, policy in ((MARK, early), (1.0, trained.policy))
+        ]
+    finally:
+        env.close()
+    learner = trained.learner
+    largest = max(row[2] if row[2] is not None else float("inf") for row in learner["probe_q"])
+    return pd.concat(tables, ignore_index=True).assign(
+        task=cell.task, variant=name, arm=cell.arm, seed=cell.seed, cell=cell.name, largest_q=largest,
+        q_bound=learner["q_bound"], weights=learner["weights_sha256"], cpu_seconds=time.process_time() - started,
+    )  # fmt: skip
+
+
+def train_all(out: Path) -> None:
+    """Compute every run that is not there; says what it does."""
+    for name, cell in cells():
+        label = f"{cell.task} {name} {cell.arm} {cell.seed}"
+        path, scratch = out / f"{label.replace(' ', '_')}.parquet", out / "work" / cell.name
+        if path.exists():
+            continue
+        with locked(scratch) as mine:
+            if not mine or path.exists():
+                continue
+            print(time.strftime("%H:%M:%S"), label, flush=True)
+            table = compute(name, cell, scratch)
+            table.to_parquet(temporary := path.with_suffix(".tmp"), index=False)
+            os.replace(temporary, path)
+            shutil.rmtree(scratch)
+            print(time.strftime("%H:%M:%S"), f"{table['cpu_seconds'].iloc[0]:.0f} s", flush=True)
+
+
+def judge(table: pd.DataFrame) -> pd.DataFrame:
+    """Of each task and variant: seeds, return and its change over the last quarter in units of the range, per arm.
+
+    `score`, the mean of the arms' returns, is what the rule looks at. Crashes are not looked at.
+    """
+    share = table.assign(value=table["return"] / table["task"].map(RANGE))
+    runs = share.pivot_table(index=["task", "variant", "arm", "seed"], columns="share", values="value")
+    means = (
+        runs.assign(change=runs[1.0] - runs[MARK]).groupby(["task", "variant", "arm"]).mean().unstack("arm")
+    )
+    result = means[[1.0, "change"]].rename(columns={1.0: "return"}, level=0)
+    result.columns = [f"{what}_{arm}" for what, arm in result.columns]
+    result["score"] = result[[f"return_{arm}" for arm in ARMS if f"return_{arm}" in result]].mean(axis=1)
+    counts = runs.groupby(["task", "variant", "arm"]).size().unstack("arm")
+    return result.assign(seeds=counts.min(axis=1)).sort_values(["task", "score"], ascending=[True, False])
+
+
+def main(out: Path, table: Path | None = None) -> None:
+    """Train the variants of the learner that are not there yet, or pack and judge those that are.
+
+    Args:
+        out: folder of the runs.
+        table: file to pack the finished runs into; nothing is trained then.
+    """
+    import pandas as pd
+
+    out.mkdir(parents=True, exist_ok=True)
+    if table is None:
+        train_all(out)
+        return
+    runs = pd.concat([pd.read_parquet(path) for path in sorted(out.glob("*.parquet"))], ignore_index=True)
+    runs.to_parquet(table, index=False)
+    print(judge(runs).round(4).to_string())
+
+
+if __name__ == "__main__":
+    tyro.cli(main)

@@ -61,6 +61,7 @@ class Network:
     """The road of a task in highway-env and in SUMO.
 
     Attributes:
+        ends: nodes at which vehicles leave the road.
         routes: "<from>-<to>><end>" -> SUMO edges, for a vehicle on the road <from> -> <to> bound for <end>. They begin
             one edge before the vehicle's own where there is one, because SUMO shifts a vehicle by metres that is
             placed on a joint when its route lacks the edge before.
@@ -76,6 +77,7 @@ class Network:
     lanes: Mapping[LaneIndex, SumoLane]
     indices: Mapping[str, LaneIndex]
     sumo_lanes: Mapping[str, SumoLane]
+    ends: tuple[str, ...] = ()
     _beginnings: dict[tuple[LaneIndex, str | None], tuple[str, SumoLane, float, int]] = field(
         default_factory=dict, repr=False
     )
@@ -100,7 +102,7 @@ class Network:
                 return ends[0]
         else:
             end = destination
-            while end not in ENDS.get(self.task, ()) and len(self.road.successors.get(end, ())) == 1:
+            while end not in self.ends and len(self.road.successors.get(end, ())) == 1:
                 (end,) = self.road.successors[end]
             if start + end in self.routes:
                 return start + end
@@ -121,7 +123,7 @@ class Network:
         followed along the route. Raises ValueError for a lane that SUMO drives the wrong way, and beyond
         the ends of the network.
         """
-        if self.task == "two-way" and index == ("a", "b", 0):
+        if self.road.oncoming and index == ("a", "b", 0):
             raise ValueError('place on ("a", "b", 1) and change lane: SUMO has no eastbound lane at y = 0')
         beginning = self._beginnings.get((index, destination))
         key, lane, first, edge = beginning or self._begin(index, destination)
@@ -194,11 +196,11 @@ def network(task: str, lanes_count: int = 4, road_length: float = 800.0) -> Netw
     if task == "highway":
         if lanes_count not in plans.LANES_COUNTS:
             raise ValueError(f"lanes_count must be one of {plans.LANES_COUNTS}, got {lanes_count}")
-        road, stem = roads.highway(lanes_count), f"highway-{lanes_count}"
+        road, stem = roads.highway(lanes_count=lanes_count), f"highway-{lanes_count}"
     elif task == "two-way":
         if not ROAD_LENGTHS[0] <= road_length <= ROAD_LENGTHS[1]:
             raise ValueError(f"road_length must be within {ROAD_LENGTHS} m, got {road_length}")
-        road = roads.two_way(road_length)
+        road = roads.two_way(road_length=road_length)
     net_file = FOLDER / name / f"{stem}.net.xml"
     sumo_lanes = _read(net_file)
     lanes = {index: sumo_lanes[_sumo_lane_id(road, index, sumo_lanes)] for index in road.lanes}
@@ -216,6 +218,7 @@ def network(task: str, lanes_count: int = 4, road_length: float = 800.0) -> Netw
         MappingProxyType(lanes),
         MappingProxyType(indices),
         MappingProxyType(sumo_lanes),
+        ENDS[task],
     )
 
 

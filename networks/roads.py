@@ -35,15 +35,29 @@ class Road:
     """An immutable set of named lanes and the graph that they form.
 
     `lanes` keeps the order in which highway-env stores them, which decides ties in `closest_lane`. `ways` are routes by
-    name, as nodes; a name stands for the end of its route wherever a destination is asked for.
+    name, as nodes; a name stands for the end of its route wherever a destination is asked for. `arguments` are those of
+    `road`, beside the name.
+
+    oncoming: whether the lane to the left is that of oncoming traffic.
+    clears_exits: whether vehicles are taken off shortly before the end of an exit (IntersectionEnv._clear_vehicles).
     """
 
-    __slots__ = ("_cells", "_counts", "_items", "_samples", "lanes", "name", "successors", "ways")
+    __slots__ = (
+        "_cells", "_counts", "_items", "_samples",
+        "arguments", "clears_exits", "lanes", "name", "oncoming", "successors", "ways",
+    )  # fmt: skip
 
     def __init__(
-        self, name: str, lanes: Mapping[LaneIndex, Lane], ways: Mapping[str, tuple[str, ...]] | None = None
+        self,
+        name: str,
+        lanes: Mapping[LaneIndex, Lane],
+        ways: Mapping[str, tuple[str, ...]] | None = None,
+        arguments: tuple[tuple[str, float], ...] = (),
+        oncoming: bool = False,
+        clears_exits: bool = False,
     ) -> None:
-        self.name = name
+        self.name, self.arguments = name, arguments
+        self.oncoming, self.clears_exits = oncoming, clears_exits
         self.ways: Mapping[str, tuple[str, ...]] = MappingProxyType(dict(ways or {}))
         self.lanes: Mapping[LaneIndex, Lane] = MappingProxyType(dict(_graph_order(lanes)))
         self._items = tuple((0.0, rank, *item) for rank, item in enumerate(self.lanes.items()))
@@ -63,7 +77,9 @@ class Road:
         return f"Road({self.name!r}, {len(self.lanes)} lanes)"
 
     def __reduce__(self) -> tuple[type[Road], tuple[object, ...]]:
-        return Road, (self.name, dict(self.lanes), dict(self.ways))  # a MappingProxyType cannot be pickled
+        # a MappingProxyType cannot be pickled
+        lanes, ways = dict(self.lanes), dict(self.ways)
+        return Road, (self.name, lanes, ways, self.arguments, self.oncoming, self.clears_exits)
 
     def with_ways(self, ways: Mapping[str, tuple[str, ...]]) -> Road:
         """The same road with other ways."""
@@ -231,24 +247,27 @@ def highway(lanes_count: int = 4) -> Road:
             ("0", "1", i): StraightLane((0.0, WIDTH * i), (10_000.0, WIDTH * i), speed_limit=30.0)
             for i in range(lanes_count)
         },
+        arguments=(("lanes_count", lanes_count),),
     )
 
 
 @lru_cache(maxsize=8)
-def two_way(length: float = 800.0) -> Road:
+def two_way(road_length: float = 800.0) -> Road:
     """One lane each way: at y = 4 the own one, at y = 0 a strip with two, ("a","b",0) and ("b","a",0).
 
-    `length` [m] is where highway-env's road ends; vehicles drive on beyond it.
+    `road_length` [m] is where highway-env's road ends; vehicles drive on beyond it.
     """
-    if length <= 0:
-        raise ValueError(f"the road's length must be positive, got {length} m")
+    if road_length <= 0:
+        raise ValueError(f"the road's length must be positive, got {road_length} m")
     return Road(
         "two-way",
         {
-            ("a", "b", 0): StraightLane((0.0, 0.0), (length, 0.0)),
-            ("a", "b", 1): StraightLane((0.0, WIDTH), (length, WIDTH)),
-            ("b", "a", 0): StraightLane((length, 0.0), (0.0, 0.0)),
+            ("a", "b", 0): StraightLane((0.0, 0.0), (road_length, 0.0)),
+            ("a", "b", 1): StraightLane((0.0, WIDTH), (road_length, WIDTH)),
+            ("b", "a", 0): StraightLane((road_length, 0.0), (0.0, 0.0)),
         },
+        arguments=(("road_length", road_length),),
+        oncoming=True,
     )
 
 
@@ -343,7 +362,7 @@ def intersection() -> Road:
         lanes[right, f"o{(corner - 1) % 4}", 0] = StraightLane(
             at(half, 2), at(access + half, 2), priority=priority, speed_limit=10.0
         )
-    return Road("intersection", lanes)
+    return Road("intersection", lanes, clears_exits=True)
 
 
 @lru_cache(maxsize=8)
@@ -363,7 +382,7 @@ def u_turn() -> Road:
     return Road("u-turn", lanes)
 
 
-ROADS: Mapping[str, Callable[[], Road]] = MappingProxyType(
+ROADS: Mapping[str, Callable[..., Road]] = MappingProxyType(
     {
         "highway": highway,
         "two-way": two_way,
@@ -374,14 +393,10 @@ ROADS: Mapping[str, Callable[[], Road]] = MappingProxyType(
 )
 
 
-def road(task: str, lanes_count: int = 4, road_length: float = 800.0) -> Road:
-    """The road of a task; the number of lanes is the highway's, the length [m] the two-way road's.
+def road(name: str, **arguments: float) -> Road:
+    """The road of this name; the highway has a `lanes_count`, the two-way road a `road_length` [m].
 
     Raises:
-        KeyError: unknown task.
+        KeyError: unknown name.
     """
-    if task == "highway":
-        return highway(lanes_count)
-    if task == "two-way":
-        return two_way(road_length)
-    return ROADS[task]()
+    return ROADS[name](**arguments)

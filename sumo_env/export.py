@@ -21,7 +21,6 @@ import numpy as np
 
 from sumo_env.networks.mapping import Network, SumoLane
 from sumo_env.scene import VEHICLE_LENGTH, Scene
-from sumo_env.tasks import get_task
 from sumo_env.traffic.drivers import Calibration, vehicle_type
 from sumo_env.traffic.scenario import EGO, Scenario, VehicleSpec
 
@@ -115,14 +114,13 @@ def _departures(
     road: Network, scenario: Scenario, scenes: Sequence[Scene], warm_up: float
 ) -> list[ElementTree.Element]:
     """Vehicle types, and the vehicles that were seen, with the departures that the scenario gives them."""
-    calibration = scenario.calibration or get_task(scenario.task).calibration
     seen = {name for scene in scenes for name in scene.ids}
     departures = [(spec, 0.0) for spec in scenario.vehicles]
     departures += [(s.vehicle, warm_up + s.step / scenario.policy_frequency) for s in scenario.spawns]
     departures = [(spec, time) for spec, time in departures if spec.id in seen]
     drivers = {spec.driver.type: spec for spec, _ in departures}
     types = [
-        ElementTree.Element("vType", {"id": name, **_attributes(spec, calibration)})
+        ElementTree.Element("vType", {"id": name, **_attributes(spec, scenario.calibration)})
         for name, spec in drivers.items()
     ]
     vehicles = []

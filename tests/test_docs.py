@@ -23,6 +23,7 @@ from sumo_env.tasks.network import NetworkTask
 from sumo_env.traffic.drivers import Calibration, RiskRanges, vehicle_type
 from sumo_env.traffic.risk import RiskRates
 from tests.pages import PAGES, ROOT, TEXTS, section, table
+from tests.sumo_env.scenarios import drivers
 
 names = [str(page.relative_to(ROOT)) for page in PAGES]
 each_page = pytest.mark.parametrize("page", PAGES, ids=names)
@@ -87,8 +88,8 @@ def test_levels_can_be_copied(task: str) -> None:
 
 @each_task
 def test_the_parameters_of_the_drivers_are_those_of_their_vehicle_types(task: str) -> None:
-    drivers = TASKS[task].drivers(0.0)
-    types = [vehicle_type(driver, TASKS[task].calibration) for driver in drivers]
+    regular = drivers(task, 0.0)
+    types = [vehicle_type(driver, TASKS[task].calibration) for driver in regular]
     spec = TASKS[task].scenario({**COMMON, **TASKS[task].defaults}, 0).vehicles[0]
     speed_mode, lane_change_mode = modes(spec, TASKS[task].calibration)
     calibration = TASKS[task].calibration

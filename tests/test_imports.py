@@ -133,6 +133,15 @@ def modules_of_sumo_env() -> dict[str, Path]:
     return modules("sumo_env", "networks")
 
 
+def test_the_simulator_names_no_task() -> None:
+    """What it has to know of a task travels in the scenario, or is a property of the road."""
+    names = ("highway", "two-way", "roundabout", "intersection", "u-turn", "network")
+    for path in sources("sumo_env/sumo"):
+        assert not [name for _, name in imports(path) if name.startswith("sumo_env.tasks")], path
+        constants = [node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Constant)]
+        assert not [node.lineno for node in constants if node.value in names], path
+
+
 def test_every_part_of_the_environments_has_a_floor() -> None:
     parts = {name.split(".")[1] for name in modules_of_sumo_env() if name != "sumo_env"}
     assert parts == {part for floor in FLOORS for part in floor}

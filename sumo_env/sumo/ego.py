@@ -61,7 +61,7 @@ class Ego:
         if place == target or session.lateral_offset(EGO) >= CENTRED:
             return
         count = self._road.count(start, end)
-        if self._network.task == "two-way":  # the lane of oncoming traffic is SUMO's opposite lane
+        if self._road.oncoming:  # the lane of oncoming traffic is SUMO's opposite lane
             session.change_lane_relative(EGO, 1 if target == 0 else -1)
         elif count == self._road.count(*self.target_lane[:2]):
             session.change_lane(EGO, self._network.sumo_index((start, end, target)))

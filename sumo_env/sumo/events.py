@@ -101,8 +101,8 @@ class Events:
             return
         start, end, place = self._network.indices[lane]
         count = self._network.road.count(start, end)
-        two_way = self._network.task == "two-way"
-        targets = (0,) if two_way else (place + event.direction, place - event.direction)
+        oncoming = self._network.road.oncoming  # then the only lane beside is that of oncoming traffic
+        targets = (0,) if oncoming else (place + event.direction, place - event.direction)
         for target in targets:
             if (
                 target == place
@@ -111,11 +111,11 @@ class Events:
             ):
                 continue
             session.set_modes(name, lane_change_mode=COMMANDED_LANE_CHANGES)
-            if two_way:
+            if oncoming:
                 session.change_lane_relative(name, 1)
             else:
                 session.change_lane(name, self._network.sumo_index((start, end, target)))
-            self._cut_ins[name] = time + (SWERVE_TIME if two_way else CUT_IN_TIME)
+            self._cut_ins[name] = time + (SWERVE_TIME if oncoming else CUT_IN_TIME)
             return
 
     def _has_room(
@@ -128,7 +128,7 @@ class Events:
         return has_room((*geometry.position(s, 0.0), speed, geometry.heading_at(s)), list(states.values()))
 
     def _end_cut_in(self, session: Session, name: str, spec: VehicleSpec) -> None:
-        if self._network.task == "two-way":
+        if self._network.road.oncoming:
             session.change_lane_relative(name, -1)
         else:
             session.set_modes(name, lane_change_mode=modes(spec, self._calibration)[1])

@@ -29,7 +29,6 @@ from sumo_env.sumo.session import (
     Settings,
     SumoErrors,
 )
-from sumo_env.tasks import TASKS, get_task
 from sumo_env.traffic.drivers import Calibration, Driver, vehicle_type
 from sumo_env.traffic.scenario import EGO, EGO_DISTANCE, Scenario, VehicleSpec, fits
 
@@ -96,7 +95,7 @@ class SumoSimulator:
     def _begin(self, scenario: Scenario) -> Scene:
         self._scenario = scenario
         self._network = scenario.network
-        self._set_up = self._calibration or scenario.calibration or get_task(scenario.task).calibration
+        self._set_up = self._calibration or scenario.calibration
         self._dt = 1.0 / scenario.simulation_frequency
         self._substeps = scenario.simulation_frequency // scenario.policy_frequency
         self._session.load(self._settings(scenario))
@@ -114,8 +113,7 @@ class SumoSimulator:
 
     def _settings(self, scenario: Scenario) -> Settings:
         """What has to be loaded: the network, and every driver that may come; those loaded before are kept."""
-        task = TASKS.get(scenario.task)
-        wanted = {driver.type: driver for driver in task.drivers(scenario.risk)} if task else {}
+        wanted = {driver.type: driver for pool in scenario.pools for driver in pool.drivers}
         # a scenario may hold drivers of its own
         wanted.update((spec.driver.type, spec.driver) for spec in scenario.specs)
         wanted.update((spawn.vehicle.driver.type, spawn.vehicle.driver) for spawn in scenario.spawns)
@@ -269,13 +267,13 @@ class SumoSimulator:
         if len(present) != len(self._specs):
             for name in set(self._specs).difference(present):
                 self._forget(name)
-        if self._network.task != "intersection":
+        if not self._network.road.clears_exits:
             return
         for name, state in self._session.read(n for n in self._specs if n != EGO).items():
             start, end, place = self._network.indices[self._session.lane_of(name)]
             lane = self._network.road.lane((start, end, place))
             if (
-                start.startswith("il")
+                end in self._network.ends
                 and lane.local_coordinates(state[0], state[1])[0] >= lane.length - EXIT_LENGTH
             ):
                 self._remove(name)

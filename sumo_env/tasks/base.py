@@ -19,6 +19,7 @@ from sumo_env.traffic.drivers import (
     Calibration,
     CarFollowing,
     Driver,
+    DriverPool,
     RiskRanges,
     driver_pool,
 )
@@ -92,13 +93,11 @@ class Task:
         """Vehicles that are added later, or at the end of the warm-up (intersection only)."""
         return []
 
-    def drivers(self, dose: float) -> tuple[Driver, ...]:
+    def pools(self, dose: float) -> tuple[DriverPool, ...]:
         """Every driver that may occur in a scenario of this dose, the ego's included."""
-        pools = {(0.0, True), (dose, True), (dose, False)}
+        chosen = {(0.0, True), (dose, True), (dose, False)}
         return tuple(
-            driver
-            for risk, fixed in sorted(pools)
-            for driver in driver_pool(self.car_following, risk, fixed, self.risk_ranges)
+            DriverPool(self.car_following, risk, fixed, self.risk_ranges) for risk, fixed in sorted(chosen)
         )
 
     def rewards(self, ego: EgoState, config: Config) -> dict[str, float]:
@@ -146,13 +145,13 @@ class Task:
             vehicles=tuple(vehicles),
             spawns=tuple(spawns),
             events=events,
-            lanes_count=int(config.get("lanes_count", 4)),
-            road_length=float(config.get("road_length", 800.0)),
             simulation_frequency=simulated_frequency(config),
             policy_frequency=int(config["policy_frequency"]),
             warm_up=self.warm_up,
             net=self.net or road.name,
+            road_arguments=road.arguments,
             routes=self._routes,
+            pools=self.pools(config["risk"]),
             calibration=self.calibration,
         )
 

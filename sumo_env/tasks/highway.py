@@ -46,7 +46,7 @@ class Highway(Task):
     risk_rates = RiskRates(cut_in=0.035, brake=0.02, brake_decel=3.0)
 
     def road(self, config: Config) -> Road:
-        return highway(int(config["lanes_count"]))
+        return highway(lanes_count=int(config["lanes_count"]))
 
     def ego(self, config: Config, road: Road, rng: np.random.Generator) -> VehicleSpec:
         lane = config["initial_lane_id"]

@@ -50,7 +50,7 @@ class TwoWay(Task):
     fixed_delta = True
 
     def road(self, config: Config) -> Road:
-        return two_way(float(config["road_length"]))
+        return two_way(road_length=float(config["road_length"]))
 
     def ego(self, config: Config, road: Road, rng: np.random.Generator) -> VehicleSpec:
         return make_on_lane(road, EGO, OWN, 30.0, 30.0, ego_driver(self))

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -58,6 +58,9 @@ class Calibration:
     ignores_approaching: float = 0.0
     ignores_inside: float = 0.0
     tau: float = 1.0
+
+
+UNCALIBRATED = Calibration()
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,6 +199,20 @@ def driver_pool(
         )
         for k in range(POOL)
     )
+
+
+class DriverPool(NamedTuple):
+    """The arguments of `driver_pool`: a pool as a value that is quickly sent to another process."""
+
+    base: CarFollowing
+    dose: float
+    fixed_delta: bool = False
+    ranges: RiskRanges = RISK_RANGES
+
+    @property
+    def drivers(self) -> tuple[Driver, ...]:
+        """The drivers of the pool."""
+        return driver_pool(*self)
 
 
 def vehicle_type(driver: Driver, calibration: Calibration) -> dict[str, str]:

@@ -14,7 +14,7 @@ from typing import NamedTuple
 from sumo_env.networks import files, mapping
 from sumo_env.networks.mapping import Network
 from sumo_env.networks.roads import ROADS, LaneIndex, Road, road
-from sumo_env.traffic.drivers import Calibration, Driver
+from sumo_env.traffic.drivers import UNCALIBRATED, Calibration, Driver, DriverPool
 from sumo_env.traffic.risk import RiskEvent
 
 EGO = "ego"
@@ -71,20 +71,20 @@ class Scenario:
     """An episode before it is driven: all that a simulator has to know, and all that the traffic owes to chance.
 
     Attributes:
-        task: name of the task.
+        task: name of the task, for messages; the road is that of this name where `net` is empty.
         seed: that the scenario was drawn from.
         risk: dose of risky traffic, 0 to 1.
         ego, vehicles: at the start.
         spawns: attempts to add a vehicle later.
         events: of risky drivers, sorted by time.
-        lanes_count: of the highway.
-        road_length: of the two-way road [m].
         warm_up: time that the traffic drives before the ego is placed [s], see `Simulator.reset`.
         simulation_frequency, policy_frequency: sub-steps and policy steps per second [Hz]; the former is a multiple of
             the latter.
-        net: name of the road, or the file of a SUMO network; the road is that of `task` without it.
+        net: name of the road, or the file of a SUMO network.
+        road_arguments: of `networks.roads.road`, beside the name of the road.
         routes: SUMO's edges of the routes on a SUMO network, by name.
-        calibration: of SUMO's drivers; None for that of `task`, if it is one of the five.
+        pools: drivers that scenarios like this one are made of, which a simulator may load in advance.
+        calibration: of SUMO's drivers.
     """
 
     task: str
@@ -94,14 +94,14 @@ class Scenario:
     vehicles: tuple[VehicleSpec, ...]
     spawns: tuple[Spawn, ...] = ()
     events: tuple[RiskEvent, ...] = ()
-    lanes_count: int = 4
-    road_length: float = 800.0
     simulation_frequency: int = 10
     policy_frequency: int = 1
     warm_up: float = 0.0
     net: str = ""
+    road_arguments: tuple[tuple[str, float], ...] = ()
     routes: files.Routes = ()
-    calibration: Calibration | None = None
+    pools: tuple[DriverPool, ...] = ()
+    calibration: Calibration = UNCALIBRATED
 
     @property
     def network(self) -> Network:
@@ -109,13 +109,13 @@ class Scenario:
         name = self.net or self.task
         if files.is_file(name):
             return files.network(name, self.routes)
-        return mapping.network(name, self.lanes_count, self.road_length)
+        return mapping.network(name, **dict(self.road_arguments))
 
     @property
     def road(self) -> Road:
         """The road in highway-env's geometry."""
         name = self.net or self.task
-        return road(name, self.lanes_count, self.road_length) if name in ROADS else self.network.road
+        return road(name, **dict(self.road_arguments)) if name in ROADS else self.network.road
 
     @property
     def specs(self) -> tuple[VehicleSpec, ...]:

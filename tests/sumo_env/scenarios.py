@@ -8,6 +8,7 @@ from typing import Any
 
 from sumo_env.config import resolve
 from sumo_env.tasks import get_task
+from sumo_env.traffic.drivers import Driver
 from sumo_env.traffic.scenario import Scenario
 
 
@@ -15,6 +16,11 @@ def draw(task: str, seed: int = 0, **config: Any) -> Scenario:
     """The scenario that an environment of this configuration draws from a seed of the traffic."""
     the_task = get_task(task)
     return the_task.scenario(resolve(task, the_task.defaults, config), seed)
+
+
+def drivers(task: str, dose: float) -> list[Driver]:
+    """Every driver that may occur in a scenario of this dose."""
+    return [driver for pool in get_task(task).pools(dose) for driver in pool.drivers]
 
 
 def alone(scenario: Scenario) -> Scenario:

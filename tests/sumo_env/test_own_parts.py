@@ -21,6 +21,7 @@ from sumo_env.networks import files
 from sumo_env.simulator import SimulatorError
 from sumo_env.tasks.highway import Highway
 from sumo_env.tasks.network import NetworkTask
+from tests.sumo_env.scenarios import drivers
 
 NETGENERATE = Path(sys.executable).with_name("netgenerate")  # of the eclipse-sumo wheel
 NETCONVERT = NETGENERATE.with_name("netconvert")
@@ -152,7 +153,7 @@ def test_what_only_sumo_can_drive_says_so_elsewhere(grid: Path) -> None:
 
 @pytest.mark.parametrize("attribute", ["length", "width"])
 def test_the_size_of_a_vehicle_cannot_be_changed(attribute: str) -> None:
-    driver = Highway().drivers(0.0)[0]
+    driver = drivers("highway", 0.0)[0]
     with pytest.raises(ValueError, match=f"{attribute} of 'bus'"):
         driver.like("bus", {attribute: 12.0})
 

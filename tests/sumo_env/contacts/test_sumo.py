@@ -12,6 +12,7 @@ from sumo_env.contacts.rectangles import separation
 from sumo_env.networks.mapping import network
 from sumo_env.tasks import get_task
 from sumo_env.traffic.drivers import vehicle_type
+from tests.sumo_env.scenarios import drivers
 
 PAIRS = 500
 STEP = 0.1  # [s]
@@ -27,7 +28,7 @@ def cross(shape: str | None) -> list[tuple[float, bool]]:
     from sumo_env.sumo.session import ALL_CHECKS_OFF, COMMANDED_LANE_CHANGES, Session, Settings
 
     task, net = get_task("intersection"), network("intersection")
-    attributes = vehicle_type(task.drivers(0.0)[0], task.calibration)
+    attributes = vehicle_type(drivers("intersection", 0.0)[0], task.calibration)
     if shape is not None:
         attributes["guiShape"] = shape
     session = Session()

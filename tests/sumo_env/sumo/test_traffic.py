@@ -17,7 +17,7 @@ from sumo_env.sumo.session import COMMANDED_LANE_CHANGES, NO_RIGHT_OF_WAY, OWN_L
 from sumo_env.sumo.world import SumoSimulator
 from sumo_env.tasks import TASKS, get_task
 from sumo_env.traffic.scenario import Scenario
-from tests.sumo_env.scenarios import draw
+from tests.sumo_env.scenarios import draw, drivers
 
 Start = Callable[..., DrivingEnv]
 IDLE = 1
@@ -180,14 +180,14 @@ def test_every_parameter_of_a_driver_arrives_in_sumo(
 ) -> None:
     the_task = get_task(task)
     simulator.reset(draw(task, risk=1.0))
-    drivers = [
+    chosen = [
         driver
-        for driver in the_task.drivers(1.0)
+        for driver in drivers(task, 1.0)
         if driver.type.startswith("f" if fixed_delta else "d") and driver.type.endswith("@1")
     ]
-    assert len(drivers) == 64
+    assert len(chosen) == 64
     sumo, setting = libsumo.vehicletype, the_task.calibration
-    for driver in drivers:
+    for driver in chosen:
         name = driver.type
 
         def lane_change(key: str, name: str = name) -> float:
@@ -234,7 +234,7 @@ def test_a_scenario_may_hold_drivers_of_its_own(simulator: SumoSimulator, name: 
 def test_on_a_free_road_a_driver_accelerates_as_idm_does(simulator: SumoSimulator, k: int) -> None:
     """The exponent of the driver counts, which SUMO cannot be asked for."""
     scenario = draw("highway", risk=1.0)
-    driver = [d for d in get_task("highway").drivers(1.0) if abs(d.delta - 4.0) > 0.2][k]
+    driver = [d for d in drivers("highway", 1.0) if abs(d.delta - 4.0) > 0.2][k]
     lone = scenario.vehicles[0]._replace(driver=driver, speed=18.0, target_speed=24.0)
     simulator.reset(replace(scenario, vehicles=(lone,), events=()))
     libsumo.simulationStep()

@@ -19,7 +19,7 @@ from sumo_env.traffic.drivers import (
     driver_pool,
     vehicle_type,
 )
-from tests.sumo_env.scenarios import draw
+from tests.sumo_env.scenarios import draw, drivers
 
 BASE = CarFollowing()
 
@@ -125,7 +125,7 @@ def test_the_share_that_ignores_others_at_junctions_is_drawn_beforehand(share: f
 @pytest.mark.parametrize("dose", [0.0, 0.3, 1.0])
 @pytest.mark.parametrize("task", TASKS)
 def test_a_task_names_every_driver_that_its_scenarios_may_hold(task: str, dose: float) -> None:
-    known = TASKS[task].drivers(dose)
+    known = drivers(task, dose)
     assert len({driver.type for driver in known}) == len(known)
     for seed in range(5):
         scenario = draw(task, seed, risk=dose)

@@ -43,9 +43,9 @@ def make_env(
 
             return gym.make(f"sumo/{task}-v0", config=dict(config or {}), render_mode=render_mode)
         if backend == "replica":
-            from experiments.backends import replica
+            from sumo_env.replica import env
 
-            return replica.make(task, config, render_mode)
+            return env.make(task, config, render_mode)
         from experiments.backends import highway_env
 
         return highway_env.make(task, config, render_mode)

@@ -5,7 +5,7 @@ vehicles' places and drivers (the same that `sumo_env` places into SUMO for this
 both simulators are measured alike, the time limit and ``info``.
 
 The configuration is that of `sumo_env`, with ``simulation_frequency`` 15 as in highway-env and two keys more.
-``risk_law`` says who is risky: "standard", as in `sumo_env`, or "linear", see `experiments.backends.linear`.
+``risk_law`` says who is risky: "standard", as in `sumo_env`, or "linear", see `sumo_env.replica.linear`.
 ``variant`` says how far drivers see beyond the end of their lane (roundabout, intersection and u-turn; the other two
 roads have no joins):
 
@@ -36,7 +36,6 @@ from experiments.backends.highway_env_vehicle import (
     PathVehicle,
     ScenarioVehicle,
 )
-from experiments.backends.linear import LAWS, LinearDriver, check_law, draw, linear_drivers
 from sumo_env import export
 from sumo_env.config import Config, ConfigError, nearest, resolve
 from sumo_env.contacts import measures
@@ -44,6 +43,7 @@ from sumo_env.contacts.crash import CrashRecord, crash_record
 from sumo_env.contacts.rectangles import State, separation, state_of, states
 from sumo_env.interface import interface
 from sumo_env.networks.roads import LaneIndex
+from sumo_env.replica.linear import LAWS, LinearDriver, check_law, draw, linear_drivers
 from sumo_env.scene import Scene
 from sumo_env.tasks import TASKS
 from sumo_env.tasks.base import Task

@@ -14,7 +14,7 @@ from highway_env.utils import not_zero
 from highway_env.vehicle.behavior import IDMVehicle, LinearVehicle
 from highway_env.vehicle.kinematics import Vehicle
 
-from experiments.backends.linear import LinearDriver
+from sumo_env.replica.linear import LinearDriver
 from sumo_env.scene import VEHICLE_LENGTH
 from sumo_env.traffic.scenario import VehicleSpec
 

@@ -14,10 +14,10 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import sumo_env
-from experiments.backends.replica import Replica
 from sumo_env.config import ConfigError
 from sumo_env.env import DrivingEnv, SumoDrivingEnv
 from sumo_env.networks import files
+from sumo_env.replica.simulator import Replica
 from sumo_env.simulator import SimulatorError
 from sumo_env.tasks.highway import Highway
 from sumo_env.tasks.network import NetworkTask

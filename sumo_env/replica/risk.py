@@ -7,10 +7,10 @@ from __future__ import annotations
 
 from typing import Any
 
-from experiments.backends.replica.compiled import borrowing
-from experiments.backends.replica.geometry import heading_at, position
-from experiments.backends.replica.rectangles import distance
-from experiments.backends.replica.tables import CUT_IN
+from sumo_env.replica.compiled import borrowing
+from sumo_env.replica.geometry import heading_at, position
+from sumo_env.replica.rectangles import distance
+from sumo_env.replica.tables import CUT_IN
 
 CUT_IN_GAP = 1.0  # [m] a cut-in that would come closer than this to another car is dropped
 LOOKED_AT = 20.0  # [m] further away, along x and y together, nobody matters to a cut-in

@@ -15,9 +15,9 @@ from typing import Any
 
 import numpy as np
 
-from experiments.backends.linear import TIME_WANTED, LinearDriver
 from sumo_env.networks.lanes import VEHICLE_LENGTH, CircularLane, Lane, Point, SineLane, StraightLane
 from sumo_env.networks.roads import LaneIndex, Road
+from sumo_env.replica.linear import TIME_WANTED, LinearDriver
 from sumo_env.traffic.drivers import Driver
 from sumo_env.traffic.risk import RiskEvent
 from sumo_env.traffic.scenario import EGO, VehicleSpec
@@ -72,7 +72,7 @@ DRIVER = [
     ("gives_way", "?"),
 ]
 
-LINEAR = [  # a driver of `experiments.backends.linear`
+LINEAR = [  # a driver of `sumo_env.replica.linear`
     ("is_linear", "?"),
     ("target_gain", "f8"),  # ACCELERATION_PARAMETERS
     ("approach_gain", "f8"),

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from experiments.backends.replica.geometry import closest_lane, heading_at, local_coordinates, position
-from experiments.backends.replica.neighbours import neighbours
-from experiments.backends.replica.numpy_loops import LOOPS
-from experiments.backends.replica.tables import NONE, lanes_of
 from sumo_env.networks.roads import intersection, roundabout
+from sumo_env.replica.geometry import closest_lane, heading_at, local_coordinates, position
+from sumo_env.replica.neighbours import neighbours
+from sumo_env.replica.numpy_loops import LOOPS
+from sumo_env.replica.tables import NONE, lanes_of
 
 from .stock import TASKS, VARIANTS, close, environment, traffic
 

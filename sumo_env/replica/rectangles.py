@@ -8,9 +8,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from experiments.backends.replica.compiled import borrowing
 from sumo_env.contacts import measures
 from sumo_env.contacts.measures import HORIZON, TTC_RADIUS
+from sumo_env.replica.compiled import borrowing
 
 LENGTH, WIDTH = 5.0, 2.0  # [m]
 

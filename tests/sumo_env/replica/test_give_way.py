@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from highway_env.road.regulation import RegulatedRoad
 
-from experiments.backends.replica.geometry import locate, no_places
-from experiments.backends.replica.give_way import regulate
-from experiments.backends.replica.numpy_loops import LOOPS
-from experiments.backends.replica.tables import cars_of, lanes_of
 from sumo_env.networks.roads import intersection
+from sumo_env.replica.geometry import locate, no_places
+from sumo_env.replica.give_way import regulate
+from sumo_env.replica.numpy_loops import LOOPS
+from sumo_env.replica.tables import cars_of, lanes_of
 from sumo_env.tasks import TASKS
 from sumo_env.tasks.base import ego_driver, make_on_lane
 

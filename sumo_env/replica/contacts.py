@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from experiments.backends.replica.compiled import borrowing, compiled
+from sumo_env.replica.compiled import borrowing, compiled
 
 HALF_LENGTH, HALF_WIDTH = 2.5, 1.0  # [m]
 DIAGONAL = math.sqrt(29.0)  # [m]

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from experiments.backends.replica.compiled import borrowing
-from experiments.backends.replica.geometry import is_on
-from experiments.backends.replica.tables import NONE
+from sumo_env.replica.compiled import borrowing
+from sumo_env.replica.geometry import is_on
+from sumo_env.replica.tables import NONE
 
 
 @borrowing

@@ -10,9 +10,9 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from experiments.backends.replica.compiled import borrowing, compiled
-from experiments.backends.replica.numpy_loops import binary, unary
-from experiments.backends.replica.tables import CIRCULAR, NONE, SINE
+from sumo_env.replica.compiled import borrowing, compiled
+from sumo_env.replica.numpy_loops import binary, unary
+from sumo_env.replica.tables import CIRCULAR, NONE, SINE
 
 VEHICLE_LENGTH = 5.0  # [m]
 NEAR = 3.0  # [m] half a lane's width and the margin of 1 m, within which a car counts as on a lane

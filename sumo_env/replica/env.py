@@ -1,19 +1,4 @@
-"""The replica: highway-env's physics, compiled with numba, without SUMO.
-
-It is highway-env's traffic up to rounding and its numbers (positions within 1e-6 m over whole episodes, the same
-endings), hundreds of times faster, behind the environment, the observations and the rewards of `sumo_env`.
-
-simulator  `Replica`: an episode, one compiled call per policy step
-tables     lanes, cars and risk events as record arrays
-step       a sub-step, and the loop over those of a policy step
-driving    route, car following (IDM), lane changes (MOBIL)
-neighbours who is ahead of and behind whom
-give_way   right of way at the intersection
-motion     steering and the bicycle model
-contacts   highway-env's test of contacts and what follows from one
-risk       cut-ins, sudden braking, surges
-geometry, rectangles, numpy_loops, compiled   what these are computed with
-"""
+"""The environments of `sumo_env` over the replica."""
 
 from __future__ import annotations
 
@@ -22,10 +7,10 @@ from typing import Any
 
 import gymnasium as gym
 
-from experiments.backends.linear import LAWS, check_law, draw
-from experiments.backends.replica.simulator import VARIANTS, Replica
 from sumo_env.config import Config, ConfigError, nearest
 from sumo_env.env import DrivingEnv
+from sumo_env.replica.linear import LAWS, check_law, draw
+from sumo_env.replica.simulator import VARIANTS, Replica
 from sumo_env.tasks import TASKS
 from sumo_env.tasks.base import Task
 from sumo_env.traffic.scenario import Scenario
@@ -69,7 +54,7 @@ def make(
 
     The configuration is that of `sumo_env` with ``simulation_frequency`` 15, highway-env's, and two keys more,
     which are the environment's for its whole life: ``variant`` (see `Replica`) and ``risk_law``, "standard" or "linear"
-    (see `experiments.backends.linear`).
+    (see `sumo_env.replica.linear`).
 
     Raises:
         ConfigError: unknown key, wrong value.

@@ -15,17 +15,17 @@ from typing import Any
 
 import numpy as np
 
-from experiments.backends.replica.compiled import borrowing
-from experiments.backends.replica.geometry import (
+from sumo_env.replica.compiled import borrowing
+from sumo_env.replica.geometry import (
     VEHICLE_LENGTH,
     beyond_ends,
     local_coordinates,
     not_zero,
     position,
 )
-from experiments.backends.replica.neighbours import distance_beyond, neighbours
-from experiments.backends.replica.numpy_loops import binary
-from experiments.backends.replica.tables import NONE
+from sumo_env.replica.neighbours import distance_beyond, neighbours
+from sumo_env.replica.numpy_loops import binary
+from sumo_env.replica.tables import NONE
 
 LANE_CHANGE_DELAY = 1.0  # [s] a decision of MOBIL is due when the timer exceeds it
 MIN_SPEED = 1.0  # [m/s] below which nobody decides to change lane

@@ -12,13 +12,13 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 from experiments.backends import make_env
-from experiments.backends.replica import Replica
-from experiments.backends.replica.numpy_loops import LOOPS
 from experiments.support.errors import UserError
 from sumo_env.config import ConfigError
 from sumo_env.contacts.measures import TTC_RADIUS, ego_ttc
 from sumo_env.contacts.rectangles import states
 from sumo_env.env import DrivingEnv
+from sumo_env.replica.numpy_loops import LOOPS
+from sumo_env.replica.simulator import Replica
 from sumo_env.simulator import EgoCommand
 from sumo_env.tasks import TASKS
 

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from experiments.backends.replica.compiled import borrowing
-from experiments.backends.replica.geometry import VEHICLE_LENGTH, heading_at, not_zero, wrapped
-from experiments.backends.replica.numpy_loops import unary
+from sumo_env.replica.compiled import borrowing
+from sumo_env.replica.geometry import VEHICLE_LENGTH, heading_at, not_zero, wrapped
+from sumo_env.replica.numpy_loops import unary
 
 KP_ACCELERATION = 1 / 0.6  # [1/s]
 KP_HEADING = 1 / 0.2  # [1/s]

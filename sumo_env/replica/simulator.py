@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from experiments.backends.linear import linear_drivers
-from experiments.backends.replica import step as kernels
-from experiments.backends.replica.numpy_loops import LOOPS
-from experiments.backends.replica.step import CRASHED, HEADING, SPEED, Rules, X, Y
-from experiments.backends.replica.tables import NONE, Records, cars_of, drive_linearly, events_of, lanes_of
 from sumo_env.contacts.crash import CrashRecord, crash_record
 from sumo_env.contacts.rectangles import separation, state_of
 from sumo_env.networks.roads import LaneIndex
+from sumo_env.replica import step as kernels
+from sumo_env.replica.linear import linear_drivers
+from sumo_env.replica.numpy_loops import LOOPS
+from sumo_env.replica.step import CRASHED, HEADING, SPEED, Rules, X, Y
+from sumo_env.replica.tables import NONE, Records, cars_of, drive_linearly, events_of, lanes_of
 from sumo_env.scene import Scene
 from sumo_env.simulator import EgoCommand, Step
 from sumo_env.traffic.scenario import EGO_DISTANCE, SPAWN_DISTANCE, Scenario

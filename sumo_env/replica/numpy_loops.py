@@ -20,7 +20,7 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from experiments.backends.replica.compiled import borrowing
+from sumo_env.replica.compiled import borrowing
 
 
 class Loops(NamedTuple):

@@ -7,9 +7,9 @@ import math
 import numpy as np
 import pytest
 
-from experiments.backends.replica.driving import acceleration, desired_gap
-from experiments.backends.replica.step import act
-from experiments.backends.replica.tables import CAR, NONE
+from sumo_env.replica.driving import acceleration, desired_gap
+from sumo_env.replica.step import act
+from sumo_env.replica.tables import CAR, NONE
 
 from .stock import TASKS, VARIANTS, close, environment, traffic
 

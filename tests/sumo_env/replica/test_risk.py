@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from experiments.backends.replica import Replica
-from experiments.backends.replica.geometry import heading_at, position
-from experiments.backends.replica.numpy_loops import LOOPS
-from experiments.backends.replica.risk import has_free_way, has_room
+from sumo_env.replica.geometry import heading_at, position
+from sumo_env.replica.numpy_loops import LOOPS
+from sumo_env.replica.risk import has_free_way, has_room
+from sumo_env.replica.simulator import Replica
 from sumo_env.scene import Scene
 from sumo_env.simulator import EgoCommand
 from sumo_env.tasks import TASKS

@@ -10,9 +10,9 @@ from highway_env.road.road import Road
 from highway_env.vehicle.controller import MDPVehicle
 
 from experiments.backends.highway_env import ENVIRONMENTS, ScenarioEnv
-from experiments.backends.replica.geometry import Places, locate, no_places
-from experiments.backends.replica.step import Rules
-from experiments.backends.replica.tables import CAR, NONE, Lanes, lanes_of
+from sumo_env.replica.geometry import Places, locate, no_places
+from sumo_env.replica.step import Rules
+from sumo_env.replica.tables import CAR, NONE, Lanes, lanes_of
 
 VARIANTS = ("path", "connected", "v0")
 TASKS = tuple(ENVIRONMENTS)

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from highway_env.utils import are_polygons_intersecting
 
-from experiments.backends.replica.contacts import touch
-from experiments.backends.replica.numpy_loops import LOOPS, binary, unary
-from experiments.backends.replica.step import step
+from sumo_env.replica.contacts import touch
+from sumo_env.replica.numpy_loops import LOOPS, binary, unary
+from sumo_env.replica.step import step
 
 from .stock import TASKS, close, environment, records, traffic
 

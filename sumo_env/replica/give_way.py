@@ -13,9 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from experiments.backends.replica.compiled import borrowing, compiled
-from experiments.backends.replica.geometry import heading_at, position
-from experiments.backends.replica.tables import NONE
+from sumo_env.replica.compiled import borrowing, compiled
+from sumo_env.replica.geometry import heading_at, position
+from sumo_env.replica.tables import NONE
 
 SAMPLES, SAMPLE_STEP = 11, 0.25  # predictions of each car, at 0.25 s, 0.5 s .. 2.75 s
 MEETING_DISTANCE = 5.0  # [m] centres that are further apart do not meet

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from highway_env.vehicle.behavior import LinearVehicle
 
-from experiments.backends import linear, make_env
+from experiments.backends import make_env
 from experiments.backends.highway_env_vehicle import LinearScenarioVehicle
 from sumo_env.config import ConfigError
+from sumo_env.replica import linear
 from sumo_env.tasks import TASKS
 from sumo_env.traffic.scenario import Scenario
 

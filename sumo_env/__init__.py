@@ -27,6 +27,8 @@ def register(id: str, task: Any) -> None:
         id: such as ``"me/ramp-v0"``.
         task: a `sumo_env.tasks.base.Task` of your own (docs/own-parts.md), or the name of one of the five.
     """
+    if isinstance(task, type):
+        raise TypeError(f"register({id!r}, {task.__name__}) needs a task, not its class: {task.__name__}()")
     gym.register(
         id,
         entry_point="sumo_env.env:DrivingEnv",

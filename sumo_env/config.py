@@ -44,6 +44,10 @@ OBSERVATION_KEYS: dict[str, set[str]] = {
     },
     "TimeToCollision": {"type", "horizon"},
 }
+NOT_PORTED = (
+    "AttributesObservation", "ExitObservation", "GrayscaleObservation", "KinematicsGoal", "LidarObservation",
+    "MultiAgentObservation", "OccupancyGrid", "TupleObservation",
+)  # fmt: skip
 # What takes all memory or all time beyond; frequencies: SUMO's clock counts milliseconds.
 LARGEST = {
     "policy_frequency": 1000,
@@ -67,8 +71,8 @@ POSITIVE = (
     "scaling",
 )
 # Keys of highway-env and rl-agents that the tasks on SUMO do not have. A whole configuration of theirs is accepted if
-# it describes the same task: keys that only concern the display or the file are left out (with a warning, unless they
-# have one of these values), the others may only have these values.
+# it describes the same task and kept: keys that only concern the display or the file have no effect (with a warning,
+# unless they have one of these values), the others may only have these values.
 LEFT_OUT: dict[str, tuple[Any, ...]] = {
     "offscreen_rendering": (None, False, True),
     "real_time_rendering": (False,),
@@ -104,14 +108,20 @@ def resolve(task: str, defaults: Config, *overrides: Mapping[str, Any] | None) -
     Raises:
         ConfigError: unknown key, wrong type or value out of range.
     """
-    config = copy.deepcopy({**COMMON, **defaults})
+    known = {**COMMON, **defaults}
+    config = copy.deepcopy(known)
     ignored = []
     for override in overrides:
+        if not isinstance(override, Mapping | None):
+            raise ConfigError(
+                f"the configuration must be a dict such as {{'vehicles_count': 5}}, not {override!r}"
+            )
         for key, given in (override or {}).items():
             value = _plain(given)
-            if key in config:
+            if key in known:
                 config[key] = value
-            elif key in FIXED:
+                continue
+            if key in FIXED:
                 expected, reason = FIXED[key]
                 if value != expected:
                     raise ConfigError(f"config key {key!r} can only be {expected!r}, not {value!r}: {reason}")
@@ -119,10 +129,11 @@ def resolve(task: str, defaults: Config, *overrides: Mapping[str, Any] | None) -
                 if value not in LEFT_OUT[key]:
                     ignored.append(key)
             elif key not in FILE_KEYS:
-                raise ConfigError(f"unknown config key {key!r} for task {task!r}: {nearest(key, config)}")
+                raise ConfigError(f"unknown config key {key!r} for task {task!r}: {nearest(key, known)}")
+            config[key] = value
     if ignored:
         logger.warn(f"config keys without effect on SUMO's pictures are ignored: {', '.join(ignored)}")
-    _check(task, config, {**COMMON, **defaults})
+    _check(task, config, known)
     return config
 
 
@@ -146,7 +157,8 @@ def _plain(value: Any) -> Any:
 
 
 def _check(task: str, config: Config, defaults: Config) -> None:
-    for key, value in config.items():
+    for key in defaults:
+        value = config[key]
         wanted = _wanted(defaults[key], value)
         if wanted:
             raise ConfigError(f"config key {key!r} must be {wanted}, not {value!r}")
@@ -181,20 +193,29 @@ def _check(task: str, config: Config, defaults: Config) -> None:
             f"'simulation_frequency' ({config['simulation_frequency']}) must be a multiple of 'policy_frequency' "
             f"({config['policy_frequency']})"
         )
+    _check_types(config)
+
+
+def _check_types(config: Config) -> None:
+    """The types of observation and action, then their options."""
     kind = config["observation"].get("type")
     if kind not in OBSERVATION_KEYS:
+        wrong = (
+            "config['observation'] needs a 'type'" if kind is None else f"unknown observation type {kind!r}"
+        )
+        hint = nearest(str(kind), set(OBSERVATION_KEYS))
+        if kind is None or kind in NOT_PORTED:
+            ported = "highway-env has it, here it is not ported; " if kind else ""
+            hint = f"{ported}known: {', '.join(OBSERVATION_KEYS)}"
+        raise ConfigError(f"{wrong}: {hint} (for pictures use gymnasium.wrappers.AddRenderObservation)")
+    if config["action"].get("type") != "DiscreteMetaAction":
         raise ConfigError(
-            f"unknown observation type {kind!r}: {nearest(str(kind), OBSERVATION_KEYS)} (highway-env's other types are "
-            "not ported; for pictures use gymnasium.wrappers.AddRenderObservation)"
+            f"unknown action type {config['action'].get('type')!r}: the ego is driven by 'DiscreteMetaAction'"
         )
     for group, known in (("observation", OBSERVATION_KEYS[kind]), ("action", ACTION_KEYS)):
         for key in config[group]:
             if key not in known:
                 raise ConfigError(f"unknown key {key!r} in config[{group!r}]: {nearest(key, known)}")
-    if config["action"].get("type") != "DiscreteMetaAction":
-        raise ConfigError(
-            f"unknown action type {config['action'].get('type')!r}: the ego is driven by 'DiscreteMetaAction'"
-        )
 
 
 def _is_number(value: Any) -> bool:

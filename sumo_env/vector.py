@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
 import numpy as np
@@ -21,8 +21,11 @@ from sumo_env.env import DrivingEnv
 from sumo_env.sumo.remote import RemoteSimulator, SimulatorDied
 from sumo_env.tasks.base import Task
 
+# gymnasium's vector environments take type parameters from version 1.4 on
+_Base = SyncVectorEnv[Any, Any] if TYPE_CHECKING else SyncVectorEnv
 
-class SumoVectorEnv(SyncVectorEnv[Any, Any]):
+
+class SumoVectorEnv(_Base):
     """`num_envs` environments of one task, whose simulations run in parallel.
 
     A worker that dies (a crash of SUMO, the system's out-of-memory killer) or hangs is replaced. The step that meets

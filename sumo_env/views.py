@@ -52,6 +52,13 @@ NEVER_CALLED = {
 }  # fmt: skip
 
 
+def _read_only(view: object, name: str, value: object) -> NoReturn:
+    raise AttributeError(
+        f"{name!r} can only be read: SUMO drives the vehicles. To change traffic use a task or drivers of your own, or "
+        "reset(options={'scenario': ...}) (docs/own-parts.md)"
+    )
+
+
 @dataclass(frozen=True, eq=False)
 class Vehicle:
     """A vehicle of the scene, as ``highway_env.vehicle.kinematics.Vehicle`` is read.
@@ -123,10 +130,18 @@ class Ego(Vehicle):
     speed_index: int
     target_speeds: NDArray[np.float64]
 
+    def index_to_speed(self, index: int) -> float:
+        """The target speed of an index [m/s]."""
+        return float(self.target_speeds[index])
+
     @property
     def target_speed(self) -> float:
         """That the ego approaches [m/s]."""
         return float(self.target_speeds[self.speed_index])
+
+
+for _view in (Vehicle, Ego):
+    _view.__setattr__ = _read_only  # in place of the dataclass's own, which names no remedy
 
 
 class RoadNetwork:
@@ -151,23 +166,41 @@ class RoadNetwork:
         """Index of the lane closest to (x, y) [m]."""
         return self.road.closest_lane(float(position[0]), float(position[1]), heading)
 
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> NoReturn:
+            raise AttributeError(
+                f"the road network has no attribute {name!r} on SUMO; it has get_lane, side_lanes, all_side_lanes, "
+                "get_closest_lane_index, and road.lanes, road.route and road.successors for the rest"
+            )
+
 
 class RoadView:
     """Road and traffic of a scene, as ``highway_env.road.road.Road`` is read.
 
     Attributes:
         network: the lanes.
-        vehicles: all vehicles of the scene, the ego first.
+        vehicles: all vehicles of the scene, the ego first; a tuple.
     """
 
     def __init__(self, scene: Scene, road: Road, **ego: Any) -> None:
         self.scene, self.network = scene, RoadNetwork(road)
+        positions = np.column_stack((scene.x, scene.y))
+        positions.flags.writeable = False
         rows = zip(
-            scene.ids, np.column_stack((scene.x, scene.y)), scene.speed.tolist(), scene.heading.tolist(),
+            scene.ids, positions, scene.speed.tolist(), scene.heading.tolist(),
             scene.crashed.tolist(), strict=True,
         )  # fmt: skip
         first, *others = rows
-        self.vehicles: list[Vehicle] = [Ego(*first, road, **ego), *(Vehicle(*row, road) for row in others)]
+        self.vehicles = (Ego(*first, road, **ego), *(Vehicle(*row, road) for row in others))
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> NoReturn:
+            raise AttributeError(
+                f"the road has no attribute {name!r} on SUMO; it has network and vehicles, and the environment's "
+                "'scene' has places and speeds of all vehicles as arrays"
+            )
 
 
 @dataclass(frozen=True)

@@ -86,6 +86,19 @@ def test_hostile_files_beside_the_script_change_nothing(python: Path, tmp_path: 
     assert Path(done.stdout.strip()).is_relative_to(site_packages(python))
 
 
+def test_a_copy_without_symbolic_links_is_not_built(tmp_path: Path) -> None:
+    """Git makes such copies on Windows; their wheel would lack the roads."""
+    for name in ("setup.py", "pyproject.toml", "README.md", "LICENSE"):
+        shutil.copy(ROOT / name, tmp_path)
+    (tmp_path / "sumo_env").mkdir()
+    (tmp_path / "sumo_env" / "networks").write_text("../networks")
+    done = subprocess.run(
+        [sys.executable, "-c", "from setuptools import build_meta; build_meta.build_wheel('.')"],
+        cwd=tmp_path, capture_output=True, text=True, check=False,
+    )  # fmt: skip
+    assert done.returncode != 0 and "core.symlinks" in done.stderr
+
+
 def test_the_source_distribution_holds_documentation_and_tests(tmp_path: Path) -> None:
     source = tmp_path / "source"
     shutil.copytree(

@@ -16,6 +16,7 @@ import numpy as np
 
 from sumo_env.scene import VEHICLE_LENGTH, VEHICLE_WIDTH
 from sumo_env.streams import stream
+from sumo_env.traffic.attributes import check_attributes
 
 POOL = 64  # drivers of one dose; SUMO holds one vehicle type for each, so the pool is finite
 SAFE_BRAKING = 2.0  # [m/s2] IDMVehicle.LANE_CHANGE_MAX_BRAKING_IMPOSED
@@ -109,11 +110,19 @@ class Driver:
         """This driver with attributes of SUMO's vType, such as ``{"carFollowModel": "Krauss", "accel": 1.3}``.
 
         Raises:
-            ValueError: attributes of the vehicle's size; all vehicles are 5 m long and 2 m wide.
+            ValueError: attributes that SUMO does not know, that would have no effect here, or of the vehicle's size;
+                all vehicles are 5 m long and 2 m wide.
         """
         fixed = sorted({"id", "length", "width", "guiShape"} & attributes.keys())
         if fixed:
             raise ValueError(f"{', '.join(fixed)} of {name!r} cannot be changed: all vehicles are 5 m by 2 m")
+        factors = sorted({"speedFactor", "speedDev"} & attributes.keys())
+        if factors:
+            raise ValueError(
+                f"{', '.join(factors)} of {name!r} would have no effect: the target_speed of a VehicleSpec is the "
+                "speed that a vehicle wants to drive, and 'maxSpeed' limits it"
+            )
+        check_attributes(name, attributes)
         own = tuple((key, str(value)) for key, value in attributes.items())
         type = f"{name}.{self.type}"
         return replace(

@@ -117,6 +117,9 @@ def test_an_episode_ends_within_its_duration(id: str) -> None:
         ({"controlled_vehicles": 2}, "there is one ego"),
         ({"other_vehicles_type": "highway_env.vehicle.behavior.LinearVehicle"}, "SUMO drives"),
         ({"observation": {"type": "OccupancyGrid"}}, "not ported"),
+        ({"observation": {"type": "KinematicsGoal"}}, "not ported"),
+        ({"observation": {"vehicles_count": 3}}, "needs a 'type'"),
+        ([("vehicles_count", 3)], "must be a dict"),
     ],
 )
 def test_a_wrong_configuration_is_named(config: dict[str, Any], message: str) -> None:

@@ -71,7 +71,7 @@ RL_AGENTS: dict[str, tuple[str, Config]] = {
 REFUSED: dict[str, tuple[str, Config, str]] = {
     "HighwayEnv/env_easy": ("highway", {"lanes_count": 2, "other_vehicles_type": LINEAR}, "SUMO drives"),
     "HighwayEnv/env_continuous": (
-        "highway", {"action": {"type": "ContinuousAction", "steering_range": [-0.1, 0.1]}}, "'steering_range'"
+        "highway", {"action": {"type": "ContinuousAction", "steering_range": [-0.1, 0.1]}}, "'ContinuousAction'"
     ),
     "HighwayEnv/env_multi_agent": ("highway", {"controlled_vehicles": 3}, "there is one ego"),
     "IntersectionEnv/env_grid": ("intersection", {"observation": {"type": "OccupancyGrid"}}, "not ported"),
@@ -248,8 +248,28 @@ def test_vehicles_and_road_can_be_read(id: str) -> None:
 
 
 def test_what_is_read_cannot_be_written(highway: DrivingEnv) -> None:
-    with pytest.raises(AttributeError, match="cannot assign"):
+    with pytest.raises(AttributeError, match="'speed' can only be read"):
         highway.vehicle.speed = 30.0  # type: ignore[misc]
+    with pytest.raises(ValueError, match="read-only"):
+        highway.vehicle.position[0] = 0.0
+    with pytest.raises(AttributeError, match="no attribute 'append'"):
+        highway.road.vehicles.append(highway.vehicle)  # type: ignore[attr-defined]
+
+
+def test_keys_that_are_accepted_are_kept() -> None:
+    given = {"offscreen_rendering": True, "controlled_vehicles": 1, "id": "highway-v0"}
+    env = DrivingEnv("highway", given)
+    assert given.items() <= env.config.items()
+    env.configure({"risk": 0.5})
+    assert given.items() <= env.config.items()
+
+
+@pytest.mark.parametrize("name", ["neighbour_vehicles", "objects"])
+def test_what_the_road_does_not_have_says_what_there_is(highway: DrivingEnv, name: str) -> None:
+    with pytest.raises(AttributeError, match=f"'{name}' on SUMO; it has network and vehicles"):
+        getattr(highway.road, name)
+    with pytest.raises(AttributeError, match="it has get_lane"):
+        highway.road.network.graph  # type: ignore[attr-defined]  # noqa: B018
 
 
 def test_available_actions_are_those_that_change_something(highway: DrivingEnv) -> None:

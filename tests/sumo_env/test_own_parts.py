@@ -158,6 +158,20 @@ def test_the_size_of_a_vehicle_cannot_be_changed(attribute: str) -> None:
         driver.like("bus", {attribute: 12.0})
 
 
+@pytest.mark.parametrize(
+    ("attribute", "message"),
+    [("acell", "'accel'"), ("maxspeed", "'maxSpeed'"), ("zzz", "see https"), ("speedFactor", "no effect")],
+)
+def test_attributes_that_sumo_would_ignore_are_refused(attribute: str, message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        Highway().drivers(0.0)[0].like("bus", {attribute: 2.0})
+
+
+def test_a_class_in_place_of_a_task_is_named() -> None:
+    with pytest.raises(TypeError, match=r"Highway\(\)"):
+        sumo_env.register("test/class-v0", Highway)
+
+
 def test_sumo_s_words_are_passed_on_when_it_refuses_a_driver() -> None:
     class Wrong(Slalom):
         def vehicles(self, *arguments: Any) -> list[Any]:

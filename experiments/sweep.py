@@ -27,13 +27,28 @@ from experiments.support.errors import leave_on_signals
 from experiments.support.threads import limit_threads
 
 limit_threads()
+
+
+def _gather(words: Iterable[str]) -> list[str]:
+    """`--policy A --policy B` as `--policy A B`: of an option that is repeated, tyro would keep the last alone."""
+    values: dict[str, list[str]] = {}
+    name = ""
+    for word in words:
+        if word.startswith("--"):
+            name, *given = word.split("=", 1)
+            values.setdefault(name, []).extend(given)
+        else:
+            values.setdefault(name, []).append(word)
+    return [word for name, given in values.items() for word in ([name] if name else []) + given]
+
+
 if __name__ == "__main__":
     leave_on_signals()  # the imports below take seconds
 
 import json
 import shlex
 from collections import Counter
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Any
 
@@ -347,7 +362,7 @@ def describe(options: Options, cells: Sequence[Cell], workers: int) -> None:
 
 def main() -> int:
     """The command line."""
-    arguments = [part for word in sys.argv[1:] for part in _split(word)]
+    arguments = _gather(part for word in sys.argv[1:] for part in _split(word))
     options = tyro.cli(Options, args=arguments, description=__doc__, config=(tyro.conf.FlagCreatePairsOff,))
     return sweep(options, arguments=sys.argv[1:], validate=before_training)
 

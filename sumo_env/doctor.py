@@ -142,6 +142,23 @@ def workers() -> str:
     return f"same episode; started and driven in {time.perf_counter() - start:.1f} s"
 
 
+def vector() -> str:
+    """gymnasium's `make_vec` makes environments that drive the episodes of single ones."""
+    env = gym.make(sumo_env.IDS[0])
+    envs = gym.make_vec(sumo_env.IDS[0], num_envs=2)
+    try:
+        _, second = envs.reset(seed=0)[0]  # the seeds of a vector environment count up
+        if not np.array_equal(second, env.reset(seed=1)[0]):
+            raise Problem(
+                "a vector environment drives another episode with the same seed",
+                "please report this, with the table above",
+            )
+    finally:
+        env.close()
+        envs.close()
+    return "same episode"
+
+
 def _check_of(id: str) -> Check:
     return sumo_env.task_of(id), lambda: task(id)
 
@@ -154,6 +171,7 @@ CHECKS: tuple[Check, ...] = (
     *(_check_of(id) for id in sumo_env.IDS),
     ("pictures", pictures),
     ("workers", workers),
+    ("vector", vector),
 )
 
 

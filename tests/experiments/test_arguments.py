@@ -16,7 +16,7 @@ from experiments.study import grid
 from experiments.study.arms import DOSES
 from experiments.study.presets import PRESETS
 from experiments.support.errors import UserError
-from experiments.sweep import Options, cells_of
+from experiments.sweep import Options, _gather, cells_of
 from sumo_env.tasks import TASKS
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -75,6 +75,11 @@ def test_arguments_give_cells_or_one_clear_line(arguments):
 def test_every_argument_that_chooses_cells_is_tried():
     others = {"out", "workers", "executor", "cell", "hang_after", "dry_run"}
     assert {field.name for field in fields(Options)} - others == set(ARGUMENTS)
+
+
+def test_a_repeated_option_adds_values():
+    words = ["--policy", "a:make", "--seeds=2", "--policy", "b.zip", "--placebo", "--policy=c"]
+    assert _gather(words) == ["--policy", "a:make", "b.zip", "c", "--seeds", "2", "--placebo"]
 
 
 @given(count=st.integers(1, 12))

@@ -12,24 +12,27 @@ from agents.rules.constant import Constant, Random
 from agents.rules.idm import IDM
 
 POLICIES = ("idle", "random", "faster", "slower", "idm", "careful")
+# The careful driver at other cautions: with the constant policies, how many crashes a speed costs without learning.
+CAUTIONS = {"careful-0.1": 0.1, "careful-0.5": 0.5, "careful": 1.0, "careful-2": 2.0, "careful-4": 4.0}
 
 
 def make_policy(name: str, env: gym.Env[Any, Any]) -> Policy:
     """The driver of this name for ``env``, whose ``unwrapped.actions`` maps action numbers to names.
 
     "idle", "faster" and "slower" repeat one meta-action, "random" draws uniformly, "idm" is
-    :class:`agents.rules.idm.IDM`, "careful" :class:`agents.rules.careful.Careful`. Raises ValueError for an unknown
-    name or an action that the environment lacks.
+    :class:`agents.rules.idm.IDM`, "careful" :class:`agents.rules.careful.Careful`, "careful-2" the same with twice the
+    caution (see CAUTIONS). Raises ValueError for an unknown name or an action that the environment lacks.
     """
     actions: dict[int, str] = env.unwrapped.actions  # type: ignore[attr-defined]
     if name == "random":
         return Random(len(actions))
     if name == "idm":
         return IDM(env)
-    if name == "careful":
-        return Careful(env)
+    if name in CAUTIONS:
+        return Careful(env, CAUTIONS[name])
     if name not in POLICIES:
-        raise ValueError(f"Unknown policy {name!r}: choose one of {', '.join(POLICIES)}.")
+        known = dict.fromkeys((*POLICIES, *CAUTIONS))
+        raise ValueError(f"Unknown policy {name!r}: choose one of {', '.join(known)}.")
     for number, action in actions.items():
         if action == name.upper():
             return Constant(number)

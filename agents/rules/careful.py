@@ -49,10 +49,13 @@ TIMES = np.arange(-round(SPAN / STEP), round((HORIZON + SPAN) / STEP) + 1) * STE
 class Careful:
     """Drives by prediction. ``env.unwrapped`` has actions, target_speeds [m/s] and observation_type.
 
+    ``caution``: factor on the margins that it keeps to others and on the price of being closer.
+
     Raises ValueError when the observation lacks one of x, y, vx, vy.
     """
 
-    def __init__(self, env: gym.Env[Any, Any]) -> None:
+    def __init__(self, env: gym.Env[Any, Any], caution: float = 1.0) -> None:
+        self._caution = caution
         source: Any = env.unwrapped
         self._numbers = {name: number for number, name in source.actions.items()}
         self._ladder = np.array(source.target_speeds, dtype=float)
@@ -130,7 +133,8 @@ class Careful:
         crossing = (
             np.abs(np.sin(view.headings)) if "LANE_LEFT" in self._numbers else np.abs(view.headings) > 0.3
         )
-        near = 2 * RADIUS + MARGIN + (GROWTH + CROSSING_GROWTH * crossing)[:, None] * FUTURE
+        growth = self._caution * (GROWTH + CROSSING_GROWTH * crossing)[:, None]
+        near = 2 * RADIUS + self._caution * MARGIN + growth * FUTURE
         for delay, cost in PRICES.items():
             start = round((SPAN + delay) / STEP) + 1
             window = slice(start, start + len(FUTURE))
@@ -138,7 +142,7 @@ class Careful:
             beyond = np.maximum(np.abs(offset.real) - DISCS[-1], 0.0)  # of the ego's ends
             close = (beyond**2 + offset.imag**2).min(axis=3) < near**2
             close |= leading - way[:, None, window] < GAP
-            price += cost * (close * np.exp(-FUTURE / FORGETTING)).max(axis=(1, 2))
+            price += self._caution * cost * (close * np.exp(-FUTURE / FORGETTING)).max(axis=(1, 2))
         return price
 
 

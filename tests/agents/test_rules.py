@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from agents.rules import POLICIES, make_policy
+from agents.rules import CAUTIONS, POLICIES, make_policy
 from tests.agents.stock import Stock, drive
 
 FIVE = {0: "LANE_LEFT", 1: "IDLE", 2: "LANE_RIGHT", 3: "FASTER", 4: "SLOWER"}
@@ -98,6 +98,16 @@ def test_careful_gives_up_a_lane_that_is_not_there() -> None:
 
 def test_careful_looks_before_it_speeds_up() -> None:
     assert second_choice(scene()) == "IDLE"
+
+
+def test_more_caution_slows_down_farther_behind_a_leader() -> None:
+    def braking_distance(name: str) -> float:
+        gaps = np.arange(10.0, 120.0, 2.0)
+        slows = [second_choice(*[scene((gap, 0.0, 15.0))] * 2, name=name) == "SLOWER" for gap in gaps]
+        return float(gaps[slows].max())
+
+    distances = [braking_distance(name) for name in CAUTIONS]
+    assert distances == sorted(distances) and distances[0] < distances[2] < distances[-1]
 
 
 def test_careful_forgets_on_reset() -> None:

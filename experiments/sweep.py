@@ -115,6 +115,9 @@ class Options:
     """Train control agents alone, twice as many, and compare them with each other: no effect should be found."""
     test_on: Annotated[tuple[str, ...], _argument("NAME ...", "none")] = ()
     """Other simulators on which the trained agents are tested as well."""
+    unseen: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = False
+    """Test the trained agents in risky traffic that nobody was trained in as well: each kind of event alone, risky
+    drivers without events, and SUMO's car-following models Krauss and EIDM."""
     config: Annotated[tuple[str, ...], _argument("KEY=VALUE ...", "none")] = ()
     """Keys of the environments' configuration to set, for training and test (values as in JSON, or plain words)."""
     gamma: Annotated[float | None, _argument("X")] = None
@@ -179,6 +182,7 @@ def cells_of(options: Options) -> list[Cell]:
         policies={label: (name, sha) for name in options.policy for label, sha in [foreign(name)]},
         arms=("control",) if options.placebo else options.arms or tuple(ARMS),
         test_on=options.test_on,
+        unseen=options.unseen,
         changes=dict(map(_setting, options.config)),
     )
 

@@ -160,7 +160,7 @@ def doses(episodes: pd.DataFrame, cells: Mapping[str, Mapping[str, Any]]) -> lis
         the change of the crash rate in risky traffic per full dose in training, as an estimate.
     """
     records = []
-    trained = episodes[episodes["arm"].isin(DOSE_ARMS)]
+    trained = episodes[episodes["arm"].isin(DOSE_ARMS) & episodes["traffic"].isin(ALL_TRAFFICS)]
     for where, group in trained.groupby(PLACE, sort=False):
         present = [arm for arm in DOSE_ARMS if (group["arm"] == arm).any()]
         if len(present) < 3:

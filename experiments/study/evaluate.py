@@ -11,6 +11,7 @@ import numpy as np
 
 from experiments.study.arms import ALL_TRAFFICS, TRAFFICS
 from experiments.study.seeds import scenario_seed, stream_seed
+from experiments.study.unseen import UNSEEN, UnseenRisk
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -19,7 +20,7 @@ STOPPED = 1.0  # [m/s] an ego slower than this stands
 ACTIONS = 5
 # Columns of episodes.parquet and their types, one row a test episode.
 COLUMNS: dict[str, str] = {
-    "traffic": "str",  # of arms.ALL_TRAFFICS: "regular" or "risky", or a dose between
+    "traffic": "str",  # "regular" or "risky", a dose between (arms.ALL_TRAFFICS), or one of unseen.UNSEEN
     "scenario": "int64",  # number of the scenario, the same seed in both traffics
     "return": "float64",  # undiscounted sum of rewards
     "length": "int64",  # policy steps
@@ -71,15 +72,17 @@ def play(
 
     Args:
         env: an environment of this task and level.
-        traffic: of `arms.ALL_TRAFFICS`.
+        traffic: of `arms.ALL_TRAFFICS` or `unseen.UNSEEN`.
         scenario: number of the test scenario.
         on_step: called after the reset and after every step (a recorder).
         purpose: what the scenario is for, "test" or "gate".
     """
+    if traffic in UNSEEN:
+        env = UnseenRisk(env, traffic)
     policy.reset(stream_seed("policy", task, level, traffic, scenario))
     observation, info = env.reset(
         seed=scenario_seed(task, level, scenario, purpose),
-        options={"config": {"risk": ALL_TRAFFICS[traffic]}},
+        options={"config": {"risk": ALL_TRAFFICS.get(traffic, 1.0)}},
     )
     if on_step:
         on_step()

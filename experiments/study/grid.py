@@ -24,6 +24,7 @@ from experiments.study.arms import (
     trained_with,
 )
 from experiments.study.fingerprint import dynamics
+from experiments.study.unseen import unseen_traffics
 from experiments.support.errors import UserError, unknown
 from experiments.support.files import canonical_json, sha256_bytes
 from sumo_env.config import ConfigError, resolve
@@ -175,7 +176,8 @@ def slug(key: Mapping[str, Any]) -> str:
     last = f"{key['arm']}-s{key['seed']}" if key["arm"] else key["policy"].replace(":", ".")
     if test_on := key.get("test_on"):
         elsewhere = test_on["backend"] != key["backend"]
-        last += f"-on-{test_on['backend']}" if elsewhere else "-doses"
+        here = "-doses" if set(test_on["traffics"]) <= set(DOSE_TRAFFICS) else "-unseen"
+        last += f"-on-{test_on['backend']}" if elsewhere else here
     return f"{setting(key)}-{last}"
 
 
@@ -287,6 +289,7 @@ def build(
     policies: Mapping[str, tuple[str, str]] | None = None,
     arms: Sequence[str] = tuple(ARMS),
     test_on: Sequence[str] = (),
+    unseen: bool = False,
     changes: Mapping[str, Any] | None = None,
 ) -> list[Cell]:
     """The cells of an experiment: on each task and level the arms of every training seed, and the baselines.
@@ -304,6 +307,7 @@ def build(
         network: FILE:CLASS of a network of the user's own.
         policies: policies of the user's own to test: label -> (FILE:MAKE or zip file, fingerprint of the file).
         arms: of DOSES. test_on: other simulators on which the trained agents are tested too.
+        unseen: whether they are tested in the traffics of `unseen.unseen_traffics` too.
         changes: keys of the environments' configuration that are set for training and test.
 
     Raises:
@@ -354,6 +358,10 @@ def build(
                 cells += [
                     replace(agent, kind="test", test_on=doses) for agent in agents if agent.arm in DOSE_ARMS
                 ]
+            if unseen:
+                traffics = {"backend": backend, "traffics": list(unseen_traffics(task, backend))}
+                traffics |= {"episodes": episodes, "env_config": common["env_config"]}
+                cells += [replace(agent, kind="test", test_on=traffics) for agent in agents]
             for other in test_on:
                 if other != backend:
                     transfer = {

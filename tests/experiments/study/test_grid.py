@@ -8,8 +8,9 @@ from dataclasses import replace
 import pytest
 
 from experiments.study import grid
-from experiments.study.arms import DOSE_ARMS, DOSES
+from experiments.study.arms import ARMS, DOSE_ARMS, DOSES
 from experiments.study.seeds import TEST, scenario_seed, training_seed
+from experiments.study.unseen import unseen_traffics
 from experiments.support.errors import UserError
 from sumo_env.tasks import TASKS
 
@@ -68,6 +69,15 @@ def test_further_arms_and_tests_rename_nothing():
     assert all(c.updates == 0 for c in tests)
     assert "sumo-highway-50-dose25-s1-on-replica" in {c.slug for c in tests}
     assert "highway-env" in next(c for c in tests if c.runs_on == "highway-env").versions
+
+
+def test_unseen_risk_is_a_further_test_of_every_agent_and_renames_nothing():
+    both, more = cells_of(arms=tuple(ARMS)), cells_of(arms=tuple(ARMS), unseen=True)
+    assert {c.name for c in both} <= {c.name for c in more}
+    tests = [c for c in more if c.kind == "test"]
+    assert {c.parent.name for c in tests} == {c.name for c in both if c.kind == "agent"}
+    assert {tuple(c.test_on["traffics"]) for c in tests} == {unseen_traffics("highway")}
+    assert {c.slug for c in tests if c.arm == "control"} >= {"sumo-highway-50-control-s0-unseen"}
 
 
 def test_an_arm_is_left_out_where_it_has_no_meaning():

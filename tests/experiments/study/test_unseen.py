@@ -1,0 +1,101 @@
+"""Unseen risk: the same cars in the same places, with one part of the risk alone or with drivers of another model."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from experiments.backends import make_env
+from experiments.study.evaluate import evaluate
+from experiments.study.grid import env_config
+from experiments.study.unseen import EVENTS, MODELS, PARAMETERS, UNSEEN, UnseenRisk, unseen, unseen_traffics
+from sumo_env.tasks import TASKS, get_task
+from sumo_env.traffic.scenario import Scenario
+
+
+class Slow:
+    def reset(self, seed: int) -> None:
+        pass
+
+    def act(self, observation: object) -> int:
+        return 1
+
+
+def drawn(task: str, seed: int) -> tuple[Scenario, Scenario]:
+    config = env_config("sumo", task, 1)
+    regular, risky = (get_task(task).scenario({**config, "risk": risk}, seed) for risk in (0.0, 1.0))
+    return regular, risky
+
+
+def driven(env: UnseenRisk) -> tuple[float, ...]:
+    """Where the vehicles are after some seconds of three episodes."""
+    places: list[float] = []
+    for seed in range(3):
+        env.reset(seed=seed)
+        for _ in range(5):
+            env.step(4)
+        places += np.round(env.unwrapped.scene.x, 2).tolist()  # type: ignore[attr-defined]
+    return tuple(places)
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_one_part_of_the_risk_alone(task: str) -> None:
+    for seed in range(20):
+        regular, risky = drawn(task, seed)
+        parts = []
+        for name, kind in EVENTS.items():
+            scenario = unseen(name, regular, risky)
+            assert (scenario.vehicles, scenario.spawns) == (regular.vehicles, regular.spawns)
+            assert {event.kind for event in scenario.events} <= {kind}
+            parts += scenario.events
+        assert sorted(parts, key=repr) == sorted(risky.events, key=repr)
+        alone = unseen(PARAMETERS, regular, risky)
+        assert alone.events == () and alone.vehicles == risky.vehicles
+
+
+def test_drivers_of_another_model_keep_their_places_parameters_and_events() -> None:
+    regular, risky = drawn("intersection", 3)
+    for name, attributes in MODELS.items():
+        scenario = unseen(name, regular, risky)
+        assert scenario.events == risky.events
+        for spec, before in zip(scenario.vehicles, risky.vehicles, strict=True):
+            assert spec._replace(driver=before.driver) == before
+            assert spec.driver.tau == before.driver.tau
+            assert dict(spec.driver.attributes)["carFollowModel"] == attributes["carFollowModel"]
+        assert all(spawn.vehicle.driver.type.startswith(name) for spawn in scenario.spawns)
+
+
+def test_only_traffic_that_differs_is_tested() -> None:
+    assert unseen_traffics("two-way") == ("only-cut-in", "only-brake", PARAMETERS, *MODELS)
+    assert unseen_traffics("intersection", "replica") == ("only-surge", PARAMETERS)
+
+
+def test_episodes_depend_on_their_scenario_alone_and_differ_between_traffics() -> None:
+    env = make_env("sumo", "roundabout", env_config("sumo", "roundabout", 1))
+    try:
+        traffics = unseen_traffics("roundabout")
+        assert set(traffics) == set(UNSEEN)
+        table = evaluate(env, Slow(), "roundabout", 1, 6, traffics=traffics)
+        again = evaluate(env, Slow(), "roundabout", 1, 6, traffics=traffics[::-1])
+        by = ["traffic", "scenario"]
+        pd.testing.assert_frame_equal(
+            table.sort_values(by, ignore_index=True), again.sort_values(by, ignore_index=True)
+        )
+        assert len({driven(UnseenRisk(env, traffic)) for traffic in traffics}) == len(traffics)
+    finally:
+        env.close()
+
+
+def test_the_dose_that_is_asked_for_does_not_matter() -> None:
+    env = make_env("sumo", "u-turn", env_config("sumo", "u-turn", 1))
+    try:
+        wrapped = UnseenRisk(env, "only-brake")
+        scenarios = []
+        for risk in (0.0, 1.0):
+            wrapped.reset(seed=5, options={"config": {"risk": risk}})
+            scenarios.append(env.unwrapped.scenario)
+        assert scenarios[0] == scenarios[1]
+        assert scenarios[0].events
+    finally:
+        env.close()

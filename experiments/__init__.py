@@ -1,9 +1,16 @@
 """The study. The modules here are the commands that a user types; the packages are what they are made of.
 
 support    errors, files, provenance
-study      grid -> train -> evaluate -> stored cells (sweep.py)
 backends   the simulators behind one function
+study      grid -> train -> evaluate -> stored cells (sweep.py)
 analysis   stored cells -> effects and verdicts (report.py)
 reporting  effects -> report.html
 validation, calibration  the parts of validate.py and calibrate.py
+
+Importing anything of it limits numerical libraries to one thread in this process and those that it starts: processes
+do the parallel work, and the bits of a sum depend on the number of threads.
 """
+
+from experiments.support.threads import limit_threads
+
+limit_threads()

@@ -13,18 +13,9 @@ doses.csv and doses.svg.
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
-if __package__ in (None, ""):  # run as a file: import from the project, not from this folder
-    sys.path[0] = str(Path(__file__).resolve().parents[1])
-
-from experiments.support.threads import limit_threads
-
-limit_threads()
-
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import pandas as pd
@@ -32,8 +23,8 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from experiments.calibration import doses, drivers
-from experiments.calibration.search import Settings, search
+from experiments.calibration import objectives
+from experiments.calibration.search import search
 from experiments.calibration.spaces import DRIVERS, RISK, Space, changes_of_risk, present_risk
 from experiments.study import grid
 from experiments.study.fingerprint import fingerprint
@@ -46,7 +37,7 @@ from experiments.validation.parts import Engine
 from sumo_env.tasks import TASKS
 
 PARTS = ("drivers", "risk", "doses")
-TRAINING = 1000  # number of the first scenario used for fitting; validation's begin at 0
+FITTED = 1000  # number of the first scenario used for fitting; validation's begin at 0
 WITHOUT_EVENTS = "sumo, parameters alone"
 
 
@@ -72,35 +63,23 @@ class Options:
     """Number of processes."""
 
 
+def engines(options: Options, task: str) -> tuple[Engine, Engine]:
+    """SUMO, and what it is fitted to."""
+    path = {"variant": "path"}
+    theirs = fingerprint(options.reference, task, path)
+    return (
+        Engine("sumo", "sumo", stamps={task: fingerprint("sumo", task, {})}),
+        Engine(REFERENCE, options.reference, path, stamps={task: theirs}),
+    )
+
+
 class Fit:
-    """Drives what a task's calibration needs and remembers it in files."""
+    """What is done for one task."""
 
     def __init__(self, options: Options, task: str) -> None:
         self.options, self.task = options, task
         self.levels = tuple(range(1, len(grid.level_names(task)) + 1))
-        self.ends = tuple(dict.fromkeys((self.levels[0], self.levels[-1])))
-        self._folder = options.out / "parts"
-        self._marks: dict[str, str] = {}
-
-    def reference(self, **changes: Any) -> Engine:
-        """The engine that is aimed at."""
-        config = {"variant": "path"}
-        return Engine(
-            REFERENCE,
-            self.options.reference,
-            config,
-            stamps=self._stamps(self.options.reference, config),
-            **changes,
-        )
-
-    def sumo(self, **changes: Any) -> Engine:
-        """SUMO with changed settings."""
-        return Engine("sumo", "sumo", stamps=self._stamps("sumo", {}), **changes)
-
-    def _stamps(self, backend: str, config: dict[str, Any]) -> dict[str, str]:
-        if backend not in self._marks:
-            self._marks[backend] = fingerprint(backend, self.task, config)
-        return {self.task: self._marks[backend]}
+        self.sumo, self.reference = engines(options, task)
 
     def drive(
         self, engines: Sequence[Engine], levels: Sequence[int], traffics: Sequence[str], scenarios: range
@@ -108,119 +87,99 @@ class Fit:
         """The episodes of some engines; those of the reference are driven once."""
         size = -(-len(scenarios) // self.options.workers)
         work = parts.plan(engines, {self.task: levels}, traffics, scenarios, size)
-        parts.run(work, self._folder, self.options.workers, lambda _: None)
-        return parts.collect(work, self._folder)
+        parts.run(work, self.options.out / "parts", self.options.workers, lambda _: None)
+        return parts.collect(work, self.options.out / "parts")
 
-    @property
-    def training(self) -> range:
-        """Numbers of the scenarios of an evaluation."""
-        return range(TRAINING, TRAINING + self.options.scenarios)
-
-    @property
-    def judging(self) -> range:
-        """Numbers of the scenarios that validation uses as well."""
-        return range(self.options.test)
-
-    # -- drivers -----------------------------------------------------------------------------------------------
-
-    def drivers_distance(self, settings: Settings, levels: Sequence[int], scenarios: range) -> float:
+    def drivers_distance(self, settings: dict[str, Any], levels: Sequence[int], scenarios: range) -> float:
         """The distance of SUMO's regular traffic with these settings."""
-        engines = [self.sumo(calibration=settings, egos=CORE), self.reference(egos=CORE)]
-        return drivers.distance(self.drive(engines, levels, ("regular",), scenarios), "sumo", self.task)
+        engines = [replace(self.sumo, calibration=settings, egos=CORE), replace(self.reference, egos=CORE)]
+        return objectives.drivers(self.drive(engines, levels, ("regular",), scenarios), "sumo", self.task)
 
-    def fit_drivers(self, note: Callable[[int, float], None]) -> dict[str, Any] | None:
-        """Search the settings of SUMO's drivers at the lowest and the highest level; judge them at all."""
-        present = asdict(TASKS[self.task].calibration)
-        return self._fit("drivers", DRIVERS[self.task], present, self.ends, self.drivers_distance, note)
-
-    # -- risk --------------------------------------------------------------------------------------------------
-
-    def risk_distance(self, settings: Settings, levels: Sequence[int], scenarios: range) -> float:
+    def risk_distance(self, settings: dict[str, Any], levels: Sequence[int], scenarios: range) -> float:
         """How far a dose with these rates of events and ranges of parameters is from what it shall do."""
         risk = changes_of_risk(TASKS[self.task], settings)
-        engines = [make(risk=risk, egos=doses.EGOS) for make in (self.sumo, self.reference)]
-        return doses.distance(self.drive(engines, levels, doses.SEARCHED, scenarios), "sumo", self.task)
+        engines = [replace(engine, risk=risk, egos=objectives.EGOS) for engine in (self.sumo, self.reference)]
+        return objectives.doses(
+            self.drive(engines, levels, objectives.SEARCHED, scenarios), "sumo", self.task
+        )
 
-    def fit_risk(self, note: Callable[[int, float], None]) -> dict[str, Any] | None:
-        """Search the rates of risk events and the ranges of parameters at the lowest level."""
-        present = present_risk(TASKS[self.task])
-        return self._fit("risk", RISK[self.task], present, (1,), self.risk_distance, note, judged=(1,))
+    def search(self, part: str, note: Callable[[int, float], None]) -> dict[str, Any] | None:
+        """Search the settings of SUMO's drivers, or of risk; what is in force and what was found, judged alike.
 
-    def _fit(
-        self, part: str, space: Space, present: Settings, levels: Sequence[int],
-        distance: Callable[[Settings, Sequence[int], range], float], note: Callable[[int, float], None],
-        judged: Sequence[int] = (),
-    ) -> dict[str, Any] | None:  # fmt: skip
+        Drivers are fitted at the lowest and the highest level and judged at all; risk at the lowest level.
+        """
+        if part == "drivers":
+            space, distance, present = DRIVERS[self.task], self.drivers_distance, TASKS[self.task].calibration
+            start, judged = {name: asdict(present)[name] for name in space}, self.levels
+            fitted = tuple(dict.fromkeys((self.levels[0], self.levels[-1])))
+        else:
+            space, distance = RISK[self.task], self.risk_distance
+            start, judged = {name: present_risk(TASKS[self.task])[name] for name in space}, (1,)
+            fitted = (1,)
         if not space:
             return None
-        start = {name: present[name] for name in space}
-        journal = self.options.out / f"{part}-{self.task}-{'-'.join(self._key(space))}.journal"
+        training = range(FITTED, FITTED + self.options.scenarios)
         study = search(
             space,
-            lambda settings: distance(settings, levels, self.training),
+            lambda settings: distance(settings, fitted, training),
             start,
             self.options.trials,
-            journal,
+            self.options.out / self._journal(part, space),
             note,
         )
-        judged = judged or self.levels
+        judging = range(self.options.test)
         return {
             "present": start,
             "found": study.best_params,
             "training": {"present": study.trials[0].value, "found": study.best_value},
             "judged": {
-                "present": distance(start, judged, self.judging),
-                "found": distance(study.best_params, judged, self.judging),
+                "present": distance(start, judged, judging),
+                "found": distance(study.best_params, judged, judging),
             },
             "trials": [{"settings": trial.params, "distance": trial.value} for trial in study.trials],
         }
 
-    def _key(self, space: Space) -> list[str]:
-        """What makes evaluations comparable: both simulators, the scenarios and what is searched."""
-        marks = [self._stamps("sumo", {}), self.reference().stamps]
+    def _journal(self, part: str, space: Space) -> str:
+        """File of a search, by what makes evaluations comparable: both simulators, the scenarios and the space."""
+        marks = (engine.stamps[self.task] for engine in (self.sumo, self.reference))
         searched = sha256_bytes(repr(sorted(space.items())).encode())[:8]
-        return [*(mark[self.task] for mark in marks), str(self.options.scenarios), searched]
+        return "-".join([part, self.task, *marks, str(self.options.scenarios), searched]) + ".journal"
 
-    # -- doses -------------------------------------------------------------------------------------------------
-
-    def measure_doses(self) -> pd.DataFrame:
+    def doses(self) -> pd.DataFrame:
         """Responses to every dose at the lowest level, in both simulators and without events."""
         none = dict.fromkeys(("cut_in", "brake", "surge"), 0.0)
-        silent = self.sumo(risk=none, egos=doses.EGOS).named(WITHOUT_EVENTS)
-        engines = [self.sumo(egos=doses.EGOS), silent, self.reference(egos=doses.EGOS)]
-        return doses.responses(self.drive(engines, (1,), doses.DOSES, self.judging))
+        silent = replace(self.sumo, name=WITHOUT_EVENTS, risk=none)
+        engines = [replace(engine, egos=objectives.EGOS) for engine in (self.sumo, silent, self.reference)]
+        return objectives.responses(self.drive(engines, (1,), objectives.DOSES, range(self.options.test)))
 
 
 def calibrate(options: Options, console: Console) -> dict[str, Any]:
     """Do the parts for every task and write the results; returns the content of calibration.json."""
-    result: dict[str, Any] = {
-        "scenarios": options.scenarios,
-        "test": options.test,
-        "reference": options.reference,
-    }
+    result: dict[str, Any] = {name: getattr(options, name) for name in ("scenarios", "test", "reference")}
     tables = []
     for task in grid.choose_tasks(options.tasks or tuple(grid.TASKS)):
-        fit = Fit(options, task)
-        found: dict[str, Any] = {}
-        for part, function in (("drivers", fit.fit_drivers), ("risk", fit.fit_risk)):
+        fit, result[task] = Fit(options, task), {}
+        for part in ("drivers", "risk"):
             if part in options.parts:
                 with console.status(f"{task}: {part}") as status:
-                    found[part] = function(
-                        lambda done, best, words=f"{task}: {part}": status.update(  # type: ignore[misc]
-                            f"{words}, {done} of {options.trials} evaluations, distance {best:.3f}"
-                        )
-                    )
+
+                    def note(
+                        done: int, best: float, status: Any = status, words: str = f"{task}: {part}"
+                    ) -> None:
+                        status.update(f"{words}, {done} of {options.trials}, distance {best:.3f}")
+
+                    result[task][part] = fit.search(part, note)
         if "doses" in options.parts:
             with console.status(f"{task}: doses"):
-                tables.append(fit.measure_doses())
-        result[task] = found
+                tables.append(fit.doses())
         write_json(options.out / "calibration.json", result)
     if tables:
         from experiments.calibration.figures import dose_response
 
         table = pd.concat(tables, ignore_index=True)
         write_file(options.out / "doses.csv", table.round(4).to_csv(index=False).encode())
-        write_file(options.out / "doses.svg", dose_response(table, WITHOUT_EVENTS).encode())
+        drawn = dose_response(table, ("sumo", REFERENCE, WITHOUT_EVENTS))
+        write_file(options.out / "doses.svg", drawn.encode())
     return result
 
 
@@ -229,16 +188,12 @@ def show(result: dict[str, Any], console: Console) -> None:
     table = Table("task", "part", "setting", "present", "found", "distance, training", "distance, judged")
     for task in grid.TASKS:
         for part, found in result.get(task, {}).items():
-            if found is None:
-                continue
-            for number, (name, value) in enumerate(found["found"].items()):
-                texts = [
-                    f"{found[key]['present']:.3f} -> {found[key]['found']:.3f}"
-                    for key in ("training", "judged")
-                ]
-                place = (task, part) if not number else ("", "")
-                distances = texts if not number else ("", "")
-                table.add_row(*place, name, f"{found['present'][name]:.3g}", f"{value:.3g}", *distances)
+            words = [task, part]
+            for name, value in (found or {"found": {}})["found"].items():
+                pairs = [found[key] for key in ("training", "judged")] if words[0] else []
+                distances = [f"{pair['present']:.3f} -> {pair['found']:.3f}" for pair in pairs]
+                table.add_row(*words, name, f"{found['present'][name]:.3g}", f"{value:.3g}", *distances)
+                words = ["", ""]
     if table.row_count:
         console.print(table)
 

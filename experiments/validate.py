@@ -9,52 +9,33 @@ all margins kept, 1 some missed, 2 something has to be put right first. docs/val
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
-if __package__ in (None, ""):  # run as a file: import from the project, not from this folder
-    sys.path[0] = str(Path(__file__).resolve().parents[1])
-
-from experiments.study.arms import TRAFFICS
-from experiments.support.threads import limit_threads
-
-limit_threads()
-
-import json
 import shlex
+import sys
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Annotated, Any
+from pathlib import Path
+from typing import Annotated, Any
 
 import tyro
 from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    Progress,
-    TaskProgressColumn,
-    TextColumn,
-    TimeElapsedColumn,
-    TimeRemainingColumn,
-)
+from rich.progress import Progress
 from rich.table import Table
 
 from experiments.study import grid
+from experiments.study.arms import TRAFFICS
 from experiments.study.fingerprint import fingerprint
-from experiments.study.verdict import summary
+from experiments.study.verdict import SCHEMA
 from experiments.support.errors import UserError, disk_error, run_command, unknown
 from experiments.support.files import write_file, write_json
 from experiments.support.provenance import provenance
-from experiments.validation import checks, compare, mobil, page, parts, status
+from experiments.validation import checks, compare, page, parts, status
 from experiments.validation.egos import CORE
 from experiments.validation.parts import Engine
 
-if TYPE_CHECKING:
-    import pandas as pd
-
-SCHEMA = 2
-CHANGE_LEVELS = (1, 3)  # of the highway, whose lane changes are held against MOBIL
 STORED_SCENARIOS = 24  # of each level, kept in the package for the check before a sweep
-QUICK_SCENARIOS, QUICK_EGOS = 20, CORE
+QUICK_SCENARIOS = 20
+SIZE = {"highway-env": 10}  # scenarios in a part, by backend
+VERSIONS = ("libsumo", "highway-env", "gymnasium", "numpy")
 
 
 @dataclass(frozen=True)
@@ -79,8 +60,6 @@ class Options:
     """Traffic to drive: regular, risky or both."""
     variants: bool = True
     """Whether the reference also drives its variants (v0, connected) and at 10 Hz; they are shown, not judged."""
-    changes: int = 12
-    """Scenarios in which lane changes are held against MOBIL, of the highway's first and third level each."""
     one_in: int = 20
     """Where another backend computes the reference, highway-env drives a random episode in so many again."""
     workers: int = 2
@@ -98,19 +77,21 @@ def engines(options: Options, tasks: Sequence[str]) -> list[Engine]:
         found += [Engine(name, options.reference, {"variant": name}) for name in checks.VARIANTS]
     if options.reference != "highway-env" and not options.quick:
         found.append(Engine(checks.TRUTH, "highway-env", path, one_in=options.one_in))
-    marks = {
-        (e.backend, json.dumps(e.config)): {t: fingerprint(e.backend, t, dict(e.config)) for t in tasks}
-        for e in found
-    }
-    quick = QUICK_EGOS if options.quick else ()
-    return [replace(e, egos=quick, stamps=marks[e.backend, json.dumps(e.config)]) for e in found]
+    return [
+        replace(
+            engine,
+            egos=CORE if options.quick else (),
+            stamps={task: fingerprint(engine.backend, task, dict(engine.config)) for task in tasks},
+        )
+        for engine in found
+    ]
 
 
 def validate(options: Options, console: Console, arguments: Sequence[str] = ()) -> dict[str, Any]:
     """Drive, compare, write the results into `options.out`, and return the content of validation.json.
 
     Raises:
-        UserError: unknown task, level or backend; a process died.
+        UserError: unknown task, level or backend; a part failed.
     """
     tasks = grid.choose_tasks(options.tasks or tuple(grid.TASKS))
     levels = grid.choose_levels(tasks, options.levels or None)
@@ -118,17 +99,18 @@ def validate(options: Options, console: Console, arguments: Sequence[str] = ()) 
     with console.status("taking fingerprints of the simulators"):
         driving = engines(options, tasks)
     folder = options.out / "parts"
-    episodes, changes = [], []
-    for engine in driving:
-        size = 10 if engine.backend == "highway-env" else 50
-        episodes += parts.plan([engine], levels, options.traffics, range(scenarios), size)
-        if engine.name in (options.backend, checks.REFERENCE) and "highway" in levels:
-            number = min(options.changes, scenarios)
-            changes += [mobil.Changes(engine, n, number) for n in CHANGE_LEVELS if n in levels["highway"]]
-    drive([*episodes, *changes], folder, options.workers, console)
-    table = parts.collect(episodes, folder)
+    work = [
+        part
+        for engine in driving
+        for part in parts.plan(
+            [engine], levels, options.traffics, range(scenarios), SIZE.get(engine.backend, 50)
+        )
+    ]
+    drive(work, folder, options.workers, console)
+    table = parts.collect(work, folder)
     # the directory's name, not the machine's path to it
     named = [options.out.name if word == str(options.out) else word for word in arguments]
+    origin = provenance()
     record = {
         "schema": SCHEMA,
         "command": shlex.join(["python", "experiments/validate.py", *named]),
@@ -136,11 +118,10 @@ def validate(options: Options, console: Console, arguments: Sequence[str] = ()) 
         "backend": options.backend,
         "reference": options.reference,
         "scenarios": scenarios,
-        "versions": versions(),
+        "versions": {**{name: origin["packages"][name] for name in VERSIONS}, "git": origin["git"]},
         "fingerprints": dict(driving[0].stamps),
         "strangers": compare.strangers(table, options.backend, checks.REFERENCE),
-        "tasks": scorecard(table, options.backend, tasks),
-        "lane_changes": lane_changes(changes, folder),
+        "tasks": checks.scorecard(table, options.backend, {task: grid.level_names(task) for task in tasks}),
         "replica": checks.replica_checks(table),
     }
     write_json(options.out / "validation.json", record)
@@ -150,52 +131,18 @@ def validate(options: Options, console: Console, arguments: Sequence[str] = ()) 
     return record
 
 
-def drive(work: Sequence[parts.Work], folder: Path, workers: int, console: Console) -> None:
-    """Do what is not there yet, showing how far it has come and when it will be done."""
-    columns = (
-        TextColumn("{task.description}"),
-        BarColumn(),
-        TaskProgressColumn(),
-        TimeElapsedColumn(),
-        TimeRemainingColumn(),
-    )
-    left = [item for item in work if not (folder / item.file).exists()]
-    with Progress(*columns, console=console, disable=not console.is_terminal) as progress:
-        bar = progress.add_task("driving", total=sum(item.cost for item in left))
+def drive(work: Sequence[parts.Part], folder: Path, workers: int, console: Console) -> None:
+    """Drive what is not there yet, showing how far it has come and when it will be done."""
+    left = [part for part in work if not (folder / part.file).exists()]
+    with Progress(console=console, disable=not console.is_terminal) as progress:
+        bar = progress.add_task("driving", total=sum(part.cost for part in left))
 
-        def note(item: parts.Work) -> None:
-            progress.update(bar, advance=item.cost, description=f"{item.engine.name}, {item.task}")
+        def note(part: parts.Part) -> None:
+            progress.update(bar, advance=part.cost, description=f"{part.engine.name}, {part.task}")
             if not console.is_terminal:
-                console.print(item.file, highlight=False)
+                console.print(part.file, highlight=False)
 
         parts.run(left, folder, workers, note)
-
-
-def scorecard(table: pd.DataFrame, backend: str, tasks: Sequence[str]) -> dict[str, Any]:
-    """The checks of every task, with how many came out how."""
-    result = checks.scorecard(table, backend, {task: grid.level_names(task) for task in tasks})
-    counts = summary(result)
-    return {task: {**found, "counts": counts[task]["counts"]} for task, found in result.items()}
-
-
-def lane_changes(work: Sequence[mobil.Changes], folder: Path) -> list[dict[str, Any]]:
-    """A row for each simulator and level of the highway."""
-    names = grid.level_names("highway")
-    return [
-        {
-            "engine": "highway-env" if item.engine.name == checks.REFERENCE else item.engine.name,
-            "level": names[item.level - 1],
-            **mobil.shares(json.loads((folder / item.file).read_text())),
-        }
-        for item in work
-    ]
-
-
-def versions() -> dict[str, Any]:
-    """What the results come from."""
-    known = provenance()
-    names = ("libsumo", "highway-env", "gymnasium", "numpy")
-    return {**{name: known["packages"][name] for name in names}, "git": known["git"]}
 
 
 def show(record: Mapping[str, Any], console: Console) -> None:
@@ -203,35 +150,33 @@ def show(record: Mapping[str, Any], console: Console) -> None:
     table = Table("task", "equivalent", "within", "missed", "verdict")
     for task, found in record["tasks"].items():
         counts = [str(value) for value in found["counts"].values()]
-        table.add_row(
-            task, *counts, ("[green]" if found["passed"] else "[red]") + page.WORDS[found["passed"]]
-        )
+        colour = "green" if found["passed"] else "red"
+        table.add_row(task, *counts, f"[{colour}]{page.WORDS[found['passed']]}")
     console.print(table)
     if misses := page.missed(record):
         rows = Table("missed", "traffic", "level", record["backend"], "highway-env", "difference", "margin")
         for c in misses:
-            name = f"{c['task']}: {c['name']} {c['ego']}"
             values = (page.number(c[key]) for key in ("sumo", "reference", "difference", "margin"))
-            rows.add_row(name, c["traffic"], c["level"], *values)
+            rows.add_row(f"{c['task']}: {c['name']} {c['ego']}", c["traffic"], c["level"], *values)
         console.print(rows)
     for task, found in (record["replica"] or {"tasks": {}})["tasks"].items():
-        console.print(
-            f"replica, {task}: {found['differing']} of {found['episodes']} episodes differ from highway-env"
-        )
+        differing = f"{found['differing']} of {found['episodes']} episodes differ from highway-env"
+        console.print(f"replica, {task}: {differing}")
 
 
 def main() -> int:
     """The command line."""
     options = tyro.cli(Options, description=__doc__)
-    for name in ("scenarios", "changes", "workers", "one_in"):
+    for name in ("scenarios", "workers", "one_in"):
         if getattr(options, name) < 1:
             raise UserError(f"--{name.replace('_', '-')} must be at least 1, not {getattr(options, name)}")
-    for backend in (options.backend, options.reference):
-        if backend not in grid.BACKENDS:
-            raise unknown("backend", backend, grid.BACKENDS)
-    for traffic in options.traffics:
-        if traffic not in TRAFFICS:
-            raise unknown("traffic", traffic, TRAFFICS)
+    for kind, words, known in (
+        ("backend", (options.backend, options.reference), grid.BACKENDS),
+        ("traffic", options.traffics, TRAFFICS),
+    ):
+        for word in words:
+            if word not in known:
+                raise unknown(kind, word, known)
     console = Console()
     try:
         options.out.mkdir(parents=True, exist_ok=True)

@@ -14,7 +14,7 @@ import gymnasium as gym
 import pytest
 
 import sumo_env
-from experiments.validation.margins import MARGINS
+from experiments.validation.checks import MARGINS
 from sumo_env.config import COMMON, FILE_KEYS, FIXED, LEFT_OUT
 from sumo_env.contacts.crash import CrashRecord
 from sumo_env.tasks import TASKS

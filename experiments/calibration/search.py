@@ -17,12 +17,10 @@ from optuna.trial import Trial, TrialState
 
 from experiments.calibration.spaces import Range, Space
 
-Settings = dict[str, Any]
-
 
 def search(
     space: Space,
-    objective: Callable[[Settings], float],
+    objective: Callable[[dict[str, Any]], float],
     start: Mapping[str, Any],
     trials: int,
     journal: Path,
@@ -44,19 +42,19 @@ def search(
         sampler=optuna.samplers.TPESampler(seed=0, n_startup_trials=10, multivariate=True),
         load_if_exists=True,
     )
+
+    def evaluate(trial: Trial) -> float:
+        settings: dict[str, Any] = {}
+        for name, values in space.items():
+            if isinstance(values, Range):
+                settings[name] = trial.suggest_float(name, values.low, values.high, log=values.log)
+            else:
+                settings[name] = trial.suggest_categorical(name, values)
+        return objective(settings)
+
     if not study.get_trials(states=(TrialState.COMPLETE, TrialState.WAITING)):
         study.enqueue_trial({name: start[name] for name in space})
     while (done := len(study.get_trials(states=(TrialState.COMPLETE,)))) < trials:
-        study.optimize(lambda trial: objective(suggest(trial, space)), n_trials=1)
+        study.optimize(evaluate, n_trials=1)
         note(done + 1, study.best_value)
     return study
-
-
-def suggest(trial: Trial, space: Space) -> Settings:
-    """The settings of a trial."""
-    return {
-        name: trial.suggest_float(name, values.low, values.high, log=values.log)
-        if isinstance(values, Range)
-        else trial.suggest_categorical(name, values)
-        for name, values in space.items()
-    }

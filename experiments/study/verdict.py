@@ -43,21 +43,24 @@ def covers(record: Mapping[str, Any], marks: Mapping[str, str]) -> bool:
     return record["versions"] == versions() and all(known.get(task) == mark for task, mark in marks.items())
 
 
+def every_check(found: Mapping[str, Any]) -> list[tuple[str, str, dict[str, Any]]]:
+    """Traffic, level and content of all checks of a task."""
+    return [
+        (traffic, level, item)
+        for traffic, levels in found["traffics"].items()
+        for level, checks in levels.items()
+        for item in checks
+    ]
+
+
 def summary(tasks: Mapping[str, Any]) -> dict[str, Any]:
     """What the verdict on each task says: passed, how many checks came out how, and by name those that were missed."""
+    keys = ("name", "ego", "sumo", "reference", "difference", "margin", "note")
     result = {}
     for task, found in tasks.items():
-        every = [
-            (traffic, level, item)
-            for traffic, levels in found["traffics"].items()
-            for level, checks in levels.items()
-            for item in checks
-        ]
-        counts = {
-            word: sum(item["verdict"] == word for _, _, item in every)
-            for word in ("equivalent", "within", "missed")
-        }
-        keys = ("name", "ego", "sumo", "reference", "difference", "margin", "note")
+        every = every_check(found)
+        verdicts = [item["verdict"] for _, _, item in every]
+        counts = {word: verdicts.count(word) for word in ("equivalent", "within", "missed")}
         missed = [
             {"traffic": traffic, "level": level, **{key: item[key] for key in keys}}
             for traffic, level, item in every

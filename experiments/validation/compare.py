@@ -86,12 +86,11 @@ def mean_difference(both: pd.DataFrame, measure: str) -> Difference:
     )  # fmt: skip
 
 
-def rate_difference(both: pd.DataFrame, count: str, exposure: str) -> Difference:
-    """Difference of two rates, events over exposure, both summed over the episodes; without an interval."""
-    sums = both[[f"{name}_{side}" for name in (count, exposure) for side in "ab"]].sum()
+def wrecks_difference(both: pd.DataFrame) -> Difference:
+    """Difference of the rates at which other vehicles crash [1/vehicle-hour]; without an interval."""
     first, second = (
-        float(sums[f"{count}_{side}"] / sums[f"{exposure}_{side}"]) if sums[f"{exposure}_{side}"] else np.nan
-        for side in "ab"
+        float(wrecks / hours) if hours else np.nan
+        for wrecks, hours in (both[[f"wrecks_{side}", f"vehicle_hours_{side}"]].sum() for side in "ab")
     )
     return Difference(first, second, first - second, None, None, both["scenario"].nunique())
 
@@ -122,16 +121,11 @@ def headway_distance(both: pd.DataFrame) -> Difference:
 def same_outcome(both: pd.DataFrame) -> Difference:
     """Share of episodes with the same crash outcome (`first`), against all of them, and its interval."""
     same = (both["crashed_a"] == both["crashed_b"]).groupby(both["scenario"]).mean().to_numpy(float)
-    share = float(same.mean()) if len(same) else float("nan")
-    low, high = interval(same)
-    return Difference(
-        share,
-        1.0,
-        share - 1.0,
-        None if low is None else low - 1.0,
-        None if high is None else high - 1.0,
-        len(same),
-    )
+    if not len(same):
+        return Difference(np.nan, 1.0, np.nan, None, None, 0)
+    share = float(same.mean())
+    ends = [None if end is None else end - 1.0 for end in interval(same)]
+    return Difference(share, 1.0, share - 1.0, ends[0], ends[1], len(same))
 
 
 def reversed_pairs(both: pd.DataFrame, measure: str) -> tuple[list[str], int]:

@@ -51,8 +51,6 @@ COLUMNS: dict[str, str] = {
     "headway": "float32",  # [s], mean over the same, at most 10 s
     "lane_changes": "float32",  # per vehicle-minute
     "density": "float32",  # other vehicles within 200 m, mean over the steps
-    "ahead": "float32",  # vehicles per km of road ahead of the ego, within 200 m
-    "flow": "float32",  # vehicles per hour there
     "wrecks": "int16",  # other vehicles that crashed, without the one that the ego hit
     "vehicle_hours": "float32",  # [h] driven by the other vehicles within 200 m
     **dict.fromkeys(HEADWAYS, "uint16"),
@@ -72,8 +70,6 @@ class Recorder:
     speeds: list[float] = field(default_factory=list)
     times: list[float] = field(default_factory=list)
     density: list[int] = field(default_factory=list)
-    ahead: list[float] = field(default_factory=list)
-    flow: list[float] = field(default_factory=list)
     wrecks: set[str] = field(default_factory=set)
     changes: int = 0
     followed: int = 0  # pairs of successive scenes in which a vehicle's lane is known
@@ -93,9 +89,6 @@ class Recorder:
         arrays = (np.ascontiguousarray(a) for a in (scene.x, scene.y, scene.speed, scene.heading))
         headway = headways(*arrays)
         self.times += headway[driving & np.isfinite(headway)].tolist()
-        ahead = driving & (dx * np.cos(scene.heading[0]) + dy * np.sin(scene.heading[0]) > 0)
-        self.ahead.append(ahead.sum() / (DENSITY_RADIUS / 1000))
-        self.flow.append(scene.speed[ahead].sum() * 3.6 / (DENSITY_RADIUS / 1000))
         if self.task not in WITHOUT_LANE_CHANGES:
             self._count_changes(scene, driving)
 
@@ -126,8 +119,6 @@ class Recorder:
             "headway": mean(np.clip(self.times, 0, BIN * BINS)),
             "lane_changes": self.changes / minutes if minutes else math.nan,
             "density": mean(self.density),
-            "ahead": mean(self.ahead),
-            "flow": mean(self.flow),
             "wrecks": len(self.wrecks - {hit}),
             "vehicle_hours": self.seen * self.interval / 3600.0,
             **dict(zip(HEADWAYS, counts.tolist(), strict=True)),

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 from jinja2 import Environment, FileSystemLoader, StrictUndefined, select_autoescape
 
 from experiments.study.grid import level_names
+from experiments.study.verdict import every_check
 from experiments.validation import figures
 from experiments.validation.egos import CORE
 
@@ -34,18 +35,11 @@ def signed(value: float | None) -> str:
 
 def draw(record: Mapping[str, Any], table: pd.DataFrame) -> dict[str, str]:
     """All figures by name, from the record of validation.json and the table of episodes."""
-    own, tasks = record["backend"], list(record["tasks"])
-    drawn = {}
-    for traffic in dict.fromkeys(table["traffic"]):
-        drawn[f"overview-{traffic}"] = figures.overview(record["tasks"], traffic)
-        drawn[f"egos-{traffic}"] = figures.egos(table, own, tasks, traffic)
-    core = table[table["ego"].isin(CORE)]
-    drawn["survival"] = figures.survival(core, own, tasks)
-    drawn["outcomes"] = figures.outcomes(core, own, tasks)
-    if "highway" in tasks:
-        drawn["fundamental"] = figures.fundamental(core, own)
+    tasks, core = record["tasks"], table[table["ego"].isin(CORE)]
+    drawn = {f"overview-{t}": figures.overview(tasks, t) for t in dict.fromkeys(table["traffic"])}
     for task in tasks:
-        drawn[f"distributions-{task}"] = figures.distributions(core, own, task, level_names(task))
+        names = level_names(task)
+        drawn[f"distributions-{task}"] = figures.distributions(core, record["backend"], task, names)
     return drawn
 
 
@@ -54,9 +48,7 @@ def missed(record: Mapping[str, Any]) -> list[dict[str, Any]]:
     return [
         {**item, "task": task, "traffic": traffic, "level": level}
         for task, result in record["tasks"].items()
-        for traffic, levels in result["traffics"].items()
-        for level, checks in levels.items()
-        for item in checks
+        for traffic, level, item in every_check(result)
         if item["verdict"] == "missed"
     ]
 

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from experiments.study.fingerprint import dynamics
 from experiments.study.grid import level_names
-from experiments.study.verdict import covers, of_results, read, summary, verdict, verdict_of
+from experiments.study.verdict import covers, every_check, of_results, read, summary, verdict, verdict_of
 from experiments.support.files import write_json
 
 if TYPE_CHECKING:
@@ -95,11 +95,10 @@ def quick_verdict(
     parts.run(work, folder, workers, lambda _: None)
     table = pd.concat([parts.collect(work, folder), stored.assign(engine=REFERENCE)], ignore_index=True)
     tasks = scorecard(table, backend, {task: level_names(task) for task in marks})
-    for result in tasks.values():
-        for checks in (checks for levels in result["traffics"].values() for checks in levels.values()):
-            for item in checks:
-                if item["verdict"] == "missed" and not _surely(item):
-                    item["verdict"] = None
+    for found in tasks.values():
+        for _, _, item in every_check(found):
+            if item["verdict"] == "missed" and not _surely(item):
+                item["verdict"] = None
     return verdict(backend, f"{number} stored scenarios", summary(tasks), marks)
 
 

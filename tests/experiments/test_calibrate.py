@@ -3,21 +3,24 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pandas as pd
 import pytest
 from rich.console import Console
 
-from experiments.calibrate import WITHOUT_EVENTS, Fit, Options, calibrate, show
+from experiments.calibrate import WITHOUT_EVENTS, Options, calibrate, show
+from experiments.validation.checks import REFERENCE
+from experiments.validation.parts import Engine
 
 
 @pytest.fixture
 def options(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Options:
     """SUMO stands for highway-env, so that both sides are quick."""
-    monkeypatch.setattr(
-        Fit, "reference", lambda self, **changes: Fit.sumo(self, **changes).named("reference")
-    )
+    sumo = Engine("sumo", "sumo", stamps={"u-turn": "now"})
+    both = sumo, replace(sumo, name=REFERENCE)
+    monkeypatch.setattr("experiments.calibrate.engines", lambda options, task: both)
     return Options(tmp_path, tasks=("u-turn",), reference="sumo", trials=3, scenarios=3, test=4, workers=1)
 
 

@@ -5,24 +5,26 @@ from __future__ import annotations
 import pandas as pd
 import pytest
 
-from experiments.calibration import doses, drivers
+from experiments.calibration import objectives
 from experiments.validation.checks import REFERENCE
 from tests.experiments.validation.tables import compared, episodes
 
 
 def test_traffic_that_is_the_same_has_no_distance() -> None:
-    assert drivers.distance(compared(), "sumo", "u-turn") == pytest.approx(0.0)
+    assert objectives.drivers(compared(), "sumo", "u-turn") == pytest.approx(0.0)
 
 
 def test_distance_grows_with_the_difference() -> None:
-    near, far = (drivers.distance(compared(traffic_speed=speed), "sumo", "u-turn") for speed in (10.3, 12.0))
+    near, far = (
+        objectives.drivers(compared(traffic_speed=speed), "sumo", "u-turn") for speed in (10.3, 12.0)
+    )
     assert 0.0 < near < far
 
 
 def responses(engine: str, careful: tuple[float, float, float]) -> pd.DataFrame:
     """Episodes in which the careful ego crashes at these rates at the three doses, the others always."""
     parts = []
-    for traffic, rate in zip(doses.SEARCHED, careful, strict=True):
+    for traffic, rate in zip(objectives.SEARCHED, careful, strict=True):
 
         def crashed(ego: str, scenario: int, rate: float = rate) -> bool:
             return scenario < 40 * rate if ego == "careful" else True
@@ -43,11 +45,11 @@ def responses(engine: str, careful: tuple[float, float, float]) -> pd.DataFrame:
 )
 def test_a_dose_does_what_it_shall(sumo, reference, good) -> None:
     table = pd.concat([responses("sumo", sumo), responses(REFERENCE, reference)])
-    assert (doses.distance(table, "sumo", "u-turn") < 0.01) is good
+    assert (objectives.doses(table, "sumo", "u-turn") < 0.01) is good
 
 
 def test_responses_are_by_simulator_dose_and_ego() -> None:
-    found = doses.responses(responses("sumo", (0.0, 0.1, 0.2)))
+    found = objectives.responses(responses("sumo", (0.0, 0.1, 0.2)))
     rows = found[found["ego"] == "careful"]
     assert dict(zip(rows["traffic"], rows["crash_rate"], strict=True)) == pytest.approx(
         {"regular": 0.0, "0.5": 0.1, "risky": 0.2}

@@ -73,10 +73,10 @@ def test_wasserstein_distance_of_shifted_headways() -> None:
     assert np.isnan(compare.wasserstein(np.zeros(BINS), np.ones(BINS)))
 
 
-def test_rates_are_ratios_of_sums() -> None:
-    rows = [row("a", 0, wrecks=1, hours=1.0), row("a", 1, wrecks=0, hours=3.0)]
-    rows += [row("b", 0, wrecks=0, hours=1.0), row("b", 1, wrecks=0, hours=1.0)]
-    found = compare.rate_difference(compare.pairs(pd.DataFrame(rows), "a", "b"), "wrecks", "hours")
+def test_rates_of_wrecks_are_ratios_of_sums() -> None:
+    rows = [row("a", 0, wrecks=1, vehicle_hours=1.0), row("a", 1, wrecks=0, vehicle_hours=3.0)]
+    rows += [row("b", 0, wrecks=0, vehicle_hours=1.0), row("b", 1, wrecks=0, vehicle_hours=1.0)]
+    found = compare.wrecks_difference(compare.pairs(pd.DataFrame(rows), "a", "b"))
     assert (found.first, found.second) == (0.25, 0.0)
 
 

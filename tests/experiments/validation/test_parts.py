@@ -10,7 +10,7 @@ import pytest
 from experiments.validation import parts
 from experiments.validation.egos import CORE, egos
 from experiments.validation.episodes import COLUMNS, HEADWAYS
-from experiments.validation.parts import Engine, Part, collect, drive_part, plan, run
+from experiments.validation.parts import Engine, Part, collect, plan, run
 
 SUMO = Engine("sumo", "sumo")
 
@@ -52,7 +52,7 @@ def test_other_dynamics_or_settings_are_other_files() -> None:
 
 
 def test_episodes_are_measured() -> None:
-    table = drive_part(Part(Engine("sumo", "sumo", egos=("idle", "careful")), "u-turn", 2, "risky", range(3)))
+    table = Part(Engine("sumo", "sumo", egos=("idle", "careful")), "u-turn", 2, "risky", range(3)).drive()
     assert list(table.columns) == list(COLUMNS)
     assert len(table) == 6
     assert (table.groupby("scenario")["drawn"].nunique() == 1).all()  # both egos meet the same scenario
@@ -67,7 +67,7 @@ def test_episodes_are_measured() -> None:
 def test_settings_of_drivers_and_risk_reach_the_simulator() -> None:
     def table(**changes):
         engine = Engine("sumo", "sumo", egos=("idle",), **changes)
-        return drive_part(Part(engine, "u-turn", 1, "risky", range(4))).drop(columns="drawn")
+        return Part(engine, "u-turn", 1, "risky", range(4)).drive().drop(columns="drawn")
 
     present = table()
     quiet = table(risk={"cut_in": 0.0, "brake": 0.0, "surge": 0.0})

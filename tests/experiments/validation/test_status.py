@@ -12,7 +12,7 @@ from experiments.study.fingerprint import fingerprint
 from experiments.validation import status
 from experiments.validation.checks import REFERENCE, scorecard
 from experiments.validation.egos import CORE
-from experiments.validation.parts import Engine, Part, drive_part
+from experiments.validation.parts import Engine, Part
 from sumo_env.tasks import TASKS
 from tests.experiments.validation.tables import compared
 
@@ -102,9 +102,8 @@ def test_other_dynamics_are_driven_through_the_stored_scenarios(
 ) -> None:
     monkeypatch.setattr(status, "VERDICT", tmp_path / "nothing.json")
     monkeypatch.setattr(status, "STORED_REFERENCE", tmp_path / "reference.parquet")
-    reference = drive_part(
-        Part(Engine(REFERENCE, "sumo", egos=("idle", "careful")), "u-turn", 1, "regular", range(4))
-    )
+    engine = Engine(REFERENCE, "sumo", egos=("idle", "careful"))
+    reference = Part(engine, "u-turn", 1, "regular", range(4)).drive()
     reference.to_parquet(tmp_path / "reference.parquet")
     out = tmp_path / "sweep"
     out.mkdir()

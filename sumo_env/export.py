@@ -1,6 +1,7 @@
 """An episode as a SUMO scenario: files that ``sumo`` and ``sumo-gui`` open without this package.
 
-``episode.sumocfg`` shows what happened: every vehicle is replayed along its recorded way.
+``episode.sumocfg`` shows what happened: every vehicle is replayed along its recorded way. The ego is blue, vehicles on
+which a risk event acts in the episode are yellow, the others white.
 ``traffic.sumocfg`` is the scenario itself: SUMO drives the traffic again with the same vehicle types, departures and
 routes, around the ego on its recorded way. Speed modes and risk events are commands of a running simulation, which
 files cannot express, so its traffic is the recorded one only as far as they do not matter.
@@ -26,6 +27,8 @@ from sumo_env.traffic.scenario import EGO, Scenario, VehicleSpec
 
 # What a replayed vehicle must be able to do, so that SUMO lets it start and move as it was recorded.
 REPLAYED = {"tau": "0.1", "minGap": "0", "decel": "200", "emergencyDecel": "200", "guiShape": "delivery"}
+# Those of the pictures; a replayed vehicle cannot change its colour, so it has one for the whole episode.
+COLOURS = {EGO: "0,114,178", "car": "233,237,241", "risky": "255,196,0"}
 NO_LANE_CHANGES = {"lcStrategic": "-1", "lcCooperative": "-1", "lcSpeedGain": "0", "lcKeepRight": "0"}
 NO_WAITING = {"jmIgnoreFoeProb": "1", "jmIgnoreFoeSpeed": "100"}
 VIEW = 200.0  # [m] that the window of sumo-gui shows around the ego at the beginning
@@ -54,9 +57,8 @@ def write(folder: Path, scenario: Scenario, scenes: Sequence[Scene]) -> list[Pat
     shutil.copyfile(road.net_file, net)
     _write(recorded, _floating_car_data(road, specs, scenes, step, 0.0))
     _write(ego, _floating_car_data(road, {EGO: scenario.ego}, scenes, step, warm_up))
-    ego_type = ElementTree.Element("vType", {"id": EGO, "color": "80,200,60", **REPLAYED})
-    car_type = ElementTree.Element("vType", {"id": "car", "color": "100,170,255", **REPLAYED})
-    _write(types, _element("additional", ego_type, car_type))
+    shown = [ElementTree.Element("vType", {"id": k, "color": v, **REPLAYED}) for k, v in COLOURS.items()]
+    _write(types, _element("additional", *shown))
     _write(routes, _element("routes", *_departures(road, scenario, scenes, warm_up)))
     _write(view, _view(road, scenes[0]))
     inputs = {"net-file": net.name, "additional-files": types.name}
@@ -71,6 +73,7 @@ def _floating_car_data(
 ) -> ElementTree.Element:
     """Ways of these vehicles, as SUMO's device fcd-replay reads them; `start` is the time of the first scene [s]."""
     ways = {name: _Way(road, spec) for name, spec in specs.items()}
+    shown = dict.fromkeys((name for scene in scenes for name in scene.in_event), "risky") | {EGO: EGO}
     root = ElementTree.Element("fcd-export")
     for number, scene in enumerate(scenes):
         now = ElementTree.SubElement(root, "timestep", time=f"{start + number * step:.3f}")
@@ -83,7 +86,7 @@ def _floating_car_data(
             lane, position = ways[name].locate(x, y)
             ElementTree.SubElement(
                 now, "vehicle", id=name, x=f"{x:.3f}", y=f"{-y:.3f}",
-                angle=f"{(math.degrees(heading) + 90.0) % 360.0:.3f}", type=EGO if name == EGO else "car",
+                angle=f"{(math.degrees(heading) + 90.0) % 360.0:.3f}", type=shown.get(name, "car"),
                 speed=f"{float(scene.speed[row]):.3f}", pos=f"{position:.3f}", lane=lane, slope="0",
             )  # fmt: skip
     return root

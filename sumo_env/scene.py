@@ -25,6 +25,7 @@ class Scene:
         heading: from +x towards +y [rad], shape (n,).
         crashed: whether the vehicle has crashed, shape (n,).
         time: since the start of the episode [s].
+        in_event: names of the vehicles on which a risk event acts now.
     """
 
     ids: tuple[str, ...]
@@ -34,6 +35,7 @@ class Scene:
     heading: Floats
     crashed: NDArray[np.bool_]
     time: float
+    in_event: frozenset[str] = frozenset()
 
     @property
     def vx(self) -> Floats:

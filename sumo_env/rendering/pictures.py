@@ -1,7 +1,7 @@
 """Pictures of a scene, drawn with Pillow: no display, no window, the same pixels on every machine.
 
-The look is highway-env's (colours, markings, the camera that follows the ego) with three differences: the road
-has a surface, edges are smooth, and time and speed are written in the corner.
+The camera follows the ego as highway-env's does. The colours are those of the report's films: the ego is blue, other
+cars are white, crashed ones red, and a car is yellow with a ring while a risk event acts on it.
 """
 
 from __future__ import annotations
@@ -21,19 +21,21 @@ from sumo_env.scene import VEHICLE_LENGTH, VEHICLE_WIDTH, Scene
 
 Colour = tuple[int, int, int]
 
-GROUND: Colour = (134, 144, 124)
-ASPHALT: Colour = (100, 100, 100)  # highway_env WorldSurface.GREY
-WHITE: Colour = (255, 255, 255)
-OUTLINE: Colour = (60, 60, 60)  # VehicleGraphics.BLACK
-EGO: Colour = (50, 200, 0)  # VehicleGraphics.GREEN
-OTHER: Colour = (100, 200, 255)  # VehicleGraphics.BLUE
-CRASHED: Colour = (255, 100, 100)  # VehicleGraphics.RED
+GROUND: Colour = (205, 213, 198)
+ASPHALT: Colour = (117, 123, 132)
+WHITE: Colour = (244, 245, 243)
+OUTLINE: Colour = (43, 49, 56)
+EGO: Colour = (0, 114, 178)
+OTHER: Colour = (233, 237, 241)
+CRASHED: Colour = (229, 72, 77)
+IN_EVENT: Colour = (255, 196, 0)
 GLASS: Colour = (70, 80, 90)
 HEADLIGHT: Colour = (255, 250, 200)
 
 SUPERSAMPLING = 2  # drawn this much larger, then averaged
 TILE = 256  # [drawn px] edge of a piece of the road's picture
 TILES = 160  # pieces that are kept, 30 MB
+RING = 4.0  # [m] radius of the ring around a car in a risk event, and around a crashed ego
 TRAJECTORY = 2.0  # [s] of the past that trajectories show, VehicleGraphics.display_history
 
 _HALF = VEHICLE_LENGTH / 2, VEHICLE_WIDTH / 2
@@ -85,7 +87,11 @@ class Renderer:
         for row in range(len(scene) - 1, -1, -1):  # the ego last, on top of the others
             x, y = float(scene.x[row]) * scale - left, float(scene.y[row]) * scale - top
             if -reach < x < size[0] + reach and -reach < y < size[1] + reach:
-                _draw_vehicle(pen, x, y, float(scene.heading[row]), scale, row == 0, bool(scene.crashed[row]))
+                _draw_vehicle(pen, x, y, float(scene.heading[row]), scale, _colour(scene, row))
+                if scene.ids[row] in scene.in_event:
+                    _draw_ring(pen, x, y, scale)
+                if row == 0 and scene.crashed[0]:
+                    _draw_ring(pen, x, y, scale, CRASHED)
         picture = canvas.reduce(SUPERSAMPLING)
         self._write(picture, scene)
         return np.array(picture)
@@ -148,7 +154,7 @@ class Renderer:
             past = self._past[name]
             if len(past) > 1:
                 points = [(round(x * scale - left), round(y * scale - top)) for _, x, y in past]
-                colour = _blend(_colour(row == 0, bool(scene.crashed[row])), ASPHALT)
+                colour = _blend(_colour(scene, row), ASPHALT)
                 pen.line(points, fill=colour, width=max(round(0.4 * scale), 1), joint="curve")
 
     def _write(self, picture: Image.Image, scene: Scene) -> None:
@@ -174,12 +180,11 @@ class _Layer:
 
 
 def _draw_vehicle(
-    pen: ImageDraw.ImageDraw, x: float, y: float, heading: float, scale: float, is_ego: bool, crashed: bool
+    pen: ImageDraw.ImageDraw, x: float, y: float, heading: float, scale: float, colour: Colour
 ) -> None:
     """A car around (x, y) [drawn px]."""
     cos, sin = math.cos(heading) * scale, math.sin(heading) * scale
     turn = np.array([(cos, sin), (-sin, cos)])
-    colour = _colour(is_ego, crashed)
 
     def place(part: Points) -> list[tuple[int, int]]:
         return _pixels(part @ turn + (x, y))
@@ -190,13 +195,23 @@ def _draw_vehicle(
         pen.polygon(place(_REAR_WINDOW), fill=_blend(GLASS, colour))
         for light in _HEADLIGHTS:
             pen.polygon(place(light), fill=HEADLIGHT)
-    # a crashed ego keeps its green as an outline
-    edge = EGO if is_ego and crashed else OUTLINE
-    pen.polygon(place(_BODY), outline=edge, width=max(round(scale * 0.15), 1))
+    pen.polygon(place(_BODY), outline=OUTLINE, width=max(round(scale * 0.15), 1))
 
 
-def _colour(is_ego: bool, crashed: bool) -> Colour:
-    return CRASHED if crashed else EGO if is_ego else OTHER
+def _draw_ring(pen: ImageDraw.ImageDraw, x: float, y: float, scale: float, colour: Colour = IN_EVENT) -> None:
+    """A ring around the car at (x, y) [drawn px]."""
+    radius = RING * scale
+    box = (round(x - radius), round(y - radius), round(x + radius), round(y + radius))
+    pen.ellipse(box, outline=colour, width=max(round(scale * 0.4), 2))
+
+
+def _colour(scene: Scene, row: int) -> Colour:
+    """The colour of a car; a crashed ego keeps its own inside a red ring."""
+    if row == 0:
+        return EGO
+    if scene.crashed[row]:
+        return CRASHED
+    return IN_EVENT if scene.ids[row] in scene.in_event else OTHER
 
 
 def _blend(one: Colour, other: Colour) -> Colour:

@@ -89,6 +89,11 @@ class Events:
         for name, push in list(self._pushes.items()):
             self._push(session, name, push, time, dt, specs)
 
+    @property
+    def acting(self) -> frozenset[str]:
+        """Names of the vehicles that an event commands now."""
+        return frozenset((*self._cut_ins, *(name for name, push in self._pushes.items() if push.commanded)))
+
     # -- cut-ins -------------------------------------------------------------------------------------------
 
     def _cut_in(

@@ -308,4 +308,4 @@ class SumoSimulator:
         speed[0], crashed[0] = self._ego.speed, self._ego.crashed
         for row in np.flatnonzero(crashed[1:]) + 1:
             speed[row] = self._crashed[ids[row]]
-        return Scene(ids, x, y, speed, heading, crashed, round(self._time, 6))
+        return Scene(ids, x, y, speed, heading, crashed, round(self._time, 6), self._events.acting)

@@ -82,6 +82,9 @@ def test_sumo_shows_the_episode_with_its_cars(task: str, tmp_path: Path) -> None
     assert sorted(file.name for file in files) == sorted(file.name for file in folder.iterdir())
     recorded = floating_car_data(folder / "recorded.fcd.xml")
     assert len(recorded) == 1 + env.steps * 10
+    yellow = {name for cars in recorded.values() for name, car in cars.items() if car["type"] == "risky"}
+    assert yellow <= {event.vehicle for event in env.scenario.events}
+    assert bool(yellow) == (config.get("risk", 0.0) > 0.0)
     last = recorded[max(recorded)]
     assert set(last) == set(env.scene.ids)
     assert float(last["ego"]["speed"]) == pytest.approx(env.scene.speed[0], abs=1e-3)

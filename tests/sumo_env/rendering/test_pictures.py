@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ import pytest
 from sumo_env.config import COMMON
 from sumo_env.networks.roads import highway, intersection, roundabout, two_way, u_turn
 from sumo_env.rendering import Renderer
-from sumo_env.rendering.pictures import ASPHALT, CRASHED, EGO, GROUND, OTHER, WHITE
+from sumo_env.rendering.pictures import ASPHALT, CRASHED, EGO, GROUND, IN_EVENT, OTHER, RING, WHITE
 from sumo_env.scene import Scene
 
 VIEW = {
@@ -51,6 +52,15 @@ def test_the_road_its_edges_and_its_lines() -> None:
     assert (edge == WHITE).all()
     divider = picture[100 + 10 * (2 - 4)]
     assert 0.6 < (divider == WHITE).all(axis=1).mean() < 0.8  # 3 of 4.33 m
+
+
+def test_a_vehicle_is_marked_while_a_risk_event_acts_on_it() -> None:
+    now = scene((100, 4, 0), (115, 4, 0))
+    picture = Renderer().draw(replace(now, in_event=frozenset({"v1"})), highway(4), VIEW)
+    assert pixel(picture, 114.5, 4) == pixel(picture, 115 + RING - 0.2, 4) == IN_EVENT
+    after = Renderer().draw(now, highway(4), VIEW)
+    assert pixel(after, 114.5, 4) == OTHER
+    assert pixel(after, 115 + RING - 0.2, 4) == ASPHALT
 
 
 def test_the_ego_stands_where_it_is_centred_and_others_beside_it() -> None:

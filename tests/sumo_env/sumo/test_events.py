@@ -121,6 +121,25 @@ def test_a_surge_accelerates_where_the_way_is_free(start: Start, task: str) -> N
     assert gained[True, 10.0] > 2.0  # 15 m are enough for it
 
 
+def test_scenes_name_the_vehicles_on_which_an_event_acts(start: Start) -> None:
+    def brakes(scenario: Scenario) -> Scenario:
+        other = scenario.vehicles[0]
+        event = RiskEvent(1.0, other.id, "brake", accel=-3.0, duration=1.0)
+        return replace(scenario, vehicles=(other,), events=(event,), spawns=())
+
+    env = start("highway", brakes, duration=8)
+    name = env.scene.ids[1]
+    simulator = env._simulator
+    seen = []
+    for _ in range(3):
+        seen += [
+            scene.in_event for scene in simulator.step(EgoCommand(20.0, ("0", "1", 0)), trace=True).trace
+        ]
+    acting = [k for k, names in enumerate(seen) if names]
+    assert acting == list(range(10, 20))  # from 1.0 to 2.0 s in sub-steps of 0.1 s
+    assert {names for names in seen if names} == {frozenset({name})}
+
+
 def test_nothing_happens_to_a_crashed_vehicle(simulator: SumoSimulator) -> None:
     """A surge after the crash does not move it."""
     scenario = draw("highway", initial_lane_id=1)

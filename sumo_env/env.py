@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from sumo_env.rendering import Renderer
 
 Observation = NDArray[np.float32]
+VARIED = ("risk_rates", "risk_ranges", "calibration")  # parts of a task that `reset` may change
 
 
 class DrivingEnv(gym.Env[Observation, Any]):
@@ -120,19 +121,35 @@ class DrivingEnv(gym.Env[Observation, Any]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Start an episode. ``options={"config": {...}}`` changes the configuration first, as in highway-env.
+        """Start an episode.
 
         The traffic depends on the seed alone (on the environment's own generator if no seed is given), never on
-        earlier episodes or on the agent. ``options={"scenario": Scenario(...)}`` starts from that scenario.
+        earlier episodes or on the agent.
+
+        Args:
+            seed: of the environment's generator.
+            options: ``config`` changes the configuration first, as in highway-env. ``risk_rates``, ``risk_ranges`` and
+                ``calibration`` change values of `RiskRates`, `RiskRanges` and `Calibration` in this episode alone, such
+                as ``{"risk_rates": {"cut_in": 0.2}}``. ``scenario`` is a `Scenario` to start from.
+
+        Raises:
+            ConfigError: an unknown option, key or name, a wrong value.
         """
         super().reset(seed=seed)
+        options = options or {}
+        unknown = options.keys() - {"config", "scenario", *VARIED}
+        if unknown or ("scenario" in options and options.keys() & VARIED):
+            raise ConfigError(
+                f"reset's options are 'config' and either 'scenario' or {', '.join(map(repr, VARIED))}, not {options!r}"
+            )
         # also without options: users of highway-env write to env.unwrapped.config directly
-        override = (options or {}).get("config")
+        override = options.get("config")
         if override or self.config != self._configured:
             self.configure(override)
         seed = int(self.np_random.integers(2**31))
+        task = self.task.varied({part: options[part] for part in VARIED if part in options})
         try:
-            scenario = (options or {}).get("scenario") or self.task.scenario(self.config, seed)
+            scenario = options.get("scenario") or task.scenario(self.config, seed)
             ego = scenario.ego
             scenario.network.place(
                 ego.lane, ego.s, ego.destination

@@ -7,12 +7,11 @@ start and after every policy step.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
-from gymnasium.utils.seeding import np_random
 from numpy.typing import NDArray
 
 from experiments.study.arms import TRAFFICS
@@ -23,9 +22,7 @@ from sumo_env.contacts.measures import DENSITY_RADIUS, headways
 from sumo_env.networks.roads import LaneIndex, Road
 from sumo_env.scene import Scene
 from sumo_env.tasks import get_task
-from sumo_env.traffic.scenario import Scenario
 
-ScenarioMaker = Callable[[dict[str, Any], int], Scenario]
 PAIR = ["task", "level", "traffic", "ego", "scenario"]  # what names an episode in every simulator
 BIN = 0.25  # [s] of the headway histogram
 BINS = 40  # the last one holds everything beyond 9.75 s
@@ -142,23 +139,18 @@ def drive(
     traffic: str,
     ego: str,
     scenario: int,
-    make_scenario: ScenarioMaker | None = None,
+    options: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Drive test scenario number `scenario` to its end and return its row of COLUMNS.
 
     Args:
-        make_scenario: draws the scenario from the configuration and a seed, in place of the task.
+        options: of `reset`, beside the dose of risk.
     """
     inner = env.unwrapped
     policy = make_ego(ego, env)
     policy.reset(stream_seed("policy", task, level, traffic, scenario))
     seed = scenario_seed(task, level, scenario)
-    risk = {"risk": dose(traffic)}
-    options: dict[str, Any] = {"config": risk}
-    if make_scenario is not None:
-        drawn_seed = int(np_random(seed)[0].integers(2**31))  # as the environment's own reset draws it
-        options["scenario"] = make_scenario({**inner.config, **risk}, drawn_seed)
-    observation, info = env.reset(seed=seed, options=options)
+    observation, info = env.reset(seed=seed, options={"config": {"risk": dose(traffic)}, **(options or {})})
     recorder = Recorder(task, get_task(task).road(inner.config), 1.0 / inner.config["policy_frequency"])
     recorder.see(inner.scene)
     drawn = checksum(inner.scenario)

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import copy
 import io
 import multiprocessing
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from concurrent.futures import as_completed
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,7 +19,7 @@ from experiments.support.errors import UserError
 from experiments.support.files import canonical_json, sha256_bytes, write_file
 from experiments.support.processes import end_with_parent
 from experiments.validation.egos import egos
-from experiments.validation.episodes import COLUMNS, ScenarioMaker, drive
+from experiments.validation.episodes import COLUMNS, drive
 from sumo_env.tasks import TASKS
 from sumo_env.traffic.risk import RiskRates
 
@@ -69,25 +68,18 @@ class Engine:
     def open_env(self, task: str, level: int) -> Any:
         """The environment of a task at a level."""
         config = {**TASKS[task].levels[level_names(task)[level - 1]], **self.config}
-        if not self.calibration:
-            return make_env(self.backend, task, config)
-        from sumo_env.env import DrivingEnv
-        from sumo_env.sumo.world import SumoSimulator
+        return make_env(self.backend, task, config)
 
-        calibration = replace(TASKS[task].calibration, **self.calibration)
-        return DrivingEnv(task, config, simulator=SumoSimulator(calibration))
-
-    def scenario_maker(self, task: str) -> ScenarioMaker | None:
-        """How scenarios are drawn where its risk differs from the task's."""
-        if not self.risk:
-            return None
-        changed = copy.copy(TASKS[task])
-        names = {item.name for item in fields(RiskRates)}
-        rates = {name: value for name, value in self.risk.items() if name in names}
-        ranges = {name: value for name, value in self.risk.items() if name not in names}
-        changed.risk_rates = replace(changed.risk_rates, **rates)  # type: ignore[misc]
-        changed.risk_ranges = replace(changed.risk_ranges, **ranges)  # type: ignore[misc]
-        return changed.scenario
+    @property
+    def options(self) -> dict[str, Any]:
+        """What `reset` is given beside the configuration."""
+        rates = {item.name for item in fields(RiskRates)}
+        options = {
+            "calibration": self.calibration,
+            "risk_rates": {name: value for name, value in self.risk.items() if name in rates},
+            "risk_ranges": {name: value for name, value in self.risk.items() if name not in rates},
+        }
+        return {name: changes for name, changes in options.items() if changes}
 
 
 @dataclass(frozen=True)
@@ -133,10 +125,10 @@ class Part:
         rows = []
         if chosen := self.episodes():
             env = self.engine.open_env(self.task, self.level)
-            maker = self.engine.scenario_maker(self.task)
+            options = self.engine.options
             try:
                 for scenario, ego in chosen:
-                    rows.append(drive(env, self.task, self.level, self.traffic, ego, scenario, maker))
+                    rows.append(drive(env, self.task, self.level, self.traffic, ego, scenario, options))
             finally:
                 env.close()
         return pd.DataFrame(rows, columns=list(COLUMNS)).astype(COLUMNS)

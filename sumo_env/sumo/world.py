@@ -29,7 +29,7 @@ from sumo_env.sumo.session import (
     Settings,
     SumoErrors,
 )
-from sumo_env.traffic.drivers import Calibration, Driver, vehicle_type
+from sumo_env.traffic.drivers import UNCALIBRATED, Driver, vehicle_type
 from sumo_env.traffic.scenario import EGO, EGO_DISTANCE, Scenario, VehicleSpec, fits
 
 # [s] The ego's centre then crosses the line between two lanes when highway-env's does, after 0.45 to 0.5 s.
@@ -42,15 +42,15 @@ class SumoSimulator:
     """SUMO as a `Simulator`; a process may hold one of them (`open_simulator` cares for that).
 
     Args:
-        calibration: of SUMO's drivers, in place of the task's own.
         options: further options of SUMO, such as ``("--tripinfo-output", "trips.xml")``.
     """
 
-    def __init__(self, calibration: Calibration | None = None, options: tuple[str, ...] = ()) -> None:
+    def __init__(self, options: tuple[str, ...] = ()) -> None:
         self._session = Session()
-        self._calibration, self._options = calibration, check_options(options)
+        self._options = check_options(options)
         self._drivers: dict[str, Driver] = {}  # whose vehicle types are loaded
         self._loaded: Settings | None = None
+        self._set_up = UNCALIBRATED
 
     # -- Simulator -----------------------------------------------------------------------------------------
 
@@ -95,7 +95,6 @@ class SumoSimulator:
     def _begin(self, scenario: Scenario) -> Scene:
         self._scenario = scenario
         self._network = scenario.network
-        self._set_up = self._calibration or scenario.calibration
         self._dt = 1.0 / scenario.simulation_frequency
         self._substeps = scenario.simulation_frequency // scenario.policy_frequency
         self._session.load(self._settings(scenario))
@@ -117,8 +116,12 @@ class SumoSimulator:
         # a scenario may hold drivers of its own
         wanted.update((spec.driver.type, spec.driver) for spec in scenario.specs)
         wanted.update((spawn.vehicle.driver.type, spawn.vehicle.driver) for spawn in scenario.spawns)
-        loaded = self._loaded
-        if loaded is None or (loaded.net_file, loaded.step_length) != (self._network.net_file, self._dt):
+        loaded, before, self._set_up = self._loaded, self._set_up, scenario.calibration
+        if (
+            loaded is None
+            or (loaded.net_file, loaded.step_length) != (self._network.net_file, self._dt)
+            or before != self._set_up
+        ):
             self._drivers = {}
         elif all(
             (known := self._drivers.get(name)) is driver or known == driver for name, driver in wanted.items()

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import replace
 from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from sumo_env.config import Config, simulated_frequency
+from sumo_env.config import Config, ConfigError, simulated_frequency
 from sumo_env.networks import files
 from sumo_env.networks.roads import LaneIndex, Road
 from sumo_env.streams import stream
@@ -125,6 +127,27 @@ class Task:
         """Whether the episode is over, apart from its time."""
         off_road = bool(config.get("offroad_terminal", False)) and not ego.on_road
         return ego.crashed or off_road or self.arrived(ego)
+
+    def varied(self, changes: Mapping[str, Mapping[str, Any]]) -> Task:
+        """This task with other values in its `risk_rates`, `risk_ranges` or `calibration`.
+
+        >>> env.reset(seed=0, options={"risk_rates": {"cut_in": 0.2}})
+
+        Raises:
+            ConfigError: a name that there is not.
+        """
+        task = copy.copy(self)
+        for part, values in changes.items():
+            present = getattr(self, part)
+            try:
+                values = {key: tuple(v) if isinstance(v, list) else v for key, v in values.items()}
+                setattr(task, part, replace(present, **values))
+            except (AttributeError, TypeError):
+                known = ", ".join(present.__dataclass_fields__)
+                raise ConfigError(
+                    f"options[{part!r}] must map some of {known} to values, not {values!r}"
+                ) from None
+        return task
 
     def scenario(self, config: Config, seed: int) -> Scenario:
         """Draw the scenario number `seed`: a pure function of its arguments."""

@@ -11,6 +11,7 @@ from dataclasses import replace
 from typing import Any
 
 import gymnasium as gym
+import libsumo
 import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
@@ -172,6 +173,48 @@ def test_reset_takes_a_configuration(highway: gym.Env[Any, Any]) -> None:
     assert env.scenario.risk == 1.0
     highway.reset(seed=0)  # it stays
     assert env.config["lanes_count"] == 2
+
+
+def test_reset_takes_risk_and_calibration_for_one_episode(highway: gym.Env[Any, Any]) -> None:
+    env = highway.unwrapped
+    assert isinstance(env, DrivingEnv)
+    risky = {"config": {"risk": 1.0}}
+    highway.reset(seed=0, options=risky)
+    before = env.scenario
+    assert before is not None
+    rates = {"cut_in": 0.0, "brake": 0.9, "surge": 0.0}
+    highway.reset(seed=0, options={**risky, "risk_rates": rates, "calibration": {"tau": 2.0}})
+    changed = env.scenario
+    assert changed is not None
+    assert {event.kind for event in changed.events} == {"brake"} != {event.kind for event in before.events}
+    assert (changed.ego, changed.vehicles) == (
+        before.ego,
+        before.vehicles,
+    )  # the same seed draws the same traffic
+    name, driver = changed.vehicles[0].id, changed.vehicles[0].driver
+    assert libsumo.vehicle.getTau(name) == pytest.approx(2.0 * driver.tau, abs=1e-6)
+    highway.reset(seed=0, options={"risk_ranges": {"tau": [0.1, 0.1]}})
+    assert env.scenario is not None
+    assert all(spec.driver.tau == pytest.approx(0.15) for spec in env.scenario.vehicles)
+    highway.reset(seed=0)  # as it was
+    assert env.scenario == before
+    assert libsumo.vehicle.getTau(name) == pytest.approx(driver.tau, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"risk_rate": {"cut_in": 0.1}}, "'risk_rates', 'risk_ranges'"),
+        ({"risk_rates": {"cutin": 0.1}}, "map some of cut_in, brake"),
+        ({"risk_rates": 0.1}, "map some of cut_in, brake"),
+        ({"calibration": {"tau": 2.0}, "scenario": None}, "either 'scenario' or"),
+    ],
+)
+def test_a_wrong_option_of_reset_is_named(
+    highway: gym.Env[Any, Any], options: dict[str, Any], message: str
+) -> None:
+    with pytest.raises(ConfigError, match=message):
+        highway.reset(seed=0, options=options)
 
 
 def test_the_configuration_may_be_written_to(highway: gym.Env[Any, Any]) -> None:

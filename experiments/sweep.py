@@ -122,6 +122,8 @@ class Options:
     """Keys of the environments' configuration to set, for training and test (values as in JSON, or plain words)."""
     gamma: Annotated[float | None, _argument("X")] = None
     """Discount factor."""
+    crash_reward: Annotated[float | None, _argument("X", "none")] = None
+    """Added to the reward of a crash in training, in all arms (the two-way road's own has no term for crashes)."""
     network: Annotated[str | None, _argument("NAME")] = None
     """Network of the agents: attention, dueling, or FILE:CLASS for a class of your own."""
     policy: Annotated[tuple[str, ...], _argument("FILE:MAKE ...", "none")] = ()
@@ -160,7 +162,11 @@ def cells_of(options: Options) -> list[Cell]:
         own_network = options.network
         label, fingerprint = foreign(own_network)
     profiles = preset.profiles(
-        updates=options.updates, gamma=options.gamma, network=label, device=options.device
+        updates=options.updates,
+        gamma=options.gamma,
+        network=label,
+        device=options.device,
+        crash_reward=options.crash_reward,
     )
     if fingerprint:
         profiles = {task: {**profile, "network_sha256": fingerprint} for task, profile in profiles.items()}

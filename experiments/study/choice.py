@@ -15,7 +15,7 @@ import time
 from collections.abc import Iterator
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import tyro
 
@@ -25,6 +25,7 @@ from experiments.study.arms import ARMS
 from experiments.study.attempt import locked
 from experiments.study.evaluate import evaluate
 from experiments.study.grid import Cell
+from experiments.study.presets import second_version
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -37,23 +38,19 @@ EPISODES, PURPOSE = 100, "choice"  # scenarios of their own, see `seeds.scenario
 MARK = 3 / 4  # of the budget: what the last quarter changes
 TOLERANCE = 0.02  # of the return's range
 
-LEARNERS: dict[str, dict[str, Any]] = {
-    "quarter-100": {"steps_per_update": 4, "batch_size": 100},  # the first version's
-    "quarter-256": {"steps_per_update": 4, "batch_size": 256},
-    "half-128": {"steps_per_update": 2, "batch_size": 128},
-    "one-64": {"steps_per_update": 1, "batch_size": 64},
+LEARNERS = {  # environment steps per update, batch
+    "quarter-100": (4, 100),  # the first version's
+    "quarter-256": (4, 256),
+    "half-128": (2, 128),
+    "one-64": (1, 64),
 }
-CLOCKS = {
-    "drawn": [7, 13],
-    "longer": [13, 13],
-}  # [s] ends of training episodes on the u-turn; a test lasts 10 s
-VARIANTS = {
-    "u-turn": {
-        **{name: {**learner, "training_clock": CLOCKS["drawn"]} for name, learner in LEARNERS.items()},
-        "half-128-longer": {**LEARNERS["half-128"], "training_clock": CLOCKS["longer"]},
-    },
-    "two-way": LEARNERS,
+VARIANTS = {  # name -> settings
+    task: {name: second_version(task, STEPS[task], *learner) for name, learner in LEARNERS.items()}
+    for task in TASKS
 }
+VARIANTS["u-turn"]["half-128-longer"] = second_version(
+    "u-turn", STEPS["u-turn"], *LEARNERS["half-128"], clock="longer"
+)
 
 
 def cells() -> Iterator[tuple[str, Cell]]:
@@ -63,9 +60,9 @@ def cells() -> Iterator[tuple[str, Cell]]:
     for seed in SEEDS:
         for task in TASKS:
             for name, variant in VARIANTS[task].items():
-                learner = {key: value for key, value in variant.items() if key != "training_clock"}
-                every = learner["steps_per_update"]
-                config = DQNConfig(**learner, updates=STEPS[task] // every, tau=0.005 * every / 4)
+                config = DQNConfig(
+                    **{key: value for key, value in variant.items() if key != "training_clock"}
+                )
                 profile = {**asdict(config), "finite_horizon": False, **variant}
                 built = grid.build("sumo", {task: [1]}, 1, EPISODES, {task: profile}, name)
                 yield from ((name, replace(cell, seed=seed)) for cell in built if cell.kind == "agent")

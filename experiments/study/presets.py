@@ -40,6 +40,30 @@ TASK_SETTINGS: dict[str, dict[str, Any]] = {
     "roundabout": {"finite_horizon": True},
     "u-turn": {"finite_horizon": True},
 }
+# Ends of training episodes [s], from and to, that hide the end of a test: drawn, or longer than the test (11 and 10 s).
+# Not later than an ego at the highest speed leaves the road.
+CLOCKS = {
+    "drawn": {"roundabout": [7, 15], "u-turn": [7, 13]},
+    "longer": {"roundabout": [15, 15], "u-turn": [13, 13]},
+}
+
+
+def second_version(
+    task: str, steps: int, steps_per_update: int, batch_size: int, clock: str = "drawn"
+) -> dict[str, Any]:
+    """Settings of a task in the second version of "tuned", of which `choice` tries variants.
+
+    Args:
+        steps: environment steps of a training.
+        clock: of CLOCKS; the time is not observed.
+    """
+    learner = {
+        "updates": steps // steps_per_update,
+        "steps_per_update": steps_per_update,
+        "batch_size": batch_size,
+        "tau": 0.005 * steps_per_update / 4,  # the target moves as far in a step as in the first version
+    }
+    return {**learner, **({"training_clock": CLOCKS[clock][task]} if task in CLOCKS[clock] else {})}
 
 
 @dataclass(frozen=True)
@@ -61,10 +85,11 @@ class Preset:
     profile: str = "tuned"
     learner: Mapping[str, Any] = field(default_factory=dict)
 
-    def profiles(self, **overrides: Any) -> dict[str, dict[str, Any]]:
+    def profiles(self, crash_reward: float | None = None, **overrides: Any) -> dict[str, dict[str, Any]]:
         """Every setting of the learner for each task, as plain values.
 
         Args:
+            crash_reward: added to the reward of a crash in training, in all arms.
             overrides: settings that the user asked for; None means not asked for.
 
         Raises:
@@ -85,6 +110,8 @@ class Preset:
             except ValueError as error:
                 raise UserError(str(error)) from None
             profiles[task] = {**asdict(config), "finite_horizon": False, **own.get(task, {})}
+            if crash_reward is not None:
+                profiles[task]["crash_reward"] = crash_reward
         return profiles
 
 

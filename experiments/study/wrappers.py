@@ -93,6 +93,20 @@ class TrainingClock(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructor
         return observation, reward, terminated or truncated or self._left <= 0, False, info
 
 
+class CrashReward(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs):
+    """Adds a reward for the step that ends in a crash, for tasks whose reward has no such term."""
+
+    def __init__(self, env: gym.Env[Any, Any], reward: float) -> None:
+        gym.utils.RecordConstructorArgs.__init__(self, reward=reward)
+        gym.Wrapper.__init__(self, env)
+        self._reward = reward
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        """A step with the crash in its reward."""
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        return observation, float(reward) + self._reward * info["crashed"], terminated, truncated, info
+
+
 class DrawnDose(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs):
     """Every episode has the dose of risk that `arms.drawn_dose` draws for this arm from the episode's seed."""
 
@@ -120,6 +134,8 @@ def observed(env: gym.Env[Any, Any], profile: Mapping[str, Any]) -> gym.Env[Any,
 def trained_on(env: gym.Env[Any, Any], profile: Mapping[str, Any]) -> gym.Env[Any, Any]:
     """The environment as an agent of this profile is trained on it."""
     env = observed(env, profile)
+    if crash := profile.get("crash_reward"):
+        env = CrashReward(env, crash)
     if clock := profile.get("training_clock"):
         env = TrainingClock(env, *clock)
     return TerminalLimit(env) if profile.get("finite_horizon") else env

@@ -109,3 +109,16 @@ def test_what_is_drawn_needs_a_seed() -> None:
     ):
         with pytest.raises(ValueError, match="seed"):
             env.reset()
+
+
+def test_a_crash_reward_is_added_to_the_step_that_crashes_alone() -> None:
+    faster = 3
+    env = trained_on(make_env("sumo", "two-way"), {"crash_reward": -2.0})
+    plain = make_env("sumo", "two-way")
+    env.reset(seed=1)
+    plain.reset(seed=1)
+    crashed = False
+    while not crashed:
+        reward, (_, own, crashed, _, info) = env.step(faster)[1], plain.step(faster)
+        assert reward == own - 2.0 * crashed
+        assert info["crashed"] == crashed

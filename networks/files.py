@@ -158,3 +158,30 @@ def _stub(point: Point, before: Shape, after: Shape) -> list[Point]:
     (x0, y0), (x1, y1) = pieces[0] if pieces else ((0.0, 0.0), (1.0, 0.0))
     scale = CLOSE / math.hypot(x1 - x0, y1 - y0)
     return [point, (point[0] + scale * (x1 - x0), point[1] + scale * (y1 - y0))]
+
+
+def shortest(net_file: str, start: str, end: str, via: Sequence[str] = ()) -> tuple[str, ...]:
+    """The fastest way for a car from one edge over others to the last; () if there is none.
+
+    Raises:
+        ValueError: the network has no such edge.
+    """
+    net = _graph(net_file)
+    stations = [start, *via, end]
+    for edge in stations:
+        if not net.hasEdge(edge):
+            raise ValueError(f"{net_file} has no edge {edge!r}")
+    way = [start]
+    for one, other in pairwise(stations):
+        found, _ = net.getOptimalPath(net.getEdge(one), net.getEdge(other), fastest=True, vClass="passenger")
+        if not found:
+            return ()
+        way += [edge.getID() for edge in found[1:]]
+    return tuple(way)
+
+
+@lru_cache(maxsize=2)
+def _graph(net_file: str) -> Any:
+    from sumolib.net import readNet
+
+    return readNet(net_file)

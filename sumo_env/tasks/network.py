@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
-from xml.etree import ElementTree
 
 import numpy as np
 
@@ -16,6 +15,7 @@ from sumo_env.networks.lanes import VEHICLE_LENGTH
 from sumo_env.networks.roads import LaneIndex, Road
 from sumo_env.streams import stream
 from sumo_env.tasks.base import Drivers, EgoState, Task, ego_driver, make_on_lane, speed_term, weighted
+from sumo_env.tasks.demand import Departure, Entry, read
 from sumo_env.tasks.way import Way
 from sumo_env.traffic.drivers import Driver
 from sumo_env.traffic.risk import RiskRates
@@ -26,19 +26,6 @@ MARGIN = VEHICLE_LENGTH  # [m] that a vehicle keeps from both ends of an edge wh
 END = 0.1  # [m] that the front of a vehicle keeps from the end of a lane when it is placed
 SPACING = 15.0  # [m] between centres when vehicles are placed
 EGO_SPACING = 25.0  # [m] likewise, from the ego
-LONGEST = 3600.0  # [s] that flows without an end go on
-
-
-class Departure(NamedTuple):
-    """A vehicle of a route file: when, on which route and how it departs. None is drawn at random or left out."""
-
-    id: str
-    route: str
-    time: float  # [s]
-    lane: int | None  # SUMO's number, 0 for the rightmost
-    front: float | None  # position of the front bumper [m]
-    speed: float | None  # [m/s]; None for the speed limit
-    kind: tuple[str, dict[str, str]] | None  # name and attributes of its vType; None for a driver of the pool
 
 
 class NetworkTask(Task):
@@ -77,9 +64,12 @@ class NetworkTask(Task):
     ) -> None:
         """See `sumo_env.env.SumoDrivingEnv`."""
         self.net = str(Path(network).resolve())
-        self._departures: tuple[Departure, ...] = ()
+        self._demand: tuple[Entry, ...] = ()
         if isinstance(routes, str | Path):
-            named, self._departures = read_routes(Path(routes))
+            try:
+                named, self._demand = read(Path(routes), partial(files.shortest, self.net))
+            except ValueError as error:
+                raise ConfigError(str(error)) from error
             # what a file says is all the traffic there is, unless more is asked for
             self.defaults = {**self.defaults, "vehicles_count": 0, "spawn_probability": 0.0}
         else:
@@ -119,11 +109,10 @@ class NetworkTask(Task):
         self, config: Config, road: Road, ego: VehicleSpec, rng: np.random.Generator, drivers: Drivers
     ) -> list[VehicleSpec]:
         vehicles: list[VehicleSpec] = []
-        for departure in self._departures:
-            if departure.time <= 0:
-                vehicle = self._departing(departure, road, rng, drivers)
-                if fits(vehicle, [(other.x, other.y) for other in (ego, *vehicles)]):
-                    vehicles.append(vehicle)
+        for departure in (one for entry in self._demand for one in entry.departures(rng, -math.inf, 0.0)):
+            vehicle = self._departing(departure, road, rng, drivers)
+            if fits(vehicle, [(other.x, other.y) for other in (ego, *vehicles)]):
+                vehicles.append(vehicle)
         roomy = {route: _roomy(road, self.routes[route]) for route in self._others}
         routes = [route for route in self._others if roomy[route]]
         for number in range(int(config["vehicles_count"]) if routes else 0):
@@ -145,10 +134,11 @@ class NetworkTask(Task):
     def spawns(self, config: Config, road: Road, seed: int, drivers: Drivers) -> list[Spawn]:
         rng, frequency = stream(seed, "spawns"), config["policy_frequency"]
         steps = math.ceil(config["duration"] * frequency)
+        soon = math.nextafter(0.0, 1.0)
         found = [
             Spawn(math.ceil(departure.time * frequency), self._departing(departure, road, rng, drivers))
-            for departure in self._departures
-            if 0 < departure.time <= config["duration"]
+            for entry in self._demand
+            for departure in entry.departures(rng, soon, float(config["duration"]))
         ]
         for step in range(1, steps + 1) if self._others else ():
             if rng.random() < config["spawn_probability"] / frequency:
@@ -166,10 +156,13 @@ class NetworkTask(Task):
         front = drawn if departure.front is None else departure.front % lane.length
         speed = lane.speed_limit if departure.speed is None else departure.speed
         driver: Driver = drivers.next()
+        factor = 1.0
         if departure.kind is not None:
-            driver = driver.like(*departure.kind)
+            factor = departure.kind.factor(rng)
+            driver = driver.like(departure.kind.name, departure.kind.attributes)
         s = max(front - VEHICLE_LENGTH / 2, 0.0)
-        return _placed(road, departure.id, index, s, speed, driver, departure.route, lane.speed_limit)
+        wanted = factor * lane.speed_limit
+        return _placed(road, departure.id, index, s, speed, driver, departure.route, wanted)
 
     def _departure_lane(self, departure: Departure, road: Road, rng: np.random.Generator) -> LaneIndex:
         """The lane in which a vehicle departs: SUMO's number counts all lanes, pavements too."""
@@ -238,79 +231,3 @@ def _anywhere(road: Road, edge: str, rng: np.random.Generator) -> tuple[LaneInde
     start, end, _ = files.lane(edge)
     index = (start, end, int(rng.integers(road.count(start, end))))
     return index, float(rng.uniform(MARGIN, max(road.lane(index).length - MARGIN, MARGIN + 0.1)))
-
-
-# -- route files -------------------------------------------------------------------------------------------------------
-
-
-def read_routes(file: Path) -> tuple[dict[str, tuple[str, ...]], tuple[Departure, ...]]:
-    """Routes and departures of a route file: its routes, vehicles and flows, with their vTypes.
-
-    Raises:
-        ConfigError: it cannot be read, or it has something that is not supported (trips, flows by chance, ...).
-    """
-    types: dict[str, dict[str, str]] = {}
-    routes: dict[str, tuple[str, ...]] = {}
-    departures: list[Departure] = []
-    try:
-        root = ElementTree.parse(file).getroot()
-    except (OSError, ElementTree.ParseError) as error:
-        raise ConfigError(f"{file} cannot be read as a route file: {error}") from error
-    for item in root:
-        given = dict(item.attrib)
-        name = given.get("id", "")
-        if item.tag == "vType":
-            del given["id"]
-            types[name] = given
-        elif item.tag == "route":
-            routes[name] = tuple(given["edges"].split())
-        elif item.tag in ("vehicle", "flow"):
-            inner = item.find("route")
-            if inner is not None:
-                given["route"] = f"route of {name}"
-                routes[given["route"]] = tuple(inner.get("edges", "").split())
-            if given.get("route") not in routes:
-                raise ConfigError(
-                    f"{item.tag} {name!r} of {file} has no route; duarouter makes routes of trips"
-                )
-            kind = given.get("type")
-            if kind is not None and kind not in types:
-                raise ConfigError(f"{item.tag} {name!r} of {file} has the unknown type {kind!r}")
-            departures += _departures(given, None if kind is None else (kind, types[kind]))
-        else:
-            raise ConfigError(
-                f"{file} has a {item.tag}, which cannot be driven (duarouter makes routes of trips)"
-            )
-    return routes, tuple(departures)
-
-
-def _departures(given: Mapping[str, str], kind: tuple[str, dict[str, str]] | None) -> Iterator[Departure]:
-    """The departures of a vehicle or a flow."""
-    lane, front, speed = (given.get(f"depart{part}", "") for part in ("Lane", "Pos", "Speed"))
-    common: dict[str, Any] = {
-        "route": given["route"],
-        "lane": int(lane) if lane.isdigit() else None,
-        "front": None if front in ("random", "free", "random_free") else _number(front, VEHICLE_LENGTH),
-        "speed": None if speed in ("max", "desired", "speedLimit") else _number(speed, 0.0),
-        "kind": kind,
-    }
-    if "depart" in given:
-        yield Departure(given["id"], time=_number(given["depart"], 0.0), **common)
-        return
-    begin, end = _number(given.get("begin", ""), 0.0), _number(given.get("end", ""), math.inf)
-    if "number" in given and math.isfinite(end):
-        count, period = int(given["number"]), (end - begin) / max(int(given["number"]), 1)
-    elif "vehsPerHour" in given or "period" in given:
-        period = 3600.0 / float(given["vehsPerHour"]) if "vehsPerHour" in given else float(given["period"])
-        count = math.ceil((min(end, begin + LONGEST) - begin) / period)
-    else:
-        raise ConfigError(f"flow {given['id']!r} needs vehsPerHour, a number as period, or number and end")
-    for k in range(count):
-        yield Departure(f"{given['id']}.{k}", time=begin + k * period, **common)
-
-
-def _number(text: str, default: float) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        return default

@@ -164,7 +164,7 @@ def test_the_size_of_a_vehicle_cannot_be_changed(attribute: str) -> None:
 )
 def test_attributes_that_sumo_would_ignore_are_refused(attribute: str, message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        Highway().drivers(0.0)[0].like("bus", {attribute: 2.0})
+        drivers("highway", 0.0)[0].like("bus", {attribute: 2.0})
 
 
 def test_a_class_in_place_of_a_task_is_named() -> None:
@@ -316,8 +316,17 @@ def test_what_cannot_be_driven_is_named(grid: Path, change: dict[str, Any], mess
 @pytest.mark.parametrize(
     ("element", "message"),
     [
-        ('<trip id="t" from="main" to="out" depart="0"/>', "duarouter"),
-        ('<vehicle id="v" route="none" depart="0"/>', "no route"),
+        ('<trip id="t" from="out" to="main" depart="0"/>', "no route leads from edge 'out' to edge 'main'"),
+        ('<trip id="t" from="main" to="nowhere" depart="0"/>', "no edge 'nowhere'"),
+        ('<trip id="t" fromTaz="1" toTaz="2" depart="0"/>', "trip 't': it has no route"),
+        ('<vehicle id="v" route="none" depart="0"/>', "unknown route 'none'"),
+        ('<vehicle id="v" depart="triggered"><route edges="main"/></vehicle>', "depart='triggered'"),
+        (
+            '<vehicle id="v" depart="0"><route edges="main"/><stop lane="main_0" duration="9"/></vehicle>',
+            "stops",
+        ),
+        ('<flow id="f" period="exp(x)"><route edges="main"/></flow>', "no exp"),
+        ('<person id="p" depart="0"/>', "only vehicles drive here"),
         ('<vehicle id="v" type="none" depart="0"><route edges="main"/></vehicle>', "unknown type"),
         ('<flow id="f" begin="0"><route edges="main"/></flow>', "vehsPerHour"),
         ('<vehicle id="v" depart="0" departLane="7"><route edges="main"/></vehicle>', "departs on lane 7"),

@@ -1,0 +1,325 @@
+"""Route files of SUMO (.rou.xml): who departs when, on which route, as which type of vehicle.
+
+What a file leaves to chance (flows with a probability or exponential gaps, distributions of types and routes) is drawn
+from the episode's seed. What cannot be driven is an error, what has no effect a warning.
+"""
+
+from __future__ import annotations
+
+import gzip
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple, TypeVar
+from xml.etree import ElementTree
+
+import numpy as np
+from gymnasium import logger
+
+from sumo_env.config import ConfigError
+from sumo_env.networks.lanes import VEHICLE_LENGTH
+
+_T = TypeVar("_T")
+LONGEST = 3600.0  # [s] that flows without an end go on
+Element = ElementTree.Element
+Edges = tuple[str, ...]
+Router = Callable[[str, str, Sequence[str]], Edges]  # from edge, to edge, via edges -> route
+
+HERE = {"id", "type", "route", "depart", "departLane", "departPos", "departSpeed", "begin", "end", "number", "period",
+        "vehsPerHour", "perHour", "probability", "from", "to", "via", "speedFactor"}  # fmt: skip
+WITHOUT_MEANING = {
+    "color",
+    "line",
+    "insertionChecks",
+    "parkingBadges",
+    "personNumber",
+    "containerNumber",
+    "reroute",
+}
+REFUSED = {
+    **dict.fromkeys(("person", "personFlow", "container", "containerFlow"), "only vehicles drive here"),
+    "include": "put its contents into this file",
+    "interval": "give begin and end to each flow",
+}
+
+FRONTS = {
+    "base": VEHICLE_LENGTH,
+    "last": VEHICLE_LENGTH,
+    **dict.fromkeys(("random", "free", "random_free"), math.nan),
+}
+SPEEDS = dict.fromkeys(("max", "desired", "speedLimit", "random", "avg", "last"), math.nan)
+
+
+class Kind(NamedTuple):
+    """A vehicle type: name and attributes of a vType, and the factor on the speed limit that its drivers want."""
+
+    name: str
+    attributes: Mapping[str, str]
+    mean: float = 1.0
+    deviation: float = 0.0
+    least: float = 0.2
+    most: float = 2.0
+
+    def factor(self, rng: np.random.Generator) -> float:
+        """The factor of one driver."""
+        if not self.deviation:
+            return self.mean
+        return min(max(float(rng.normal(self.mean, self.deviation)), self.least), self.most)
+
+
+class Departure(NamedTuple):
+    """A vehicle of a route file: when, on which route and how it departs. None is drawn at random or left out."""
+
+    id: str
+    route: str
+    time: float  # [s]
+    lane: int | None  # SUMO's number, 0 for the rightmost
+    front: float | None  # position of the front bumper [m]
+    speed: float | None  # [m/s]; None for the speed limit
+    kind: Kind | None  # None for a driver of the pool
+
+
+Choice = tuple[tuple[str, float], ...]  # (name, weight)
+
+
+class Entry(NamedTuple):
+    """A vehicle, trip or flow of a route file.
+
+    Attributes:
+        times: of its departures [s], or None if they are drawn.
+        gap, probability: of a flow that is drawn: mean of exponential gaps [s], or chance per second.
+    """
+
+    id: str
+    routes: Choice
+    kinds: tuple[tuple[Kind | None, float], ...]
+    lane: int | None
+    front: float | None
+    speed: float | None
+    factor: float | None
+    times: tuple[float, ...] | None
+    gap: float = 0.0
+    probability: float = 0.0
+    begin: float = 0.0
+    end: float = math.inf
+    number: float = math.inf
+    single: bool = False
+
+    def departures(self, rng: np.random.Generator, begin: float, end: float) -> Iterator[Departure]:
+        """Those in [begin, end]; what is left to chance is drawn from `rng`."""
+        times = self.times if self.times is not None else self._drawn(rng, end) if end > 0 else ()
+        for count, time in enumerate(times):
+            if not begin <= time <= end:
+                continue
+            kind = _pick(self.kinds, rng)
+            if kind is not None and self.factor is not None:
+                kind = kind._replace(mean=self.factor, deviation=0.0)
+            name = self.id if self.single else f"{self.id}.{count}"
+            yield Departure(name, _pick(self.routes, rng), time, self.lane, self.front, self.speed, kind)
+
+    def _drawn(self, rng: np.random.Generator, end: float) -> Iterator[float]:
+        time, count = self.begin, 0
+        while count < self.number:
+            time += float(rng.exponential(self.gap)) if self.gap else float(rng.geometric(self.probability))
+            if time > min(end, self.end):
+                return
+            yield time
+            count += 1
+
+
+def _pick(choices: Sequence[tuple[_T, float]], rng: np.random.Generator) -> _T:
+    if len(choices) == 1:
+        return choices[0][0]
+    weights = np.array([weight for _, weight in choices])
+    return choices[int(rng.choice(len(choices), p=weights / weights.sum()))][0]
+
+
+def read(file: Path, router: Router) -> tuple[dict[str, Edges], tuple[Entry, ...]]:
+    """Routes by name, and what departs; `router` finds the routes of trips.
+
+    Raises:
+        ConfigError: the file cannot be read, or has something that cannot be driven; the message names it.
+    """
+    try:
+        with gzip.open(file) if file.suffix == ".gz" else file.open("rb") as opened:
+            root = ElementTree.parse(opened).getroot()
+    except (OSError, ElementTree.ParseError) as error:
+        raise ConfigError(f"{file} cannot be read as a route file: {error}") from error
+    reader = _Reader(file, router)
+    for item in root:
+        reader.take(item)
+    if reader.ignored:
+        logger.warn(f"{file}: without effect here: {', '.join(sorted(reader.ignored))}")
+    return reader.routes, tuple(reader.entries)
+
+
+class _Reader:
+    """What a route file has said so far."""
+
+    def __init__(self, file: Path, router: Router) -> None:
+        self.routes: dict[str, Edges] = {}
+        self.entries: list[Entry] = []
+        self.ignored: set[str] = set()
+        self._file, self._router = file, router
+        self._kinds: dict[str, tuple[tuple[Kind | None, float], ...]] = {}
+        self._choices: dict[str, Choice] = {}  # of routes
+
+    def take(self, item: Element) -> None:
+        """Read an element of the file."""
+        name = item.get("id", "")
+        if item.tag == "vType":
+            self._kinds[name] = ((self._kind(item), 1.0),)
+        elif item.tag == "vTypeDistribution":
+            self._kinds[name] = tuple(self._distribution(item, "vType", self._type_of))
+        elif item.tag == "route":
+            self._choices[name] = ((self._route(name, item), 1.0),)
+        elif item.tag == "routeDistribution":
+            self._choices[name] = tuple(self._distribution(item, "route", self._route_of))
+        elif item.tag in ("vehicle", "trip", "flow"):
+            self.entries.append(self._entry(item))
+        else:
+            reason = REFUSED.get(item.tag, "it cannot be driven")
+            raise self._wrong(item, reason)
+
+    def _wrong(self, item: Element, reason: str) -> ConfigError:
+        return ConfigError(f"{self._file}: {item.tag} {item.get('id', '')!r}: {reason}")
+
+    def _number(
+        self, item: Element, name: str, default: float, words: Mapping[str, float] | None = None
+    ) -> float:
+        from sumolib.miscutils import parseTime
+
+        text = item.get(name)
+        if text is None or text in (words or {}):
+            return default if text is None else (words or {})[text]
+        try:
+            return float(parseTime(text))
+        except (TypeError, ValueError):
+            raise self._wrong(item, f"{name}={text!r} is no number that can be driven") from None
+
+    # -- types and routes ----------------------------------------------------------------------------------
+
+    def _kind(self, item: Element) -> Kind:
+        """A vType; nested elements and `<param>` are of devices and models that have no effect here."""
+        given = {
+            key: value for key, value in item.attrib.items() if key not in ("id", "color", "probability")
+        }
+        self.ignored |= {f"<{inner.tag}> of vType {item.get('id')!r}" for inner in item}
+        deviation = self._number(item, "speedDev", 0.0)
+        factor = given.pop("speedFactor", "1")
+        given.pop("speedDev", None)
+        numbers = factor.removesuffix(")").rpartition("(")[2].split(",")
+        try:
+            values = [float(number) for number in numbers]
+        except ValueError:
+            raise self._wrong(item, f"speedFactor={factor!r} is no number and no normc(...)") from None
+        if len(values) > 1:
+            return Kind(item.get("id", ""), given, *values)
+        return Kind(item.get("id", ""), given, values[0], deviation)
+
+    def _distribution(
+        self, item: Element, tag: str, member: Callable[[Element, str], Iterator[tuple[_T, float]]]
+    ) -> Iterator[tuple[_T, float]]:
+        """Members by their weights: elements inside, or names in an attribute."""
+        for inner in item.findall(tag):
+            if inner.get("id") is not None:
+                self.take(inner)
+            for found, _ in member(item, inner.get("id") or inner.get("refId") or ""):
+                yield found, self._number(inner, "probability", 1.0)
+        names = item.get(f"{tag}s", "").split()
+        weights = item.get("probabilities", "").split() or ["1"] * len(names)
+        for name, weight in zip(names, weights, strict=True):
+            for found, _ in member(item, name):
+                yield found, float(weight)
+
+    def _type_of(self, item: Element, name: str) -> Iterator[tuple[Kind | None, float]]:
+        if name not in self._kinds:
+            raise self._wrong(item, f"unknown type {name!r}")
+        yield from self._kinds[name]
+
+    def _route_of(self, item: Element, name: str) -> Iterator[tuple[str, float]]:
+        if name not in self._choices:
+            raise self._wrong(item, f"unknown route {name!r}")
+        yield from self._choices[name]
+
+    def _route(self, name: str, item: Element) -> str:
+        if item.find("stop") is not None:
+            raise self._wrong(item, "stops are not driven here")
+        self.routes[name] = tuple(item.get("edges", "").split())
+        if not self.routes[name]:
+            raise self._wrong(item, "a route needs edges")
+        return name
+
+    # -- departures ----------------------------------------------------------------------------------------
+
+    def _way(self, item: Element) -> Choice:
+        """The routes of a vehicle, a trip or a flow."""
+        name = f"route of {item.get('id')}"
+        inner = item.find("route")
+        if inner is not None:
+            return ((self._route(name, inner), 1.0),)
+        if (among := item.find("routeDistribution")) is not None:
+            for number, route in enumerate(among.findall("route")):
+                route.set("id", f"{name} {number}")
+            return tuple(self._distribution(among, "route", self._route_of))
+        if item.get("route") is not None:
+            return tuple(self._route_of(item, item.get("route", "")))
+        if item.get("from") is None or item.get("to") is None:
+            raise self._wrong(item, "it has no route, and no edges in from and to")
+        self.routes[name] = self._router(
+            item.get("from", ""), item.get("to", ""), item.get("via", "").split()
+        )
+        if not self.routes[name]:
+            raise self._wrong(
+                item, f"no route leads from edge {item.get('from')!r} to edge {item.get('to')!r}"
+            )
+        return ((name, 1.0),)
+
+    def _entry(self, item: Element) -> Entry:
+        if item.find("stop") is not None:
+            raise self._wrong(item, "stops are not driven here; take <stop> out")
+        self.ignored |= {
+            f"<{inner.tag}> of a {item.tag}" for inner in item if not inner.tag.startswith("route")
+        }
+        self.ignored |= {f"{key} of a {item.tag}" for key in set(item.keys()) - HERE - WITHOUT_MEANING}
+        lane = item.get("departLane", "")
+        front = self._number(item, "departPos", VEHICLE_LENGTH, FRONTS)
+        speed = self._number(item, "departSpeed", 0.0, SPEEDS)
+        kind = item.get("type")
+        common = {
+            "id": item.get("id", ""),
+            "routes": self._way(item),
+            "kinds": ((None, 1.0),) if kind is None else tuple(self._type_of(item, kind)),
+            "lane": int(lane) if lane.isdigit() else None,
+            "front": None if math.isnan(front) else front,
+            "speed": None if math.isnan(speed) else speed,
+            "factor": self._number(item, "speedFactor", 1.0) if item.get("speedFactor") else None,
+        }
+        if item.tag != "flow":
+            return Entry(**common, times=(self._number(item, "depart", 0.0),), single=True)
+        return Entry(**common, **self._times(item))
+
+    def _times(self, item: Element) -> dict[str, Any]:
+        """When the vehicles of a flow depart."""
+        begin, end = self._number(item, "begin", 0.0), self._number(item, "end", math.inf)
+        number = self._number(item, "number", math.inf)
+        period = item.get("period", "")
+        limits = {"times": None, "begin": begin, "end": end, "number": number}
+        if period.startswith("exp("):
+            try:
+                return {**limits, "gap": 1.0 / float(period[4:-1])}
+            except (ValueError, ZeroDivisionError):
+                raise self._wrong(item, f"period={period!r} is no exp(rate)") from None
+        if item.get("probability") is not None:
+            chance = self._number(item, "probability", 0.0)
+            if not 0.0 < chance <= 1.0:
+                raise self._wrong(item, f"probability={chance:g} must lie in (0, 1]")
+            return {**limits, "probability": chance}
+        rate = self._number(item, "vehsPerHour", self._number(item, "perHour", 0.0))
+        gap = 3600.0 / rate if rate > 0 else self._number(item, "period", 0.0)
+        if gap <= 0 and math.isfinite(number) and math.isfinite(end):
+            gap = (end - begin) / max(number, 1.0)
+        if gap <= 0:
+            raise self._wrong(item, "it needs vehsPerHour, period, probability, or number and end")
+        count = min(number, math.ceil((min(end, begin + LONGEST) - begin) / gap))
+        return {"times": tuple(begin + k * gap for k in range(int(count)))}

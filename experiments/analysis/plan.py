@@ -122,6 +122,19 @@ class Plan:
                 return family
         return None
 
+    @property
+    def limits(self) -> list[int | None]:
+        """Training seeds below this number are in each planned look; None, all of them, where no look was planned."""
+        return [look.seeds for look in self.looks] or [None]
+
+    def held(self, seeds: int) -> list[float]:
+        """The shares of the error rate of the looks that so many seeds in an arm allow."""
+        return [look.share for look in self.looks if seeds >= look.seeds] or [self.looks[0].share]
+
+    def share(self, seeds: int) -> float:
+        """The share of the error rate of the last look that was held."""
+        return self.held(seeds)[-1] if self.looks else 1.0
+
     def looks_at(self, seeds: int) -> list[tuple[int | None, float]]:
         """Looks that so many seeds in an arm allow: (training seeds below this number, share of the error rate).
 
@@ -138,7 +151,7 @@ class Plan:
 
 # Five seeds everywhere first, then five more where the first look leaves it open and ten can decide it.
 LOOKS = (Look(5, 0.2), Look(10, 0.8))
-DEFAULT = Plan()
+DEFAULT: Plan = Plan()
 TWO_BATCHES = Plan(looks=LOOKS)
 FIRST = Plan(
     version=1,

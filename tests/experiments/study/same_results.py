@@ -45,7 +45,9 @@ def main(old: str, *backends: str) -> int:
                 results = load(Path(folder) / name)
                 weights = results.agents.set_index("cell")["weights_sha256"].dropna().to_dict()
                 episodes = dict(iter(results.episodes.groupby("cell")))
-                found.append({slug(c["key"]): (weights.get(n), episodes[n]) for n, c in results.cells.items()})
+                found.append(
+                    {slug(c["key"]): (weights.get(n), episodes[n]) for n, c in results.cells.items()}
+                )
         before, after = found
         if before.keys() != after.keys():
             raise SystemExit(f"{backend}: other cells: {sorted(before.keys() ^ after.keys())}")

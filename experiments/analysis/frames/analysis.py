@@ -1,0 +1,283 @@
+"""Everything that the report says, as frames: a pure function of the stored cells."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from experiments.analysis import plan as plans
+from experiments.analysis.frames.cells import comparable, duplicates, is_main
+from experiments.analysis.frames.claims import claims
+from experiments.analysis.frames.controls import negative_control, placebo
+from experiments.analysis.frames.effects import adjusted, against_policy, contrasts, means, slopes, variants
+from experiments.analysis.frames.gates import GATES, gates, learnt
+from experiments.analysis.frames.scores import (
+    CRASH_KINDS,
+    PLACE,
+    TASK_ORDER,
+    Arms,
+    Place,
+    arms_of,
+    with_outcomes,
+)
+from experiments.analysis.plan import OUTCOMES, TERMS, Plan
+from experiments.study.arms import ALL_TRAFFICS, ARMS, EXTRA_ARMS
+from experiments.study.grid import BASELINES, LEARNER
+from experiments.study.results import Results
+from experiments.support.files import canonical_json, sha256_bytes
+
+SCHEMA = 3
+BOTH = [("treatment", "control")]
+FURTHER = [(arm, against) for arm in EXTRA_ARMS for against in ("control", "treatment")]
+ONE_TRAFFIC = ("risky", "regular")
+SHOWN = ("crashed", "return", "mean_speed")  # outcomes of comparisons beside the plan's
+DESCRIPTIVE = ("length", "distance", "arrived", "density", "stopped", "progress")
+AGENT = [*PLACE, "arm", "seed"]
+
+
+@dataclass(frozen=True)
+class Analysis:
+    """What an analysis finds, as frames whose columns their functions document.
+
+    effects, means: `effects.contrasts` and `effects.means`, of all comparisons (arm, against; tested_on; scenarios).
+    slopes, gates, claims, placebo: see the functions of these names. policies: see `policies`.
+    plan, plan_hash: see `plan.as_data`. negative_control: see `controls`. notes: missing, failed, damaged, incomplete,
+    duplicates and left_out cells, with their reasons. provenance: see `provenance`.
+    """
+
+    effects: pd.DataFrame
+    means: pd.DataFrame
+    slopes: pd.DataFrame
+    claims: pd.DataFrame
+    gates: pd.DataFrame
+    policies: pd.DataFrame
+    placebo: pd.DataFrame
+    negative_control: float | None
+    plan: dict[str, Any]
+    plan_hash: str
+    notes: dict[str, Any]
+    provenance: dict[str, Any]
+
+
+def analyse(results: Results, version: int = plans.DEFAULT.version) -> Analysis:
+    """Analyse the stored cells of a directory by a version of the plan."""
+    chosen = comparable(results)
+    cells = chosen.results.cells
+    plan = plans.plan_of(
+        (str(c["key"]["profile"].get("preset")) for c in cells.values() if is_main(c)), version
+    )
+    episodes = with_outcomes(chosen.results)
+    passed = gates(cells, chosen.results.gate_episodes)
+
+    home = arms_of(own_agents(episodes), [*OUTCOMES, *CRASH_KINDS])
+    planned = adjusted(contrasts(home, BOTH, [(o, t) for o in OUTCOMES for t in TERMS], plan), plan)
+    trends = slopes(home, plan)
+    beside = list(exploratory(episodes, home, passed, replace(plan, looks=())))
+    plan_data = plans.as_data(plan, GATES)
+    return Analysis(
+        effects=pd.concat([planned, *(frame for frame, _ in beside)], ignore_index=True),
+        means=pd.concat([means(planned, plan), *(frame for _, frame in beside)], ignore_index=True),
+        slopes=trends,
+        claims=claims(planned, trends, plan),
+        gates=passed,
+        policies=policies(episodes),
+        placebo=placebo(own_agents(episodes), plan),
+        negative_control=negative_control(episodes),
+        plan=plan_data,
+        plan_hash=sha256_bytes(canonical_json(plan_data).encode()),
+        notes={
+            "missing": [name for name in results.expected if name not in results.cells],
+            "failed": dict(results.failed),
+            "damaged": dict(results.damaged),
+            "incomplete": chosen.incomplete,
+            "duplicates": duplicates(chosen.results),
+            "left_out": chosen.left_out,
+        },
+        provenance=provenance(chosen.results),
+    )
+
+
+def own_agents(episodes: pd.DataFrame) -> pd.DataFrame:
+    """The test episodes of trained agents on the simulator of their training."""
+    return episodes[episodes["kind"] == "agent"]
+
+
+Frames = tuple[pd.DataFrame, pd.DataFrame]  # effects, and their means
+
+
+def exploratory(
+    episodes: pd.DataFrame, home: Mapping[Place, Arms], passed: pd.DataFrame, plain: Plan
+) -> Iterable[Frames]:
+    """Comparisons beside the plan's; none of them decides a claim, and no p-value is adjusted.
+
+    Kinds of crashes, further arms, the rule drivers as the mark to beat, the agents that pass the gates, and the same
+    agents tested on another simulator.
+    """
+    questions = [(outcome, term) for outcome in SHOWN for term in ONE_TRAFFIC]
+    kinds = contrasts(home, BOTH, [(kind, term) for kind in CRASH_KINDS for term in ONE_TRAFFIC], plain)
+    yield kinds, means(kinds, plain)
+    further = contrasts(home, FURTHER, questions, plain)
+    crashes = further[further["outcome"] == "crashed"]
+    yield further, pd.concat([means(further, plain), variants(crashes, plain)])
+    rules = episodes[episodes["kind"] == "baseline"]
+    rules = rules.assign(arm=rules["policy"], seed=0)
+    drivers = arms_of(pd.concat([own_agents(episodes), rules]), SHOWN)
+    mark = against_policy(drivers, "careful", list(ARMS), questions, plain)
+    yield mark, means(mark, plain)
+    yield sensitivity(episodes, home, passed, plain)
+    for other in sorted(
+        {*episodes["tested_on"]} - {*episodes["backend"]} | {*_elsewhere(episodes)["tested_on"]}
+    ):
+        yield from transfer(episodes, str(other), plain)
+
+
+def sensitivity(
+    episodes: pd.DataFrame, home: Mapping[Place, Arms], passed: pd.DataFrame, plain: Plan
+) -> Frames:
+    """The crash rate in other ways: without each task, settings alike, what was learnt, agents that pass the gates."""
+    questions = [("crashed", term) for term in ONE_TRAFFIC]
+    scopes = variants(contrasts(home, BOTH, questions, plain), plain, learnt(passed, plain.learnt))
+    bad = passed.loc[passed["passed"].astype(object) == False, "cell"]  # noqa: E712
+    agents = own_agents(episodes)
+    sound = contrasts(arms_of(agents[~agents["cell"].isin(bad)], ["crashed"]), BOTH, questions, plain)
+    sound = sound[sound[["seeds_arm", "seeds_against"]].min(axis=1) > 1]
+    passing = means(sound, plain)
+    passing = passing[passing["scope"] == "all tasks"].assign(scope="agents that pass the gates")
+    return sound.iloc[:0], pd.concat([scopes, passing])
+
+
+def _elsewhere(episodes: pd.DataFrame) -> pd.DataFrame:
+    """The episodes of agents on another simulator than that of their training."""
+    return episodes[(episodes["kind"] == "test") & (episodes["tested_on"] != episodes["backend"])]
+
+
+def transfer(episodes: pd.DataFrame, other: str, plain: Plan) -> Iterable[Frames]:
+    """The effect on the crash rate on another simulator, and of the same agents on the same scenarios at home."""
+    tests = _elsewhere(episodes)
+    tests = tests[tests["tested_on"] == other]
+    agents = own_agents(episodes)
+    away = tests.merge(agents[AGENT].drop_duplicates())
+    home = agents.merge(away[[*AGENT, "traffic", "scenario"]])
+    questions = [("crashed", term) for term in ONE_TRAFFIC]
+    for rows, labels in ((away, {"tested_on": other, "scenarios": other}), (home, {"scenarios": other})):
+        effects = contrasts(arms_of(rows, ["crashed"]), BOTH, questions, plain, **labels)
+        yield effects, means(effects, plain)
+
+
+def policies(episodes: pd.DataFrame) -> pd.DataFrame:
+    """How every policy does, in every setting and traffic: trained agents by arm, and the others.
+
+    Returns:
+        A row a PLACE, policy, arm (empty for policies that are not trained) and traffic, in the grid's order: n and
+        unit ("training seed" or "test episode"), the mean of every outcome and of length [steps], distance [m], arrived
+        (share), density (other vehicles within 200 m), stopped (share of the steps) and progress (m per second that the
+        episode was to last); "<outcome> se" over those units, NaN with one of them.
+    """
+    rows = episodes[episodes["tested_on"] == episodes["backend"]]
+    rows = rows.assign(arm=rows["arm"].where(rows["kind"] != "baseline", "").fillna("").astype(str))
+    rows = rows.assign(progress=rows["distance"] / rows["seconds"])
+    columns = [*OUTCOMES, *DESCRIPTIVE]
+    group = [*PLACE, "policy", "arm", "traffic"]
+    trained = rows["arm"] != ""
+    units = pd.concat(
+        [
+            rows[trained].groupby([*group, "seed"], sort=False)[columns].mean().reset_index(),
+            rows[~trained][[*group, *columns]],
+        ]
+    )
+    grouped = units.astype(dict.fromkeys(columns, float)).groupby(group, sort=False)
+    frame = grouped[columns].mean()
+    frame.insert(0, "n", grouped.size())
+    frame.insert(
+        1, "unit", ["training seed" if arm else "test episode" for arm in frame.index.get_level_values("arm")]
+    )
+    errors = grouped[list(OUTCOMES)].sem().add_suffix(" se")
+    frame = frame.join(errors).reset_index()
+    own = sorted({*frame["policy"]} - {LEARNER, *BASELINES})
+    rank = {(LEARNER, arm): n for n, arm in enumerate((*ARMS, *EXTRA_ARMS))}
+    rank |= {(policy, ""): len(rank) + n for n, policy in enumerate((*BASELINES, *own))}
+    order = frame.assign(
+        task=frame["task"].map(TASK_ORDER),
+        policy=[rank[key] for key in zip(frame["policy"], frame["arm"], strict=True)],
+        traffic=frame["traffic"].map(ALL_TRAFFICS),
+    )
+    order = order.sort_values(["backend", "task", "level", "policy", "traffic"])
+    return frame.loc[order.index].reset_index(drop=True)
+
+
+def provenance(results: Results) -> dict[str, Any]:
+    """Where the numbers come from.
+
+    Returns:
+        presets, versions (each with all values found), seconds (computing time of training and tests),
+        finished (times of the first and last cell), cells (for each its files' checksums), hash (of all that:
+        equal hashes mean equal results).
+    """
+    versions: dict[str, set[str]] = {}
+    presets, finished, seconds = set(), [], 0.0
+    for cell in results.cells.values():
+        packages = (cell.get("provenance") or {}).get("packages", {})
+        for name, version in {**packages, **cell["versions"]}.items():
+            if version is not None:  # without a build tag, as in the cells' names
+                versions.setdefault(name, set()).add(str(version).partition("+")[0])
+        presets.add(str(cell["key"]["profile"].get("preset")))
+        timing = cell.get("timing", {})
+        seconds += timing.get("train_seconds", 0.0) + timing.get("test_seconds", 0.0)
+        finished += [timing["finished"]] if "finished" in timing else []
+    files = {name: cell["files"] for name, cell in sorted(results.cells.items())}
+    return {
+        "presets": sorted(presets),
+        "versions": {name: sorted(found) for name, found in sorted(versions.items())},
+        "seconds": seconds,
+        "finished": [min(finished), max(finished)] if finished else None,
+        "cells": files,
+        "hash": sha256_bytes(canonical_json(files).encode()),
+    }
+
+
+def as_json(analysis: Analysis) -> dict[str, Any]:
+    """An analysis as strict JSON; a frame is {"columns": [...], "rows": [[...], ...]}.
+
+    Numbers have twelve significant digits, since those beyond differ between processors; NaN is null.
+    """
+    value: dict[str, Any] = {"schema": SCHEMA}
+    for field in fields(analysis):
+        part = getattr(analysis, field.name)
+        if isinstance(part, pd.DataFrame):
+            table = part.drop(columns="looks", errors="ignore")
+            part = {"columns": list(table.columns), "rows": table.to_numpy(dtype=object).tolist()}
+        value[field.name] = _strict(part)
+    return value
+
+
+def _strict(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {str(key): _strict(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_strict(item) for item in value]
+    if isinstance(value, np.generic):
+        value = value.item()
+    if isinstance(value, float):
+        return float(f"{value:.12g}") if math.isfinite(value) else None
+    return None if value is pd.NA else value
+
+
+def stored(path: Path) -> Analysis | None:
+    """The analysis in an analysis.json; None if the file is of another version. Raises ValueError if it is damaged."""
+    value = json.loads(path.read_text())
+    if value.pop("schema", None) != SCHEMA:
+        return None
+    frames = {
+        name: pd.DataFrame(part["rows"], columns=part["columns"])
+        if isinstance(part, dict) and part.keys() == {"columns", "rows"}
+        else part
+        for name, part in value.items()
+    }
+    return Analysis(**frames)

@@ -1,0 +1,165 @@
+"""Which stored cells may be compared with each other.
+
+A result directory may hold cells of several settings (another budget, other versions). They are never mixed: for each
+task and traffic level one setting is analysed, the others are set aside and named. So are cells whose tables are not
+complete.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from experiments.analysis.frames.scores import PLACE
+from experiments.study.arms import ARMS, TRAFFICS, gate_traffics
+from experiments.study.results import Results
+from experiments.support.files import canonical_json
+
+Cell = Mapping[str, Any]
+NUMBERS = ("return", "length", "mean_speed", "distance", "near_misses", "crashed")
+
+
+@dataclass(frozen=True)
+class Selection:
+    """The cells that are analysed, and why others are not.
+
+    results: the cells that are. left_out: of other settings, incomplete: with tables that lack something; name and
+    reason of each.
+    """
+
+    results: Results
+    left_out: dict[str, str]
+    incomplete: dict[str, str]
+
+
+def comparable(results: Results) -> Selection:
+    """The cells that may be compared with each other, and the others with the reason why not.
+
+    For each task and level: the setting that the last sweep asked for, else the one with most cells. Baselines must
+    have been tested in the same environment, on the same scenarios and under the same versions. Further arms, and tests
+    on other simulators, must be of agents trained and tested as those of both arms are.
+    """
+    tests = _by_cell(results.episodes)
+    gates = _by_cell(results.gate_episodes)
+    faults = {name: _faults(cell, tests.get(name), gates.get(name)) for name, cell in results.cells.items()}
+    incomplete = {name: "; ".join(found) for name, found in faults.items() if found}
+    whole = {name: cell for name, cell in results.cells.items() if name not in incomplete}
+    left_out: dict[str, str] = {}
+    places: dict[tuple[Any, ...], dict[str, Cell]] = {}
+    for name, cell in whole.items():
+        places.setdefault(tuple(cell["key"][column] for column in PLACE), {})[name] = cell
+    for cells in places.values():
+        left_out |= _strangers(cells, results.expected)
+    return Selection(without(results, {*incomplete, *left_out}), left_out, incomplete)
+
+
+def is_main(cell: Cell) -> bool:
+    """Whether a cell is of the comparison that the plan is about: an agent of one of both arms, or a baseline."""
+    kind = cell["key"]["kind"]
+    return kind == "baseline" or (kind == "agent" and cell["key"]["arm"] in ARMS)
+
+
+def _strangers(cells: Mapping[str, Cell], expected: Sequence[str]) -> dict[str, str]:
+    """The cells of a place that do not belong to its setting, with the reason."""
+    latest = {name: number for number, name in enumerate(expected)}  # the last sweep stands last
+    main = {name: _settings(cell) for name, cell in cells.items() if is_main(cell)}
+    agents = [name for name in main if cells[name]["key"]["kind"] == "agent"]
+    groups: dict[str, list[str]] = {}
+    for name in agents or main:
+        groups.setdefault(canonical_json(main[name]), []).append(name)
+    if not groups:
+        return dict.fromkeys(cells, "no agents of both arms with its settings to compare with")
+    asked = {group: max(latest.get(name, -1) for name in groups[group]) for group in groups}
+    best = max(groups, key=lambda group: (asked[group], len(groups[group]), group))
+    reference = main[groups[best][0]]
+    environment = _environment(reference)
+    strangers = {}
+    for name, cell in cells.items():
+        own = _settings(cell)
+        if name not in main:
+            fits = bool(agents) and all(own.get(key) == value for key, value in reference.items())
+            found = "" if fits else "no agents of both arms with its settings to compare with"
+        elif cell["key"]["kind"] == "agent":
+            found = _difference(own, reference)
+        else:
+            found = _difference(_environment(own), environment)
+        if found:
+            strangers[name] = found
+    return strangers
+
+
+def _settings(cell: Cell) -> dict[str, Any]:
+    """What a cell is computed with, flat; the preset is a label and no setting."""
+    key, versions = cell["key"], cell["versions"]
+    flat = {f"{part} {name}": value for part in ("env_config", "eval") for name, value in key[part].items()}
+    flat |= {f"version of {name}": value for name, value in versions.items()}
+    flat["dynamics"] = key.get("dynamics")
+    return flat | {name: value for name, value in key["profile"].items() if name != "preset"}
+
+
+def _environment(settings: Mapping[str, Any]) -> dict[str, Any]:
+    """The settings that cells without a trained agent have too."""
+    parts = ("env_config ", "eval ", "version of ", "dynamics")
+    return {name: value for name, value in settings.items() if name.startswith(parts)}
+
+
+def _difference(settings: Mapping[str, Any], reference: Mapping[str, Any]) -> str:
+    names = [name for name in sorted({*settings, *reference}) if settings.get(name) != reference.get(name)]
+    words = [f"{name} {settings.get(name)} instead of {reference.get(name)}" for name in names]
+    more = f" and {len(words) - 3} more" if len(words) > 3 else ""
+    return ", ".join(words[:3]) + more
+
+
+def without(results: Results, gone: set[str]) -> Results:
+    """The results without some cells."""
+    if not gone:
+        return results
+    tables = {
+        name: table[~table["cell"].isin(gone)].reset_index(drop=True)
+        for name in ("agents", "episodes", "gate_episodes", "training")
+        for table in [getattr(results, name)]
+    }
+    return replace(results, cells={k: v for k, v in results.cells.items() if k not in gone}, **tables)
+
+
+def _by_cell(table: pd.DataFrame) -> dict[str, pd.DataFrame]:
+    return {str(name): rows for name, rows in table.groupby("cell", sort=False)} if len(table) else {}
+
+
+def _faults(cell: Cell, tests: pd.DataFrame | None, gates: pd.DataFrame | None) -> list[str]:
+    """What a cell's tables lack: every scenario once, and nothing but numbers."""
+    key = cell["key"]
+    test = key.get("test_on", {"episodes": key["eval"]["episodes"], "traffics": list(TRAFFICS)})
+    faults = _lacking(tests, int(test["episodes"]), test["traffics"], "test")
+    if "gate_episodes" in key["eval"] and key["kind"] != "test":
+        faults += _lacking(gates, int(key["eval"]["gate_episodes"]), gate_traffics(key["arm"]), "gate")
+    return faults
+
+
+def _lacking(table: pd.DataFrame | None, wanted: int, traffics: Sequence[str], purpose: str) -> list[str]:
+    if table is None:
+        return [f"no {purpose} episodes"]
+    faults = []
+    for traffic in traffics:
+        rows = table[table["traffic"] == traffic]
+        if sorted(rows["scenario"]) != list(range(wanted)):
+            found = rows["scenario"].nunique()
+            twice = ", some twice" if len(rows) > found else ""
+            faults.append(f"{found} of {wanted} {purpose} scenarios in {traffic} traffic{twice}")
+    for column in NUMBERS:
+        if column in table and not np.isfinite(table[column].astype(float)).all():
+            faults.append(f"{column} of the {purpose} is not a number")
+    return faults
+
+
+def duplicates(results: Results) -> list[list[str]]:
+    """Groups of trained agents with the same weights: the same cell under several names."""
+    by_weights: dict[str, list[str]] = {}
+    for name, cell in sorted(results.cells.items()):
+        if sha := (cell.get("learner") or {}).get("weights_sha256"):
+            by_weights.setdefault(sha, []).append(name)
+    return [names for names in by_weights.values() if len(names) > 1]

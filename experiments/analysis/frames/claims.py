@@ -1,0 +1,104 @@
+"""What the effects say about each claim; decided by tests that the plan names, not by eye."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import pandas as pd
+
+from experiments.analysis.frames import estimate
+from experiments.analysis.frames.effects import GRID
+from experiments.analysis.frames.estimate import OK
+from experiments.analysis.plan import DEFAULT, OUTCOMES, Plan
+
+HOLDS, CONTRADICTED, NOT_DECIDED = "holds", "contradicted", "not decided"
+EQUIVALENT = "equivalent"
+
+
+@dataclass(frozen=True)
+class Claim:
+    """A statement about every task (and level); its words are in the report's templates.
+
+    source: "paper" for the paper's own, "crash rate" for what this study asks of crashes. quantity: a term of the
+    effect in each setting, "effect" (the slope of the sum over traffic), "mean" (the outcome's slope) or "equivalent"
+    (no difference as large as the margin, in regular traffic). sign: what the quantity has to be everywhere.
+    """
+
+    name: str
+    source: str
+    quantity: str
+    outcome: str
+    sign: int
+
+
+CLAIMS = (
+    Claim("return rises", "paper", "sum", "return", +1),
+    Claim("return effect grows", "paper", "effect", "return", +1),
+    Claim("return falls with traffic", "paper", "mean", "return", -1),
+    Claim("fewer crashes", "crash rate", "risky", "crashed", -1),
+    Claim("crash effect grows", "crash rate", "effect", "crashed", -1),
+    Claim("crashes rise with traffic", "crash rate", "mean", "crashed", +1),
+    Claim("little harm", "crash rate", EQUIVALENT, "crashed", 0),
+)
+
+
+def claims(effects: pd.DataFrame, slopes: pd.DataFrame, plan: Plan = DEFAULT) -> pd.DataFrame:
+    """The verdict on every claim.
+
+    A claim about every task and level holds if each place by itself is significantly on the right side (a conjunction
+    needs no adjustment), and is contradicted if any is on the wrong side after Holm's adjustment.
+
+    Args:
+        effects: of treatment against control, from `effects.adjusted`. slopes: from `effects.slopes`.
+
+    Returns:
+        A row a backend and claim: the fields of Claim, verdict, and of the places (settings, for slopes tasks) right
+        and wrong (on either side after Holm), open, silent (no evidence: one seed, nothing varies, everybody crashes,
+        missing levels), not_run, expected, and detectable (the median over those that are open).
+    """
+    rows = []
+    for backend in effects["backend"].unique():
+        for claim in CLAIMS:
+            counts = _counts(
+                claim, effects[effects["backend"] == backend], slopes[slopes["backend"] == backend], plan
+            )
+            rows.append({"backend": backend, **vars(claim), **counts})
+    return pd.DataFrame(rows)
+
+
+def _counts(claim: Claim, effects: pd.DataFrame, slopes: pd.DataFrame, plan: Plan) -> Mapping[str, object]:
+    is_slope = claim.quantity in ("effect", "mean")
+    if is_slope:
+        rows = slopes[(slopes["outcome"] == claim.outcome) & (slopes["quantity"] == claim.quantity)]
+        known = rows[(rows["status"] == OK) & rows["complete"]]
+    else:
+        term = "regular" if claim.quantity == EQUIVALENT else claim.quantity
+        wanted = effects["task"].map(plan.outcome) if claim.name == "fewer crashes" else claim.outcome
+        rows = effects[(effects["outcome"] == wanted) & (effects["term"] == term)]
+        known = rows[rows["status"] == OK]
+    if claim.quantity == EQUIVALENT:
+        margin = OUTCOMES[claim.outcome].margin or 0.0
+        right = known["equivalent_p_adjusted"] < plan.alpha
+        beyond = (known["estimate"].abs() - margin) / known["se"]
+        wrong = estimate.adjusted(estimate.stats.t.sf(beyond, known["df"])) < plan.alpha / 2
+        alone = known["equivalent_p"] < plan.alpha
+    else:
+        better = known["estimate"] * claim.sign > 0
+        if claim.name == "fewer crashes":
+            better = known["estimate"] * known["outcome"].map(lambda name: OUTCOMES[name].better) > 0
+        decided = known["p_adjusted"] < plan.alpha
+        right, wrong, alone = better & decided, ~better & decided, better & (known["p"] < plan.alpha)
+    expected = len(GRID) if is_slope else sum(GRID.values())
+    holds = len(known) > 0 and int(alone.sum()) >= expected
+    open_ = known[~(right | wrong)]
+    return {
+        "verdict": CONTRADICTED if wrong.any() else HOLDS if holds else NOT_DECIDED,
+        "right": int(right.sum()),
+        "wrong": int(wrong.sum()),
+        "open": len(open_),
+        "silent": len(rows) - len(known),
+        "not_run": max(0, expected - len(rows)),
+        "expected": expected,
+        "detectable": open_["detectable"].median() if "detectable" in open_ else float("nan"),
+    }

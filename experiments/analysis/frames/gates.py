@@ -1,0 +1,183 @@
+"""Is an agent worth comparing? Four gates that a trained agent has to pass before its effect means anything.
+
+A learner that diverged behaves like a constant, and a pair of diverged arms gives an effect of exactly 0 that no test
+of significance notices. Agents that fail are shown, and the effects they enter are called uninformative. The gates are
+judged on scenarios of their own: chosen by the test scenarios, the agents left over would be the lucky ones.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from agents.training import Q_SLACK
+from experiments.analysis.frames.scores import PLACE, TASK_ORDER
+from experiments.study.arms import gate_traffics
+
+CONSTANT = 0.98  # share of the steps with the most common action from which a policy counts as constant
+TIED = (
+    0.98  # share of the scenarios with the return of one constant policy from which an agent is tied with it
+)
+ENTERING = 0.5  # share of the scenarios in which a policy has to enter the crossing to count as one that does
+CONSTANT_POLICIES = ("idle", "random", "faster", "slower")  # what learning has to be worth more than
+# Way [m] from the start to just inside the crossing that a task is about: an ego's length beyond its entry.
+CROSSINGS = {"roundabout": 24.5, "intersection": 45.0}
+
+GATES: dict[str, str] = {
+    "q_bounded": f"Q-values stay below {Q_SLACK} x max |r| / (1 - gamma) on the probe states",
+    "not_constant": f"no action is chosen in {CONSTANT:.0%} or more of the steps, and in less than {TIED:.0%} of the "
+    "scenarios the return is that of one and the same constant policy",
+    "crosses": f"enters the roundabout or intersection in {ENTERING:.0%} or more of the scenarios of its training "
+    "traffic, or has a higher return there than every reference policy that does",
+    "beats_constant": "return in its training traffic is above that of the best of idle, random, faster and slower by "
+    "more than 2 standard errors",
+}
+FAILURES: dict[str, str] = {  # what it means to fail, in two or three words
+    "q_bounded": "diverged",
+    "not_constant": "constant policy",
+    "crosses": "does not cross",
+    "beats_constant": "not above a constant policy",
+}
+Gate = dict[str, Any]
+
+
+def _q_bounded(learner: Mapping[str, Any]) -> Gate:
+    curve, largest = learner.get("probe_q") or [], learner.get("q_bound")
+    if not curve or largest is None:
+        return {"passed": None, "value": None, "limit": None, "note": "no Q-values were recorded"}
+    values = [row[2] for row in curve]
+    limit = Q_SLACK * float(largest)
+    if any(value is None or not math.isfinite(value) for value in values):
+        return {"passed": False, "value": None, "limit": limit, "note": "Q-values are no longer finite"}
+    return {"passed": max(values) <= limit, "value": float(max(values)), "limit": limit, "note": None}
+
+
+def _not_constant(own: pd.DataFrame, references: Mapping[str, pd.DataFrame]) -> Gate:
+    counts = own[[column for column in own if str(column).startswith("action_")]].sum()
+    share = float(counts.max() / counts.sum())
+    action = str(counts.idxmax()).removeprefix("action_")
+    ties = {
+        policy: float(np.isclose(own["return"] - references[policy]["return"], 0.0, atol=1e-9).mean())
+        for policy in CONSTANT_POLICIES
+        if policy in references
+    }
+    tied = max(ties, key=lambda policy: ties[policy], default=None)
+    note = f"action {action}"
+    if tied is not None and ties[tied] >= TIED:
+        note += f"; the return is that of {tied} in {ties[tied]:.0%} of the scenarios"
+    passed = share < CONSTANT and all(tie < TIED for tie in ties.values())
+    return {"passed": passed, "value": share, "limit": CONSTANT, "note": note}
+
+
+def _entering(episodes: pd.DataFrame, way: float) -> float:
+    return float((episodes["distance"] >= way).mean())
+
+
+def _crosses(task: str, own: pd.DataFrame, references: Mapping[str, pd.DataFrame]) -> Gate:
+    """Waiting is a failure only where something that crosses is worth more."""
+    if task not in CROSSINGS:
+        return {"passed": True, "value": None, "limit": None, "note": "no crossing"}
+    share = _entering(own, CROSSINGS[task])
+    gate: Gate = {"passed": True, "value": share, "limit": ENTERING, "note": None}
+    if share >= ENTERING:
+        return gate
+    crossing = {
+        policy: float(table["return"].mean())
+        for policy, table in references.items()
+        if _entering(table, CROSSINGS[task]) >= ENTERING
+    }
+    if not crossing:
+        return {**gate, "passed": None, "note": "no reference policy that crosses in this directory"}
+    best = max(crossing, key=lambda policy: crossing[policy])
+    passed = float(own["return"].mean()) > crossing[best]
+    return {**gate, "passed": passed, "note": f"{'above' if passed else 'not above'} {best}, which crosses"}
+
+
+def _beats_constant(own: pd.DataFrame, references: Mapping[str, pd.DataFrame]) -> Gate:
+    """Compared on the same scenarios, so that their noise cancels."""
+    value = float(own["return"].mean())
+    means = {p: float(references[p]["return"].mean()) for p in CONSTANT_POLICIES if p in references}
+    if not means:
+        return {"passed": None, "value": value, "limit": None, "note": "no baselines in this directory"}
+    best = max(means, key=lambda policy: means[policy])
+    difference = (own["return"] - references[best]["return"]).dropna()
+    if len(difference) < 2:
+        return {"passed": None, "value": value, "limit": None, "note": "no common scenarios"}
+    distance = 2 * float(difference.std(ddof=1)) / math.sqrt(len(difference))
+    missing = [policy for policy in CONSTANT_POLICIES if policy not in references]
+    note = f"best is {best}" + (f"; {', '.join(missing)} not run" if missing else "")
+    return {
+        "passed": float(difference.mean()) > distance,
+        "value": value,
+        "limit": value - float(difference.mean()) + distance,
+        "note": note,
+    }
+
+
+def gates(cells: Mapping[str, Mapping[str, Any]], episodes: pd.DataFrame) -> pd.DataFrame:
+    """The verdict on every trained agent.
+
+    Args:
+        cells: cell.json by name. episodes: the gate episodes of all of them, as in `results.Results`.
+
+    Returns:
+        A row an agent: cell, PLACE, arm, seed, passed (False if any gate fails, None if one could not be checked, True
+        otherwise), failed (the names of the gates), and for each of GATES "<gate>" (passed), "<gate> value", "<gate>
+        limit" (in the gate's own unit: Q-value, share, share, return) and "<gate> note".
+    """
+    tables = {
+        key: table.set_index("scenario").sort_index()
+        for key, table in episodes.groupby(["cell", "traffic"], sort=False)
+    }
+    references: dict[tuple[Any, ...], dict[str, pd.DataFrame]] = {}
+    for (name, traffic), table in tables.items():
+        key = cells[name]["key"]
+        if key["kind"] != "agent":
+            place = (*(key[column] for column in PLACE), traffic)
+            references.setdefault(place, {})[key["policy"]] = table
+    rows = []
+    for name, cell in cells.items():
+        key = cell["key"]
+        if key["kind"] != "agent":
+            continue
+        (traffic,) = gate_traffics(key["arm"])
+        if (name, traffic) not in tables:
+            continue
+        own = tables[name, traffic]
+        others = references.get((*(key[column] for column in PLACE), traffic), {})
+        found: dict[str, Gate] = {
+            "q_bounded": _q_bounded(cell.get("learner") or {}),
+            "not_constant": _not_constant(own, others),
+            "crosses": _crosses(key["task"], own, others),
+            "beats_constant": _beats_constant(own, others),
+        }
+        passed = [gate["passed"] for gate in found.values()]
+        row = {"cell": name, **{column: key[column] for column in (*PLACE, "arm", "seed")}}
+        row["passed"] = False if False in passed else None if None in passed else True
+        row["failed"] = " ".join(gate for gate, result in found.items() if result["passed"] is False)
+        for gate, result in found.items():
+            row[gate] = result["passed"]
+            row |= {f"{gate} {part}": result[part] for part in ("value", "limit", "note")}
+        rows.append(row)
+    parts = [f"{gate}{part}" for gate in GATES for part in ("", " value", " limit", " note")]
+    frame = pd.DataFrame(rows, columns=["cell", *PLACE, "arm", "seed", "passed", "failed", *parts])
+    order = frame.assign(task=frame["task"].map(TASK_ORDER))
+    return frame.loc[order.sort_values(["backend", "task", "level", "arm", "seed"]).index].reset_index(
+        drop=True
+    )
+
+
+def learnt(gates: pd.DataFrame, share: float) -> set[tuple[str, str, int]]:
+    """The settings (backend, task, level) where at least this share of the control agents pass the gates.
+
+    Judged by the control agents alone: that the treatment ruins agents would be its effect.
+    """
+    control = gates[gates["arm"] == "control"]
+    passing = (control["passed"].astype(object) != False).groupby(  # noqa: E712
+        [control["backend"], control["task"], control["level"]]
+    )
+    return {key for key, passed in passing.mean().items() if passed >= share}

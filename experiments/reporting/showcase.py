@@ -213,8 +213,9 @@ def _film(scenes: Sequence[Any], row: Mapping[str, Any]) -> dict[str, Any]:
     """An episode as small numbers.
 
     Returns:
-        times [0.01 s]; cars: the ego first, for each the number of its first frame and, a number a frame, x, y
-        [0.1 m] and heading [0.01 rad]: the first value, then differences; speeds of the ego [0.1 m/s]; crash [s] and
+        times [0.01 s]; cars: the ego first, for each the number of its first frame and, for each frame, x, y
+        [0.1 m] and heading [0.01 rad]: the first value, then differences; acts: the frames in which a risk event acts on
+        the car, absent without one; speeds of the ego [0.1 m/s]; crash [s] and
         hit (number of the car that was hit), None without a crash; ending and row: what is said of it.
     """
     frames: list[Any] = []
@@ -238,10 +239,12 @@ def _film(scenes: Sequence[Any], row: Mapping[str, Any]) -> dict[str, Any]:
             track.append((number, float(x[index]), float(y[index]), float(scene.heading[index])))
     for number, car in enumerate(cars):
         track = car.pop("track")
-        if row["crashed"] and car.pop("name", None) == row["crash_other"]:
+        name = car.pop("name")
+        if row["crashed"] and name == row["crash_other"]:
             hit = number
-        car.pop("name", None)
         car["from"] = track[0][0]
+        if acts := [frame for frame, *_ in track if name in frames[frame].in_event]:
+            car["acts"] = acts
         values = np.array([entry[1:] for entry in track])
         values[:, 2] = np.unwrap(values[:, 2])
         whole = np.rint(values * (10, 10, 100)).astype(int)

@@ -19,7 +19,7 @@
     ...track,
     times: track.times.map((value) => value / 100),
     cars: track.cars.map((car) => ({
-      from: car.from, x: sums(car.x).map((v) => v / 10), y: sums(car.y).map((v) => v / 10), h: sums(car.h).map((v) => v / 100),
+      from: car.from, acts: new Set(car.acts || []), x: sums(car.x).map((v) => v / 10), y: sums(car.y).map((v) => v / 10), h: sums(car.h).map((v) => v / 100),
     })),
   });
 
@@ -78,6 +78,11 @@
     pen.restore();
   }
 
+  function ring(pen, [x, y], colour, radius, scale) {
+    pen.strokeStyle = colour; pen.lineWidth = Math.max(0.5, 3 / scale);
+    pen.beginPath(); pen.arc(x, y, radius, 0, 2 * Math.PI); pen.stroke();
+  }
+
   function draw(arm) {
     const canvas = part(`screen-${arm}`), { place } = current, track = current[arm], other = current[arm === "control" ? "treatment" : "control"];
     const ratio = window.devicePixelRatio || 1, width = canvas.clientWidth, height = canvas.clientHeight;
@@ -96,15 +101,15 @@
     const crashed = track.crash !== null && time >= track.crash - 1e-6;
     track.cars.forEach((car, number) => {
       const where = number > 0 ? pose(car, frame, share) : null;
-      if (where) drawCar(pen, where, crashed && number === track.hit ? "#e5484d" : "#e9edf1", "#2b3138");
+      if (!where) return;
+      const acts = car.acts.has(frame); // a risk event acts on this car
+      drawCar(pen, where, crashed && number === track.hit ? "#e5484d" : acts ? "#ffc400" : "#e9edf1", "#2b3138");
+      if (acts) ring(pen, where, "#ffc400", 4, scale);
     });
     const ghost = pose(other.cars[0], ...at(other, time));
     drawCar(pen, ghost, "", COLOURS[arm === "control" ? "treatment" : "control"], true);
     drawCar(pen, ego, COLOURS[arm], "#ffffff");
-    if (crashed) {
-      pen.strokeStyle = "#c81e1e"; pen.lineWidth = Math.max(0.5, 3 / scale);
-      pen.beginPath(); pen.arc(ego[0], ego[1], 5.5, 0, 2 * Math.PI); pen.stroke();
-    }
+    if (crashed) ring(pen, ego, "#c81e1e", 5.5, scale);
     const over = time >= track.times[track.times.length - 1] - 1e-6;
     const speed = (track.speeds[frame] / 10).toFixed(0);
     part(`state-${arm}`).textContent = crashed ? `crashed at ${track.crash.toFixed(1)} s` : over ? "over" : `${speed} m/s`;
@@ -139,7 +144,7 @@
     window.setTimeout(tick, FRAME);
   }
 
-  /** The moment that says most: the first crash; where there is none, the middle. */
+  /** The first crash; infinite where there is none. */
   const telling = () => Math.min(...ARMS.map((arm) => current[arm].crash ?? Infinity), Infinity);
 
   function choose(number) {
@@ -155,16 +160,13 @@
     }
     play(false);
     const moment = telling();
-    show(Number.isFinite(moment) ? moment : current.end / 2);
+    show(Number.isFinite(moment) ? Math.max(moment - 2, 0) : 0); // two seconds before the crash
   }
 
   part("film").addEventListener("change", (event) => choose(Number(event.target.value)));
   part("next").addEventListener("click", () => choose((current.number + 1) % films.length));
   part("previous").addEventListener("click", () => choose((current.number + films.length - 1) % films.length));
-  part("play").addEventListener("click", () => {
-    if (!playing && Math.abs(time - telling()) < 1e-6) show(0); // from the still that is shown first
-    play(!playing);
-  });
+  part("play").addEventListener("click", () => play(!playing));
   part("time").addEventListener("input", (event) => { play(false); show(Number(event.target.value)); });
   section.addEventListener("keydown", (event) => {
     if (event.ctrlKey || event.altKey || event.metaKey || event.target.tagName === "SELECT") return;

@@ -76,7 +76,7 @@ class FakeEnv(gym.Env):
         return SimpleNamespace(
             ids=("ego", "v0"), x=np.array([0.0, self.gap]), y=np.array([4.0, 4.0]),
             speed=np.array([self.speed, 15.0]), heading=np.zeros(2), crashed=np.array([self.crashed] * 2),
-            time=float(self.time),
+            time=float(self.time), in_event=frozenset(),
         )  # fmt: skip
 
     def _observe(self) -> np.ndarray:

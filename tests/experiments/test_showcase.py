@@ -144,5 +144,8 @@ def test_the_page_plays_without_an_error(copy, monkeypatch):
     title = re.search("<title>(.*?)</title>", done.stdout)[1]
     start, end, home, step, playing, later = json.loads(title)
     assert (home, step, playing) == ("0.0", "0.2", "true")
-    assert 0 < float(start) <= float(end)
+    film = json.loads((copy / "showcase.json").read_text())["places"][0]["films"][0]
+    crash = min(film[arm]["crash"] for arm in ("control", "treatment") if film[arm]["crash"] is not None)
+    assert float(start) == pytest.approx(max(crash - 2.0, 0.0), abs=0.05)  # before the crash
+    assert float(end) >= crash
     assert float(later) > float(step)

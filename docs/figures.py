@@ -1,13 +1,9 @@
 """Draws the pictures of the documentation: ``python docs/figures.py``.
 
-docs/img/tasks.png            one moment of each task, with risky drivers
-docs/img/environments/*.png   one moment of each task, as its page shows it
-docs/img/films/*.gif          some seconds of each task
 docs/img/networks/*.png       SUMO's lanes (grey, orange in junctions) under highway-env's centre lines (bright, dashed)
 docs/img/collisions.png       how contacts are looked for
 docs/img/effects.svg          the effect on the crash rate in the published study, as in its report
 docs/img/arms.svg             the crash rate of its further arms, likewise
-docs/img/beside.gif           its first film of the u-turn: a control and a treated agent in the same scenario
 """
 
 from __future__ import annotations
@@ -16,7 +12,6 @@ import json
 import math
 import sys
 from pathlib import Path
-from typing import Any
 from xml.etree import ElementTree
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -28,140 +23,18 @@ matplotlib.use("agg")
 
 import numpy as np
 from matplotlib import pyplot as plt
-from matplotlib.animation import PillowWriter
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Polygon
-from PIL import Image
 
 from experiments.reporting.arm_figures import further_arms
-from experiments.reporting.figures import COLOURS, effects_by_place
+from experiments.reporting.figures import effects_by_place
 from sumo_env.contacts.rectangles import LENGTH, WIDTH, State, separation, state_between, touch_moment
-from sumo_env.env import DrivingEnv
 from sumo_env.networks.lanes import WIDTH as LANE_WIDTH
 from sumo_env.networks.lanes import Point
 from sumo_env.networks.mapping import TASKS, Network, network
 
 IMAGES = ROOT / "docs" / "img"
-
-# -- one moment of each task ------------------------------------------------------------------------------------------
-
-GAP = 6  # [px] between the pictures
-# task -> (seed, steps driven, screen width, screen height), chosen to show some traffic
-SHOTS = {
-    "highway": (3, 4, 900, 150),
-    "two-way": (2, 2, 900, 110),
-    "u-turn": (1, 3, 900, 290),
-    "roundabout": (5, 3, 447, 420),
-    "intersection": (5, 4, 447, 420),
-}
-
-
-def frame(task: str, seed: int, steps: int, config: dict[str, Any]) -> Image.Image:
-    """What an environment shows after some steps with the action IDLE."""
-    env = DrivingEnv(task, config, render_mode="rgb_array")
-    idle = next(action for action, name in env.actions.items() if name == "IDLE")
-    env.reset(seed=seed)
-    for _ in range(steps):
-        env.step(idle)
-    picture = env.render()
-    assert picture is not None
-    env.close()
-    return Image.fromarray(picture)
-
-
-def shot(task: str) -> Image.Image:
-    """One frame of a task."""
-    seed, steps, width, height = SHOTS[task]
-    config: dict[str, Any] = {"screen_width": width, "screen_height": height, "risk": 1.0}
-    if task == "u-turn":
-        config["centering_position"] = [0.35, 0.78]
-    return frame(task, seed, steps, config)
-
-
-def tasks() -> None:
-    """The five frames on one sheet."""
-    wide = [shot(task) for task in ("highway", "two-way", "u-turn")]
-    square = [shot(task) for task in ("roundabout", "intersection")]
-    height = sum(image.height + GAP for image in wide) + square[0].height
-    sheet = Image.new("RGB", (wide[0].width, height), "white")
-    y = 0
-    for image in wide:
-        sheet.paste(image, (0, y))
-        y += image.height + GAP
-    sheet.paste(square[0], (0, y))
-    sheet.paste(square[1], (sheet.width - square[1].width, y))
-    sheet.quantize(64).save(IMAGES / "tasks.png", optimize=True)
-
-
-# task -> seed, steps driven, configuration
-PAGES: dict[str, tuple[int, int, dict[str, Any]]] = {
-    "highway": (0, 6, {"screen_width": 900, "screen_height": 130}),
-    "two-way": (0, 3, {"screen_width": 900, "screen_height": 90, "centering_position": [0.3, 0.6]}),
-    "roundabout": (1, 3, {"scaling": 4.5}),
-    "intersection": (2, 3, {}),
-    "u-turn": (1, 3, {"scaling": 4.5, "centering_position": [0.35, 0.85]}),
-}
-
-
-def environments() -> None:
-    """One frame for the page of each environment."""
-    for task, scene in PAGES.items():
-        frame(task, *scene).quantize(64).save(IMAGES / "environments" / f"{task}.png", optimize=True)
-
-
-# task -> seed, configuration of its film
-FILMS: dict[str, tuple[int, dict[str, Any]]] = {
-    "highway": (1, {"screen_width": 600, "screen_height": 100}),
-    "two-way": (5, {"screen_width": 600, "screen_height": 80}),
-    "roundabout": (2, {"screen_width": 400, "screen_height": 360, "scaling": 4.0}),
-    "intersection": (3, {"screen_width": 400, "screen_height": 360, "scaling": 4.5}),
-    "u-turn": (
-        1,
-        {"screen_width": 600, "screen_height": 240, "scaling": 3.4, "centering_position": [0.35, 0.85]},
-    ),
-}
-FILM_STEPS, FILM_FREQUENCY = 8, 5  # [s] at one policy step per second; pictures per second
-
-
-class Film:
-    """What `DrivingEnv.set_record_video_wrapper` expects: keeps every other picture of the simulation."""
-
-    recording, frames_per_sec = True, 0
-
-    def __init__(self, env: DrivingEnv) -> None:
-        self.env, self.pictures, self._seen = env, [], 0
-        env.set_record_video_wrapper(self)  # type: ignore[arg-type]
-
-    def _capture_frame(self) -> None:
-        self._seen += 1
-        if self._seen % (self.env.config["simulation_frequency"] // FILM_FREQUENCY) == 0:
-            self.pictures.append(Image.fromarray(self.env.render()).quantize(32))
-
-
-def films() -> None:
-    """The films of the gallery, driven by the rule `careful`."""
-    from agents.rules import make_policy
-
-    (IMAGES / "films").mkdir(exist_ok=True)
-    for task, (seed, config) in FILMS.items():
-        env = DrivingEnv(task, {**config, "risk": 1.0}, render_mode="rgb_array")
-        policy, film = make_policy("careful", env), Film(env)
-        observation, _ = env.reset(seed=seed)
-        policy.reset(seed)
-        over = False
-        for _ in range(FILM_STEPS):
-            if not over:
-                observation, _, terminated, truncated, _ = env.step(policy.act(observation))
-                film._capture_frame()
-                over = terminated or truncated
-        env.close()
-        first, *others = film.pictures
-        file = IMAGES / "films" / f"{task}.gif"
-        first.save(
-            file, save_all=True, append_images=others, duration=1000 // FILM_FREQUENCY, loop=0, optimize=True
-        )
-
 
 # -- networks ---------------------------------------------------------------------------------------------------------
 
@@ -338,57 +211,7 @@ def study() -> None:
         (IMAGES / f"{name}.svg").write_text(on_white + "\n")
 
 
-def moments(track: dict[str, Any]) -> list[list[State]]:
-    """The cars in each picture of a stored film (see `experiments.reporting.showcase`), the agent first."""
-    shown: list[list[State]] = [[] for _ in track["times"]]
-    for car in track["cars"]:
-        x, y, heading = (np.cumsum(car[name]) for name in "xyh")
-        states = zip(x / 10, y / 10, np.zeros(len(x)), heading / 100, strict=True)
-        for number, state in enumerate(states, car["from"]):
-            shown[number].append(state)
-    return shown
-
-
-def beside() -> None:
-    """The film that the report shows first of the u-turn."""
-    stored = json.loads((ROOT / "results" / "standard" / "showcase.json").read_text())
-    place = next(place for place in stored["places"] if place["task"] == "u-turn")
-    film = place["films"][0]
-    x, y, across, down = place["view"]
-    figure, axes = plt.subplots(2, 1, figsize=(6.6, 4.8), layout="constrained")
-    writer = PillowWriter(fps=5)
-    tracks = {arm: moments(film[arm]) for arm in COLOURS}
-    for arm, track in tracks.items():
-        if film[arm]["crash"] is not None:  # stops there
-            del track[int(np.searchsorted(film[arm]["times"], 100 * film[arm]["crash"])) + 1 :]
-    with writer.saving(figure, IMAGES / "beside.gif", dpi=80):
-        for number in range(max(map(len, tracks.values())) + 5):
-            for panel, (arm, colour) in zip(axes, COLOURS.items(), strict=True):
-                over = number >= len(tracks[arm]) - 1
-                scene = tracks[arm][-1 if over else number]
-                panel.clear()
-                for surface in place["road"]["surfaces"]:
-                    panel.fill(*np.array(surface).reshape(-1, 2).T / 10, color="#9aa0a8", lw=0)
-                for x1, y1, x2, y2 in np.array(place["road"]["dashes"]) / 10:
-                    panel.plot([x1, x2], [y1, y2], color="#f4f5f3", lw=0.8)
-                for who, state in enumerate(scene):
-                    fill, above = (colour, 4) if who == 0 else ("#ffffff", 3)
-                    panel.add_patch(Polygon(corners(state), fc=fill, ec="#2b3138", lw=0.6, zorder=above))
-                panel.set_title(f"{arm}: {film[arm]['ending']}" if over else arm, color=colour, loc="left")
-                panel.set(
-                    xlim=(x - across / 2 - 5, x + across / 2 + 5), ylim=(y + down / 2 + 6, y - down / 2 - 6)
-                )
-                panel.set(aspect="equal")
-                panel.axis("off")
-            writer.grab_frame()
-    plt.close(figure)
-
-
 if __name__ == "__main__":
-    tasks()
-    environments()
-    films()
     networks()
     collisions()
     study()
-    beside()

@@ -214,8 +214,8 @@ def _film(scenes: Sequence[Any], row: Mapping[str, Any]) -> dict[str, Any]:
 
     Returns:
         times [0.01 s]; cars: the ego first, for each the number of its first frame and, for each frame, x, y
-        [0.1 m] and heading [0.01 rad]: the first value, then differences; acts: the frames in which a risk event acts on
-        the car, absent without one; speeds of the ego [0.1 m/s]; crash [s] and
+        [0.1 m] and heading [0.01 rad]: the first value, then differences; acts: the frames in which a risk event acts
+        on the car, absent without one; speeds of the ego [0.1 m/s]; crash [s] and
         hit (number of the car that was hit), None without a crash; ending and row: what is said of it.
     """
     frames: list[Any] = []

@@ -1,0 +1,123 @@
+"""Draws the films and pictures of the tasks: ``python docs/films.py``.
+
+docs/img/environments/*.png   one moment of each task, as its page shows it
+docs/img/films/*.gif          up to 12 s of each task at risk 1, all of one size
+docs/img/risk.gif             one scenario at risk 0 and at risk 1
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+from PIL import Image, ImageDraw, ImageFont
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path[0] = str(ROOT)
+
+from agents.rules import make_policy
+from sumo_env.env import DrivingEnv
+
+IMAGES = ROOT / "docs" / "img"
+FREQUENCY = 5  # pictures per second
+HOLD = 5  # pictures for which the last one stays
+
+# task -> seed, steps driven, configuration
+PAGES: dict[str, tuple[int, int, dict[str, Any]]] = {
+    "highway": (0, 6, {"screen_width": 900, "screen_height": 130}),
+    "two-way": (0, 3, {"screen_width": 900, "screen_height": 90, "centering_position": [0.3, 0.6]}),
+    "roundabout": (1, 3, {"scaling": 4.5}),
+    "intersection": (2, 3, {}),
+    "u-turn": (1, 3, {"scaling": 4.5, "centering_position": [0.35, 0.85]}),
+}
+SIZE = {"screen_width": 280, "screen_height": 200}
+# task -> seed, policy, configuration of its film
+FILMS: dict[str, tuple[int, str, dict[str, Any]]] = {
+    "highway": (8, "careful", {"scaling": 4.0, "centering_position": [0.35, 0.5]}),
+    "two-way": (4, "careful", {"scaling": 4.0, "centering_position": [0.35, 0.5]}),
+    "roundabout": (2, "careful", {"scaling": 2.8, "centering_position": [0.5, 0.7]}),
+    "intersection": (4, "careful", {"scaling": 3.4, "centering_position": [0.5, 0.65]}),
+    "u-turn": (11, "careful", {"scaling": 2.2, "centering_position": [0.4, 0.75]}),
+}
+BESIDE: tuple[str, int, str, dict[str, Any]] = (
+    "u-turn", 2, "careful",
+    {"screen_width": 400, "screen_height": 240, "scaling": 2.9, "centering_position": [0.4, 0.8]},
+)  # fmt: skip
+
+
+class Film:
+    """What `DrivingEnv.set_record_video_wrapper` expects: keeps every other picture of the simulation."""
+
+    recording, frames_per_sec = True, 0
+
+    def __init__(self, env: DrivingEnv) -> None:
+        self.env, self.pictures, self._seen = env, [], 0
+        env.set_record_video_wrapper(self)  # type: ignore[arg-type]
+
+    def _capture_frame(self) -> None:
+        self._seen += 1
+        if self._seen % (self.env.config["simulation_frequency"] // FREQUENCY) == 0:
+            self.pictures.append(Image.fromarray(self.env.render()))
+
+
+def film(task: str, seed: int, name: str, config: dict[str, Any], seconds: int = 12) -> list[Image.Image]:
+    """An episode that a rule drives, as pictures."""
+    env = DrivingEnv(task, config, render_mode="rgb_array")
+    policy, recorded = make_policy(name, env), Film(env)
+    observation, _ = env.reset(seed=seed)
+    policy.reset(seed)
+    for _ in range(seconds):
+        observation, _, terminated, truncated, _ = env.step(policy.act(observation))
+        recorded._capture_frame()
+        if terminated or truncated:
+            break
+    env.close()
+    return recorded.pictures
+
+
+def save(pictures: list[Image.Image], file: Path) -> None:
+    """Pictures as an animation; the last one stays for a second."""
+    first, *others = [picture.quantize(64) for picture in pictures + [pictures[-1]] * HOLD]
+    first.save(file, save_all=True, append_images=others, duration=1000 // FREQUENCY, loop=0, optimize=True)
+
+
+def environments() -> None:
+    """One frame for the page of each task."""
+    for task, (seed, steps, config) in PAGES.items():
+        film(task, seed, "idle", config, steps)[-1].quantize(64).save(
+            IMAGES / "environments" / f"{task}.png", optimize=True
+        )
+
+
+def films() -> None:
+    """One film of each task."""
+    for task, (seed, name, config) in FILMS.items():
+        save(film(task, seed, name, {**SIZE, **config, "risk": 1.0}), IMAGES / "films" / f"{task}.gif")
+
+
+def risk() -> None:
+    """The same scenario at risk 0 and at risk 1, side by side."""
+    task, seed, name, config = BESIDE
+    both = [film(task, seed, name, {**config, "risk": dose}) for dose in (0.0, 1.0)]
+    length = max(map(len, both))
+    regular, risky = (pictures + [pictures[-1]] * (length - len(pictures)) for pictures in both)
+    title, gap, font = 22, 8, ImageFont.load_default(size=14)  # [px]
+    sheets = []
+    for left, right in zip(regular, risky, strict=True):
+        sheet = Image.new("RGB", (2 * left.width + gap, left.height + title), "white")
+        pen = ImageDraw.Draw(sheet)
+        for start, picture, text in (
+            (0, left, "risk 0"),
+            (left.width + gap, right, "risk 1: yellow while a risk event acts"),
+        ):
+            pen.text((start + 4, 3), text, fill="black", font=font)
+            sheet.paste(picture, (start, title))
+        sheets.append(sheet)
+    save(sheets, IMAGES / "risk.gif")
+
+
+if __name__ == "__main__":
+    environments()
+    films()
+    risk()

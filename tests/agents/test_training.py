@@ -274,3 +274,15 @@ def test_wrong_arguments_are_refused() -> None:
         train(Road(), SMALL, 0, checkpoint_interval=0)
     with pytest.raises(ValueError, match="Unknown network"):
         training.train(Road(), replace(SMALL, network="none"), 0)
+
+
+def test_the_time_limit_is_no_end_to_the_values() -> None:
+    """Only a crash is stored as terminal: what comes after the last step of an episode is still expected."""
+    road = Road()
+    agent = training.DQN(SMALL, road.observation_space, road.action_space, 0, Small)
+    played = training.Training(agent, road, None, None)
+    played.play(200)
+    crashes, lengths = sum(played.log["crashed"]), played.log["length"]
+    assert max(lengths) == 20
+    assert crashes < len(lengths)
+    assert agent.replay.arrays["terminated"][: len(agent.replay)].sum() == crashes

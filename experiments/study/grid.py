@@ -359,7 +359,7 @@ def build(
                     replace(agent, kind="test", test_on=doses) for agent in agents if agent.arm in DOSE_ARMS
                 ]
             if unseen:
-                traffics = {"backend": backend, "traffics": list(unseen_traffics(task, backend))}
+                traffics: dict[str, Any] = {"backend": backend, "traffics": list(unseen_traffics(task, backend))}
                 traffics |= {"episodes": episodes, "env_config": common["env_config"]}
                 cells += [replace(agent, kind="test", test_on=traffics) for agent in agents]
             for other in test_on:

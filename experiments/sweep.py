@@ -189,6 +189,8 @@ def cells_of(options: Options) -> list[Cell]:
         arms=("control",) if options.placebo else options.arms or tuple(ARMS),
         test_on=options.test_on,
         unseen=options.unseen,
+        first_seed=preset.first_seed,
+        first_scenario=preset.first_scenario,
         changes=dict(map(_setting, options.config)),
     )
 

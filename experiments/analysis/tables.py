@@ -133,26 +133,29 @@ def complete(results: Results) -> tuple[Results, list[dict[str, str]]]:
     for name, cell in results.cells.items():
         key = cell["key"]
         test = key.get("test_on", {"episodes": key["eval"]["episodes"], "traffics": list(TRAFFICS)})
-        faults = _faults(tests.get(name), int(test["episodes"]), test["traffics"], "test")
+        first = int(key["eval"].get("first_scenario", 0))
+        wanted = range(first, first + int(test["episodes"]))
+        faults = _faults(tests.get(name), wanted, test["traffics"], "test")
         if "gate_episodes" in key["eval"] and key["kind"] != "test":
             own = gate_traffics(key["arm"])
-            faults += _faults(gates.get(name), int(key["eval"]["gate_episodes"]), own, "gate")
+            wanted = range(first, first + int(key["eval"]["gate_episodes"]))
+            faults += _faults(gates.get(name), wanted, own, "gate")
         if faults:
             incomplete.append({"cell": name, "reason": "; ".join(faults)})
     return without(results, {entry["cell"] for entry in incomplete}), incomplete
 
 
-def _faults(table: pd.DataFrame | None, wanted: int, traffics: Sequence[str], purpose: str) -> list[str]:
+def _faults(table: pd.DataFrame | None, wanted: range, traffics: Sequence[str], purpose: str) -> list[str]:
     """What is wrong with the episodes of a cell, in words."""
     if table is None:
         return [f"no {purpose} episodes"]
     faults = []
     for traffic in traffics:
         rows = table[table["traffic"] == traffic]
-        if sorted(rows["scenario"]) != list(range(wanted)):
+        if sorted(rows["scenario"]) != list(wanted):
             found = rows["scenario"].nunique()
             twice = ", some twice" if len(rows) > found else ""
-            faults.append(f"{found} of {wanted} {purpose} scenarios in {traffic} traffic{twice}")
+            faults.append(f"{found} of {len(wanted)} {purpose} scenarios in {traffic} traffic{twice}")
     for column in ("return", "length", "mean_speed", "distance", "near_misses", "crashed"):
         if column in table and not np.isfinite(table[column].astype(float)).all():
             faults.append(f"{column} of the {purpose} is not a number")

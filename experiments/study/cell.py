@@ -130,7 +130,7 @@ def _further_test(cell: Cell, env: gym.Env[Any, Any], store: Store, beat: Beat) 
     clock = Clock()
     table = evaluate(
         env, policy, cell.task, cell.level, int(cell.test_on["episodes"]), lambda: meter.add(TEST_EPISODE),
-        traffics=cell.test_on["traffics"],
+        traffics=cell.test_on["traffics"], first=cell.first_scenario,
     )  # fmt: skip
     store.write(cell, {"timing": clock.test(cell.work), "provenance": provenance()}, {EPISODES: table})
     return ""
@@ -176,7 +176,15 @@ def _agent(cell: Cell, env: gym.Env[Any, Any], make_env: MakeEnv, store: Store, 
             raise RuntimeError(
                 f"the policy in {file.name} is lost ({error}): the training begins again"
             ) from None
-        table = evaluate(seen, policy, cell.task, cell.level, cell.episodes, lambda: meter.add(TEST_EPISODE))
+        table = evaluate(
+            seen,
+            policy,
+            cell.task,
+            cell.level,
+            cell.episodes,
+            lambda: meter.add(TEST_EPISODE),
+            first=cell.first_scenario,
+        )
         table.insert(0, "mark", number)
         tables.append(table)
     record = {"learner": agent.learner, "timing": timing}
@@ -204,7 +212,8 @@ def _test(
     def note() -> None:
         meter.add(TEST_EPISODE)
 
-    table = evaluate(env, policy, cell.task, cell.level, cell.episodes, note)
+    first = cell.first_scenario
+    table = evaluate(env, policy, cell.task, cell.level, cell.episodes, note, first=first)
     gates = evaluate(
         env,
         policy,
@@ -214,6 +223,7 @@ def _test(
         note,
         purpose="gate",
         traffics=cell.gate_traffics,
+        first=first,
     )
     work = 2 * cell.episodes + len(cell.gate_traffics) * cell.gate_episodes
     timing = {**record.get("timing", {}), **clock.test(work)}

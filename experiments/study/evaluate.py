@@ -128,8 +128,9 @@ def evaluate(
     on_episode: Callable[[], None] | None = None,
     purpose: str = "test",
     traffics: Sequence[str] = tuple(TRAFFICS),
+    first: int = 0,
 ) -> pd.DataFrame:
-    """Test a policy on `episodes` scenarios in each of the traffics; one row of COLUMNS an episode.
+    """Test a policy on `episodes` scenarios, from number `first` on, in each of the traffics; one row of COLUMNS each.
 
     The result depends on the arguments alone, not on what `env` did before.
     """
@@ -137,7 +138,7 @@ def evaluate(
 
     rows = []
     for traffic in traffics:
-        for scenario in range(episodes):
+        for scenario in range(first, first + episodes):
             rows.append(play(env, policy, task, level, traffic, scenario, purpose=purpose))
             if on_episode:
                 on_episode()

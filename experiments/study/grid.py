@@ -148,6 +148,11 @@ class Cell:
         return int(self.eval["episodes"])
 
     @property
+    def first_scenario(self) -> int:
+        """Number of the first scenario of tests and gates."""
+        return int(self.eval.get("first_scenario", 0))
+
+    @property
     def gate_episodes(self) -> int:
         """Episodes in a traffic on scenarios that the gates are judged on, which are not test scenarios."""
         return int(self.eval["gate_episodes"])
@@ -290,6 +295,8 @@ def build(
     arms: Sequence[str] = tuple(ARMS),
     test_on: Sequence[str] = (),
     unseen: bool = False,
+    first_seed: int = 0,
+    first_scenario: int = 0,
     changes: Mapping[str, Any] | None = None,
 ) -> list[Cell]:
     """The cells of an experiment: on each task and level the arms of every training seed, and the baselines.
@@ -299,8 +306,8 @@ def build(
     Args:
         backend: of BACKENDS.
         levels: level numbers of each task, see `choose_levels`.
-        seeds: training seeds an arm; they are 0, 1, ...
-        episodes: test episodes in each traffic.
+        seeds: training seeds an arm, from first_seed on.
+        episodes: test episodes in each traffic, of the scenarios from number first_scenario on.
         profiles: hyper-parameters and budget of each task.
         preset: label that the cells carry.
         gate_episodes: episodes for the gates in each traffic; as many as test episodes if left out.
@@ -324,6 +331,8 @@ def build(
         raise UserError(f"at least one seed and one test episode are needed, not {seeds} and {episodes}")
     cells = []
     evaluation = {"episodes": episodes, "gate_episodes": episodes if gate_episodes is None else gate_episodes}
+    if first_scenario:  # not in the names of cells that begin at 0, which are older than the choice
+        evaluation["first_scenario"] = first_scenario
     for task, numbers in levels.items():
         for level in numbers:
             common: dict[str, Any] = {
@@ -347,7 +356,7 @@ def build(
                     trained_with=different,
                     **common,
                 )
-                for seed in range(seeds)
+                for seed in range(first_seed, first_seed + seeds)
                 for arm in arms
                 if (different := trained_with(arm, task, level)) is not None
             ]
@@ -359,7 +368,10 @@ def build(
                     replace(agent, kind="test", test_on=doses) for agent in agents if agent.arm in DOSE_ARMS
                 ]
             if unseen:
-                traffics: dict[str, Any] = {"backend": backend, "traffics": list(unseen_traffics(task, backend))}
+                traffics: dict[str, Any] = {
+                    "backend": backend,
+                    "traffics": list(unseen_traffics(task, backend)),
+                }
                 traffics |= {"episodes": episodes, "env_config": common["env_config"]}
                 cells += [replace(agent, kind="test", test_on=traffics) for agent in agents]
             for other in test_on:

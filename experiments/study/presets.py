@@ -72,6 +72,7 @@ class Preset:
 
     levels: traffic levels by number, None for all. seeds: training seeds an arm. episodes: test episodes a
         traffic. gate_episodes: episodes a traffic on which the gates are judged.
+    first_seed, first_scenario: numbers at which training seeds and scenarios begin, so that studies share none.
     updates: training budget of each task. profile: of PROFILES. learner: other settings of `agents.dqn.DQNConfig`.
     """
 
@@ -84,6 +85,8 @@ class Preset:
     updates: Mapping[str, int]
     profile: str = "tuned"
     learner: Mapping[str, Any] = field(default_factory=dict)
+    first_seed: int = 0
+    first_scenario: int = 0
 
     def profiles(self, crash_reward: float | None = None, **overrides: Any) -> dict[str, dict[str, Any]]:
         """Every setting of the learner for each task, as plain values.

@@ -80,6 +80,13 @@ def test_unseen_risk_is_a_further_test_of_every_agent_and_renames_nothing():
     assert {c.slug for c in tests if c.arm == "control"} >= {"sumo-highway-50-control-s0-unseen"}
 
 
+def test_another_study_has_other_seeds_and_scenarios():
+    first, second = cells_of(), cells_of(first_seed=100, first_scenario=1000)
+    assert {c.seed for c in second if c.arm} == {100, 101}
+    assert {c.first_scenario for c in first} == {0} and {c.first_scenario for c in second} == {1000}
+    assert not {c.name for c in first} & {c.name for c in second}
+
+
 def test_an_arm_is_left_out_where_it_has_no_meaning():
     highest = cells_of({"highway": (3,), "two-way": (1,)}, arms=("dense", "penalty"))
     assert {(c.task, c.arm) for c in highest if c.arm} == {("highway", "penalty"), ("two-way", "dense")}

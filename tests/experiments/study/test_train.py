@@ -11,7 +11,7 @@ from experiments.study.arms import drawn_dose
 from experiments.study.cell import CellTask
 from experiments.study.grid import Cell
 from experiments.study.seeds import training_seed
-from experiments.study.store import EPISODES, TRAINING, Store, read_table
+from experiments.study.store import EPISODES, GATES, TRAINING, Store, read_table
 from experiments.study.train import train_cell
 from tests.experiments.fake_env import FakeEnv, make_env
 
@@ -21,7 +21,8 @@ PROFILE = {"network": "dueling", "updates": 60, "steps_per_update": 2, "warm_up"
 def cell(arm: str, **profile: object) -> Cell:
     return Cell(
         kind="agent", backend="sumo", task="u-turn", level=1, level_name="3", arm=arm, seed=2, policy="dqn",
-        profile={**PROFILE, **profile}, env_config={"duration": 10}, eval={"episodes": 3, "gate_episodes": 3},
+        profile={**PROFILE, **profile}, env_config={"duration": 10},
+        eval={"episodes": 3, "gate_episodes": 3, "first_scenario": 50},
         dynamics="none",
     )  # fmt: skip
 
@@ -74,5 +75,7 @@ def test_tests_keep_their_own_clock_and_doses(tmp_path: Path) -> None:
     task.compute(lambda _: None)
     stored = Store(tmp_path).cells / task.name
     assert read_table(stored / EPISODES)["length"].max() <= 10
+    assert set(read_table(stored / EPISODES)["scenario"]) == {50, 51, 52}
+    assert set(read_table(stored / GATES)["scenario"]) == {50, 51, 52}
     training = read_table(stored / TRAINING)
     assert training["length"].max() > 10 and set(training["risk"]) == {0.0, 1.0}

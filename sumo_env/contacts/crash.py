@@ -116,11 +116,12 @@ class CrashDetector:
     Attributes:
         crash: the ego's first contact; None as long as there is none. Where the geometry was first, `detected_by`
             becomes "both" when SUMO reports the same vehicle in a later sub-step.
+        reported: ids of the vehicles with which SUMO reported a collision of the ego in the last sub-step.
     """
 
     def __init__(self) -> None:
         self.crash: CrashRecord | None = None
-        self._reported: Collection[str] = ()
+        self.reported: Collection[str] = ()
 
     def look(
         self,
@@ -140,7 +141,7 @@ class CrashDetector:
             reported: ids of the vehicles with which SUMO reports a collision of the ego in this sub-step.
         """
         # SUMO may see a contact a sub-step before the geometry does, or a sub-step later.
-        earlier, self._reported = self._reported, reported
+        earlier, self.reported = self.reported, reported
         if self.crash is not None:
             if self.crash.detected_by == "geometry" and self.crash.other in reported:
                 self.crash = replace(self.crash, detected_by="both")

@@ -6,6 +6,8 @@ sideways motion of a lane change is SUMO's.
 
 from __future__ import annotations
 
+from functools import lru_cache
+
 from sumo_env.actions import ego_route, follow_road
 from sumo_env.networks.mapping import Network
 from sumo_env.simulator import EgoCommand
@@ -67,12 +69,18 @@ class Ego:
             session.change_lane(EGO, self._network.sumo_index((start, end, target)))
 
 
+@lru_cache(maxsize=32)
+def _kept(tau: float, dt: float) -> float:
+    """Share of a difference of speeds that is left after `dt` [s]."""
+    return (1.0 - REFERENCE_STEP / tau) ** (dt / REFERENCE_STEP)
+
+
 def approach(speed: float, target: float, tau: float, dt: float) -> tuple[float, float]:
     """Speed [m/s] after `dt` [s] of first-order lag `tau` [s], and the distance covered [m].
 
     highway-env integrates v' = (target - v) / tau by explicit Euler at 15 Hz; speed and distance are those at any `dt`.
     """
-    kept = (1.0 - REFERENCE_STEP / tau) ** (dt / REFERENCE_STEP)
+    kept = _kept(tau, dt)
     difference = speed - target
     return target + difference * kept, target * dt + difference * tau * (1.0 - kept)
 

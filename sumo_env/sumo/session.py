@@ -25,7 +25,6 @@ except ImportError as error:
     ) from error
 
 _vehicle, _simulation = libsumo.vehicle, libsumo.simulation
-_FRONT, _ANGLE, _SPEED = libsumo.VAR_POSITION, libsumo.VAR_ANGLE, libsumo.VAR_SPEED
 SumoErrors = (libsumo.TraCIException, libsumo.FatalTraCIError)
 
 # Speed modes (https://sumo.dlr.de/docs/TraCI/Change_Vehicle_State.html#speed_mode_0xb3)
@@ -71,24 +70,16 @@ class Session:
     def __init__(self) -> None:
         self.step_length = 0.0
         self._settings: Settings | None = None
-        self._watched: tuple[str, float] | None = None  # vehicle and radius [m]
         self._limits: dict[str, float] = {}
         self._steps = 0  # since the network was loaded
 
     def load(self, settings: Settings) -> None:
         """Load a network with its vehicle types and an empty road; only an empty road where it is loaded already."""
-        # Where somebody else has moved SUMO's clock, a state may have been loaded: its vehicle types have fewer digits.
-        if settings == self._settings and abs(_simulation.getTime() - self._steps * self.step_length) < 1e-6:
-            present = _vehicle.getIDList()
-            if self._watched is not None and self._watched[0] in present:
-                # else the next step is an error, as long as no vehicle of this name is on the road
-                name, radius = self._watched
-                _vehicle.unsubscribeContext(name, libsumo.CMD_GET_VEHICLE_VARIABLE, radius)
-            self._watched = None
-            for name in present:
+        if settings == self._settings and self._clock_is_ours():
+            for name in _vehicle.getIDList():
                 _vehicle.remove(name)
             return
-        self._settings = self._watched = None  # until the new network is loaded
+        self._settings = None  # until the new network is loaded
         with tempfile.TemporaryDirectory(prefix="sumo_env-") as folder:
             types = Path(folder) / "types.add.xml"
             _write_types(types, settings)
@@ -122,6 +113,10 @@ class Session:
         self._steps = 0
         self._settings = settings
         self.step_length = round(settings.step_length, 3)
+
+    def _clock_is_ours(self) -> bool:
+        """Whether nobody else has moved SUMO's clock; a state that is loaded has vehicle types with fewer digits."""
+        return abs(_simulation.getTime() - self._steps * self.step_length) < 1e-6
 
     def forget(self) -> None:
         """Load anew at the next `load`, whatever is loaded (somebody else may have changed it)."""
@@ -194,7 +189,8 @@ class Session:
 
     def lane_of(self, name: str) -> str:
         """Id of the lane that the front bumper is on; ids of lanes inside junctions begin with a colon."""
-        return str(_vehicle.getLaneID(name))
+        lane: str = _vehicle.getLaneID(name)
+        return lane
 
     def lateral_offset(self, name: str) -> float:
         """Distance of a vehicle from the middle of its lane [m]; not 0 during a lane change."""
@@ -205,28 +201,43 @@ class Session:
         return float(_vehicle.getSpeed(name))
 
     def vehicles(self) -> tuple[str, ...]:
-        """Names of the vehicles on the road."""
+        """Names of the vehicles on the road, in alphabetical order."""
         return _vehicle.getIDList()
+
+    def traffic_has_changed(self) -> bool:
+        """Whether a vehicle has come or left in the last step."""
+        return bool(_simulation.getArrivedNumber() or _simulation.getDepartedNumber())
+
+    def check(self) -> None:
+        """An error if somebody else has moved SUMO's clock."""
+        if not self._clock_is_ours():
+            raise libsumo.TraCIException("SUMO's time is not where this environment has left it")
 
     def read(self, names: Iterable[str]) -> dict[str, State]:
         """States of these vehicles, in this order."""
         position, angle, speed = _vehicle.getPosition, _vehicle.getAngle, _vehicle.getSpeed
         return {name: _state(position(name), angle(name), speed(name)) for name in names}
 
-    def watch(self, name: str, radius: float) -> None:
-        """From now on, `near` tells what is within `radius` [m] of this vehicle after every step."""
-        _vehicle.subscribeContext(name, libsumo.CMD_GET_VEHICLE_VARIABLE, radius, (_FRONT, _ANGLE, _SPEED))
-        self._watched = name, radius
+    def near(
+        self, name: str, others: Iterable[str], radius: float
+    ) -> tuple[State, dict[str, State], list[tuple[str, float]]]:
+        """State of a vehicle, those of the others within `radius` [m], and how much further away the rest is [m].
 
-    def near(self, name: str) -> tuple[State, dict[str, State]]:
-        """States of a watched vehicle, and of those near it."""
-        found = _vehicle.getContextSubscriptionResults(name)
-        if name not in found:  # it has left the road, or somebody else has loaded a state
-            raise libsumo.TraCIException(f"Vehicle '{name}' is not watched any more.")
-        states = {
-            other: _state(values[_FRONT], values[_ANGLE], values[_SPEED]) for other, values in found.items()
-        }
-        return states.pop(name), states
+        Distances are those of the front bumpers.
+        """
+        position, angle, speed = _vehicle.getPosition, _vehicle.getAngle, _vehicle.getSpeed
+        own = position(name)
+        x, y = own
+        near, rest = {}, []
+        for other in others:
+            front = position(other)
+            dx, dy = front[0] - x, front[1] - y
+            distance = math.sqrt(dx * dx + dy * dy)
+            if distance <= radius:
+                near[other] = _state(front, angle(other), speed(other))
+            else:
+                rest.append((other, distance - radius))
+        return _state(own, angle(name), speed(name)), near, rest
 
     def arrived(self) -> tuple[str, ...]:
         """Names of the vehicles that have left the road in the last step: they were at the end of their route."""

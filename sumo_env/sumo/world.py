@@ -15,8 +15,7 @@ from typing import NoReturn
 import numpy as np
 
 from sumo_env.contacts.crash import CrashDetector, is_confirmed
-from sumo_env.contacts.measures import HORIZON, TTC_RADIUS, ego_ttc
-from sumo_env.contacts.rectangles import DIAGONAL
+from sumo_env.contacts.measures import HORIZON, ego_ttc
 from sumo_env.scene import Scene
 from sumo_env.simulator import EgoCommand, SimulatorError, Step, refuse_to_copy
 from sumo_env.sumo.ego import Ego, coast
@@ -29,12 +28,12 @@ from sumo_env.sumo.session import (
     Settings,
     SumoErrors,
 )
+from sumo_env.sumo.surroundings import Surroundings
 from sumo_env.traffic.drivers import UNCALIBRATED, Driver, vehicle_type
 from sumo_env.traffic.scenario import EGO, EGO_DISTANCE, Scenario, VehicleSpec, fits
 
 # [s] The ego's centre then crosses the line between two lanes when highway-env's does, after 0.45 to 0.5 s.
 LANE_CHANGE_DURATION = 0.8
-FASTEST = 200.0  # [m/s] no two vehicles close in faster
 EXIT_LENGTH = 20.0  # [m] from the end of the intersection's exits, where vehicles leave (_clear_vehicles)
 
 
@@ -106,8 +105,7 @@ class SumoSimulator:
         self._drive_warm_up()
         self._ego = Ego(scenario, self._network)
         self._place(scenario.ego)
-        self._session.watch(EGO, TTC_RADIUS)
-        self._seen, self._near = self._session.near(EGO)  # the ego, and the vehicles near it
+        self._around = Surroundings(self._session, scenario.ego.speed)
         return self._read()
 
     def _settings(self, scenario: Scenario) -> Settings:
@@ -183,16 +181,18 @@ class SumoSimulator:
             self._let_out()
             self._let_in()
         self._steps_done += 1
-        ego = self._ego
+        self._session.check()
+        ego, around = self._ego, self._around
         ego.obey(command)
+        around.take_stock()
         least_ttc, distance, scenes = inf, 0.0, []
         for _ in range(self._substeps):
             self._events.act(self._session, self._time, self._dt, self._specs, self._crashed)
-            x, y, _, _ = self._seen
+            x, y, _, _ = around.ego
             distance += ego.drive(self._session, x, y, self._dt)
             self._look(self._advance())
-            if not ego.crashed:
-                least_ttc = min(least_ttc, ego_ttc(self._seen, self._near.values(), min(least_ttc, HORIZON)))
+            if not ego.crashed and around.near:
+                least_ttc = min(least_ttc, ego_ttc(around.ego, around.near.values(), min(least_ttc, HORIZON)))
             if trace:
                 scenes.append(self._read())
         scene = scenes[-1] if trace else self._read()
@@ -217,26 +217,22 @@ class SumoSimulator:
 
     def _look(self, reported: Sequence[tuple[str, str]]) -> None:
         """After a sub-step: who is near the ego, and who has crashed."""
-        ego, seen, before = self._ego, self._seen, self._near
-        (x, y, _, heading), self._near = self._session.near(EGO)
-        self._seen = x, y, ego.speed, heading
-        reach = DIAGONAL + FASTEST * self._dt  # whoever is further away now has not touched the ego
-        ids = [
-            name
-            for name, other in self._near.items()
-            if abs(other[0] - x) < reach and abs(other[1] - y) < reach and name in before
-        ]
-        crash = self._detector.look(
-            self._time,
-            self._dt,
-            (EGO, *ids),
-            (seen, *[before[name] for name in ids]),
-            (self._seen, *[self._near[name] for name in ids]),
-            {first if second == EGO else second for first, second in reported if EGO in (first, second)},
-        )
-        if crash is not None and not ego.crashed:
-            ego.crashed = True
-            self._crash(crash.other)
+        ego, around, detector = self._ego, self._around, self._detector
+        seen, before = around.ego, around.near
+        around.look(self._time, ego.speed)
+        ids = around.within_reach(before, self._dt)
+        if ids or reported or detector.reported:
+            crash = detector.look(
+                self._time,
+                self._dt,
+                (EGO, *ids),
+                (seen, *[before[name] for name in ids]),
+                (around.ego, *[around.near[name] for name in ids]),
+                {first if second == EGO else second for first, second in reported if EGO in (first, second)},
+            )
+            if crash is not None and not ego.crashed:
+                ego.crashed = True
+                self._crash(crash.other)
         if reported:
             self._note_crashes(reported)
 
@@ -304,11 +300,13 @@ class SumoSimulator:
     def _read(self) -> Scene:
         """The scene by SUMO's vehicles, the ego first."""
         ids = (EGO, *(name for name in self._specs if name != EGO))
-        states = np.array(list(self._session.read(ids).values()))
-        x, y, speed, heading = np.ascontiguousarray(states.T)
-        crashed = np.array([name in self._crashed for name in ids])
-        # A commanded speed covers the way of a sub-step; the speed at its end is known here only.
-        speed[0], crashed[0] = self._ego.speed, self._ego.crashed
-        for row in np.flatnonzero(crashed[1:]) + 1:
-            speed[row] = self._crashed[ids[row]]
+        known = {EGO: self._around.ego, **self._around.near}
+        read = self._session.read([name for name in ids if name not in known])
+        x, y, speed, heading = np.array([known.get(name) or read[name] for name in ids]).T.copy()
+        crashed = np.zeros(len(ids), np.bool_)
+        crashed[0] = self._ego.crashed
+        if self._crashed:
+            for row, name in enumerate(ids):
+                if name in self._crashed:  # a commanded speed, as the ego's
+                    crashed[row], speed[row] = True, self._crashed[name]
         return Scene(ids, x, y, speed, heading, crashed, round(self._time, 6), self._events.acting)

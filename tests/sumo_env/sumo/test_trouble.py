@@ -79,9 +79,9 @@ MISUSES = {
         "libsumo.vehicle.add('mine', libsumo.route.getIDList()[0]); libsumo.simulationStep()",
         EITHER,
     ),
-    "unsubscribe": (
-        "libsumo.vehicle.unsubscribeContext('ego', libsumo.CMD_GET_VEHICLE_VARIABLE, 100.0)",
-        RAISES,
+    "subscribe": (
+        "libsumo.vehicle.subscribeContext('ego', libsumo.CMD_GET_VEHICLE_VARIABLE, 100.0)",
+        ("went on",),
     ),
 }
 

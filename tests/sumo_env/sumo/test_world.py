@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
+import libsumo
 import numpy as np
 import pytest
 
@@ -216,11 +218,11 @@ def test_a_contact_that_is_over_within_a_sub_step_is_a_crash(
     looks: list[int] = []
     look = Session.near
 
-    def crossing(session: Session, name: str) -> tuple[State, dict[str, State]]:
-        ego, _ = look(session, name)
+    def crossing(session: Session, name: str, *args: Any) -> tuple[State, dict[str, State], list[Any]]:
+        ego, _, rest = look(session, name, *args)
         looks.append(1)
         side = -6.0 if len(looks) == 1 else 6.0
-        return ego, {"v0": (ego[0] + 1.0, ego[1] + side, 25.0, np.pi / 2)}
+        return ego, {"v0": (ego[0] + 1.0, ego[1] + side, 25.0, np.pi / 2)}, rest
 
     monkeypatch.setattr(Session, "near", crossing)
     env = start("highway", with_leader(30.0, 25.0))
@@ -228,6 +230,23 @@ def test_a_contact_that_is_over_within_a_sub_step_is_a_crash(
     assert terminated and info["crash"]["other"] == "v0"
     assert info["crash"]["type"] == "junction" and info["crash"]["detected_by"] == "geometry"
     assert 0.0 < info["crash"]["time"] < 0.1
+
+
+@pytest.mark.parametrize("departs", [0.0, 0.35])
+def test_vehicles_that_a_user_adds_through_libsumo_are_seen(start: Start, departs: float) -> None:
+    """At once, or when they depart within a policy step."""
+    env = start("highway", alone)
+    assert np.isinf(env.step(IDLE)[-1]["min_ttc"])
+    road, lane = libsumo.vehicle.getRouteID("ego"), str(libsumo.vehicle.getLaneIndex("ego"))
+    place = str(libsumo.vehicle.getLanePosition("ego") + 300.0)
+    depart = str(libsumo.simulation.getTime() + departs)
+    libsumo.vehicle.add("mine", road, "DEFAULT_VEHTYPE", depart, lane, place, "0")
+    libsumo.vehicle.setMaxSpeed("mine", 0.5)
+    times = []
+    while not env.ego_state.crashed and env.steps < 15:
+        times.append(env.step(IDLE)[-1]["min_ttc"])
+    assert env._last.crash is not None and env._last.crash.other == "mine"
+    assert min(times) < 1.0
 
 
 def test_crashed_vehicles_coast_and_stay(start: Start) -> None:

@@ -10,6 +10,7 @@ import pytest
 from experiments.backends.highway_env import ENVIRONMENTS, ScenarioEnv
 from sumo_env.tasks import TASKS
 from sumo_env.tasks.base import nearest_index
+from sumo_env.tasks.intersection import _two_arms
 from tests.sumo_env.parity import Step, ego_state, episodes, make, scatter
 
 # Keys of highway-env whose default we have chosen otherwise (docs/decisions.md).
@@ -115,3 +116,10 @@ def test_nearest_rung() -> None:
     env = make("u-turn")
     for speed in np.linspace(-5.0, 40.0, 500):
         assert nearest_index(float(speed), env.target_speeds) == env.vehicle.speed_to_index(speed)
+
+
+def test_the_arms_of_the_intersection_are_drawn_as_numpy_s_choice_does() -> None:
+    own, numpy_s = np.random.default_rng(5), np.random.default_rng(5)
+    for _ in range(1000):
+        assert list(_two_arms(own)) == numpy_s.choice(4, size=2, replace=False).tolist()
+        assert own.standard_normal() == numpy_s.standard_normal()

@@ -1,0 +1,65 @@
+"""What is near the ego after every sub-step.
+
+SUMO is asked vehicle by vehicle where the ego is, and everybody who may be within reach. Its context subscription gives
+the same states and takes longer than the rest of a sub-step on small roads (docs/developers/decisions.md).
+"""
+
+from __future__ import annotations
+
+from sumo_env.contacts.measures import TTC_RADIUS
+from sumo_env.contacts.rectangles import DIAGONAL, State
+from sumo_env.sumo.session import Session
+from sumo_env.traffic.scenario import EGO
+
+FASTEST = 200.0  # [m/s] no two vehicles close in faster
+
+
+class Surroundings:
+    """The ego and the vehicles near it, those that somebody else has added to the simulation included.
+
+    Attributes:
+        ego: its state.
+        near: states of the vehicles whose front is within `TTC_RADIUS` of the ego's, by name in alphabetical order.
+    """
+
+    def __init__(self, session: Session, speed: float) -> None:
+        self._session = session
+        self.ego: State
+        self.near: dict[str, State]
+        self.take_stock()
+        self.look(0.0, speed)
+
+    def take_stock(self) -> None:
+        """List the vehicles on the road anew, and look at all of them next."""
+        self._others = [name for name in self._session.vehicles() if name != EGO]
+        self._due: dict[str, float] = {}  # distant vehicle -> time before which it cannot be near [s]
+
+    def look(self, time: float, speed: float) -> None:
+        """Look around after the sub-step that ended at `time` [s] with the ego's `speed` [m/s].
+
+        A distant vehicle is left out until it may have come near (conservative advancement).
+        """
+        if self._session.traffic_has_changed():
+            self.take_stock()
+        others, due = self._others, self._due
+        if due:
+            others = [name for name in others if due.get(name, time) <= time]
+        (x, y, _, heading), self.near, distant = self._session.near(EGO, others, TTC_RADIUS)
+        self.ego = (
+            x,
+            y,
+            speed,
+            heading,
+        )  # SUMO's speed is the commanded one, which covers the way of a sub-step
+        for name, further in distant:
+            due[name] = time + further / FASTEST
+
+    def within_reach(self, before: dict[str, State], dt: float) -> list[str]:
+        """Who may have touched the ego in the last `dt` [s], of those that were near before."""
+        x, y, _, _ = self.ego
+        reach = DIAGONAL + FASTEST * dt
+        return [
+            name
+            for name, other in self.near.items()
+            if abs(other[0] - x) < reach and abs(other[1] - y) < reach and name in before
+        ]

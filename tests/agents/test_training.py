@@ -187,9 +187,9 @@ def test_damage_to_a_checkpoint_is_detected(tmp_path: Path) -> None:
     whole = file.read_bytes()
     generator = np.random.default_rng(0)
     detected = 0
-    for trial in range(60):
+    for trial in range(20):
         damaged = bytearray(whole)
-        if trial < 50:
+        if trial < 16:
             position = int(generator.integers(len(whole)))
             damaged[position] ^= 1 << int(generator.integers(8))
         else:
@@ -200,7 +200,7 @@ def test_damage_to_a_checkpoint_is_detected(tmp_path: Path) -> None:
         except CheckpointError as error:
             assert str(file) in str(error)
             detected += 1
-    assert detected > 50
+    assert detected > 15
 
 
 @pytest.mark.parametrize(
@@ -225,21 +225,21 @@ def _interrupt(_: Progress) -> None:
     raise Interrupted
 
 
+@pytest.mark.slow
 def test_a_target_network_without_lag_shows_as_divergence() -> None:
     """The copy after every update at gamma .99: values far beyond the bound, and a constant policy."""
     config = replace(
         SMALL, updates=1000, tau=1.0, gamma=0.99, batch_size=100, learning_rate_final=5e-4, standardise=False,
         probe_interval=250, warm_up=300, epsilon_decay=0.15,
     )  # fmt: skip
-    for seed in (0, 1):
-        agent = training.train(Road(), replace(config, network="dueling"), seed)
-        assert agent.q_bound == pytest.approx(agent.max_abs_reward / 0.01)
-        assert max(look.largest for look in agent.probe_q) > 1.2 * agent.q_bound
-        assert agent.diverged
-        assert agent.probe_q[-1].greedy_share == 1.0
-        stable = training.train(Road(), replace(config, network="dueling", target_interval=500), seed)
-        assert max(look.largest for look in stable.probe_q) < 6
-        assert not stable.diverged
+    agent = training.train(Road(), replace(config, network="dueling"), 0)
+    assert agent.q_bound == pytest.approx(agent.max_abs_reward / 0.01)
+    assert max(look.largest for look in agent.probe_q) > 1.2 * agent.q_bound
+    assert agent.diverged
+    assert agent.probe_q[-1].greedy_share == 1.0
+    stable = training.train(Road(), replace(config, network="dueling", target_interval=500), 0)
+    assert max(look.largest for look in stable.probe_q) < 6
+    assert not stable.diverged
 
 
 def test_values_are_watched_on_the_first_observations_or_on_given_ones() -> None:

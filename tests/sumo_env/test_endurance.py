@@ -2,29 +2,54 @@
 
 from __future__ import annotations
 
-import json
-import subprocess
-import sys
+import os
 from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[2]
+from sumo_env.env import DrivingEnv
+from tests.processes import children
+from tests.sumo_env.rollout import digest, record
+
+ENVIRONMENTS = 3  # one in this process and two in workers
+BLOCKS, BLOCK = 8, 250  # episodes
 BOUND = 8.0  # [MiB] that a process may grow after its first block
-EPISODES = 2000
+
+
+def episode(env: DrivingEnv, risk: int, seed: int) -> str:
+    """Drive an episode under pseudo-random actions; returns the digest of all that was seen."""
+    env.configure({"risk": float(risk)})
+    return digest(record(env, seed))
+
+
+def resident(pid: int) -> float:
+    """Resident memory of a process [MiB]."""
+    return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
+
+
+def descriptors() -> int:
+    return len(os.listdir("/proc/self/fd"))
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("task", ["highway", "two-way", "roundabout", "intersection", "u-turn"])
-def test_a_long_run(task: str, tmp_path: Path) -> None:
-    command = [sys.executable, "-m", "tests.sumo_env.endurance", task, str(tmp_path)]
-    subprocess.run([*command, "--episodes", str(EPISODES)], cwd=ROOT, check=True, timeout=3600)
-    lines = [json.loads(line) for line in (tmp_path / f"{task}.jsonl").read_text().splitlines()]
-    first, last = lines[0], lines[-1]
-    assert last["episodes"] == EPISODES
-    assert [line["always"] for line in lines] == [first["always"]] * len(lines)
-    assert len(first["always"]) == 1  # in this process and in workers
-    for before, after in zip(first["resident_mib"], last["resident_mib"], strict=True):
-        assert after < before + BOUND
-    assert last["descriptors"] <= first["descriptors"]
-    assert last["files"] <= first["files"]
+def test_a_long_run(task: str) -> None:
+    """Environments take turns, every second episode is risky; after each block all drive the same two episodes."""
+    processes, opened = set(children(os.getpid())), descriptors()
+    envs = [DrivingEnv(task) for _ in range(ENVIRONMENTS)]
+    always: set[tuple[str, str]] = set()
+    memory, open_files = [], []
+    for block in range(BLOCKS):
+        for number in range(block * BLOCK, (block + 1) * BLOCK):
+            episode(envs[number % ENVIRONMENTS], number // ENVIRONMENTS % 2, number)
+        always |= {(episode(env, 0, 0), episode(env, 1, 0)) for env in envs}
+        workers = sorted(set(children(os.getpid())) - processes)
+        memory.append([resident(pid) for pid in (os.getpid(), *workers)])
+        open_files.append(descriptors())
+    assert len(always) == 1
+    assert all(after < before + BOUND for before, after in zip(memory[0], memory[-1], strict=True))
+    assert open_files[-1] <= open_files[0]
+    for env in envs:
+        env.close()
+    assert set(children(os.getpid())) <= processes
+    assert descriptors() <= opened

@@ -12,9 +12,7 @@ import pytest
 import torch
 from stable_baselines3 import DQN
 from stable_baselines3.common.env_checker import check_env
-from stable_baselines3.common.env_util import make_vec_env
 from stable_baselines3.common.evaluation import evaluate_policy
-from stable_baselines3.common.vec_env import SubprocVecEnv
 
 import sumo_env
 
@@ -73,27 +71,3 @@ def test_dqn_as_in_highway_envs_script(tmp_path: Path, one_thread: None) -> None
     assert 1.0 < values.max() < 6.0  # rewards of about 0.8 at gamma 0.8: it has learnt what a state is worth
     mean, _ = evaluate_policy(model, env, n_eval_episodes=3, warn=False)
     assert mean > 0.0
-
-
-@pytest.mark.slow
-def test_subprocesses() -> None:
-    envs = make_vec_env(
-        "sumo_env:sumo/u-turn-v0",  # the module's name, because a spawned process has imported nothing
-        n_envs=2,
-        seed=7,
-        vec_env_cls=SubprocVecEnv,
-        vec_env_kwargs={"start_method": "spawn"},
-    )
-    try:
-        observations = envs.reset()
-        assert observations.shape == (2, 5, 5)
-        endings = 0
-        for _ in range(12):
-            observations, rewards, dones, infos = envs.step(np.array([1, 4]))
-            endings += sum(dones)
-            for done, info in zip(dones, infos, strict=True):
-                assert ("terminal_observation" in info) == done
-        assert endings >= 2
-        assert np.isfinite(rewards).all()
-    finally:
-        envs.close()

@@ -134,40 +134,6 @@ def test_dqn_with_an_evaluation_callback(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_ppo_on_dummy_vec_env_of_four(tmp_path: Path) -> None:
-    assert run(
-        tmp_path,
-        """
-        import torch
-        from stable_baselines3 import PPO
-        from stable_baselines3.common.env_util import make_vec_env
-        torch.set_num_threads(1)
-        envs = make_vec_env("sumo_env:sumo/highway-v0", n_envs=4, seed=0, env_kwargs={"config": CONFIG})
-        model = PPO("MlpPolicy", envs, n_steps=16, batch_size=32).learn(128)
-        print(type(envs).__name__, model.num_timesteps)
-        """,
-    ) == ["DummyVecEnv", "128"]
-
-
-@pytest.mark.slow
-def test_train_evaluate_and_train_on(tmp_path: Path) -> None:
-    assert run(
-        tmp_path,
-        """
-        import gymnasium as gym, torch
-        from stable_baselines3 import DQN
-        from stable_baselines3.common.evaluation import evaluate_policy
-        torch.set_num_threads(1)
-        model = DQN("MlpPolicy", gym.make("sumo_env:sumo/highway-v0", config=CONFIG), learning_starts=20)
-        model.learn(60)
-        evaluate_policy(model, gym.make("sumo/highway-v0", config=CONFIG), n_eval_episodes=2, warn=False)
-        model.learn(60, reset_num_timesteps=False)
-        print(model.num_timesteps)
-        """,
-    ) == ["120"]
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize("start_method", ["fork", "spawn", "forkserver"])
 def test_subproc_vec_env_after_the_parent_has_used_sumo(tmp_path: Path, start_method: str) -> None:
     """Only multiprocessing's own start methods need a guard."""
@@ -192,69 +158,6 @@ def test_subproc_vec_env_after_the_parent_has_used_sumo(tmp_path: Path, start_me
             print(*(env.step(1)[4]["distance"] > 0 for env in mine))
         """,
     ) == ["True", "True"]
-
-
-@pytest.mark.slow
-def test_the_loop_of_cleanrls_ppo(tmp_path: Path) -> None:
-    """cleanrl/ppo.py: its make_env, four synchronous environments, its rollout and its episodic returns."""
-    episodes, steps = run(
-        tmp_path,
-        """
-        import gymnasium as gym, numpy as np, torch
-        torch.set_num_threads(1)
-
-        def make_env(env_id, idx):
-            def thunk():
-                env = gym.make(env_id, config=CONFIG)
-                env = gym.wrappers.FlattenObservation(env)
-                return gym.wrappers.RecordEpisodeStatistics(env)
-            return thunk
-
-        envs = gym.vector.SyncVectorEnv([make_env("sumo_env:sumo/highway-v0", i) for i in range(4)])
-        actor = torch.nn.Sequential(
-            torch.nn.Linear(int(np.prod(envs.single_observation_space.shape)), 64),
-            torch.nn.Tanh(),
-            torch.nn.Linear(64, envs.single_action_space.n),
-        )
-        optimizer = torch.optim.Adam(actor.parameters(), lr=2.5e-4)
-        next_obs, _ = envs.reset(seed=1)
-        episodes, global_step = [], 0
-        for iteration in range(3):
-            log_probs, rewards = [], []
-            for step in range(16):
-                global_step += 4
-                policy = torch.distributions.Categorical(logits=actor(torch.Tensor(next_obs)))
-                action = policy.sample()
-                log_probs.append(policy.log_prob(action))
-                next_obs, reward, terminations, truncations, infos = envs.step(action.cpu().numpy())
-                rewards.append(torch.tensor(reward, dtype=torch.float32))
-                if "episode" in infos:
-                    episodes += infos["episode"]["r"][infos["_episode"]].tolist()
-            loss = -(torch.stack(log_probs) * torch.stack(rewards)).mean()
-            optimizer.zero_grad()
-            loss.backward()
-            optimizer.step()
-        envs.close()
-        print(len(episodes), global_step)
-        """,
-    )
-    assert int(episodes) >= 8
-    assert steps == "192"
-
-
-@pytest.mark.slow
-def test_torchrls_serial_env(tmp_path: Path) -> None:
-    assert run(
-        tmp_path,
-        """
-        import torch
-        from torchrl.envs import GymEnv, SerialEnv
-        torch.set_num_threads(1)
-        env = SerialEnv(2, lambda: GymEnv("sumo_env:sumo/highway-v0", config=CONFIG))
-        rollout = env.rollout(6, break_when_any_done=False)
-        print(*rollout["observation"].shape)
-        """,
-    ) == ["2", "6", "5", "5"]
 
 
 @pytest.mark.slow

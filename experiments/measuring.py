@@ -124,7 +124,6 @@ class Driver:
 
         It takes as many steps of SUMO as an episode of this length does, a warm-up included.
         """
-        from sumo_env.contacts.measures import TTC_RADIUS
         from sumo_env.sumo.session import libsumo  # the only importer of it
 
         env = self._env.unwrapped
@@ -132,8 +131,6 @@ class Driver:
         begun, cpu, count, usual = time.perf_counter(), 0.0, 0, len(self._resets)
         while not count or time.perf_counter() - begun < seconds:
             self._reset()
-            if libsumo.vehicle.getContextSubscriptionResults("ego"):  # of the environment, which reads by it
-                libsumo.vehicle.unsubscribeContext("ego", libsumo.CMD_GET_VEHICLE_VARIABLE, TTC_RADIUS)
             steps = round(env.scenario.warm_up * frequency)
             steps += episode * frequency // env.config["policy_frequency"]
             start = time.process_time()

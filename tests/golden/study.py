@@ -10,16 +10,25 @@ from typing import Any
 
 import numpy as np
 
+from agents.dqn import DQNConfig
 from agents.training import train
 from experiments.analysis.analysis import analyse
 from experiments.study.results import load
-from tests.agents.curves import Config
 from tests.agents.road import Road
 from tests.agents.test_training import Small
 from tests.experiments import synthetic
 
 LEVELS = {"highway": (1,), "u-turn": (1, 2)}
 FAULTS = {"sumo-highway-50-control-s0": "diverged", "sumo-u-turn-3-control-s1": "tied"}
+
+
+class Config(DQNConfig):
+    """Explores as the learner in numpy did: epsilon falls from the first step."""
+
+    def epsilon(self, step: int) -> float:
+        return super().epsilon(step + self.warm_up)
+
+
 # Settings of the learner in numpy that the golden curves are of: explores from the first step, copies the target.
 LEARNER = Config(
     updates=1200,

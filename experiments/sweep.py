@@ -110,7 +110,8 @@ class Options:
     updates: Annotated[int | None, _argument("N")] = None
     """Training budget of an agent in updates, the same for all tasks."""
     arms: Annotated[tuple[str, ...], _argument("ARM ...", "control treatment")] = ()
-    """Arms: control, treatment, dose25, dose50, dose75 (then tested at these too), dense, penalty, mixed, drawn."""
+    """Arms: control, treatment, dose25, dose50, dose75 (then tested at these too), dense, penalty, mixed, mixed-seen,
+    drawn."""
     placebo: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = False
     """Train control agents alone, twice as many, and compare them with each other: no effect should be found."""
     test_on: Annotated[tuple[str, ...], _argument("NAME ...", "none")] = ()

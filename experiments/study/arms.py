@@ -15,8 +15,11 @@ TRAFFICS: dict[str, float] = {"regular": 0.0, "risky": 1.0}  # dose of risk in t
 # The arms of DRAWN have another dose in every training episode, and here its mean.
 EXTRA_ARMS: dict[str, float] = {
     "dose25": 0.25, "dose50": 0.5, "dose75": 0.75, "dense": 0.0, "penalty": 0.0, "mixed": 0.5, "drawn": 0.5,
+    "mixed-seen": 0.5,
 }  # fmt: skip
-DRAWN = ("mixed", "drawn")
+DRAWN = ("mixed", "drawn", "mixed-seen")
+# What an arm changes about the learner: "mixed-seen" observes the dose, also in the test.
+ARM_PROFILES = {"mixed-seen": {"dose_observed": True}}
 DOSES: dict[str, float] = {**ARMS, **EXTRA_ARMS}
 DOSE_ARMS = ("control", "dose25", "dose50", "dose75", "treatment")
 DOSE_TRAFFICS: dict[str, float] = {"dose25": 0.25, "dose50": 0.5, "dose75": 0.75}
@@ -24,12 +27,12 @@ ALL_TRAFFICS: dict[str, float] = {**TRAFFICS, **DOSE_TRAFFICS}
 
 
 def drawn_dose(arm: str, seed: int) -> float:
-    """Dose of risk in the training episode with this seed: "mixed" learns at 0 or 1, "drawn" at any between.
+    """Dose of risk in the training episode with this seed: at any dose for "drawn", 0 or 1 for the other arms of DRAWN.
 
     It depends on the seed alone, so that a training that is resumed meets the same traffic.
     """
     share = float(stream(seed, "dose").random())
-    return float(share < 0.5) if arm == "mixed" else share
+    return share if arm == "drawn" else float(share < 0.5)
 
 
 def gate_traffics(arm: str | None) -> tuple[str, ...]:

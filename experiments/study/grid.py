@@ -15,6 +15,7 @@ from typing import Any
 
 from experiments.backends import BACKENDS, SIMULATORS
 from experiments.study.arms import (
+    ARM_PROFILES,
     ARMS,
     DOSE_ARMS,
     DOSE_TRAFFICS,
@@ -351,7 +352,7 @@ def build(
                     arm=arm,
                     seed=seed,
                     policy=LEARNER,
-                    profile=profile,
+                    profile={**profile, **ARM_PROFILES.get(arm, {})},
                     source=network,
                     trained_with=different,
                     **common,

@@ -21,12 +21,7 @@ class TimeObserved(gym.ObservationWrapper[Any, Any, Any], gym.utils.RecordConstr
     def __init__(self, env: gym.Env[Any, Any], steps: int) -> None:
         gym.utils.RecordConstructorArgs.__init__(self, steps=steps)
         gym.ObservationWrapper.__init__(self, env)
-        space = env.observation_space
-        if not isinstance(space, gym.spaces.Box) or len(space.shape) != 2:
-            raise ValueError(f"Only observations (vehicles, features) can get a column of time, not {space}.")
-        low = np.column_stack([space.low, np.zeros(space.shape[0])]).astype(np.float32)
-        high = np.column_stack([space.high, np.ones(space.shape[0])]).astype(np.float32)
-        self.observation_space = gym.spaces.Box(low, high)
+        self.observation_space = _with_share(env.observation_space)
         self._steps, self._time = steps, 0
 
     def reset(
@@ -43,9 +38,20 @@ class TimeObserved(gym.ObservationWrapper[Any, Any, Any], gym.utils.RecordConstr
 
     def observation(self, observation: np.ndarray) -> np.ndarray:
         """The observation with its column of time."""
-        column = np.zeros(len(observation), observation.dtype)
-        column[0] = min(self._time / self._steps, 1.0)
-        return np.column_stack([observation, column])
+        return _add_share(observation, min(self._time / self._steps, 1.0))
+
+
+class DoseObserved(gym.ObservationWrapper[Any, Any, Any], gym.utils.RecordConstructorArgs):
+    """Adds a column to observations (vehicles, features): in the ego's row the dose of risk of the traffic."""
+
+    def __init__(self, env: gym.Env[Any, Any]) -> None:
+        gym.utils.RecordConstructorArgs.__init__(self)
+        gym.ObservationWrapper.__init__(self, env)
+        self.observation_space = _with_share(env.observation_space)
+
+    def observation(self, observation: np.ndarray) -> np.ndarray:
+        """The observation with its column of the dose."""
+        return _add_share(observation, float(self.env.unwrapped.config["risk"]))  # type: ignore[attr-defined]
 
 
 class TerminalLimit(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs):
@@ -125,6 +131,8 @@ class DrawnDose(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs
 
 def observed(env: gym.Env[Any, Any], profile: Mapping[str, Any]) -> gym.Env[Any, Any]:
     """The environment as an agent of this profile observes it."""
+    if profile.get("dose_observed"):
+        env = DoseObserved(env)
     if not profile.get("finite_horizon"):
         return env
     config = env.unwrapped.config  # type: ignore[attr-defined]
@@ -139,6 +147,22 @@ def trained_on(env: gym.Env[Any, Any], profile: Mapping[str, Any]) -> gym.Env[An
     if clock := profile.get("training_clock"):
         env = TrainingClock(env, *clock)
     return TerminalLimit(env) if profile.get("finite_horizon") else env
+
+
+def _with_share(space: gym.Space[Any]) -> gym.spaces.Box:
+    """A space of observations (vehicles, features) with one more column, from 0 to 1."""
+    if not isinstance(space, gym.spaces.Box) or len(space.shape) != 2:
+        raise ValueError(f"Only observations (vehicles, features) can get a column more, not {space}.")
+    low = np.column_stack([space.low, np.zeros(space.shape[0])]).astype(np.float32)
+    high = np.column_stack([space.high, np.ones(space.shape[0])]).astype(np.float32)
+    return gym.spaces.Box(low, high)
+
+
+def _add_share(observation: np.ndarray, share: float) -> np.ndarray:
+    """The observation with one more column: the share in the ego's row, 0 in the others."""
+    column = np.zeros(len(observation), observation.dtype)
+    column[0] = share
+    return np.column_stack([observation, column])
 
 
 def _given(seed: int | None) -> int:

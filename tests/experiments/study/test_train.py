@@ -6,12 +6,13 @@ from pathlib import Path
 
 import pytest
 
+from agents.checkpoint import load_arrays
 from agents.streams import episode_seed
-from experiments.study.arms import drawn_dose
+from experiments.study.arms import ARM_PROFILES, drawn_dose
 from experiments.study.cell import CellTask
 from experiments.study.grid import Cell
 from experiments.study.seeds import training_seed
-from experiments.study.store import EPISODES, GATES, TRAINING, Store, read_table
+from experiments.study.store import EPISODES, GATES, TRAINING, WEIGHTS, Store, read_table
 from experiments.study.train import train_cell
 from tests.experiments.fake_env import FakeEnv, make_env
 
@@ -67,6 +68,14 @@ def test_a_drawn_dose_is_met_logged_and_the_same_after_an_interruption(
     assert resumed.timed_updates < 60
     assert resumed.policy.sha256 == whole.policy.sha256
     assert resumed.episodes.equals(whole.episodes)
+
+
+def test_an_agent_that_observes_the_dose_is_trained_and_tested_with_it(tmp_path: Path) -> None:
+    task = CellTask(cell("mixed-seen", **ARM_PROFILES["mixed-seen"]), tmp_path, make_env)
+    task.compute(lambda _: None)
+    weights = load_arrays(Store(tmp_path).cells / task.name / WEIGHTS)
+    assert weights["mean"].shape == (2, 6)  # five features and the dose
+    assert weights["deviation"][0, -1] == pytest.approx(0.5, abs=0.05)
 
 
 def test_tests_keep_their_own_clock_and_doses(tmp_path: Path) -> None:

@@ -8,6 +8,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import sumo_env  # noqa: F401  (registers the ids)
+from experiments.study.arms import DRAWN
 from experiments.study.wrappers import DrawnDose, TimeObserved, TrainingClock, observed, trained_on
 from tests.experiments.fake_env import make_env
 
@@ -89,15 +90,24 @@ def test_a_training_clock_counts_seconds_not_steps() -> None:
         TrainingClock(env, 5, 4)
 
 
-@pytest.mark.parametrize(("arm", "mean"), [("mixed", 0.5), ("drawn", 0.5)])
-def test_an_episode_has_a_dose_that_its_seed_draws(arm: str, mean: float) -> None:
+def test_the_dose_is_a_column_of_the_ego() -> None:
+    env = observed(make_env("sumo", "u-turn"), {"dose_observed": True})
+    for risk in (0.0, 0.25, 1.0):
+        seen, _ = env.reset(seed=0, options={"config": {"risk": risk}})
+        assert env.observation_space.contains(seen) and seen.shape == (2, 6)
+        assert seen[0, -1] == risk and seen[1, -1] == 0
+        assert env.step(SLOWER)[0][0, -1] == risk
+
+
+@pytest.mark.parametrize("arm", DRAWN)
+def test_an_episode_has_a_dose_that_its_seed_draws(arm: str) -> None:
     env = DrawnDose(make_env("sumo", "u-turn"), arm)
     doses = []
     for seed in range(400):
         env.reset(seed=seed, options={"config": {"risk": 0.25}})
         doses.append(env.unwrapped.config["risk"])
-    assert np.mean(doses) == pytest.approx(mean, abs=0.06)
-    assert (set(doses) == {0.0, 1.0}) if arm == "mixed" else (len(set(doses)) == 400 and max(doses) < 1)
+    assert np.mean(doses) == pytest.approx(0.5, abs=0.06)
+    assert (set(doses) == {0.0, 1.0}) if arm != "drawn" else (len(set(doses)) == 400 and max(doses) < 1)
     env.reset(seed=17)
     assert env.unwrapped.config["risk"] == doses[17]
 

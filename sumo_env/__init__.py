@@ -1,7 +1,8 @@
 """highway-env's five driving tasks on the traffic simulator SUMO, as gymnasium environments.
 
 ``import sumo_env`` registers ``sumo/highway-v0``, ``sumo/two-way-v0``, ``sumo/roundabout-v0``,
-``sumo/intersection-v0`` and ``sumo/u-turn-v0``; ``gym.make("sumo_env:sumo/highway-v0")`` needs no import.
+``sumo/intersection-v0`` and ``sumo/u-turn-v0``; ``gym.make("sumo_env:sumo/highway-v0")`` needs no import. The same
+tasks on highway-env's own physics, compiled, are ``replica/highway-v0`` and so on (extra ``[replica]``).
 """
 
 from __future__ import annotations
@@ -12,12 +13,14 @@ import gymnasium as gym
 
 __version__ = "0.1.0"
 
-IDS = tuple(f"sumo/{task}-v0" for task in ("highway", "two-way", "roundabout", "intersection", "u-turn"))
+_TASKS = ("highway", "two-way", "roundabout", "intersection", "u-turn")
+IDS = tuple(f"sumo/{task}-v0" for task in _TASKS)
+REPLICA_IDS = tuple(f"replica/{task}-v0" for task in _TASKS)
 
 
 def task_of(id: str) -> str:
     """Name of the task that an id stands for: ``sumo/u-turn-v0`` is u-turn."""
-    return id.removeprefix("sumo/").removesuffix("-v0")
+    return id.partition("/")[2].removesuffix("-v0")
 
 
 def register(id: str, task: Any) -> None:
@@ -38,10 +41,13 @@ def register(id: str, task: Any) -> None:
 
 
 def register_envs() -> None:
-    """Register the five environments with gymnasium; again does nothing."""
+    """Register the environments with gymnasium; again does nothing."""
     for id in IDS:
         if id not in gym.registry:
             register(id, task_of(id))
+    for id in REPLICA_IDS:
+        if id not in gym.registry:
+            gym.register(id, entry_point="sumo_env.replica.env:ReplicaEnv", kwargs={"task": task_of(id)})
 
 
 register_envs()

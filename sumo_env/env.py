@@ -146,10 +146,9 @@ class DrivingEnv(gym.Env[Observation, Any]):
         override = options.get("config")
         if override or self.config != self._configured:
             self.configure(override)
-        seed = int(self.np_random.integers(2**31))
         task = self.task.varied({part: options[part] for part in VARIED if part in options})
         try:
-            scenario = options.get("scenario") or task.scenario(self.config, seed)
+            scenario = options.get("scenario") or self._draw(task)
             ego = scenario.ego
             scenario.network.place(
                 ego.lane, ego.s, ego.destination
@@ -284,6 +283,10 @@ class DrivingEnv(gym.Env[Observation, Any]):
             self._simulator.close()
             self._simulator = self._given
         super().close()
+
+    def _draw(self, task: Task) -> Scenario:
+        """The traffic of an episode, drawn with the environment's generator."""
+        return task.scenario(self.config, int(self.np_random.integers(2**31)))
 
     # -- parts ---------------------------------------------------------------------------------------------
 

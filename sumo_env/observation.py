@@ -103,17 +103,17 @@ class Kinematics:
         self.space = spaces.Box(-np.inf, np.inf, shape, np.float32)
         # One affine map for the whole table: columns without a range keep their values.
         columns = len(self.features)
-        self._scale, self._shift = np.ones(columns), np.zeros(columns)
-        self._low, self._high = np.full(columns, -np.inf), np.full(columns, np.inf)
-        self._relative = np.array([feature in RELATIVE for feature in self.features])
+        self.scale, self.shift = np.ones(columns), np.zeros(columns)
+        self.low, self.high = np.full(columns, -np.inf), np.full(columns, np.inf)
+        self.relative = np.array([feature in RELATIVE for feature in self.features])
         if self.normalize:
             for column, feature in enumerate(self.features):
                 if feature in self.ranges:
                     low, high = self.ranges[feature]
-                    self._scale[column] = 2.0 / (high - low)
-                    self._shift[column] = -1.0 - low * 2.0 / (high - low)
+                    self.scale[column] = 2.0 / (high - low)
+                    self.shift[column] = -1.0 - low * 2.0 / (high - low)
                     if self.clip:
-                        self._low[column], self._high[column] = -1.0, 1.0
+                        self.low[column], self.high[column] = -1.0, 1.0
 
     def visible(self, scene: Scene, road: Road, lane: LaneIndex) -> Integers:
         """Rows of the scene in the order of the table, the ego's first, shape (m,).
@@ -150,10 +150,10 @@ class Kinematics:
         columns = self._columns(scene, road, rows, specs)
         values = np.stack([columns[feature] for feature in self.features], axis=1)
         if not self.absolute:
-            values[1:] -= values[0] * self._relative
-        values *= self._scale
-        values += self._shift
-        values.clip(self._low, self._high, out=values)
+            values[1:] -= values[0] * self.relative
+        values *= self.scale
+        values += self.shift
+        values.clip(self.low, self.high, out=values)
         table = np.zeros((self.vehicles_count, len(self.features)), np.float32)
         table[: len(rows)] = values
         if self.order == "shuffled":

@@ -43,9 +43,7 @@ def make_env(
 
             return gym.make(f"sumo/{task}-v0", config=dict(config or {}), render_mode=render_mode)
         if backend == "replica":
-            from sumo_env.replica import env
-
-            return env.make(task, config, render_mode)
+            return _replica(task, dict(config or {}), render_mode)
         from experiments.backends import highway_env
 
         return highway_env.make(task, config, render_mode)
@@ -55,3 +53,11 @@ def make_env(
                 f"{backend} needs the package {error.name}, which is not installed: run make setup"
             ) from None
         raise
+
+
+def _replica(task: str, config: dict[str, Any], render_mode: str | None) -> gym.Env[Any, Any]:
+    """The replica on the study's scenarios; what is fixed for an environment's life is in the study's configuration."""
+    import sumo_env  # noqa: F401  (registers the ids)
+
+    fixed = {"variant": config.pop("variant", "path"), "risk_law": config.pop("risk_law", "standard")}
+    return gym.make(f"replica/{task}-v0", config=config, render_mode=render_mode, scenarios="seeded", **fixed)

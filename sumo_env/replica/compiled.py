@@ -11,9 +11,16 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
-import numba
-
 from sumo_env.contacts import measures
+
+try:
+    import numba
+except ModuleNotFoundError as error:
+    raise ModuleNotFoundError(
+        "the environments replica/* are compiled with numba, which is not installed: "
+        "pip install 'sumo-risky-driving[replica]'",
+        name=error.name,
+    ) from None
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 

@@ -69,20 +69,26 @@ def touch(first: Any, second: Any, dt: float) -> tuple[bool, bool, float, float]
 
 
 @compiled
-def collide(cars: Any, dt: float) -> None:
-    """Find who touches whom: marks wrecks, and how far those that will touch are pushed apart in the next step."""
+def collide(cars: Any, dt: float, before_ego: int) -> None:
+    """Find who touches whom: marks wrecks, and how far those that will touch are pushed apart in the next step.
+
+    Pairs are looked at in highway-env's order of vehicles, in which the first car, the ego, comes after `before_ego`
+    others.
+    """
     n = len(cars)
-    x, y = np.empty(n), np.empty(n)
+    order, x, y = np.arange(n), np.empty(n), np.empty(n)
+    order[:before_ego] = np.arange(1, before_ego + 1)
+    order[before_ego] = 0
     for i in range(n):
-        x[i], y[i] = cars[i].x, cars[i].y
+        x[i], y[i] = cars[order[i]].x, cars[order[i]].y
     for i in range(n):
-        a = cars[i]
+        a = cars[order[i]]
         near = DIAGONAL + a.speed * dt  # the speed of the first alone counts, as in highway-env
         for j in range(i + 1, n):
             dx, dy = x[j] - x[i], y[j] - y[i]
             if abs(dx) > near or math.sqrt(dx * dx + dy * dy) > near:
                 continue
-            b = cars[j]
+            b = cars[order[j]]
             now, soon, way_x, way_y = touch(a, b, dt)
             if soon:
                 a.is_pushed_apart = b.is_pushed_apart = True

@@ -1,62 +1,162 @@
-"""The environments of `sumo_env` over the replica."""
+"""`ReplicaEnv`: highway-env's environments on the compiled physics, with highway-env's own seeds or with ours."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from typing import Any
 
-import gymnasium as gym
-
 from sumo_env.config import Config, ConfigError, nearest
-from sumo_env.env import DrivingEnv
-from sumo_env.replica.linear import LAWS, check_law, draw
+from sumo_env.env import VARIED, DrivingEnv, Observation
+from sumo_env.observation import Kinematics
+from sumo_env.replica import draws
+from sumo_env.replica.linear import LAWS, check_law
+from sumo_env.replica.linear import draw as draw_linear
+from sumo_env.replica.sight import eyes_of
 from sumo_env.replica.simulator import VARIANTS, Replica
-from sumo_env.tasks import TASKS
-from sumo_env.tasks.base import Task
+from sumo_env.tasks.base import EgoState, Task
 from sumo_env.traffic.scenario import Scenario
 
-__all__ = ["VARIANTS", "Replica", "make"]
-
+SCENARIOS = ("highway-env", "seeded")
 SIMULATION_FREQUENCY = 15  # [Hz] highway-env's
+TIME_LIMIT = (
+    15  # policy steps of two-way-v0, which has no duration (``max_episode_steps`` of its registration)
+)
+# highway-env's default observations where those of `sumo_env` differ.
+OBSERVATIONS: dict[str, Config] = {
+    "two-way": {"type": "TimeToCollision", "horizon": 5},
+    "u-turn": {"type": "TimeToCollision", "horizon": 16},
+}
+INSTEAD = 'make the environment with scenarios="seeded"'
+# Keys of `sumo_env` that highway-env's task does not have.
+OURS: dict[str, tuple[str, ...]] = {
+    "two-way": ("vehicles_count", "oncoming_vehicles_count", "road_length", "duration"),
+    "roundabout": ("vehicles_count",),
+    "u-turn": ("vehicles_count",),
+}
 
 
-def _environment(task: str, config: Mapping[str, Any], render_mode: str | None = None) -> DrivingEnv:
-    """The environment of a task over the replica, as gymnasium's registry makes it."""
-    config = {"simulation_frequency": SIMULATION_FREQUENCY, **config}
-    variant = config.pop("variant", "path")
-    if variant not in VARIANTS:
-        raise ConfigError(f"unknown 'variant' {variant!r}: {nearest(str(variant), list(VARIANTS))}")
-    law = check_law(config.pop("risk_law", LAWS[0]))
-    env = DrivingEnv(task, config, render_mode, simulator=Replica(variant, is_linear=law == "linear"))
-    if law == "linear":
-        env.task = _with_linear_drivers(env.task)
-    return env
+class ReplicaEnv(DrivingEnv):
+    """One of the five tasks on highway-env's physics.
 
-
-def _with_linear_drivers(task: Task) -> Task:
-    """The task with the scenarios of the law "linear"."""
-
-    class LinearTask(type(task)):  # type: ignore[misc]
-        def scenario(self, config: Config, seed: int) -> Scenario:
-            return draw(task, config, seed)
-
-    return LinearTask()
-
-
-for _task in TASKS:
-    gym.register(f"replica/{_task}", entry_point=f"{__name__}:_environment", kwargs={"task": _task})
-
-
-def make(
-    task: str, config: Mapping[str, Any] | None = None, render_mode: str | None = None
-) -> gym.Env[Any, Any]:
-    """The replica's environment of a task.
-
-    The configuration is that of `sumo_env` with ``simulation_frequency`` 15, highway-env's, and two keys more,
-    which are the environment's for its whole life: ``variant`` (see `Replica`) and ``risk_law``, "standard" or "linear"
-    (see `sumo_env.replica.linear`).
+    Args:
+        task: highway, two-way, roundabout, intersection or u-turn.
+        config: configuration keys to change.
+        render_mode: None or ``"rgb_array"``.
+        scenarios: "highway-env": ``reset(seed=s)`` starts the episode that it starts in highway-env, and the
+            configuration's defaults are highway-env's; "seeded": the traffic of `sumo_env`, with ``risk``.
+        variant: see `Replica`.
+        risk_law: of seeded scenarios, "standard" or "linear".
 
     Raises:
-        ConfigError: unknown key, wrong value.
+        ConfigError: unknown task, key or name, wrong value.
     """
-    return gym.make(f"replica/{task}", config=dict(config or {}), render_mode=render_mode)
+
+    def __init__(
+        self,
+        task: str,
+        config: Mapping[str, Any] | None = None,
+        render_mode: str | None = None,
+        scenarios: str = SCENARIOS[0],
+        variant: str = "stock",
+        risk_law: str = LAWS[0],
+    ) -> None:
+        for name, value, known in (("scenarios", scenarios, SCENARIOS), ("variant", variant, VARIANTS)):
+            if value not in known:
+                raise ConfigError(f"unknown '{name}' {value!r}: {nearest(str(value), list(known))}")
+        self._is_stock, self._is_linear = scenarios == SCENARIOS[0], check_law(risk_law) == "linear"
+        self._replica = Replica(variant, self._is_linear)
+        super().__init__(task, config, render_mode, self._replica)
+
+    # -- configuration -------------------------------------------------------------------------------------
+
+    def default_config(self) -> Config:
+        """Every key with its default."""
+        defaults = {**super().default_config(), "simulation_frequency": SIMULATION_FREQUENCY}
+        if self._is_stock:
+            defaults["neighbour_vehicles_connected_lanes"] = False
+            defaults["observation"] = dict(OBSERVATIONS.get(self.task.name, defaults["observation"]))
+        return defaults
+
+    def configure(self, config: Mapping[str, Any] | None) -> None:
+        """Change these keys of the configuration; they take effect at the next reset."""
+        if self._is_stock:
+            self._refuse_ours({**getattr(self, "config", {}), **(config or {})})
+        super().configure(config)
+        kinematics = self.observation_type
+        self._eyes = eyes_of(kinematics) if isinstance(kinematics, Kinematics) else None
+
+    def _refuse_ours(self, config: Config) -> None:
+        defaults = self.default_config()
+        for key in ("risk", *OURS.get(self.task.name, ())):
+            if config.get(key, defaults[key]) != defaults[key]:
+                raise ConfigError(
+                    f"config key {key!r} can only be {defaults[key]!r}, not {config[key]!r}: highway-env's "
+                    f"{self.task.name}-v0 has no such key; {INSTEAD}"
+                )
+
+    # -- gymnasium -----------------------------------------------------------------------------------------
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Start an episode, see `DrivingEnv.reset`."""
+        varied = [part for part in VARIED if part in (options or {})]
+        if varied and self._is_stock:
+            raise ConfigError(f"highway-env has no {', '.join(varied)} that a reset could vary; {INSTEAD}")
+        self._time, self._draws_arrivals = 0.0, False
+        return super().reset(seed=seed, options=options)
+
+    def _draw(self, task: Task) -> Scenario:
+        if self._is_stock:
+            self._draws_arrivals = task.name == "intersection"
+            self._replica.connected = bool(self.config["neighbour_vehicles_connected_lanes"])
+            return draws.draw(task, self.config, self.np_random, self._replica.warm_up)
+        if self._is_linear:
+            return draw_linear(task, self.config, int(self.np_random.integers(2**31)))
+        return super()._draw(task)
+
+    def step(self, action: int) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Drive one policy step, see `DrivingEnv.step`."""
+        result = super().step(action)
+        if self._draws_arrivals:
+            centres = self._replica.staying()
+            spawn = draws.arrival(self.config, self._road, self.np_random, centres, self.steps)
+            if spawn is not None:
+                self.scenario = self._replica.expect(spawn)
+                self._spec_of[spawn.vehicle.id] = spawn.vehicle
+        return result
+
+    def _is_truncated(self) -> bool:
+        if not self._is_stock:
+            return super()._is_truncated()
+        if self.task.name == "two-way":
+            return self.steps >= TIME_LIMIT
+        self._time += 1 / self.config["policy_frequency"]  # added up as in highway-env, rounding included
+        return bool(self._time >= self.config["duration"])
+
+    # -- what the ego sees ---------------------------------------------------------------------------------
+
+    def _ego_state(self, action: int | None) -> EgoState:
+        lane, s, lateral, is_on_road = self._replica.ego_place()
+        scene = self.scene
+        return EgoState(
+            lane=lane,
+            s=s,
+            lateral=lateral,
+            speed=scene.speed.item(0),
+            heading=scene.heading.item(0),
+            target_lane=self._target_lane,
+            speed_index=self._speed_index,
+            speed_count=len(self.target_speeds),
+            action=action,
+            crashed=scene.crashed.item(0),
+            on_road=is_on_road,
+        )
+
+    def _observe(self) -> Observation:
+        if self._eyes is None:
+            return super()._observe()
+        table = self._replica.table(self._eyes)
+        if not self._eyes.is_sorted:
+            self.np_random.shuffle(table[1:])
+        return table

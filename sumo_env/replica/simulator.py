@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from sumo_env.contacts.crash import CrashRecord, crash_record
 from sumo_env.contacts.rectangles import separation, state_of
-from sumo_env.networks.roads import LaneIndex
+from sumo_env.networks.roads import LaneIndex, Road
+from sumo_env.replica import sight
 from sumo_env.replica import step as kernels
 from sumo_env.replica.linear import linear_drivers
 from sumo_env.replica.numpy_loops import LOOPS
@@ -17,9 +20,11 @@ from sumo_env.replica.step import CRASHED, HEADING, SPEED, Rules, X, Y
 from sumo_env.replica.tables import NONE, Records, cars_of, drive_linearly, events_of, lanes_of
 from sumo_env.scene import Scene
 from sumo_env.simulator import EgoCommand, Step
-from sumo_env.traffic.scenario import EGO_DISTANCE, SPAWN_DISTANCE, Scenario
+from sumo_env.traffic.scenario import EGO_DISTANCE, SPAWN_DISTANCE, Scenario, Spawn, VehicleSpec
 
-VARIANTS = ("path", "connected", "v0")
+Centres = Sequence[tuple[float, float]]  # [m]
+
+VARIANTS = ("stock", "path", "connected", "v0")
 JOINED = ("roundabout", "intersection", "u-turn")  # tasks with lanes that continue others
 EXIT_MARGIN = 20.0  # [m] before the end of an exit of the intersection, where vehicles are removed
 
@@ -33,6 +38,8 @@ class Replica:
         variant: how far drivers see beyond the end of their lane (roundabout, intersection and u-turn; the lanes of the
             other two roads continue no others): "v0": not at all; "connected": onto the next lanes, distances
             projected, as in highway-env with connected lanes; "path": onto the next lanes, distances along the path.
+            "stock" is highway-env as it is installed: "v0" or, if `connected`, "connected", and the ego of the
+            intersection comes last in the order of vehicles, not first.
         is_linear: whether a scenario's dose of risk means `linear_drivers` (``risk_law`` "linear").
 
     Raises:
@@ -43,21 +50,15 @@ class Replica:
         if variant not in VARIANTS:
             raise ValueError(f"the variant must be one of {VARIANTS}, not {variant!r}")
         self.variant, self.is_linear = variant, is_linear
+        self.connected = False  # whether drivers of the variant "stock" look onto the next lanes
+        self._rules = Rules(along_path=False, is_two_way=False, regulation_interval=0, dt=0.0)
         self._scenario: Scenario | None = None
+        self._warm: tuple[tuple[VehicleSpec, ...], Records] | None = None
 
     def reset(self, scenario: Scenario) -> Scene:
         """See `Simulator.reset`."""
-        joined = scenario.road.name in JOINED and self.variant != "v0"
-        frequency = scenario.simulation_frequency
         self._scenario = scenario
-        self._lanes = lanes_of(scenario.road, joined)
-        self._rules = Rules(
-            along_path=joined and self.variant == "path",
-            is_two_way=scenario.road.name == "two-way",
-            # highway-env's expression: 7 at 15 Hz
-            regulation_interval=int(1 / (1 / frequency) / 2) if scenario.road.name == "intersection" else 0,
-            dt=1.0 / frequency,
-        )
+        self._prepare(scenario.road, scenario.simulation_frequency)
         specs = [*scenario.specs, *(spawn.vehicle for spawn in scenario.spawns)]
         self._ids = [spec.id for spec in specs]
         self._everybody = cars_of(scenario.road, specs)
@@ -68,9 +69,10 @@ class Replica:
         self._next_event = self._steps = self._policy_steps = 0
         self._crash: CrashRecord | None = None
         self._is_exit = np.array([start.startswith("il") for start, _, _ in self._lanes.names])
-        self._warmed_up = round(scenario.warm_up * frequency)
+        self._warmed_up = round(scenario.warm_up * scenario.simulation_frequency)
         placed = self._everybody[: len(scenario.specs)]
-        self._cars = self._warm_up(placed[1:].copy(), placed[:1]) if self._warmed_up else placed.copy()
+        self._cars = self._with_ego(placed) if self._warmed_up else placed.copy()
+        self._first_arrival = len(placed) + sum(spawn.step == 0 for spawn in scenario.spawns)
         self._name_cars()
         return self._scene(np.array([self._cars[name] for name in FRAME], float))
 
@@ -81,6 +83,9 @@ class Replica:
             raise RuntimeError("call reset() before step()")
         if self._policy_steps > 0 and scenario.road.name == "intersection":
             self._let_out_and_in()
+        if self.variant == "stock" and scenario.warm_up:
+            before = int(np.count_nonzero(self._cars["number"][1:] < self._first_arrival))
+            self._rules = self._rules._replace(before_ego=before)
         ego = self._cars[0]
         ego["target_speed"] = command.target_speed
         self._steer_ego_for(command.target_lane)
@@ -105,6 +110,42 @@ class Replica:
             trace=tuple(self._scene(frame, start + k + 1) for k, frame in enumerate(frames)) if trace else (),
         )
 
+    def ego_place(self) -> tuple[LaneIndex, float, float, bool]:
+        """The ego's lane, its coordinates on it (s and lat) [m], and whether it is on the road."""
+        lane, s, lateral, is_on_road = sight.ego_place(self._seen_lanes, self._cars)
+        return self._lanes.names[lane], s, lateral, is_on_road
+
+    def table(self, eyes: sight.Eyes) -> np.ndarray:
+        """The Kinematics observation."""
+        return sight.table(self._seen_lanes, self._cars, eyes)
+
+    def warm_up(self, road: Road, vehicles: tuple[VehicleSpec, ...], time: float, frequency: int) -> Centres:
+        """Centres of vehicles after they have driven for a time [s] without an ego.
+
+        `reset` with a scenario of these vehicles takes over what was driven.
+        """
+        self._prepare(road, frequency)
+        self._warmed_up = round(time * frequency)
+        cars = cars_of(road, vehicles)
+        cars["number"] += 1  # the ego's is 0
+        self._warm = vehicles, self._driven(cars)
+        return _centres(self._warm[1])
+
+    def staying(self) -> Centres:
+        """Centres of the vehicles that will be there in the next step."""
+        return _centres(self._staying())
+
+    def expect(self, spawn: Spawn) -> Scenario:
+        """Let a vehicle in at the start of the next step; returns the scenario with it."""
+        assert self._scenario is not None
+        scenario = self._scenario
+        self._scenario = replace(scenario, spawns=(*scenario.spawns, spawn))
+        arrival = cars_of(scenario.road, [spawn.vehicle])
+        arrival["number"] = len(self._everybody)
+        self._everybody = np.concatenate((self._everybody, arrival))
+        self._ids = [*self._ids, spawn.vehicle.id]
+        return self._scenario
+
     def close(self) -> None:
         """Forget the episode."""
         self._scenario = None
@@ -124,23 +165,48 @@ class Replica:
 
     # -- parts ---------------------------------------------------------------------------------------------
 
-    def _warm_up(self, cars: Records, ego: Records) -> Records:
-        """``IntersectionEnv._make_vehicles``: traffic drives before the ego is placed, at least 20 m from anybody."""
-        kernels.warm_up(self._lanes.table, cars, self._rules, self._warmed_up)
-        cars = self._with_spawns(cars, 0)
-        return np.concatenate((ego, cars[_distance(cars, ego[0]) >= EGO_DISTANCE]))
+    def _prepare(self, road: Road, frequency: int) -> None:
+        """Lanes and rules of a road."""
+        if self.variant == "stock":
+            joined = self.connected
+        else:
+            joined = road.name in JOINED and self.variant != "v0"
+        self._lanes = lanes_of(road, joined)
+        self._seen_lanes = self._lanes.table if self.variant == "stock" else self._lanes.exact
+        self._rules = Rules(
+            along_path=joined and self.variant == "path",
+            is_two_way=road.name == "two-way",
+            # highway-env's expression: 7 at 15 Hz
+            regulation_interval=int(1 / (1 / frequency) / 2) if road.name == "intersection" else 0,
+            dt=1.0 / frequency,
+        )
 
-    def _let_out_and_in(self) -> None:
-        """``IntersectionEnv._clear_vehicles``, of those near the end of an exit, and the spawns of this step."""
+    def _with_ego(self, placed: Records) -> Records:
+        """``IntersectionEnv._make_vehicles``: traffic drives before the ego is placed, at least 20 m from anybody."""
+        assert self._scenario is not None
+        warm, self._warm = self._warm, None
+        is_driven = warm is not None and warm[0] is self._scenario.vehicles
+        cars = warm[1] if warm and is_driven else self._driven(placed[1:].copy())
+        cars = self._with_spawns(cars, 0)
+        return np.concatenate((placed[:1], cars[_distance(cars, placed[0]) >= EGO_DISTANCE]))
+
+    def _driven(self, cars: Records) -> Records:
+        kernels.warm_up(self._lanes.table, cars, self._rules, self._warmed_up)
+        return cars
+
+    def _staying(self) -> Records:
+        """``IntersectionEnv._clear_vehicles``: all but those near the end of an exit."""
         cars = self._cars
         leaving = self._is_exit[cars["lane"]] & ~cars["is_ego"]
         for row in np.flatnonzero(leaving):
             lane, car = self._lanes.table[cars["lane"][row]], cars[row]
             s = (car["x"] - lane["x"]) * lane["cos"] + (car["y"] - lane["y"]) * lane["sin"]
             leaving[row] = s >= lane["length"] - EXIT_MARGIN
-        if leaving.any():
-            cars = cars[~leaving]
-        self._cars = self._with_spawns(cars, self._policy_steps)
+        return cars[~leaving] if leaving.any() else cars
+
+    def _let_out_and_in(self) -> None:
+        """Vehicles leave, and the spawns of this step come."""
+        self._cars = self._with_spawns(self._staying(), self._policy_steps)
         self._name_cars()
 
     def _with_spawns(self, cars: Records, step: int) -> Records:
@@ -179,6 +245,10 @@ class Replica:
             crashed=frame[CRASHED] > 0.0,
             time=round(time, 6),
         )
+
+
+def _centres(cars: Records) -> Centres:
+    return list(zip(cars["x"].tolist(), cars["y"].tolist(), strict=True))
 
 
 def _distance(cars: Records, place: Any) -> Any:

@@ -27,6 +27,7 @@ class Rules(NamedTuple):
         is_two_way: cut-ins are swerves into the oncoming lane.
         regulation_interval: sub-steps between two applications of the right of way, 0 without it.
         dt: length of a sub-step [s].
+        before_ego: cars that highway-env has in its list before the ego, for the order of pairs.
         loops: numpy's functions.
     """
 
@@ -34,6 +35,7 @@ class Rules(NamedTuple):
     is_two_way: bool
     regulation_interval: int
     dt: float
+    before_ego: int = 0
     loops: Loops = LOOPS
 
 
@@ -54,14 +56,14 @@ def act(lanes: Any, cars: Any, places: Any, rules: Any) -> None:
 def step(lanes: Any, cars: Any, places: Any, rules: Any, count: int) -> None:
     """``Road.step``; `count`: number of this sub-step since the first vehicles were placed, from 1."""
     if rules.regulation_interval > 0 and count % rules.regulation_interval == 0:
-        regulate(lanes, cars, places, rules.loops)
+        regulate(lanes, cars, places, rules)
     for i in range(len(cars)):
         move(cars[i], rules.loops, rules.dt)
         return_from_swerve(cars[i], rules.dt)
     locate(lanes, cars, places, rules.loops)
     for i in range(len(cars)):
         cars[i].lane = closest_lane(lanes, places, rules.loops, i, cars[i].heading, cars[i].lane)
-    collide(cars, rules.dt)
+    collide(cars, rules.dt, rules.before_ego)
 
 
 @compiled

@@ -6,7 +6,7 @@ the number of the left one is also the number of their road.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import pairwise
@@ -140,10 +140,12 @@ class Lanes:
 
     Attributes:
         table: records of LANE.
+        exact: the same with the intersection's arms turned exactly, as `sumo_env` sees them (see `as_rotated`).
         names: highway-env's index of each lane; `numbers` is the reverse.
     """
 
     table: Records
+    exact: Records
     names: tuple[LaneIndex, ...]
     numbers: dict[LaneIndex, int]
 
@@ -160,9 +162,8 @@ def lanes_of(road: Road, connected: bool) -> Lanes:
         """The lane of this id, or the left one where the road has none."""
         return numbers.get((start, end, lane), roads[start, end])
 
-    curves = _as_rotated(road) if road.name == "intersection" else road.lanes
     table = np.zeros(len(names), LANE)
-    for number, ((start, end, lane), curve) in enumerate(curves.items()):
+    for number, ((start, end, lane), curve) in enumerate(road.lanes.items()):
         record = table[number]
         _write_geometry(record, curve)
         record["road"], record["abreast"] = roads[start, end], road.count(start, end)
@@ -176,15 +177,22 @@ def lanes_of(road: Road, connected: bool) -> Lanes:
         record["joined"] = _filled([number, *following, *preceding])
         begins = [0.0, *[curve.length] * len(following), *(-road.lane(names[k]).length for k in preceding)]
         record["offset"][: len(begins)] = begins
-    return Lanes(table, names, numbers)
+    turned = table.copy()
+    for record, curve in zip(turned, as_rotated(road).values(), strict=True):
+        _write_geometry(record, curve)
+    return Lanes(turned, table, names, numbers)
 
 
-def _as_rotated(road: Road) -> dict[LaneIndex, Lane]:
+@lru_cache(maxsize=16)
+def as_rotated(road: Road) -> Mapping[LaneIndex, Lane]:
     """The intersection's lanes as highway-env computes them: the southern arm's, turned by a matrix.
 
     That is 1e-14 m from the exact places. It matters because highway-env's steering is unstable below 0.7 m/s: it
     multiplies what a car is away from the middle of its lane, be it a rounding error, until it zigzags.
     """
+
+    if road.name != "intersection":
+        return road.lanes
 
     def turned(point: Point, corner: int) -> Point:
         angle = np.radians(90 * corner)

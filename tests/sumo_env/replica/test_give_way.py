@@ -9,12 +9,14 @@ from sumo_env.networks.roads import intersection
 from sumo_env.replica.geometry import locate, no_places
 from sumo_env.replica.give_way import regulate
 from sumo_env.replica.numpy_loops import LOOPS
+from sumo_env.replica.step import Rules
 from sumo_env.replica.tables import cars_of, lanes_of
 from sumo_env.tasks import TASKS
 from sumo_env.tasks.base import ego_driver, make_on_lane
 
 ROAD = intersection()
 LANES = lanes_of(ROAD, connected=True)
+RULES = Rules(along_path=False, is_two_way=False, regulation_interval=7, dt=1 / 15)
 DRIVER = ego_driver(TASKS["intersection"])
 
 
@@ -31,7 +33,7 @@ def regulated(*cars: np.ndarray) -> np.ndarray:
     together = np.concatenate(cars)
     places = no_places(LANES.table, together)
     locate(LANES.table, together, places, LOOPS)
-    regulate(LANES.table, together, places, LOOPS)
+    regulate(LANES.table, together, places, RULES)
     return together
 
 

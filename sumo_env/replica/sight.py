@@ -1,0 +1,119 @@
+"""What the ego sees, compiled: its place on the road, and highway-env's Kinematics table.
+
+`KinematicsObservation` in highway-env, `sumo_env.observation.Kinematics` here; features that depend on routes or on
+other lanes (cos_d, sin_d, long_off, lat_off, ang_off) are left to the latter.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from sumo_env.observation import Kinematics
+from sumo_env.replica.compiled import borrowing, compiled
+from sumo_env.replica.geometry import VEHICLE_LENGTH, local_coordinates
+from sumo_env.scene import PERCEPTION_DISTANCE
+
+FEATURES = ("presence", "x", "y", "vx", "vy", "heading", "cos_h", "sin_h")
+HALF_WIDTH = 2.0  # [m] of a lane
+
+
+class Eyes(NamedTuple):
+    """A Kinematics observation for the kernel; arrays have shape (features,).
+
+    Attributes:
+        features: places in FEATURES.
+        relative: whether a feature of the others is relative to the ego.
+        scale, shift, low, high: of the affine map and the clipping.
+        rows: of the table.
+        see_behind, is_sorted: as in the configuration.
+    """
+
+    features: Any
+    relative: Any
+    scale: Any
+    shift: Any
+    low: Any
+    high: Any
+    rows: int
+    see_behind: bool
+    is_sorted: bool
+
+
+def eyes_of(kinematics: Kinematics) -> Eyes | None:
+    """The observation for `table`; None if it has features that the kernel does not know."""
+    if not set(kinematics.features) <= set(FEATURES):
+        return None
+    return Eyes(
+        np.array([FEATURES.index(name) for name in kinematics.features]),
+        kinematics.relative & (not kinematics.absolute),
+        kinematics.scale,
+        kinematics.shift,
+        kinematics.low,
+        kinematics.high,
+        kinematics.vehicles_count,
+        kinematics.see_behind,
+        kinematics.order == "sorted",
+    )
+
+
+@borrowing
+def feature(car: Any, k: int) -> float:
+    """The value of a car that FEATURES[k] names."""
+    if k == 0:
+        return 1.0
+    if k == 1:
+        return car.x
+    if k == 2:
+        return car.y
+    if k == 3:
+        return car.speed * car.cos
+    if k == 4:
+        return car.speed * car.sin
+    if k == 5:
+        return car.heading
+    return car.cos if k == 6 else car.sin
+
+
+@compiled
+def table(lanes: Any, cars: Any, eyes: Any) -> Any:
+    """The Kinematics table of the ego, the first car: float32 of shape (rows, features), zero beyond the last car."""
+    ego, lane = cars[0], lanes[cars[0].lane]
+    here = local_coordinates(lane, ego.x, ego.y)[0]
+    rows, distances, seen = np.empty(eyes.rows, np.int64), np.empty(eyes.rows), 0
+    for j in range(1, len(cars)):
+        if math.hypot(cars[j].x - ego.x, cars[j].y - ego.y) >= PERCEPTION_DISTANCE:
+            continue
+        ahead = local_coordinates(lane, cars[j].x, cars[j].y)[0] - here
+        if not eyes.see_behind and ahead <= -2.0 * VEHICLE_LENGTH:
+            continue
+        place = seen
+        while eyes.is_sorted and place > 0 and distances[place - 1] > abs(ahead):
+            place -= 1
+        if place >= eyes.rows - 1:
+            continue
+        seen = min(seen + 1, eyes.rows - 1)
+        for k in range(seen - 1, place, -1):
+            rows[k], distances[k] = rows[k - 1], distances[k - 1]
+        rows[place], distances[place] = j, abs(ahead)
+    result = np.zeros((eyes.rows, len(eyes.features)), np.float32)
+    for row in range(seen + 1):
+        car = ego if row == 0 else cars[rows[row - 1]]
+        for k in range(len(eyes.features)):
+            value = feature(car, eyes.features[k])
+            if row > 0 and eyes.relative[k]:
+                value -= feature(ego, eyes.features[k])
+            value = value * eyes.scale[k] + eyes.shift[k]
+            result[row, k] = min(max(value, eyes.low[k]), eyes.high[k])
+    return result
+
+
+@borrowing
+def ego_place(lanes: Any, cars: Any) -> tuple[int, float, float, bool]:
+    """The ego's lane, where it is on it (s and lat) [m], and whether it is on the road."""
+    lane = lanes[cars[0].lane]
+    s, lat = local_coordinates(lane, cars[0].x, cars[0].y)
+    is_on = abs(lat) <= HALF_WIDTH and -VEHICLE_LENGTH <= s < lane.length + VEHICLE_LENGTH
+    return cars[0].lane, s, lat, is_on

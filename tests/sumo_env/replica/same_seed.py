@@ -1,0 +1,76 @@
+"""highway-env, as it is installed, and the replica side by side on the same seeds and random actions.
+
+Run in a process of its own for each task, because highway-env's tasks change class attributes:
+
+    python tests/sumo_env/replica/same_seed.py TASK FIRST EPISODES '{"vehicles_count": 20}'
+
+prints the episodes that differ, as JSON: ``[[seed, step, what], ...]``.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import warnings
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+EQUAL = 1e-6  # largest difference of observations and rewards
+
+
+def pair(task: str, config: dict[str, Any]) -> tuple[Any, Any]:
+    """The environments; highway-env's with connected lanes is v1 or, of the intersection, v2."""
+    import highway_env  # noqa: F401
+
+    import sumo_env  # noqa: F401
+
+    return gym.make(f"{task}-v0", config=dict(config)), gym.make(f"replica/{task}-v0", config=dict(config))
+
+
+def difference(theirs: Any, ours: Any) -> str:
+    """What `reset` or `step` returned differently, by name; empty if it is the same."""
+    if theirs[0].shape != ours[0].shape or theirs[0].dtype != ours[0].dtype:
+        return "shape"
+    if not np.abs(theirs[0] - ours[0]).max() <= EQUAL:
+        return "observation"
+    if len(theirs) == 2:
+        return ""
+    if not abs(theirs[1] - ours[1]) <= EQUAL:
+        return "reward"
+    return "" if theirs[2:4] == ours[2:4] else "ends"
+
+
+def episode(stock: Any, replica: Any, seed: int) -> tuple[int, str]:
+    """Policy steps, and what differed; every third episode continues the stream of the one before it."""
+    reset = {} if seed % 3 == 2 else {"seed": seed}
+    theirs, ours = stock.reset(**reset), replica.reset(**reset)
+    rng, steps = np.random.default_rng(seed), 0
+    while True:
+        found = difference(theirs, ours)
+        if not found and generator(stock) != generator(replica):
+            found = "random stream"
+        if found or (steps and (theirs[2] or theirs[3])):
+            return steps, found
+        action = int(rng.integers(stock.action_space.n))
+        theirs, ours = stock.step(action), replica.step(action)
+        steps += 1
+
+
+def generator(env: Any) -> Any:
+    """The state of the generator that traffic is drawn with."""
+    return env.unwrapped.np_random.bit_generator.state
+
+
+def differences(task: str, first: int, episodes: int, config: dict[str, Any]) -> list[tuple[int, int, str]]:
+    stock, replica = pair(task, config)
+    found = [(seed, *episode(stock, replica, seed)) for seed in range(first, first + episodes)]
+    return [entry for entry in found if entry[2]]
+
+
+if __name__ == "__main__":
+    warnings.simplefilter("ignore")
+    gym.logger.min_level = gym.logger.ERROR
+    task, first, episodes, config = sys.argv[1:]
+    print(json.dumps(differences(task, int(first), int(episodes), json.loads(config))))

@@ -1,0 +1,180 @@
+"""A seed is the same episode in highway-env, unpatched, and in the environments replica/*."""
+
+from __future__ import annotations
+
+import copy
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+import sumo_env
+from sumo_env.config import ConfigError
+
+ROOT = Path(__file__).resolve().parents[3]
+TASKS = tuple(sumo_env.task_of(id) for id in sumo_env.REPLICA_IDS)
+FEW = {"highway": 3, "two-way": 12, "roundabout": 12, "intersection": 18, "u-turn": 12}
+EACH = 200  # episodes of each task in the long comparison
+TABLE = {"type": "Kinematics"}
+SHUFFLED = {**TABLE, "order": "shuffled"}
+LADDER = {"type": "DiscreteMetaAction", "target_speeds": [4, 12, 20]}
+CONFIGS: list[tuple[str, dict[str, Any]]] = [
+    ("highway", {"lanes_count": 3, "vehicles_count": 12, "vehicles_density": 2, "initial_lane_id": 1}),
+    ("highway", {"vehicles_count": 8, "duration": 3, "policy_frequency": 5, "observation": SHUFFLED}),
+    ("two-way", {"observation": TABLE, "neighbour_vehicles_connected_lanes": True}),
+    ("roundabout", {"neighbour_vehicles_connected_lanes": True, "incoming_vehicle_destination": 1}),
+    ("roundabout", {"simulation_frequency": 10, "policy_frequency": 2, "normalize_reward": False}),
+    ("intersection", {"neighbour_vehicles_connected_lanes": True, "destination": None}),
+    ("intersection", {"initial_vehicle_count": 20, "spawn_probability": 1.0, "normalize_reward": True}),
+    ("intersection", {"observation": {**SHUFFLED, "vehicles_count": 6, "see_behind": True}}),
+    ("u-turn", {"observation": {**TABLE, "absolute": True, "normalize": False}}),
+    ("u-turn", {"neighbour_vehicles_connected_lanes": True, "action": LADDER}),
+]  # fmt: skip
+
+
+def differences(task: str, first: int, episodes: int, config: dict[str, Any]) -> list[Any]:
+    """Episodes that differ, found in a fresh process."""
+    command = [sys.executable, str(Path(__file__).with_name("same_seed.py")), task, str(first), str(episodes)]
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    done = subprocess.run(
+        [*command, json.dumps(config)], capture_output=True, text=True, check=True, env=environment
+    )
+    found: list[Any] = json.loads(done.stdout.splitlines()[-1])
+    return found
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("task", TASKS)
+def test_a_seed_is_the_episode_of_highway_env(task: str) -> None:
+    assert differences(task, 0, FEW[task], {}) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("task", "config"), CONFIGS)
+def test_so_it_is_under_other_configurations(task: str, config: dict[str, Any]) -> None:
+    assert differences(task, 30, 6 if task == "highway" else 9, config) == []
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("task", TASKS)
+def test_it_is_in_99_percent_of_two_hundred_episodes(task: str, capsys: pytest.CaptureFixture[str]) -> None:
+    found = differences(task, 1000, EACH, {})
+    with capsys.disabled():
+        print(f"\n{task}: {EACH - len(found)} of {EACH} episodes the same {found or ''}")
+    assert len(found) <= 0.01 * EACH
+
+
+# -- the environments -----------------------------------------------------------------------------------------------
+
+
+def test_the_defaults_are_those_of_highway_env() -> None:
+    import highway_env  # noqa: F401
+
+    for id in sumo_env.REPLICA_IDS:
+        theirs: Any = gym.make(id.removeprefix("replica/")).unwrapped
+        ours: Any = gym.make(id).unwrapped
+        meaningless = {"other_vehicles_type", "render_agent", "offscreen_rendering", "manual_control",
+                       "real_time_rendering", "controlled_vehicles"}  # fmt: skip
+        assert theirs.config.keys() - ours.config.keys() <= meaningless
+        for key in theirs.config.keys() & ours.config.keys():
+            if key in ("observation", "action"):
+                shared = theirs.config[key].keys() & ours.config[key].keys()
+                assert {k: theirs.config[key][k] for k in shared} == {k: ours.config[key][k] for k in shared}
+            elif not key.startswith(
+                "screen"
+            ):  # 789 by 289 pixels of the u-turn are odd, which films cannot be
+                assert theirs.config[key] == ours.config[key], (id, key)
+        assert theirs.observation_space == ours.observation_space
+        assert theirs.action_space == ours.action_space
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_it_accepts_the_whole_configuration_of_highway_env(task: str) -> None:
+    import highway_env  # noqa: F401
+
+    theirs: Any = gym.make(f"{task}-v0").unwrapped
+    env = gym.make(f"sumo_env:replica/{task}-v0", config=theirs.config)
+    env.reset(seed=0)
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_a_hundred_seeds_are_a_hundred_situations(task: str) -> None:
+    table = {**TABLE, "vehicles_count": 8, "normalize": False}
+    env = gym.make(f"replica/{task}-v0", config={"observation": table})
+    assert len({env.reset(seed=seed)[0].tobytes() for seed in range(100)}) == 100
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_a_copy_draws_the_same_arrivals(task: str) -> None:
+    env = gym.make(f"replica/{task}-v0")
+    env.reset(seed=5)
+    twin = copy.deepcopy(env)
+    for _ in range(4):
+        ours, theirs = env.step(0), twin.step(0)
+        np.testing.assert_array_equal(ours[0], theirs[0])
+        assert ours[1:4] == theirs[1:4]
+
+
+def test_a_driven_episode_is_a_scenario_that_can_be_driven_again(tmp_path: Path) -> None:
+    env: Any = gym.make("replica/intersection-v0").unwrapped
+    env.reset(seed=3)
+    seen = [env.step(0)[0] for _ in range(8)]
+    assert any(spawn.step for spawn in env.scenario.spawns)  # vehicles arrived
+    again: Any = gym.make("replica/intersection-v0").unwrapped
+    again.reset(seed=0, options={"scenario": env.scenario})
+    for observation in seen:
+        np.testing.assert_array_equal(again.step(0)[0], observation)
+
+
+@pytest.mark.parametrize(
+    ("choice", "message"),
+    [
+        ({"scenarios": "stock"}, "unknown 'scenarios' 'stock'"),
+        ({"variant": "v1"}, "unknown 'variant' 'v1'"),
+        ({"config": {"vehicles_count": 10}}, 'scenarios="seeded"'),
+        ({"config": {"risk": 1.0}}, 'scenarios="seeded"'),
+        ({"config": {"observation": {"type": "OccupancyGrid"}}}, "unknown observation type"),
+        ({"config": {"action": {"type": "ContinuousAction"}}}, "unknown action type"),
+        ({"config": {"controlled_vehicles": 2}}, "there is one ego"),
+    ],
+)
+def test_what_is_refused_is_named(choice: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        gym.make("replica/roundabout-v0", **choice)
+
+
+def test_a_reset_of_highway_env_varies_no_risk() -> None:
+    with pytest.raises(ConfigError, match='scenarios="seeded"'):
+        gym.make("replica/u-turn-v0").reset(seed=0, options={"risk_rates": {"cut_in": 0.2}})
+
+
+def test_an_error_leaves_the_configuration_as_it_was() -> None:
+    env: Any = gym.make("replica/u-turn-v0").unwrapped
+    before = copy.deepcopy(env.config)
+    with pytest.raises(ConfigError):
+        env.configure({"vehicles_count": 3})
+    assert env.config == before
+
+
+def test_seeded_scenarios_are_those_of_sumo_env() -> None:
+    env: Any = gym.make(
+        "replica/u-turn-v0", scenarios="seeded", config={"risk": 1.0, "vehicles_count": 9}
+    ).unwrapped
+    env.reset(seed=1)
+    sumo: Any = gym.make("sumo/u-turn-v0", config={"risk": 1.0, "vehicles_count": 9}).unwrapped
+    sumo.reset(seed=1)
+    assert env.scenario.vehicles == sumo.scenario.vehicles
+    assert env.scenario.events == sumo.scenario.events
+    sumo.close()
+
+
+def test_without_numba_the_error_says_what_to_install() -> None:
+    code = "import sys; sys.modules['numba'] = None; import gymnasium as gym; gym.make('sumo_env:replica/highway-v0')"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
+    assert "pip install 'sumo-risky-driving[replica]'" in done.stderr.splitlines()[-1]

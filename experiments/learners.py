@@ -36,7 +36,7 @@ from experiments.study.fingerprint import dynamics
 from experiments.study.grid import TASKS, env_config, level_names
 from experiments.study.presets import get_preset
 from experiments.study.results import load
-from experiments.study.run import Silent, run
+from experiments.study.run import Observer, run
 from experiments.study.seeds import training_seed
 from experiments.study.wrappers import observed, trained_on
 from experiments.support.errors import UserError, run_command, unknown
@@ -228,7 +228,7 @@ def _rl_agents(training: Training, env: gym.Env[Any, Any], seed: int, beat: Beat
     return train(env, config, seed, progress=lambda state: beat(state.updates / state.budget)).policy
 
 
-class Told(Silent):
+class Told(Observer):
     """Prints what has ended."""
 
     def finished(self, task: Training, remark: str) -> None:

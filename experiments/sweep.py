@@ -58,13 +58,13 @@ from experiments.backends import make_env
 from experiments.study import grid
 from experiments.study.attempt import LOG, locked
 from experiments.study.cell import SILENCE, CellTask, MakeEnv
-from experiments.study.estimate import START, duration, rates
+from experiments.study.estimate import START, Rates, duration
 from experiments.study.executors import EXECUTORS, cores, open_executor
 from experiments.study.fingerprint import check_dynamics
 from experiments.study.grid import Cell
 from experiments.study.policies import foreign
 from experiments.study.presets import PRESETS, get_preset
-from experiments.study.progress import Progress, screen
+from experiments.study.progress import Progress
 from experiments.study.run import Interrupted, Stop, run
 from experiments.study.store import WEIGHTS, DamagedCell, Store, cell_directories
 from experiments.support.errors import (
@@ -243,7 +243,7 @@ def sweep(
         describe(options, mine, here)
         return 0
     again = shlex.join(["python", "experiments/sweep.py", *arguments])
-    known = rates(directory)
+    known = rates_of(directory)
     tasks = {
         cell.name: CellTask(cell, directory, make_env, known.seconds(cell), options.hang_after)
         for cell in mine
@@ -276,7 +276,7 @@ def sweep(
                     executor, limit = open_executor(options.executor, options.workers, directory, per_process)
                     known_names = {task.name for task in batch} | finished
                     shown = [cell for cell in mine if cell.name in known_names]
-                    progress = Progress(store, shown, finished, known, limit, screen(), f"{again} --cell")
+                    progress = Progress(store, shown, finished, known, limit, f"{again} --cell")
                     try:
                         failures |= run(batch, executor, limit, progress, stop)
                     finally:
@@ -344,9 +344,14 @@ def _conclude(
     return 0
 
 
+def rates_of(directory: Path) -> Rates:
+    """The rates measured on this kind of processor in a result directory, which need not exist."""
+    return Rates(Store(directory).records() if (directory / "cells").is_dir() else ())
+
+
 def describe(options: Options, cells: Sequence[Cell], workers: int) -> None:
     """Print what would be computed and how long it would take."""
-    measured = rates(options.directory)
+    measured = rates_of(options.directory)
     stored = options.directory / "cells"
     finished = {path.name for path in stored.iterdir()} if stored.is_dir() else set()
     print(f"preset {options.preset}: {PRESETS[options.preset].about}")

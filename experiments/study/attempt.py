@@ -28,6 +28,7 @@ from typing import Literal, Protocol
 from experiments.support.errors import UserError, disk_error
 
 LOCK, PROGRESS, LOG = "lock", "progress.json", "log.txt"
+SPOILT = 70  # exit status of a process that must not be used again; the log says what went wrong
 WRITE_EVERY = 0.5  # [s] between two writes of progress.json
 # An error of these kinds awaits every task: the run stops instead of trying again.
 DISK = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO}
@@ -73,6 +74,14 @@ class Ended:
 
     state: Literal["done", "elsewhere", "failed", "fatal"]
     reason: str = ""
+
+
+def last_words(folder: Path) -> str:
+    """The last line of a task's log, which names what went wrong."""
+    try:
+        return (folder / LOG).read_text().rstrip().rpartition("\n")[2]
+    except OSError:
+        return "it failed"
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""What a person sees of a running sweep: in a terminal a table that moves, elsewhere a line now and then.
+"""What a person sees of a running sweep: in a terminal bars that move, elsewhere a line now and then.
 
 Everything that happens is also written to DIR/sweep.log, one line each, which can be followed with `tail -f` wherever
 the sweep runs.
@@ -6,49 +6,32 @@ the sweep runs.
 
 from __future__ import annotations
 
-import sys
 import time
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
-from datetime import timedelta
-from typing import Any, Protocol
 
-from experiments.study.arms import ARMS
+from rich.console import Console
+from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeElapsedColumn
+from rich.progress import Progress as Bars
+
 from experiments.study.attempt import Sign
 from experiments.study.cell import CellTask
 from experiments.study.estimate import Rates, duration
 from experiments.study.grid import Cell
-from experiments.study.run import RETRIES
-from experiments.study.store import CELL, Store
+from experiments.study.run import RETRIES, Observer
+from experiments.study.store import Store
 
 LINE_EVERY = 15.0  # [s] between lines where nobody watches
-LOG_EVERY = 300.0  # [s] between summaries in the log
-TRUST_AFTER = (
-    60.0  # [s] from when on the speed of this run is believed rather than that of its number of workers
-)
-SHARE = (
-    0.05  # of its time that a sweep spends on this at most: with 10,000 cells one look takes half a second
-)
+LOG_EVERY = 300.0  # [s] between lines in the log
+TRUST_AFTER = 60.0  # [s] from when on the speed of this run counts, and not its number of workers
+SHARE = 0.05  # of its time that a sweep spends on this at most: with 10,000 cells one look takes half a second
 LOG = "sweep.log"
-STATES = ("finished", "running", "waiting", "elsewhere", "failed")
+ALL = "all"
 
 
-class Screen(Protocol):
-    """Where the state of a sweep is shown."""
-
-    def show(self, progress: Progress) -> None:
-        """Show it."""
-
-    def line(self, text: str) -> None:
-        """Print a line that stays."""
-
-    def close(self, progress: Progress) -> None:
-        """Show the last state and leave the screen in order."""
-
-
-class Progress:
-    """Follows the cells of a sweep (a `run.Observer`).
+class Progress(Observer[CellTask]):
+    """Follows the cells of a sweep.
 
     Args:
         finished: names of the cells that were there before.
@@ -57,38 +40,34 @@ class Progress:
     """
 
     def __init__(
-        self,
-        store: Store,
-        cells: Sequence[Cell],
-        finished: set[str],
-        rates: Rates,
-        workers: int,
-        screen: Screen,
-        command: str,
+        self, store: Store, cells: Sequence[Cell], finished: set[str], rates: Rates, workers: int, command: str
     ) -> None:
-        self.cells = {cell.name: cell for cell in cells}
-        self.state = {name: "finished" if name in finished else "waiting" for name in self.cells}
-        self._store, self._rates, self._workers, self._screen = store, rates, workers, screen
-        self._command = command
-        self._fractions: dict[str, float] = {}
-        self._begun: dict[str, float] = {}
+        self._cells = {cell.name: cell for cell in cells}
+        self._state = {name: "finished" if name in finished else "waiting" for name in self._cells}
+        self._store, self._rates, self._workers, self._command = store, rates, workers, command
+        self._fractions: dict[str, float] = {}  # of running cells
         self._done_here = 0.0  # estimated core time of what this run finished [s]
-        self._start = time.monotonic()
-        self._logged = self._next = self._start
+        self._start = self._logged = self._next = time.monotonic()
+        self._printed = self._start - LINE_EVERY
+        self._console = Console(highlight=False)
+        left = TextColumn("{task.fields[left]}")
+        columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn(), left)
+        self._bars = Bars(*columns, console=self._console, disable=not self._console.is_terminal)
+        tasks = dict.fromkeys(cell.task for cell in cells)
+        self._lines = {task: self._bars.add_task(task, total=1.0, left="") for task in (*tasks, ALL)}
+        self._bars.start()
         self._log(f"{len(cells)} cells, {len(finished)} of them finished before, {workers} workers")
-
-    # What the runner tells.
 
     def started(self, task: CellTask) -> None:
         """A try begins, or waits in the executor's queue."""
         self._set(task, "running", "started")
-        self._begun[task.name] = time.monotonic()
 
     def finished(self, task: CellTask, remark: str) -> None:
-        """The result is there."""
-        self._rates.learn(self._store.cells / task.name / CELL)
+        """The result is there, and the estimate learns from it."""
+        with suppress(Exception):  # one that is damaged by now is found by whoever reads it
+            self._rates.learn(self._store.read(task.name))
         self._done_here += self._rates.seconds(task.cell)
-        self._set(task, "finished", f"finished after {duration(time.monotonic() - self._begun[task.name])}")
+        self._set(task, "finished", "finished")
         if remark:
             self._say(f"{task.name}: {remark}")
 
@@ -106,207 +85,92 @@ class Progress:
 
     def elsewhere(self, task: CellTask) -> None:
         """Another sweep computes it."""
-        self._set(task, "elsewhere")
+        self._set(task, "in another sweep")
 
     def tick(self, running: Mapping[str, Sign | None]) -> None:
-        """Show it, and summarise it in the log now and then."""
+        """Show it."""
         self._fractions = {name: sign.fraction for name, sign in running.items() if sign is not None}
         now = time.monotonic()
         if now < self._next:
             return
-        self._screen.show(self)
+        self._show()
+        if now - self._logged > LOG_EVERY:
+            self._logged = now
+            self._log(self.summary())
         self._next = now + (time.monotonic() - now) / SHARE
-        if time.monotonic() - self._logged > LOG_EVERY:
-            self._logged = time.monotonic()
-            for text in (self.summary(), *map(_row_text, self.rows())):
-                self._log(text)
 
     def close(self) -> None:
         """Leave the screen in order, and the last state in the log."""
-        self._screen.close(self)
-        for text in (self.summary(), *map(_row_text, self.rows())):
-            self._log(text)
+        self._printed = -LINE_EVERY
+        self._show()
+        self._bars.stop()
+        self._log(self.summary())
 
-    # What screens ask.
-
-    @property
-    def elapsed(self) -> float:
-        """Time since the beginning [s]."""
-        return time.monotonic() - self._start
-
-    def left(self, cells: Sequence[Cell] | None = None) -> float:
-        """Expected time [s] until some cells, or all, are done, if only they are worked on."""
-        names = self.cells if cells is None else {cell.name: cell for cell in cells}
+    def left(self, names: Iterable[str]) -> float:
+        """Expected time [s] until some cells are done, if only they are worked on."""
         work = [
-            self._rates.seconds(cell) * (1.0 - self._fractions.get(name, 0.0))
-            for name, cell in names.items()
-            if self.state[name] in ("running", "waiting", "elsewhere")
+            self._rates.seconds(self._cells[name]) * (1.0 - self._fractions.get(name, 0.0))
+            for name in names
+            if self._state[name] not in ("finished", "failed")
         ]
         return max(sum(work) / self._speed(), *work) if work else 0.0
 
     def _speed(self) -> float:
-        """Estimated core time that passes in a second: as measured in this run, else one a worker."""
-        if self.elapsed < TRUST_AFTER:
+        """Estimated core time that passes in a second: as measured in this run, else one per worker."""
+        elapsed = time.monotonic() - self._start
+        if elapsed < TRUST_AFTER:
             return self._workers
-        done = self._done_here + sum(
-            self._rates.seconds(self.cells[name]) * fraction for name, fraction in self._fractions.items()
+        running = (
+            self._rates.seconds(self._cells[name]) * fraction for name, fraction in self._fractions.items()
         )
-        return max(done / self.elapsed, 0.01)
+        return max((self._done_here + sum(running)) / elapsed, 0.01)
 
-    def counts(self) -> Counter[str]:
-        """Number of cells in each state."""
-        return Counter(self.state.values())
-
-    def running(self) -> list[str]:
-        """What runs, with the share that is done."""
-        return [
-            f"{self.cells[name].slug} {self._fractions[name]:.0%}" if name in self._fractions else
-            f"{self.cells[name].slug} (queued)"
-            for name, state in self.state.items() if state == "running"
-        ]  # fmt: skip
-
-    def fraction(self) -> float:
-        """Share of the whole work that is done, by the estimate."""
-        costs = {name: self._rates.seconds(cell) for name, cell in self.cells.items()}
-        done = sum(
-            cost * (1.0 if self.state[name] == "finished" else self._fractions.get(name, 0.0))
-            for name, cost in costs.items()
-        )
-        return done / sum(costs.values()) if costs else 1.0
+    def share(self, names: Sequence[str]) -> float:
+        """Share of the work of some cells that is done, by the estimate."""
+        costs = {name: self._rates.seconds(self._cells[name]) for name in names}
+        done = {
+            name: 1.0 if self._state[name] == "finished" else self._fractions.get(name, 0.0) for name in names
+        }
+        return sum(costs[name] * done[name] for name in names) / sum(costs.values()) if names else 1.0
 
     def summary(self) -> str:
         """All of it in one line."""
-        counts = self.counts()
-        parts = [f"{counts['finished']}/{len(self.cells)} cells", f"{self.fraction():.0%}"]
-        if counts["running"] or counts["waiting"] or counts["elsewhere"]:
-            parts.append(f"about {duration(self.left())} left")
-        for state in ("waiting", "elsewhere", "failed"):
-            if counts[state]:
-                parts.append(f"{counts[state]} {state if state != 'elsewhere' else 'in another sweep'}")
-        if running := self.running():
-            more = f" and {len(running) - 4} more" if len(running) > 4 else ""
+        counts = Counter(self._state.values())
+        parts = [f"{counts.pop('finished', 0)}/{len(self._cells)} cells", f"{self.share(list(self._cells)):.0%}"]
+        if left := self.left(self._cells):
+            parts.append(f"about {duration(left)} left")
+        parts += [f"{number} {state}" for state, number in counts.items() if state != "running"]
+        running = [self._cells[name].slug for name, state in self._state.items() if state == "running"]
+        more = f" and {len(running) - 4} more" if len(running) > 4 else ""
+        if running:
             parts.append(f"running {', '.join(running[:4])}{more}")
         return ", ".join(parts)
 
-    def rows(self) -> list[tuple[str, ...]]:
-        """Task, finished and wanted cells of each arm and of the policies that do not learn, time left."""
-        rows = []
-        for task in dict.fromkeys(cell.task for cell in self.cells.values()):
-            mine = [cell for cell in self.cells.values() if cell.task == task]
-            shares = []
-            for arm in (*ARMS, None):
-                names = [cell.name for cell in mine if cell.arm == arm]
-                done = sum(self.state[name] == "finished" for name in names)
-                shares.append(f"{done}/{len(names)}" if names else "")
-            left = self.left(mine)
-            rows.append((task, *shares, duration(left) if left else DONE))
-        return rows
-
-    # What stays.
+    def _show(self) -> None:
+        if not self._console.is_terminal:
+            if time.monotonic() - self._printed >= LINE_EVERY:
+                self._printed = time.monotonic()
+                print(f"[{duration(self._printed - self._start)}] {self.summary()}", flush=True)
+            return
+        for task, line in self._lines.items():
+            names = [name for name, cell in self._cells.items() if task in (ALL, cell.task)]
+            left = self.left(names)
+            remaining = f"about {duration(left)} left" if left else "done"
+            self._bars.update(line, completed=self.share(names), left=remaining)
 
     def _set(self, task: CellTask, state: str, text: str = "") -> None:
-        self.state[task.name] = state
+        self._state[task.name] = state
         self._fractions.pop(task.name, None)
         if text:
             self._log(f"{task.name} {text}")
 
     def _say(self, text: str) -> None:
-        self._screen.line(text)
+        if self._console.is_terminal:
+            self._console.print(text, markup=False, soft_wrap=True)
+        else:
+            print(text, flush=True)
         self._log(text)
 
     def _log(self, text: str) -> None:
         with suppress(OSError), (self._store.directory / LOG).open("a") as file:
             file.write(f"{time.strftime('%Y-%m-%d %H:%M:%S')} {text}\n")
-
-
-DONE = "done"
-HEADER = ("task", *ARMS, "policies", "left")
-
-
-def _row_text(row: Sequence[str]) -> str:
-    task, *shares, left = row
-    parts = [f"{name} {share}" for name, share in zip(HEADER[1:], shares, strict=False) if share]
-    return f"  {task}: {', '.join(parts)}, {left if left == DONE else f'about {left} left'}"
-
-
-def clock(seconds: float) -> str:
-    """Hours, minutes and seconds: 0:02:05."""
-    return str(timedelta(seconds=int(seconds)))
-
-
-class Plain:
-    """Lines for logs and pipes."""
-
-    def __init__(self) -> None:
-        self._last = -LINE_EVERY
-
-    def show(self, progress: Progress) -> None:
-        """Print a line when the last one is old enough."""
-        if time.monotonic() - self._last >= LINE_EVERY:
-            self._last = time.monotonic()
-            print(f"[{clock(progress.elapsed)}] {progress.summary()}", flush=True)
-
-    def line(self, text: str) -> None:
-        """Print a line."""
-        print(text, flush=True)
-
-    def close(self, progress: Progress) -> None:
-        """Print the last state."""
-        print(f"[{clock(progress.elapsed)}] {progress.summary()}", flush=True)
-        for row in progress.rows():
-            print(_row_text(row), flush=True)
-
-
-class Table:
-    """A bar, one line a state, and a table of tasks and arms, redrawn in place."""
-
-    def __init__(self) -> None:
-        from rich.live import Live
-
-        self._live = Live(auto_refresh=False)
-        self._live.start()
-
-    def show(self, progress: Progress) -> None:
-        """Draw it anew."""
-        self._live.update(_drawing(progress), refresh=True)
-
-    def line(self, text: str) -> None:
-        """Print a line above."""
-        self._live.console.print(text, highlight=False, markup=False, soft_wrap=True)
-
-    def close(self, progress: Progress) -> None:
-        """Draw it for the last time."""
-        self.show(progress)
-        self._live.stop()
-
-
-def _drawing(progress: Progress) -> Any:
-    from rich.columns import Columns
-    from rich.console import Group
-    from rich.progress_bar import ProgressBar
-    from rich.table import Table as Grid
-
-    fraction, counts, left = progress.fraction(), progress.counts(), progress.left()
-    bar = Columns(
-        [
-            ProgressBar(total=1.0, completed=fraction, width=40),
-            f"{fraction:.0%}, {clock(progress.elapsed)} so far"
-            + (f", about {duration(left)} left" if left else ""),
-        ]
-    )
-    states = Grid.grid(padding=(0, 2))
-    for state in STATES:
-        if counts[state]:
-            names = progress.running() if state == "running" else []
-            states.add_row(
-                state, str(counts[state]), ", ".join(names), style="red" if state == "failed" else ""
-            )
-    table = Grid(*HEADER, box=None, header_style="dim", padding=(0, 2))
-    for row in progress.rows():
-        table.add_row(*row)
-    return Group(bar, states, table)
-
-
-def screen() -> Screen:
-    """A table if a person watches, lines otherwise."""
-    return Table() if sys.stdout.isatty() else Plain()

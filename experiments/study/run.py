@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import os
 import signal
-import socket
 import sys
 import threading
 import time
@@ -17,9 +16,20 @@ from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from contextlib import suppress
 from types import FrameType
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Generic, TypeVar
 
-from experiments.study.attempt import LOG, PROGRESS, Ended, Sign, Task, attempt, locked, log, sign_of_life
+from experiments.study.attempt import (
+    LOG,
+    PROGRESS,
+    SPOILT,
+    Ended,
+    Sign,
+    Task,
+    attempt,
+    last_words,
+    log,
+    sign_of_life,
+)
 from experiments.support.errors import INTERRUPTED, UserError
 
 RETRIES = 3  # a task that goes wrong is begun again at most so often
@@ -32,40 +42,28 @@ GRACE = (
 LEAVE = 4.0  # [s] after a signal in which the process ends in any case
 
 T = TypeVar("T", bound=Task)
-T_contra = TypeVar("T_contra", bound=Task, contravariant=True)
 
 
-class Observer(Protocol[T_contra]):
-    """Is told everything that happens to the tasks."""
+class Observer(Generic[T]):
+    """Is told everything that happens to the tasks; does nothing by itself."""
 
-    def started(self, task: T_contra) -> None:
+    def started(self, task: T) -> None:
         """A try begins, or waits in the executor's queue."""
 
-    def finished(self, task: T_contra, remark: str) -> None:
+    def finished(self, task: T, remark: str) -> None:
         """The result is there; the remark is usually empty."""
 
-    def again(self, task: T_contra, reason: str, number: int) -> None:
+    def again(self, task: T, reason: str, number: int) -> None:
         """It went wrong and is retried, for the `number`-th time."""
 
-    def failed(self, task: T_contra, reason: str) -> None:
+    def failed(self, task: T, reason: str) -> None:
         """It went wrong for the last time."""
 
-    def elsewhere(self, task: T_contra) -> None:
+    def elsewhere(self, task: T) -> None:
         """Another run computes it."""
 
     def tick(self, running: Mapping[str, Sign | None]) -> None:
         """Called twice a second, with many workers less often, with the signs of life of what runs, by task."""
-
-
-class Silent:
-    """An observer that does nothing; others override what they want to know."""
-
-    def started(self, task: Any) -> None: ...  # noqa: D102
-    def finished(self, task: Any, remark: str) -> None: ...  # noqa: D102
-    def again(self, task: Any, reason: str, number: int) -> None: ...  # noqa: D102
-    def failed(self, task: Any, reason: str) -> None: ...  # noqa: D102
-    def elsewhere(self, task: Any) -> None: ...  # noqa: D102
-    def tick(self, running: Mapping[str, Sign | None]) -> None: ...  # noqa: D102
 
 
 class Stop:
@@ -134,7 +132,7 @@ def run(
         UserError: nothing can go on (the disk is full, say); everything finished is kept.
         Interrupted: a signal came.
     """
-    runner = _Run(tasks, executor, limit, observer or Silent())
+    runner = _Run(tasks, executor, limit, observer or Observer())
     try:
         while runner.is_busy():
             runner.hand_out()
@@ -208,8 +206,8 @@ class _Run(Generic[T]):
             ended = future.result()
         elif (silence := time.monotonic() - heard) >= task.silence - POLL:
             ended = Ended("failed", f"it hung: no sign of life for {silence:.0f} s")
-        else:  # what an executor raises is its own word for a process, node or job that is lost
-            ended = Ended("failed", str(error).partition("\n")[0])
+        else:
+            ended = Ended("failed", _reason(task, error))
         if ended.state == "done":
             self._observer.finished(task, ended.reason)
         elif ended.state == "elsewhere":
@@ -219,7 +217,7 @@ class _Run(Generic[T]):
         elif ended.state == "fatal":
             raise UserError(ended.reason)
         else:
-            if error is not None:
+            if error is not None and ended.reason != last_words(task.folder):
                 log(task.folder, ended.reason)
             self._failed(task, ended.reason)
 
@@ -243,20 +241,20 @@ class _Run(Generic[T]):
             seen = self._heard.get(task.name)
             if seen is None or seen[0] != sign.written:
                 self._heard[task.name] = (sign.written, now)
-            elif now - seen[1] > task.silence + GRACE and not _kill(task, sign):
+            elif now - seen[1] > task.silence + GRACE:
+                future.cancel()  # kills a frozen process of this machine; others are given up
                 del self._running[future], self._heard[task.name]
-                self._failed(task, f"no sign of life from process {sign.pid} on {sign.host}")
+                self._failed(task, f"it hung: no sign of life from process {sign.pid} on {sign.host}")
         self._observer.tick(signs)
 
 
-def _kill(task: Task, sign: Sign) -> bool:
-    """Kill a frozen process of this machine, which the executor will notice; False if it is none."""
-    if sign.host != socket.gethostname():
-        return False
-    try:
-        with locked(task.folder) as free:
-            if not free:  # it is that process that holds the lock
-                os.kill(sign.pid, signal.SIGKILL)
-            return not free
-    except OSError:
-        return False
+def _reason(task: Task, error: BaseException) -> str:
+    """Why a process, node or job is lost."""
+    code = getattr(error, "exitcode", None)  # pebble's ProcessExpired
+    if code is None:
+        return str(error).partition("\n")[0]  # an executor's own words
+    if code == SPOILT:
+        return last_words(task.folder)
+    if code < 0:
+        return f"its process was killed by {signal.Signals(-code).name}"
+    return f"its process ended with exit status {code}"

@@ -93,6 +93,16 @@ class Store:
         read_cell(path)
         return True
 
+    def read(self, name: str) -> dict[str, Any]:
+        """cell.json of a finished cell, checked. Raises DamagedCell."""
+        return read_cell(self.cells / name)
+
+    def records(self) -> Iterator[dict[str, Any]]:
+        """cell.json of all finished cells that can be read."""
+        for path in cell_directories(self.directory):
+            with suppress(DamagedCell):
+                yield _read_sealed(path / CELL)
+
     def write(self, cell: Cell, record: Mapping[str, Any], files: Mapping[str, Any]) -> None:
         """Store a finished cell in one step.
 

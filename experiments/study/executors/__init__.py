@@ -54,4 +54,4 @@ def open_executor(
 
 def _spoilt(ended: Ended) -> bool:
     """After an error nobody knows in what state a simulator is: the next try gets a fresh process."""
-    return ended.state in ("failed", "fatal")
+    return ended.state == "failed"

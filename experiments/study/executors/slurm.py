@@ -56,6 +56,7 @@ class SlurmExecutor(Executor):
     def submit(self, function: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         """Call a function in a job."""
         future: Future[Any] = Future()
+        future.set_running_or_notify_cancel()  # from now on it cannot be cancelled alone
         with self._lock:
             self._new.append((future, function, args, kwargs))
         return future

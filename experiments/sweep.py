@@ -119,6 +119,8 @@ class Options:
     unseen: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = False
     """Test the trained agents in risky traffic that nobody was trained in as well: each kind of event alone, risky
     drivers without events, and SUMO's car-following models Krauss and EIDM."""
+    early_tests: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = False
+    """Also test every agent as it was after a third and two thirds of its budget."""
     config: Annotated[tuple[str, ...], _argument("KEY=VALUE ...", "none")] = ()
     """Keys of the environments' configuration to set, for training and test (values as in JSON, or plain words)."""
     gamma: Annotated[float | None, _argument("X")] = None
@@ -177,13 +179,13 @@ def cells_of(options: Options) -> list[Cell]:
     seeds = preset.seeds if options.seeds is None else options.seeds
     if options.placebo and options.arms:
         raise UserError("--placebo trains control agents alone: leave out --arms")
-    return grid.build(
-        options.backend,
-        grid.choose_levels(tasks, tuple(map(int, options.levels)) or preset.levels),
-        max(2 * seeds, PLACEBO_SEEDS) if options.placebo else seeds,
-        preset.episodes if options.episodes is None else options.episodes,
-        profiles,
-        preset.name,
+    ask = grid.Ask(
+        backend=options.backend,
+        levels=grid.choose_levels(tasks, tuple(map(int, options.levels)) or preset.levels),
+        seeds=max(2 * seeds, PLACEBO_SEEDS) if options.placebo else seeds,
+        episodes=preset.episodes if options.episodes is None else options.episodes,
+        profiles=profiles,
+        preset=preset.name,
         gate_episodes=preset.gate_episodes,
         network=own_network,
         policies={label: (name, sha) for name in options.policy for label, sha in [foreign(name)]},
@@ -193,7 +195,9 @@ def cells_of(options: Options) -> list[Cell]:
         first_seed=preset.first_seed,
         first_scenario=preset.first_scenario,
         changes=dict(map(_setting, options.config)),
+        early_tests=options.early_tests,
     )
+    return grid.build(ask)
 
 
 def _setting(text: str) -> tuple[str, Any]:

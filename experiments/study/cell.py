@@ -4,15 +4,17 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
 
 from experiments.study.attempt import Beat
 from experiments.study.evaluate import Policy, evaluate
 from experiments.study.grid import Cell
+from experiments.study.policies import load_agent, untrained_policy
 from experiments.study.store import (
     EPISODES,
     GATE_COLUMNS,
@@ -27,6 +29,11 @@ from experiments.study.store import (
 from experiments.study.wrappers import observed
 from experiments.support.errors import UserError
 from experiments.support.provenance import provenance
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from experiments.study.train import Trained
 
 MakeEnv = Callable[..., gym.Env[Any, Any]]
 TEST_EPISODE = 10.0  # about as long as so many updates with their steps
@@ -67,16 +74,27 @@ class CellTask:
             return False
 
     def compute(self, beat: Beat) -> str:
-        """Train, test and store it."""
-        cell, store = self.cell, Store(self.directory)
-        config = cell.test_on["env_config"] if cell.test_on else cell.env_config
-        env = self.make_env(cell.runs_on, cell.task, dict(config))
-        try:
-            if cell.kind == "agent":
-                return _agent(cell, env, self.make_env, store, beat)
-            return (_further_test if cell.kind == "test" else _baseline)(cell, env, store, beat)
-        finally:
-            env.close()
+        """Train, test and store it; returns a remark for the user, or nothing."""
+        return compute(self.cell, Store(self.directory), self.make_env, beat)
+
+
+def compute(cell: Cell, store: Store, make_env: MakeEnv, beat: Beat) -> str:
+    """Train, test and store a cell; returns a remark for the user, or nothing."""
+    meter = Meter(beat, cell.updates + cell.work * TEST_EPISODE)
+    scratch = store.work / cell.name
+    trained, timing, remark = _train(cell, store, make_env, meter) if cell.kind == "agent" else (None, {}, "")
+    clock = Clock()
+    with closing(make_env(cell.runs_on, cell.task, dict(cell.tested_config))) as env:
+        tables = _early_tests(cell, trained, env, scratch, meter) if trained else {}
+        tables |= _test(cell, *_policy(cell, trained, store, env), meter)
+    record = {"timing": {**timing, **clock.test(cell.work)}, "provenance": provenance()}
+    if trained is None:
+        store.write(cell, record, tables)
+    else:
+        trained.policy.save(scratch / WEIGHTS)
+        files = {**tables, TRAINING: trained.episodes, WEIGHTS: scratch / WEIGHTS}
+        store.write(cell, {"learner": trained.learner, **record}, files)
+    return remark
 
 
 class Meter:
@@ -85,147 +103,94 @@ class Meter:
     def __init__(self, beat: Beat, total: float) -> None:
         self._beat, self._total, self._done = beat, total, 0.0
 
-    def add(self, amount: float) -> None:
+    def add(self, amount: float = TEST_EPISODE) -> None:
         """Note that a piece of the work is done."""
         self._done += amount
         self._beat(self._done / self._total)
 
 
 class Clock:
-    """Measures a test."""
+    """Measures time and processor time."""
 
     def __init__(self) -> None:
         self._started, self._processed = time.monotonic(), time.process_time()
 
-    def test(self, episodes: int) -> dict[str, Any]:
-        """What cell.json says of a test of so many episodes, which ends now."""
+    def since(self, what: str) -> dict[str, float]:
+        """How long something has taken."""
         return {
-            "test_episodes": episodes,
-            "test_seconds": time.monotonic() - self._started,
-            "test_cpu_seconds": time.process_time() - self._processed,
-            "finished": time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime()),
+            f"{what}_seconds": time.monotonic() - self._started,
+            f"{what}_cpu_seconds": time.process_time() - self._processed,
         }
 
-
-def _baseline(cell: Cell, env: gym.Env[Any, Any], store: Store, beat: Beat) -> str:
-    from experiments.study.policies import untrained_policy
-
-    meter = Meter(beat, cell.work * TEST_EPISODE)
-    _test(cell, untrained_policy(cell.key(), cell.source, env), env, store, meter, {}, {})
-    return ""
+    def test(self, episodes: int) -> dict[str, Any]:
+        """What cell.json says of a test of so many episodes, which ends now."""
+        finished = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
+        return {"test_episodes": episodes, **self.since("test"), "finished": finished}
 
 
-def _further_test(cell: Cell, env: gym.Env[Any, Any], store: Store, beat: Beat) -> str:
-    """Test an agent that is stored already in other traffic, or on another simulator."""
-    from experiments.study.policies import load_agent
-
-    assert cell.test_on is not None
-    parent = store.cells / cell.parent.name
-    if not (parent / WEIGHTS).exists():
-        raise UserError(
-            f"the weights of {parent.name} are not here: train it first, by the same command without --cell"
-        )
-    env, policy = load_agent(cell.key(), cell.source, parent / WEIGHTS, env)
-    meter = Meter(beat, cell.work * TEST_EPISODE)
-    clock = Clock()
-    table = evaluate(
-        env, policy, cell.task, cell.level, int(cell.test_on["episodes"]), lambda: meter.add(TEST_EPISODE),
-        traffics=cell.test_on["traffics"], first=cell.first_scenario,
-    )  # fmt: skip
-    store.write(cell, {"timing": clock.test(cell.work), "provenance": provenance()}, {EPISODES: table})
-    return ""
-
-
-def _agent(cell: Cell, env: gym.Env[Any, Any], make_env: MakeEnv, store: Store, beat: Beat) -> str:
-    import pandas as pd
-
-    from experiments.study.policies import load_agent
-    from experiments.study.train import (  # here: baselines need no learner
-        CHECKPOINT,
-        checkpoint_damage,
-        train_cell,
-    )
+def _train(cell: Cell, store: Store, make_env: MakeEnv, meter: Meter) -> tuple[Trained, dict[str, Any], str]:
+    """The trained agent, what its training has taken, and a remark."""
+    from experiments.study.train import CHECKPOINT, checkpoint_damage, train_cell  # baselines need no learner
 
     scratch = store.work / cell.name
     scratch.mkdir(exist_ok=True)
-    checkpoint, remark = scratch / CHECKPOINT, ""
-    if (damage := checkpoint_damage(checkpoint)) is not None:
-        remark = f"its checkpoint was damaged ({damage}) and put aside in {store.put_aside(checkpoint)}"
-    meter = Meter(beat, cell.updates + cell.work * TEST_EPISODE)
-    started, processed = time.monotonic(), time.process_time()
-    if cell.training_config != cell.env_config:  # an environment of its own, closed before the test opens one
-        own = make_env(cell.backend, cell.task, cell.training_config)
-        try:
-            agent = train_cell(cell, own, scratch, meter.add)
-        finally:
-            own.close()
-    else:
-        agent = train_cell(cell, env, scratch, meter.add)
-    timing = {
-        "train_seconds": time.monotonic() - started,  # of this process: a resumed cell's covers its last part
-        "train_cpu_seconds": time.process_time() - processed,
-        "timed_updates": agent.timed_updates,
-    }
-    agent.policy.save(scratch / WEIGHTS)
+    remark = ""
+    if (damage := checkpoint_damage(scratch / CHECKPOINT)) is not None:
+        aside = store.put_aside(scratch / CHECKPOINT)
+        remark = f"its checkpoint was damaged ({damage}) and put aside in {aside}"
+    clock = Clock()  # of this process: a resumed training counts from its last checkpoint
+    with closing(make_env(cell.backend, cell.task, cell.training_config)) as env:
+        trained = train_cell(cell, env, scratch, meter.add, cell.marks)
+    return trained, {**clock.since("train"), "timed_updates": trained.timed_updates}, remark
+
+
+def _policy(
+    cell: Cell, trained: Trained | None, store: Store, env: gym.Env[Any, Any]
+) -> tuple[gym.Env[Any, Any], Policy]:
+    """The policy to be tested, and the environment as it observes it."""
+    if trained is not None:
+        return observed(env, cell.profile), trained.policy
+    if cell.test_on is None:
+        return env, untrained_policy(cell.key(), cell.source, env)
+    weights = store.weights(cell.parent.name)
+    if weights is None:
+        raise UserError(
+            f"the weights of {cell.parent.name} are not here: train it first, by the same command without --cell"
+        )
+    return load_agent(cell.key(), cell.source, weights, env)
+
+
+def _test(cell: Cell, env: gym.Env[Any, Any], policy: Policy, meter: Meter) -> dict[str, pd.DataFrame]:
+    """The tables of a policy's test, by file."""
+    first = cell.first_scenario
+    if cell.test_on is not None:
+        traffics, episodes = cell.test_on["traffics"], int(cell.test_on["episodes"])
+        return {
+            EPISODES: evaluate(env, policy, cell.task, cell.level, episodes, meter.add, traffics=traffics, first=first)
+        }
+    test = evaluate(env, policy, cell.task, cell.level, cell.episodes, meter.add, first=first)
+    gates = evaluate(
+        env, policy, cell.task, cell.level, cell.gate_episodes, meter.add,
+        purpose="gate", traffics=cell.gate_traffics, first=first,
+    )  # fmt: skip
+    return {EPISODES: test, GATES: gates[list(GATE_COLUMNS)]}
+
+
+def _early_tests(
+    cell: Cell, trained: Trained, env: gym.Env[Any, Any], scratch: Path, meter: Meter
+) -> dict[str, pd.DataFrame]:
+    """The test of the policies that an agent had after shares of its budget, by file."""
+    import pandas as pd
+
     tables = []
-    for number, file in enumerate(agent.marks, start=1):
+    for number, file in enumerate(trained.marks, start=1):
         try:
             seen, policy = load_agent(cell.key(), cell.source, file, env)
         except (UserError, OSError) as error:
-            checkpoint.unlink(missing_ok=True)
-            raise RuntimeError(
-                f"the policy in {file.name} is lost ({error}): the training begins again"
-            ) from None
-        table = evaluate(
-            seen,
-            policy,
-            cell.task,
-            cell.level,
-            cell.episodes,
-            lambda: meter.add(TEST_EPISODE),
-            first=cell.first_scenario,
-        )
+            for checkpoint in scratch.glob("checkpoint*"):
+                checkpoint.unlink()
+            raise RuntimeError(f"{file.name} is lost ({error}): the training begins again") from None
+        table = evaluate(seen, policy, cell.task, cell.level, cell.episodes, meter.add, first=cell.first_scenario)
         table.insert(0, "mark", number)
         tables.append(table)
-    record = {"learner": agent.learner, "timing": timing}
-    files = {
-        TRAINING: agent.episodes,
-        MARKS: pd.concat(tables)[list(MARK_COLUMNS)],
-        WEIGHTS: scratch / WEIGHTS,
-    }
-    _test(cell, agent.policy, observed(env, cell.profile), store, meter, record, files)
-    return remark
-
-
-def _test(
-    cell: Cell,
-    policy: Policy,
-    env: gym.Env[Any, Any],
-    store: Store,
-    meter: Meter,
-    record: dict[str, Any],
-    files: dict[str, Any],
-) -> None:
-    """Test a policy and store its cell."""
-    clock = Clock()
-
-    def note() -> None:
-        meter.add(TEST_EPISODE)
-
-    first = cell.first_scenario
-    table = evaluate(env, policy, cell.task, cell.level, cell.episodes, note, first=first)
-    gates = evaluate(
-        env,
-        policy,
-        cell.task,
-        cell.level,
-        cell.gate_episodes,
-        note,
-        purpose="gate",
-        traffics=cell.gate_traffics,
-        first=first,
-    )
-    work = 2 * cell.episodes + len(cell.gate_traffics) * cell.gate_episodes
-    timing = {**record.get("timing", {}), **clock.test(work)}
-    tables = {EPISODES: table, GATES: gates[list(GATE_COLUMNS)]}
-    store.write(cell, {**record, "timing": timing, "provenance": provenance()}, {**tables, **files})
+    return {MARKS: pd.concat(tables)[list(MARK_COLUMNS)]} if tables else {}

@@ -64,7 +64,7 @@ def cells() -> Iterator[tuple[str, Cell]]:
                     **{key: value for key, value in variant.items() if key != "training_clock"}
                 )
                 profile = {**asdict(config), "finite_horizon": False, **variant}
-                built = grid.build("sumo", {task: [1]}, 1, EPISODES, {task: profile}, name)
+                built = grid.build(grid.Ask("sumo", {task: [1]}, 1, EPISODES, {task: profile}, name))
                 yield from ((name, replace(cell, seed=seed)) for cell in built if cell.kind == "agent")
 
 

@@ -8,8 +8,8 @@ adding tasks, levels or seeds to the grid never renames a cell that is there alr
 from __future__ import annotations
 
 import importlib.metadata
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cache
 from typing import Any
 
@@ -38,7 +38,7 @@ LEARNER = "dqn"
 # highway-env's own time step, and drivers that see along their path (see `backends.highway_env`).
 HIGHWAY_ENV = {"simulation_frequency": 15, "variant": "path"}
 BACKEND_KEYS = ("variant", "risk_law")  # keys that only the replica and highway-env have
-MARKS = (1 / 3, 2 / 3)  # shares of the budget after which an agent is tested as well
+MARKS = (1 / 3, 2 / 3)  # shares of the budget after which an agent can be tested as well
 # Settings that say how an episode is drawn or which arm is meant, not what is simulated.
 NOT_IN_KEY = {
     "risk", "screen_width", "screen_height", "scaling", "centering_position", "show_trajectories",
@@ -57,6 +57,7 @@ class Cell:
     dynamics: fingerprint of what the backend does on this task, see `fingerprint.dynamics`.
     trained_with: what differs in the environment that the agent is trained in, for arms that need it.
     test_on: of a further test its backend, env_config, traffics and episodes.
+    early_tests: whether the agent is also tested after the shares MARKS of its budget. Not part of the key.
     source: where the network or policy of the user's own lies, FILE:NAME or a zip file. Not part of the key, which has
         the file's fingerprint.
     """
@@ -76,6 +77,7 @@ class Cell:
     source: str | None = None
     trained_with: Mapping[str, Any] | None = None
     test_on: Mapping[str, Any] | None = None
+    early_tests: bool = False
 
     def key(self) -> dict[str, Any]:
         """All of it as plain JSON values; what cell.json stores."""
@@ -139,9 +141,19 @@ class Cell:
         return {**self.env_config, **(self.trained_with or {}), **longer}
 
     @property
+    def tested_config(self) -> Mapping[str, Any]:
+        """The environment's configuration in the test."""
+        return self.test_on["env_config"] if self.test_on else self.env_config
+
+    @property
     def updates(self) -> int:
         """Training budget in gradient updates (0 where nothing is trained)."""
         return int(self.profile.get("updates", 0)) if self.kind == "agent" else 0
+
+    @property
+    def marks(self) -> tuple[float, ...]:
+        """Shares of the budget after which the agent is tested as well."""
+        return MARKS if self.early_tests else ()
 
     @property
     def episodes(self) -> int:
@@ -163,8 +175,8 @@ class Cell:
         """Episodes that are played after the training, in all traffics."""
         if self.test_on:
             return len(self.test_on["traffics"]) * int(self.test_on["episodes"])
-        marks = len(MARKS) if self.kind == "agent" else 0
-        return 2 * self.episodes * (1 + marks) + len(self.gate_traffics) * self.gate_episodes
+        early = len(self.marks) if self.kind == "agent" else 0
+        return 2 * self.episodes * (1 + early) + len(self.gate_traffics) * self.gate_episodes
 
     @property
     def gate_traffics(self) -> tuple[str, ...]:
@@ -283,121 +295,119 @@ def choose_levels(tasks: Sequence[str], wanted: Sequence[int] | None) -> dict[st
     return {task: numbers for task, numbers in chosen.items() if numbers}
 
 
-def build(
-    backend: str,
-    levels: Mapping[str, Sequence[int]],
-    seeds: int,
-    episodes: int,
-    profiles: Mapping[str, Mapping[str, Any]],
-    preset: str,
-    gate_episodes: int | None = None,
-    network: str | None = None,
-    policies: Mapping[str, tuple[str, str]] | None = None,
-    arms: Sequence[str] = tuple(ARMS),
-    test_on: Sequence[str] = (),
-    unseen: bool = False,
-    first_seed: int = 0,
-    first_scenario: int = 0,
-    changes: Mapping[str, Any] | None = None,
-) -> list[Cell]:
-    """The cells of an experiment: on each task and level the arms of every training seed, and the baselines.
+@dataclass(frozen=True)
+class Ask:
+    """What an experiment consists of.
 
-    With doses between 0 and 1 among the arms, the agents of DOSE_ARMS are tested at all these doses too.
-
-    Args:
-        backend: of BACKENDS.
-        levels: level numbers of each task, see `choose_levels`.
-        seeds: training seeds an arm, from first_seed on.
-        episodes: test episodes in each traffic, of the scenarios from number first_scenario on.
-        profiles: hyper-parameters and budget of each task.
-        preset: label that the cells carry.
-        gate_episodes: episodes for the gates in each traffic; as many as test episodes if left out.
-        network: FILE:CLASS of a network of the user's own.
-        policies: policies of the user's own to test: label -> (FILE:MAKE or zip file, fingerprint of the file).
-        arms: of DOSES. test_on: other simulators on which the trained agents are tested too.
-        unseen: whether they are tested in the traffics of `unseen.unseen_traffics` too.
-        changes: keys of the environments' configuration that are set for training and test.
+    backend: of BACKENDS. levels: level numbers of each task, see `choose_levels`. seeds: training seeds per arm, from
+        first_seed on.
+    episodes: test episodes in each traffic, of the scenarios from number first_scenario on. profiles: hyper-parameters and budget of each task. preset: label that the
+        cells carry. gate_episodes: episodes for the gates in each traffic; as many as test episodes if left out.
+    network: FILE:CLASS of a network of the user's own. policies: policies of the user's own to test:
+        label -> (FILE:MAKE or zip file, fingerprint of the file).
+    arms: of DOSES. test_on: other simulators on which the trained agents are tested too.
+    unseen: whether they are tested in the traffics of `unseen.unseen_traffics` too.
+    changes: keys of the environments' configuration that are set for training and test.
+    early_tests: agents are also tested after the shares MARKS of their budget.
 
     Raises:
-        UserError: unknown backend, arm or key, or no seed or episode at all.
+        UserError: unknown backend or arm, or no seed or episode at all.
     """
-    arms, test_on = tuple(dict.fromkeys(arms)), tuple(dict.fromkeys(test_on))
-    for name in (backend, *test_on):
-        if name not in BACKENDS:
-            raise unknown("backend", name, BACKENDS)
-    for arm in arms:
-        if arm not in DOSES:
-            raise unknown("arm", arm, DOSES)
-    if seeds < 1 or episodes < 1:
-        raise UserError(f"at least one seed and one test episode are needed, not {seeds} and {episodes}")
-    cells = []
-    evaluation = {"episodes": episodes, "gate_episodes": episodes if gate_episodes is None else gate_episodes}
-    if first_scenario:  # not in the names of cells that begin at 0, which are older than the choice
-        evaluation["first_scenario"] = first_scenario
-    for task, numbers in levels.items():
-        for level in numbers:
-            common: dict[str, Any] = {
-                "backend": backend,
-                "task": task,
-                "level": level,
-                "level_name": level_names(task)[level - 1],
-                "env_config": env_config(backend, task, level, changes),
-                "eval": evaluation,
-                "dynamics": dynamics(backend, task),
-            }
-            profile = {"preset": preset, **profiles[task]}
-            agents = [
-                Cell(
-                    kind="agent",
-                    arm=arm,
-                    seed=seed,
-                    policy=LEARNER,
-                    profile={**profile, **ARM_PROFILES.get(arm, {})},
-                    source=network,
-                    trained_with=different,
-                    **common,
-                )
-                for seed in range(first_seed, first_seed + seeds)
-                for arm in arms
-                if (different := trained_with(arm, task, level)) is not None
-            ]
-            cells += agents
-            if set(arms) & set(DOSE_TRAFFICS):
-                doses = {"backend": backend, "traffics": list(DOSE_TRAFFICS), "episodes": episodes}
-                doses["env_config"] = common["env_config"]
-                cells += [
-                    replace(agent, kind="test", test_on=doses) for agent in agents if agent.arm in DOSE_ARMS
-                ]
-            if unseen:
-                traffics: dict[str, Any] = {
-                    "backend": backend,
-                    "traffics": list(unseen_traffics(task, backend)),
+
+    backend: str
+    levels: Mapping[str, Sequence[int]]
+    seeds: int
+    episodes: int
+    profiles: Mapping[str, Mapping[str, Any]]
+    preset: str
+    gate_episodes: int | None = None
+    network: str | None = None
+    policies: Mapping[str, tuple[str, str]] = field(default_factory=dict)
+    arms: Sequence[str] = tuple(ARMS)
+    test_on: Sequence[str] = ()
+    unseen: bool = False
+    changes: Mapping[str, Any] | None = None
+    early_tests: bool = False
+    first_seed: int = 0
+    first_scenario: int = 0
+
+    def __post_init__(self) -> None:
+        for name in (self.backend, *self.test_on):
+            if name not in BACKENDS:
+                raise unknown("backend", name, BACKENDS)
+        for arm in self.arms:
+            if arm not in DOSES:
+                raise unknown("arm", arm, DOSES)
+        if self.seeds < 1 or self.episodes < 1:
+            raise UserError(
+                f"at least one seed and one test episode are needed, not {self.seeds} and {self.episodes}"
+            )
+
+    def cell(self, task: str, level: int) -> Cell:
+        """What the cells of a task and level have in common, as a baseline without a policy."""
+        gates = self.episodes if self.gate_episodes is None else self.gate_episodes
+        # Not in the names of cells that begin at 0, which are older than the choice.
+        first = {"first_scenario": self.first_scenario} if self.first_scenario else {}
+        return Cell(
+            kind="baseline",
+            backend=self.backend,
+            task=task,
+            level=level,
+            level_name=level_names(task)[level - 1],
+            arm=None,
+            seed=None,
+            policy="",
+            profile={"preset": self.preset},
+            env_config=env_config(self.backend, task, level, self.changes),
+            eval={"episodes": self.episodes, "gate_episodes": gates, **first},
+            dynamics=dynamics(self.backend, task),
+        )
+
+    def further_tests(self, agent: Cell) -> Iterator[Cell]:
+        """Further tests of an agent: at doses between 0 and 1, in unseen risk, on other simulators."""
+        here = {"backend": self.backend, "episodes": self.episodes, "env_config": agent.env_config}
+        if set(self.arms) & set(DOSE_TRAFFICS) and agent.arm in DOSE_ARMS:
+            yield replace(agent, kind="test", test_on={**here, "traffics": list(DOSE_TRAFFICS)})
+        if self.unseen:
+            traffics = list(unseen_traffics(agent.task, self.backend))
+            yield replace(agent, kind="test", test_on={**here, "traffics": traffics})
+        for other in dict.fromkeys(self.test_on):
+            if other != self.backend:
+                elsewhere = {
+                    "backend": other,
+                    "traffics": list(TRAFFICS),
+                    "episodes": min(self.episodes, TRANSFER_EPISODES.get(other, self.episodes)),
+                    "env_config": env_config(other, agent.task, agent.level, self.changes),
+                    "dynamics": dynamics(other, agent.task),
                 }
-                traffics |= {"episodes": episodes, "env_config": common["env_config"]}
-                cells += [replace(agent, kind="test", test_on=traffics) for agent in agents]
-            for other in test_on:
-                if other != backend:
-                    transfer = {
-                        "backend": other,
-                        "traffics": list(TRAFFICS),
-                        "episodes": min(episodes, TRANSFER_EPISODES.get(other, episodes)),
-                        "env_config": env_config(other, task, level, changes),
-                        "dynamics": dynamics(other, task),
-                    }
-                    cells += [replace(agent, kind="test", test_on=transfer) for agent in agents]
-            cells += [
-                Cell(
-                    kind="baseline", arm=None, seed=None, policy=policy, profile={"preset": preset}, **common
-                )
-                for policy in BASELINES
-            ]
-            cells += [
-                Cell(
-                    kind="baseline", arm=None, seed=None, policy=label, source=source,
-                    profile={"preset": preset, "policy_sha256": fingerprint}, **common,
-                )
-                for label, (source, fingerprint) in (policies or {}).items()
-            ]  # fmt: skip
+                yield replace(agent, kind="test", test_on=elsewhere)
+
+
+def build(ask: Ask) -> list[Cell]:
+    """The cells of an experiment: on each task and level the arms of every training seed, and the baselines."""
+    cells: list[Cell] = []
+    for task, level in ((task, level) for task, levels in ask.levels.items() for level in levels):
+        common = ask.cell(task, level)
+        learner = replace(
+            common, kind="agent", policy=LEARNER, source=ask.network, early_tests=ask.early_tests,
+            profile={"preset": ask.preset, **ask.profiles[task]},
+        )  # fmt: skip
+        agents = [
+            replace(
+                learner, arm=arm, seed=seed, trained_with=different,
+                profile={**learner.profile, **ARM_PROFILES.get(arm, {})},
+            )
+            for seed in range(ask.first_seed, ask.first_seed + ask.seeds)
+            for arm in dict.fromkeys(ask.arms)
+            if (different := trained_with(arm, task, level)) is not None
+        ]
+        cells += agents
+        cells += [test for agent in agents for test in ask.further_tests(agent)]
+        cells += [replace(common, policy=policy) for policy in BASELINES]
+        cells += [
+            replace(common, policy=label, source=source, profile={**common.profile, "policy_sha256": digits})
+            for label, (source, digits) in ask.policies.items()
+        ]
     return cells
 
 

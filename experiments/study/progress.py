@@ -25,7 +25,9 @@ from experiments.study.store import Store
 LINE_EVERY = 15.0  # [s] between lines where nobody watches
 LOG_EVERY = 300.0  # [s] between lines in the log
 TRUST_AFTER = 60.0  # [s] from when on the speed of this run counts, and not its number of workers
-SHARE = 0.05  # of its time that a sweep spends on this at most: with 10,000 cells one look takes half a second
+SHARE = (
+    0.05  # of its time that a sweep spends on this at most: with 10,000 cells one look takes half a second
+)
 LOG = "sweep.log"
 ALL = "all"
 
@@ -40,7 +42,13 @@ class Progress(Observer[CellTask]):
     """
 
     def __init__(
-        self, store: Store, cells: Sequence[Cell], finished: set[str], rates: Rates, workers: int, command: str
+        self,
+        store: Store,
+        cells: Sequence[Cell],
+        finished: set[str],
+        rates: Rates,
+        workers: int,
+        command: str,
     ) -> None:
         self._cells = {cell.name: cell for cell in cells}
         self._state = {name: "finished" if name in finished else "waiting" for name in self._cells}
@@ -51,7 +59,13 @@ class Progress(Observer[CellTask]):
         self._printed = self._start - LINE_EVERY
         self._console = Console(highlight=False)
         left = TextColumn("{task.fields[left]}")
-        columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn(), left)
+        columns = (
+            TextColumn("{task.description}"),
+            BarColumn(),
+            TaskProgressColumn(),
+            TimeElapsedColumn(),
+            left,
+        )
         self._bars = Bars(*columns, console=self._console, disable=not self._console.is_terminal)
         tasks = dict.fromkeys(cell.task for cell in cells)
         self._lines = {task: self._bars.add_task(task, total=1.0, left="") for task in (*tasks, ALL)}
@@ -136,7 +150,10 @@ class Progress(Observer[CellTask]):
     def summary(self) -> str:
         """All of it in one line."""
         counts = Counter(self._state.values())
-        parts = [f"{counts.pop('finished', 0)}/{len(self._cells)} cells", f"{self.share(list(self._cells)):.0%}"]
+        parts = [
+            f"{counts.pop('finished', 0)}/{len(self._cells)} cells",
+            f"{self.share(list(self._cells)):.0%}",
+        ]
         if left := self.left(self._cells):
             parts.append(f"about {duration(left)} left")
         parts += [f"{number} {state}" for state, number in counts.items() if state != "running"]

@@ -97,6 +97,11 @@ class Store:
         """cell.json of a finished cell, checked. Raises DamagedCell."""
         return read_cell(self.cells / name)
 
+    def weights(self, name: str) -> Path | None:
+        """The file of an agent's weights; None if they are not here."""
+        path = self.cells / name / WEIGHTS
+        return path if path.exists() else None
+
     def records(self) -> Iterator[dict[str, Any]]:
         """cell.json of all finished cells that can be read."""
         for path in cell_directories(self.directory):

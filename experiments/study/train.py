@@ -19,7 +19,7 @@ from agents.models import network_class
 from agents.streams import episode_seed
 from agents.training import Progress, TrainedAgent, train
 from experiments.study.arms import DRAWN, drawn_dose
-from experiments.study.grid import MARKS, Cell
+from experiments.study.grid import Cell
 from experiments.study.policies import check
 from experiments.study.seeds import training_seed
 from experiments.study.wrappers import DrawnDose, trained_on
@@ -36,7 +36,7 @@ class Trained:
     """A trained agent as it is stored: policy, training episodes (one row each), and "learner" of cell.json.
 
     timed_updates: updates that were made in this process, not before a resumption.
-    marks: file with the policy at each of `grid.MARKS`.
+    marks: files with the policy after each of the shares of the budget that were asked for.
     """
 
     policy: Greedy
@@ -68,7 +68,7 @@ def train_cell(
     env: gym.Env[Any, Any],
     directory: Path,
     on_updates: Callable[[int], None] = lambda _: None,
-    marks: Sequence[float] = MARKS,
+    marks: Sequence[float] = (),
 ) -> Trained:
     """Train the agent of a cell; bit for bit the same however often it is interrupted.
 

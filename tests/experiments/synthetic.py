@@ -183,9 +183,10 @@ def write(
     """
     profiles = {task: {"updates": updates, "gamma": 0.95} for task in grid.TASKS}
     every = (*ARMS, *further)
-    cells = grid.build(
+    ask = grid.Ask(
         backend, levels, seeds, tests, profiles, preset, gate_episodes=100, arms=every, test_on=test_on
     )
+    cells = grid.build(ask)
     wanted = [cell for cell in cells if cell.arm in (*arms, *further) or cell.policy in baselines]
     store = Store(directory)
     weights = directory / "weights.npz"

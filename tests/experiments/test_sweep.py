@@ -79,7 +79,7 @@ def test_a_sweep_computes_every_cell_once(reference, capsys):
 
 def test_further_arms_are_trained_and_agents_tested_elsewhere(reference, tmp_path):
     directory = tmp_path / "results"
-    options = {"arms": tuple(DOSES), "test_on": ("replica",)}
+    options = {"arms": tuple(DOSES), "test_on": ("replica",), "early_tests": True}
     assert run(directory, **options) == 0
     results = load(directory)
     assert set(results.expected) == set(results.cells)

@@ -51,7 +51,9 @@ class LocalExecutor(Executor):
             self._pool.stop()
         else:
             self._pool.close()
-        if wait or cancel_futures:  # at once is short, and Python's own exit handlers fail on a pool that is closing
+        if (
+            wait or cancel_futures
+        ):  # at once is short, and Python's own exit handlers fail on a pool that is closing
             self._pool.join()
 
 

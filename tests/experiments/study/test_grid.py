@@ -19,12 +19,12 @@ PROFILE = {"updates": 100, "gamma": 0.95, "hidden": [8]}
 
 def cells(levels: dict | None = None, seeds: int = 2, preset: str = "smoke", **profile) -> list[grid.Cell]:
     profiles = {task: {**PROFILE, **profile} for task in TASKS}
-    return grid.build("sumo", levels or {"highway": (1,)}, seeds, 5, profiles, preset)
+    return grid.build(grid.Ask("sumo", levels or {"highway": (1,)}, seeds, 5, profiles, preset))
 
 
 def cells_of(levels: dict | None = None, **options) -> list[grid.Cell]:
     profiles = dict.fromkeys(TASKS, PROFILE)
-    return grid.build("sumo", levels or {"highway": (1,)}, 2, 5, profiles, "smoke", **options)
+    return grid.build(grid.Ask("sumo", levels or {"highway": (1,)}, 2, 5, profiles, "smoke", **options))
 
 
 def test_the_paper_has_18_traffic_cells():
@@ -153,7 +153,7 @@ def test_levels_carry_the_papers_settings():
     [
         (lambda: grid.choose_tasks(["higway"]), "did you mean 'highway'"),
         (lambda: grid.choose_levels(["highway"], [4]), "did you mean 3?"),
-        (lambda: grid.build("summo", {}, 1, 1, {}, ""), "did you mean 'sumo'"),
+        (lambda: grid.Ask("summo", {}, 1, 1, {}, ""), "did you mean 'sumo'"),
         (lambda: cells(seeds=0), "at least one seed"),
         (lambda: cells_of(arms=("treatmen",)), "did you mean 'treatment'"),
         (lambda: cells_of(test_on=("replca",)), "did you mean 'replica'"),

@@ -38,7 +38,7 @@ TRAINING_TABLE = pd.DataFrame(
 @pytest.fixture(scope="module")
 def cells() -> list[grid.Cell]:
     profiles = {task: {"updates": 10, "gamma": 0.95} for task in TASKS}
-    return grid.build("sumo", {"highway": (1,), "u-turn": (1,)}, 1, 3, profiles, "smoke")
+    return grid.build(grid.Ask("sumo", {"highway": (1,), "u-turn": (1,)}, 1, 3, profiles, "smoke"))
 
 
 @pytest.fixture

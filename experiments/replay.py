@@ -83,8 +83,9 @@ def parse_case(text: str) -> Case:
     traffic = match["traffic"] or "regular"
     if traffic not in TRAFFICS:
         raise grid.unknown("traffic", traffic, TRAFFICS)
-    if not path.is_dir():
-        near = sorted(p.name for p in path.parent.iterdir()) if path.parent.is_dir() else []
+    home = path.parents[1] if len(path.parents) > 1 else Path()
+    near = store.finished(home) if path.parent.name == "cells" else []
+    if path.name not in near:
         raise grid.unknown("cell", path.name, near) if near else UserError(f"there is no cell {path}")
     return Case(path, traffic, int(match["scenario"] or 0))
 
@@ -96,9 +97,10 @@ def replay(options: Options, make_env: MakeEnv = make_env) -> int:
         UserError: the case does not exist, its cell is damaged, or the file cannot be written.
     """
     case = parse_case(options.case)
-    record = store.read_cell(case.path)
+    home, name = case.path.parents[1], case.path.name
+    record = store.read_stored(home, name)
     key = record["key"]
-    table = store.read_episodes(case.path)
+    table = store.tables_of(home, name)[store.EPISODES]
     rows = table[(table["traffic"] == case.traffic) & (table["scenario"] == case.scenario)]
     if rows.empty:
         raise UserError(
@@ -112,7 +114,7 @@ def replay(options: Options, make_env: MakeEnv = make_env) -> int:
             frames.append(np.asarray(env.render()))
 
     try:
-        seen, policy = stored_policy(case.path, record, env)
+        seen, policy = stored_policy(case.path, record, env, rows.iloc[0].get("actions"))
         row = play(seen, policy, key["task"], key["level"], case.traffic, case.scenario, record_step)
         written = _write(options, case, env, frames)
     except OSError as error:

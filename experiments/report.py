@@ -65,6 +65,8 @@ class Options:
     """Others to show beside it; by default the published study, beside which its variants are shown."""
     outcome: tuple[Annotated[str, tyro.conf.arg(metavar="FILE:NAME")], ...] = ()
     """Also analyse outcomes of your own: objects of the class experiments.analysis.plan.Outcome with `of`."""
+    pack: bool = False
+    """Instead pack the cells of finished settings into a few tables; nothing is deleted."""
     placebo: bool = False
     """Instead print what the controls find: control against control, a rule against itself, a doubled penalty."""
 
@@ -215,11 +217,26 @@ def report_placebo(directory: Path) -> None:
     show_placebo(analyse(load(directory, skip_damaged=True)))
 
 
+def pack_cells(directory: Path) -> None:
+    """Pack the finished settings of a directory and say what was done."""
+    from experiments.study.pack import pack
+
+    names, unfinished = pack(directory)
+    print(f"{len(names)} cells packed into the tables of {directory}, and read back equal")
+    for setting, missing in unfinished.items():
+        print(f"{setting} is not packed: {missing} of its cells are missing")
+    if names:
+        print(f"{directory / 'cells'} may be removed")
+
+
 def main() -> int:
     """The command line."""
     options = tyro.cli(Options, description=__doc__)
     for name in options.outcome:
         add_outcome(name)
+    if options.pack:
+        pack_cells(options.directory)
+        return 0
     if options.placebo:
         report_placebo(options.directory)
         return 0

@@ -49,6 +49,7 @@ import json
 import shlex
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Annotated, Any
 
@@ -66,7 +67,7 @@ from experiments.study.policies import foreign
 from experiments.study.presets import PRESETS, get_preset
 from experiments.study.progress import Progress
 from experiments.study.run import Interrupted, Stop, run
-from experiments.study.store import WEIGHTS, DamagedCell, Store, cell_directories
+from experiments.study.store import DamagedCell, Store, finished, read_stored, weights_file
 from experiments.support.errors import (
     INTERRUPTED,
     UserError,
@@ -259,11 +260,11 @@ def sweep(
             if validate is not None:
                 names = tuple(dict.fromkeys(cell.task for cell in cells))
                 validate(options.backend, names, directory, here, lambda words: print(words, flush=True))
-            finished = {name for name, task in tasks.items() if is_finished(store, task)}
+            there = {name for name, task in tasks.items() if is_finished(store, task)}
             for name in tasks:
-                store.forget(name, name in finished)
-            left = [task for name, task in tasks.items() if name not in finished]
-            found = f"{len(mine)} cells, {len(finished)} of them finished before"
+                store.forget(name, name in there)
+            left = [task for name, task in tasks.items() if name not in there]
+            found = f"{len(mine)} cells, {len(there)} of them finished before"
             print(f"{found}; results go to {directory}", flush=True)
             failures: dict[str, str] = {}
             # Agents are tested elsewhere once all are trained.
@@ -271,16 +272,16 @@ def sweep(
                 batch = [task for task in left if (task.cell.kind == "test") == further]
                 if further:
                     batch = [
-                        task for task in batch if (store.cells / task.cell.parent.name / WEIGHTS).exists()
+                        task for task in batch if weights_file(directory, task.cell.parent.name) is not None
                     ]
                 if batch:
                     per_process = (
                         1 if "highway-env" in (options.backend, *options.test_on) else TASKS_PER_PROCESS
                     )
                     executor, limit = open_executor(options.executor, options.workers, directory, per_process)
-                    known_names = {task.name for task in batch} | finished
+                    known_names = {task.name for task in batch} | there
                     shown = [cell for cell in mine if cell.name in known_names]
-                    progress = Progress(store, shown, finished, known, limit, f"{again} --cell")
+                    progress = Progress(store, shown, there, known, limit, f"{again} --cell")
                     try:
                         failures |= run(batch, executor, limit, progress, stop)
                     finally:
@@ -306,7 +307,7 @@ def is_finished(store: Store, task: CellTask) -> bool:
 
 def stopped(directory: Path, again: str) -> str:
     """What is said when a signal ends the sweep."""
-    done = sum(1 for _ in cell_directories(directory)) if (directory / "cells").is_dir() else 0
+    done = len(finished(directory))
     return f"stopped; {done} cells are finished and kept. To go on: {again}"
 
 
@@ -350,14 +351,17 @@ def _conclude(
 
 def rates_of(directory: Path) -> Rates:
     """The rates measured on this kind of processor in a result directory, which need not exist."""
-    return Rates(Store(directory).records() if (directory / "cells").is_dir() else ())
+    rates = Rates()
+    for name in finished(directory):
+        with suppress(DamagedCell):
+            rates.learn(read_stored(directory, name))
+    return rates
 
 
 def describe(options: Options, cells: Sequence[Cell], workers: int) -> None:
     """Print what would be computed and how long it would take."""
     measured = rates_of(options.directory)
-    stored = options.directory / "cells"
-    finished = {path.name for path in stored.iterdir()} if stored.is_dir() else set()
+    there = set(finished(options.directory))
     print(f"preset {options.preset}: {PRESETS[options.preset].about}")
     print(f"results go to {options.directory}")
     header = ("task", "level", "agents", "updates", "baselines", "finished", "core time")
@@ -366,8 +370,8 @@ def describe(options: Options, cells: Sequence[Cell], workers: int) -> None:
     for task, level in dict.fromkeys((cell.task, cell.level_name) for cell in cells):
         group = [cell for cell in cells if (cell.task, cell.level_name) == (task, level)]
         agents = [cell for cell in group if cell.kind == "agent"]
-        left = sum(measured.seconds(cell) for cell in group if cell.name not in finished)
-        done = sum(cell.name in finished for cell in group)
+        left = sum(measured.seconds(cell) for cell in group if cell.name not in there)
+        done = sum(cell.name in there for cell in group)
         updates = agents[0].updates if agents else 0  # further tests of agents are in the core time alone
         baselines = sum(cell.kind == "baseline" for cell in group)
         row = (task, level, len(agents), updates, baselines, done, duration(left))

@@ -24,7 +24,7 @@ from experiments.study.arms import ARMS
 from experiments.study.estimate import duration
 from experiments.study.grid import MARKS
 from experiments.study.results import Results
-from experiments.study.store import WEIGHTS, read_sweeps
+from experiments.study.store import read_sweeps
 from experiments.study.verdict import of_results
 from experiments.support.files import canonical_json
 
@@ -179,7 +179,7 @@ def run(analysis: Mapping[str, Any], results: Results, left_out: set[str]) -> di
         "commands": [sweep["command"] for sweep in read_sweeps(results.directory)],
         "directory": str(results.directory),
         "agents": len(agents),
-        "weights": sum((results.directory / "cells" / name / WEIGHTS).exists() for name in shown),
+        "weights": sum(results.weights(name) is not None for name in shown),
         "baselines": len(keys) - len(agents),
         "tests": sorted({key["eval"]["episodes"] for key in keys}),
         "seconds": duration(origin["seconds"]),

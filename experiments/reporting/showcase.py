@@ -20,7 +20,7 @@ from experiments.study.arms import ARMS
 from experiments.study.cell import MakeEnv
 from experiments.study.rerun import Recorder, differences
 from experiments.study.results import Results
-from experiments.study.store import EPISODES, WEIGHTS
+from experiments.study.store import EPISODES
 from experiments.support.files import canonical_json, write_file
 from sumo_env.rendering.markings import markings
 from sumo_env.tasks import get_task
@@ -89,7 +89,10 @@ def showcase(results: Results, left_out: set[str], make_env: MakeEnv) -> dict[st
         }
         name = f"{duo.place[1]} {duo.place[3]}"
         if (place := kept.get(canonical_json(made_of))) is None:
-            missing = [arm for arm, cell in duo.cells.items() if not _weights(results, cell).exists()]
+            missing = [
+                arm for arm, cell in duo.cells.items()
+                if results.weights(cell) is None and not _has_actions(tables[arm])
+            ]  # fmt: skip
             if missing:
                 notes.append(f"{name}: the weights of the {' and '.join(missing)} agent are not here")
                 continue
@@ -118,8 +121,8 @@ def _stored(path: Path) -> list[dict[str, Any]]:
         return []
 
 
-def _weights(results: Results, cell: str) -> Path:
-    return results.directory / "cells" / cell / WEIGHTS
+def _has_actions(table: pd.DataFrame) -> bool:
+    return "actions" in table and bool(table["actions"].notna().all())
 
 
 def duos(results: Results, left_out: set[str]) -> Iterator[Duo]:
@@ -184,9 +187,11 @@ def _record(
             film: dict[str, Any] = {"kind": one.kind, "traffic": one.traffic, "scenario": one.scenario}
             for arm, name in duo.cells.items():
                 folder = results.directory / "cells" / name
-                row = recorder.play(folder, cells[arm], one.traffic, one.scenario)
                 at = (tables[arm]["traffic"] == one.traffic) & (tables[arm]["scenario"] == one.scenario)
-                stored = tables[arm][at].iloc[0][list(row)].to_dict()
+                stored = tables[arm][at].iloc[0]
+                actions = stored.get("actions")
+                row = recorder.play(folder, cells[arm], one.traffic, one.scenario, actions)
+                stored = stored[[name for name in row if name in stored]].to_dict()
                 if wrong := differences(stored, row):
                     failed.append(
                         f"{one.traffic} scenario {one.scenario} is not shown, because the {arm} agent drives it "

@@ -25,6 +25,7 @@ from experiments.study.store import (
     WEIGHTS,
     DamagedCell,
     Store,
+    weights_file,
 )
 from experiments.study.wrappers import observed
 from experiments.support.errors import UserError
@@ -152,7 +153,7 @@ def _policy(
         return observed(env, cell.profile), trained.policy
     if cell.test_on is None:
         return env, untrained_policy(cell.key(), cell.source, env)
-    weights = store.weights(cell.parent.name)
+    weights = weights_file(store.directory, cell.parent.name)
     if weights is None:
         raise UserError(
             f"the weights of {cell.parent.name} are not here: train it first, by the same command without --cell"

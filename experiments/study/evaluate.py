@@ -44,6 +44,7 @@ COLUMNS: dict[str, str] = {
     "crash_closing_speed": "float64",  # [m/s]
     "crash_type": "str",
     "crash_detected_by": "str",
+    "actions": "str",  # the actions one after the other, a digit each; cells of earlier versions lack them
 }
 CRASH_KEYS = tuple(name.removeprefix("crash_") for name in COLUMNS if name.startswith("crash_"))
 
@@ -88,14 +89,14 @@ def play(
         on_step()
     rewards: list[float] = []
     steps: list[dict[str, Any]] = []
-    actions = [0] * ACTIONS
+    actions: list[int] = []
     terminated = truncated = False
     while not (terminated or truncated):
         action = policy.act(observation)
         observation, reward, terminated, truncated, info = env.step(action)
         rewards.append(float(reward))
         steps.append(info)
-        actions[action] += 1
+        actions.append(int(action))
         if on_step:
             on_step()
     speeds = np.array([step["speed"] for step in steps])
@@ -114,8 +115,9 @@ def play(
         "near_misses": sum(bool(step["near_miss"]) for step in steps),
         "density": float(np.mean([step["density"] for step in steps])),
         "stopped": float((speeds < STOPPED).mean()),
-        **{f"action_{number}": count for number, count in enumerate(actions)},
+        **{f"action_{number}": actions.count(number) for number in range(ACTIONS)},
         **{f"crash_{key}": crash.get(key) for key in CRASH_KEYS},
+        "actions": "".join(map(str, actions)),
     }
 
 

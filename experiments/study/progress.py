@@ -20,7 +20,7 @@ from experiments.study.cell import CellTask
 from experiments.study.estimate import Rates, duration
 from experiments.study.grid import Cell
 from experiments.study.run import RETRIES, Observer
-from experiments.study.store import Store
+from experiments.study.store import Store, read_stored
 
 LINE_EVERY = 15.0  # [s] between lines where nobody watches
 LOG_EVERY = 300.0  # [s] between lines in the log
@@ -79,7 +79,7 @@ class Progress(Observer[CellTask]):
     def finished(self, task: CellTask, remark: str) -> None:
         """The result is there, and the estimate learns from it."""
         with suppress(Exception):  # one that is damaged by now is found by whoever reads it
-            self._rates.learn(self._store.read(task.name))
+            self._rates.learn(read_stored(self._store.directory, task.name))
         self._done_here += self._rates.seconds(task.cell)
         self._set(task, "finished", "finished")
         if remark:

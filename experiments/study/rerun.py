@@ -15,25 +15,49 @@ from experiments.study.fingerprint import dynamics
 from experiments.study.policies import load_agent, untrained_policy
 from experiments.support.errors import UserError
 
+IDLE = 1  # of the actions
+
+
+class Repeated:
+    """Drives as a stored episode was driven, by its `actions`; where it lasts longer now, it ends with IDLE."""
+
+    def __init__(self, actions: str) -> None:
+        self._actions = actions
+
+    def reset(self, seed: int) -> None:
+        """Begin the episode."""
+        self._left = iter(self._actions)
+
+    def act(self, observation: Any) -> int:
+        """The next stored action."""
+        return int(next(self._left, IDLE))
+
 
 def stored_policy(
-    path: Path, record: Mapping[str, Any], env: gym.Env[Any, Any]
+    path: Path, record: Mapping[str, Any], env: gym.Env[Any, Any], actions: Any = None
 ) -> tuple[gym.Env[Any, Any], Policy]:
-    """The policy of a stored cell, and the environment as it observes it.
+    """What drove a stored episode, and the environment as it observes it.
+
+    Args:
+        path: DIR/cells/CELL, which need not exist where the cell is packed.
+        actions: the episode's column `actions`: where there are any, neither weights nor the user's file are needed.
 
     Raises:
-        UserError: its weights or the user's file are not there, or do not fit.
+        UserError: the weights or the user's file are not there, or do not fit.
     """
     key, source = record["key"], record["source"]
+    if isinstance(actions, str) and actions:
+        return env, Repeated(actions)
     if key["kind"] == "test":
         raise UserError(f"{path.name} is a further test of an agent: replay the agent's own cell")
     if key["kind"] == "agent":
-        if not (path / store.WEIGHTS).exists():
+        weights = store.weights_file(path.parents[1], path.name)
+        if weights is None:
             raise UserError(
                 f"the weights of {path.name} are not here: train it again with the command in sweep.json, "
                 f"--cell {path.name} and another --out"
             )
-        return load_agent(key, source, path / store.WEIGHTS, env)
+        return load_agent(key, source, weights, env)
     return env, untrained_policy(key, source, env)
 
 
@@ -42,6 +66,8 @@ def differences(stored: Mapping[str, Any], row: Mapping[str, Any]) -> list[str]:
     found = []
     for name, old in stored.items():
         new = row[name]
+        if name == "actions" and not isinstance(old, str):
+            continue  # of an earlier version
         missing = [value is None or (isinstance(value, float) and math.isnan(value)) for value in (old, new)]
         if missing != [True, True] and old != new:
             found.append(f"{name} {new} instead of {old}")
@@ -85,6 +111,7 @@ class Recorder:
         record: Mapping[str, Any],
         traffic: str,
         scenario: int,
+        actions: Any = None,
     ) -> dict[str, Any]:
         """Play a test episode of a stored cell and return its row of `evaluate.COLUMNS`.
 
@@ -92,6 +119,6 @@ class Recorder:
             UserError: see `stored_policy`.
         """
         self.scenes = []
-        seen, policy = stored_policy(path, record, self._env)
+        seen, policy = stored_policy(path, record, self._env, actions)
         key = record["key"]
         return play(seen, policy, key["task"], key["level"], traffic, scenario, self._capture_frame)

@@ -8,17 +8,21 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from experiments.study.packed import read_packed
 from experiments.study.store import (
     EPISODES,
     GATES,
     MARKS,
+    TABLES,
     TRAINING,
     DamagedCell,
-    cell_directories,
-    read_cell,
+    check_results,
+    finished,
     read_failures,
+    read_stored,
     read_sweeps,
     read_table,
+    weights_file,
 )
 from experiments.support.errors import UserError
 
@@ -57,6 +61,10 @@ class Results:
     expected: tuple[str, ...] = ()
     damaged: dict[str, str] = field(default_factory=dict)
 
+    def weights(self, cell: str) -> Path | None:
+        """The file of an agent's weights; None if they are not here."""
+        return weights_file(self.directory, cell)
+
 
 def load(directory: Path, skip_damaged: bool = False) -> Results:
     """Read and check all finished cells of a directory.
@@ -73,25 +81,33 @@ def load(directory: Path, skip_damaged: bool = False) -> Results:
     directory = Path(directory)
     cells: dict[str, dict[str, Any]] = {}
     agents: list[dict[str, Any]] = []
-    # by file, then by cell
-    parts: dict[str, dict[str, pd.DataFrame]] = {EPISODES: {}, GATES: {}, TRAINING: {}, MARKS: {}}
+    parts: dict[str, dict[str, pd.DataFrame]] = {file: {} for file in TABLES}  # by file, then by cell
     damaged: dict[str, str] = {}
-    for path in cell_directories(directory):
+    check_results(directory)
+    packed = read_packed(directory)
+    rows = {file: table for file in TABLES if (table := packed.table(file)) is not None}
+    of_cell = {file: dict(iter(table.groupby("cell"))) for file, table in rows.items()}
+    for name in finished(directory):
+        path = directory / "cells" / name
         try:
-            record = read_cell(path)
-            columns = {name: {**record["key"], "cell": path.name}.get(name) for name in KEY_COLUMNS}
-            columns["preset"] = record["key"]["profile"].get("preset")
-            there = [file for file in parts if file in record["files"] and (path / file).exists()]
-            tables = {file: read_table(path / file) for file in there}
+            record = read_stored(directory, name)
+            if path.is_dir():
+                there = [file for file in TABLES if file in record["files"] and (path / file).exists()]
+                tables = {file: read_table(path / file) for file in there}
+            else:
+                known = {file: rows[name] for file, rows in of_cell.items() if name in rows}
+                tables = {file: rows.drop(columns="cell") for file, rows in known.items()}
         except DamagedCell as error:
             if not skip_damaged:
                 raise
-            damaged[path.name] = str(error)
+            damaged[name] = str(error)
             continue
-        cells[path.name] = record
+        columns = {column: {**record["key"], "cell": name}.get(column) for column in KEY_COLUMNS}
+        columns["preset"] = record["key"]["profile"].get("preset")
+        cells[name] = record
         agents.append({**columns, **_scalars(record["key"]["profile"]), **_learner(record)})
         for file, table in tables.items():
-            parts[file][path.name] = table
+            parts[file][name] = table
     if damaged and not cells:
         raise UserError(next(iter(damaged.values())))
     if not cells:
@@ -121,6 +137,8 @@ def _concatenate(tables: Mapping[str, pd.DataFrame], agents: pd.DataFrame) -> pd
         return keys.iloc[:0].reset_index(drop=True)
     cells = [name for name, table in tables.items() for _ in range(len(table))]
     rows = pd.concat(tables.values(), ignore_index=True)
+    if "actions" in rows:  # cells of earlier versions lack them
+        rows["actions"] = rows["actions"].astype("str")
     return pd.concat([keys.loc[cells].reset_index(drop=True), rows], axis=1)
 
 

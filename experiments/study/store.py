@@ -2,6 +2,7 @@
 
 DIR/cells/<cell>/     cell.json, episodes.parquet; but for further tests of an agent gates.parquet; for agents also
                       training.parquet, marks.parquet (tests at parts of the budget), weights.npz
+DIR/packed.json, *.parquet, weights/   finished cells of which the folders may be removed (see `packed`)
 DIR/work/<cell>/      a cell in progress: checkpoint, lock, log (see `attempt`); failed.json if it was given up
 DIR/damaged/          what was put aside because it was damaged
 DIR/sweep.json        what sweeps have asked for
@@ -18,12 +19,13 @@ import json
 import os
 import shutil
 import socket
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from experiments.study.grid import RESULT_SCHEMA, Cell, cell_name
+from experiments.study.packed import MANIFEST, read_packed
 from experiments.support.errors import UserError
 from experiments.support.files import alone, publish, sha256_bytes, sha256_file, write_file, write_json
 
@@ -32,6 +34,7 @@ if TYPE_CHECKING:
 
 CELL, EPISODES, GATES = "cell.json", "episodes.parquet", "gates.parquet"
 TRAINING, MARKS, WEIGHTS = "training.parquet", "marks.parquet", "weights.npz"
+TABLES = (EPISODES, GATES, TRAINING, MARKS)
 FAILED = "failed.json"
 PUBLISHED = "PUBLISHED.md"
 SWEEPS = "sweep.json"
@@ -88,25 +91,10 @@ class Store:
             DamagedCell: a file is missing, unreadable or changed.
         """
         path = self.cells / cell.name
-        if not path.is_dir():
-            return False
-        read_cell(path)
-        return True
-
-    def read(self, name: str) -> dict[str, Any]:
-        """cell.json of a finished cell, checked. Raises DamagedCell."""
-        return read_cell(self.cells / name)
-
-    def weights(self, name: str) -> Path | None:
-        """The file of an agent's weights; None if they are not here."""
-        path = self.cells / name / WEIGHTS
-        return path if path.exists() else None
-
-    def records(self) -> Iterator[dict[str, Any]]:
-        """cell.json of all finished cells that can be read."""
-        for path in cell_directories(self.directory):
-            with suppress(DamagedCell):
-                yield _read_sealed(path / CELL)
+        if path.is_dir():
+            read_cell(path)
+            return True
+        return cell.name in read_packed(self.directory).records
 
     def write(self, cell: Cell, record: Mapping[str, Any], files: Mapping[str, Any]) -> None:
         """Store a finished cell in one step.
@@ -154,10 +142,11 @@ class Store:
         settings = tuple({f"{cell.setting}-" for cell in cells})
         with alone(self.directory):
             sweeps = []
+            there = set(finished(self.directory))
             for sweep in read_sweeps(self.directory):
                 kept = [
                     name for name in sweep["cells"]
-                    if name not in wanted and (not name.startswith(settings) or (self.cells / name).is_dir())
+                    if name not in wanted and (name in there or not name.startswith(settings))
                 ]  # fmt: skip
                 sweeps += [{**sweep, "cells": kept}] if kept else []
             sweeps.append({"command": command, "cells": list(wanted)})
@@ -219,18 +208,24 @@ def read_cell(path: Path) -> dict[str, Any]:
     return record
 
 
-def cell_directories(directory: Path) -> Iterator[Path]:
-    """The directories of the finished cells, in order of their names.
-
-    Raises:
-        UserError: not a result directory.
-    """
+def cell_directories(directory: Path) -> list[Path]:
+    """The directories of the finished cells that have one, in order of their names."""
     cells = directory / "cells"
-    if not cells.is_dir():
+    return sorted(path for path in cells.iterdir() if path.is_dir()) if cells.is_dir() else []
+
+
+def finished(directory: Path) -> list[str]:
+    """Names of all finished cells, packed or not, in alphabetical order; none if there are no results."""
+    return sorted({*(path.name for path in cell_directories(directory)), *read_packed(directory).records})
+
+
+def check_results(directory: Path) -> None:
+    """Raise UserError if a directory is not one of results."""
+    if not (directory / "cells").is_dir() and not (directory / MANIFEST).exists():
         raise UserError(
-            f"{directory} holds no results (no directory {cells}): name the --out directory of a sweep"
+            f"{directory} holds no results (neither {directory / 'cells'} nor {MANIFEST}): "
+            "name the --out directory of a sweep"
         )
-    return (path for path in sorted(cells.iterdir()) if path.is_dir())
 
 
 def read_sweeps(directory: Path) -> list[dict[str, Any]]:
@@ -250,21 +245,37 @@ def read_sweeps(directory: Path) -> list[dict[str, Any]]:
         raise UserError(f"{path} is damaged ({error}): delete this file and run the sweep again") from None
 
 
+def read_stored(directory: Path, name: str) -> dict[str, Any]:
+    """cell.json of a finished cell, packed or not, checked. Raises DamagedCell, or KeyError if there is none."""
+    path = directory / "cells" / name
+    return read_cell(path) if path.is_dir() else read_packed(directory).records[name]
+
+
+def tables_of(directory: Path, name: str) -> dict[str, pd.DataFrame]:
+    """The tables of a finished cell that are here, by the names of their files. Raises DamagedCell."""
+    path = directory / "cells" / name
+    if not path.is_dir():
+        return read_packed(directory).tables(name)
+    files = read_cell(path)["files"]
+    return {file: read_table(path / file) for file in TABLES if file in files and (path / file).exists()}
+
+
+def weights_file(directory: Path, name: str) -> Path | None:
+    """The file of an agent's weights, packed or not; None if they are not here."""
+    own, packed = directory / "cells" / name / WEIGHTS, read_packed(directory).weights(name)
+    return own if own.exists() else packed if packed.exists() else None
+
+
 def read_failures(directory: Path) -> dict[str, str]:
     """Name and reason of the cells that were given up and are not finished since."""
     failures = {}
+    there = set(finished(directory))
     for path in sorted(directory.glob(f"work/*/{FAILED}")):
         name = path.parent.name
-        if not (directory / "cells" / name).exists():
+        if name not in there:
             with suppress(ValueError):  # a note that was cut off: the cell counts as missing
                 failures[name] = str(_parse(path).get("reason"))
     return failures
-
-
-def read_episodes(path: Path) -> pd.DataFrame:
-    """The test episodes of one stored cell directory, checked. Raises DamagedCell."""
-    read_cell(path)
-    return read_table(path / EPISODES)
 
 
 def read_table(file: Path) -> pd.DataFrame:

@@ -28,6 +28,10 @@ def cells(tmp_path_factory):
     return [home / "cells" / cell.name for cell in chosen]
 
 
+def episodes(cell):
+    return store.tables_of(cell.parents[1], cell.name)[store.EPISODES]
+
+
 @pytest.mark.parametrize("case", ["", ":regular:2", ":risky:1"])
 def test_an_episode_is_reproduced(cells, case, tmp_path, capsys):
     for number, cell in enumerate(cells):
@@ -54,7 +58,7 @@ def test_an_episode_that_comes_out_differently_is_told(cells, tmp_path, capsys):
 def test_an_animation_has_a_frame_a_step(cells, tmp_path):
     path = tmp_path / "episode.gif"
     replay(Options(f"{cells[0]}:risky:0", out=path, gif=True), make_env)
-    length = store.read_episodes(cells[0]).query("traffic == 'risky' and scenario == 0")["length"].item()
+    length = episodes(cells[0]).query("traffic == 'risky' and scenario == 0")["length"].item()
     assert Image.open(path).n_frames in (length, length + 1)  # equal neighbours are merged
 
 
@@ -68,7 +72,7 @@ def test_an_episode_is_exported_for_sumo(cells, tmp_path, capsys):
         return env
 
     assert replay(Options(f"{cells[1]}:regular:1", out=tmp_path / "episode", sumo=True), exporting) == 0
-    row = store.read_episodes(cells[1]).query("traffic == 'regular' and scenario == 1").iloc[0]
+    row = episodes(cells[1]).query("traffic == 'regular' and scenario == 1").iloc[0]
     assert steps == [(tmp_path / "episode", row["length"])]
     assert "episode.sumocfg" in capsys.readouterr().out
 

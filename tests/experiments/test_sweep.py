@@ -85,7 +85,7 @@ def test_further_arms_are_trained_and_agents_tested_elsewhere(reference, tmp_pat
     assert set(results.expected) == set(results.cells)
     assert set(load(reference).cells) < set(results.cells)
     tests = [record["key"] for record in results.cells.values() if record["key"]["kind"] == "test"]
-    assert len(tests) == 7 + 5
+    assert len(tests) == len(DOSES) + 5
     doses = next(key for key in tests if key["arm"] == "dose50" and key["test_on"]["backend"] == "sumo")
     assert doses["test_on"]["traffics"] == ["dose25", "dose50", "dose75"]
     assert {3} == set(results.episodes.groupby(["cell", "traffic"]).size())

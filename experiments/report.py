@@ -86,6 +86,13 @@ def write_report(directory: Path, *others: Path) -> Path:
     return _write(Path(directory), others)[0]
 
 
+def print_report(directory: Path, *others: Path) -> None:
+    """Write the report, and print the answer and where it is. Raises UserError as `write_report` does."""
+    path, analysis = _write(directory, others)
+    show(analysis)
+    print(f"report: {path}", flush=True)
+
+
 def _write(directory: Path, others: Sequence[Path]) -> tuple[Path, dict[str, Any]]:
     results = load(directory, skip_damaged=True)
     analysis = analyse(results)
@@ -240,9 +247,7 @@ def main() -> int:
     if options.placebo:
         report_placebo(options.directory)
         return 0
-    path, analysis = _write(options.directory, options.others)
-    show(analysis)
-    print(f"report: {path}")
+    print_report(options.directory, *options.others)
     return 0
 
 

@@ -332,9 +332,10 @@ def _conclude(
 ) -> int:
     """Write the report and say how it went."""
     if len(failures) < len(tasks):
-        from experiments.report import write_report
+        from experiments.report import print_report
 
-        print(f"report: {write_report(directory)}", flush=True)
+        print("writing the report", flush=True)
+        print_report(directory)
         if placebo:
             from experiments.report import report_placebo
 

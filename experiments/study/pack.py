@@ -56,7 +56,9 @@ def pack(directory: Path) -> tuple[list[str], dict[str, int]]:
             before = packed.table(file)
             parts += [] if before is None else [before]
             if parts:
-                rows = pd.concat(parts, ignore_index=True).sort_values("cell", kind="stable", ignore_index=True)
+                rows = pd.concat(parts, ignore_index=True).sort_values(
+                    "cell", kind="stable", ignore_index=True
+                )
                 written[file] = rows[["cell", *rows.columns.drop("cell")]]
         contents = {file: _parquet(table) for file, table in written.items()}
         _check(contents, everything, own, packed)
@@ -82,7 +84,9 @@ def _missing(directory: Path, there: Mapping[str, Mapping[str, Any]]) -> dict[st
 def _tables(folder: Path, record: Mapping[str, Any]) -> dict[str, pd.DataFrame]:
     """The tables of a cell in a folder of its own, by file."""
     return {
-        file: read_table(folder / file) for file in TABLES if file in record["files"] and (folder / file).exists()
+        file: read_table(folder / file)
+        for file in TABLES
+        if file in record["files"] and (folder / file).exists()
     }
 
 
@@ -128,8 +132,12 @@ def _check(
         if by_cell.keys() != expected.keys():
             raise UserError(f"the packed {file} has rows of other cells: nothing was packed")
         for name, rows in expected.items():
-            same = by_cell[name][list(rows.columns)].reset_index(drop=True).equals(rows.reset_index(drop=True))
-            if not same or by_cell[name][by_cell[name].columns.difference(rows.columns)].notna().any(axis=None):
+            same = (
+                by_cell[name][list(rows.columns)].reset_index(drop=True).equals(rows.reset_index(drop=True))
+            )
+            if not same or by_cell[name][by_cell[name].columns.difference(rows.columns)].notna().any(
+                axis=None
+            ):
                 raise UserError(f"{file} of {name} does not read back as it was: nothing was packed")
 
 
@@ -140,4 +148,6 @@ def _write(directory: Path, contents: Mapping[str, bytes], packed: Packed) -> No
     write_json(directory / MANIFEST, {"layout": LAYOUT, "files": either})
     for file in sorted(contents, key=lambda file: file == CELLS):
         write_file(directory / file, contents[file])
-    write_json(directory / MANIFEST, {"layout": LAYOUT, "files": {file: [digest] for file, digest in new.items()}})
+    write_json(
+        directory / MANIFEST, {"layout": LAYOUT, "files": {file: [digest] for file, digest in new.items()}}
+    )

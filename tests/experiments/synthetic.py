@@ -114,7 +114,10 @@ def episodes(
                 known = np.broadcast_to(np.asarray(table[column], dtype=object), n)
                 table[column] = np.where(crashed, known, None)
         tables.append(pd.DataFrame(table))
-    result = pd.concat(tables)[list(COLUMNS)].astype(COLUMNS)
+    columns = {
+        name: kind for name, kind in COLUMNS.items() if name != "actions"
+    }  # as cells of earlier versions
+    result = pd.concat(tables)[list(columns)].astype(columns)
     if fault == "tied":  # what it does is never constant, but pays exactly what a constant policy is paid
         slower = replace(cell, kind="baseline", arm=None, seed=None, policy="slower")
         theirs = episodes(slower, effect, spread, None, purpose)

@@ -11,6 +11,7 @@ from experiments.replay import Options, parse_case, replay
 from experiments.study import store
 from experiments.study.attempt import Ended, attempt
 from experiments.study.cell import CellTask
+from experiments.study.rerun import stored_policy
 from experiments.support.errors import UserError
 from experiments.sweep import Options as SweepOptions
 from experiments.sweep import cells_of
@@ -93,13 +94,16 @@ def test_a_case_that_does_not_exist_is_named(cells, text, message, tmp_path):
     assert "\n" not in str(error.value)
 
 
-def test_weights_that_are_left_out_are_told(cells, tmp_path):
+def test_an_episode_replays_without_weights_and_weights_that_are_needed_are_told(cells, tmp_path):
     home = tmp_path / "results"
     shutil.copytree(cells[0].parents[1], home)
     (home / store.PUBLISHED).write_text("left out on purpose")
     (home / "cells" / cells[0].name / store.WEIGHTS).unlink()
+    case = home / "cells" / cells[0].name
+    assert replay(Options(str(case), out=tmp_path / "x.png"), make_env) == 0  # from its actions
+    record = store.read_cell(case)
     with pytest.raises(UserError, match=r"weights of .* are not here: train it again"):
-        replay(Options(str(home / "cells" / cells[0].name), out=tmp_path / "x.png"), make_env)
+        stored_policy(case, record, make_env("sumo", "highway"))
 
 
 def test_a_case_is_split_from_the_right(cells):

@@ -1,0 +1,217 @@
+"""Packed cells: equal to what they were, read in their place, packed again with later ones, and named when damaged."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from dataclasses import fields
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from experiments.replay import Options as ReplayOptions
+from experiments.replay import replay
+from experiments.study import pack as packing
+from experiments.study import store
+from experiments.study.attempt import Ended, attempt
+from experiments.study.cell import CellTask
+from experiments.study.pack import pack
+from experiments.study.packed import CELLS, MANIFEST
+from experiments.study.results import Results, load
+from experiments.support.errors import UserError
+from experiments.sweep import Options, cells_of, sweep
+from tests.experiments.fake_env import make_env
+
+TINY = {
+    "preset": "smoke",
+    "tasks": ("u-turn",),
+    "updates": 100,
+    "episodes": 2,
+    "network": "dueling",
+    "workers": 1,
+}
+
+
+def compute(directory: Path, **options: object) -> None:
+    """Compute the cells of a sweep in this process."""
+    cells = cells_of(Options(out=directory, **{**TINY, **options}))
+    store.Store(directory).write_sweep("sweep", cells)
+    for cell in cells:
+        assert attempt(CellTask(cell, directory, make_env)) == Ended("done")
+
+
+@pytest.fixture(scope="module")
+def computed(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    directory = tmp_path_factory.mktemp("computed") / "results"
+    compute(directory, early_tests=True)
+    return directory
+
+
+@pytest.fixture
+def results(computed: Path, tmp_path: Path) -> Path:
+    shutil.copytree(computed, tmp_path / "results")
+    return tmp_path / "results"
+
+
+def assert_same(one: Results, other: Results) -> None:
+    for field in fields(Results):
+        a, b = getattr(one, field.name), getattr(other, field.name)
+        if isinstance(a, pd.DataFrame):
+            pd.testing.assert_frame_equal(a, b, check_exact=True)
+        elif field.name != "directory":
+            assert a == b, field.name
+
+
+def test_packed_cells_are_read_as_they_were_and_nothing_is_deleted(results: Path) -> None:
+    before, files = load(results), {path for path in results.rglob("*") if path.is_file()}
+    names, unfinished = pack(results)
+    assert (names, unfinished) == (sorted(before.cells), {})
+    assert files < {path for path in results.rglob("*") if path.is_file()}
+    assert_same(load(results), before)
+    shutil.rmtree(results / "cells")
+    assert_same(load(results), before)
+    agents = [name for name, cell in before.cells.items() if cell["key"]["kind"] == "agent"]
+    assert all(before.weights(name) is not None for name in agents)
+    assert pack(results) == ([], {})
+
+
+def test_a_sweep_goes_on_from_packed_cells(results: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Another seed is computed, tested elsewhere with weights that are packed, and packed with the others."""
+    pack(results)
+    shutil.rmtree(results / "cells")
+    before = set(load(results).cells)
+    options = Options(out=results, **{**TINY, "dry_run": True, "seeds": 2})
+    assert sweep(options, make_env=make_env) == 0
+    assert f"measured on {len(before)} stored cells" in capsys.readouterr().out
+    compute(results, seeds=2, test_on=("replica",))
+    found = load(results)
+    new = set(found.cells) - before
+    assert sorted(cell["key"]["kind"] for name, cell in found.cells.items() if name in new) == [
+        "agent", "agent", "test", "test", "test", "test",
+    ]  # fmt: skip
+    assert len(list((results / "cells").iterdir())) == len(new)
+    assert set(pack(results)[0]) == new
+    shutil.rmtree(results / "cells")
+    assert_same(load(results), found)
+
+
+def test_a_setting_that_is_not_finished_is_not_packed(results: Path) -> None:
+    lost = next(results.glob("cells/*-careful-*"))
+    shutil.rmtree(lost)
+    assert pack(results) == ([], {"sumo-u-turn-3": 1})
+    assert not (results / MANIFEST).exists()
+
+
+@pytest.mark.parametrize("file", [CELLS, store.EPISODES, store.GATES])
+def test_a_damaged_table_is_named(results: Path, file: str) -> None:
+    pack(results)
+    shutil.rmtree(results / "cells")
+    content = bytearray((results / file).read_bytes())
+    content[len(content) // 2] ^= 1
+    (results / file).write_bytes(content)
+    with pytest.raises(UserError, match=f"{file} is damaged .its checksum does not match.: restore it"):
+        load(results, skip_damaged=True)
+
+
+@pytest.mark.parametrize(
+    ("manifest", "message"),
+    [
+        ('{"layout": 99, "files": {}}', "is of layout 99, and this version reads layout 1"),
+        ('{"layout": 1}', "is damaged"),
+        ("[", "is damaged"),
+    ],
+)
+def test_an_unknown_or_damaged_manifest_is_named(results: Path, manifest: str, message: str) -> None:
+    pack(results)
+    (results / MANIFEST).write_text(manifest)
+    with pytest.raises(UserError, match=message):
+        load(results)
+
+
+@pytest.mark.parametrize("writes", [0, 1, 2, 3])
+def test_what_was_packed_before_survives_a_kill_while_packing(
+    results: Path, writes: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pack(results)
+    shutil.rmtree(results / "cells")
+    compute(results, seeds=2)
+    before = load(results)
+    write_file, done = packing.write_file, []
+
+    def killed(path: Path, data: bytes) -> None:
+        if len(done) == writes:
+            raise KeyboardInterrupt
+        done.append(path)
+        write_file(path, data)
+
+    monkeypatch.setattr(packing, "write_file", killed)
+    with pytest.raises(KeyboardInterrupt):
+        pack(results)
+    assert_same(load(results), before)
+    monkeypatch.undo()
+    assert len(pack(results)[0]) == 2
+    shutil.rmtree(results / "cells")
+    assert_same(load(results), before)
+
+
+def test_what_does_not_read_back_equal_is_not_believed(
+    results: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    to_parquet = packing._parquet
+    monkeypatch.setattr(
+        packing, "_parquet", lambda table: to_parquet(table.assign(length=1) if "length" in table else table)
+    )
+    with pytest.raises(UserError, match="does not read back as it was: nothing was packed"):
+        pack(results)
+    assert not (results / MANIFEST).exists()
+
+
+def test_a_packed_episode_replays_from_its_actions_without_weights(
+    results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pack(results)
+    for folder in ("cells", "weights"):
+        shutil.rmtree(results / folder)
+    for name in load(results).cells:
+        case = f"{results}/cells/{name}:risky:1"
+        assert replay(ReplayOptions(case, out=tmp_path / "picture.png"), make_env) == 0
+        assert "reproduced" in capsys.readouterr().out
+    episodes = load(results).episodes
+    assert (episodes["actions"].str.len() == episodes["length"]).all()
+
+
+def test_cells_of_earlier_versions_have_no_actions_and_pack_with_others(results: Path) -> None:
+    """Their tables lack the column; beside others it is missing there."""
+    old = next(results.glob("cells/*-idle-*"))
+    table = pd.read_parquet(old / store.EPISODES).drop(columns="actions")
+    table.to_parquet(old / store.EPISODES, index=False, **store.COMPACT)
+    record = json.loads((old / store.CELL).read_text())
+    record["files"][store.EPISODES] = store.sha256_file(old / store.EPISODES)
+    del record["checksum"]
+    (old / store.CELL).write_bytes(store.seal(record))
+    before = load(results)
+    assert before.episodes["actions"].isna().sum() == 4
+    pack(results)
+    shutil.rmtree(results / "cells")
+    assert_same(load(results), before)
+
+
+def test_the_report_of_packed_cells_is_the_same(tmp_path: Path) -> None:
+    from experiments.report import write_report
+    from tests.experiments.synthetic import write
+
+    write(tmp_path / "results", {"u-turn": (1,)})
+    written = []
+    for _ in range(2):
+        write_report(tmp_path / "results")
+        written.append(
+            {
+                path.name: path.read_bytes()
+                for path in (tmp_path / "results").glob("*.*")
+                if "parquet" not in path.name and path.name != MANIFEST
+            }
+        )
+        pack(tmp_path / "results")
+        shutil.rmtree(tmp_path / "results" / "cells", ignore_errors=True)
+    assert written[0] == written[1]

@@ -167,7 +167,9 @@ def _test(cell: Cell, env: gym.Env[Any, Any], policy: Policy, meter: Meter) -> d
     if cell.test_on is not None:
         traffics, episodes = cell.test_on["traffics"], int(cell.test_on["episodes"])
         return {
-            EPISODES: evaluate(env, policy, cell.task, cell.level, episodes, meter.add, traffics=traffics, first=first)
+            EPISODES: evaluate(
+                env, policy, cell.task, cell.level, episodes, meter.add, traffics=traffics, first=first
+            )
         }
     test = evaluate(env, policy, cell.task, cell.level, cell.episodes, meter.add, first=first)
     gates = evaluate(
@@ -191,7 +193,9 @@ def _early_tests(
             for checkpoint in scratch.glob("checkpoint*"):
                 checkpoint.unlink()
             raise RuntimeError(f"{file.name} is lost ({error}): the training begins again") from None
-        table = evaluate(seen, policy, cell.task, cell.level, cell.episodes, meter.add, first=cell.first_scenario)
+        table = evaluate(
+            seen, policy, cell.task, cell.level, cell.episodes, meter.add, first=cell.first_scenario
+        )
         table.insert(0, "mark", number)
         tables.append(table)
     return {MARKS: pd.concat(tables)[list(MARK_COLUMNS)]} if tables else {}

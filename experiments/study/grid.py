@@ -301,8 +301,9 @@ class Ask:
 
     backend: of BACKENDS. levels: level numbers of each task, see `choose_levels`. seeds: training seeds per arm, from
         first_seed on.
-    episodes: test episodes in each traffic, of the scenarios from number first_scenario on. profiles: hyper-parameters and budget of each task. preset: label that the
-        cells carry. gate_episodes: episodes for the gates in each traffic; as many as test episodes if left out.
+    episodes: test episodes in each traffic, of the scenarios from number first_scenario on.
+    profiles: hyper-parameters and budget of each task. preset: label that the cells carry.
+    gate_episodes: episodes for the gates in each traffic; as many as test episodes if left out.
     network: FILE:CLASS of a network of the user's own. policies: policies of the user's own to test:
         label -> (FILE:MAKE or zip file, fingerprint of the file).
     arms: of DOSES. test_on: other simulators on which the trained agents are tested too.

@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tests.agents.curves import Config
 
 from agents.dqn import DQNConfig
 from agents.training import train

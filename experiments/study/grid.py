@@ -395,7 +395,10 @@ def build(ask: Ask) -> list[Cell]:
         )  # fmt: skip
         agents = [
             replace(
-                learner, arm=arm, seed=seed, trained_with=different,
+                learner,
+                arm=arm,
+                seed=seed,
+                trained_with=different,
                 profile={**learner.profile, **ARM_PROFILES.get(arm, {})},
             )
             for seed in range(ask.first_seed, ask.first_seed + ask.seeds)

@@ -26,11 +26,11 @@ from rich.table import Table
 from experiments.measuring import (
     Driver,
     Learners,
-    Remote,
     Slice,
     first_step_seconds,
     median_rate,
     median_ratio,
+    remote,
     training_step_ms,
 )
 from experiments.study.grid import BACKENDS, choose_tasks, env_config, level_names
@@ -80,24 +80,24 @@ def _measure_level(task: str, level: int, backends: Sequence[str], effort: Effor
     name = level_names(task)[level - 1]
     config = TASKS[task].levels[name]
     with ExitStack() as stack:
-        theirs = stack.enter_context(Remote(Driver, REFERENCE, task, {**config, **REFERENCE_CONFIG}))
+        theirs = stack.enter_context(remote(Driver, REFERENCE, task, {**config, **REFERENCE_CONFIG}))
         drivers = {}
         for backend in backends:
             for hertz in sorted({15, int(env_config(backend, task, level)["simulation_frequency"])}):
                 own = {**config, "simulation_frequency": hertz}
-                drivers[backend, hertz] = stack.enter_context(Remote(Driver, backend, task, own))
+                drivers[backend, hertz] = stack.enter_context(remote(Driver, backend, task, own))
         slow: list[Slice] = []
         fast: dict[tuple[str, int], list[Slice]] = {key: [] for key in drivers}
         bare: dict[tuple[str, int], list[Slice]] = {key: [] for key in drivers if key[0] == "sumo"}
-        lengths = {key: drivers[key].call("episode_steps") for key in bare}
+        lengths = {key: drivers[key].episode_steps() for key in bare}
         for _ in range(effort.turns):
-            slow.append(theirs.call("drive", 0.0, effort.reference_steps, False))
+            slow.append(theirs.drive(0.0, effort.reference_steps, False))
             for key, driver in drivers.items():
-                fast[key].append(driver.call("drive", effort.seconds))
+                fast[key].append(driver.drive(effort.seconds))
                 if key in bare:
-                    bare[key].append(driver.call("bare_engine", effort.seconds / 2, lengths[key]))
+                    bare[key].append(driver.bare_engine(effort.seconds / 2, lengths[key]))
         for (backend, hertz), slices in fast.items():
-            reset = drivers[backend, hertz].call("reset_ms")
+            reset = drivers[backend, hertz].reset_ms()
             share = median_ratio(slices, bare[backend, hertz]) if (backend, hertz) in bare else None
             yield {
                 "measured": "steps per second",
@@ -126,11 +126,11 @@ def measure_start(task: str, backends: Sequence[str], effort: Effort) -> Iterato
 def measure_learner(task: str, backends: Sequence[str], effort: Effort) -> Iterator[Record]:
     """Updates per second of ours and of Stable-Baselines3 on the same networks."""
     for network in ("attention", "dueling"):
-        with Remote(Learners, network) as learners:
+        with remote(Learners, network) as learners:
             slices: dict[str, list[Slice]] = {"own": [], "other": []}
             for turn in range(effort.turns + 1):
                 for side, found in slices.items():
-                    part = learners.call(side, effort.updates if turn else 10)
+                    part = getattr(learners, side)(effort.updates if turn else 10)
                     found += [part] if turn else []  # the first turn warms up
         yield {
             "measured": "updates per second",
@@ -154,8 +154,8 @@ def measure_memory(task: str, backends: Sequence[str], effort: Effort) -> Iterat
     """Resident memory over the episodes, and its growth once it has settled."""
     part = effort.episodes // 10
     for backend in backends:
-        with Remote(Driver, backend, task, {}) as driver:
-            resident = [driver.call("memory", part) for _ in range(10)]
+        with remote(Driver, backend, task, {}) as driver:
+            resident = [driver.memory(part) for _ in range(10)]
         growth = 1e3 * (resident[-1] - resident[1]) / (8 * part)
         yield {
             "measured": "memory [MiB]",

@@ -10,9 +10,10 @@ import statistics
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
+from multiprocessing.managers import BaseManager
 from pathlib import Path
 from typing import Any
 
@@ -49,39 +50,26 @@ def median_ratio(ours: Sequence[Slice], theirs: Sequence[Slice]) -> float:
     return statistics.median(a.per_second / b.per_second for a, b in zip(ours, theirs, strict=True))
 
 
-class Remote:
-    """An object in a spawned process: ``remote.call("method", ...)`` returns what the method returns.
-
-    Args:
-        factory: makes the object, in the process; an importable class.
-        arguments: its arguments.
-    """
-
-    def __init__(self, factory: Callable[..., Any], *arguments: Any) -> None:
-        context = multiprocessing.get_context("spawn")
-        self._pool = ProcessPoolExecutor(1, context, initializer=_make, initargs=(factory, arguments))
-
-    def call(self, method: str, *arguments: Any) -> Any:
-        """Call a method of the object and wait for its result; what it raises is raised here."""
-        return self._pool.submit(_call, method, arguments).result()
-
-    def __enter__(self) -> Remote:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._pool.shutdown()
+def _make(factory: Callable[..., Any], *arguments: Any) -> Any:
+    return factory(*arguments)
 
 
-_objects: list[Any] = []  # the one object of a `Remote`'s process
+class Server(BaseManager):
+    """A process that holds an object."""
 
 
-def _make(factory: Callable[..., Any], arguments: tuple[Any, ...]) -> None:
-    end_with_parent()
-    _objects.append(factory(*arguments))
+Server.register("make", _make)
 
 
-def _call(method: str, arguments: tuple[Any, ...]) -> Any:
-    return getattr(_objects[0], method)(*arguments)
+@contextmanager
+def remote(factory: Callable[..., Any], *arguments: Any) -> Iterator[Any]:
+    """An object in a spawned process, with its public methods; `factory` makes it there from the arguments."""
+    server: Any = Server(ctx=multiprocessing.get_context("spawn"))
+    server.start(initializer=end_with_parent)
+    try:
+        yield server.make(factory, *arguments)
+    finally:
+        server.shutdown()
 
 
 class Driver:

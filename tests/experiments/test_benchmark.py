@@ -10,7 +10,7 @@ from rich.console import Console
 
 from experiments import benchmark
 from experiments.benchmark import Effort, Options, run, show
-from experiments.measuring import Driver, Remote, Slice, median_rate, median_ratio, resident_mib
+from experiments.measuring import Driver, Slice, median_rate, median_ratio, remote, resident_mib
 
 LITTLE = Effort(
     turns=2, seconds=0.02, reference_steps=1, middle_levels=False, starts=1, updates=20, episodes=10
@@ -31,11 +31,11 @@ class Counter:
 
 
 def test_an_object_in_another_process_keeps_its_state_and_reports_errors() -> None:
-    with Remote(Counter, 5) as counter:
-        assert counter.call("add", 2) == 7
+    with remote(Counter, 5) as counter:
+        assert counter.add(2) == 7
         with pytest.raises(ValueError, match="nothing to add"):
-            counter.call("add", 0)
-        assert counter.call("add", 1) == 8
+            counter.add(0)
+        assert counter.add(1) == 8
 
 
 def test_ratios_are_taken_turn_by_turn() -> None:

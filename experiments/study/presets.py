@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
 from typing import Any
@@ -101,6 +102,8 @@ class Preset:
         from agents.dqn import DQNConfig  # here: not every command needs the learner
         from agents.models import network_class
 
+        if crash_reward is not None and not math.isfinite(crash_reward):
+            raise UserError(f"the reward of a crash has to be a finite number, not {crash_reward}")
         asked = {name: value for name, value in overrides.items() if value is not None}
         own = TASK_SETTINGS if self.profile == "tuned" else {}
         profiles = {}

@@ -38,6 +38,8 @@ ARGUMENTS = {
     "episodes": st.none() | NUMBERS,
     "updates": st.none() | NUMBERS,
     "gamma": st.none() | st.floats(),
+    "crash_reward": st.none() | st.floats(),
+    "unseen": st.booleans(),
     "network": st.none() | some(["attention", "dueling", "none.py:Net", ":", "a:b:c"]),
     "policy": st.lists(some(["none.py:make", "none.zip"]), max_size=1).map(tuple),
     "device": st.none() | some(["cpu"]),

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from sumo_env.actions import available_actions, ego_route, target_lane, target_speed_index
 from sumo_env.config import COMMON, Config, ConfigError, resolve, simulated_frequency
-from sumo_env.contacts.measures import NEAR_MISS_TTC, density
+from sumo_env.contacts.measures import density
+from sumo_env.information import information
 from sumo_env.interface import interface
 from sumo_env.observation import TimeToCollision
 from sumo_env.scene import Scene
@@ -176,9 +177,10 @@ class DrivingEnv(gym.Env[Observation, Any]):
 
         Returns:
             observation, reward, terminated (crash, arrival), truncated (time is up), info.
-            ``info`` holds speed [m/s], crashed, arrived, on_road, action, rewards (the raw terms), crash (a
-            `CrashRecord` as a dict, empty without a crash), density (vehicles within 200 m), min_ttc [s], near_miss,
-            distance [m] of this step.
+            ``info`` has the same keys after every step and reset: speed [m/s], crashed, arrived, on_road, action (-1 at a
+            reset), rewards (the raw terms), cost (1 at a crash), crash (a `CrashRecord` as a dict, with empty strings
+            and zeros without a crash), density (vehicles within 200 m), min_ttc [s] (0 at a contact, inf where nothing
+            is near), min_ttc_before_contact, near_miss, distance [m] of this step.
 
         Raises:
             SimulatorError: the simulator cannot continue this episode; `reset` starts another one.
@@ -340,22 +342,18 @@ class DrivingEnv(gym.Env[Observation, Any]):
     def _info(self, obs: Observation, action: int | None = None) -> dict[str, Any]:
         """What `step` and `reset` return beside the observation."""
         state, scene, step = self.ego_state, self.scene, self._last
-        info = {
-            "speed": state.speed,
-            "crashed": state.crashed,
-            "arrived": bool(self.task.arrived(state)),
-            "on_road": state.on_road,
-            "rewards": self._rewards(action),
-            # always a dict: vector environments cannot merge None with a dict
-            "crash": {} if step.crash is None else step.crash.as_dict(),
-            "density": density(scene.x, scene.y),
-            "min_ttc": float(step.min_ttc),
-            "near_miss": step.min_ttc < NEAR_MISS_TTC and not state.crashed,
-            "distance": float(step.distance),
-        }
-        if action is not None:  # absent at a reset, not None: vector environments merge values by type
-            info["action"] = action
-        return info
+        return information(
+            speed=state.speed,
+            crashed=state.crashed,
+            arrived=self.task.arrived(state),
+            on_road=state.on_road,
+            rewards=self._rewards(action),
+            crash=step.crash,
+            density=density(scene.x, scene.y),
+            min_ttc=step.min_ttc,
+            distance=step.distance,
+            action=action,
+        )
 
     # -- what highway-env's users read -----------------------------------------------------------------------
 

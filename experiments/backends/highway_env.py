@@ -41,6 +41,7 @@ from sumo_env.config import Config, ConfigError, nearest, resolve
 from sumo_env.contacts import measures
 from sumo_env.contacts.crash import CrashRecord, crash_record
 from sumo_env.contacts.rectangles import State, separation, state_of, states
+from sumo_env.information import information
 from sumo_env.interface import interface
 from sumo_env.networks.roads import LaneIndex
 from sumo_env.replica.linear import LAWS, LinearDriver, check_law, draw, linear_drivers
@@ -130,21 +131,18 @@ class ScenarioEnv(AbstractEnv):
     def _info(self, obs: np.ndarray, action: Any = None) -> dict[str, Any]:
         action = int(action) if self.steps else None  # at a reset highway-env passes a random one
         ego, scene = self.vehicle, self.scene
-        info: dict[str, Any] = {
-            "speed": float(ego.speed),
-            "crashed": bool(ego.crashed),
-            "arrived": self._arrived(),
-            "on_road": bool(ego.on_road),
-            "rewards": {name: float(value) for name, value in self._rewards(action).items()},
-            "crash": {} if self.crash is None else self.crash.as_dict(),
-            "density": measures.density(scene.x, scene.y),
-            "min_ttc": float(self.min_ttc),
-            "near_miss": bool(self.min_ttc < measures.NEAR_MISS_TTC and not ego.crashed),
-            "distance": float(self.distance),
-        }
-        if action is not None:
-            info["action"] = action
-        return info
+        return information(
+            speed=ego.speed,
+            crashed=ego.crashed,
+            arrived=self._arrived(),
+            on_road=ego.on_road,
+            rewards=self._rewards(action),
+            crash=self.crash,
+            density=measures.density(scene.x, scene.y),
+            min_ttc=self.min_ttc,
+            distance=self.distance,
+            action=action,
+        )
 
     def _arrived(self) -> bool:
         return False

@@ -100,7 +100,7 @@ def play(
         if on_step:
             on_step()
     speeds = np.array([step["speed"] for step in steps])
-    crash = info["crash"] or {}
+    crash = info["crash"] if info["crashed"] else {}
     return {
         "traffic": traffic,
         "scenario": scenario,
@@ -111,7 +111,7 @@ def play(
         "truncated": bool(truncated and not terminated),
         "mean_speed": float(speeds.mean()),
         "distance": math.fsum(step["distance"] for step in steps),
-        "min_ttc": min(float(step["min_ttc"]) for step in steps),
+        "min_ttc": min(float(step["min_ttc_before_contact"]) for step in steps),
         "near_misses": sum(bool(step["near_miss"]) for step in steps),
         "density": float(np.mean([step["density"] for step in steps])),
         "stopped": float((speeds < STOPPED).mean()),

@@ -160,9 +160,9 @@ def drive(
         observation, reward, terminated, truncated, info = env.step(policy.act(observation))
         rewards.append(float(reward))
         speeds.append(float(info["speed"]))
-        nearest = min(nearest, float(info["min_ttc"]))
+        nearest = min(nearest, float(info["min_ttc_before_contact"]))
         recorder.see(inner.scene)
-    crash = info["crash"] or {}
+    crash = info["crash"] if info["crashed"] else {}
     return {
         "task": task, "level": level, "traffic": traffic, "ego": ego, "scenario": scenario, "drawn": drawn,
         "return": math.fsum(rewards), "length": len(rewards), "crashed": bool(info["crashed"]),

@@ -88,7 +88,7 @@ class FakeEnv(gym.Env):
         ttc = (self.gap - 5) / closing if closing > 0 else float("inf")
         return {
             "speed": self.speed, "crashed": self.crashed, "arrived": False, "rewards": {}, "on_road": True,
-            "crash": crash, "density": 1, "min_ttc": max(ttc, 0.0),
+            "crash": crash, "density": 1, "min_ttc_before_contact": max(ttc, 0.0),
             "near_miss": ttc < 1.5 and not self.crashed, "distance": distance,
         }  # fmt: skip
 

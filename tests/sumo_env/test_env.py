@@ -361,12 +361,34 @@ def test_any_simulator_may_drive() -> None:
 
 
 def test_info_holds_plain_values(highway: gym.Env[Any, Any]) -> None:
-    """Values of one type for each key, so that vector environments can merge them."""
-    _, at_reset = highway.reset(seed=0)
+    """The same keys and types always, at a crash too, so that libraries can merge and store them."""
+
+    def structure(info: dict[str, Any]) -> dict[str, Any]:
+        return {
+            key: structure(value) if isinstance(value, dict) else type(value) for key, value in info.items()
+        }
+
+    def numbers(info: dict[str, Any]) -> list[float]:
+        inner = [numbers(value) if isinstance(value, dict) else [value] for value in info.values()]
+        return [value for values in inner for value in values if not isinstance(value, str)]
+
+    infos = []
+    for seed in range(3):
+        infos.append(highway.reset(seed=seed)[1])
+        over = False
+        while not over:
+            *_, terminated, truncated, info = highway.step(3)
+            infos.append(info)
+            over = terminated or truncated
+    assert {repr(structure(info)) for info in infos} == {repr(structure(infos[0]))}
+    assert not np.isnan([numbers(info) for info in infos]).any()
+    assert {info["crashed"] for info in infos} == {True, False}
+    for info in infos:
+        assert info["cost"] == float(info["crashed"]) and (info["crash"]["other"] != "") == info["crashed"]
+        assert not info["crashed"] or info["min_ttc"] == 0.0
+    assert infos[0]["action"] == -1
+    highway.reset(seed=0)
     *_, info = highway.step(1)
-    assert set(info) - set(at_reset) == {"action"}
-    assert {key: type(info[key]) for key in at_reset} == {key: type(value) for key, value in at_reset.items()}
-    assert info["crash"] == {}
     assert info["distance"] == pytest.approx(info["speed"], rel=0.1)
 
 

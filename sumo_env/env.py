@@ -177,8 +177,8 @@ class DrivingEnv(gym.Env[Observation, Any]):
 
         Returns:
             observation, reward, terminated (crash, arrival), truncated (time is up), info.
-            ``info`` has the same keys after every step and reset: speed [m/s], crashed, arrived, on_road, action (-1 at a
-            reset), rewards (the raw terms), cost (1 at a crash), crash (a `CrashRecord` as a dict, with empty strings
+            ``info`` has the same keys after every step and reset: speed [m/s], crashed, arrived, on_road, action (-1 at
+            a reset), rewards (the raw terms), cost (1 at a crash), crash (a `CrashRecord` as a dict, with empty strings
             and zeros without a crash), density (vehicles within 200 m), min_ttc [s] (0 at a contact, inf where nothing
             is near), min_ttc_before_contact, near_miss, distance [m] of this step.
 

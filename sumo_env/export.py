@@ -31,7 +31,8 @@ REPLAYED = {"tau": "0.1", "minGap": "0", "decel": "200", "emergencyDecel": "200"
 COLOURS = {EGO: "0,114,178", "car": "233,237,241", "risky": "255,196,0"}
 NO_LANE_CHANGES = {"lcStrategic": "-1", "lcCooperative": "-1", "lcSpeedGain": "0", "lcKeepRight": "0"}
 NO_WAITING = {"jmIgnoreFoeProb": "1", "jmIgnoreFoeSpeed": "100"}
-VIEW = 200.0  # [m] that the window of sumo-gui shows around the ego at the beginning
+WINDOW = (1200, 800)  # [px] of sumo-gui
+AROUND = 50.0  # [m] that it shows around the way of the ego
 
 
 def write(folder: Path, scenario: Scenario, scenes: Sequence[Scene]) -> list[Path]:
@@ -60,11 +61,15 @@ def write(folder: Path, scenario: Scenario, scenes: Sequence[Scene]) -> list[Pat
     shown = [ElementTree.Element("vType", {"id": k, "color": v, **REPLAYED}) for k, v in COLOURS.items()]
     _write(types, _element("additional", *shown))
     _write(routes, _element("routes", *_departures(road, scenario, scenes, warm_up)))
-    _write(view, _view(road, scenes[0]))
+    _write(view, _view(road, scenes))
     inputs = {"net-file": net.name, "additional-files": types.name}
-    _write(episode, _configuration(inputs, recorded, view, step, length))
+    # sumo-gui stops after the first step, when the vehicles are there, and with the last scene, before SUMO's own end
+    last = (len(scenes) - 1) * step
+    _write(episode, _configuration(inputs, recorded, view, step, length, (step, last)))
     inputs["route-files"] = routes.name
-    _write(traffic, _configuration(inputs, ego, view, step, warm_up + length))
+    _write(
+        traffic, _configuration(inputs, ego, view, step, warm_up + length, (warm_up + step, warm_up + last))
+    )
     return files
 
 
@@ -72,7 +77,11 @@ def _floating_car_data(
     road: Network, specs: Mapping[str, VehicleSpec], scenes: Sequence[Scene], step: float, start: float
 ) -> ElementTree.Element:
     """Ways of these vehicles, as SUMO's device fcd-replay reads them; `start` is the time of the first scene [s]."""
-    ways = {name: _Way(road, spec) for name, spec in specs.items()}
+    by_edge: dict[str, list[SumoLane]] = {}
+    for lane in road.sumo_lanes.values():
+        by_edge.setdefault(lane.id.rpartition("_")[0], []).append(lane)
+    seen = {name for scene in scenes for name in scene.ids}
+    ways = {name: _Way(road, spec, by_edge) for name, spec in specs.items() if name in seen}
     shown = dict.fromkeys((name for scene in scenes for name in scene.in_event), "risky") | {EGO: EGO}
     root = ElementTree.Element("fcd-export")
     for number, scene in enumerate(scenes):
@@ -83,11 +92,11 @@ def _floating_car_data(
             heading = float(scene.heading[row])
             x = float(scene.x[row]) + VEHICLE_LENGTH / 2 * math.cos(heading)
             y = float(scene.y[row]) + VEHICLE_LENGTH / 2 * math.sin(heading)
-            lane, position = ways[name].locate(x, y)
+            lane_id, position = ways[name].locate(x, y)
             ElementTree.SubElement(
                 now, "vehicle", id=name, x=f"{x:.3f}", y=f"{-y:.3f}",
                 angle=f"{(math.degrees(heading) + 90.0) % 360.0:.3f}", type=shown.get(name, "car"),
-                speed=f"{float(scene.speed[row]):.3f}", pos=f"{position:.3f}", lane=lane, slope="0",
+                speed=f"{float(scene.speed[row]):.3f}", pos=f"{position:.3f}", lane=lane_id, slope="0",
             )  # fmt: skip
     return root
 
@@ -95,12 +104,8 @@ def _floating_car_data(
 class _Way:
     """A vehicle's route as SUMO's lanes, on which its places are looked up in driving order."""
 
-    def __init__(self, road: Network, spec: VehicleSpec) -> None:
-        edges = road.routes[_route(road, spec)]
-        self._lanes: list[list[SumoLane]] = [
-            [lane for lane in road.sumo_lanes.values() if lane.id.rpartition("_")[0] == edge]
-            for edge in edges
-        ]
+    def __init__(self, road: Network, spec: VehicleSpec, by_edge: Mapping[str, list[SumoLane]]) -> None:
+        self._lanes = [by_edge[edge] for edge in road.routes[_route(road, spec)]]
         self._edge = 0
 
     def locate(self, x: float, y: float) -> tuple[str, float]:
@@ -159,22 +164,32 @@ def _route(road: Network, spec: VehicleSpec) -> str:
     return road.sumo_route(spec.lane, spec.destination)
 
 
-def _view(road: Network, scene: Scene) -> ElementTree.Element:
-    """Settings of sumo-gui: the ego in the middle, 0.1 s between two steps."""
+def _view(road: Network, scenes: Sequence[Scene]) -> ElementTree.Element:
+    """Settings of sumo-gui: the whole way of the ego in the window, 0.1 s between two steps."""
     places = np.array([point for lane in road.sumo_lanes.values() for point in lane.shape])
+    way = np.array([(scene.x[0], scene.y[0]) for scene in scenes])
+    wide, high = np.ptp(way, axis=0) + 2 * AROUND
+    aspect = WINDOW[0] / WINDOW[1]
+    whole = np.ptp(places, axis=0)
+    # in per cent of what shows the whole network
+    zoom = 100.0 * max(whole[0], whole[1] * aspect) / max(wide, high * aspect)
+    x, y = (way.min(axis=0) + way.max(axis=0)) / 2
     view = ElementTree.Element("viewsettings")
     ElementTree.SubElement(view, "scheme", name="real world")
     ElementTree.SubElement(view, "delay", value="100")
-    zoom = 100.0 * float(np.ptp(places, axis=0).max()) / VIEW  # in per cent of the whole network
-    x, y = float(scene.x[0]), -float(scene.y[0])
-    ElementTree.SubElement(view, "viewport", zoom=f"{zoom:.0f}", x=f"{x:.2f}", y=f"{y:.2f}")
+    ElementTree.SubElement(view, "viewport", zoom=f"{zoom:.0f}", x=f"{x:.2f}", y=f"{-y:.2f}")
     return view
 
 
 def _configuration(
-    inputs: Mapping[str, str], replayed: Path, view: Path, step: float, end: float
+    inputs: Mapping[str, str],
+    replayed: Path,
+    view: Path,
+    step: float,
+    end: float,
+    stops: Sequence[float],
 ) -> ElementTree.Element:
-    """A .sumocfg; the files are named relative to it, so that the folder can be moved."""
+    """A .sumocfg with files relative to it, so that the folder can be moved; sumo-gui pauses at `stops` [s]."""
     options = {
         "input": inputs,
         "time": {"begin": "0", "end": f"{end:g}", "step-length": f"{step:g}"},
@@ -184,7 +199,10 @@ def _configuration(
         },
         "fcd_replay": {"device.fcd-replay.file": replayed.name},
         "report": {"no-step-log": "true", "no-warnings": "true", "duration-log.disable": "true"},
-        "gui_only": {"gui-settings-file": view.name, "start": "false"},
+        "gui_only": {
+            "gui-settings-file": view.name, "start": "true", "window-size": ",".join(map(str, WINDOW)),
+            "breakpoints": ",".join(f"{time:g}" for time in dict.fromkeys(stops) if time > 0),
+        },
     }  # fmt: skip
     root = ElementTree.Element("configuration")
     for section, values in options.items():

@@ -99,7 +99,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("traffic",),
     ("tasks",),
     ("actions", "simulator"),
-    ("observation", "interface", "rendering", "views", "export"),
+    ("observation", "interface", "information", "rendering", "views", "export"),
     ("sumo",),
     ("env",),
     ("vector", "doctor", "replica"),

@@ -81,6 +81,9 @@ class Road:
         lanes, ways = dict(self.lanes), dict(self.ways)
         return Road, (self.name, lanes, ways, self.arguments, self.oncoming, self.clears_exits)
 
+    def __deepcopy__(self, memo: dict[int, object]) -> Road:
+        return self  # immutable
+
     def with_ways(self, ways: Mapping[str, tuple[str, ...]]) -> Road:
         """The same road with other ways."""
         road = Road.__new__(Road)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from operator import index
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -147,7 +148,7 @@ class DrivingEnv(gym.Env[Observation, Any]):
         override = options.get("config")
         if override or self.config != self._configured:
             self.configure(override)
-        task = self.task.varied({part: options[part] for part in VARIED if part in options})
+        self._drawn_by = task = self.task.varied({part: options[part] for part in VARIED if part in options})
         try:
             scenario = options.get("scenario") or self._draw(task)
             ego = scenario.ego
@@ -234,7 +235,7 @@ class DrivingEnv(gym.Env[Observation, Any]):
             raise gym.error.ResetNeeded("call reset() before export()")
         try:
             simulator: Simulator = copy.deepcopy(self._given) or RemoteSimulator()
-        except TypeError:  # a simulator that is SUMO cannot be copied
+        except TypeError:  # it cannot be copied
             simulator = RemoteSimulator()
         try:
             scenes = [simulator.reset(self.scenario)]
@@ -278,6 +279,34 @@ class DrivingEnv(gym.Env[Observation, Any]):
 
             self._renderer = Renderer()
         return self._renderer
+
+    def imagine(self, seed: int) -> DrivingEnv:
+        """A copy of this environment in which the risk events that have not begun are drawn anew.
+
+        ``copy.deepcopy(env)`` is a copy that knows the future: it meets the same events as the environment itself. A
+        planner that must not know them acts in imagined copies instead. They still know what the traffic is going to
+        do without events: drivers' parameters and routes, and which vehicles arrive later.
+
+        Args:
+            seed: of the events; the same seed imagines the same.
+        """
+        if self.scenario is None:
+            raise gym.error.ResetNeeded("call reset() before imagine()")
+        twin = copy.deepcopy(self)
+        # no seed of a scenario is as large, so that nobody imagines the truth
+        drawn = self._drawn_by.events(
+            {**self.config, "risk": self.scenario.risk},
+            self.scenario.vehicles,
+            self.scenario.spawns,
+            2**31 + seed,
+        )
+        now = self.scene.time
+        events = [event for event in self.scenario.events if event.time <= now]
+        events += [event for event in drawn if event.time > now]
+        twin.scenario = replace(self.scenario, events=tuple(events))
+        assert twin._simulator is not None
+        twin._simulator.imagine(twin.scenario)
+        return twin
 
     def close(self) -> None:
         """Close the simulator; `reset` opens it again."""

@@ -37,6 +37,9 @@ class Scene:
     time: float
     in_event: frozenset[str] = frozenset()
 
+    def __deepcopy__(self, memo: dict[int, object]) -> Scene:
+        return self  # immutable
+
     @property
     def vx(self) -> Floats:
         """Velocity to the east [m/s], shape (n,)."""

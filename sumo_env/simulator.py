@@ -72,15 +72,22 @@ class Simulator(Protocol):
         """
         ...
 
+    def clone(self) -> Simulator:
+        """A simulator in the same state, which goes on by itself."""
+        ...
+
+    def imagine(self, scenario: Scenario) -> None:
+        """Go on with the risk events of this scenario that have not begun; it differs from the present one in these."""
+        ...
+
     def close(self) -> None:
         """Release what the simulator holds; `reset` acquires it again."""
         ...
 
 
-def refuse_to_copy() -> NoReturn:
-    """What simulators that are SUMO answer to pickle and copy."""
+def refuse_to_pickle() -> NoReturn:
+    """What simulators that are SUMO answer to pickle."""
     raise TypeError(
-        "SUMO's environments cannot be copied or pickled: the state of a simulation lives in a process. "
-        "Make another environment and reset both with one seed; planners that need copies run on the backend "
-        "'replica', highway-env's physics (README.md)"
+        "SUMO's environments cannot be pickled: the state of a simulation lives in a process. copy.deepcopy(env) makes "
+        "a copy in the same state"
     )

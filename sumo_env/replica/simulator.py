@@ -146,6 +146,15 @@ class Replica:
         self._ids = [*self._ids, spawn.vehicle.id]
         return self._scenario
 
+    def clone(self) -> Replica:
+        """See `Simulator.clone`."""
+        return copy.deepcopy(self)
+
+    def imagine(self, scenario: Scenario) -> None:
+        """See `Simulator.imagine`."""
+        self._scenario = scenario
+        self._events = events_of(scenario.events, {name: number for number, name in enumerate(self._ids)})
+
     def close(self) -> None:
         """Forget the episode."""
         self._scenario = None

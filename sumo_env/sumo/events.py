@@ -6,7 +6,7 @@ speeds, where braking keeps SUMO's car following and a surge switches it off. Af
 
 from __future__ import annotations
 
-from collections.abc import Container, Mapping
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass
 
 from sumo_env.networks.mapping import Network
@@ -54,7 +54,7 @@ class Events:
     """The risk events of one episode."""
 
     def __init__(self, scenario: Scenario, network: Network, calibration: Calibration) -> None:
-        self._coming = list(reversed(scenario.events))
+        self._coming, self._count = list(reversed(scenario.events)), len(scenario.events)
         self._network, self._calibration = network, calibration
         self._cut_ins: dict[str, float] = {}  # vehicle -> end of its forced lane change [s]
         self._pushes: dict[str, Push] = {}
@@ -88,6 +88,11 @@ class Events:
             self._end_cut_in(session, name, specs[name])
         for name, push in list(self._pushes.items()):
             self._push(session, name, push, time, dt, specs)
+
+    def imagine(self, events: Sequence[RiskEvent]) -> None:
+        """Go on with these events; those that have begun are the same."""
+        begun = self._count - len(self._coming)
+        self._coming, self._count = list(reversed(events[begun:])), len(events)
 
     @property
     def acting(self) -> frozenset[str]:

@@ -56,6 +56,24 @@ def check_options(options: Sequence[str]) -> tuple[str, ...]:
     return tuple(f"{name}={value}" for name, value in found.items())
 
 
+def check_copyable(options: Sequence[str]) -> None:
+    """See to it that a simulation with these options can be copied.
+
+    Raises:
+        TypeError: it writes files, which copies would write as well, or it runs in several threads.
+    """
+    for option in options:
+        name = option.partition("=")[0]
+        if name.endswith("threads"):
+            raise TypeError(
+                f"an environment with SUMO's option {name} cannot be copied: threads are not copied"
+            )
+        if "output" in name or "log" in name or name.startswith("--save-") or name == "--additional-files":
+            raise TypeError(
+                f"an environment with SUMO's option {name} cannot be copied: its copies would write to the same files"
+            )
+
+
 def make(name: str, options: tuple[str, ...]) -> Any:
     """A simulator of the class ``module:name``."""
     simulator = resolve_name(name)

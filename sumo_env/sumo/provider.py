@@ -9,11 +9,13 @@ from __future__ import annotations
 import os
 import threading
 import weakref
-from typing import NoReturn
+from typing import Any, NoReturn
+
+import numpy as np
 
 from sumo_env.scene import Scene
-from sumo_env.simulator import EgoCommand, Simulator, Step, refuse_to_copy
-from sumo_env.sumo.options import make
+from sumo_env.simulator import EgoCommand, Simulator, SimulatorError, Step, refuse_to_pickle
+from sumo_env.sumo.options import check_copyable, make
 from sumo_env.sumo.remote import SIMULATOR, RemoteSimulator
 from sumo_env.traffic.scenario import Scenario
 
@@ -35,20 +37,69 @@ class _Chosen:
     def __init__(self, simulator: str, options: tuple[str, ...]) -> None:
         self._name, self._options = simulator, options
         self._simulator: Simulator | None = None
+        self._calls: list[
+            tuple[str, tuple[Any, ...]]
+        ] = []  # of the episode, while it is driven in this process
+        self._scene: Scene | None = None
 
     def reset(self, scenario: Scenario) -> Scene:
+        self._calls = []
         if self._simulator is None:
             local = _slot.claim(self)
             if local:
                 self._simulator = make(self._name, self._options)
             else:
                 self._simulator = RemoteSimulator(self._name, options=self._options)
-        return self._simulator.reset(scenario)
+        self._scene = self._simulator.reset(scenario)
+        self._calls.append(("reset", (scenario,)))
+        return self._scene
 
     def step(self, command: EgoCommand, trace: bool = False) -> Step:
         if self._simulator is None:
             raise RuntimeError("call reset() before step()")
-        return self._simulator.step(command, trace)
+        step = self._simulator.step(command, trace)
+        self._calls.append(("step", (command,)))
+        self._scene = step.scene
+        return step
+
+    def imagine(self, scenario: Scenario) -> None:
+        if self._simulator is None:
+            raise RuntimeError("call reset() before imagine()")
+        self._simulator.imagine(scenario)
+        self._calls.append(("imagine", (scenario,)))
+
+    def clone(self) -> _Chosen:
+        """A copy in the same state. A simulation of this process is moved to a worker first, which can fork."""
+        check_copyable(self._options)
+        twin = _Chosen(self._name, self._options)
+        if self._simulator is not None and self._calls:
+            if not isinstance(self._simulator, RemoteSimulator):
+                self._move_out()
+            twin._simulator = self._simulator.clone()
+            twin._calls, twin._scene = self._calls.copy(), self._scene
+        return twin
+
+    def _move_out(self) -> None:
+        """Go on in a worker, where the episode is driven again up to here."""
+        worker = RemoteSimulator(self._name, options=self._options)
+        try:
+            last = worker.drive_again(self._calls)
+            scene = last.scene if isinstance(last, Step) else last
+            if scene is not None and not _equal(scene, self._scene):
+                raise SimulatorError(
+                    "this simulation cannot be copied: driven again from its scenario, the episode is another one. "
+                    "Was it changed through libsumo?"
+                )
+        except BaseException:
+            worker.close()
+            raise
+        assert self._simulator is not None
+        self._simulator.close()
+        _slot.release(self)
+        self._simulator = worker
+
+    def __deepcopy__(self, memo: dict[int, object]) -> _Chosen:
+        return self.clone()
 
     def close(self) -> None:
         if self._simulator is not None:
@@ -57,7 +108,17 @@ class _Chosen:
         _slot.release(self)
 
     def __reduce__(self) -> NoReturn:
-        refuse_to_copy()
+        refuse_to_pickle()
+
+
+def _equal(one: Scene, other: Scene | None) -> bool:
+    """Whether two scenes are the same to the last bit."""
+    arrays = ("x", "y", "speed", "heading", "crashed")
+    return (
+        other is not None
+        and one.ids == other.ids
+        and all(np.array_equal(getattr(one, name), getattr(other, name)) for name in arrays)
+    )
 
 
 class _Slot:

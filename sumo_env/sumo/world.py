@@ -17,7 +17,7 @@ import numpy as np
 from sumo_env.contacts.crash import CrashDetector, is_confirmed
 from sumo_env.contacts.measures import HORIZON, ego_ttc
 from sumo_env.scene import Scene
-from sumo_env.simulator import EgoCommand, SimulatorError, Step, refuse_to_copy
+from sumo_env.simulator import EgoCommand, SimulatorError, Step, refuse_to_pickle
 from sumo_env.sumo.ego import Ego, coast
 from sumo_env.sumo.events import Events, modes
 from sumo_env.sumo.options import check_options
@@ -81,13 +81,27 @@ class SumoSimulator:
                 "Call reset() to begin another episode."
             ) from error
 
+    def imagine(self, scenario: Scenario) -> None:
+        """Go on with the risk events of this scenario that have not begun."""
+        self._scenario = scenario
+        self._events.imagine(scenario.events)
+
+    def clone(self) -> NoReturn:
+        """SUMO cannot be copied within a process: see `open_simulator`."""
+        raise TypeError(
+            "a SumoSimulator by itself cannot be copied: leave `simulator` out, or use open_simulator()"
+        )
+
+    def __deepcopy__(self, memo: dict[int, object]) -> NoReturn:
+        self.clone()
+
     def close(self) -> None:
         """End the simulation."""
         self._loaded = None
         self._session.close()
 
     def __reduce__(self) -> NoReturn:
-        refuse_to_copy()
+        refuse_to_pickle()
 
     # -- start of an episode -------------------------------------------------------------------------------
 

@@ -25,7 +25,7 @@ from sumo_env.traffic.drivers import (
     RiskRanges,
     driver_pool,
 )
-from sumo_env.traffic.risk import RiskRates, draw_events
+from sumo_env.traffic.risk import RiskEvent, RiskRates, draw_events
 from sumo_env.traffic.scenario import EGO, Scenario, Spawn, VehicleSpec
 
 
@@ -72,6 +72,9 @@ class Task:
     risk_rates: ClassVar[RiskRates] = RiskRates()
     fixed_delta: ClassVar[bool] = False  # IDM exponent 4 for all (no randomize_behavior in highway-env)
     target_speeds: tuple[float, ...] = (20.0, 25.0, 30.0)  # MDPVehicle.DEFAULT_TARGET_SPEEDS [m/s]
+
+    def __deepcopy__(self, memo: dict[int, object]) -> Task:
+        return self  # immutable
 
     def road(self, config: Config) -> Road:
         """The road of this task in highway-env's geometry; that of the SUMO network `net`, if there is one."""
@@ -128,6 +131,14 @@ class Task:
         off_road = bool(config.get("offroad_terminal", False)) and not ego.on_road
         return ego.crashed or off_road or self.arrived(ego)
 
+    def events(
+        self, config: Config, vehicles: Iterable[VehicleSpec], spawns: Iterable[Spawn], seed: int
+    ) -> tuple[RiskEvent, ...]:
+        """What risky drivers among these vehicles do, by time."""
+        lifetimes = [(spec.id, 0.0) for spec in vehicles]
+        lifetimes += [(spawn.vehicle.id, spawn.step / config["policy_frequency"]) for spawn in spawns]
+        return draw_events(self.risk_rates, config["risk"], tuple(lifetimes), seed, config["duration"])
+
     def varied(self, changes: Mapping[str, Mapping[str, Any]]) -> Task:
         """This task with other values in its `risk_rates`, `risk_ranges` or `calibration`.
 
@@ -157,9 +168,6 @@ class Task:
         ego = self.ego(config, road, rng)
         vehicles = self.vehicles(config, road, ego, rng, drivers)
         spawns = self.spawns(config, road, seed, drivers)
-        lifetimes = [(spec.id, 0.0) for spec in vehicles]
-        lifetimes += [(spawn.vehicle.id, spawn.step / config["policy_frequency"]) for spawn in spawns]
-        events = draw_events(self.risk_rates, config["risk"], tuple(lifetimes), seed, config["duration"])
         return Scenario(
             task=self.name,
             seed=seed,
@@ -167,7 +175,7 @@ class Task:
             ego=ego,
             vehicles=tuple(vehicles),
             spawns=tuple(spawns),
-            events=events,
+            events=self.events(config, vehicles, spawns, seed),
             simulation_frequency=simulated_frequency(config),
             policy_frequency=int(config["policy_frequency"]),
             warm_up=self.warm_up,

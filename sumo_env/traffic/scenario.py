@@ -54,6 +54,9 @@ class VehicleSpec(NamedTuple):  # dozens are made in every episode, a dataclass 
     timer: float = 0.0
     concerns_ego: bool = True
 
+    def __deepcopy__(self, memo: dict[int, object]) -> VehicleSpec:
+        return self  # immutable
+
 
 @dataclass(frozen=True, slots=True)
 class Spawn:
@@ -102,6 +105,9 @@ class Scenario:
     routes: files.Routes = ()
     pools: tuple[DriverPool, ...] = ()
     calibration: Calibration = UNCALIBRATED
+
+    def __deepcopy__(self, memo: dict[int, object]) -> Scenario:
+        return self  # immutable
 
     @property
     def network(self) -> Network:

@@ -305,19 +305,6 @@ def test_vehicles_before_a_reset_are_an_error() -> None:
 # -- planners ----------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("others", [0, 1])
-def test_sumo_cannot_be_copied_and_says_what_can(others: int) -> None:
-    """In this process and in a worker."""
-    envs = [gym.make("sumo/u-turn-v0") for _ in range(1 + others)]
-    for env in envs:
-        env.reset(seed=0)
-    with pytest.raises(TypeError, match="'replica'"):
-        copy.deepcopy(envs[-1])
-    for env in envs:
-        env.step(1)
-        env.close()
-
-
 def copied(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
     """As rl-agents' planners copy: attribute by attribute, without calling the constructor."""
     twin = object.__new__(type(env))
@@ -328,11 +315,12 @@ def copied(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize("backend", ["sumo", "replica"])
 @pytest.mark.parametrize("task", ["highway", "intersection"])
 @pytest.mark.parametrize("copier", [copied, copy.deepcopy])
-def test_the_replica_can_be_copied(task: str, copier: Any) -> None:
+def test_environments_can_be_copied(backend: str, task: str, copier: Any) -> None:
     """A planner's imagined steps leave the environment as it was, and come true when they are taken."""
-    env = make_env("replica", task)
+    env = make_env(backend, task)
     env.reset(seed=0)
     env.step(1)
     twin = copier(env)

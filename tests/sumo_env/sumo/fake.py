@@ -73,6 +73,9 @@ class FakeSimulator:
         state = np.ones((3, count))
         return Scene(self.ids, x, *state, np.zeros(count, np.bool_), self.time)
 
+    def imagine(self, scenario: Scenario) -> None:
+        pass
+
     def close(self) -> None:
         os.unlink(self.file)
 

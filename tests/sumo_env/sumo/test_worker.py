@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import copy
 import gc
 import os
-import pickle
 import signal
 import subprocess
 import sys
@@ -136,13 +134,6 @@ def test_what_the_simulator_prints_does_not_disturb(capfd: pytest.CaptureFixture
     assert simulator.step(COMMAND).distance == COMMAND.target_speed
     simulator.close()
     assert capfd.readouterr() == ("SUMO says something\nand so does C++\n", "")
-
-
-def test_simulators_cannot_be_copied(simulator: RemoteSimulator) -> None:
-    for one in (simulator, open_simulator(FAKE)):
-        for way in (copy.deepcopy, pickle.dumps):
-            with pytest.raises(TypeError, match="SUMO's environments cannot be copied"):
-                way(one)
 
 
 def test_a_worker_loads_only_what_it_needs() -> None:

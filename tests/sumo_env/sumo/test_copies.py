@@ -1,0 +1,373 @@
+"""Episodes that are copied: a copy goes on as the original does, to the last bit, and leaves nothing behind."""
+
+from __future__ import annotations
+
+import copy
+import gc
+import itertools
+import os
+import pickle
+import signal
+import socket
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import libsumo
+import numpy as np
+import pytest
+
+from sumo_env.env import DrivingEnv
+from sumo_env.simulator import SimulatorError
+from sumo_env.sumo import remote
+from sumo_env.sumo.provider import open_simulator
+from sumo_env.sumo.remote import RemoteSimulator, SimulatorDied
+from sumo_env.tasks import TASKS
+from tests.sumo_env.sumo.fake import COMMAND, FAKE, HANGS, scenario
+
+Result = tuple[Any, ...]
+
+
+def assert_equal(one: Result, other: Result) -> None:
+    """Two results of `step`, to the last bit."""
+    assert one[0].tobytes() == other[0].tobytes()
+    assert one[1:4] == other[1:4] and repr(one[4]) == repr(other[4])
+
+
+def to_the_end(*envs: Any, seed: int = 0) -> int:
+    """Drive environments that are in one state by the same random actions; returns the number of steps."""
+    rng = np.random.default_rng(seed)
+    steps, over = 0, False
+    while not over:
+        steps += 1
+        action = int(rng.integers(envs[0].action_space.n))
+        first, *others = [env.step(action) for env in envs]
+        for result in others:
+            assert_equal(first, result)
+        over = first[2] or first[3]
+    first, *others = [env.unwrapped.np_random.bit_generator.state for env in envs]
+    assert all(state == first for state in others)
+    return steps
+
+
+def gone(pid: int | None, patience: float = 10.0) -> bool:
+    """Whether a process ends soon."""
+    assert pid is not None
+    end = time.monotonic() + patience
+    while time.monotonic() < end:
+        try:
+            if "\nState:\tZ" in Path(f"/proc/{pid}/status").read_text():
+                return True
+        except FileNotFoundError:
+            return True
+        time.sleep(0.01)
+    return False
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """Where temporary files go; none is left."""
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    yield tmp_path
+    gc.collect()
+    assert list(tmp_path.glob("sumo_env-*")) == []
+
+
+@pytest.fixture
+def begun() -> Iterator[RemoteSimulator]:
+    """A worker, two steps into an episode of the fake simulator."""
+    simulator = RemoteSimulator(FAKE)
+    simulator.reset(scenario(3))
+    for _ in range(2):
+        simulator.step(COMMAND)
+    yield simulator
+    simulator.close()
+
+
+# -- the same to the last bit ------------------------------------------------------------------------------
+
+
+def check_copies(task: str, level: int, risk: float, seed: int, at: int = 2) -> None:
+    """Two copies and a copy of a copy, beside an environment that is never copied."""
+    config = {**list(TASKS[task].levels.values())[level], "risk": risk}
+    reference, env = (gym.make(f"sumo/{task}-v0", config=config) for _ in range(2))
+    envs: list[Any] = [reference, env]
+    try:
+        for one in envs:
+            one.reset(seed=seed)
+        over = False
+        for _ in range(at):
+            results = [one.step(1) for one in envs]
+            over = over or results[0][2]
+        if over:
+            return
+        envs += [copy.deepcopy(env), copy.deepcopy(env)]
+        envs.append(copy.deepcopy(envs[-1]))
+        elsewhere = copy.deepcopy(env)
+        envs.append(elsewhere)
+        elsewhere.step(0)
+        envs.remove(elsewhere)
+        to_the_end(*envs, seed=seed)
+        elsewhere.close()
+        first, *others = [one.reset(seed=seed + 1)[0] for one in envs[1:]]  # a copy can be reset
+        assert all(np.array_equal(first, other) for other in others)
+    finally:
+        for one in envs:
+            one.close()
+
+
+@pytest.mark.parametrize(("task", "risk"), list(itertools.product(TASKS, (0.0, 1.0)))[::3])
+def test_a_copy_goes_on_as_the_original(task: str, risk: float) -> None:
+    check_copies(task, 0, risk, seed=4)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("risk", [0.0, 1.0])
+@pytest.mark.parametrize("level", [0, -1])
+@pytest.mark.parametrize("task", TASKS)
+def test_a_copy_goes_on_as_the_original_everywhere(task: str, level: int, risk: float, seed: int) -> None:
+    check_copies(task, level, risk, seed, at=seed)
+
+
+def test_without_fork_a_copy_is_driven_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(remote, "CAN_FORK", False)
+    check_copies("intersection", 0, 1.0, seed=1)
+
+
+def test_an_environment_is_copied_before_its_first_reset() -> None:
+    env = DrivingEnv("u-turn")
+    twin = copy.deepcopy(env)
+    np.testing.assert_array_equal(env.reset(seed=0)[0], twin.reset(seed=0)[0])
+    env.close()
+    twin.close()
+
+
+# -- what planners do --------------------------------------------------------------------------------------
+
+
+def attribute_by_attribute(env: Any) -> Any:
+    """As rl-agents' `safe_deepcopy_env` copies."""
+    twin = type(env).__new__(type(env))
+    for name, value in vars(env).items():
+        setattr(
+            twin,
+            name,
+            attribute_by_attribute(value) if isinstance(value, gym.Env) else copy.deepcopy(value, {}),
+        )
+    return twin
+
+
+def test_a_planner_of_rl_agents_kind_copies_attribute_by_attribute() -> None:
+    env = gym.make("sumo/u-turn-v0", config={"risk": 1.0})
+    env.reset(seed=5)
+    twin = attribute_by_attribute(env)
+    again = attribute_by_attribute(twin)
+    assert to_the_end(env, twin, again) > 1
+    for one in (env, twin, again):
+        one.close()
+
+
+def test_an_imagined_copy_has_the_past_and_another_future() -> None:
+    env = DrivingEnv("u-turn", {"risk": 1.0, **TASKS["u-turn"].levels["12"]})
+    env.reset(seed=8)
+    for _ in range(2):
+        env.step(1)
+    assert env.scenario is not None
+    same, first, second = env.imagine(1), env.imagine(1), env.imagine(2)
+    now = env.scene.time
+    for twin in (first, second):
+        assert twin.scenario is not None
+        past = [event for event in twin.scenario.events if event.time <= now]
+        assert past == [event for event in env.scenario.events if event.time <= now]
+        assert len(twin.scenario.events) > len(past)
+    assert first.scenario == same.scenario != second.scenario
+    endings = []
+    for twin in (env, same, first, second):
+        for _ in range(4):
+            observation = twin.step(1)[0]
+        endings.append(observation.tobytes())
+    assert endings[1] == endings[2]
+    assert len(set(endings)) > 1
+    assert first.scenario is not None and first._simulator is not None
+    again = RemoteSimulator()  # an imagined episode is a scenario: driven from its start, it is the same
+    again.reset(first.scenario)
+    for command in first._commands:
+        step = again.step(command)
+    np.testing.assert_array_equal(step.scene.x, first.scene.x)
+    for one in (env, same, first, second, again):
+        one.close()
+
+
+def test_without_risk_nothing_is_imagined() -> None:
+    env = DrivingEnv("highway")
+    with pytest.raises(gym.error.ResetNeeded):
+        env.imagine(0)
+    env.reset(seed=0)
+    twin = env.imagine(7)
+    assert_equal(env.step(3), twin.step(3))
+    env.close()
+    twin.close()
+
+
+# -- ends --------------------------------------------------------------------------------------------------
+
+
+def test_a_killed_copy_leaves_the_others_alone(begun: RemoteSimulator) -> None:
+    twin = begun.clone()
+    assert twin.pid is not None
+    os.kill(twin.pid, signal.SIGKILL)
+    with pytest.raises(SimulatorDied, match=r"is gone .*in step 3: an episode of highway"):
+        twin.step(COMMAND)
+    begun.step(COMMAND)
+    assert twin.reset(scenario(4)).time == 0.0  # in a worker of its own
+    twin.close()
+
+
+def test_a_killed_original_leaves_its_copies_alone(begun: RemoteSimulator) -> None:
+    twin = begun.clone()
+    assert begun.pid is not None
+    os.kill(begun.pid, signal.SIGKILL)
+    assert gone(begun.pid)
+    with pytest.raises(SimulatorDied, match="was killed by SIGKILL"):
+        begun.clone()
+    with pytest.raises(SimulatorDied, match="has ended"):
+        begun.clone()
+    third = twin.clone()
+    assert third.step(COMMAND).scene.time == twin.step(COMMAND).scene.time == 3.0
+    twin.close()
+    assert third.step(COMMAND).scene.time == 4.0
+    third.close()
+
+
+def test_a_copy_that_hangs_is_killed(begun: RemoteSimulator) -> None:
+    twin = begun.clone()
+    twin.timeout = 0.5
+    twin.reset(scenario(HANGS))
+    pid = twin.pid
+    with pytest.raises(SimulatorDied, match=r"gave no answer for 0\.5 s"):
+        twin.step(COMMAND)
+    assert gone(pid)
+    begun.step(COMMAND)
+
+
+def test_copies_that_are_garbage_end(begun: RemoteSimulator) -> None:
+    twins = [begun.clone() for _ in range(5)]
+    pids = [twin.pid for twin in twins]
+    assert len(set(pids)) == 5
+    del twins
+    gc.collect()
+    assert all(gone(pid) for pid in pids)
+
+
+def test_ctrl_c_while_a_copy_is_made(begun: RemoteSimulator, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The answer is still to come, so the worker ends; nothing is left."""
+    pid = begun.pid
+
+    def interrupted(*_: Any) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(socket, "send_fds", interrupted)
+        with pytest.raises(KeyboardInterrupt):
+            begun.clone()
+    assert gone(pid)
+    with pytest.raises(SimulatorDied, match="has ended"):
+        begun.step(COMMAND)
+    begun.reset(scenario(3))
+
+
+def leaves_nothing(simulator: RemoteSimulator, count: int) -> None:
+    def descriptors(pid: int | None) -> int:
+        return len(os.listdir(f"/proc/{pid}/fd"))
+
+    simulator.clone().close()
+    before = descriptors(os.getpid()), descriptors(simulator.pid)
+    pids = []
+    for number in range(count):
+        twin = simulator.clone()
+        pids.append(twin.pid)
+        if number % 10 == 0:
+            twin.step(COMMAND)
+        twin.close()
+    assert all(gone(pid) for pid in pids)
+    assert before == (descriptors(os.getpid()), descriptors(simulator.pid))
+    children = Path(f"/proc/{simulator.pid}/task/{simulator.pid}/children").read_text()
+    assert children == ""
+
+
+def test_copies_leave_no_process_no_descriptor_no_folder(begun: RemoteSimulator) -> None:
+    leaves_nothing(begun, 30)
+
+
+@pytest.mark.long
+def test_a_thousand_copies_leave_nothing() -> None:
+    simulator = RemoteSimulator()
+    env = DrivingEnv("highway", simulator=simulator)
+    env.reset(seed=0)
+    leaves_nothing(simulator, 1000)
+    env.close()
+
+
+@pytest.mark.slow
+def test_copies_in_a_program_with_threads_of_torch() -> None:
+    torch = pytest.importorskip("torch")
+    threads = torch.get_num_threads()
+    torch.set_num_threads(2)
+    try:
+        for _ in range(3):
+            torch.rand(400, 400) @ torch.rand(400, 400)
+        check_copies("u-turn", 0, 1.0, seed=2)
+    finally:
+        torch.set_num_threads(threads)
+
+
+# -- refusals ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("options", "reason"),
+    [
+        (["--tripinfo-output", "trips.xml"], "would write to the same files"),
+        (["--threads=2"], "threads are not copied"),
+        (["--device.rerouting.threads", "2"], "threads are not copied"),
+    ],
+)
+def test_options_that_forbid_copies(options: list[str], reason: str) -> None:
+    env = DrivingEnv("u-turn", sumo_options=options)
+    env.reset(seed=0)
+    with pytest.raises(TypeError, match=reason):
+        copy.deepcopy(env)
+    env.close()
+
+
+CHANGES: dict[str, Callable[[], object]] = {
+    "speed": lambda: libsumo.vehicle.setSpeed("v0", 1.0),
+    "a vehicle less": lambda: libsumo.vehicle.remove("v0"),
+}
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_a_simulation_that_was_changed_through_libsumo_is_not_copied(change: str) -> None:
+    env = DrivingEnv("highway")
+    env.reset(seed=0)
+    env.step(1)
+    CHANGES[change]()
+    result = env.step(1)
+    with pytest.raises(SimulatorError, match="changed through libsumo"):
+        copy.deepcopy(env)
+    assert not result[2]
+    env.step(1)  # it goes on
+    env.close()
+
+
+def test_environments_are_not_pickled() -> None:
+    for one in (DrivingEnv("highway"), open_simulator(FAKE), RemoteSimulator(FAKE)):
+        if isinstance(one, DrivingEnv):
+            one.reset(seed=0)
+        with pytest.raises(TypeError, match=r"cannot be pickled.*copy.deepcopy"):
+            pickle.dumps(one)
+        one.close()

@@ -11,17 +11,14 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from PIL import Image, ImageDraw, ImageFont
-
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[0] = str(ROOT)
 
 from agents.rules import make_policy
+from experiments.support.films import Film, Pictures, save_gif, side_by_side
 from sumo_env.env import DrivingEnv
 
 IMAGES = ROOT / "docs" / "img"
-FREQUENCY = 5  # pictures per second
-HOLD = 5  # pictures for which the last one stays
 
 # task -> seed, steps driven, configuration
 PAGES: dict[str, tuple[int, int, dict[str, Any]]] = {
@@ -46,22 +43,7 @@ BESIDE: tuple[str, int, str, dict[str, Any]] = (
 )  # fmt: skip
 
 
-class Film:
-    """What `DrivingEnv.set_record_video_wrapper` expects: keeps every other picture of the simulation."""
-
-    recording, frames_per_sec = True, 0
-
-    def __init__(self, env: DrivingEnv) -> None:
-        self.env, self.pictures, self._seen = env, [], 0
-        env.set_record_video_wrapper(self)  # type: ignore[arg-type]
-
-    def _capture_frame(self) -> None:
-        self._seen += 1
-        if self._seen % (self.env.config["simulation_frequency"] // FREQUENCY) == 0:
-            self.pictures.append(Image.fromarray(self.env.render()))
-
-
-def film(task: str, seed: int, name: str, config: dict[str, Any], seconds: int = 12) -> list[Image.Image]:
+def film(task: str, seed: int, name: str, config: dict[str, Any], seconds: int = 12) -> Pictures:
     """An episode that a rule drives, as pictures."""
     env = DrivingEnv(task, config, render_mode="rgb_array")
     policy, recorded = make_policy(name, env), Film(env)
@@ -69,17 +51,11 @@ def film(task: str, seed: int, name: str, config: dict[str, Any], seconds: int =
     policy.reset(seed)
     for _ in range(seconds):
         observation, _, terminated, truncated, _ = env.step(policy.act(observation))
-        recorded._capture_frame()
+        recorded.frame()
         if terminated or truncated:
             break
     env.close()
     return recorded.pictures
-
-
-def save(pictures: list[Image.Image], file: Path) -> None:
-    """Pictures as an animation; the last one stays for a second."""
-    first, *others = [picture.quantize(64) for picture in pictures + [pictures[-1]] * HOLD]
-    first.save(file, save_all=True, append_images=others, duration=1000 // FREQUENCY, loop=0, optimize=True)
 
 
 def environments() -> None:
@@ -93,28 +69,15 @@ def environments() -> None:
 def films() -> None:
     """One film of each task."""
     for task, (seed, name, config) in FILMS.items():
-        save(film(task, seed, name, {**SIZE, **config, "risk": 1.0}), IMAGES / "films" / f"{task}.gif")
+        save_gif(film(task, seed, name, {**SIZE, **config, "risk": 1.0}), IMAGES / "films" / f"{task}.gif")
 
 
 def risk() -> None:
     """The same scenario at risk 0 and at risk 1, side by side."""
     task, seed, name, config = BESIDE
-    both = [film(task, seed, name, {**config, "risk": dose}) for dose in (0.0, 1.0)]
-    length = max(map(len, both))
-    regular, risky = (pictures + [pictures[-1]] * (length - len(pictures)) for pictures in both)
-    title, gap, font = 22, 8, ImageFont.load_default(size=14)  # [px]
-    sheets = []
-    for left, right in zip(regular, risky, strict=True):
-        sheet = Image.new("RGB", (2 * left.width + gap, left.height + title), "white")
-        pen = ImageDraw.Draw(sheet)
-        for start, picture, text in (
-            (0, left, "risk 0"),
-            (left.width + gap, right, "risk 1: yellow while a risk event acts"),
-        ):
-            pen.text((start + 4, 3), text, fill="black", font=font)
-            sheet.paste(picture, (start, title))
-        sheets.append(sheet)
-    save(sheets, IMAGES / "risk.gif")
+    titles = {0.0: "risk 0", 1.0: "risk 1: yellow while a risk event acts"}
+    both = [(title, film(task, seed, name, {**config, "risk": dose})) for dose, title in titles.items()]
+    save_gif(side_by_side(both), IMAGES / "risk.gif")
 
 
 if __name__ == "__main__":

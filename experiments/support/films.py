@@ -1,0 +1,64 @@
+"""Episodes as animated pictures: recorded at every other simulation step, put side by side, saved as GIF."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+from PIL import Image, ImageDraw, ImageFont
+
+FREQUENCY = 5  # pictures per second
+HOLD = 5  # pictures for which the last one stays
+TITLE, GAP = 22, 8  # [px] above a picture, and between two
+
+Pictures = list[Image.Image]
+
+
+class Film:
+    """Pictures of an environment as it is driven; `frame` adds one after a reset or a step.
+
+    Environments of `sumo_env` are recorded between policy steps too, as by `set_record_video_wrapper`.
+    """
+
+    recording, frames_per_sec = True, 0
+
+    def __init__(self, env: gym.Env[Any, Any]) -> None:
+        self._env: Any = env.unwrapped
+        self.pictures: Pictures = []
+        self._seen = 0
+        if hasattr(self._env, "set_record_video_wrapper"):
+            self._env.set_record_video_wrapper(self)
+
+    def frame(self) -> None:
+        """Add the present picture, after a reset or a step."""
+        self._seen = 0
+        self.pictures.append(Image.fromarray(self._env.render()))
+
+    def _capture_frame(self) -> None:
+        self._seen += 1
+        if self._seen % max(self.frames_per_sec // FREQUENCY, 1) == 0:
+            self.pictures.append(Image.fromarray(self._env.render()))
+
+
+def side_by_side(films: Sequence[tuple[str, Pictures]]) -> Pictures:
+    """Films of pictures of one size in one, each under its title; the shorter ones stay at their end."""
+    length = max(len(pictures) for _, pictures in films)
+    width, height = films[0][1][0].size
+    font, sheets = ImageFont.load_default(size=14), []
+    for number in range(length):
+        sheet = Image.new("RGB", (len(films) * (width + GAP) - GAP, height + TITLE), "white")
+        pen = ImageDraw.Draw(sheet)
+        for column, (title, pictures) in enumerate(films):
+            left = column * (width + GAP)
+            pen.text((left + 4, 3), title, fill="black", font=font)
+            sheet.paste(pictures[min(number, len(pictures) - 1)], (left, TITLE))
+        sheets.append(sheet)
+    return sheets
+
+
+def save_gif(pictures: Pictures, file: Path) -> None:
+    """Write an animation; the last picture stays for a second."""
+    first, *others = [picture.quantize(64) for picture in pictures + pictures[-1:] * HOLD]
+    first.save(file, save_all=True, append_images=others, duration=1000 // FREQUENCY, loop=0, optimize=True)

@@ -1,0 +1,124 @@
+"""Train and test one agent, and watch it learn.
+
+    python experiments/train.py --task u-turn --risk 1 --out results/mine
+    python experiments/watch.py results/mine     # films it
+    python experiments/test.py results/mine      # crash rate, return and speed at risk 0 and 1
+
+Further agents in the same directory (another --risk, --seed, --network) are compared by test.py and report.py.
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+if __package__ in (None, ""):  # run as a file: import from the project, not from this folder
+    sys.path[0] = str(Path(__file__).resolve().parents[1])
+
+from experiments.support.threads import limit_threads
+
+limit_threads()
+
+import shlex
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import gymnasium as gym
+import tyro
+
+from experiments import sweep
+from experiments.backends import make_env
+from experiments.study.attempt import locked
+from experiments.study.cell import CellTask
+from experiments.study.curve import Live, Watched, draw
+from experiments.study.fingerprint import check_dynamics
+from experiments.study.grid import Cell
+from experiments.study.store import Store
+from experiments.support.errors import UserError, disk_error, run_command, unknown
+
+# The traffic of the training, and the arm of the experiment that it is.
+ARMS = {
+    "0": "control", "1": "treatment", "mixed": "mixed", "drawn": "drawn",
+    "0.25": "dose25", "0.5": "dose50", "0.75": "dose75",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Options:
+    """Train and test one agent, and watch it learn."""
+
+    out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
+    """Directory for the agent; it may hold others already."""
+    task: str = "u-turn"
+    """highway, two-way, roundabout, intersection or u-turn."""
+    level: int = 1
+    """Traffic level; 1 is the lightest."""
+    risk: str = "1"
+    """Dose of risk in training: 0, 0.25, 0.5, 0.75, 1, mixed (0 or 1 in each episode) or drawn (any dose)."""
+    seed: int = 0
+    """Number of the training."""
+    updates: int | None = None
+    """Training budget in updates; by default that of the preset quick, a few minutes."""
+    network: str | None = None
+    """attention, dueling, or FILE:CLASS for a class of your own."""
+    backend: str = "sumo"
+    """Simulator: sumo, replica or highway-env."""
+
+
+def cells_of(options: Options) -> tuple[Cell, list[Cell]]:
+    """The agent's cell, and those of the policies that it is compared with.
+
+    Raises:
+        UserError: something in the options does not exist or makes no sense.
+    """
+    if options.risk not in ARMS:
+        raise unknown("risk", options.risk, ARMS)
+    if options.seed < 0:
+        raise UserError(f"--seed takes 0 or more, not {options.seed}")
+    arm = ARMS[options.risk]
+    asked = sweep.Options(
+        backend=options.backend, tasks=(options.task,), levels=(str(options.level),), seeds=options.seed + 1,
+        arms=(arm,), updates=options.updates, network=options.network,
+    )  # fmt: skip
+    cells = sweep.cells_of(asked)
+    [agent] = [cell for cell in cells if (cell.kind, cell.seed) == ("agent", options.seed)]
+    return agent, [cell for cell in cells if cell.kind == "baseline"]
+
+
+def train(options: Options, arguments: list[str]) -> int:
+    """Do what the options ask for; returns the exit status.
+
+    Raises:
+        UserError: something has to be put right first, or the directory cannot be written.
+    """
+    agent, others = cells_of(options)
+    check_dynamics([(agent.backend, agent.task)])
+    live = Live(agent)
+
+    def watched(backend: str, task: str, config: dict[str, Any]) -> gym.Env[Any, Any]:
+        return Watched(make_env(backend, task, config), live)
+
+    try:
+        store = Store(options.out)
+        store.write_sweep(shlex.join(["python", "experiments/train.py", *arguments]), [agent, *others])
+        task = CellTask(agent, options.out, watched)
+        with locked(task.folder) as mine:
+            if not mine:
+                raise UserError(f"another process trains {agent.name}: wait until it ends")
+            if not task.done():
+                task.compute(live.beat)
+        store.forget(agent.name, finished=True)
+        picture = draw(options.out, agent)
+    except OSError as error:
+        raise disk_error(error, options.out) from None
+    print(f"{agent.slug} is trained and tested; its learning curve: {picture}")
+    print(f"next: python experiments/test.py {options.out}; python experiments/watch.py {options.out}")
+    return 0
+
+
+if __name__ == "__main__":
+    run_command(
+        lambda: train(
+            tyro.cli(Options, description=__doc__, config=(tyro.conf.FlagCreatePairsOff,)), sys.argv[1:]
+        )
+    )

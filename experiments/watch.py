@@ -1,0 +1,97 @@
+"""Film an agent: one test scenario at risk 0 and at risk 1, side by side.
+
+python experiments/watch.py results/mine
+python experiments/watch.py results/mine --agent u-turn-3-treatment --scenario 17
+"""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+if __package__ in (None, ""):  # run as a file: import from the project, not from this folder
+    sys.path[0] = str(Path(__file__).resolve().parents[1])
+
+from experiments.support.threads import limit_threads
+
+limit_threads()
+
+from dataclasses import dataclass
+from typing import Annotated
+
+import pandas as pd
+import tyro
+
+from experiments.backends import make_env
+from experiments.study import store
+from experiments.study.arms import TRAFFICS
+from experiments.study.cell import MakeEnv
+from experiments.study.evaluate import play
+from experiments.study.rerun import stored_policy
+from experiments.support.errors import UserError, run_command
+from experiments.support.films import Film, save_gif, side_by_side
+
+VIEW = {"screen_width": 440, "screen_height": 280, "scaling": 3.4, "centering_position": [0.45, 0.65]}
+
+
+@dataclass(frozen=True)
+class Options:
+    """Film an agent: one test scenario at risk 0 and at risk 1, side by side."""
+
+    directory: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
+    """Directory of train.py or sweep.py."""
+    agent: str = ""
+    """A part of the agent's name; by default the agent that was trained last."""
+    scenario: int | None = None
+    """Number of the test scenario; by default the first one with a crash at risk 1."""
+    out: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
+    """File to write; by default DIR/AGENT-SCENARIO.gif."""
+
+
+def chosen(directory: Path, part: str) -> str:
+    """The name of the agent's cell: of those that fit, the one that was finished last.
+
+    Raises:
+        UserError: there is none.
+    """
+    records = {name: store.read_stored(directory, name) for name in store.finished(directory)}
+    agents = {name: record for name, record in records.items() if record["key"]["kind"] == "agent"}
+    fitting = [name for name in agents if part in name]
+    if not fitting:
+        names = ", ".join(sorted(agents)[:5]) or "none"
+        raise UserError(f"no agent in {directory} has {part!r} in its name; there are: {names}")
+    return max(fitting, key=lambda name: str(agents[name]["timing"]["finished"]))
+
+
+def watch(options: Options, make_env: MakeEnv = make_env) -> int:
+    """Do what the options ask for; returns the exit status."""
+    name = chosen(options.directory, options.agent)
+    record = store.read_stored(options.directory, name)
+    key, table = record["key"], store.tables_of(options.directory, name)[store.EPISODES]
+    scenario = options.scenario
+    if scenario is None:
+        crashes = table[(table["traffic"] == "risky") & table["crashed"]]["scenario"]
+        scenario = int(crashes.min()) if len(crashes) else 0
+    films = []
+    for traffic, risk in TRAFFICS.items():
+        env = make_env(key["backend"], key["task"], {**key["env_config"], **VIEW}, "rgb_array")
+        try:
+            film = Film(env)
+            seen, policy = stored_policy(options.directory / "cells" / name, record, env)
+            row = play(seen, policy, key["task"], key["level"], traffic, scenario, film.frame)
+        finally:
+            env.close()
+        films.append((f"risk {risk:g}: {_ending(row)}", film.pictures))
+    file = options.out or options.directory / f"{name.rpartition('-')[0]}-{scenario}.gif"
+    save_gif(side_by_side(films), file)
+    print(f"{name}, scenario {scenario}: {'; '.join(title for title, _ in films)}")
+    print(f"written: {file}")
+    return 0
+
+
+def _ending(row: pd.Series | dict[str, object]) -> str:
+    return f"{row['crash_type']} crash after {row['crash_time']:.1f} s" if row["crashed"] else "no crash"
+
+
+if __name__ == "__main__":
+    run_command(lambda: watch(tyro.cli(Options, description=__doc__)))

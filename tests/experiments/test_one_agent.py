@@ -1,0 +1,89 @@
+"""One agent from the command line: trained, shown, tested beside other policies, and read by the report."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pandas as pd
+import pytest
+from PIL import Image
+
+from experiments import report, test, train, watch
+from experiments.study import store
+from experiments.study.presets import PRESETS
+from experiments.support.errors import UserError
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A directory with an agent that was hardly trained."""
+    directory = tmp_path_factory.mktemp("mine")
+    patch = pytest.MonkeyPatch()
+    patch.setitem(PRESETS, "quick", replace(PRESETS["smoke"], name="quick"))
+    assert train.train(train.Options(out=directory, risk="mixed", updates=60), ["--risk", "mixed"]) == 0
+    patch.undo()
+    return directory
+
+
+def test_the_agent_is_an_ordinary_cell(trained: Path) -> None:
+    [name] = store.finished(trained)
+    key = store.read_stored(trained, name)["key"]
+    assert (key["kind"], key["arm"], key["seed"], key["profile"]["updates"]) == ("agent", "mixed", 0, 60)
+    picture = Image.open(trained / "sumo-u-turn-3-mixed-s0.png")
+    assert min(picture.size) > 200
+
+
+def test_the_curve_is_printed_while_it_learns(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
+) -> None:
+    monkeypatch.setitem(PRESETS, "quick", replace(PRESETS["smoke"], name="quick"))
+    options = train.Options(out=tmp_path, risk="0", updates=200)
+    train.train(options, [])
+    said = capsys.readouterr().out
+    assert (
+        said.index("training sumo-u-turn-3-control-s0: 200 updates")
+        < said.index("100%")
+        < said.index("testing it")
+    )
+    train.train(options, [])  # finished already: nothing is computed again
+    assert "testing it" not in capsys.readouterr().out
+
+
+def test_other_policies_are_tested_beside_it(trained: Path, capsys) -> None:
+    assert test.test(test.Options(trained)) == 0
+    said = capsys.readouterr().out
+    rows = {line.split()[0]: line for line in said.splitlines() if "±" in line}
+    assert set(rows) == {"mixed-s0", "idle", "random", "faster", "slower", "idm", "careful"}
+    [slower] = [n for n in store.finished(trained) if "slower" in n]
+    table = store.tables_of(trained, slower)[store.EPISODES]
+    regular = table[table["traffic"] == "regular"]
+    assert f"{regular['crashed'].mean():.0%}" in rows["slower"]
+    assert f"{regular['mean_speed'].mean():.2f} ±" in rows["slower"]
+    assert report.write_report(trained).is_file()
+
+
+def test_intervals() -> None:
+    assert test.rate(pd.Series([True] * 5 + [False] * 45)) == " 10% [4, 21]"  # Wilson
+    assert test.mean(pd.Series([1.0, 2.0, 3.0])) == "  2.00 ± 1.13"
+
+
+def test_it_is_filmed_at_both_risks(trained: Path, capsys) -> None:
+    assert watch.watch(watch.Options(trained, scenario=1)) == 0
+    said = capsys.readouterr().out
+    assert "risk 0: " in said
+    assert "risk 1: " in said
+    film = Image.open(trained / "sumo-u-turn-3-mixed-s0-1.gif")
+    assert film.size[0] > 2 * watch.VIEW["screen_width"]
+    assert film.n_frames > 5
+
+
+def test_what_does_not_exist_is_said(trained: Path, tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="did you mean 'mixed'"):
+        train.cells_of(train.Options(out=tmp_path, risk="mixd"))
+    with pytest.raises(UserError, match="there are: sumo-u-turn-3-mixed-s0"):
+        watch.watch(watch.Options(trained, agent="treatment"))
+    with pytest.raises(UserError, match="no trained agent"):
+        test.test(test.Options(tmp_path))

@@ -122,6 +122,8 @@ class Options:
     drivers without events, and SUMO's car-following models Krauss and EIDM."""
     early_tests: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = False
     """Also test every agent as it was after a third and two thirds of its budget."""
+    frontier: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = False
+    """Test the careful driver at five cautions: with the constant policies, the crashes of a speed without learning."""
     config: Annotated[tuple[str, ...], _argument("KEY=VALUE ...", "none")] = ()
     """Keys of the environments' configuration to set, for training and test (values as in JSON, or plain words)."""
     gamma: Annotated[float | None, _argument("X")] = None
@@ -193,6 +195,7 @@ def cells_of(options: Options) -> list[Cell]:
         arms=("control",) if options.placebo else options.arms or tuple(ARMS),
         test_on=options.test_on,
         unseen=options.unseen,
+        frontier=options.frontier,
         first_seed=preset.first_seed,
         first_scenario=preset.first_scenario,
         changes=dict(map(_setting, options.config)),

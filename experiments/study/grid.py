@@ -13,6 +13,7 @@ from dataclasses import dataclass, field, replace
 from functools import cache
 from typing import Any
 
+from agents.rules import CAUTIONS
 from experiments.backends import BACKENDS, SIMULATORS
 from experiments.study.arms import (
     ARM_PROFILES,
@@ -308,6 +309,7 @@ class Ask:
         label -> (FILE:MAKE or zip file, fingerprint of the file).
     arms: of DOSES. test_on: other simulators on which the trained agents are tested too.
     unseen: whether they are tested in the traffics of `unseen.unseen_traffics` too.
+    frontier: whether the careful driver is tested at all its cautions, and not at the usual one alone.
     changes: keys of the environments' configuration that are set for training and test.
     early_tests: agents are also tested after the shares MARKS of their budget.
 
@@ -327,6 +329,7 @@ class Ask:
     arms: Sequence[str] = tuple(ARMS)
     test_on: Sequence[str] = ()
     unseen: bool = False
+    frontier: bool = False
     changes: Mapping[str, Any] | None = None
     early_tests: bool = False
     first_seed: int = 0
@@ -407,7 +410,8 @@ def build(ask: Ask) -> list[Cell]:
         ]
         cells += agents
         cells += [test for agent in agents for test in ask.further_tests(agent)]
-        cells += [replace(common, policy=policy) for policy in BASELINES]
+        drivers = dict.fromkeys((*BASELINES, *(CAUTIONS if ask.frontier else ())))
+        cells += [replace(common, policy=policy) for policy in drivers]
         cells += [
             replace(common, policy=label, source=source, profile={**common.profile, "policy_sha256": digits})
             for label, (source, digits) in ask.policies.items()

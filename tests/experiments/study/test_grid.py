@@ -87,6 +87,17 @@ def test_another_study_has_other_seeds_and_scenarios():
     assert not {c.name for c in first} & {c.name for c in second}
 
 
+def test_a_frontier_is_more_baselines_and_renames_nothing():
+    usual, frontier = ({c.name: c.policy for c in cells_of(frontier=more)} for more in (False, True))
+    assert usual.items() <= frontier.items()
+    assert set(frontier.values()) - set(usual.values()) == {
+        "careful-0.1",
+        "careful-0.5",
+        "careful-2",
+        "careful-4",
+    }
+
+
 def test_an_arm_is_left_out_where_it_has_no_meaning():
     highest = cells_of({"highway": (3,), "two-way": (1,)}, arms=("dense", "penalty"))
     assert {(c.task, c.arm) for c in highest if c.arm} == {("highway", "penalty"), ("two-way", "dense")}

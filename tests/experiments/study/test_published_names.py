@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import subprocess
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -98,3 +99,11 @@ def test_a_simulator_that_behaves_otherwise_is_named_before_a_sweep_begins(
 @pytest.mark.slow
 def test_highway_env_does_what_it_did() -> None:
     check_dynamics(("highway-env", task) for task in DYNAMICS["highway-env"])
+
+
+def test_the_published_folders_have_few_files() -> None:
+    command = ["git", "-C", str(RESULTS), "ls-files", "."]
+    listed = subprocess.run(command, capture_output=True, text=True, check=False)
+    if listed.returncode:
+        pytest.skip("not a checkout")
+    assert 0 < len(listed.stdout.splitlines()) <= 120

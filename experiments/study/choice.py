@@ -1,7 +1,7 @@
 """Choose the second version of the profile "tuned": train its variants and compare their returns.
 
-    python -m experiments.study.choice --out DIR                 train what is missing, block by block
-    python -m experiments.study.choice --out DIR --table FILE    pack what is there into FILE (parquet), and judge it
+    python -m experiments.study.choice --out DIR           train what is missing, block by block
+    python -m experiments.study.choice --out DIR --pack    add what is there to results/choice, and judge it
 
 Design, rule and outcome: docs/developers/learner_choice.md. The same command goes on where it was stopped; several
 of them on one folder share the work.
@@ -30,6 +30,7 @@ from experiments.study.presets import second_version
 if TYPE_CHECKING:
     import pandas as pd
 
+PACKED = Path(__file__).resolve().parents[2] / "results" / "choice" / "runs.parquet"
 TASKS = ("u-turn", "two-way")  # in their lightest traffic
 STEPS = {"u-turn": 40_000, "two-way": 80_000}  # environment steps of the first version
 RANGE = {"u-turn": 10.0, "two-way": 15.0}  # of the return: one a second
@@ -104,10 +105,13 @@ def compute(name: str, cell: Cell, folder: Path) -> pd.DataFrame:
 
 def train_all(out: Path) -> None:
     """Compute every run that is not there; says what it does."""
+    import pandas as pd
+
+    known = set(pd.read_parquet(PACKED, columns=["cell"])["cell"]) if PACKED.exists() else set()
     for name, cell in cells():
         label = f"{cell.task} {name} {cell.arm} {cell.seed}"
         path, scratch = out / f"{label.replace(' ', '_')}.parquet", out / "work" / cell.name
-        if path.exists():
+        if path.exists() or cell.name in known:
             continue
         with locked(scratch) as mine:
             if not mine or path.exists():
@@ -132,26 +136,33 @@ def judge(table: pd.DataFrame) -> pd.DataFrame:
     )
     result = means[[1.0, "change"]].rename(columns={1.0: "return"}, level=0)
     result.columns = [f"{what}_{arm}" for what, arm in result.columns]
-    result["score"] = result[[f"return_{arm}" for arm in ARMS if f"return_{arm}" in result]].mean(axis=1)
+    result["score"] = result[[f"return_{arm}" for arm in ARMS if f"return_{arm}" in result]].mean(
+        axis=1, skipna=False
+    )
     counts = runs.groupby(["task", "variant", "arm"]).size().unstack("arm")
-    return result.assign(seeds=counts.min(axis=1)).sort_values(["task", "score"], ascending=[True, False])
+    return result.assign(seeds=counts.fillna(0).min(axis=1)).sort_values(
+        ["task", "score"], ascending=[True, False]
+    )
 
 
-def main(out: Path, table: Path | None = None) -> None:
+def main(out: Path, pack: bool = False) -> None:
     """Train the variants of the learner that are not there yet, or pack and judge those that are.
 
     Args:
         out: folder of the runs.
-        table: file to pack the finished runs into; nothing is trained then.
+        pack: add its finished runs to results/choice/runs.parquet and judge them all; nothing is trained then.
     """
     import pandas as pd
 
     out.mkdir(parents=True, exist_ok=True)
-    if table is None:
+    if not pack:
         train_all(out)
         return
-    runs = pd.concat([pd.read_parquet(path) for path in sorted(out.glob("*.parquet"))], ignore_index=True)
-    runs.to_parquet(table, index=False)
+    files = [path for path in (PACKED, *sorted(out.glob("*.parquet"))) if path.exists()]
+    runs = pd.concat(map(pd.read_parquet, files), ignore_index=True)
+    runs = runs.drop_duplicates(["cell", "share", "scenario"])
+    PACKED.parent.mkdir(parents=True, exist_ok=True)
+    runs.to_parquet(PACKED, index=False, compression="zstd")
     print(judge(runs).round(4).to_string())
 
 

@@ -45,3 +45,8 @@ def test_the_score_is_the_mean_of_the_arms_returns_in_units_of_the_range() -> No
     assert result.loc[("u-turn", "a"), "return_treatment"] == pytest.approx(0.6)
     assert result["change_control"].tolist() == pytest.approx([0.05, 0.05])
     assert result["seeds"].tolist() == [2, 2]
+    half = choice.judge(
+        pd.DataFrame([row for row in rows if (row["variant"], row["arm"]) != ("a", "control")])
+    )
+    assert pd.isna(half.loc[("u-turn", "a"), "score"])  # not the mean of one arm
+    assert half.loc[("u-turn", "a"), "seeds"] == 0

@@ -1,7 +1,7 @@
 """Play one stored test episode again, check it against the stored one, and draw it or export it for sumo-gui.
 
-    python experiments/replay.py results/sumo-quick/cells/sumo-highway-50-control-s0-...
-    python experiments/replay.py results/sumo-quick/cells/sumo-highway-50-control-s0-...:risky:17
+    python experiments/replay.py results/sumo-quick/cells/sumo-highway-50-control-s0
+    python experiments/replay.py results/sumo-quick/cells/sumo-highway-50-control-s0:risky:17
     python experiments/replay.py CASE --gif       # an animation instead of a sheet of pictures
     python experiments/replay.py CASE --sumo      # a folder with episode.sumocfg, for sumo and sumo-gui
 
@@ -22,15 +22,19 @@ from experiments.support.threads import limit_threads
 
 limit_threads()
 
+import difflib
 import math
 import re
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
 import gymnasium as gym
 import numpy as np
+import pandas as pd
 import tyro
 from numpy.typing import NDArray
+from PIL import Image
 
 from experiments.backends import make_env
 from experiments.study import grid, store
@@ -38,8 +42,10 @@ from experiments.study.cell import MakeEnv
 from experiments.study.evaluate import play
 from experiments.study.rerun import changed_versions, differences, stored_policy
 from experiments.support.errors import UserError, disk_error, run_command
+from experiments.support.films import Film, Pictures, save_gif
 
 PICTURES = 12  # on a sheet, spread over the episode
+SUGGESTED = 5  # names in an error
 
 
 @dataclass(frozen=True)
@@ -47,11 +53,12 @@ class Options:
     """Play one stored test episode again."""
 
     case: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="CASE")]
-    """DIR/cells/CELL[:TRAFFIC:SCENARIO]; traffic regular or risky, scenarios from 0; regular:0 if left out."""
+    """DIR/cells/CELL[:TRAFFIC:SCENARIO]; the beginning of a cell's name is enough if no other begins so. Traffic is
+    regular or risky, scenarios count from 0; by default the first crash."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None
     """File (or folder) to write; by default CELL-TRAFFIC-SCENARIO with a fitting ending, in the current directory."""
     gif: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = False
-    """Write an animated GIF instead of a sheet of pictures (PNG)."""
+    """Write a film in real time (GIF) instead of a sheet of pictures (PNG)."""
     sumo: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = False
     """Write a folder that sumo and sumo-gui open instead: network, vehicles, the ego's way, and configurations."""
 
@@ -69,9 +76,14 @@ class Case:
         """What its files are called."""
         return f"{self.path.name}-{self.traffic}-{self.scenario}"
 
+    @property
+    def table(self) -> pd.DataFrame:
+        """The stored test of its cell."""
+        return store.tables_of(self.path.parents[1], self.path.name)[store.EPISODES]
+
 
 def parse_case(text: str) -> Case:
-    """Split a case into cell directory, traffic and scenario.
+    """Find the cell, traffic and scenario of a case; by default the cell's first crash.
 
     Raises:
         UserError: not of that form, or the cell does not exist.
@@ -80,14 +92,43 @@ def parse_case(text: str) -> Case:
     if match is None:
         raise UserError(f"a case is DIR/cells/CELL[:TRAFFIC:SCENARIO], not {text!r}")
     path = Path(match["path"])
-    traffic = match["traffic"] or "regular"
-    if traffic not in TRAFFICS:
-        raise grid.unknown("traffic", traffic, TRAFFICS)
+    if match["traffic"] and match["traffic"] not in TRAFFICS:
+        raise grid.unknown("traffic", match["traffic"], TRAFFICS)
     home = path.parents[1] if len(path.parents) > 1 else Path()
-    near = store.finished(home) if path.parent.name == "cells" else []
-    if path.name not in near:
-        raise grid.unknown("cell", path.name, near) if near else UserError(f"there is no cell {path}")
-    return Case(path, traffic, int(match["scenario"] or 0))
+    names = store.finished(home) if path.parent.name == "cells" else []
+    if not names:
+        raise UserError(f"there is no cell {path}")
+    case = Case(
+        path.with_name(find_cell(path.name, names)),
+        match["traffic"] or "regular",
+        int(match["scenario"] or 0),
+    )
+    if match["traffic"] is None:
+        crashes = case.table[case.table["traffic"].isin(list(TRAFFICS)) & case.table["crashed"]]
+        for row in crashes.head(1).itertuples():
+            return replace(case, traffic=str(row.traffic), scenario=int(row.scenario))
+    return case
+
+
+def find_cell(word: str, names: Sequence[str]) -> str:
+    """The cell with this name, or the only one whose name begins so.
+
+    Raises:
+        UserError: none or several; the nearest five are named.
+    """
+    if word in names:
+        return word
+    fitting = [name for name in names if name.startswith(word)]
+    if len(fitting) == 1:
+        return fitting[0]
+    near = fitting or difflib.get_close_matches(word, names, n=SUGGESTED, cutoff=0.3)
+    what = (
+        f"{len(fitting)} cells begin with {word!r}"
+        if fitting
+        else f"none of {len(names)} cells begins with {word!r}"
+    )
+    more = ", ..." if len(near) > SUGGESTED else ""
+    raise UserError(f"{what}; did you mean {', '.join(near[:SUGGESTED])}{more}?" if near else what)
 
 
 def replay(options: Options, make_env: MakeEnv = make_env) -> int:
@@ -97,26 +138,27 @@ def replay(options: Options, make_env: MakeEnv = make_env) -> int:
         UserError: the case does not exist, its cell is damaged, or the file cannot be written.
     """
     case = parse_case(options.case)
-    home, name = case.path.parents[1], case.path.name
-    record = store.read_stored(home, name)
+    record, table = store.read_stored(case.path.parents[1], case.path.name), case.table
     key = record["key"]
-    table = store.tables_of(home, name)[store.EPISODES]
     rows = table[(table["traffic"] == case.traffic) & (table["scenario"] == case.scenario)]
     if rows.empty:
         raise UserError(
             f"{case.path.name} has {key['eval']['episodes']} scenarios, counted from 0: no {case.scenario}"
         )
     env = make_env(key["backend"], key["task"], key["env_config"], "rgb_array")
-    frames: list[NDArray[np.uint8]] = []
-
-    def record_step() -> None:
-        if not options.sumo:
-            frames.append(np.asarray(env.render()))
-
     try:
+        film = Film(env, between=options.gif)
         seen, policy = stored_policy(case.path, record, env, rows.iloc[0].get("actions"))
-        row = play(seen, policy, key["task"], key["level"], case.traffic, case.scenario, record_step)
-        written = _write(options, case, env, frames)
+        row = play(
+            seen,
+            policy,
+            key["task"],
+            key["level"],
+            case.traffic,
+            case.scenario,
+            None if options.sumo else film.frame,
+        )
+        written = _write(options, case, env, film.pictures)
     except OSError as error:
         raise disk_error(error, options.out or Path.cwd()) from None
     finally:
@@ -167,19 +209,16 @@ def sheet(frames: list[NDArray[np.uint8]]) -> NDArray[np.uint8]:
     return paper
 
 
-def _write(options: Options, case: Case, env: gym.Env[Any, Any], frames: list[NDArray[np.uint8]]) -> Path:
+def _write(options: Options, case: Case, env: gym.Env[Any, Any], pictures: Pictures) -> Path:
     path = options.out or Path(case.name + ("" if options.sumo else ".gif" if options.gif else ".png"))
     if options.sumo:
         env.unwrapped.export(path)  # type: ignore[attr-defined]
         return path / "episode.sumocfg"
-    from PIL import Image
-
     if options.gif:
-        pictures = [Image.fromarray(frame) for frame in frames]
-        pictures[0].save(path, save_all=True, append_images=pictures[1:], duration=500, loop=0)
+        save_gif(pictures, path)
     else:
-        chosen = np.unique(np.linspace(0, len(frames) - 1, PICTURES).round().astype(int))
-        Image.fromarray(sheet([frames[number] for number in chosen])).save(path)
+        chosen = np.unique(np.linspace(0, len(pictures) - 1, PICTURES).round().astype(int))
+        Image.fromarray(sheet([np.asarray(pictures[number]) for number in chosen])).save(path)
     return path
 
 

@@ -77,7 +77,9 @@ def watch(options: Options, make_env: MakeEnv = make_env) -> int:
         env = make_env(key["backend"], key["task"], {**key["env_config"], **VIEW}, "rgb_array")
         try:
             film = Film(env)
-            seen, policy = stored_policy(options.directory / "cells" / name, record, env)
+            at = (table["traffic"] == traffic) & (table["scenario"] == scenario)
+            actions = table[at]["actions"].iloc[0] if at.any() and "actions" in table else None
+            seen, policy = stored_policy(options.directory / "cells" / name, record, env, actions)
             row = play(seen, policy, key["task"], key["level"], traffic, scenario, film.frame)
         finally:
             env.close()

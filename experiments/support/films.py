@@ -19,16 +19,16 @@ Pictures = list[Image.Image]
 class Film:
     """Pictures of an environment as it is driven; `frame` adds one after a reset or a step.
 
-    Environments of `sumo_env` are recorded between policy steps too, as by `set_record_video_wrapper`.
+    between: whether environments of `sumo_env` are recorded between policy steps too, in real time.
     """
 
     recording, frames_per_sec = True, 0
 
-    def __init__(self, env: gym.Env[Any, Any]) -> None:
+    def __init__(self, env: gym.Env[Any, Any], between: bool = True) -> None:
         self._env: Any = env.unwrapped
         self.pictures: Pictures = []
         self._seen = 0
-        if hasattr(self._env, "set_record_video_wrapper"):
+        if between and hasattr(self._env, "set_record_video_wrapper"):
             self._env.set_record_video_wrapper(self)
 
     def frame(self) -> None:

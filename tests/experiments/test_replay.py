@@ -7,7 +7,7 @@ import shutil
 import pytest
 from PIL import Image
 
-from experiments.replay import Options, parse_case, replay
+from experiments.replay import Options, find_cell, parse_case, replay
 from experiments.study import store
 from experiments.study.attempt import Ended, attempt
 from experiments.study.cell import CellTask
@@ -56,11 +56,36 @@ def test_an_episode_that_comes_out_differently_is_told(cells, tmp_path, capsys):
     assert "instead of" in errors
 
 
-def test_an_animation_has_a_frame_a_step(cells, tmp_path):
+def test_a_film_has_the_frames_of_the_episode(cells, tmp_path):
     path = tmp_path / "episode.gif"
     replay(Options(f"{cells[0]}:risky:0", out=path, gif=True), make_env)
     length = episodes(cells[0]).query("traffic == 'risky' and scenario == 0")["length"].item()
     assert Image.open(path).n_frames in (length, length + 1)  # equal neighbours are merged
+
+
+def test_by_default_the_first_crash_is_shown(cells):
+    for cell in cells:
+        table = episodes(cell)
+        crashes = table[table["crashed"]][["traffic", "scenario"]].to_numpy().tolist()
+        case = parse_case(str(cell))
+        assert [case.traffic, case.scenario] == (crashes[0] if crashes else ["regular", 0])
+    assert any(episodes(cell)["crashed"].any() for cell in cells)
+
+
+def test_the_beginning_of_a_name_is_enough():
+    names = [
+        "sumo-u-turn-3-control-s0-aa",
+        "sumo-u-turn-3-control-s1-bb",
+        *(f"sumo-highway-{k}-x" for k in range(9)),
+    ]
+    assert find_cell("sumo-u-turn-3-control-s1", names) == "sumo-u-turn-3-control-s1-bb"
+    with pytest.raises(
+        UserError, match="2 cells begin with 'sumo-u-turn'; did you mean sumo-u-turn-3-control-s0-aa"
+    ):
+        find_cell("sumo-u-turn", names)
+    with pytest.raises(UserError) as error:
+        find_cell("highway", names)
+    assert str(error.value).count("sumo-") <= 5
 
 
 def test_an_episode_is_exported_for_sumo(cells, tmp_path, capsys):

@@ -1,7 +1,7 @@
 """Write the golden results anew, then review the difference: see README.md in this folder.
 
 python tests/golden/regenerate.py                     # everything, half a minute
-python tests/golden/regenerate.py scenes outcomes     # some of: scenes outcomes analysis learner
+python tests/golden/regenerate.py scenes outcomes     # some of: scenes outcomes analysis
 python tests/golden/regenerate.py numbers             # the published numbers, when a correction was announced
 """
 
@@ -38,7 +38,6 @@ PARTS: dict[str, Callable[[], Iterator[tuple[str, Any]]]] = {
     "scenes": lambda: every("scenes", scenes.drive),
     "outcomes": lambda: every("outcomes", outcomes.table),
     "analysis": lambda: iter([("analysis.json", significant(study.analysis()))]),
-    "learner": lambda: iter([("learner.json", study.curves())]),
 }
 
 

@@ -25,11 +25,3 @@ def test_the_published_numbers_are_the_golden_ones(folder: str) -> None:
     for rows in (numbers.numbers(analyse(results)), numbers.of_frames(frames.analyse(results))):
         found = numbers.differences(numbers.table(rows, folder))
         assert not found, report(found)
-
-
-@pytest.mark.slow
-def test_the_learner_learns_as_fast_as_the_golden_one() -> None:
-    now, golden = study.curves(), read("learner.json")
-    for name, floor in study.FLOOR.items():
-        for part, ((mean, _), (then, error)) in enumerate(zip(now[name], golden[name], strict=True)):
-            assert mean == pytest.approx(then, abs=max(2 * error, floor)), f"{name} in part {part}"

@@ -64,9 +64,8 @@ def test_workers_of_long_commands_end_with_them(tmp_path: Path, command: str, nu
     out = tmp_path / "out"
     arguments = ["--out", str(out), "--tasks", "highway"]
     process = start(str(ROOT / "experiments" / f"{command}.py"), *arguments)
-    wait_for(
-        lambda: len(list(out.glob("parts/work/*/progress.json"))) == 2 or process.poll() is not None, 300
-    )
+    wait_for(lambda: len(children(process.pid, "spawn_main")) == 2 or process.poll() is not None, 300)
+    time.sleep(3.0)  # until they drive
     found = children(process.pid, "spawn_main")
     assert len(found) == 2
     os.kill(process.pid, number)

@@ -336,7 +336,10 @@ def test_copies_in_a_program_with_threads_of_torch() -> None:
         (["--device.rerouting.threads", "2"], "threads are not copied"),
     ],
 )
-def test_options_that_forbid_copies(options: list[str], reason: str) -> None:
+def test_options_that_forbid_copies(
+    options: list[str], reason: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
     env = DrivingEnv("u-turn", sumo_options=options)
     env.reset(seed=0)
     with pytest.raises(TypeError, match=reason):

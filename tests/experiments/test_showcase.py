@@ -99,6 +99,9 @@ def test_films_outlive_the_weights(copy):
         path.unlink()
     assert showcase(results, set(), make_env) == before
     (copy / FILE).unlink()
+    assert showcase(results, set(), make_env) == before  # from the stored actions
+    results.episodes["actions"] = float("nan")  # as in cells of earlier versions
+    (copy / FILE).unlink()
     after = showcase(results, set(), make_env)
     assert after["places"] == []
     assert after["notes"] == ["highway 50: the weights of the control and treatment agent are not here"]

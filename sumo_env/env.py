@@ -148,7 +148,8 @@ class DrivingEnv(gym.Env[Observation, Any]):
         override = options.get("config")
         if override or self.config != self._configured:
             self.configure(override)
-        self._drawn_by = task = self.task.varied({part: options[part] for part in VARIED if part in options})
+        varied = {part: options[part] for part in VARIED if part in options}
+        self._drawn_by = task = self.task.varied(varied) if varied else self.task
         try:
             scenario = options.get("scenario") or self._draw(task)
             ego = scenario.ego

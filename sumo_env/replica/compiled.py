@@ -7,7 +7,10 @@ file that it calls has; therefore machine code that is older than the newest fil
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -48,6 +51,23 @@ def _compiled(function: Function, counts: bool) -> Function:
         return cast(
             Function, numba.njit(**options)(function)
         )  # no directory is writable: compile in each process
+
+
+@contextmanager
+def announced(function: Any) -> Iterator[None]:
+    """Say that kernels are compiled, and how long it took, unless the machine code of `function` is on the disk."""
+    folder = function.stats.cache_path
+    if folder is not None and any(Path(folder).glob(f"*.{function.__name__}-*.nbi")):
+        yield
+        return
+    start = time.perf_counter()
+    print(
+        "sumo_env: Numba compiles highway-env's physics, once for this installation ...",
+        file=sys.stderr,
+        flush=True,
+    )
+    yield
+    print(f"sumo_env: compiled in {time.perf_counter() - start:.0f} s", file=sys.stderr, flush=True)
 
 
 def drop_outdated(package: Path, *others: Path) -> int:

@@ -15,6 +15,7 @@ from sumo_env.replica.numpy_loops import binary, unary
 from sumo_env.replica.tables import CIRCULAR, NONE, SINE
 
 VEHICLE_LENGTH = 5.0  # [m]
+TURN = 2.0 * math.pi  # [rad]
 NEAR = 3.0  # [m] half a lane's width and the margin of 1 m, within which a car counts as on a lane
 
 
@@ -37,8 +38,15 @@ class Places(NamedTuple):
 
 @borrowing
 def wrapped(angle: float) -> float:
-    """``utils.wrap_to_pi`` [rad]."""
-    return (angle + math.pi) % (2.0 * math.pi) - math.pi
+    """``utils.wrap_to_pi`` [rad], to the bit; within a turn or two, where nearly all angles are, without a division."""
+    shifted = angle + math.pi
+    if -TURN < shifted < 0.0:
+        shifted += TURN
+    elif TURN <= shifted < 2.0 * TURN:
+        shifted -= TURN
+    elif not 0.0 <= shifted < TURN:
+        shifted %= TURN
+    return shifted - math.pi
 
 
 @borrowing

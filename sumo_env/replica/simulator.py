@@ -5,19 +5,32 @@ from __future__ import annotations
 import copy
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
 
 from sumo_env.contacts.crash import CrashRecord, crash_record
 from sumo_env.contacts.rectangles import separation, state_of
-from sumo_env.networks.roads import LaneIndex, Road
+from sumo_env.networks.roads import LaneIndex, Road, highway
+from sumo_env.observation import Kinematics
 from sumo_env.replica import sight
 from sumo_env.replica import step as kernels
+from sumo_env.replica.compiled import announced
 from sumo_env.replica.linear import linear_drivers
 from sumo_env.replica.numpy_loops import LOOPS
 from sumo_env.replica.step import CRASHED, HEADING, SPEED, Rules, X, Y
-from sumo_env.replica.tables import NONE, Records, cars_of, drive_linearly, events_of, lanes_of
+from sumo_env.replica.tables import (
+    CAR,
+    EVENT,
+    NONE,
+    Records,
+    cars_of,
+    drive_linearly,
+    events_of,
+    joined,
+    lanes_of,
+)
 from sumo_env.scene import Scene
 from sumo_env.simulator import EgoCommand, Step
 from sumo_env.traffic.scenario import EGO_DISTANCE, SPAWN_DISTANCE, Scenario, Spawn, VehicleSpec
@@ -49,6 +62,7 @@ class Replica:
     def __init__(self, variant: str = "path", is_linear: bool = False) -> None:
         if variant not in VARIANTS:
             raise ValueError(f"the variant must be one of {VARIANTS}, not {variant!r}")
+        _load()
         self.variant, self.is_linear = variant, is_linear
         self.connected = False  # whether drivers of the variant "stock" look onto the next lanes
         self._rules = Rules(along_path=False, is_two_way=False, regulation_interval=0, dt=0.0)
@@ -65,14 +79,16 @@ class Replica:
         if self.is_linear:
             for name, driver in linear_drivers(scenario).items():
                 drive_linearly(self._everybody[self._ids.index(name)], driver)
+        self._spawns: dict[int, tuple[int, ...]] = {}  # policy step -> numbers
+        for number, spawn in enumerate(scenario.spawns, start=len(scenario.specs)):
+            self._spawns[spawn.step] = (*self._spawns.get(spawn.step, ()), number)
         self._events = events_of(scenario.events, {name: number for number, name in enumerate(self._ids)})
         self._next_event = self._steps = self._policy_steps = 0
         self._crash: CrashRecord | None = None
-        self._is_exit = np.array([start.startswith("il") for start, _, _ in self._lanes.names])
         self._warmed_up = round(scenario.warm_up * scenario.simulation_frequency)
         placed = self._everybody[: len(scenario.specs)]
         self._cars = self._with_ego(placed) if self._warmed_up else placed.copy()
-        self._first_arrival = len(placed) + sum(spawn.step == 0 for spawn in scenario.spawns)
+        self._first_arrival = len(placed) + len(self._spawns.get(0, ()))
         self._name_cars()
         return self._scene(np.array([self._cars[name] for name in FRAME], float))
 
@@ -142,7 +158,8 @@ class Replica:
         self._scenario = replace(scenario, spawns=(*scenario.spawns, spawn))
         arrival = cars_of(scenario.road, [spawn.vehicle])
         arrival["number"] = len(self._everybody)
-        self._everybody = np.concatenate((self._everybody, arrival))
+        self._spawns = {**self._spawns, spawn.step: (len(self._everybody),)}
+        self._everybody = joined(self._everybody, arrival)
         self._ids = [*self._ids, spawn.vehicle.id]
         return self._scenario
 
@@ -197,7 +214,7 @@ class Replica:
         is_driven = warm is not None and warm[0] is self._scenario.vehicles
         cars = warm[1] if warm and is_driven else self._driven(placed[1:].copy())
         cars = self._with_spawns(cars, 0)
-        return np.concatenate((placed[:1], cars[_distance(cars, placed[0]) >= EGO_DISTANCE]))
+        return joined(placed[:1], cars[_distance(cars, placed[0]) >= EGO_DISTANCE])
 
     def _driven(self, cars: Records) -> Records:
         kernels.warm_up(self._lanes.table, cars, self._rules, self._warmed_up)
@@ -206,7 +223,7 @@ class Replica:
     def _staying(self) -> Records:
         """``IntersectionEnv._clear_vehicles``: all but those near the end of an exit."""
         cars = self._cars
-        leaving = self._is_exit[cars["lane"]] & ~cars["is_ego"]
+        leaving = self._lanes.is_exit[cars["lane"]] & ~cars["is_ego"]
         for row in np.flatnonzero(leaving):
             lane, car = self._lanes.table[cars["lane"][row]], cars[row]
             s = (car["x"] - lane["x"]) * lane["cos"] + (car["y"] - lane["y"]) * lane["sin"]
@@ -220,12 +237,10 @@ class Replica:
 
     def _with_spawns(self, cars: Records, step: int) -> Records:
         """The cars and those of the spawns of this policy step that have no other within 15 m."""
-        assert self._scenario is not None
-        first = len(self._scenario.specs)
-        for number, spawn in enumerate(self._scenario.spawns, start=first):
+        for number in self._spawns.get(step, ()):
             fresh = self._everybody[number : number + 1]
-            if spawn.step == step and np.all(_distance(cars, fresh[0]) >= SPAWN_DISTANCE):
-                cars = np.concatenate((cars, fresh))
+            if np.all(_distance(cars, fresh[0]) >= SPAWN_DISTANCE):
+                cars = joined(cars, fresh)
         return cars
 
     def _name_cars(self) -> None:
@@ -234,6 +249,8 @@ class Replica:
     def _steer_ego_for(self, lane: LaneIndex) -> None:
         """Set the ego's target lane; on the next road of its route, that road begins the rest of the route."""
         ego, number = self._cars[0], self._lanes.numbers[lane]
+        if number == ego["target"]:
+            return
         road = self._lanes.table["road"][number]
         legs = np.flatnonzero(ego["route"] == road)
         legs = legs[legs > ego["leg"]]
@@ -254,6 +271,17 @@ class Replica:
             crashed=frame[CRASHED] > 0.0,
             time=round(time, 6),
         )
+
+
+@lru_cache(maxsize=1)
+def _load() -> None:
+    """Load all kernels, or compile them, by a call of each that drives nobody anywhere; once in a process."""
+    lanes, cars, rules = lanes_of(highway(), False).table, np.zeros(1, CAR), Rules(False, False, 0, 0.1)
+    with announced(kernels.policy_step):
+        kernels.warm_up(lanes, cars, rules, 0)
+        kernels.policy_step(lanes, cars, np.empty(0, EVENT), 0, rules, 0, 0, np.empty((0, len(FRAME), 1)))
+        sight.ego_place(lanes, cars)
+        sight.table(lanes, cars, sight.eyes_of(Kinematics({}, 1)))
 
 
 def _centres(cars: Records) -> Centres:

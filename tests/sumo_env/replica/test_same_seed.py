@@ -5,6 +5,8 @@ from __future__ import annotations
 import copy
 import json
 import os
+import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -172,6 +174,21 @@ def test_seeded_scenarios_are_those_of_sumo_env() -> None:
     assert env.scenario.vehicles == sumo.scenario.vehicles
     assert env.scenario.events == sumo.scenario.events
     sumo.close()
+
+
+@pytest.mark.slow
+def test_compilation_is_announced_once_and_kept(tmp_path: Path) -> None:
+    package = tmp_path / "sumo_env"
+    shutil.copytree(ROOT / "sumo_env", package, ignore=shutil.ignore_patterns("__pycache__", "networks"))
+    shutil.copytree(ROOT / "networks", package / "networks", ignore=shutil.ignore_patterns("__pycache__"))
+    code = "import gymnasium as gym; gym.make('sumo_env:replica/u-turn-v0').reset(seed=0)"
+    said = [
+        subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=tmp_path,
+                       env={**os.environ, "PYTHONPATH": str(tmp_path)}).stderr
+        for _ in range(2)
+    ]  # fmt: skip
+    assert re.search(r"once for this installation.*\nsumo_env: compiled in \d+ s", said[0])
+    assert "compile" not in said[1]
 
 
 def test_without_numba_the_error_says_what_to_install() -> None:

@@ -10,9 +10,11 @@ from agents.policies import Policy
 from agents.rules.careful import Careful
 from agents.rules.constant import Constant, Random
 from agents.rules.idm import IDM
+from agents.rules.planner import Planner
 
 POLICIES = ("idle", "random", "faster", "slower", "idm", "careful")
 # The careful driver at other cautions: with the constant policies, how many crashes a speed costs without learning.
+PLANNERS = {"planner": False, "clairvoyant": True}  # whether they know the future
 CAUTIONS = {"careful-0.1": 0.1, "careful-0.5": 0.5, "careful": 1.0, "careful-2": 2.0, "careful-4": 4.0}
 
 
@@ -21,17 +23,23 @@ def make_policy(name: str, env: gym.Env[Any, Any]) -> Policy:
 
     "idle", "faster" and "slower" repeat one meta-action, "random" draws uniformly, "idm" is
     :class:`agents.rules.idm.IDM`, "careful" :class:`agents.rules.careful.Careful`, "careful-2" the same with twice the
-    caution (see CAUTIONS). Raises ValueError for an unknown name or an action that the environment lacks.
+    caution (see CAUTIONS). "planner" is :class:`agents.rules.planner.Planner`, "clairvoyant" the same with copies that
+    know the future; these two need an environment that can be copied.
+
+    Raises:
+        ValueError: unknown name, or an action that the environment lacks.
     """
     actions: dict[int, str] = env.unwrapped.actions  # type: ignore[attr-defined]
     if name == "random":
         return Random(len(actions))
     if name == "idm":
         return IDM(env)
+    if name in PLANNERS:
+        return Planner(env, foresees=PLANNERS[name])
     if name in CAUTIONS:
         return Careful(env, CAUTIONS[name])
     if name not in POLICIES:
-        known = dict.fromkeys((*POLICIES, *CAUTIONS))
+        known = dict.fromkeys((*POLICIES, *CAUTIONS, *PLANNERS))
         raise ValueError(f"Unknown policy {name!r}: choose one of {', '.join(known)}.")
     for number, action in actions.items():
         if action == name.upper():

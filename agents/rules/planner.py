@@ -1,0 +1,84 @@
+"""A planner that tries what would happen: open-loop search in copies of the environment.
+
+A sequence of actions is a first action and another one that is repeated after it. Every sequence is driven in a copy
+for a few steps, and the first action of the best one is taken. This needs an environment that `copy.deepcopy` copies
+while an episode runs; one that knows the future if the copies meet the same traffic as the environment itself, and one
+that does not if the environment can ``imagine`` (`sumo_env.env.DrivingEnv.imagine`).
+"""
+
+from __future__ import annotations
+
+import copy
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+from agents.streams import stream
+
+STEPS = 5  # of a sequence
+FUTURES = 3  # that are imagined for a decision
+CRASH = 10.0  # cost of a crash, in units of the reward
+REPEATED = ("IDLE", "SLOWER", "FASTER")
+
+
+class Planner:
+    """Takes the first action of the sequence with the best mean return over the futures.
+
+    Args:
+        env: that it drives; its `unwrapped` is copied, so that rewards are its own.
+        foresees: whether the copies meet the future that will come, instead of imagined ones.
+    """
+
+    def __init__(self, env: gym.Env[Any, Any], foresees: bool) -> None:
+        self._env: Any = env.unwrapped
+        self._foresees = foresees
+        self.reset(0)
+
+    def reset(self, seed: int | None = None) -> None:
+        """Begin an episode; the seed fixes what is imagined, without one the draws go on where they are."""
+        if seed is not None:
+            self._generator = stream(seed, "planner")
+
+    def act(self, observation: np.ndarray) -> int:
+        """The action that turns out best."""
+        names: dict[int, str] = self._env.actions
+        # IDLE first, so that nothing is done where it makes no difference
+        firsts = sorted(self._env.get_available_actions(), key=lambda action: names[action] != "IDLE")
+        repeated = [action for action, name in names.items() if name in REPEATED]
+        totals = {(first, then): 0.0 for first in firsts for then in repeated}
+        for _ in range(1 if self._foresees else FUTURES):
+            future = self._future()
+            for first in firsts:
+                for then, value in _values(future, first, repeated).items():
+                    totals[first, then] += value
+            future.close()
+        return max(totals, key=lambda sequence: totals[sequence])[0]
+
+    def _future(self) -> Any:
+        if self._foresees:
+            return copy.deepcopy(self._env)
+        return self._env.imagine(int(self._generator.integers(2**31)))
+
+
+def _values(env: Any, first: int, repeated: list[int]) -> dict[int, float]:
+    """Value of a first action followed by each of the repeated ones, in copies."""
+    begun = copy.deepcopy(env)
+    value, over = _step(begun, first)
+    values = dict.fromkeys(repeated, value)
+    for then in repeated if not over else ():
+        twin = copy.deepcopy(begun)
+        ended = False
+        for _ in range(STEPS - 1):
+            if not ended:
+                value, ended = _step(twin, then)
+                values[then] += value
+        twin.close()
+    begun.close()
+    return values
+
+
+def _step(env: Any, action: int) -> tuple[float, bool]:
+    """Reward less the cost of a crash, and whether the episode is over."""
+    _, reward, terminated, truncated, info = env.step(action)
+    return float(reward) - CRASH * bool(info["crashed"]), terminated or truncated

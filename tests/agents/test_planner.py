@@ -1,0 +1,123 @@
+"""The planner, on a road without SUMO: a car that waits somewhere ahead and may be there or not."""
+
+from __future__ import annotations
+
+import copy
+from typing import Any, ClassVar
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from agents.rules import make_policy
+from agents.rules.planner import Planner
+
+NAMES = {0: "SLOWER", 1: "IDLE", 2: "FASTER"}
+
+
+class Road(gym.Env[np.ndarray, int]):
+    """Each step covers the action's number of metres and pays them; whoever is at `hidden` when it strikes crashes."""
+
+    action_space = gym.spaces.Discrete(3)
+    observation_space = gym.spaces.Box(-np.inf, np.inf, (1,))
+    actions: ClassVar[dict[int, str]] = NAMES
+    open_copies: ClassVar[set[int]] = set()
+
+    def __init__(self, strikes_at: int | None = 2, places: tuple[int, ...] = (2, 3, 4)) -> None:
+        self.strikes_at, self.places = strikes_at, places
+        self.place = self.steps = 0
+
+    def get_available_actions(self) -> list[int]:
+        return [0, 1, 2]
+
+    def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[np.ndarray, dict[str, Any]]:
+        super().reset(seed=seed)
+        self.place = self.steps = 0
+        return np.zeros(1), {}
+
+    def step(self, action: int) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+        self.place += action
+        self.steps += 1
+        crashed = self.steps == self.strikes_at and self.place in self.places
+        return np.array([self.place]), float(action), crashed, self.steps >= 6, {"crashed": crashed}
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> Road:
+        twin = Road(self.strikes_at, self.places)
+        twin.place, twin.steps = self.place, self.steps
+        self.open_copies.add(id(twin))
+        memo["kept", id(twin)] = twin  # type: ignore[index]
+        return twin
+
+    def imagine(self, seed: int) -> Road:
+        twin = copy.deepcopy(self)
+        twin.strikes_at = None if seed % 2 else twin.strikes_at and 2
+        twin.places = (4,)
+        return twin
+
+    def close(self) -> None:
+        self.open_copies.discard(id(self))
+
+
+def drive(env: Road, name: str) -> tuple[float, bool]:
+    policy = make_policy(name, env)
+    observation, _ = env.reset(seed=0)
+    policy.reset(0)
+    total, over = 0.0, False
+    while not over:
+        observation, reward, terminated, truncated, info = env.step(policy.act(observation))
+        total, over = total + reward, terminated or truncated
+    return total, bool(info["crashed"])
+
+
+@pytest.mark.parametrize(("places", "best"), [((4,), 11.0), ((3, 4), 10.0), ((2, 3, 4), 9.0), ((), 12.0)])
+def test_who_knows_the_future_finds_the_best_way_around(places: tuple[int, ...], best: float) -> None:
+    """A crash is avoided by as little as it takes."""
+    assert drive(Road(places=places), "clairvoyant") == (best, False)
+
+
+def test_who_imagines_does_not_know_the_future() -> None:
+    """The same is imagined, whatever is going to happen."""
+    for seed in range(5):
+        chosen = set()
+        for places in ((4,), (3, 4), ()):
+            env = Road(places=places)
+            policy = Planner(env, foresees=False)
+            policy.reset(seed)
+            chosen.add(policy.act(np.zeros(1)))
+        assert len(chosen) == 1
+
+
+def test_planning_leaves_the_environment_as_it_was_and_closes_its_copies() -> None:
+    env = Road()
+    Road.open_copies.clear()
+    for foresees in (False, True):
+        Planner(env, foresees).act(np.zeros(1))
+    assert (env.place, env.steps) == (0, 0)
+    assert not Road.open_copies
+
+
+def test_idle_is_kept_where_nothing_makes_a_difference() -> None:
+    class Flat(Road):
+        def step(self, action: int) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
+            observation, _, terminated, truncated, info = super().step(action)
+            return observation, 0.0, terminated, truncated, info
+
+        def __deepcopy__(self, memo: dict[int, Any]) -> Flat:
+            return Flat(self.strikes_at, self.places)
+
+    assert NAMES[Planner(Flat(None), foresees=True).act(np.zeros(1))] == "IDLE"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["planner", "clairvoyant"])
+def test_it_plans_on_sumo(name: str) -> None:
+    env = gym.make("sumo_env:sumo/u-turn-v0", config={"risk": 1.0, "vehicles_count": 3, "duration": 5})
+    policy = make_policy(name, env)
+    observation, _ = env.reset(seed=1)
+    policy.reset(1)
+    over = False
+    while not over:
+        observation, _, terminated, truncated, info = env.step(policy.act(observation))
+        over = terminated or truncated
+    assert not info["crashed"]
+    env.close()

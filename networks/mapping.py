@@ -115,11 +115,13 @@ class Network:
         """SUMO's number of a lane on its edge, 0 for the rightmost."""
         return int(self.lanes[index].id.rpartition("_")[2])
 
-    def place(self, index: LaneIndex, s: float, destination: str | None = None) -> tuple[str, str, float]:
+    def place(
+        self, index: LaneIndex, s: float, destination: str | None = None, half: float = VEHICLE_LENGTH / 2
+    ) -> tuple[str, str, float]:
         """Where SUMO has to put a vehicle whose centre highway-env has `s` [m] along lane `index`.
 
         Returns (key of its route, SUMO lane id, position of its front bumper [m] for `vehicle.moveTo`).
-        The bumper is half a vehicle ahead of the centre, possibly past a joint; `s` outside the lane is
+        The bumper is half a vehicle (`half` [m]) ahead of the centre, possibly past a joint; `s` outside the lane is
         followed along the route. Raises ValueError for a lane that SUMO drives the wrong way, and beyond
         the ends of the network.
         """
@@ -128,7 +130,7 @@ class Network:
         beginning = self._beginnings.get((index, destination))
         key, lane, first, edge = beginning or self._begin(index, destination)
         edges = self.routes[key]
-        ahead = _travelled(self.road.lane(index), first, s) + VEHICLE_LENGTH / 2
+        ahead = _travelled(self.road.lane(index), first, s) + half
         while not 0 <= ahead <= lane.drawn:
             step = 1 if ahead > 0 else -1
             beside = self._beside(lane.id, edges, edge, step)

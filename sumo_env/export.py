@@ -21,7 +21,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from sumo_env.networks.mapping import Network, SumoLane
-from sumo_env.scene import VEHICLE_LENGTH, Scene
+from sumo_env.scene import Scene
 from sumo_env.traffic.drivers import Calibration, vehicle_type
 from sumo_env.traffic.scenario import EGO, Scenario, VehicleSpec
 
@@ -58,7 +58,12 @@ def write(folder: Path, scenario: Scenario, scenes: Sequence[Scene]) -> list[Pat
     shutil.copyfile(road.net_file, net)
     _write(recorded, _floating_car_data(road, specs, scenes, step, 0.0))
     _write(ego, _floating_car_data(road, {EGO: scenario.ego}, scenes, step, warm_up))
-    shown = [ElementTree.Element("vType", {"id": k, "color": v, **REPLAYED}) for k, v in COLOURS.items()]
+    sizes = {size for scene in scenes for size in scene.sizes.values()}
+    shown = [
+        ElementTree.Element("vType", {"id": _type(name, size), "color": colour, **REPLAYED, **_extent(size)})
+        for name, colour in COLOURS.items()
+        for size in (None, *sorted(sizes))
+    ]
     _write(types, _element("additional", *shown))
     _write(routes, _element("routes", *_departures(road, scenario, scenes, warm_up)))
     _write(view, _view(road, scenes))
@@ -90,15 +95,26 @@ def _floating_car_data(
             if name not in ways:
                 continue
             heading = float(scene.heading[row])
-            x = float(scene.x[row]) + VEHICLE_LENGTH / 2 * math.cos(heading)
-            y = float(scene.y[row]) + VEHICLE_LENGTH / 2 * math.sin(heading)
+            half = scene.size(name)[0] / 2
+            x = float(scene.x[row]) + half * math.cos(heading)
+            y = float(scene.y[row]) + half * math.sin(heading)
             lane_id, position = ways[name].locate(x, y)
+            kind = _type(shown.get(name, "car"), scene.sizes.get(name))
             ElementTree.SubElement(
                 now, "vehicle", id=name, x=f"{x:.3f}", y=f"{-y:.3f}",
-                angle=f"{(math.degrees(heading) + 90.0) % 360.0:.3f}", type=shown.get(name, "car"),
+                angle=f"{(math.degrees(heading) + 90.0) % 360.0:.3f}", type=kind,
                 speed=f"{float(scene.speed[row]):.3f}", pos=f"{position:.3f}", lane=lane_id, slope="0",
             )  # fmt: skip
     return root
+
+
+def _type(name: str, size: tuple[float, float] | None) -> str:
+    """The vehicle type of a replayed vehicle; cars have no size in its name."""
+    return name if size is None else f"{name}-{size[0]:g}x{size[1]:g}"
+
+
+def _extent(size: tuple[float, float] | None) -> dict[str, str]:
+    return {} if size is None else {"length": f"{size[0]:g}", "width": f"{size[1]:g}"}
 
 
 class _Way:
@@ -133,7 +149,7 @@ def _departures(
     ]
     vehicles = []
     for spec, time in departures:
-        key, lane, position = road.place(spec.lane, spec.s, spec.destination)
+        key, lane, position = road.place(spec.lane, spec.s, spec.destination, spec.driver.size[0] / 2)
         if lane.startswith(":"):  # inside a joint nobody can depart
             lane = road.sumo_lanes[lane].preceding[0]
             position = road.sumo_lanes[lane].length

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
 
 VEHICLE_LENGTH = 5.0  # [m] highway_env.vehicle.kinematics.Vehicle.LENGTH
 VEHICLE_WIDTH = 2.0  # [m] Vehicle.WIDTH
+CAR_SIZE = (VEHICLE_LENGTH, VEHICLE_WIDTH)
 PERCEPTION_DISTANCE = 200.0  # [m] 5 * Vehicle.MAX_SPEED, AbstractEnv.PERCEPTION_DISTANCE
 
 Floats = NDArray[np.float64]
@@ -26,6 +28,7 @@ class Scene:
         crashed: whether the vehicle has crashed, shape (n,).
         time: since the start of the episode [s].
         in_event: names of the vehicles on which a risk event acts now.
+        sizes: length and width [m] of the vehicles that do not have highway-env's size.
     """
 
     ids: tuple[str, ...]
@@ -36,6 +39,11 @@ class Scene:
     crashed: NDArray[np.bool_]
     time: float
     in_event: frozenset[str] = frozenset()
+    sizes: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+
+    def size(self, name: str) -> tuple[float, float]:
+        """Length and width of a vehicle [m]."""
+        return self.sizes.get(name, CAR_SIZE)
 
     def __deepcopy__(self, memo: dict[int, object]) -> Scene:
         return self  # immutable

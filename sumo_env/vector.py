@@ -22,7 +22,10 @@ from sumo_env.sumo.remote import RemoteSimulator, SimulatorDied
 from sumo_env.tasks.base import Task
 
 # gymnasium's vector environments take type parameters from version 1.4 on
-_Base = SyncVectorEnv[Any, Any] if TYPE_CHECKING else SyncVectorEnv
+if TYPE_CHECKING:
+    _Base = SyncVectorEnv[Any, Any]
+else:
+    _Base = SyncVectorEnv
 
 
 class SumoVectorEnv(_Base):

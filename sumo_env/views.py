@@ -69,6 +69,7 @@ class Vehicle:
         speed: [m/s].
         heading: [rad].
         crashed: whether it has crashed.
+        LENGTH, WIDTH: [m].
     """
 
     id: str
@@ -77,8 +78,8 @@ class Vehicle:
     heading: float
     crashed: bool
     _road: Road = field(repr=False)
-    LENGTH = VEHICLE_LENGTH
-    WIDTH = VEHICLE_WIDTH
+    LENGTH: float = field(default=VEHICLE_LENGTH, kw_only=True)
+    WIDTH: float = field(default=VEHICLE_WIDTH, kw_only=True)
 
     @cached_property
     def lane_index(self) -> LaneIndex:
@@ -141,7 +142,8 @@ class Ego(Vehicle):
 
 
 for _view in (Vehicle, Ego):
-    _view.__setattr__ = _read_only  # in place of the dataclass's own, which names no remedy
+    # in place of the dataclass's own, which names no remedy
+    _view.__setattr__ = _read_only  # type: ignore[method-assign]
 
 
 class RoadNetwork:
@@ -192,7 +194,14 @@ class RoadView:
             scene.crashed.tolist(), strict=True,
         )  # fmt: skip
         first, *others = rows
-        self.vehicles = (Ego(*first, road, **ego), *(Vehicle(*row, road) for row in others))
+        self.vehicles = (
+            Ego(*first, road, **ego),
+            *(
+                Vehicle(*row, road, LENGTH=length, WIDTH=width)
+                for row in others
+                for length, width in [scene.size(row[0])]
+            ),
+        )
 
     if not TYPE_CHECKING:
 

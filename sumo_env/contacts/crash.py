@@ -13,8 +13,10 @@ from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal
 
 from sumo_env.contacts.rectangles import (
+    CAR,
     LENGTH,
     WIDTH,
+    Half,
     State,
     distance,
     first_touch,
@@ -105,9 +107,13 @@ def crash_record(scene: Scene, other: int, detected_by: Detector) -> CrashRecord
     return record(state_of(scene, 0), state_of(scene, other), scene.ids[other], scene.time, detected_by)
 
 
-def is_confirmed(first: State, second: State) -> bool:
+def is_confirmed(first: State, second: State, half: Half = CAR, other: Half = CAR) -> bool:
     """Whether SUMO's report of a contact of these two counts: it also reports vehicles that are far apart."""
-    return separation(first, second) <= SUMO_TOLERANCE and distance(first, second) <= SUMO_TOLERANCE
+    sizes = half, other
+    return (
+        separation(first, second, *sizes) <= SUMO_TOLERANCE
+        and distance(first, second, *sizes) <= SUMO_TOLERANCE
+    )
 
 
 class CrashDetector:
@@ -131,6 +137,7 @@ class CrashDetector:
         before: Sequence[State],
         after: Sequence[State],
         reported: Collection[str],
+        halves: Sequence[Half] = (),
     ) -> CrashRecord | None:
         """Judge one sub-step of `dt` [s] that has ended at `time` [s]; returns `crash`.
 
@@ -139,6 +146,7 @@ class CrashDetector:
             ids: of the vehicles that may have touched the ego; the ego is the first.
             before, after: their states at the start and at the end of the sub-step, in the order of `ids`.
             reported: ids of the vehicles with which SUMO reports a collision of the ego in this sub-step.
+            halves: half sizes in the order of `ids`; all are cars without them.
         """
         # SUMO may see a contact a sub-step before the geometry does, or a sub-step later.
         earlier, self.reported = self.reported, reported
@@ -146,7 +154,7 @@ class CrashDetector:
             if self.crash.detected_by == "geometry" and self.crash.other in reported:
                 self.crash = replace(self.crash, detected_by="both")
             return self.crash
-        touch = first_touch(before[0], after[0], before[1:], after[1:])
+        touch = first_touch(before[0], after[0], before[1:], after[1:], halves[1:])
         if touch is not None:
             row, moment = touch[0] + 1, touch[1]
             by: Detector = "both" if ids[row] in reported or ids[row] in earlier else "geometry"
@@ -154,7 +162,8 @@ class CrashDetector:
             confirmed = (
                 row
                 for row in range(1, len(ids))
-                if ids[row] in reported and is_confirmed(after[0], after[row])
+                if ids[row] in reported
+                and is_confirmed(after[0], after[row], CAR, halves[row] if halves else CAR)
             )
             row, moment, by = next(confirmed, 0), 1.0, "sumo"
             if row == 0:

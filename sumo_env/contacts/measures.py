@@ -11,7 +11,7 @@ from math import cos, inf, sin
 
 import numpy as np
 
-from sumo_env.contacts.rectangles import DIAGONAL, HALF_LENGTH, HALF_WIDTH, State
+from sumo_env.contacts.rectangles import CAR, DIAGONAL, HALF_LENGTH, HALF_WIDTH, Half, State, extents
 from sumo_env.scene import VEHICLE_LENGTH, Floats
 
 NEAR_MISS_TTC = 1.5  # [s] a smaller time to collision without a crash is a near-miss
@@ -74,6 +74,26 @@ def ego_ttc(ego: State, others: Iterable[State], horizon: float = HORIZON) -> fl
         else:
             limit, found = begin, True
     return limit if found else inf
+
+
+def ttc_of_size(ego: State, other: State, half: Half, horizon: float = HORIZON) -> float:
+    """`ego_ttc` with one vehicle of any size, half of which is `half` [m]."""
+    c1, s1, c2, s2 = cos(ego[3]), sin(ego[3]), cos(other[3]), sin(other[3])
+    dx, dy = other[0] - ego[0], other[1] - ego[1]
+    wx, wy = other[2] * c2 - ego[2] * c1, other[2] * s2 - ego[2] * s1
+    parallel, across = abs(c1 * c2 + s1 * s2), abs(c1 * s2 - s1 * c2)
+    length, width = extents(CAR, half, parallel, across)
+    other_length, other_width = extents(half, CAR, parallel, across)
+    begin, end = 0.0, horizon
+    for x, y, extent in ((c1, s1, length), (-s1, c1, width), (c2, s2, other_length), (-s2, c2, other_width)):
+        apart, rate = dx * x + dy * y, wx * x + wy * y
+        if abs(rate) < PARALLEL:
+            if abs(apart) > extent:
+                return inf
+            continue
+        first, last = sorted(((-extent - apart) / rate, (extent - apart) / rate))
+        begin, end = max(begin, first), min(end, last)
+    return begin if begin <= end else inf
 
 
 def headways(x: Floats, y: Floats, speed: Floats, heading: Floats) -> Floats:

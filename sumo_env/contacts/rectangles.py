@@ -6,7 +6,7 @@ corner that is grazed in between, so contacts are looked for all along the way o
 `first_touch`). Figures: docs/collisions.md.
 
 All functions take plain floats: with the handful of vehicles near the ego this is faster than numpy. A vehicle is a
-`State`; all vehicles have highway-env's size.
+`State`, and has highway-env's size where no other is given.
 """
 
 from __future__ import annotations
@@ -22,7 +22,9 @@ State = tuple[float, float, float, float]  # x, y [m], speed [m/s], heading [rad
 LENGTH: float = VEHICLE_LENGTH
 WIDTH: float = VEHICLE_WIDTH
 HALF_LENGTH, HALF_WIDTH = LENGTH / 2.0, WIDTH / 2.0
-DIAGONAL = hypot(LENGTH, WIDTH)  # [m] vehicles whose centres are further apart are not in contact
+Half = tuple[float, float]  # half the length and half the width of a vehicle [m]
+CAR: Half = (HALF_LENGTH, HALF_WIDTH)
+DIAGONAL = hypot(LENGTH, WIDTH)  # [m] cars whose centres are further apart are not in contact
 ROUNDING = 1e-9  # [m] a smaller gap is a touch: a look is meant to fall on its moment
 FINEST = 0.01  # of a sub-step: a contact that is shorter (1 ms of 0.1 s) may be missed
 
@@ -50,40 +52,55 @@ def state_between(before: State, after: State, moment: float) -> State:
     )
 
 
-def separation(first: State, second: State) -> float:
+def reach_of(half: Half) -> float:
+    """Between the centres of a car and a vehicle of this size [m]: further apart they are not in contact."""
+    return DIAGONAL / 2.0 + hypot(*half)
+
+
+def separation(first: State, second: State, half: Half = CAR, other: Half = CAR) -> float:
     """Largest gap [m] between two vehicles over the directions of their sides, positive if they are apart.
 
     Apart, it is a lower bound of their distance; in contact, minus the depth of penetration, that is, the least
     distance by which one has to be moved to free it.
     """
-    return _separation(second[0] - first[0], second[1] - first[1], first[3], second[3])
+    return _separation(second[0] - first[0], second[1] - first[1], first[3], second[3], half, other)
 
 
-def _separation(dx: float, dy: float, h1: float, h2: float) -> float:
+def _separation(dx: float, dy: float, h1: float, h2: float, half: Half, other: Half) -> float:
     """`separation` by the way (dx, dy) from centre to centre [m] and the headings [rad]."""
     c1, s1, c2, s2 = cos(h1), sin(h1), cos(h2), sin(h2)
     parallel, across = abs(c1 * c2 + s1 * s2), abs(c1 * s2 - s1 * c2)
-    # Half the extent of both together along the length of either and across it: the same, since the sizes are.
-    length = HALF_LENGTH + HALF_LENGTH * parallel + HALF_WIDTH * across
-    width = HALF_WIDTH + HALF_LENGTH * across + HALF_WIDTH * parallel
+    # Half the extent of both together along the length of either and across it.
+    length, width = extents(half, other, parallel, across)
+    other_length, other_width = (length, width) if half == other else extents(other, half, parallel, across)
     return max(
         abs(dx * c1 + dy * s1) - length,
         abs(dy * c1 - dx * s1) - width,
-        abs(dx * c2 + dy * s2) - length,
-        abs(dy * c2 - dx * s2) - width,
+        abs(dx * c2 + dy * s2) - other_length,
+        abs(dy * c2 - dx * s2) - other_width,
     )
 
 
-def distance(first: State, second: State) -> float:
+def extents(half: Half, other: Half, parallel: float, across: float) -> tuple[float, float]:
+    """Half the extent [m] of two vehicles together, along the length of the first and across it.
+
+    parallel, across: cosine and sine of the angle between them, without sign.
+    """
+    length = half[0] + other[0] * parallel + other[1] * across
+    width = half[1] + other[0] * across + other[1] * parallel
+    return length, width
+
+
+def distance(first: State, second: State, half: Half = CAR, other: Half = CAR) -> float:
     """Distance [m] of the outlines of two vehicles; in contact, minus the depth of penetration."""
-    gap = separation(first, second)
+    gap = separation(first, second, half, other)
     if gap <= 0.0:
         return gap
     # Apart, a corner of one of the two is the point that is nearest to the other.
-    return min(_corner_distance(first, second), _corner_distance(second, first))
+    return min(_corner_distance(first, second, half, other), _corner_distance(second, first, other, half))
 
 
-def _corner_distance(first: State, second: State) -> float:
+def _corner_distance(first: State, second: State, half: Half, other: Half) -> float:
     """Distance [m] from the first rectangle to the nearest corner of the second."""
     dx, dy, turn = second[0] - first[0], second[1] - first[1], second[3] - first[3]
     c, s = cos(first[3]), sin(first[3])
@@ -91,43 +108,50 @@ def _corner_distance(first: State, second: State) -> float:
     c, s = cos(turn), sin(turn)
     return min(
         hypot(
-            max(abs(x + along * c - across * s) - HALF_LENGTH, 0.0),
-            max(abs(y + along * s + across * c) - HALF_WIDTH, 0.0),
+            max(abs(x + along * c - across * s) - half[0], 0.0),
+            max(abs(y + along * s + across * c) - half[1], 0.0),
         )
-        for along in (-HALF_LENGTH, HALF_LENGTH)
-        for across in (-HALF_WIDTH, HALF_WIDTH)
+        for along in (-other[0], other[0])
+        for across in (-other[1], other[1])
     )
 
 
-def touch_moment(first: State, first_after: State, second: State, second_after: State) -> float:
-    """When two vehicles first touch on their way through a sub-step, 0 (its start) to 1; inf if they do not.
+def touch_moment(
+    first: State, first_after: State, second: State, second_after: State, other: Half = CAR
+) -> float:
+    """When a car and a vehicle of half size `other` first touch within a sub-step, 0 (its start) to 1; inf if not.
 
     Both move evenly from their pose before to the one after and turn the short way. Where they are apart by a gap,
     they cannot meet before the fastest of their points have come that far: the next look is there (conservative
     advancement), or `FINEST` later, whichever is more.
     """
+    reach = DIAGONAL if other == CAR else reach_of(other)
     # the way from the first centre to the second, and how it changes during the sub-step
     rx, ry = second[0] - first[0], second[1] - first[1]
     sx, sy = second_after[0] - first_after[0], second_after[1] - first_after[1]
     if (
-        (rx > DIAGONAL and sx > DIAGONAL)
-        or (rx < -DIAGONAL and sx < -DIAGONAL)
-        or (ry > DIAGONAL and sy > DIAGONAL)
-        or (ry < -DIAGONAL and sy < -DIAGONAL)
+        (rx > reach and sx > reach)
+        or (rx < -reach and sx < -reach)
+        or (ry > reach and sy > reach)
+        or (ry < -reach and sy < -reach)
     ):
         return inf  # apart along x or y all the time: the quickest test, for most vehicles that are not next to it
     ux, uy = sx - rx, sy - ry
     squared = ux * ux + uy * uy
     nearest = min(max(-(rx * ux + ry * uy) / squared, 0.0), 1.0) if squared else 0.0
     x, y = rx + nearest * ux, ry + nearest * uy
-    if x * x + y * y > DIAGONAL * DIAGONAL:
+    if x * x + y * y > reach * reach:
         return inf  # not even their circumscribed circles meet
     h1, h2 = first[3], second[3]
     turn1, turn2 = wrap_to_pi(first_after[3] - h1), wrap_to_pi(second_after[3] - h2)
-    fastest = sqrt(squared) + DIAGONAL / 2.0 * (abs(turn1) + abs(turn2))
+    fastest = sqrt(squared) + reach / 2.0 * (abs(turn1) + abs(turn2))
+    if other != CAR:
+        fastest = sqrt(squared) + DIAGONAL / 2.0 * abs(turn1) + hypot(*other) * abs(turn2)
     moment = 0.0
     while True:
-        gap = _separation(rx + moment * ux, ry + moment * uy, h1 + moment * turn1, h2 + moment * turn2)
+        gap = _separation(
+            rx + moment * ux, ry + moment * uy, h1 + moment * turn1, h2 + moment * turn2, CAR, other
+        )
         if gap <= ROUNDING:
             return moment
         if moment == 1.0 or gap > fastest * (1.0 - moment):
@@ -136,15 +160,20 @@ def touch_moment(first: State, first_after: State, second: State, second_after: 
 
 
 def first_touch(
-    ego: State, ego_after: State, others: Sequence[State], others_after: Sequence[State]
+    ego: State,
+    ego_after: State,
+    others: Sequence[State],
+    others_after: Sequence[State],
+    halves: Sequence[Half] = (),
 ) -> tuple[int, float] | None:
     """Which of the others the ego touches first within a sub-step, as (row, moment), and None if none; `touch_moment`.
 
-    The rows of `others` (before the sub-step) and `others_after` are the same vehicles.
+    The rows of `others` (before the sub-step), `others_after` and `halves` are the same vehicles; all are cars without
+    `halves`.
     """
     least, row = inf, -1
     for k, (other, other_after) in enumerate(zip(others, others_after, strict=True)):
-        moment = touch_moment(ego, ego_after, other, other_after)
+        moment = touch_moment(ego, ego_after, other, other_after, halves[k] if halves else CAR)
         if moment < least:
             least, row = moment, k
     return None if row < 0 else (row, least)

@@ -17,7 +17,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from sumo_env.networks.roads import Road
 from sumo_env.rendering.markings import Points, markings
-from sumo_env.scene import VEHICLE_LENGTH, VEHICLE_WIDTH, Scene
+from sumo_env.scene import CAR_SIZE, VEHICLE_LENGTH, VEHICLE_WIDTH, Scene
 
 Colour = tuple[int, int, int]
 
@@ -83,11 +83,12 @@ class Renderer:
         pen = ImageDraw.Draw(canvas)
         if config["show_trajectories"]:
             self._draw_trajectories(pen, scene, scale, left, top)
-        reach = VEHICLE_LENGTH * scale
+        reach = max([VEHICLE_LENGTH, *(length for length, _ in scene.sizes.values())]) * scale
         for row in range(len(scene) - 1, -1, -1):  # the ego last, on top of the others
             x, y = float(scene.x[row]) * scale - left, float(scene.y[row]) * scale - top
             if -reach < x < size[0] + reach and -reach < y < size[1] + reach:
-                _draw_vehicle(pen, x, y, float(scene.heading[row]), scale, _colour(scene, row))
+                extent = scene.size(scene.ids[row])
+                _draw_vehicle(pen, x, y, float(scene.heading[row]), scale, _colour(scene, row), extent)
                 if scene.ids[row] in scene.in_event:
                     _draw_ring(pen, x, y, scale)
                 if row == 0 and scene.crashed[0]:
@@ -180,11 +181,18 @@ class _Layer:
 
 
 def _draw_vehicle(
-    pen: ImageDraw.ImageDraw, x: float, y: float, heading: float, scale: float, colour: Colour
+    pen: ImageDraw.ImageDraw,
+    x: float,
+    y: float,
+    heading: float,
+    scale: float,
+    colour: Colour,
+    size: tuple[float, float],
 ) -> None:
-    """A car around (x, y) [drawn px]."""
+    """A vehicle of this length and width [m] around (x, y) [drawn px]: a car, stretched."""
     cos, sin = math.cos(heading) * scale, math.sin(heading) * scale
-    turn = np.array([(cos, sin), (-sin, cos)])
+    stretch = np.array(size) / CAR_SIZE
+    turn = stretch[:, None] * np.array([(cos, sin), (-sin, cos)])
 
     def place(part: Points) -> list[tuple[int, int]]:
         return _pixels(part @ turn + (x, y))

@@ -13,8 +13,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
 
-from sumo_env.contacts.rectangles import State
-from sumo_env.scene import VEHICLE_LENGTH
+from sumo_env.contacts.rectangles import Half, State
+from sumo_env.scene import CAR_SIZE, VEHICLE_LENGTH
 
 try:
     import libsumo
@@ -64,6 +64,7 @@ class Session:
     """One simulation. `load` first; every method may raise one of `SumoErrors`.
 
     Attributes:
+        sizes: length and width [m] of the vehicles on the road that do not have highway-env's size.
         step_length: time between two steps as SUMO counts it, in whole milliseconds [s]: 0.067 at 15 Hz.
     """
 
@@ -71,10 +72,14 @@ class Session:
         self.step_length = 0.0
         self._settings: Settings | None = None
         self._limits: dict[str, float] = {}
+        self._known: set[str] = set()  # vehicles whose size is known
+        self.sizes: dict[str, tuple[float, float]] = {}
         self._steps = 0  # since the network was loaded
 
     def load(self, settings: Settings) -> None:
         """Load a network with its vehicle types and an empty road; only an empty road where it is loaded already."""
+        self._known.clear()
+        self.sizes.clear()
         if settings == self._settings and self._clock_is_ours():
             for name in _vehicle.getIDList():
                 _vehicle.remove(name)
@@ -141,11 +146,17 @@ class Session:
         desired_speed: float,
         speed_mode: int = REGULAR,
         lane_change_mode: int = OWN_LANE_CHANGES,
+        size: tuple[float, float] = CAR_SIZE,
     ) -> None:
         """Place a vehicle with its front bumper at `position` [m] of a lane, driving at `speed` [m/s].
 
         desired_speed: that it follows on a free road [m/s].
         """
+        self._known.add(name)
+        if size == CAR_SIZE:
+            self.sizes.pop(name, None)
+        else:
+            self.sizes[name] = size
         _vehicle.add(name, route, vehicle_type, departSpeed="0")
         _vehicle.moveTo(name, lane, position)
         _vehicle.setPreviousSpeed(name, speed)
@@ -202,7 +213,20 @@ class Session:
 
     def vehicles(self) -> tuple[str, ...]:
         """Names of the vehicles on the road, in alphabetical order."""
-        return _vehicle.getIDList()
+        names = _vehicle.getIDList()
+        if len(names) != len(self._known):
+            self._meet(set(names))
+        return names
+
+    def _meet(self, present: set[str]) -> None:
+        """Ask for the sizes of vehicles that somebody else has added, and forget those that have left."""
+        for name in present - self._known:
+            size = float(_vehicle.getLength(name)), float(_vehicle.getWidth(name))
+            if size != CAR_SIZE:
+                self.sizes[name] = size
+        for name in self._known - present:
+            self.sizes.pop(name, None)
+        self._known = present
 
     def traffic_has_changed(self) -> bool:
         """Whether a vehicle has come or left in the last step."""
@@ -216,7 +240,19 @@ class Session:
     def read(self, names: Iterable[str]) -> dict[str, State]:
         """States of these vehicles, in this order."""
         position, angle, speed = _vehicle.getPosition, _vehicle.getAngle, _vehicle.getSpeed
-        return {name: _state(position(name), angle(name), speed(name)) for name in names}
+        if not self.sizes:
+            return {name: _state(position(name), angle(name), speed(name)) for name in names}
+        return {name: _state(position(name), angle(name), speed(name), self._half(name)) for name in names}
+
+    def halves(self, names: Iterable[str]) -> list[Half]:
+        """Half the length and the width of these vehicles [m]; empty where all vehicles on the road are cars."""
+        if not self.sizes:
+            return []
+        sizes = (self.sizes.get(name, CAR_SIZE) for name in names)
+        return [(length / 2.0, width / 2.0) for length, width in sizes]
+
+    def _half(self, name: str) -> float:
+        return self.sizes.get(name, CAR_SIZE)[0] / 2.0
 
     def near(
         self, name: str, others: Iterable[str], radius: float
@@ -228,13 +264,14 @@ class Session:
         position, angle, speed = _vehicle.getPosition, _vehicle.getAngle, _vehicle.getSpeed
         own = position(name)
         x, y = own
-        near, rest = {}, []
+        near, rest, sizes = {}, [], self.sizes
         for other in others:
             front = position(other)
             dx, dy = front[0] - x, front[1] - y
             distance = math.sqrt(dx * dx + dy * dy)
             if distance <= radius:
-                near[other] = _state(front, angle(other), speed(other))
+                half = self._half(other) if sizes else HALF_LENGTH
+                near[other] = _state(front, angle(other), speed(other), half)
             else:
                 rest.append((other, distance - radius))
         return _state(own, angle(name), speed(name)), near, rest
@@ -253,14 +290,14 @@ class Session:
         return [(contact.collider, contact.victim) for contact in found] if found else ()
 
 
-def _state(front: tuple[float, float], angle: float, speed: float) -> State:
+def _state(front: tuple[float, float], angle: float, speed: float, half: float = HALF_LENGTH) -> State:
     """A vehicle's centre, speed and heading in highway-env's coordinates from SUMO's front bumper and angle [deg]."""
     heading = math.radians(angle - 90.0)
     if heading > math.pi:
         heading -= 2.0 * math.pi
     return (
-        front[0] - HALF_LENGTH * math.cos(heading),
-        -front[1] - HALF_LENGTH * math.sin(heading),
+        front[0] - half * math.cos(heading),
+        -front[1] - half * math.sin(heading),
         speed,
         heading,
     )

@@ -6,8 +6,10 @@ the same states and takes longer than the rest of a sub-step on small roads (doc
 
 from __future__ import annotations
 
-from sumo_env.contacts.measures import TTC_RADIUS
-from sumo_env.contacts.rectangles import DIAGONAL, State
+from math import inf
+
+from sumo_env.contacts.measures import TTC_RADIUS, ego_ttc, ttc_of_size
+from sumo_env.contacts.rectangles import DIAGONAL, State, reach_of
 from sumo_env.sumo.session import Session
 from sumo_env.traffic.scenario import EGO
 
@@ -54,10 +56,22 @@ class Surroundings:
         for name, further in distant:
             due[name] = time + further / FASTEST
 
+    def time_to_collision(self, horizon: float) -> float:
+        """Least time to collision of the ego [s], inf without one within `horizon` [s]."""
+        halves = self._session.halves(self.near)
+        if not halves:
+            return ego_ttc(self.ego, self.near.values(), horizon)
+        times = [
+            ttc_of_size(self.ego, other, half, horizon)
+            for other, half in zip(self.near.values(), halves, strict=True)
+        ]
+        return min(times, default=inf)
+
     def within_reach(self, before: dict[str, State], dt: float) -> list[str]:
         """Who may have touched the ego in the last `dt` [s], of those that were near before."""
         x, y, _, _ = self.ego
-        reach = DIAGONAL + FASTEST * dt
+        longest = max((reach_of(half) for half in self._session.halves(self.near)), default=DIAGONAL)
+        reach = max(longest, DIAGONAL) + FASTEST * dt
         return [
             name
             for name, other in self.near.items()

@@ -15,7 +15,7 @@ from typing import NoReturn
 import numpy as np
 
 from sumo_env.contacts.crash import CrashDetector, is_confirmed
-from sumo_env.contacts.measures import HORIZON, ego_ttc
+from sumo_env.contacts.measures import HORIZON
 from sumo_env.scene import Scene
 from sumo_env.simulator import EgoCommand, SimulatorError, Step, refuse_to_pickle
 from sumo_env.sumo.ego import Ego, coast
@@ -152,7 +152,8 @@ class SumoSimulator:
 
     def _place(self, spec: VehicleSpec) -> None:
         """Put a vehicle on the road; SUMO drives all but the ego."""
-        route, lane, position = self._network.place(spec.lane, spec.s, spec.destination)
+        size = spec.driver.size
+        route, lane, position = self._network.place(spec.lane, spec.s, spec.destination, size[0] / 2.0)
         limit = self._network.road.lane(spec.lane).speed_limit
         speed_mode, lane_change_mode, desired = ALL_CHECKS_OFF, COMMANDED_LANE_CHANGES, limit
         if spec.id != EGO:
@@ -168,6 +169,7 @@ class SumoSimulator:
             desired,
             speed_mode,
             lane_change_mode,
+            size,
         )
         self._specs[spec.id] = spec
 
@@ -206,7 +208,7 @@ class SumoSimulator:
             distance += ego.drive(self._session, x, y, self._dt)
             self._look(self._advance())
             if not ego.crashed and around.near:
-                least_ttc = min(least_ttc, ego_ttc(around.ego, around.near.values(), min(least_ttc, HORIZON)))
+                least_ttc = min(least_ttc, around.time_to_collision(min(least_ttc, HORIZON)))
             if trace:
                 scenes.append(self._read())
         scene = scenes[-1] if trace else self._read()
@@ -243,6 +245,7 @@ class SumoSimulator:
                 (seen, *[before[name] for name in ids]),
                 (around.ego, *[around.near[name] for name in ids]),
                 {first if second == EGO else second for first, second in reported if EGO in (first, second)},
+                self._session.halves((EGO, *ids)),
             )
             if crash is not None and not ego.crashed:
                 ego.crashed = True
@@ -258,7 +261,7 @@ class SumoSimulator:
             if all(name == EGO or name in self._crashed for name in pair):
                 continue
             states = self._session.read(pair)
-            if is_confirmed(states[pair[0]], states[pair[1]]):
+            if is_confirmed(states[pair[0]], states[pair[1]], *self._session.halves(pair)):
                 for name in pair:
                     if name != EGO:
                         self._crash(name)
@@ -314,6 +317,9 @@ class SumoSimulator:
     def _read(self) -> Scene:
         """The scene by SUMO's vehicles, the ego first."""
         ids = (EGO, *(name for name in self._specs if name != EGO))
+        present = self._session.vehicles()
+        if len(present) > len(ids):  # somebody else has added vehicles
+            ids += tuple(name for name in present if name not in self._specs)
         known = {EGO: self._around.ego, **self._around.near}
         read = self._session.read([name for name in ids if name not in known])
         x, y, speed, heading = np.array([known.get(name) or read[name] for name in ids]).T.copy()
@@ -323,4 +329,5 @@ class SumoSimulator:
             for row, name in enumerate(ids):
                 if name in self._crashed:  # a commanded speed, as the ego's
                     crashed[row], speed[row] = True, self._crashed[name]
-        return Scene(ids, x, y, speed, heading, crashed, round(self._time, 6), self._events.acting)
+        sizes = {name: size for name, size in self._session.sizes.items() if name in ids}
+        return Scene(ids, x, y, speed, heading, crashed, round(self._time, 6), self._events.acting, sizes)

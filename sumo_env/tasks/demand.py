@@ -18,6 +18,7 @@ from gymnasium import logger
 
 from sumo_env.config import ConfigError
 from sumo_env.networks.lanes import VEHICLE_LENGTH
+from sumo_env.traffic.attributes import check_attributes, of_class
 
 _T = TypeVar("_T")
 LONGEST = 3600.0  # [s] that flows without an end go on
@@ -213,9 +214,15 @@ class _Reader:
             values = [float(number) for number in numbers]
         except ValueError:
             raise self._wrong(item, f"speedFactor={factor!r} is no number and no normc(...)") from None
+        name = item.get("id", "")
+        try:
+            attributes = of_class(name, given)
+            check_attributes(name, attributes)
+        except ValueError as error:
+            raise ConfigError(f"{self._file}: {error}") from error
         if len(values) > 1:
-            return Kind(item.get("id", ""), given, *values)
-        return Kind(item.get("id", ""), given, values[0], deviation)
+            return Kind(name, attributes, *values)
+        return Kind(name, attributes, values[0], deviation)
 
     def _distribution(
         self, item: Element, tag: str, member: Callable[[Element, str], Iterator[tuple[_T, float]]]
@@ -286,7 +293,7 @@ class _Reader:
         front = self._number(item, "departPos", VEHICLE_LENGTH, FRONTS)
         speed = self._number(item, "departSpeed", 0.0, SPEEDS)
         kind = item.get("type")
-        common = {
+        common: dict[str, Any] = {
             "id": item.get("id", ""),
             "routes": self._way(item),
             "kinds": ((None, 1.0),) if kind is None else tuple(self._type_of(item, kind)),

@@ -160,7 +160,7 @@ class NetworkTask(Task):
         if departure.kind is not None:
             factor = departure.kind.factor(rng)
             driver = driver.like(departure.kind.name, departure.kind.attributes)
-        s = max(front - VEHICLE_LENGTH / 2, 0.0)
+        s = max(front - driver.size[0] / 2, 0.0)
         wanted = factor * lane.speed_limit
         return _placed(road, departure.id, index, s, speed, driver, departure.route, wanted)
 
@@ -215,7 +215,7 @@ def _placed(
 ) -> VehicleSpec:
     """A vehicle with its front on the lane, at `s` [m] or, if that is beyond, at the lane's end."""
     lane = road.lane(index)
-    s = min(s, lane.length - VEHICLE_LENGTH / 2 - END)
+    s = min(s, lane.length - driver.size[0] / 2 - END)
     inside = make_on_lane(road, id, index, 0.0, speed, driver, destination=route, target_speed=target_speed)
     x, y = lane.position(s, 0.0)
     return inside._replace(s=s, x=x, y=y, heading=lane.heading_at(s))

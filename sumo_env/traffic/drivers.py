@@ -14,13 +14,14 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sumo_env.scene import VEHICLE_LENGTH, VEHICLE_WIDTH
+from sumo_env.scene import CAR_SIZE, VEHICLE_LENGTH, VEHICLE_WIDTH
 from sumo_env.streams import stream
 from sumo_env.traffic.attributes import check_attributes
 
 POOL = 64  # drivers of one dose; SUMO holds one vehicle type for each, so the pool is finite
 SAFE_BRAKING = 2.0  # [m/s2] IDMVehicle.LANE_CHANGE_MAX_BRAKING_IMPOSED
 MIN_GAIN = 0.2  # [m/s2] IDMVehicle.LANE_CHANGE_MIN_ACC_GAIN
+LARGEST = 30.0  # [m] length and width of a vehicle
 MAX_SPEED = 60.0  # [m/s] more than anybody drives
 
 
@@ -110,12 +111,16 @@ class Driver:
         """This driver with attributes of SUMO's vType, such as ``{"carFollowModel": "Krauss", "accel": 1.3}``.
 
         Raises:
-            ValueError: attributes that SUMO does not know, that would have no effect here, or of the vehicle's size;
-                all vehicles are 5 m long and 2 m wide.
+            ValueError: attributes that SUMO does not know, or that would have no effect here.
         """
-        fixed = sorted({"id", "length", "width", "guiShape"} & attributes.keys())
+        fixed = sorted({"id", "guiShape"} & attributes.keys())
         if fixed:
-            raise ValueError(f"{', '.join(fixed)} of {name!r} cannot be changed: all vehicles are 5 m by 2 m")
+            raise ValueError(f"{', '.join(fixed)} of {name!r} cannot be changed: vehicles are boxes")
+        for key in {"length", "width"} & attributes.keys():
+            if not 0.1 <= float(str(attributes[key])) <= LARGEST:
+                raise ValueError(
+                    f"{key} of {name!r} must be from 0.1 to {LARGEST:g} m, not {attributes[key]}"
+                )
         factors = sorted({"speedFactor", "speedDev"} & attributes.keys())
         if factors:
             raise ValueError(
@@ -128,6 +133,14 @@ class Driver:
         return replace(
             self, type=type, attributes=own, speed_mode=speed_mode, lane_change_mode=lane_change_mode
         )
+
+    @property
+    def size(self) -> tuple[float, float]:
+        """Length and width of the vehicle [m]."""
+        if not self.attributes:
+            return CAR_SIZE
+        own = dict(self.attributes)
+        return float(own.get("length", VEHICLE_LENGTH)), float(own.get("width", VEHICLE_WIDTH))
 
     @property
     def safe_braking(self) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -151,11 +152,47 @@ def test_what_only_sumo_can_drive_says_so_elsewhere(grid: Path) -> None:
         DrivingEnv("highway", simulator=Replica(), sumo_options=["--tripinfo-output=trips.xml"])
 
 
-@pytest.mark.parametrize("attribute", ["length", "width"])
-def test_the_size_of_a_vehicle_cannot_be_changed(attribute: str) -> None:
+def test_sizes_out_of_all_bounds_are_refused() -> None:
     driver = drivers("highway", 0.0)[0]
-    with pytest.raises(ValueError, match=f"{attribute} of 'bus'"):
-        driver.like("bus", {attribute: 12.0})
+    assert driver.size == (5.0, 2.0)
+    assert driver.like("bus", {"length": 12.0, "width": 2.5}).size == (12.0, 2.5)
+    with pytest.raises(ValueError, match="length of 'train' must be"):
+        driver.like("train", {"length": 200.0})
+
+
+def test_lorries_of_their_own_size(tmp_path: Path) -> None:
+    """The ego runs into a lorry at its rear, 6 m from its centre, and the picture and the export show its size."""
+
+    class Lorry(Highway):
+        name = "lorry"
+
+        def vehicles(self, config: Any, road: Any, ego: Any, rng: Any, drivers: Any) -> list[Any]:
+            (spec,) = super().vehicles({**config, "vehicles_count": 1}, road, ego, rng, drivers)
+            driver = spec.driver.like(
+                "lorry", {"length": 12.0, "width": 2.5, "maxSpeed": 5}, lane_change_mode=0
+            )
+            place = {"lane": ego.lane, "s": ego.s + 60.0, "x": ego.x + 60.0, "y": ego.y}
+            return [spec._replace(**place, speed=5.0, target_speed=5.0, driver=driver)]
+
+    env = DrivingEnv(Lorry(), render_mode="rgb_array")
+    _, info = env.reset(seed=0)
+    assert env.scene.size("v0") == (12.0, 2.5)
+    assert env.scene.x[1] - env.scene.x[0] == pytest.approx(60.0, abs=0.01)
+    assert env.road.vehicles[1].LENGTH == 12.0
+    while not info["crashed"]:
+        *_, info = env.step(1)
+    assert info["crash"]["relative_x"] == pytest.approx(8.5, abs=0.1)  # half of the ego and half of the lorry
+    assert info["crash"]["type"] == "rear-end" and env.scene.crashed.all()
+    wide = env.render()
+    env.scene = replace(env.scene, sizes={})
+    assert (wide != env.render()).any()
+    env.export(tmp_path)
+    types = {
+        kind.get("id"): kind.get("length")
+        for kind in ElementTree.parse(tmp_path / "types.add.xml").iter("vType")
+    }
+    assert types["car-12x2.5"] == "12" and types["car"] is None
+    env.close()
 
 
 @pytest.mark.parametrize(

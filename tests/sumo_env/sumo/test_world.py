@@ -242,11 +242,14 @@ def test_vehicles_that_a_user_adds_through_libsumo_are_seen(start: Start, depart
     depart = str(libsumo.simulation.getTime() + departs)
     libsumo.vehicle.add("mine", road, "DEFAULT_VEHTYPE", depart, lane, place, "0")
     libsumo.vehicle.setMaxSpeed("mine", 0.5)
+    libsumo.vehicle.setLaneChangeMode("mine", 0)  # else it moves over to the right
     times = []
     while not env.ego_state.crashed and env.steps < 15:
         times.append(env.step(IDLE)[-1]["min_ttc"])
     assert env._last.crash is not None and env._last.crash.other == "mine"
     assert min(times) < 1.0
+    assert "mine" in env.scene.ids and env.scene.size("mine") == (5.0, 1.8)  # of SUMO's passenger car
+    assert env.scene.crashed.all()
 
 
 def test_crashed_vehicles_coast_and_stay(start: Start) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from sumo_env.config import ConfigError
 from sumo_env.tasks import demand
 
 TYPES = """
@@ -80,6 +81,22 @@ def test_the_wish_for_speed(tmp_path: Path) -> None:
     )
     assert min(factors) >= 0.7 and max(factors) <= 1.3
     assert own.factor(rng) == 0.5
+
+
+def test_classes_say_size_and_power(tmp_path: Path) -> None:
+    kinds = '<vType id="t" vClass="truck" guiShape="truck"/><vType id="b" vClass="bus" length="18"/>'
+    vehicles = "".join(f'<vehicle id="{k}" type="{k}" route="r" depart="0"/>' for k in "tb")
+    truck, bus = (one.kind for one in departures(tmp_path, kinds + vehicles))
+    assert truck is not None and bus is not None
+    assert (truck.attributes["length"], truck.attributes["accel"], bus.attributes["length"]) == (
+        "7.1",
+        "1.3",
+        "18",
+    )
+    with pytest.raises(ConfigError, match="vehicles of class 'rail' cannot"):
+        departures(tmp_path, '<vType id="x" vClass="rail"/>')
+    with pytest.raises(ConfigError, match="did you mean 'accel'"):
+        departures(tmp_path, '<vType id="x" acell="2"/>')
 
 
 def test_what_has_no_effect_is_said(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:

@@ -252,7 +252,7 @@ def _reason(task: Task, error: BaseException) -> str:
     """Why a process, node or job is lost."""
     code = getattr(error, "exitcode", None)  # pebble's ProcessExpired
     if code is None:
-        return str(error).partition("\n")[0]  # an executor's own words
+        return str(error).partition("\n")[0] or "its process was lost"  # an executor's own words
     if code == SPOILT:
         return last_words(task.folder)
     if code < 0:

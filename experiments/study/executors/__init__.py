@@ -52,6 +52,6 @@ def open_executor(
     raise unknown("executor", name, EXECUTORS)
 
 
-def _spoilt(ended: Ended) -> bool:
+def _spoilt(ended: object) -> bool:
     """After an error nobody knows in what state a simulator is: the next try gets a fresh process."""
-    return ended.state == "failed"
+    return isinstance(ended, Ended) and ended.state == "failed"

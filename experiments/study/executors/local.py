@@ -7,6 +7,7 @@ import os
 import signal
 from collections.abc import Callable
 from concurrent.futures import Executor, Future
+from contextlib import suppress
 from multiprocessing import resource_tracker
 from typing import Any
 
@@ -27,10 +28,13 @@ class LocalExecutor(Executor):
 
     def __init__(self, workers: int, tasks_per_process: int, spoilt: Callable[[Any], bool] = lambda _: False):
         resource_tracker.ensure_running()  # here: it unblocks signals in the thread that starts it
-        self._spoilt = spoilt
-        self._pool = ProcessPool(
-            workers,
-            max_tasks=tasks_per_process,
+        self._workers, self._tasks_per_process, self._spoilt = workers, tasks_per_process, spoilt
+        self._pool = self._open()
+
+    def _open(self) -> ProcessPool:
+        return ProcessPool(
+            self._workers,
+            max_tasks=self._tasks_per_process,
             initializer=end_with_parent,
             context=multiprocessing.get_context("spawn"),
         )
@@ -39,9 +43,16 @@ class LocalExecutor(Executor):
         """Call a function in one of the processes; to cancel the future kills the process."""
         # Ctrl-C reaches all processes of a terminal; those that are started from here leave it to their parent.
         before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+        call = [self._spoilt, function, args, kwargs]
         try:
-            future: Future[Any] = self._pool.schedule(_call, args=[self._spoilt, function, args, kwargs])
-            return future
+            try:
+                return self._pool.schedule(_call, args=call)
+            except RuntimeError:  # pebble gives up a pool whose only busy process is killed between two tasks
+                with suppress(OSError):  # some of its processes may have ended
+                    self._pool.stop()
+                    self._pool.join()
+                self._pool = self._open()
+                return self._pool.schedule(_call, args=call)
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
 

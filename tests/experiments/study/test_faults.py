@@ -35,7 +35,7 @@ if __name__ == "__main__":
     from experiments.sweep import Options, sweep
     from tests.experiments.fake_env import make_env
     options = Options(
-        out=Path(sys.argv[1]), preset="smoke", tasks=("u-turn",), seeds=2, updates=1000, episodes=10, workers=2,
+        out=Path(sys.argv[1]), preset="smoke", tasks=("u-turn",), seeds=2, updates=400, episodes=10, workers=2,
         executor=sys.argv[2],
     )
     run_command(lambda: sweep(options, make_env=make_env))
@@ -120,6 +120,7 @@ def test_a_disk_that_fills_up_stops_the_sweep_in_one_line_and_loses_nothing(
     assert not (tmp_path / "copy" / "damaged").exists()
 
 
+@pytest.mark.timeout(3600)
 @pytest.mark.parametrize("wanted", [3, pytest.param(20, marks=pytest.mark.long)])
 def test_random_kills_lose_nothing_and_change_nothing(script, undisturbed, tmp_path, wanted):
     """kill -9 at random times of workers and of the sweep itself, which is then begun again.

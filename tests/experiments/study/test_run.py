@@ -96,6 +96,16 @@ def test_what_goes_wrong_goes_on_from_its_checkpoint_in_another_process(tmp_path
     assert len(tasks[1].tries()) == 1  # its process died alone
 
 
+def test_a_process_that_is_killed_between_two_tasks_is_replaced(tmp_path):
+    executor, _ = open_executor("local", 1, tmp_path, 25)
+    first = executor.submit(os.getpid).result()
+    os.kill(first, signal.SIGKILL)
+    wait_for(lambda: not is_alive(first), 5.0)
+    time.sleep(0.5)  # until it is noticed
+    assert executor.submit(os.getpid).result(timeout=60) != first
+    executor.shutdown()
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("fault", ["hold", "deadlock", "freeze"])
 def test_what_hangs_is_ended_and_tried_again(tmp_path, fault, monkeypatch):

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import os
 import statistics
+import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
@@ -23,6 +24,7 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
+from experiments import peers
 from experiments.measuring import (
     Driver,
     Learners,
@@ -58,13 +60,28 @@ class Effort:
     starts: int
     updates: int  # of the learners in a slice; of a training four times as many
     episodes: int  # over which memory is watched
+    peer_episodes: int  # of each constant policy
 
 
 FULL = Effort(
-    turns=9, seconds=1.0, reference_steps=4, middle_levels=True, starts=5, updates=200, episodes=4000
+    turns=9,
+    seconds=1.0,
+    reference_steps=4,
+    middle_levels=True,
+    starts=5,
+    updates=200,
+    episodes=4000,
+    peer_episodes=100,
 )
 QUICK = Effort(
-    turns=3, seconds=0.2, reference_steps=2, middle_levels=False, starts=1, updates=40, episodes=200
+    turns=3,
+    seconds=0.2,
+    reference_steps=2,
+    middle_levels=False,
+    starts=1,
+    updates=40,
+    episodes=200,
+    peer_episodes=20,
 )
 
 
@@ -165,6 +182,12 @@ def measure_memory(task: str, backends: Sequence[str], effort: Effort) -> Iterat
         }
 
 
+def measure_peers(task: str, backends: Sequence[str], effort: Effort) -> Iterator[Record]:
+    """highway-env, EnvPool's copy of it, the replica and SUMO; a peer that is not installed is left out."""
+    python = Path(os.environ.get("ENVPOOL_PYTHON", sys.executable))
+    return peers.measure(task, python, effort.turns, effort.seconds, 100, effort.peer_episodes)
+
+
 # Name of a part -> what measures it, from a task, the backends and the effort.
 PARTS: dict[str, Callable[[str, Sequence[str], Effort], Iterator[Record]]] = {
     "env": measure_env,
@@ -172,6 +195,7 @@ PARTS: dict[str, Callable[[str, Sequence[str], Effort], Iterator[Record]]] = {
     "learner": measure_learner,
     "training": measure_training,
     "memory": measure_memory,
+    "peers": measure_peers,
 }
 WITHOUT_TASK = ("learner",)  # measured once
 
@@ -189,7 +213,7 @@ class Options:
     tasks: tuple[str, ...] = ()
     """Some of highway, two-way, roundabout, intersection, u-turn (default: all)."""
     parts: tuple[str, ...] = tuple(PARTS)
-    """What to measure: env, start, learner, training, memory."""
+    """What to measure: env, start, learner, training, memory, peers (EnvPool by the Python in ENVPOOL_PYTHON)."""
 
 
 def run(options: Options, console: Console) -> dict[str, Any]:

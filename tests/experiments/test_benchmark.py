@@ -13,7 +13,14 @@ from experiments.benchmark import Effort, Options, run, show
 from experiments.measuring import Driver, Slice, median_rate, median_ratio, remote, resident_mib
 
 LITTLE = Effort(
-    turns=2, seconds=0.02, reference_steps=1, middle_levels=False, starts=1, updates=20, episodes=10
+    turns=2,
+    seconds=0.02,
+    reference_steps=1,
+    middle_levels=False,
+    starts=1,
+    updates=20,
+    episodes=10,
+    peer_episodes=2,
 )
 
 
@@ -72,5 +79,10 @@ def test_the_command_measures_every_part(tmp_path: Path, monkeypatch: pytest.Mon
     assert {r["of"] for r in results["learner"]} == {"attention", "dueling"}
     assert 0.0 < results["training"][0]["ours"] < 1000.0
     assert results["memory"][0]["ours"] > 10.0
+    stock, *others = results["peers"]
+    assert stock["of"] == "highway-env, u-turn" and stock["ratio"] == 1.0 and stock["distinct"] == 100
+    replica = next(r for r in others if r["of"] == "replica, u-turn")
+    assert replica["ratio"] > 1.0
+    assert (replica["distinct"], replica["crash_rates"]) == (stock["distinct"], stock["crash_rates"])
     show(results, Console(width=200))
     assert "Stable-Baselines3" in capsys.readouterr().out

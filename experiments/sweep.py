@@ -137,7 +137,7 @@ class Options:
     device: Annotated[str | None, _argument("NAME", "cpu")] = None
     """Where agents learn: cpu or cuda."""
     executor: Annotated[str, _argument("NAME", "local")] = "local"
-    """Where cells are computed: local (processes of this machine), ray or slurm (docs/scaling.md)."""
+    """Where cells are computed: local (processes of this machine), ray or slurm (docs/clusters.md)."""
     workers: Annotated[int | None, _argument("N", "the number of cores; on Slurm 100")] = None
     """Cells that are computed at a time."""
     shard: Annotated[str, _argument("I/N", "1/1")] = "1/1"

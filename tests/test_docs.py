@@ -77,7 +77,7 @@ def anchors(text: str) -> set[str]:
 
 @each_page
 def test_links_resolve(page: Path) -> None:
-    for link in re.findall(r"\]\(([^)\s]+)\)", TEXTS[page]):
+    for link in re.findall(r"(?:\]\(|src=\")([^)\s\"]+)", TEXTS[page]):
         if link.startswith(("http://", "https://")):
             continue
         file, _, anchor = link.partition("#")

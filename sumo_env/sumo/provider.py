@@ -1,7 +1,7 @@
 """Which process runs SUMO for an environment.
 
 libsumo supports one simulation per process. The first environment of a process has it; every further one gets a
-worker process. An environment cannot tell the difference but for the time that a message takes (docs/decisions.md).
+worker process. An environment cannot tell the difference, except by the time that a message takes.
 """
 
 from __future__ import annotations

@@ -13,7 +13,7 @@ from sumo_env.tasks.base import nearest_index
 from sumo_env.tasks.intersection import _two_arms
 from tests.sumo_env.parity import Step, ego_state, episodes, make, scatter
 
-# Keys of highway-env whose default we have chosen otherwise (docs/decisions.md).
+# Keys of highway-env whose default we have chosen otherwise (docs/environments).
 OWN_CHOICE = {"two-way": {"observation"}, "u-turn": {"observation", "screen_width", "screen_height"}}
 WEIGHTS: dict[str, dict[str, Any]] = {
     "highway": {

@@ -1,4 +1,4 @@
-"""Scenarios: values that need no simulator, and highway-env's laws of where vehicles start (docs/decisions.md)."""
+"""Scenarios: values that need no simulator, and highway-env's laws of where vehicles start."""
 
 from __future__ import annotations
 

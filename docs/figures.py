@@ -22,12 +22,12 @@ import matplotlib
 matplotlib.use("agg")
 
 import numpy as np
+from experiments.reporting.arm_figures import further_arms
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Polygon
 
-from experiments.reporting.arm_figures import further_arms
 from experiments.reporting.figures import effects_by_place
 from sumo_env.contacts.rectangles import LENGTH, WIDTH, State, separation, state_between, touch_moment
 from sumo_env.networks.lanes import WIDTH as LANE_WIDTH

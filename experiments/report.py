@@ -1,15 +1,14 @@
-"""Write report.html, and the same as Markdown, CSV and JSON, from the cells that a sweep has stored.
+"""Write the report of the cells that a sweep has stored.
 
     python experiments/report.py results/sumo-quick
     python experiments/report.py results/sumo-quick results/replica-quick    # others beside it
     python experiments/report.py results/sumo-quick --placebo
 
 Nothing is trained: the report is a function of the stored cells, and may be written at any time, also while a
-sweep is running (it then says what is missing). report.html is one file that needs nothing else; report.md has
-its words and tables; summary.csv has one row per task, level, policy and traffic, effects.csv one per task, level,
-outcome and term, analysis.json every number with the cells that it rests on. For the
-films in the report some stored agents drive a few of their test episodes again; the trajectories are kept in
-showcase.json.
+sweep is running (it then says what is missing). report.html is the first page and needs nothing else, appendix.html has
+everything that is not on it, report.md the first page's words and tables. analysis.json has all numbers; summary.csv
+(how every policy drives) and effects.csv are its largest tables. For the films some stored agents drive a few of their
+test episodes again; the trajectories are kept in showcase.json.
 
 Exit status: 0 written, 2 the directory holds no results, or cannot be written.
 """
@@ -17,7 +16,6 @@ Exit status: 0 written, 2 the directory holds no results, or cannot be written.
 from __future__ import annotations
 
 import sys
-from collections.abc import Sequence
 from pathlib import Path
 
 if __package__ in (None, ""):  # run as a file: import from the project, not from this folder
@@ -29,35 +27,30 @@ limit_threads()
 
 import json
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated
 
 import tyro
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
-from markupsafe import Markup
 
 from agents.plugins import load_object
-from experiments.analysis import wording
-from experiments.analysis.analysis import SCHEMA, analyse, effect_table, summary_table
-from experiments.analysis.plan import OUTCOMES, Outcome
+from experiments.analysis.frames.analysis import Analysis, analyse, as_json, stored
+from experiments.analysis.plan import DEFAULT, OUTCOMES, VERSIONS, Outcome
 from experiments.backends import make_env
-from experiments.reporting.beside import beside
-from experiments.reporting.report_view import page
+from experiments.reporting.page import page, render
 from experiments.reporting.showcase import showcase
 from experiments.study import store
 from experiments.study.evaluate import COLUMNS
 from experiments.study.results import load
 from experiments.support.errors import UserError, disk_error, run_command
-from experiments.support.files import write_file, write_json
+from experiments.support.files import write_file
 
-TEMPLATES = Path(__file__).with_name("templates")
 PUBLISHED = Path(__file__).resolve().parents[1] / "results" / "standard"
-REPORT, TEXT, ANALYSIS = "report.html", "report.md", "analysis.json"
+REPORT, APPENDIX, TEXT, ANALYSIS = "report.html", "appendix.html", "report.md", "analysis.json"
 SUMMARY, EFFECTS = "summary.csv", "effects.csv"
 
 
 @dataclass(frozen=True)
 class Options:
-    """Write report.html, and the same as Markdown, CSV and JSON, from the cells that a sweep has stored."""
+    """Write the report of the cells that a sweep has stored."""
 
     directory: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
     """The --out directory of a sweep."""
@@ -69,13 +62,16 @@ class Options:
     """Instead pack the cells of finished settings into a few tables; nothing is deleted."""
     placebo: bool = False
     """Instead print what the controls find: control against control, a rule against itself, a doubled penalty."""
+    plan: int = DEFAULT.version
+    """Version of the analysis plan; 1 is the one that the published folders were first analysed by."""
 
 
-def write_report(directory: Path, *others: Path) -> Path:
+def write_report(directory: Path, *others: Path, plan: int = DEFAULT.version) -> Path:
     """Analyse the stored cells of a directory and write the files of the report into it.
 
     Args:
         others: directories to show beside it; by default the published study, beside which its variants are shown.
+        plan: version of the analysis plan.
 
     Returns:
         The path of report.html.
@@ -83,61 +79,50 @@ def write_report(directory: Path, *others: Path) -> Path:
     Raises:
         UserError: no results there, or no permission to write.
     """
-    return _write(Path(directory), others)[0]
-
-
-def print_report(directory: Path, *others: Path) -> None:
-    """Write the report, and print the answer and where it is. Raises UserError as `write_report` does."""
-    path, analysis = _write(directory, others)
-    show(analysis)
-    print(f"report: {path}", flush=True)
-
-
-def _write(directory: Path, others: Sequence[Path]) -> tuple[Path, dict[str, Any]]:
+    directory = Path(directory)
     results = load(directory, skip_damaged=True)
-    analysis = analyse(results)
-    named = [(_title(other, str(other)), analyse(load(other, skip_damaged=True))) for other in others]
-    compared = beside(
-        [(_title(directory, "This run"), analysis), *(named or _published(directory, analysis))]
-    )
-    path = directory / REPORT
+    analysis = analyse(results, plan)
+    named = [(_title(other, str(other)), analyse(load(other, skip_damaged=True), plan)) for other in others]
     try:
-        films = showcase(results, {entry["cell"] for entry in analysis["left_out"]}, make_env)
-        variables = page(results, analysis, films) | {"beside": compared}
-        write_json(directory / ANALYSIS, analysis)
-        for name, table in ((SUMMARY, summary_table(analysis)), (EFFECTS, effect_table(analysis))):
-            write_file(directory / name, table.to_csv(index=False).encode())
-        write_file(directory / TEXT, render(variables, "report.md.j2").encode())
-        write_file(path, render(variables).encode())
+        films = showcase(results, set(analysis.notes["left_out"]), make_env)
+        variables = page(results, analysis, films, named or _published(directory, analysis))
+        write_file(directory / ANALYSIS, (json.dumps(as_json(analysis), allow_nan=False) + "\n").encode())
+        for name, table in ((SUMMARY, analysis.policies), (EFFECTS, analysis.effects.drop(columns="looks"))):
+            write_file(directory / name, table.to_csv(index=False, float_format="%.10g").encode())
+        for name, template in (
+            (TEXT, "report.md.j2"),
+            (APPENDIX, "appendix.html.j2"),
+            (REPORT, "report.html.j2"),
+        ):
+            write_file(directory / name, render(variables, template).encode())
     except OSError as error:
         raise disk_error(error, directory) from None
-    return path, analysis
+    return directory / REPORT
 
 
-def _published(directory: Path, analysis: dict[str, Any]) -> list[tuple[str, dict[str, Any]]]:
+def _published(directory: Path, analysis: Analysis) -> list[tuple[str, Analysis]]:
     """What is shown beside a directory by itself: beside the published study its variants, beside others the study."""
     if directory.resolve() == PUBLISHED:
         folders = sorted(file.parent for file in PUBLISHED.parent.glob(f"*/{store.PUBLISHED}"))
     else:
         folders = [PUBLISHED]
     found = [(_title(folder, folder.name), _stored(folder / ANALYSIS)) for folder in folders]
-    own = analysis["provenance"]["hash"]
-    return [(title, other) for title, other in found if other and other["provenance"]["hash"] != own]
+    own = analysis.provenance["hash"]
+    return [(title, other) for title, other in found if other and other.provenance["hash"] != own]
 
 
-def _stored(path: Path) -> dict[str, Any] | None:
+def _stored(path: Path) -> Analysis | None:
     """An analysis that is stored; None if it is not there, of another version, or damaged, which is said."""
     if not path.is_file():
         return None
     try:
-        found: dict[str, Any] = json.loads(path.read_text())
-    except ValueError:
+        return stored(path)
+    except (ValueError, KeyError, TypeError):
         print(
             f"{path} is damaged and not shown: python experiments/report.py {path.parent} writes it again",
             file=sys.stderr,
         )
         return None
-    return found if found.get("schema") == SCHEMA else None
 
 
 def _title(directory: Path, otherwise: str) -> str:
@@ -165,63 +150,17 @@ def add_outcome(name: str) -> None:
     OUTCOMES[key] = outcome
 
 
-def render(variables: dict[str, Any], template: str = "report.html.j2") -> str:
-    """The report as one HTML or Markdown text."""
-    environment = Environment(
-        loader=FileSystemLoader(TEMPLATES),
-        autoescape=template.endswith(".html.j2"),
-        undefined=StrictUndefined,
-        trim_blocks=True,
-        lstrip_blocks=True,
-    )
-    environment.filters |= {
-        name: getattr(wording, name)
-        for name in ("number", "difference", "interval", "p_value", "count", "listing", "adjusted", "signed")
-    }
-    script = Markup((TEMPLATES / "player.js").read_text())
-    return environment.get_template(template).render({**variables, "script": script})
+def answer(directory: Path) -> str:
+    """The answer of a report that was written: its Markdown down to the table of tasks."""
+    text = (directory / TEXT).read_text()
+    return text.partition("\n|")[0].partition("\n\n")[2].strip()
 
 
-def show(analysis: dict[str, Any]) -> None:
-    """Print the answer and the verdicts."""
-    from rich.console import Console
-    from rich.table import Table
-
-    console = Console(highlight=False)
-    for headline in analysis["headlines"]:
-        console.print(f"[bold]{headline['answer'].capitalize()}.[/bold]")
-        console.print(" ".join(headline["text"]))
-        table = Table(box=None, show_header=False, pad_edge=False)
-        for claim in analysis["claims"]:
-            if claim["backend"] == headline["backend"]:
-                table.add_row(f"[bold]{claim['verdict']}[/bold]", claim["claim"])
-        console.print(table)
-
-
-def show_placebo(analysis: dict[str, Any]) -> None:
-    """Print what comes of comparisons whose truth is known."""
-    if not analysis["placebo"]:
-        print("no placebo: a setting needs four control agents, to be dealt into two arms")
-    for row in analysis["placebo"]:
-        share = f"{row['rejected']} of {row['comparisons']} settings significant (about 5 % expected)"
-        print(f"{wording.BACKENDS.get(row['backend'], row['backend'])}, {row['outcome']}, sum: {share}")
-        if row["primary"]:
-            found = wording.difference(row["primary"], row["outcome"])
-            print(f"  primary question: {found}, p {wording.p_value(row['primary']['p'])}")
-    if control := analysis["negative_control"]:
-        print(f"negative control ({control['policy']} against itself): largest effect {control['largest']:g}")
-
-    for record in analysis["exploratory"]["positive_control"]:
-        verdict = "found" if record["found"] else "not found"
-        print(
-            f"positive control (doubled penalty for crashes against control, regular traffic): {verdict}, "
-            f"{wording.difference(record, record['outcome'])}, p {wording.p_value(record['p'])}"
-        )
-
-
-def report_placebo(directory: Path) -> None:
-    """Print what the controls of the instrument find in a directory."""
-    show_placebo(analyse(load(directory, skip_damaged=True)))
+def print_report(directory: Path, *others: Path, plan: int = DEFAULT.version) -> None:
+    """Write the report, and print the answer and where it is. Raises UserError as `write_report` does."""
+    path = write_report(directory, *others, plan=plan)
+    print(answer(path.parent))
+    print(f"report: {path}", flush=True)
 
 
 def pack_cells(directory: Path) -> None:
@@ -236,18 +175,39 @@ def pack_cells(directory: Path) -> None:
         print(f"{directory / 'cells'} may be removed")
 
 
+def report_placebo(directory: Path) -> None:
+    """Print what the controls of the instrument find in a directory."""
+    analysis = analyse(load(directory, skip_damaged=True))
+    if analysis.placebo.empty:
+        print("no placebo: a setting needs four control agents, to be dealt into two arms")
+    else:
+        print(analysis.placebo.to_string(index=False))
+    print(f"negative control (the careful driver as both arms), largest effect: {analysis.negative_control}")
+    means = analysis.means
+    rows = means[
+        (means["arm"] == "penalty") & (means["against"] == "control") & (means["scope"] == "all tasks")
+    ]
+    rows = rows[(rows["outcome"] == "crashed") & (rows["term"] == "regular")]
+    if len(rows):
+        print(
+            "positive control (twice the penalty for a crash against control, crash rate in regular traffic):"
+        )
+        print(rows[["backend", "estimate", "low", "high", "p"]].to_string(index=False))
+
+
 def main() -> int:
     """The command line."""
     options = tyro.cli(Options, description=__doc__)
     for name in options.outcome:
         add_outcome(name)
+    if options.plan not in VERSIONS:
+        raise UserError(f"--plan: there are versions {', '.join(map(str, VERSIONS))}, not {options.plan}")
     if options.pack:
         pack_cells(options.directory)
-        return 0
-    if options.placebo:
+    elif options.placebo:
         report_placebo(options.directory)
-        return 0
-    print_report(options.directory, *options.others)
+    else:
+        print_report(options.directory, *options.others, plan=options.plan)
     return 0
 
 

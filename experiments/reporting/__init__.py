@@ -1,11 +1,10 @@
-"""From an analysis to report.html (`experiments/report.py` writes it).
+"""From an analysis to report.html and appendix.html (`experiments/report.py` writes them).
 
 style              the palette and number formats, for everything that draws
-report_view        rows and words of the template
-report_figures     which figures, in which order
+words              numbers of outcomes as people read them
+tables             frames of text
 figures            each a pure function that returns SVG
 collision_figures  the paper's figure 3
-beside             result directories side by side
-card               what the paper says and what was done here
 showcase           films of two agents in the same scenario, for templates/player.js
+page               what the templates show; their sentences stand in experiments/templates
 """

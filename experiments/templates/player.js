@@ -151,6 +151,9 @@
     const { place, film } = films[number];
     current = { number, place, control: unpack(film.control), treatment: unpack(film.treatment) };
     current.end = Math.max(...ARMS.map((arm) => current[arm].times[current[arm].times.length - 1]));
+    const index = places.indexOf(place);
+    part("task").selectedIndex = index;
+    for (const option of part("film").options) option.hidden = option.disabled = Number(option.dataset.place) !== index;
     part("film").value = String(number);
     part("time").max = String(current.end);
     section.classList.toggle("flat", place.flat && place.follow);
@@ -163,6 +166,7 @@
     show(Number.isFinite(moment) ? Math.max(moment - 2, 0) : 0); // two seconds before the crash
   }
 
+  part("task").addEventListener("change", (event) => choose(Number(event.target.value)));
   part("film").addEventListener("change", (event) => choose(Number(event.target.value)));
   part("next").addEventListener("click", () => choose((current.number + 1) % films.length));
   part("previous").addEventListener("click", () => choose((current.number + films.length - 1) % films.length));

@@ -12,16 +12,16 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from experiments.reporting.beside import beside
+from experiments.reporting.card import card
+from experiments.reporting.report_view import effect_rows, pooled_rows, validation
 
 from experiments import report
 from experiments.analysis.analysis import analyse
 from experiments.analysis.plan import OUTCOMES
 from experiments.analysis.wording import difference
 from experiments.reporting import figures
-from experiments.reporting.beside import beside
-from experiments.reporting.card import card
 from experiments.reporting.collision_figures import LENGTH, WIDTH, collisions, contacts, corners
-from experiments.reporting.report_view import effect_rows, pooled_rows, validation
 from experiments.study import store
 from experiments.study.results import load
 from experiments.study.verdict import SCHEMA

@@ -17,6 +17,7 @@ from experiments.analysis.frames.cells import comparable, duplicates, is_main
 from experiments.analysis.frames.claims import claims
 from experiments.analysis.frames.controls import negative_control, placebo
 from experiments.analysis.frames.effects import adjusted, against_policy, contrasts, means, slopes, variants
+from experiments.analysis.frames.estimate import OK, Mean
 from experiments.analysis.frames.gates import GATES, gates, learnt
 from experiments.analysis.frames.scores import (
     CRASH_KINDS,
@@ -280,4 +281,15 @@ def stored(path: Path) -> Analysis | None:
         else part
         for name, part in value.items()
     }
+    effects = frames["effects"]
+    effects["looks"] = [
+        (
+            Mean(
+                row.estimate,
+                ((row.se**2, row.df),) if row.status == OK else (),
+                min(row.seeds_arm, row.seeds_against),
+            ),
+        )
+        for row in effects.itertuples()
+    ]
     return Analysis(**frames)

@@ -134,22 +134,24 @@ def _faults(cell: Cell, tests: pd.DataFrame | None, gates: pd.DataFrame | None) 
     """What a cell's tables lack: every scenario once, and nothing but numbers."""
     key = cell["key"]
     test = key.get("test_on", {"episodes": key["eval"]["episodes"], "traffics": list(TRAFFICS)})
-    faults = _lacking(tests, int(test["episodes"]), test["traffics"], "test")
+    first = int(key["eval"].get("first_scenario", 0))
+    faults = _lacking(tests, range(first, first + int(test["episodes"])), test["traffics"], "test")
     if "gate_episodes" in key["eval"] and key["kind"] != "test":
-        faults += _lacking(gates, int(key["eval"]["gate_episodes"]), gate_traffics(key["arm"]), "gate")
+        wanted = range(first, first + int(key["eval"]["gate_episodes"]))
+        faults += _lacking(gates, wanted, gate_traffics(key["arm"]), "gate")
     return faults
 
 
-def _lacking(table: pd.DataFrame | None, wanted: int, traffics: Sequence[str], purpose: str) -> list[str]:
+def _lacking(table: pd.DataFrame | None, wanted: range, traffics: Sequence[str], purpose: str) -> list[str]:
     if table is None:
         return [f"no {purpose} episodes"]
     faults = []
     for traffic in traffics:
         rows = table[table["traffic"] == traffic]
-        if sorted(rows["scenario"]) != list(range(wanted)):
+        if sorted(rows["scenario"]) != list(wanted):
             found = rows["scenario"].nunique()
             twice = ", some twice" if len(rows) > found else ""
-            faults.append(f"{found} of {wanted} {purpose} scenarios in {traffic} traffic{twice}")
+            faults.append(f"{found} of {len(wanted)} {purpose} scenarios in {traffic} traffic{twice}")
     for column in NUMBERS:
         if column in table and not np.isfinite(table[column].astype(float)).all():
             faults.append(f"{column} of the {purpose} is not a number")

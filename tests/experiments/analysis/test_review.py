@@ -7,12 +7,12 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 import pytest
+from experiments.reporting.report_view import effect_rows
 from scipy import stats
 
 from experiments import report
 from experiments.analysis.analysis import analyse
 from experiments.analysis.verdicts import claims
-from experiments.reporting.report_view import effect_rows
 from experiments.study import store
 from experiments.study.results import load
 from sumo_env.tasks import TASKS

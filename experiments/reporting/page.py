@@ -1,0 +1,264 @@
+"""What the templates show: frames of text, figures and films of one folder. It decides nothing and says nothing."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from markupsafe import Markup
+
+from experiments.analysis.frames.analysis import Analysis
+from experiments.analysis.frames.effects import ALL_TASKS
+from experiments.analysis.frames.estimate import OK, SATURATED
+from experiments.analysis.frames.gates import GATES
+from experiments.analysis.frames.scores import TASK_ORDER
+from experiments.reporting import figures, tables
+from experiments.reporting.collision_figures import collisions
+from experiments.reporting.showcase import KINDS
+from experiments.reporting.style import number as plain
+from experiments.reporting.tables import chosen, main
+from experiments.reporting.words import BACKENDS, FILTERS
+from experiments.study.arms import ARMS, DOSE_ARMS, TRAFFICS
+from experiments.study.estimate import duration
+from experiments.study.results import Results
+from experiments.study.store import read_sweeps
+from experiments.study.verdict import of_results
+from experiments.support.files import canonical_json
+
+TEMPLATES = Path(__file__).resolve().parents[1] / "templates"
+
+
+def page(
+    results: Results,
+    analysis: Analysis,
+    films: Mapping[str, Any],
+    others: Sequence[tuple[str, Analysis]] = (),
+) -> dict[str, Any]:
+    """The templates' variables.
+
+    Args:
+        films: from `showcase.showcase`. others: title and analysis of folders to be shown beside this one.
+    """
+    names = list(dict.fromkeys(analysis.policies["backend"]))
+    return {
+        "smoke": "smoke" in analysis.provenance["presets"],
+        "backends": [backend(name, results, analysis) for name in names],
+        "films": player(films, results.directory),
+        "checks": checks(results.directory, names),
+        "directory": str(results.directory),
+        "beside": tables.side_by_side([("here", analysis), *others]),
+        "card": card(results, analysis),
+        "cells": tables.cells(results, analysis),
+        "commands": [sweep["command"] for sweep in read_sweeps(results.directory)],
+        "gate_texts": GATES,
+        "seconds": duration(analysis.provenance["seconds"]),
+        **{
+            name: getattr(analysis, name)
+            for name in ("notes", "plan", "plan_hash", "provenance", "negative_control")
+        },
+    }
+
+
+def backend(name: str, results: Results, analysis: Analysis) -> dict[str, Any]:
+    """All that is shown of one simulator."""
+    return {
+        "name": BACKENDS.get(name, name),
+        **answer(name, analysis),
+        "tasks": tables.first_page(analysis, name),
+        "claims": chosen(analysis.claims, backend=name).to_dict("records"),
+        "figures": drawn(name, results, analysis),
+        "crashes": tables.by_setting(analysis, name, "crashed"),
+        "returns": tables.by_setting(analysis, name, "return"),
+        "variants": tables.variants(analysis, name),
+        "further": tables.further(analysis, name),
+        "kinds": tables.crash_kinds(analysis, name),
+        **{
+            part: getattr(tables, part)(analysis, name)
+            for part in ("slopes", "transfer", "policies", "gates")
+        },
+        "placebo": chosen(analysis.placebo, backend=name).to_dict("records"),
+        "penalty": chosen(
+            main(analysis.means, name, "penalty"), scope=ALL_TASKS, outcome="crashed", term="regular"
+        ).to_dict("records"),
+    }
+
+
+def answer(name: str, analysis: Analysis) -> dict[str, Any]:
+    """The numbers of the answer: means over all settings in both traffics, and how many settings are on which side."""
+    means = main(analysis.means, name)
+    crashes, speed = chosen(means, outcome="crashed"), chosen(means, outcome="mean_speed", scope=ALL_TASKS)
+    over_all = {term: _one(chosen(crashes, scope=ALL_TASKS, term=term)) for term in TRAFFICS}
+    risky = over_all["risky"]
+    by_task = chosen(crashes, scope=list(TASK_ORDER), term="risky").sort_values("estimate")
+    single = chosen(main(analysis.effects, name), outcome="crashed", term=list(TRAFFICS))
+    decided = single[single["p_adjusted"] < analysis.plan["alpha"]] if len(single) else single
+    sides = {
+        side: {term: int((sign * chosen(decided, term=term)["estimate"] > 0).sum()) for term in TRAFFICS}
+        for side, sign in (("fewer", -1), ("more", 1))
+    }
+    strongest = by_task["scope"].iloc[by_task["estimate"].abs().argmax()] if len(by_task) > 2 else None
+    agents = chosen(analysis.gates, backend=name, arm=list(ARMS))
+    return {
+        "answered": bool(risky) and risky["status"] == OK,
+        **over_all,
+        **{f"speed_{term}": _one(chosen(speed, term=term)) for term in TRAFFICS},
+        "settings": risky.get("settings", 0),
+        "agents": len(agents),
+        "failing": int((agents["passed"].astype(object) == False).sum()),  # noqa: E712
+        "by_task": by_task.to_dict("records"),
+        "saturated": single.loc[single["status"] == SATURATED, ["task", "level"]].drop_duplicates().shape[0],
+        **sides,
+        "without": {term: _one(chosen(crashes, scope=f"without {strongest}", term=term)) for term in TRAFFICS}
+        if strongest
+        else None,
+        "careful": _careful(name, analysis),
+    }
+
+
+def _careful(name: str, analysis: Analysis) -> dict[str, Any] | None:
+    """Both arms against the careful driver, over all settings; None where it was not run."""
+    found: dict[str, Any] = {}
+    for arm in ARMS:
+        rows = chosen(main(analysis.means, name, arm, "careful"), scope=ALL_TASKS)
+        found[arm] = {t: _one(chosen(rows, outcome="crashed", term=t)) for t in TRAFFICS}
+        found["speed"] = _one(chosen(rows, outcome="mean_speed", term="risky"))
+    return found if found["speed"] else None
+
+
+def _one(rows: pd.DataFrame) -> dict[str, Any]:
+    """The only row, or nothing."""
+    return rows.to_dict("records")[0] if len(rows) else {}
+
+
+FIGURES = ("traffic", "progress", "effects", "doses", "learning", "collisions")
+
+
+def drawn(name: str, results: Results, analysis: Analysis) -> dict[str, Markup | None]:
+    """The figures of one simulator; None where its results do not allow one."""
+    policies = chosen(analysis.policies, backend=name, traffic=list(TRAFFICS))
+    effects = main(analysis.effects, name)
+    agents = {
+        name_: cell
+        for name_, cell in results.cells.items()
+        if cell["key"]["kind"] == "agent" and cell["key"]["arm"] in ARMS and cell["key"]["backend"] == name
+    }
+    found = {
+        "traffic": figures.against_traffic(policies, name),
+        "progress": figures.crashes_against_progress(policies, name),
+    }
+    if len(effects):
+        found["effects"] = figures.effects_by_setting(effects, name)
+    if policies["arm"].isin(set(DOSE_ARMS) - set(ARMS)).any():
+        found["doses"] = figures.dose_response(policies, name)
+    if agents:
+        found["learning"] = figures.learning_curves(agents, name)
+        episodes = results.episodes[results.episodes["cell"].isin(agents)]
+        if episodes["crashed"].any():
+            found["collisions"] = collisions(episodes)
+    return {**dict.fromkeys(FIGURES), **{key: Markup(svg) for key, svg in found.items()}}
+
+
+def player(films: Mapping[str, Any], directory: Path) -> dict[str, Any]:
+    """What the player and the appendix show of the films."""
+    titles = {kind: title for kind, title, _ in KINDS.values()}
+    shown = [place for place in films["places"] if place["films"]]
+    places: list[dict[str, Any]] = []
+    rows: list[dict[str, Any]] = []
+    listed: list[dict[str, str]] = []
+    counts: list[dict[str, Any]] = []
+    for number, place in enumerate(shown):
+        name = f"{place['task']} {place['level_name']}"
+        places.append(
+            {"name": f"{name} on {BACKENDS.get(place['backend'], place['backend'])}", "first": len(rows)}
+        )
+        for film in place["films"]:
+            at = f"{film['traffic']} {film['scenario']}"
+            arm = film["kind"] if film["kind"] in ARMS else "control"
+            case = f"{directory / 'cells' / place['cells'][arm]}:{at.replace(' ', ':')}"
+            rows.append({"place": number, "title": f"{titles[film['kind']]} ({at})"})
+            endings = {f"{arm} agent": film[arm]["ending"] for arm in ARMS}
+            replay = f"python experiments/replay.py {case}"
+            listed.append({"episode": f"{name}, {at}", **endings, "as pictures": replay})
+        ways = {titles[kind]: n for kind, n in place["counts"].items()}
+        counts.append({"task": name, **ways})
+    hidden = ("made_of", "counts", "failed", "cells")
+    data = [{key: value for key, value in place.items() if key not in hidden} for place in shown]
+    return {
+        "number": len(rows),
+        "places": places,
+        "films": rows,
+        "list": pd.DataFrame(listed),
+        "counts": pd.DataFrame(counts),
+        "rule": films["rule"],
+        "notes": films["notes"],
+        # A "<" could end the script element in which the data stand.
+        "data": Markup(canonical_json(data).replace("<", "\\u003c")),
+    }
+
+
+def checks(directory: Path, backends: Sequence[str]) -> dict[str, Any]:
+    """How many checks of SUMO against highway-env are within their margins, and by how much the others are beyond."""
+    found = of_results(directory) if "sumo" in backends else None
+    tasks = {} if found is None else found["tasks"]
+    total = sum(sum(task["counts"].values()) for task in tasks.values())
+    missed, orders = [], []
+    for task, verdict in tasks.items():
+        for item in verdict["missed"]:
+            where = f"{task} {item['level']}, {item['traffic']}"
+            if item["name"].startswith("pairs of egos"):
+                orders.append(
+                    f"{where}: {item['sumo']:.0f} of {item['reference']:.0f} pairs as in highway-env"
+                )
+                continue
+            what = " of ".join(filter(None, (item["name"], item["ego"])))
+            sizes = (plain(item[part], 2) for part in ("sumo", "reference", "margin"))
+            missed.append("{}, {} {} instead of {} (margin {})".format(where, what, *sizes))
+    within = total - len(missed) - len(orders)
+    return {
+        "relevant": "sumo" in backends,
+        "total": total,
+        "within": within,
+        "missed": missed,
+        "orders": orders,
+    }
+
+
+def card(results: Results, analysis: Analysis) -> list[dict[str, str]]:
+    """The rows of templates/card.toml with what was done here."""
+    keys = [results.cells[name]["key"] for name in analysis.provenance["cells"]]
+    agents = [key for key in keys if key["kind"] == "agent" and key["arm"] in ARMS]
+    if not agents:
+        return []
+    names = ("network", "gamma", "batch_size", "steps_per_update", "updates")
+    counts = pd.DataFrame(agents).groupby(["backend", "task", "level", "arm"])["seed"].nunique()
+    variables = {
+        "backend": agents[0]["backend"],
+        "settings": len({(key["task"], key["level"]) for key in agents}),
+        "linear": any(key["env_config"].get("risk_law") == "linear" for key in agents),
+        "profile": {n: sorted({str(k["profile"][n]) for k in agents if n in k["profile"]}) for n in names},
+        "seeds": [str(n) for n in sorted(set(counts))],
+        "tests": [str(n) for n in sorted({key["eval"]["episodes"] for key in agents})],
+    }
+    environment = _environment(escape=False)
+    rows = tomllib.loads((TEMPLATES / "card.toml").read_text())["row"]
+    return [{k: environment.from_string(text).render(variables) for k, text in row.items()} for row in rows]
+
+
+def render(variables: Mapping[str, Any], template: str) -> str:
+    """One of the templates as a text."""
+    environment = _environment(escape=template.endswith(".html.j2"))
+    script, css = (Markup((TEMPLATES / name).read_text()) for name in ("player.js", "report.css"))
+    return environment.get_template(template).render({**variables, "script": script, "css": css})
+
+
+def _environment(escape: bool) -> Environment:
+    loader = FileSystemLoader(TEMPLATES)
+    environment = Environment(
+        loader=loader, autoescape=escape, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    environment.filters |= FILTERS
+    return environment

@@ -1,0 +1,211 @@
+"""The report's tables: frames of text, made of the frames of the analysis, that one macro of the templates prints."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import pandas as pd
+
+from experiments.analysis.frames.analysis import Analysis
+from experiments.analysis.frames.effects import ALL_TASKS, mean_over
+from experiments.analysis.frames.gates import FAILURES
+from experiments.analysis.frames.scores import CRASH_KINDS, PLACE, TASK_ORDER
+from experiments.analysis.plan import OUTCOMES, Plan
+from experiments.reporting.words import BACKENDS, difference, effect, number, p_value
+from experiments.study.arms import ARMS, TRAFFICS
+
+Row = Mapping[str, Any]
+
+
+def chosen(frame: pd.DataFrame, **values: Any) -> pd.DataFrame:
+    """The rows with these values; a tuple or list means one of them."""
+    for name, value in values.items():
+        frame = frame[frame[name].isin(value) if isinstance(value, list | tuple) else frame[name] == value]
+    return frame
+
+
+def main(frame: pd.DataFrame, backend: str, arm: str = "treatment", against: str = "control") -> pd.DataFrame:
+    """The rows of a comparison on the simulator of its training."""
+    return chosen(frame, backend=backend, tested_on=backend, scenarios="own", arm=arm, against=against)
+
+
+def first_page(analysis: Analysis, backend: str) -> pd.DataFrame:
+    """The answer task by task: control -> treatment in both traffics, and the difference in the crash rate."""
+    means = main(analysis.means, backend)
+    rows = []
+    for scope in [*(task for task in TASK_ORDER if (means["scope"] == task).any()), ALL_TASKS]:
+        line = {"task": "all tasks alike" if scope == ALL_TASKS else scope}
+        for outcome, words in (("crashed", "crashes in {} traffic"), ("mean_speed", "m/s in {} traffic")):
+            for term in ("risky", "regular"):
+                found = chosen(means, scope=scope, outcome=outcome, term=term).to_dict("records")
+                if not found:
+                    continue
+                pair = (number(found[0][side], outcome) for side in ("mean_against", "mean_arm"))
+                line[words.format(term)] = " → ".join(pair)
+                if outcome == "crashed":
+                    line["difference" + " " * (term == "regular")] = effect(found[0], outcome)
+        rows.append(line)
+    return pd.DataFrame(rows) if len(rows) > 1 else pd.DataFrame()
+
+
+def by_setting(analysis: Analysis, backend: str, outcome: str) -> pd.DataFrame:
+    """Effects of every setting: each traffic with its 95 % interval, and what the plan tests at its family's level."""
+    rows = chosen(main(analysis.effects, backend), outcome=outcome)
+    lines: dict[str, dict[str, str]] = {}
+    for row in rows.to_dict("records"):
+        line = lines.setdefault(f"{row['task']} {row['level_name']}", {})
+        title = {"sum": "both (the paper's ATE)", "interaction": "risky − regular"}.get(
+            row["term"], row["term"]
+        )
+        line[title] = effect(row, outcome)
+        if row["family"]:
+            level = effect({**row, "low": row["low_family"], "high": row["high_family"]}, outcome)
+            line[f"{title}, family's level"] = level
+            line[f"{title}, p (Holm)"] = p_value(row["p_adjusted"])
+            if outcome == "crashed":
+                line[f"{title}, detectable"] = number(row["detectable"], outcome).replace(" %", "")
+        line["agents"] = f"{row['seeds_arm']}, {row['seeds_against']}"
+    return _indexed(lines, "setting")
+
+
+def means(frame: pd.DataFrame, columns: Sequence[str] = ("scope",)) -> pd.DataFrame:
+    """Means over settings, a row for each value of some columns; crash rates of both sides and the difference."""
+    lines: dict[tuple[Any, ...], dict[str, str]] = {}
+    for row in frame.to_dict("records"):
+        if row["outcome"] not in (*OUTCOMES, *CRASH_KINDS):
+            continue
+        line = lines.setdefault(
+            tuple(row[name] for name in columns), {name: str(row[name]) for name in columns}
+        )
+        line[f"{row['term']} traffic"] = f"{number(row['mean_against'], row['outcome'])} → " + number(
+            row["mean_arm"], row["outcome"]
+        )
+        line["difference" + " " * (row["term"] == "regular")] = effect(row, row["outcome"])
+    return pd.DataFrame(list(lines.values()))
+
+
+def policies(analysis: Analysis, backend: str) -> pd.DataFrame:
+    """How every policy drives, in every setting and both traffics."""
+    rows = chosen(analysis.policies, backend=backend, traffic=list(TRAFFICS))
+    lines: dict[tuple[str, str], dict[str, str]] = {}
+    for row in rows.to_dict("records"):
+        key = (f"{row['task']} {row['level_name']}", row["arm"] or row["policy"])
+        line = lines.setdefault(key, {"setting": key[0], "policy": key[1]})
+        for outcome, title in (("return", "return"), ("crashed", "crashes"), ("mean_speed", "m/s")):
+            error = row[f"{outcome} se"]
+            spread = f" ± {number(error, outcome).replace(' %', '')}" if pd.notna(error) else ""
+            line[f"{title}, {row['traffic']}"] = number(row[outcome], outcome) + spread
+    return pd.DataFrame(list(lines.values()))
+
+
+def gates(analysis: Analysis, backend: str) -> pd.DataFrame:
+    """How many agents of each setting and arm pass the gates, and what the others fail."""
+    lines: dict[str, dict[str, str]] = {}
+    rows = chosen(analysis.gates, backend=backend)
+    for (task, name, arm), own in rows.groupby(["task", "level_name", "arm"], sort=False):
+        failed = [gate for names in own["failed"] for gate in names.split()]
+        words = ", ".join(f"{failed.count(gate)} {FAILURES[gate]}" for gate in dict.fromkeys(failed))
+        passed = int((own["passed"].astype(object) != False).sum())  # noqa: E712
+        lines.setdefault(f"{task} {name}", {})[str(arm)] = f"{passed} of {len(own)}" + (
+            f" ({words})" if words else ""
+        )
+    return _indexed(lines, "setting").fillna("")
+
+
+def variants(analysis: Analysis, backend: str) -> pd.DataFrame:
+    """The effect on the crash rate over other settings and agents."""
+    rows = chosen(main(analysis.means, backend), outcome="crashed", term=("risky", "regular"))
+    return means(rows[~rows["scope"].isin(list(TASK_ORDER))])
+
+
+def further(analysis: Analysis, backend: str) -> pd.DataFrame:
+    """Further arms, mean over the settings that have them."""
+    rows = chosen(analysis.means, backend=backend, tested_on=backend, scenarios="own", outcome="crashed")
+    rows = rows[~rows["arm"].isin(list(ARMS)) & (rows["scope"] == ALL_TASKS)]
+    return means(rows, ("arm", "against", "settings"))
+
+
+def transfer(analysis: Analysis, backend: str) -> pd.DataFrame:
+    """The same agents on the same scenarios of other simulators and at home."""
+    rows = analysis.means[analysis.means["scenarios"] != "own"]
+    rows = chosen(rows, backend=backend).assign(tested_on=lambda d: d["tested_on"].map(BACKENDS))
+    return means(chosen(rows, scope=ALL_TASKS), ("scenarios", "tested_on")).drop(
+        columns="scenarios", errors="ignore"
+    )
+
+
+def crash_kinds(analysis: Analysis, backend: str) -> pd.DataFrame:
+    """Effects on the share of episodes that end in each kind of crash, tasks alike."""
+    rows = chosen(main(analysis.means, backend), scope=ALL_TASKS, outcome=CRASH_KINDS)
+    return means(rows, ("outcome",)).rename(columns={"outcome": "kind of crash"})
+
+
+def slopes(analysis: Analysis, backend: str) -> pd.DataFrame:
+    """Change per traffic level, of the effect and of the outcome."""
+    lines: dict[str, dict[str, str]] = {}
+    for row in chosen(analysis.slopes, backend=backend).to_dict("records"):
+        title = f"{OUTCOMES[row['outcome']].label}, {'effect' if row['quantity'] == 'effect' else 'mean'}"
+        lines.setdefault(row["task"], {})[title] = (
+            f"{effect(row, row['outcome'])}, p {p_value(row['p_adjusted'])}"
+        )
+    return _indexed(lines, "task")
+
+
+def side_by_side(named: Sequence[tuple[str, Analysis]]) -> pd.DataFrame:
+    """This folder beside others: effects on the crash rate over the settings that each shares with the first.
+
+    Args:
+        named: title and analysis of each folder; the first one is compared with all others.
+    """
+    (_, first), *others = named
+    rows = []
+    for title, other in others:
+        here, there = (_crashes(analysis) for analysis in (first, other))
+        shared = {(r.task, r.level) for r in here.itertuples()} & {
+            (r.task, r.level) for r in there.itertuples()
+        }
+        if not shared:
+            continue
+        passed = other.gates[other.gates["arm"].isin(list(ARMS))]
+        sound = int((passed["passed"].astype(object) == True).sum())  # noqa: E712
+        line = {
+            "folder": title,
+            "settings": str(len(shared)),
+            "agents that pass": f"{sound} of {len(passed)}",
+        }
+        for term in ("risky", "regular"):
+            for side, frame in (("there", there), ("here", here)):
+                keep = [(r.task, r.level) in shared and r.term == term for r in frame.itertuples()]
+                line[f"{term}, {side}"] = difference(mean_over(frame[keep], Plan()))
+        rows.append(line)
+    return pd.DataFrame(rows)
+
+
+def _crashes(analysis: Analysis) -> pd.DataFrame:
+    """Effects on the crash rate in each setting, on the first simulator of an analysis."""
+    backend = analysis.effects["backend"].iloc[0] if len(analysis.effects) else ""
+    return chosen(main(analysis.effects, backend), outcome="crashed", term=("risky", "regular"))
+
+
+def _indexed(lines: Mapping[str, Mapping[str, str]], name: str) -> pd.DataFrame:
+    return (
+        pd.DataFrame.from_dict(lines, orient="index").rename_axis(name).reset_index()
+        if lines
+        else pd.DataFrame()
+    )
+
+
+def cells(results: Any, analysis: Analysis) -> pd.DataFrame:
+    """The cells behind the numbers, with the checksum of their episodes."""
+    files = analysis.provenance["cells"]
+    rows = [
+        {
+            "cell": name,
+            "setting": " ".join(str(results.cells[name]["key"][part]) for part in PLACE if part != "level"),
+            "arm or policy": results.cells[name]["key"]["arm"] or results.cells[name]["key"]["policy"],
+            "SHA-256 of the episodes": str(checksums["episodes.parquet"])[:16],
+        }
+        for name, checksums in files.items()
+    ]
+    return pd.DataFrame(rows)

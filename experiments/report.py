@@ -32,7 +32,7 @@ from typing import Annotated
 import tyro
 
 from agents.plugins import load_object
-from experiments.analysis.frames.analysis import Analysis, analyse, as_json, stored
+from experiments.analysis.analysis import Analysis, analyse, as_json, stored
 from experiments.analysis.plan import DEFAULT, OUTCOMES, VERSIONS, Outcome
 from experiments.backends import make_env
 from experiments.reporting.page import page, render

@@ -8,11 +8,11 @@ import sys
 from typing import Any
 
 import pandas as pd
+from experiments.analysis.pooling import ALL_TASKS
+from experiments.analysis.wording import difference, place
 from experiments.reporting.beside import beside
 
 from experiments.analysis.gates import gates
-from experiments.analysis.pooling import ALL_TASKS
-from experiments.analysis.wording import difference, place
 from experiments.study.arms import EXTRA_ARMS, TRAFFICS
 from experiments.study.results import load
 from sumo_env.tasks import TASKS

@@ -1,194 +1,216 @@
-"""Everything that the report says, as one value: a pure function of the stored cells."""
+"""Everything that the report says, as frames: a pure function of the stored cells."""
 
 from __future__ import annotations
 
+import json
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from experiments.analysis import plan as plans
-from experiments.analysis import statistics
-from experiments.analysis.effects import Record, effects
-from experiments.analysis.exploratory import exploratory
-from experiments.analysis.gates import GATES, gates
-from experiments.analysis.headline import headlines
-from experiments.analysis.placebo import negative_control, placebo
-from experiments.analysis.plan import OUTCOMES
-from experiments.analysis.pooling import failures, pooled, slopes
-from experiments.analysis.sensitivity import learnt, second_batch, sensitivity
-from experiments.analysis.tables import (
-    DESCRIPTIVE,
+from experiments.analysis.cells import comparable, duplicates, is_main
+from experiments.analysis.claims import claims
+from experiments.analysis.controls import negative_control, placebo
+from experiments.analysis.effects import adjusted, against_policy, contrasts, means, slopes, variants
+from experiments.analysis.estimate import OK, Mean
+from experiments.analysis.gates import GATES, gates, learnt
+from experiments.analysis.plan import OUTCOMES, TERMS, Plan
+from experiments.analysis.scores import (
+    CRASH_KINDS,
     PLACE,
-    comparable,
-    complete,
-    duplicates,
-    fitting,
-    place_order,
-    settings,
-    split,
-    units,
+    TASK_ORDER,
+    Arms,
+    Place,
+    arms_of,
     with_outcomes,
-    without,
 )
-from experiments.analysis.verdicts import claims
-from experiments.study.arms import ARMS, TRAFFICS
+from experiments.study.arms import ALL_TRAFFICS, ARMS, EXTRA_ARMS
 from experiments.study.grid import BASELINES, LEARNER
 from experiments.study.results import Results
 from experiments.support.files import canonical_json, sha256_bytes
-from sumo_env.tasks import TASKS
 
-SCHEMA = 2
+SCHEMA = 3
+BOTH = [("treatment", "control")]
+FURTHER = [(arm, against) for arm in EXTRA_ARMS for against in ("control", "treatment")]
+ONE_TRAFFIC = ("risky", "regular")
+SHOWN = ("crashed", "return", "mean_speed")  # outcomes of comparisons beside the plan's
+DESCRIPTIVE = ("length", "distance", "arrived", "density", "stopped", "progress")
+AGENT = [*PLACE, "arm", "seed"]
 
 
-def analyse(results: Results, version: int = plans.DEFAULT.version) -> dict[str, Any]:
-    """Analyse the stored cells of a directory.
+@dataclass(frozen=True)
+class Analysis:
+    """What an analysis finds, as frames whose columns their functions document.
 
-    Args:
-        version: of the plan.
-
-    Returns:
-        A value that is strict JSON (no NaN, no infinity):
-        plan, plan_hash: see `plan`. headlines: the answer in plain words, see `headline.headlines`.
-        claims: see `verdicts.claims`. ate: see `effects.effects`. pooled, slopes, failures: see `pooling`.
-        sensitivity, learnt, second_batch: see `sensitivity`. placebo, negative_control: see `placebo`.
-        exploratory: see `exploratory.exploratory`.
-        gates: see `gates.gates`. policies: see `policies`.
-        missing: cells that the last sweep asked for and that are not there; failed: why some of them failed;
-        damaged: cells that cannot be read, with the reason; incomplete: cells whose tables lack something;
-        duplicates: cells that hold the same agent. left_out: cells of other settings, not analysed.
-        provenance: see `provenance`.
+    effects, means: `effects.contrasts` and `effects.means`, of all comparisons (arm, against; tested_on; scenarios).
+    slopes, gates, claims, placebo: see the functions of these names. policies: see `policies`.
+    plan, plan_hash: see `plan.as_data`. negative_control: see `controls`. notes: missing, failed, damaged, incomplete,
+    duplicates and left_out cells, with their reasons. provenance: see `provenance`.
     """
-    whole, incomplete = complete(results)
-    main, extra = split(whole)
-    chosen, left_out = comparable(main)
-    further = fitting(extra, chosen)
-    left_out += [
-        {"cell": name, "reason": "no agents of both arms with its settings to compare with"}
-        for name in extra.cells
-        if name not in further.cells
-    ]
+
+    effects: pd.DataFrame
+    means: pd.DataFrame
+    slopes: pd.DataFrame
+    claims: pd.DataFrame
+    gates: pd.DataFrame
+    policies: pd.DataFrame
+    placebo: pd.DataFrame
+    negative_control: float | None
+    plan: dict[str, Any]
+    plan_hash: str
+    notes: dict[str, Any]
+    provenance: dict[str, Any]
+
+
+def analyse(results: Results, version: int = plans.DEFAULT.version) -> Analysis:
+    """Analyse the stored cells of a directory by a version of the plan."""
+    chosen = comparable(results)
+    cells = chosen.results.cells
     plan = plans.plan_of(
-        (str(cell["key"]["profile"].get("preset")) for cell in chosen.cells.values()), version
+        (str(c["key"]["profile"].get("preset")) for c in cells.values() if is_main(c)), version
     )
-    data = plans.as_data(plan, GATES)
-    episodes = with_outcomes(chosen.episodes, chosen.cells)
-    pairs = settings(episodes)
-    verdicts = gates(chosen.cells, chosen.gate_episodes)
-    grid = {task: len(definition.levels) for task, definition in TASKS.items()}
-    ate = effects(pairs, verdicts, plan)
-    trends = slopes(pairs, grid, plan)
-    value = {
-        "schema": SCHEMA,
-        "plan": data,
-        "plan_hash": plans.digest(data),
-        "claims": claims(ate, trends, grid, plan),
-        "ate": ate,
-        "pooled": pooled(pairs, plan),
-        "failures": failures(pairs, verdicts, plan),
-        "slopes": trends,
-        "sensitivity": sensitivity(pairs, verdicts, plan),
-        "learnt": learnt(pairs, verdicts, plan),
-        "second_batch": second_batch(pairs, ate, plan),
-        "placebo": placebo(pairs, plan),
-        "negative_control": negative_control(episodes),
-        "exploratory": exploratory(chosen, further, plan),
-        "gates": verdicts,
-        "policies": policies(units(episodes), episodes),
-        "missing": [name for name in results.expected if name not in results.cells],
-        "failed": dict(results.failed),
-        "damaged": dict(results.damaged),
-        "incomplete": incomplete,
-        "duplicates": duplicates(chosen),
-        "left_out": left_out,
-        "provenance": provenance(without(whole, {entry["cell"] for entry in left_out})),
-    }
-    value["headlines"] = headlines(value, grid, plan)
-    return strict(value)
+    episodes = with_outcomes(chosen.results)
+    passed = gates(cells, chosen.results.gate_episodes)
+
+    home = arms_of(own_agents(episodes), [*OUTCOMES, *CRASH_KINDS])
+    planned = adjusted(contrasts(home, BOTH, [(o, t) for o in OUTCOMES for t in TERMS], plan), plan)
+    trends = slopes(home, plan)
+    beside = list(exploratory(episodes, home, passed, replace(plan, looks=())))
+    plan_data = plans.as_data(plan, GATES)
+    return Analysis(
+        effects=pd.concat([planned, *(frame for frame, _ in beside)], ignore_index=True),
+        means=pd.concat([means(planned, plan), *(frame for _, frame in beside)], ignore_index=True),
+        slopes=trends,
+        claims=claims(planned, trends, plan),
+        gates=passed,
+        policies=policies(episodes),
+        placebo=placebo(own_agents(episodes), plan),
+        negative_control=negative_control(episodes),
+        plan=plan_data,
+        plan_hash=sha256_bytes(canonical_json(plan_data).encode()),
+        notes={
+            "missing": [name for name in results.expected if name not in results.cells],
+            "failed": dict(results.failed),
+            "damaged": dict(results.damaged),
+            "incomplete": chosen.incomplete,
+            "duplicates": duplicates(chosen.results),
+            "left_out": chosen.left_out,
+        },
+        provenance=provenance(chosen.results),
+    )
 
 
-def policies(table: pd.DataFrame, episodes: pd.DataFrame) -> list[Record]:
-    """How every policy does, in every task, level and traffic; trained agents by arm, and the baselines.
+def own_agents(episodes: pd.DataFrame) -> pd.DataFrame:
+    """The test episodes of trained agents on the simulator of their training."""
+    return episodes[episodes["kind"] == "agent"]
+
+
+Frames = tuple[pd.DataFrame, pd.DataFrame]  # effects, and their means
+
+
+def exploratory(
+    episodes: pd.DataFrame, home: Mapping[Place, Arms], passed: pd.DataFrame, plain: Plan
+) -> Iterable[Frames]:
+    """Comparisons beside the plan's; none of them decides a claim, and no p-value is adjusted.
+
+    Kinds of crashes, further arms, the rule drivers as the mark to beat, the agents that pass the gates, and the same
+    agents tested on another simulator.
+    """
+    questions = [(outcome, term) for outcome in SHOWN for term in ONE_TRAFFIC]
+    kinds = contrasts(home, BOTH, [(kind, term) for kind in CRASH_KINDS for term in ONE_TRAFFIC], plain)
+    yield kinds, means(kinds, plain)
+    further = contrasts(home, FURTHER, questions, plain)
+    crashes = further[further["outcome"] == "crashed"]
+    yield further, pd.concat([means(further, plain), variants(crashes, plain)])
+    rules = episodes[episodes["kind"] == "baseline"]
+    rules = rules.assign(arm=rules["policy"], seed=0)
+    drivers = arms_of(pd.concat([own_agents(episodes), rules]), SHOWN)
+    mark = against_policy(drivers, "careful", list(ARMS), questions, plain)
+    yield mark, means(mark, plain)
+    yield sensitivity(episodes, home, passed, plain)
+    for other in sorted(
+        {*episodes["tested_on"]} - {*episodes["backend"]} | {*_elsewhere(episodes)["tested_on"]}
+    ):
+        yield from transfer(episodes, str(other), plain)
+
+
+def sensitivity(
+    episodes: pd.DataFrame, home: Mapping[Place, Arms], passed: pd.DataFrame, plain: Plan
+) -> Frames:
+    """The crash rate in other ways: without each task, settings alike, what was learnt, agents that pass the gates."""
+    questions = [("crashed", term) for term in ONE_TRAFFIC]
+    scopes = variants(contrasts(home, BOTH, questions, plain), plain, learnt(passed, plain.learnt))
+    bad = passed.loc[passed["passed"].astype(object) == False, "cell"]  # noqa: E712
+    agents = own_agents(episodes)
+    sound = contrasts(arms_of(agents[~agents["cell"].isin(bad)], ["crashed"]), BOTH, questions, plain)
+    sound = sound[sound[["seeds_arm", "seeds_against"]].min(axis=1) > 1]
+    passing = means(sound, plain)
+    passing = passing[passing["scope"] == "all tasks"].assign(scope="agents that pass the gates")
+    return sound.iloc[:0], pd.concat([scopes, passing])
+
+
+def _elsewhere(episodes: pd.DataFrame) -> pd.DataFrame:
+    """The episodes of agents on another simulator than that of their training."""
+    return episodes[(episodes["kind"] == "test") & (episodes["tested_on"] != episodes["backend"])]
+
+
+def transfer(episodes: pd.DataFrame, other: str, plain: Plan) -> Iterable[Frames]:
+    """The effect on the crash rate on another simulator, and of the same agents on the same scenarios at home."""
+    tests = _elsewhere(episodes)
+    tests = tests[tests["tested_on"] == other]
+    agents = own_agents(episodes)
+    away = tests.merge(agents[AGENT].drop_duplicates())
+    home = agents.merge(away[[*AGENT, "traffic", "scenario"]])
+    questions = [("crashed", term) for term in ONE_TRAFFIC]
+    for rows, labels in ((away, {"tested_on": other, "scenarios": other}), (home, {"scenarios": other})):
+        effects = contrasts(arms_of(rows, ["crashed"]), BOTH, questions, plain, **labels)
+        yield effects, means(effects, plain)
+
+
+def policies(episodes: pd.DataFrame) -> pd.DataFrame:
+    """How every policy does, in every setting and traffic: trained agents by arm, and the others.
 
     Returns:
-        Records with backend, task, level, level_name, policy, arm (None for baselines), traffic, n and unit
-        (trained
-        agents: "training seed", baselines: "test episode"), mean and se (by name of outcome; se over those
-        units, None with one of them, and only of outcomes), iqm (interquartile mean over seeds; None for
-        baselines), cells.
+        A row a PLACE, policy, arm (empty for policies that are not trained) and traffic, in the grid's order: n and
+        unit ("training seed" or "test episode"), the mean of every outcome and of length [steps], distance [m], arrived
+        (share), density (other vehicles within 200 m), stopped (share of the steps) and progress (m per second that the
+        episode was to last); "<outcome> se" over those units, NaN with one of them.
     """
-    result = []
-    names = [*OUTCOMES, *DESCRIPTIVE]
-    by_cell = dict(tuple(episodes.groupby(["cell", "traffic"], sort=False))) if len(episodes) else {}
-    order: dict[tuple[str, str | None], int] = {(LEARNER, arm): number for number, arm in enumerate(ARMS)}
-    own = sorted(set(table["policy"]) - {LEARNER, *BASELINES})  # policies that the user brought
-    order |= {(policy, None): len(order) + number for number, policy in enumerate((*BASELINES, *own))}
-    table = table.assign(arm=table["arm"].where(table["kind"] == "agent", None).astype(object))
-    groups = table.groupby([*PLACE, "policy", "arm"], sort=False, dropna=False)
-    for (backend, task, level, level_name, policy, arm), rows in groups:
-        arm = arm if isinstance(arm, str) else None
-        for traffic in TRAFFICS:
-            mean = {name: float(rows[f"{name} {traffic}"].mean()) for name in names}
-            if arm is None:
-                tests = by_cell[rows["cell"].iloc[0], traffic]
-                samples = {name: tests[name].astype(float) for name in OUTCOMES}
-            else:
-                samples = {name: rows[f"{name} {traffic}"] for name in OUTCOMES}
-            n = len(samples["return"])
-            se = {name: float(x.std(ddof=1) / math.sqrt(n)) if n > 1 else None for name, x in samples.items()}
-            result.append(
-                {
-                    "backend": backend,
-                    "task": task,
-                    "level": int(level),
-                    "level_name": level_name,
-                    "policy": policy,
-                    "arm": arm,
-                    "traffic": traffic,
-                    "n": n,
-                    "unit": "training seed" if arm else "test episode",
-                    "mean": mean,
-                    "se": se,
-                    "iqm": {name: statistics.iqm(x) for name, x in samples.items()} if arm else None,
-                    "cells": sorted(rows["cell"]),
-                }
-            )
-    return sorted(result, key=lambda r: (*place_order(r), order[r["policy"], r["arm"]], r["traffic"]))
-
-
-def summary_table(analysis: Mapping[str, Any]) -> pd.DataFrame:
-    """The policies of an analysis as a flat table: one row a task, level, policy, arm and traffic."""
-    keys = (*PLACE, "policy", "arm", "traffic", "n", "unit")
-    return pd.DataFrame(
+    rows = episodes[episodes["tested_on"] == episodes["backend"]]
+    rows = rows.assign(arm=rows["arm"].where(rows["kind"] != "baseline", "").fillna("").astype(str))
+    rows = rows.assign(progress=rows["distance"] / rows["seconds"])
+    columns = [*OUTCOMES, *DESCRIPTIVE]
+    group = [*PLACE, "policy", "arm", "traffic"]
+    trained = rows["arm"] != ""
+    units = pd.concat(
         [
-            {
-                **{key: record[key] for key in keys},
-                **record["mean"],
-                **{f"{name}_se": value for name, value in record["se"].items()},
-                "cells": " ".join(record["cells"]),
-            }
-            for record in analysis["policies"]
+            rows[trained].groupby([*group, "seed"], sort=False)[columns].mean().reset_index(),
+            rows[~trained][[*group, *columns]],
         ]
     )
-
-
-def effect_table(analysis: Mapping[str, Any]) -> pd.DataFrame:
-    """The treatment effects of an analysis as a flat table: one row per task, level, outcome and term."""
-    keys = (*PLACE, "outcome", "term", "family", "estimate", "se", "low", "high", "p", "p_adjusted", "status")
-    arms = ("treatment", "control")
-    return pd.DataFrame(
-        [
-            {
-                **{key: record[key] for key in keys},
-                **{f"seeds_{arm}": n for arm, n in zip(arms, record["seeds"], strict=True)},
-                **{f"mean_{arm}": record[f"mean_{arm}"] for arm in arms},
-                "cells": " ".join(record["cells"]),
-            }
-            for record in analysis["ate"]
-        ]
+    grouped = units.astype(dict.fromkeys(columns, float)).groupby(group, sort=False)
+    frame = grouped[columns].mean()
+    frame.insert(0, "n", grouped.size())
+    frame.insert(
+        1, "unit", ["training seed" if arm else "test episode" for arm in frame.index.get_level_values("arm")]
     )
+    errors = grouped[list(OUTCOMES)].sem().add_suffix(" se")
+    frame = frame.join(errors).reset_index()
+    own = sorted({*frame["policy"]} - {LEARNER, *BASELINES})
+    rank = {(LEARNER, arm): n for n, arm in enumerate((*ARMS, *EXTRA_ARMS))}
+    rank |= {(policy, ""): len(rank) + n for n, policy in enumerate((*BASELINES, *own))}
+    order = frame.assign(
+        task=frame["task"].map(TASK_ORDER),
+        policy=[rank[key] for key in zip(frame["policy"], frame["arm"], strict=True)],
+        traffic=frame["traffic"].map(ALL_TRAFFICS),
+    )
+    order = order.sort_values(["backend", "task", "level", "policy", "traffic"])
+    return frame.loc[order.index].reset_index(drop=True)
 
 
 def provenance(results: Results) -> dict[str, Any]:
@@ -221,17 +243,53 @@ def provenance(results: Results) -> dict[str, Any]:
     }
 
 
-def strict(value: Any) -> Any:
-    """The same value with plain types only; what is not a finite number becomes None.
+def as_json(analysis: Analysis) -> dict[str, Any]:
+    """An analysis as strict JSON; a frame is {"columns": [...], "rows": [[...], ...]}.
 
-    Numbers have twelve significant digits: those beyond differ between processors.
+    Numbers have twelve significant digits, since those beyond differ between processors; NaN is null.
     """
-    if isinstance(value, Mapping):
-        return {str(key): strict(item) for key, item in value.items()}
+    value: dict[str, Any] = {"schema": SCHEMA}
+    for field in fields(analysis):
+        part = getattr(analysis, field.name)
+        if isinstance(part, pd.DataFrame):
+            table = part.drop(columns="looks", errors="ignore")
+            part = {"columns": list(table.columns), "rows": table.to_numpy(dtype=object).tolist()}
+        value[field.name] = _strict(part)
+    return value
+
+
+def _strict(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {str(key): _strict(item) for key, item in value.items()}
     if isinstance(value, list | tuple):
-        return [strict(item) for item in value]
+        return [_strict(item) for item in value]
     if isinstance(value, np.generic):
         value = value.item()
-    if isinstance(value, float) and not math.isfinite(value):
+    if isinstance(value, float):
+        return float(f"{value:.12g}") if math.isfinite(value) else None
+    return None if value is pd.NA else value
+
+
+def stored(path: Path) -> Analysis | None:
+    """The analysis in an analysis.json; None if the file is of another version. Raises ValueError if it is damaged."""
+    value = json.loads(path.read_text())
+    if value.pop("schema", None) != SCHEMA:
         return None
-    return float(f"{value:.12g}") if isinstance(value, float) else value
+    frames = {
+        name: pd.DataFrame(part["rows"], columns=part["columns"])
+        if isinstance(part, dict) and part.keys() == {"columns", "rows"}
+        else part
+        for name, part in value.items()
+    }
+    effects = frames["effects"]
+    effects["looks"] = [
+        (
+            Mean(
+                row.estimate,
+                ((row.se**2, row.df),) if row.status == OK else (),
+                min(row.seeds_arm, row.seeds_against),
+            ),
+        )
+        for row in effects.itertuples()
+    ]
+    return Analysis(**frames)

@@ -1,225 +1,309 @@
-"""The average treatment effect of every setting (task and traffic level), over all of its trained agents.
+"""The average treatment effect of every setting, and the one place where settings are averaged.
 
-The paper's ATE is a sum: (T - C) in risky traffic plus (T - C) in regular traffic. It is computed for each
-trained agent first (risky + regular) and then compared between the arms, like its two terms and their
-interaction. Agents that fail a gate count as the others do: an agent that did not learn is an outcome of its
-training. How many fail is said beside every effect.
+The paper's ATE is a sum: (T - C) in risky traffic plus (T - C) in regular traffic. It is computed for each trained
+agent first (risky + regular) and then compared between the arms, like its two terms and their interaction. Agents that
+fail a gate count as the others do: an agent that did not learn is an outcome of its training.
+
+Frames: `contrasts` has a row an effect, `means` a row a mean over settings, `slopes` a row a task. All share the
+columns of an estimate: estimate, se, df, low, high (95 % interval, in the unit of the outcome), p (two-sided, right for
+all looks that were held) and status ("ok", or why there is no interval, see `estimate`).
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
-from experiments.analysis import statistics
-from experiments.analysis.gates import FAILURES, GATES
-from experiments.analysis.plan import DEFAULT, OUTCOMES, TERMS, Plan
-from experiments.analysis.statistics import MISSING, OK, SATURATED, Estimate, Mean
-from experiments.analysis.tables import CONFIRMATORY, PLACE, Pair, Place
-from experiments.study.arms import TRAFFICS
+import numpy as np
+import pandas as pd
 
-Record = dict[str, Any]
-ALL_CRASH = "every agent of both arms crashes in every episode"
+from experiments.analysis import estimate
+from experiments.analysis.estimate import OK, SATURATED, Estimate, Mean
+from experiments.analysis.plan import DEFAULT, OUTCOMES, Plan
+from experiments.analysis.scores import PLACE, TASK_ORDER, Arm, Arms, Place
+from sumo_env.tasks import TASKS
 
-
-def contrast(pair: Pair, outcome: str, term: str) -> Mean:
-    """Treatment minus control in a setting."""
-    arms = pair["treatment"], pair["control"]
-    weighted = [(arm.scores(outcome, term), sign) for arm, sign in zip(arms, (1.0, -1.0), strict=True)]
-    return statistics.linear(weighted, floor=sum(arm.floor(outcome, term) for arm in arms))
-
-
-def below(pair: Pair, seed: int | None) -> Pair:
-    """The agents of the first batches of seeds."""
-    return {name: arm.below(seed) for name, arm in pair.items()}
+ALL_TASKS, SETTINGS_ALIKE = "all tasks", "every setting alike"
+ESTIMATE = ["estimate", "se", "df", "low", "high", "p", "status"]
+# What is compared: the simulator of the training and that of the test; whose scenarios ("own", or those that agents
+# were given on another simulator); the arms.
+COMPARISON = ["backend", "tested_on", "scenarios", "arm", "against"]
+QUESTION = ["outcome", "term"]
+KEY = [*COMPARISON, "task", "level", "level_name", *QUESTION]
+GRID = {task: len(definition.levels) for task, definition in TASKS.items()}
 
 
-def least(pair: Pair) -> int:
-    """Seeds in the smaller arm."""
-    return min(len(arm.seeds) for arm in pair.values())
+def decided(looks: Sequence[Mean], seeds: int, plan: Plan) -> Estimate:
+    """The estimate at the last look that was held, with a p-value that is right for all of them.
 
-
-def cells_of(pairs: Iterable[Pair]) -> list[str]:
-    """The cells behind settings."""
-    return sorted(cell for pair in pairs for arm in pair.values() for cell in arm.cells)
-
-
-def estimated(of: Callable[[int | None], Mean], plan: Plan, seeds: int) -> tuple[Estimate, Mean, float]:
-    """An estimate over all seeds whose p-value is right for all looks that were held.
+    The looks share the error rate (Bonferroni), so that it is kept whatever the first look makes one do.
 
     Args:
-        of: the mean of the agents whose seed is below a number (None: of all). seeds: in the smallest arm.
-
-    Returns:
-        The estimate, the mean of the last look, and that look's share of the error rate.
+        looks: the mean at each planned look. seeds: in the smaller arm; says which looks were held.
     """
-    looks = plan.looks_at(seeds)
-    mean = of(looks[-1][0])
-    found = statistics.interval(mean)
-    if not plan.looks or found.status != OK:
-        return found, mean, looks[-1][1]
-    p_values = [statistics.interval(of(limit)).p for limit, _ in looks[:-1]] + [found.p]
-    spent = [p / share for p, (_, share) in zip(p_values, looks, strict=True) if p is not None]
-    return Estimate(**{**asdict(found), "p": min(1.0, *spent)}), mean, looks[-1][1]
+    if not plan.looks:
+        return estimate.interval(looks[-1])
+    shares = plan.held(seeds)
+    found = [estimate.interval(mean) for mean in looks[: len(shares)]]
+    last = found[-1]
+    if last.status != OK:
+        return last
+    spent = [one.p / share for one, share in zip(found, shares, strict=True) if one.status == OK]
+    return Estimate(**{**asdict(last), "p": min(1.0, *spent)})
 
 
-def as_record(estimate: Estimate) -> Record:
-    """An Estimate as the fields of a record; its group sizes are called seeds."""
-    fields = asdict(estimate)
-    fields["seeds"] = list(fields.pop("n"))
-    return fields
+def at_looks(
+    pair: Sequence[Arm], signs: Sequence[float], outcome: str, term: str, plan: Plan
+) -> tuple[Mean, ...]:
+    """The sum of sign x mean over arms at every planned look; one, of all agents, where no look was planned."""
+    means = []
+    for limit in plan.limits:
+        arms = [arm.below(limit) for arm in pair]
+        floor = sum(sign**2 * arm.floor(outcome, term) for arm, sign in zip(arms, signs, strict=True))
+        scores = [(arm.scores(outcome, term), sign) for arm, sign in zip(arms, signs, strict=True)]
+        means.append(estimate.linear(scores, floor))
+    return tuple(means)
 
 
-def effects(
-    pairs: Mapping[Place, Pair],
-    verdicts: Sequence[Mapping[str, Any]] = (),
+def contrasts(
+    arms: Mapping[Place, Arms],
+    pairs: Iterable[tuple[str, str]],
+    questions: Iterable[tuple[str, str]],
     plan: Plan = DEFAULT,
-    outcomes: Sequence[str] | None = None,
-    terms: Sequence[str] = tuple(TERMS),
-) -> list[Record]:
-    """Treatment effects of every setting, outcome and term.
+    **labels: str,
+) -> pd.DataFrame:
+    """Effects: one arm minus another, in every setting that has both.
 
     Args:
-        pairs: from `tables.settings`. verdicts: records of `gates.gates`.
+        arms: from `scores.arms_of`. pairs: (arm, against). questions: (outcome, term).
+        labels: tested_on and scenarios, where they are not those of the training.
 
     Returns:
-        Records with backend, task, level, level_name, outcome, term, estimate, se, low, high, p (right for all looks),
-        df, seeds [treatment, control], status ("ok", "no interval: one seed", "degenerate", "missing"), reason, cells;
-        mean_treatment, mean_control; failed [treatment, control] (agents that fail a gate); family (its name, None if
-        exploratory), p_adjusted, adjustment, and in families low_adjusted, high_adjusted (exclude 0 where Holm rejects
-        at this look) and detectable (true effect that is found with the plan's power at Holm's first step). With a
-        margin: margin, equivalence_p, equivalence_p_adjusted, seeds_needed (in each arm, to find an effect as large as
-        the margin). For confirmatory outcomes paired (the same by pairs of seeds), for their sums also percent (of the
-        control's sum) and literal (the formula as the paper prints it).
+        A row an effect: KEY, ESTIMATE, mean_arm and mean_against, seeds_arm and seeds_against, and looks (the `Mean` at
+        every look, of which `means` and `slopes` are made).
     """
-    records = []
-    for place, pair in pairs.items():
-        cells = cells_of([pair])
-        standing = [verdict for verdict in verdicts if verdict["cell"] in set(cells)]
-        for outcome in OUTCOMES if outcomes is None else outcomes:
-            for term in terms:
-                record = {**dict(zip(PLACE, place, strict=True)), "outcome": outcome, "term": term}
-                record |= _effect(pair, outcome, term, plan) | _failures(standing)
-                family = plan.family(str(place[1]), outcome, term)
-                record["family"] = family.name if family else None
-                records.append({**record, "cells": cells})
-    _adjust(records, plan)
-    for record in records:
-        _plan_seeds(record, pairs[tuple(record[column] for column in PLACE)], plan)
-    return records
+    rows = []
+    for place, by_name in arms.items():
+        where = dict(zip(PLACE, place, strict=True))
+        where = {**where, "tested_on": labels.get("tested_on", where["backend"])}
+        for arm, against in pairs:
+            if arm not in by_name or against not in by_name:
+                continue
+            pair = by_name[arm], by_name[against]
+            for outcome, term in questions:
+                rows.append(
+                    {
+                        **where,
+                        "scenarios": labels.get("scenarios", "own"),
+                        "arm": arm,
+                        "against": against,
+                        "outcome": outcome,
+                        "term": term,
+                        **_contrast(pair, outcome, term, plan),
+                    }
+                )
+    return pd.DataFrame(rows, columns=[*KEY, *ESTIMATE, *MEANS, "looks"])
 
 
-def _effect(pair: Pair, outcome: str, term: str, plan: Plan) -> Record:
-    found, mean, share = estimated(lambda seed: contrast(below(pair, seed), outcome, term), plan, least(pair))
-    if plan.version > 1 and saturated(pair, outcome, term):
-        found = Estimate(found.estimate, None, None, None, None, found.n, SATURATED, ALL_CRASH)
-    record: Record = as_record(found) | {"share": share}
-    scores = {name: arm.scores(outcome, term) for name, arm in pair.items()}
-    for name, values in scores.items():
-        record[f"mean_{name}"] = float(values.mean()) if len(values) else None
-    if found.status in (MISSING, SATURATED):
-        return record
-    margin = OUTCOMES[outcome].margin
-    if margin is not None and term in ("risky", "regular"):
-        record |= {"margin": margin, "equivalence_p": statistics.equivalence(mean, margin)}
-    if outcome in CONFIRMATORY:
-        record["paired"] = as_record(statistics.interval(paired(pair, outcome, term)))
-        if term == "sum":
-            record["percent"] = as_record(statistics.ratio(scores["treatment"], scores["control"]))
-            # As printed the formula ends "- sum R^C + sum R^C": the control's reward in risky traffic is subtracted
-            # and that in regular traffic added.
-            sides = pair["control"].scores(outcome, "interaction")
-            record["literal"] = record["mean_treatment"] - float(sides.mean())
-    return record
+MEANS = ["mean_arm", "mean_against", "seeds_arm", "seeds_against"]
 
 
-def saturated(pair: Pair, outcome: str, term: str) -> bool:
+def _contrast(pair: tuple[Arm, Arm], outcome: str, term: str, plan: Plan) -> dict[str, Any]:
+    looks = at_looks(pair, (1.0, -1.0), outcome, term, plan)
+    seeds = [len(arm.seeds) for arm in pair]
+    found = decided(looks, min(seeds), plan)
+    if plan.version > 1 and _saturated(pair, outcome, term):
+        found = Estimate(found.estimate, SATURATED)
+    means = [float(arm.scores(outcome, term).mean()) for arm in pair]
+    return asdict(found) | dict(zip(MEANS, [*means, *seeds], strict=True)) | {"looks": looks}
+
+
+def _saturated(pair: Iterable[Arm], outcome: str, term: str) -> bool:
     """Whether every agent of both arms crashes in every episode that a term is about: none of them can be safer."""
     return outcome == "crashed" and all(
-        arm.values[outcome][number].size > 0 and bool((arm.values[outcome][number] == 1).all())
-        for arm in pair.values()
-        for number, traffic in enumerate(TRAFFICS)
-        if traffic in TERMS[term]
+        (table == 1).all() for arm in pair for table in arm.tested(outcome, term)
     )
 
 
-def paired(pair: Pair, outcome: str, term: str) -> Mean:
-    """Treatment minus control within each training seed of both arms."""
-    t, c = pair["treatment"], pair["control"]
-    both = set(t.seeds) & set(c.seeds)
-    t, c = (arm.only([seed in both for seed in arm.seeds]) for arm in (t, c))
-    if not both:
-        return Mean(None, (), (0,), 0)
-    return statistics.linear([(t.scores(outcome, term) - c.scores(outcome, term), 1.0)])
+def against_policy(
+    arms: Mapping[Place, Arms],
+    policy: str,
+    names: Sequence[str],
+    questions: Sequence[tuple[str, str]],
+    plan: Plan,
+) -> pd.DataFrame:
+    """Effects of arms against a policy that has no training: agents minus the policy, scenario by scenario."""
+    result: dict[Place, dict[str, Arm]] = {}
+    for place, by_name in arms.items():
+        if policy in by_name:
+            own = by_name[policy].values
+            for name in names:
+                if name in by_name:
+                    values = {k: v - own[k] for k, v in by_name[name].values.items()}
+                    result.setdefault(place, {})[name] = Arm(by_name[name].seeds, values)
+    rows = []
+    for place, by_name in result.items():
+        where = {**dict(zip(PLACE, place, strict=True)), "tested_on": place[0], "scenarios": "own"}
+        for name, arm in by_name.items():
+            for outcome, term in questions:
+                looks = (estimate.linear([(arm.scores(outcome, term), 1.0)]),)
+                means = [float(arms[place][who].scores(outcome, term).mean()) for who in (name, policy)]
+                row = dict(zip(MEANS, [*means, len(arm.seeds), 1], strict=True))
+                rows.append(
+                    {**where, "arm": name, "against": policy, "outcome": outcome, "term": term}
+                    | asdict(decided(looks, len(arm.seeds), plan))
+                    | {**row, "looks": looks}
+                )
+    return pd.DataFrame(rows, columns=[*KEY, *ESTIMATE, *MEANS, "looks"])
 
 
-def _failures(standing: Sequence[Mapping[str, Any]]) -> Record:
-    """How many agents of each arm fail the gates, and which, in words."""
-    parts, failed = [], []
-    for arm in ("treatment", "control"):
-        verdicts = [verdict for verdict in standing if verdict["arm"] == arm]
-        bad = [verdict for verdict in verdicts if verdict["passed"] is False]
-        failed.append(len(bad))
-        if bad:
-            counts = {gate: sum(gate in verdict["failed"] for verdict in bad) for gate in GATES}
-            which = ", ".join(f"{count} {FAILURES[gate]}" for gate, count in counts.items() if count)
-            parts.append(f"{len(bad)} of {len(verdicts)} {arm} agents fail ({which})")
-    text = " and ".join(parts)
-    unchecked = [gate for gate in GATES if any(v["gates"][gate]["passed"] is None for v in standing)]
-    if unchecked:
-        open_ = "not checked: " + ", ".join(FAILURES[gate] for gate in unchecked)
-        text = "; ".join(filter(None, (text, open_)))
-    return {"failed": failed, "gates": text or None}
+def adjusted(effects: pd.DataFrame, plan: Plan = DEFAULT) -> pd.DataFrame:
+    """The effects of the plan's comparison with what the number of questions makes of them.
+
+    Adds family (its name, empty where exploratory); p_adjusted (Holm within a family and backend, Benjamini-Hochberg
+    over everything else); in families low_family and high_family (the interval at the level of Holm's first step) and
+    detectable (true effect that is found at that level with the plan's power); and where the outcome has a margin, in
+    one traffic, equivalent_p and equivalent_p_adjusted ("the arms differ by the margin or more", Holm over settings).
+    """
+    names = [
+        family.name if (family := plan.family(task, outcome, term)) else ""
+        for task, outcome, term in effects[["task", "outcome", "term"]].itertuples(index=False)
+    ]
+    effects = effects.assign(family=names)
+    nothing = dict.fromkeys(("p_adjusted", "low_family", "high_family", "detectable"), np.nan)
+    effects = effects.assign(**nothing, equivalent_p=np.nan, equivalent_p_adjusted=np.nan)
+    for (_, family), rows in effects.groupby(["backend", "family"]):
+        effects.loc[rows.index, "p_adjusted"] = estimate.adjusted(rows["p"], "holm" if family else "fdr_bh")
+        tested = rows[rows["status"] == OK]
+        for index, row in tested.iterrows() if family else ():
+            level = plan.alpha / len(tested) * plan.share(min(row["seeds_arm"], row["seeds_against"]))
+            half = float(estimate.stats.t.isf(level / 2, row["df"])) * row["se"]
+            found = estimate.detectable(row["se"], row["df"], level, plan.power)
+            bounds = [row["estimate"] - half, row["estimate"] + half, found]
+            effects.loc[index, ["low_family", "high_family", "detectable"]] = bounds
+    one_traffic = effects[(effects["status"] == OK) & effects["term"].isin(["risky", "regular"])]
+    for (_, outcome, _), rows in one_traffic.groupby(["backend", "outcome", "term"]):
+        if outcome in OUTCOMES and (margin := OUTCOMES[outcome].margin) is not None:
+            estimates = [Estimate(**row) for row in rows[ESTIMATE].to_dict("records")]
+            p = [estimate.equivalence(found, margin) for found in estimates]
+            effects.loc[rows.index, "equivalent_p"] = p
+            effects.loc[rows.index, "equivalent_p_adjusted"] = estimate.adjusted(p)
+    return effects
 
 
-def _adjust(records: Sequence[Record], plan: Plan) -> None:
-    """Adjusted p-values: Holm within each family and backend, Benjamini-Hochberg over everything else."""
-    groups: dict[tuple[str, str | None], list[Record]] = {}
-    for record in records:
-        groups.setdefault((record["backend"], record["family"]), []).append(record)
-    for (_, family), group in groups.items():
-        adjust(group, "Holm" if family else "Benjamini-Hochberg", plan)
-    for family_ in plan.families:
-        if family_.equivalence:
-            for backend in {record["backend"] for record in records}:
-                group = [
-                    r for r in records
-                    if (r["backend"], r["outcome"], r["term"]) == (backend, family_.outcome, family_.term)
-                ]  # fmt: skip
-                adjusted = statistics.holm([record.get("equivalence_p") for record in group])
-                for record, p in zip(group, adjusted, strict=True):
-                    record["equivalence_p_adjusted"] = p
+def mean_over(rows: pd.DataFrame, plan: Plan, tasks_alike: bool = True) -> dict[str, Any]:
+    """The mean of effects over settings: every task counts alike, and in a task every level.
+
+    Args:
+        rows: effects of one comparison, outcome and term. tasks_alike: otherwise every setting counts alike.
+
+    Returns:
+        ESTIMATE, the means and numbers of agents of both arms, and settings (their number).
+    """
+    levels = rows.groupby("task")["task"].transform("size")
+    weights = (1 / rows["task"].nunique() / levels) if tasks_alike else pd.Series(1 / len(rows), rows.index)
+    looks = [estimate.combine(means, list(weights)) for means in zip(*rows["looks"], strict=True)]
+    seeds = rows[["seeds_arm", "seeds_against"]].min(axis=1)
+    most = int(seeds.max())
+    if plan.looks and (seeds < plan.looks[0].seeds).any():
+        most = min(most, plan.looks[0].seeds)  # the first batch is not complete: there is no second look yet
+    means = [float((weights * rows[name]).sum()) for name in MEANS[:2]]
+    agents = [int(rows[name].sum()) for name in MEANS[2:]]
+    found = asdict(decided(looks, most, plan))
+    return found | dict(zip(MEANS, [*means, *agents], strict=True)) | {"settings": len(rows)}
 
 
-def adjust(family: Sequence[Record], method: str, plan: Plan = DEFAULT) -> None:
-    """Add p_adjusted and adjustment to the records of one family, and with Holm the intervals that go with them."""
-    correct = statistics.holm if method == "Holm" else statistics.benjamini_hochberg
-    for record, p in zip(family, correct([record["p"] for record in family]), strict=True):
-        record["p_adjusted"] = p
-        record["low_adjusted"] = record["high_adjusted"] = record["adjustment"] = None
-    tested = [record for record in family if record["p"] is not None]
-    levels = (
-        statistics.holm_levels([record["p"] for record in tested], plan.alpha) if method == "Holm" else []
-    )
-    for number, record in enumerate(tested):
-        record["adjustment"] = f"{method} over {len(tested)}"
-        if levels:
-            level = levels[number] * record.get("share", 1.0)
-            half = float(statistics.stats.t.ppf(1 - level / 2, record["df"])) * record["se"]
-            record["low_adjusted"], record["high_adjusted"] = (
-                record["estimate"] - half,
-                record["estimate"] + half,
-            )
-            first = plan.alpha / len(tested) * record.get("share", 1.0)
-            record["detectable"] = statistics.detectable(record["se"], record["df"], first, plan.power)
-            record["first_level"] = first
+Scopes = Iterator[tuple[str, pd.DataFrame]]
 
 
-def _plan_seeds(record: Record, pair: Pair, plan: Plan) -> None:
-    """How many seeds would decide an effect of the size of the margin."""
-    margin = OUTCOMES[record["outcome"]].margin
-    if margin is None or "first_level" not in record:
-        return
-    mean = contrast(pair, record["outcome"], record["term"])
-    record["seeds_needed"] = statistics.seeds_needed(mean, margin, record["first_level"], plan.power)
+def means(effects: pd.DataFrame, plan: Plan = DEFAULT) -> pd.DataFrame:
+    """Means of effects over the levels of each task, and over all tasks if the outcome means the same on every task.
+
+    Args:
+        effects: from `contrasts`.
+
+    Returns:
+        A row a mean: COMPARISON, scope (a task or "all tasks"), QUESTION, ESTIMATE, MEANS and settings.
+    """
+
+    def scopes(rows: pd.DataFrame, outcome: str) -> Scopes:
+        for task in _tasks(rows):
+            yield task, rows[rows["task"] == task]
+        if outcome not in OUTCOMES or OUTCOMES[outcome].poolable:
+            yield ALL_TASKS, rows
+
+    return _means(effects, plan, scopes)
+
+
+def variants(
+    effects: pd.DataFrame, plan: Plan = DEFAULT, learnt: Container[tuple[str, str, int]] = ()
+) -> pd.DataFrame:
+    """The same means over other settings: without each task, settings alike, the settings that were learnt.
+
+    Args:
+        effects: from `contrasts`. learnt: the settings (backend, task, level) that were.
+    """
+
+    def scopes(rows: pd.DataFrame, outcome: str) -> Scopes:
+        tasks = _tasks(rows)
+        for task in tasks if len(tasks) > 1 else ():
+            yield f"without {task}", rows[rows["task"] != task]
+        yield SETTINGS_ALIKE, rows
+        places = zip(rows["backend"], rows["task"], rows["level"], strict=True)
+        known = rows[[place in learnt for place in places]]
+        if len(known):
+            yield "settings that were learnt", known
+
+    return _means(effects, plan, scopes)
+
+
+def _means(effects: pd.DataFrame, plan: Plan, scopes: Callable[[pd.DataFrame, str], Scopes]) -> pd.DataFrame:
+    rows = []
+    for key, group in effects.groupby([*COMPARISON, *QUESTION], sort=False):
+        labels = dict(zip([*COMPARISON, *QUESTION], key, strict=True))
+        for scope, members in scopes(group, labels["outcome"]):
+            found = mean_over(members, plan, tasks_alike=scope != SETTINGS_ALIKE)
+            rows.append({**labels, "scope": scope, **found})
+    return pd.DataFrame(rows, columns=[*COMPARISON, "scope", *QUESTION, *ESTIMATE, *MEANS, "settings"])
+
+
+def _tasks(rows: pd.DataFrame) -> list[str]:
+    return sorted(rows["task"].unique(), key=TASK_ORDER.__getitem__)
+
+
+def slopes(arms: Mapping[Place, Arms], plan: Plan = DEFAULT) -> pd.DataFrame:
+    """Change per traffic level within each task, of the effect ("effect", the sum) and of the outcome ("mean").
+
+    "mean" averages over the two test traffics and the two arms. Each level has test scenarios of its own, and their
+    variance is in the interval.
+
+    Returns:
+        A row a backend, task, outcome ("return", "crashed") and quantity: ESTIMATE, complete (whether all levels of the
+        task are there) and p_adjusted (Holm over the tasks).
+    """
+    by_task: dict[tuple[str, str], list[tuple[int, tuple[Arm, Arm]]]] = {}
+    for (backend, task, level, _), by_name in arms.items():
+        if "treatment" in by_name and "control" in by_name:
+            pair = by_name["treatment"], by_name["control"]
+            by_task.setdefault((backend, task), []).append((level, pair))
+    # The sum counts two traffics; the mean is of one, and of two arms.
+    signs = {"effect": (1.0, -1.0), "mean": (0.25, 0.25)}
+    rows = []
+    for (backend, task), levels in by_task.items():
+        if len(levels) < 2:
+            continue
+        weights = estimate.slope_weights([level for level, _ in levels])
+        least = min(len(arm.seeds) for _, pair in levels for arm in pair)
+        for outcome in ("return", "crashed"):
+            for quantity, sign in signs.items():
+                each = [at_looks(pair, sign, outcome, "sum", plan) for _, pair in levels]
+                looks = [estimate.combine(found, weights) for found in zip(*each, strict=True)]
+                labels = {"backend": backend, "task": task, "outcome": outcome, "quantity": quantity}
+                complete = len(levels) == GRID.get(task)
+                rows.append({**labels, "complete": complete, **asdict(decided(looks, least, plan))})
+    columns = ["backend", "task", "outcome", "quantity", "complete", *ESTIMATE]
+    frame = pd.DataFrame(rows, columns=columns).assign(p_adjusted=np.nan)
+    for _, family in frame.groupby(["backend", "outcome", "quantity"]):
+        frame.loc[family.index, "p_adjusted"] = estimate.adjusted(family["p"])
+    return frame

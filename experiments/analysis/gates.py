@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 
 from agents.training import Q_SLACK
-from experiments.analysis.tables import PLACE, place_order
+from experiments.analysis.scores import PLACE, TASK_ORDER
 from experiments.study.arms import gate_traffics
 
 CONSTANT = 0.98  # share of the steps with the most common action from which a policy counts as constant
@@ -118,18 +118,16 @@ def _beats_constant(own: pd.DataFrame, references: Mapping[str, pd.DataFrame]) -
     }
 
 
-def gates(cells: Mapping[str, Mapping[str, Any]], episodes: pd.DataFrame) -> list[dict[str, Any]]:
+def gates(cells: Mapping[str, Mapping[str, Any]], episodes: pd.DataFrame) -> pd.DataFrame:
     """The verdict on every trained agent.
 
     Args:
-        cells: cell.json by name.
-        episodes: the gate episodes of all of them, as in `results.Results`.
+        cells: cell.json by name. episodes: the gate episodes of all of them, as in `results.Results`.
 
     Returns:
-        One record an agent: cell, backend, task, level, level_name, arm, seed, passed (False if any gate
-        fails, None if one could not be checked, True otherwise), failed (names of the gates), and gates: for
-        each of GATES passed, value, limit and a note. Values in the gates' own units: Q-value, share, share,
-        return.
+        A row an agent: cell, PLACE, arm, seed, passed (False if any gate fails, None if one could not be checked, True
+        otherwise), failed (the names of the gates), and for each of GATES "<gate>" (passed), "<gate> value", "<gate>
+        limit" (in the gate's own unit: Q-value, share, share, return) and "<gate> note".
     """
     tables = {
         key: table.set_index("scenario").sort_index()
@@ -141,7 +139,7 @@ def gates(cells: Mapping[str, Mapping[str, Any]], episodes: pd.DataFrame) -> lis
         if key["kind"] != "agent":
             place = (*(key[column] for column in PLACE), traffic)
             references.setdefault(place, {})[key["policy"]] = table
-    records = []
+    rows = []
     for name, cell in cells.items():
         key = cell["key"]
         if key["kind"] != "agent":
@@ -157,14 +155,29 @@ def gates(cells: Mapping[str, Mapping[str, Any]], episodes: pd.DataFrame) -> lis
             "crosses": _crosses(key["task"], own, others),
             "beats_constant": _beats_constant(own, others),
         }
-        results = [gate["passed"] for gate in found.values()]
-        records.append(
-            {
-                "cell": name,
-                **{column: key[column] for column in (*PLACE, "arm", "seed")},
-                "passed": False if False in results else None if None in results else True,
-                "failed": [gate for gate, result in found.items() if result["passed"] is False],
-                "gates": found,
-            }
-        )
-    return sorted(records, key=lambda record: (*place_order(record), record["arm"], record["seed"]))
+        passed = [gate["passed"] for gate in found.values()]
+        row = {"cell": name, **{column: key[column] for column in (*PLACE, "arm", "seed")}}
+        row["passed"] = False if False in passed else None if None in passed else True
+        row["failed"] = " ".join(gate for gate, result in found.items() if result["passed"] is False)
+        for gate, result in found.items():
+            row[gate] = result["passed"]
+            row |= {f"{gate} {part}": result[part] for part in ("value", "limit", "note")}
+        rows.append(row)
+    parts = [f"{gate}{part}" for gate in GATES for part in ("", " value", " limit", " note")]
+    frame = pd.DataFrame(rows, columns=["cell", *PLACE, "arm", "seed", "passed", "failed", *parts])
+    order = frame.assign(task=frame["task"].map(TASK_ORDER))
+    return frame.loc[order.sort_values(["backend", "task", "level", "arm", "seed"]).index].reset_index(
+        drop=True
+    )
+
+
+def learnt(gates: pd.DataFrame, share: float) -> set[tuple[str, str, int]]:
+    """The settings (backend, task, level) where at least this share of the control agents pass the gates.
+
+    Judged by the control agents alone: that the treatment ruins agents would be its effect.
+    """
+    control = gates[gates["arm"] == "control"]
+    passing = (control["passed"].astype(object) != False).groupby(  # noqa: E712
+        [control["backend"], control["task"], control["level"]]
+    )
+    return {key for key, passed in passing.mean().items() if passed >= share}

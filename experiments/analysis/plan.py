@@ -1,7 +1,7 @@
 """The analysis plan as data: what is compared and what decides, fixed before the results are there.
 
-Every module of the analysis reads its choices here, and `digest` goes into analysis.json: two reports with the same
-digest were made by the same plan. Whatever is not named confirmatory is exploratory.
+Every module of the analysis reads its choices here, and its SHA-256 goes into analysis.json: two reports with the same
+one were made by the same plan. Whatever is not named confirmatory is exploratory.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
-from experiments.support.files import canonical_json, sha256_bytes
 from sumo_env.tasks import TASKS
 
 ALPHA = 0.05
@@ -49,8 +48,8 @@ OUTCOMES: dict[str, Outcome] = {
 }
 # Beside the effects of the two arms; none of it enters a family or decides a claim.
 EXPLORATORY = (
-    "arms dose25, dose50, dose75, dense and penalty against control", "dose-response", "transfer between simulators",
-    "kinds of crashes", "time to crash in the worst tenth of the episodes", "effect after parts of the budget",
+    "further arms against control and treatment", "transfer between simulators", "kinds of crashes",
+    "both arms against the careful driver", "speed",
 )  # fmt: skip
 PROPORTIONS = ("crashed",)  # 0 or 1 in an episode: a mean near 0 or 1 still has an interval
 TERMS: dict[str, dict[str, float]] = {
@@ -135,19 +134,6 @@ class Plan:
         """The share of the error rate of the last look that was held."""
         return self.held(seeds)[-1] if self.looks else 1.0
 
-    def looks_at(self, seeds: int) -> list[tuple[int | None, float]]:
-        """Looks that so many seeds in an arm allow: (training seeds below this number, share of the error rate).
-
-        The looks share the error rate (Bonferroni), so that it is kept whatever the first look makes one do. A last
-        look at all seeds has no limit (None).
-        """
-        if not self.looks:
-            return [(None, 1.0)]
-        held = [look for look in self.looks if seeds >= look.seeds] or [self.looks[0]]
-        last = held[-1]
-        limits = [(look.seeds, look.share) for look in held[:-1]]
-        return [*limits, (last.seeds, last.share)]
-
 
 # Five seeds everywhere first, then five more where the first look leaves it open and ten can decide it.
 LOOKS = (Look(5, 0.2), Look(10, 0.8))
@@ -188,8 +174,3 @@ def _described(outcome: Outcome) -> dict[str, Any]:
     values = asdict(outcome)
     del values["of"]
     return values
-
-
-def digest(data: dict[str, Any]) -> str:
-    """SHA-256 of a plan as data."""
-    return sha256_bytes(canonical_json(data).encode())

@@ -9,7 +9,7 @@ from matplotlib.collections import PolyCollection
 from matplotlib.patches import FancyArrow, Rectangle
 from numpy.typing import NDArray
 
-from experiments.analysis.frames.scores import TASK_ORDER
+from experiments.analysis.scores import TASK_ORDER
 from experiments.reporting.style import INK, MUTED, PAPER, new_figure, styled, to_svg
 from experiments.study.arms import ARMS, TRAFFICS
 

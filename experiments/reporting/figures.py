@@ -16,8 +16,8 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 from scipy import stats
 
-from experiments.analysis.frames.scores import TASK_ORDER
 from experiments.analysis.plan import ALPHA
+from experiments.analysis.scores import TASK_ORDER
 from experiments.reporting.style import (
     CAREFUL,
     COLOURS,

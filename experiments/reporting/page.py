@@ -11,11 +11,11 @@ import pandas as pd
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
-from experiments.analysis.frames.analysis import Analysis
-from experiments.analysis.frames.effects import ALL_TASKS
-from experiments.analysis.frames.estimate import OK, SATURATED
-from experiments.analysis.frames.gates import GATES
-from experiments.analysis.frames.scores import TASK_ORDER
+from experiments.analysis.analysis import Analysis
+from experiments.analysis.effects import ALL_TASKS
+from experiments.analysis.estimate import OK, SATURATED
+from experiments.analysis.gates import GATES
+from experiments.analysis.scores import TASK_ORDER
 from experiments.reporting import figures, tables
 from experiments.reporting.collision_figures import collisions
 from experiments.reporting.showcase import KINDS

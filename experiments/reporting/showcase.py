@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from experiments.analysis.frames.scores import PLACE, TASK_ORDER
+from experiments.analysis.scores import PLACE, TASK_ORDER
 from experiments.study.arms import ARMS
 from experiments.study.cell import MakeEnv
 from experiments.study.rerun import Recorder, differences

@@ -7,11 +7,11 @@ from typing import Any
 
 import pandas as pd
 
-from experiments.analysis.frames.analysis import Analysis
-from experiments.analysis.frames.effects import ALL_TASKS, mean_over
-from experiments.analysis.frames.gates import FAILURES
-from experiments.analysis.frames.scores import CRASH_KINDS, PLACE, TASK_ORDER
+from experiments.analysis.analysis import Analysis
+from experiments.analysis.effects import ALL_TASKS, mean_over
+from experiments.analysis.gates import FAILURES
 from experiments.analysis.plan import OUTCOMES, Plan
+from experiments.analysis.scores import CRASH_KINDS, PLACE, TASK_ORDER
 from experiments.reporting.words import BACKENDS, difference, effect, number, p_value
 from experiments.study.arms import ARMS, TRAFFICS
 

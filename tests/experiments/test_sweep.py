@@ -13,9 +13,9 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
+from experiments.analysis.tables import comparable
 
 from experiments.analysis.analysis import analyse
-from experiments.analysis.tables import comparable
 from experiments.study import grid, store
 from experiments.study.arms import DOSES
 from experiments.study.attempt import Ended, attempt, locked

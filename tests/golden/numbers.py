@@ -14,9 +14,8 @@ from typing import Any
 
 import pandas as pd
 
-from experiments.analysis.analysis import analyse
-from experiments.analysis.frames.analysis import Analysis
-from experiments.analysis.frames.scores import CRASH_KINDS
+from experiments.analysis.analysis import Analysis, analyse
+from experiments.analysis.scores import CRASH_KINDS
 from experiments.study.arms import ALL_TRAFFICS, ARMS, DOSE_ARMS, DOSES, EXTRA_ARMS, TRAFFICS
 from experiments.study.results import load
 from sumo_env.tasks import TASKS
@@ -33,70 +32,8 @@ OUTCOMES = ("return", "crashed", "crash_free_time", "crashes_per_100_km", "mean_
 Number = tuple[str, str, str, float | None]  # table, key, name, value
 
 
-def numbers(analysis: Mapping[str, Any]) -> Iterator[Number]:
+def numbers(analysis: Analysis) -> Iterator[Number]:
     """All numbers of an analysis that a page, a figure or a claim uses."""
-    extra = analysis["exploratory"]
-    tested = {(r["outcome"], r["term"]) for r in analysis["ate"] if r["family"]}
-    for row in analysis["ate"]:
-        names = [*ESTIMATE, "se", *MEANS]
-        names += ["p_adjusted"] if (row["outcome"], row["term"]) in tested else []
-        names += (
-            ["equivalence_p_adjusted"] if row["outcome"] == "crashed" and row["term"] == "regular" else []
-        )
-        if row["outcome"] in OUTCOMES:
-            yield from _named("effect", row, (*WHERE, "outcome", "term"), names)
-    for row in analysis["pooled"]:
-        if row["outcome"] in OUTCOMES:
-            yield from _named("mean", row, ("backend", "scope", "outcome", "term"), ESTIMATE)
-    for row in analysis["slopes"]:
-        yield from _named("slope", row, ("backend", "task", "outcome", "quantity"), (*ESTIMATE, "p_adjusted"))
-    for row in analysis["sensitivity"]:
-        if row["variant"] in KEPT or row["variant"].startswith("without "):
-            yield from _named("variant", row, ("backend", "variant"), ESTIMATE)
-    for row in analysis["gates"]:
-        failed = " ".join(row["failed"])
-        yield (
-            "gate",
-            "|".join(map(str, [row[k] for k in (*WHERE, "arm", "seed")])),
-            f"passed {failed}",
-            _flag(row["passed"]),
-        )
-    for row in analysis["claims"]:
-        key = "|".join([row["backend"], row["outcome"], row["quantity"]])
-        yield "claim", key, "verdict", VERDICTS[row["verdict"]]
-        for name in ("right", "wrong", "open", "expected"):
-            yield "claim", key, name, float(row["counts"][name])
-    for row in extra["arms"]:
-        yield from _named(
-            "arm", row, ("backend", "arm", "against", "scope", "outcome", "term"), (*ESTIMATE, *MEANS)
-        )
-    for row in extra["transfer"]:
-        where = ("backend", "tested_on", "scope", "term")
-        yield from _named("transfer", row, where, (*ESTIMATE, *MEANS))
-        yield from _named(
-            "at home", {**row["at_home"], "tested_on": row["tested_on"]}, where, (*ESTIMATE, *MEANS)
-        )
-    for row in extra["doses"]:
-        yield from _named("dose slope", {**row, **row["slope"]}, WHERE, ESTIMATE)
-        for dose, rates in zip(row["doses"], row["rates"], strict=True):
-            for test, rate in zip(row["tests"], rates, strict=True):
-                yield "dose", "|".join([str(row[k]) for k in WHERE] + [str(dose), str(test)]), "rate", rate
-    for row in extra["crash_types"]:
-        yield from _named("crash kind", row, ("backend", "scope", "kind", "term"), (*ESTIMATE, *MEANS))
-    for row in analysis["policies"]:
-        key = "|".join(str(row[k]) for k in (*WHERE, "policy", "arm", "traffic"))
-        for name in ("crashed", "return", "mean_speed", "near_misses", "distance"):
-            yield "policy", key, name, row["mean"][name]
-    for row in analysis["placebo"]:
-        key = f"{row['backend']}|{row['outcome']}"
-        yield "placebo", key, "comparisons", float(row["comparisons"])
-        yield "placebo", key, "rejected", float(row["rejected"])
-        if row["primary"]:
-            yield "placebo", key, "estimate", row["primary"]["estimate"]
-
-
-def of_frames(analysis: Analysis) -> Iterator[Number]:
-    """The same numbers from an analysis on frames."""
     effects, means = analysis.effects, analysis.means
     main = (
         (effects["arm"] == "treatment") & (effects["against"] == "control") & (effects["scenarios"] == "own")
@@ -209,17 +146,14 @@ def write() -> None:
     )
 
 
-GIVEN_UP = ("dose slope",)  # not in the frames
-
-
 def differences(now: pd.DataFrame, relative: float = 1e-9) -> list[str]:
     """What the numbers of a folder are otherwise now, a line each."""
     folder = now["folder"].iloc[0]
     index = ["table", "key", "name"]
     stored = pd.read_parquet(FILE)
-    stored = stored[(stored["folder"] == folder) & ~stored["table"].isin(GIVEN_UP)]
+    stored = stored[stored["folder"] == folder]
     then = stored.set_index(index)["value"]
-    now = now[~now["table"].isin(GIVEN_UP)].set_index(index)["value"]
+    now = now.set_index(index)["value"]
     lines = [f"{row} is no longer there" for row in then.index.difference(now.index)]
     lines += [f"{row} is new" for row in now.index.difference(then.index)]
     both = then.index.intersection(now.index)

@@ -5,10 +5,11 @@ from __future__ import annotations
 import json
 import re
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from experiments.analysis.analysis import analyse
+from experiments.analysis.analysis import analyse, as_json
 from experiments.study.results import load
 from tests.experiments import synthetic
 
@@ -21,9 +22,9 @@ def analysis() -> dict[str, Any]:
     """analysis.json of made-up cells, without its provenance and the hashes in the names of cells (versions)."""
     with tempfile.TemporaryDirectory() as folder:
         synthetic.write(Path(folder), LEVELS, seeds=4, faults=FAULTS, effect=-0.2)
-        value = analyse(load(Path(folder)))
-    del value["provenance"]
-    for part in ("ate", "pooled"):  # the others are computed alike
-        value[part] = [record for record in value[part] if record["outcome"] in ("return", "crashed")]
+        found = analyse(load(Path(folder)))
+    shown = ["return", "crashed"]  # the others are computed alike
+    effects, means = (frame[frame["outcome"].isin(shown)] for frame in (found.effects, found.means))
+    value = as_json(replace(found, effects=effects, means=means, provenance={}))
     result: dict[str, Any] = json.loads(CELL_HASH.sub('"', json.dumps(value)))
     return result

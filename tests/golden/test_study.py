@@ -5,7 +5,6 @@ from __future__ import annotations
 import pytest
 
 from experiments.analysis.analysis import analyse
-from experiments.analysis.frames import analysis as frames
 from experiments.study.results import load
 from tests.golden import numbers, study
 from tests.golden.regenerate import read, significant
@@ -20,8 +19,6 @@ def test_the_analysis_of_made_up_cells_is_the_golden_one() -> None:
 
 @pytest.mark.parametrize("folder", numbers.FOLDERS)
 def test_the_published_numbers_are_the_golden_ones(folder: str) -> None:
-    """Both by the analysis on records and by the one on frames."""
-    results = load(numbers.ROOT / "results" / folder)
-    for rows in (numbers.numbers(analyse(results)), numbers.of_frames(frames.analyse(results))):
-        found = numbers.differences(numbers.table(rows, folder))
-        assert not found, report(found)
+    rows = numbers.numbers(analyse(load(numbers.ROOT / "results" / folder)))
+    found = numbers.differences(numbers.table(rows, folder))
+    assert not found, report(found)

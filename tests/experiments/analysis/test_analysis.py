@@ -1,35 +1,27 @@
-"""From stored cells to effects, gates, verdicts: the numbers, their status, and their error rates."""
+"""The analysis of made-up cells, and of made-up scores, whose truth is known."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
 from scipy import stats
 
-from experiments.analysis.analysis import analyse, summary_table
-from experiments.analysis.effects import effects
-from experiments.analysis.plan import (
-    DEFAULT,
-    FIRST,
-    OUTCOMES,
-    TERMS,
-    TWO_BATCHES,
-    Plan,
-    as_data,
-    digest,
-    plan_of,
-)
-from experiments.analysis.pooling import failures, slopes
-from experiments.analysis.sensitivity import learnt, second_batch, sensitivity
-from experiments.analysis.statistics import interval, linear
-from experiments.analysis.tables import Arm, comparable
-from experiments.analysis.verdicts import claims, decide, decide_equivalence
+from experiments.analysis.analysis import Analysis, analyse, as_json
+from experiments.analysis.cells import comparable
+from experiments.analysis.claims import CLAIMS, claims
+from experiments.analysis.effects import adjusted, contrasts, mean_over, slopes
+from experiments.analysis.estimate import interval, linear
+from experiments.analysis.plan import DEFAULT, FIRST, OUTCOMES, TERMS, TWO_BATCHES, Plan, as_data, plan_of
+from experiments.analysis.scores import CRASH_KINDS, Arm, Arms, Place, kind_of_crash
+from experiments.study.arms import EXTRA_ARMS
 from experiments.study.grid import BASELINES
-from experiments.study.results import load
+from experiments.study.results import Results, load
 from sumo_env.tasks import TASKS
 from tests.experiments import synthetic
 
@@ -39,70 +31,66 @@ FAULTS = {
     "sumo-u-turn-3-control-s1": "tied",
     "sumo-u-turn-6-treatment-s3": "poor",
 }
+PAIR = [("treatment", "control")]
 
 
 @pytest.fixture(scope="module")
-def results(tmp_path_factory):
+def results(tmp_path_factory: pytest.TempPathFactory) -> Results:
     directory = tmp_path_factory.mktemp("results")
     synthetic.write(directory, {"highway": (1, 2), "u-turn": (1, 2, 3)}, seeds=4, faults=FAULTS, effect=-0.2)
     return load(directory)
 
 
 @pytest.fixture(scope="module")
-def analysis(results):
+def analysis(results: Results) -> Analysis:
     return analyse(results)
 
 
-def find(records, **wanted):
-    """The one record with these fields."""
-    (found,) = [r for r in records if all(r[key] == value for key, value in wanted.items())]
-    return found
+def find(frame: pd.DataFrame, **wanted: Any) -> dict[str, Any]:
+    """The one row with these values, of treatment against control at home where that is a question."""
+    if "scenarios" in frame:
+        wanted = {"arm": "treatment", "against": "control", "scenarios": "own", **wanted}
+    for name, value in wanted.items():
+        frame = frame[frame[name] == value]
+    [row] = frame.to_dict("records")
+    return {str(key): value for key, value in row.items()}
 
 
-def agents(levels, seeds, random, effect=0.0, spread=1.0, task="highway", growth=0.0):
-    """Settings of one task, each agent with the same score in all scenarios of a traffic, in every outcome."""
-    result = {}
+def agents(
+    levels: int, seeds: int, random: np.random.Generator, effect: float = 0.0, spread: float = 1.0,
+    task: str = "highway", growth: float = 0.0,
+) -> dict[Place, Arms]:  # fmt: skip
+    """Settings of one task, each agent with nearly the same score in all scenarios, in every outcome."""
+    result: dict[Place, Arms] = {}
     for level in range(1, levels + 1):
         pair = {}
         for arm in ("control", "treatment"):
             own = random.normal(0, spread, (1, seeds, 1)) + random.normal(0, 0.3 * spread, (2, seeds, 1))
             added = (effect + growth * level) * (arm == "treatment")
             scores = 10 + own + added + random.normal(0, 0.01 * spread, (2, seeds, 5))
-            cells = tuple(f"{task}-{level}-{arm}-{seed}" for seed in range(seeds))
-            pair[arm] = Arm(tuple(range(seeds)), cells, dict.fromkeys(OUTCOMES, scores))
+            pair[arm] = Arm(tuple(range(seeds)), {name: scores.copy() for name in OUTCOMES})
         result["sumo", task, level, str(level)] = pair
     return result
 
 
-def verdict(cell, passed, arm):
-    """The verdict of the gates on an agent."""
-    return {"cell": cell, "passed": passed, "arm": arm, "failed": [] if passed else ["q_bounded"], "gates": {
-        name: {"passed": passed} for name in ("q_bounded", "not_constant", "crosses", "beats_constant")
-    }}  # fmt: skip
+def effects(arms: dict[Place, Arms], plan: Plan = DEFAULT) -> pd.DataFrame:
+    return adjusted(contrasts(arms, PAIR, [(o, t) for o in OUTCOMES for t in TERMS], plan), plan)
 
 
 class TestPlan:
-    def test_is_in_the_analysis_with_its_digest(self, analysis):
-        assert analysis["plan"]["primary_outcome"] == "crashed"
-        assert analysis["plan_hash"] == digest(analysis["plan"])
+    def test_is_in_the_analysis_with_its_digest(self, analysis: Analysis) -> None:
+        assert analysis.plan["version"] == 2 and len(analysis.plan_hash) == 64
+
+    def test_another_version_is_another_digest(self, results: Results, analysis: Analysis) -> None:
+        assert analyse(results, version=1).plan_hash != analysis.plan_hash
 
     def test_the_first_plan_can_still_be_asked_for(self) -> None:
-        first = plan_of(["standard"], version=1)
+        first, second = plan_of(["standard"], version=1), plan_of(["standard"])
         assert first.family("two-way", "crash_free_time", "risky") is not None
         assert first.family("two-way", "crashed", "regular") is None
-        second = plan_of(["standard"])
         assert second.family("two-way", "crashed", "risky") is not None
         assert second.family("two-way", "crashed", "regular") is not None
         assert first.looks == second.looks == TWO_BATCHES.looks
-
-    @pytest.mark.parametrize("regular, status", [(1.0, "no information"), (0.0, "ok")])
-    def test_a_setting_where_everybody_crashes_says_nothing(self, regular: float, status: str) -> None:
-        values = np.stack([np.full((4, 30), regular), np.full((4, 30), 0.5)])
-        arm = Arm(tuple(range(4)), ("a", "b", "c", "d"), {"crashed": values})
-        place = ("sumo", "highway", 1, "50")
-        records = effects({place: {"treatment": arm, "control": arm}}, outcomes=["crashed"])
-        [found] = [r for r in records if r["term"] == "regular"]
-        assert (found["status"], found["p"] is None) == (status, status != "ok")
 
     @pytest.mark.parametrize("plan", [DEFAULT, TWO_BATCHES])
     def test_what_a_family_tests_is_not_called_exploratory(self, plan: Plan) -> None:
@@ -112,22 +100,16 @@ class TestPlan:
         assert tested
         assert [f"{o} {t}" for o, t in tested if f"{o} {t}" in named] == []
 
-    def test_another_choice_is_another_digest(self):
-        other = replace(DEFAULT, primary_term="sum")
-        assert digest(as_data(other, {})) != digest(as_data(DEFAULT, {}))
-        assert digest(as_data(DEFAULT, {"gate": "another"})) != digest(as_data(DEFAULT, {}))
-
-    def test_in_the_first_plan_the_time_to_crash_is_primary_on_the_two_way_road(self):
+    def test_in_the_first_plan_the_time_to_crash_is_primary_on_the_two_way_road(self) -> None:
         random = np.random.default_rng(0)
         for task, outcome in (("highway", "crashed"), ("two-way", "crash_free_time")):
-            safety = [
-                r for r in effects(agents(1, 3, random, task=task), plan=FIRST) if r["family"] == "safety"
-            ]
-            assert [(r["outcome"], r["term"]) for r in safety] == [(outcome, "risky")]
+            found = effects(agents(1, 3, random, task=task), FIRST)
+            safety = found[found["family"] == "safety"]
+            assert list(zip(safety["outcome"], safety["term"], strict=True)) == [(outcome, "risky")]
 
 
 class TestEffects:
-    def test_equals_the_formula_on_seed_means(self, results, analysis):
+    def test_equals_the_formula_on_seed_means(self, results: Results, analysis: Analysis) -> None:
         """ATE = (T - C) in risky + (T - C) in regular; the scenarios are those of both traffics."""
         chosen = results.episodes.query("task == 'highway' and level == 1 and kind == 'agent'")
         wide = chosen.assign(crashed=chosen["crashed"].astype(float)).pivot_table(
@@ -141,60 +123,264 @@ class TestEffects:
         }.items():
             arms = [(values.loc["treatment"].to_numpy(), 1.0), (values.loc["control"].to_numpy(), -1.0)]
             expected = interval(linear(arms))
-            record = find(analysis["ate"], task="highway", level=1, outcome="crashed", term=term)
-            assert record["estimate"] == pytest.approx(expected.estimate)
-            assert record["seeds"] == [4, 4]
-            assert record["status"] == "ok"
-            assert len(record["cells"]) == 8
+            row = find(analysis.effects, task="highway", level=1, outcome="crashed", term=term)
+            assert row["estimate"] == pytest.approx(expected.estimate)
+            assert (row["seeds_arm"], row["seeds_against"], row["status"]) == (4, 4, "ok")
             if term == "regular":  # often enough crashed for no floor
-                assert (record["low"], record["high"]) == pytest.approx((expected.low, expected.high))
+                assert (row["low"], row["high"]) == pytest.approx((expected.low, expected.high))
 
-    def test_every_place_outcome_and_term_is_there_once(self, analysis):
-        keys = {(r["task"], r["level"], r["outcome"], r["term"]) for r in analysis["ate"]}
-        assert len(keys) == len(analysis["ate"]) == 5 * len(OUTCOMES) * len(TERMS)
+    def test_every_place_outcome_and_term_is_there_once(self, analysis: Analysis) -> None:
+        rows = analysis.effects.query("arm == 'treatment' and against == 'control'")
+        keys = rows[["task", "level", "outcome", "term"]].drop_duplicates()
+        assert len(keys) == len(rows) == 5 * (len(OUTCOMES) * len(TERMS) + 2 * len(CRASH_KINDS))
 
-    def test_the_printed_formula_is_positive_without_any_effect(self):
-        """Its last term is added: about twice the treated agents' mean, whatever the arms do."""
-        record = find(effects(agents(1, 5, np.random.default_rng(3))), outcome="return", term="sum")
-        assert abs(record["estimate"]) < 3
-        assert record["literal"] == pytest.approx(record["mean_treatment"], abs=1)
-        assert record["literal"] > 15
-        assert record["percent"]["estimate"] == pytest.approx(record["estimate"] / record["mean_control"])
+    def test_families_by_holm_and_the_rest_by_benjamini_hochberg(self, analysis: Analysis) -> None:
+        rows = analysis.effects[analysis.effects["family"].notna()]
+        for (name,), own in rows.groupby(["family"]):
+            p = own["p"].dropna().sort_values().to_numpy()
+            if name:
+                expected = np.maximum.accumulate(p * np.arange(len(p), 0, -1)).clip(max=1)
+            else:
+                expected = stats.false_discovery_control(p)
+            assert own["p_adjusted"].dropna().sort_values().to_numpy() == pytest.approx(np.sort(expected))
+        assert set(rows["family"]) == {"safety", "harm", "paper", ""}
 
-    def test_families_by_holm_and_the_rest_by_benjamini_hochberg(self, analysis):
-        for outcome, term in (("return", "sum"), ("crashed", "risky")):
-            record = find(analysis["ate"], task="u-turn", level=1, outcome=outcome, term=term)
-            assert record["adjustment"] == "Holm over 5"
-        for outcome, term in (("return", "risky"), ("mean_speed", "sum"), ("crashed", "sum")):
-            record = find(analysis["ate"], task="u-turn", level=1, outcome=outcome, term=term)
-            assert "Benjamini" in record["adjustment"]
-        assert all(r["p_adjusted"] is None or r["p_adjusted"] >= r["p"] for r in analysis["ate"])
+    def test_the_interval_at_the_familys_level_excludes_zero_only_where_holm_rejects(
+        self, analysis: Analysis
+    ) -> None:
+        rows = analysis.effects[analysis.effects["low_family"].notna()]
+        excluded = (rows["low_family"] > 0) | (rows["high_family"] < 0)
+        assert len(rows) and (rows.loc[excluded, "p_adjusted"] < 0.05).all()
 
-    def test_agents_that_do_not_vary_are_degenerate(self):
+    def test_the_detectable_effect_is_the_one_at_the_level_that_decides(self, analysis: Analysis) -> None:
+        rows = analysis.effects[analysis.effects["detectable"].notna()]
+        for row in rows.itertuples():
+            limit = stats.t.ppf(1 - 0.05 / 5 / 2, row.df)
+            assert stats.nct.sf(limit, row.df, row.detectable / row.se) == pytest.approx(0.8, abs=0.01)
+
+    def test_agents_that_do_not_vary_are_degenerate(self) -> None:
         """Six diverged agents that all drive the same: an effect of exactly 0 is no finding."""
-        for record in effects(agents(1, 3, np.random.default_rng(0), spread=0.0), outcomes=["return"]):
-            assert record["status"] == "degenerate"
-            assert record["estimate"] == 0
-            assert record["low"] is None and record["p"] is None and record["p_adjusted"] is None
+        rows = effects(agents(1, 3, np.random.default_rng(0), spread=0.0)).query("outcome == 'return'")
+        assert set(rows["status"]) == {"degenerate"} and set(rows["estimate"]) == {0.0}
+        assert rows[["low", "p", "p_adjusted"]].isna().all(axis=None)
 
-    def test_crashes_per_distance_are_a_ratio_of_sums(self, results, analysis):
+    @pytest.mark.parametrize(("regular", "status"), [(1.0, "no information"), (0.0, "ok")])
+    def test_a_setting_where_everybody_crashes_says_nothing(self, regular: float, status: str) -> None:
+        values = np.stack([np.full((4, 30), regular), np.full((4, 30), 0.5)])
+        arm = Arm(tuple(range(4)), dict.fromkeys(OUTCOMES, values))
+        found = find(effects({("sumo", "highway", 1, "50"): {"treatment": arm, "control": arm}}),
+                     outcome="crashed", term="regular")  # fmt: skip
+        assert (found["status"], bool(np.isnan(found["p"]))) == (status, status != "ok")
+        assert bool(found["equivalent_p_adjusted"] < 0.05) == (status == "ok")
+
+    def test_crashes_per_distance_are_a_ratio_of_sums(self, results: Results, analysis: Analysis) -> None:
         rows = results.episodes.query(
             "task == 'highway' and level == 1 and arm == 'control' and traffic == 'risky'"
         )
         sums = rows.groupby("seed")[["crashed", "distance"]].sum()
-        record = find(analysis["ate"], task="highway", level=1, outcome="crashes_per_100_km", term="risky")
-        assert record["mean_control"] == pytest.approx((sums["crashed"] / sums["distance"] * 1e5).mean())
+        row = find(analysis.effects, task="highway", level=1, outcome="crashes_per_100_km", term="risky")
+        assert row["mean_against"] == pytest.approx((sums["crashed"] / sums["distance"] * 1e5).mean())
 
-    def test_the_time_to_crash_is_at_most_the_episodes(self, results, analysis):
+    def test_the_time_to_crash_is_at_most_the_episodes(self, results: Results, analysis: Analysis) -> None:
         rows = results.episodes.query(
             "task == 'highway' and level == 1 and arm == 'control' and traffic == 'risky'"
         )
         time = rows["crash_time"].astype(float).where(rows["crashed"], rows["length"])  # one step in a second
-        record = find(analysis["ate"], task="highway", level=1, outcome="crash_free_time", term="risky")
-        assert record["mean_control"] == pytest.approx(time.groupby(rows["seed"]).mean().mean())
+        row = find(analysis.effects, task="highway", level=1, outcome="crash_free_time", term="risky")
+        assert row["mean_against"] == pytest.approx(time.groupby(rows["seed"]).mean().mean())
+
+    def test_the_first_look_has_a_fifth_of_the_error_rate(self) -> None:
+        arms = agents(1, 5, np.random.default_rng(1), effect=1.0)
+        one, two = (
+            find(effects(arms, plan), outcome="return", term="sum") for plan in (DEFAULT, TWO_BATCHES)
+        )
+        assert two["p"] == pytest.approx(min(1, one["p"] / 0.2))
+        assert (two["low"], two["high"]) == (one["low"], one["high"])
+
+    def test_both_looks_count_when_all_seeds_are_there(self) -> None:
+        arms = agents(1, 10, np.random.default_rng(2), effect=1.0)
+        early = {place: {name: arm.below(5) for name, arm in pair.items()} for place, pair in arms.items()}
+        first, last = (find(effects(found), outcome="return", term="sum")["p"] for found in (early, arms))
+        both = find(effects(arms, TWO_BATCHES), outcome="return", term="sum")["p"]
+        assert both == pytest.approx(min(1, first / 0.2, last / 0.8))
 
 
-class TestGates:
+class TestNeverCrashed:
+    def test_is_evidence(self, results: Results) -> None:
+        safe = changed(results, crashed=lambda rows: rows["crashed"] & (rows["arm"] == "control"))
+        found = analyse(safe).effects
+        for term in ("risky", "regular", "sum"):
+            row = find(found, task="highway", level=1, outcome="crashed", term=term)
+            assert row["status"] == "ok" and row["high"] < 0
+
+    def test_in_both_arms_is_equivalence(self, results: Results) -> None:
+        found = analyse(changed(results, crashed=lambda rows: rows["crashed"] & False)).effects
+        row = find(found, task="highway", level=1, outcome="crashed", term="regular")
+        assert row["estimate"] == 0 and row["low"] < 0 < row["high"]
+        assert row["equivalent_p"] < 0.05
+
+
+def changed(results: Results, **columns: Callable[[pd.DataFrame], Any]) -> Results:
+    """The results with other test episodes: each column a function of the table, for the trained agents."""
+    episodes = results.episodes.copy()
+    own = episodes["kind"] == "agent"
+    for column, value in columns.items():
+        episodes[column] = episodes[column].astype(object)
+        episodes.loc[own, column] = value(results.episodes[own])
+        episodes[column] = episodes[column].astype(results.episodes[column].dtype)
+    return replace(results, episodes=episodes)
+
+
+class TestMeans:
+    def test_every_task_weighs_the_same_over_all_agents(self, analysis: Analysis) -> None:
+        mean = find(analysis.means, scope="all tasks", outcome="crashed", term="risky")
+        rows = analysis.effects.query("outcome == 'crashed' and term == 'risky' and against == 'control'")
+        assert mean["settings"] == len(rows) == 5
+        assert mean["estimate"] == pytest.approx(rows.groupby("task")["estimate"].mean().mean())
+        assert mean["estimate"] == pytest.approx(mean["mean_arm"] - mean["mean_against"])
+
+    def test_settings_alike_is_another_mean(self, analysis: Analysis) -> None:
+        rows = analysis.effects.query("outcome == 'crashed' and term == 'risky' and against == 'control'")
+        mean = find(analysis.means, scope="every setting alike", outcome="crashed", term="risky")
+        assert mean["estimate"] == pytest.approx(rows["estimate"].mean())
+
+    def test_its_variance_is_that_of_a_weighted_sum(self) -> None:
+        rows = contrasts(agents(3, 6, np.random.default_rng(5)), PAIR, [("return", "risky")])
+        assert mean_over(rows, DEFAULT)["se"] == pytest.approx(np.sqrt((rows["se"] ** 2).sum()) / 3)
+
+    def test_returns_of_different_tasks_are_not_averaged(self, analysis: Analysis) -> None:
+        assert set(analysis.means.query("outcome == 'return'")["scope"]) == {"highway", "u-turn"}
+
+    def test_each_task_is_left_out_once(self, analysis: Analysis) -> None:
+        for task, other in (("highway", "u-turn"), ("u-turn", "highway")):
+            without = find(analysis.means, scope=f"without {task}", outcome="crashed", term="risky")
+            alone = find(analysis.means, scope=other, outcome="crashed", term="risky")
+            assert without["estimate"] == pytest.approx(alone["estimate"])
+
+    def test_agents_that_fail_the_gates_are_left_out_of_one_variant(
+        self, results: Results, analysis: Analysis
+    ) -> None:
+        mean = find(analysis.means, scope="agents that pass the gates", outcome="crashed", term="risky")
+        assert (mean["seeds_arm"], mean["seeds_against"]) == (18, 18)
+
+    def test_a_setting_is_learnt_if_its_control_agents_are(self, tmp_path: Any) -> None:
+        poor = {f"sumo-u-turn-3-control-s{seed}": "poor" for seed in range(3)}
+        synthetic.write(tmp_path, {"highway": (1,), "u-turn": (1,)}, seeds=4, faults=poor)
+        mean = find(
+            analyse(load(tmp_path)).means, scope="settings that were learnt", outcome="crashed", term="risky"
+        )
+        assert mean["settings"] == 1
+
+    def test_the_careful_driver_is_compared_scenario_by_scenario(
+        self, results: Results, analysis: Analysis
+    ) -> None:
+        rows = results.episodes.query("task == 'highway' and level == 1 and traffic == 'risky'")
+        crashed = rows["crashed"].astype(float)
+        careful = crashed[rows["policy"] == "careful"].mean()
+        for arm in ("control", "treatment"):
+            row = find(analysis.effects, task="highway", level=1, arm=arm, against="careful",
+                       outcome="crashed", term="risky")  # fmt: skip
+            assert row["estimate"] == pytest.approx(crashed[rows["arm"] == arm].mean() - careful)
+            assert row["low"] < row["estimate"] < row["high"]
+
+
+class TestSlopes:
+    def test_finds_an_effect_that_grows(self) -> None:
+        arms = agents(3, 8, np.random.default_rng(4), spread=0.1, growth=1.0)
+        row = find(slopes(arms), outcome="return", quantity="effect")
+        assert row["estimate"] == pytest.approx(2.0, abs=0.2)  # in both traffics
+        assert row["low"] > 0 and row["complete"]
+
+    def test_knows_that_each_level_has_test_scenarios_of_its_own(self, results: Results) -> None:
+        """Agents that hardly differ, and scenarios that do: nothing grows with traffic."""
+        random = np.random.default_rng(5)
+        luck, noise = random.normal(0, 2.0, (6, 40)), random.normal(0, 0.05, len(results.episodes))
+
+        def returns(rows: pd.DataFrame) -> np.ndarray:
+            drawn: np.ndarray = 10 + luck[rows["level"], rows["scenario"]] + noise[: len(rows)]
+            return drawn
+
+        found = analyse(changed(results, **{"return": returns})).slopes
+        slope = find(found, task="u-turn", outcome="return", quantity="mean")
+        assert slope["high"] - slope["low"] > 0.2
+        assert slope["low"] < 0 < slope["high"]
+
+    def test_over_some_of_the_levels_decides_nothing(self) -> None:
+        found = slopes(agents(2, 8, np.random.default_rng(4), spread=0.1, growth=3.0))
+        assert not found["complete"].any()
+        verdicts = claims(effects(agents(2, 8, np.random.default_rng(4))), found)
+        row = find(verdicts, name="return effect grows")
+        assert (row["verdict"], row["silent"], row["right"]) == ("not decided", 1, 0)
+
+
+class TestClaims:
+    @staticmethod
+    def decide(*values: tuple[float, float], status: str = "ok", expected: int = 18) -> dict[str, Any]:
+        """The verdict on "the return rises" from estimates and p-values, in so many of 18 settings."""
+        p = np.array([p for _, p in values])
+        rows = pd.DataFrame(
+            {"backend": "sumo", "task": "highway", "outcome": "return", "term": "sum", "status": status,
+             "estimate": [e for e, _ in values], "p": p, "p_adjusted": (p * len(p)).clip(max=1), "se": 0.1,
+             "df": 8.0, "equivalent_p": np.nan, "equivalent_p_adjusted": np.nan, "detectable": 0.3}
+        )  # fmt: skip
+        empty = slopes({})
+        return find(claims(rows, empty), name="return rises")
+
+    def test_holds_if_each_does_by_itself(self) -> None:
+        """Everywhere at once is the harder claim: it needs no adjustment for the number of places."""
+        assert self.decide(*[(1, 0.04)] * 18)["verdict"] == "holds"
+        assert self.decide(*[(1, 0.01)] * 17, (2, 0.06))["verdict"] == "not decided"
+
+    def test_contradicted_only_after_adjustment(self) -> None:
+        assert self.decide(*[(1, 0.001)] * 17, (-2, 0.04))["verdict"] == "not decided"
+        found = self.decide(*[(1, 0.001)] * 17, (-2, 0.001))
+        assert (found["verdict"], found["right"], found["wrong"]) == ("contradicted", 17, 1)
+
+    def test_places_that_were_not_run_keep_it_open(self) -> None:
+        found = self.decide((1, 0.001), (2, 0.001))
+        assert (found["verdict"], found["right"], found["not_run"]) == ("not decided", 2, 16)
+
+    @pytest.mark.parametrize("status", ["degenerate", "one seed", "no information"])
+    def test_what_is_no_evidence_counts_neither_way(self, status: str) -> None:
+        found = self.decide((-2, 0.001), status=status)
+        assert (found["verdict"], found["wrong"], found["silent"]) == ("not decided", 0, 1)
+
+    @pytest.mark.parametrize(
+        ("estimate", "verdict"), [(0.001, "holds"), (0.05, "not decided"), (0.2, "contradicted")]
+    )
+    def test_little_harm_is_an_equivalence(self, estimate: float, verdict: str) -> None:
+        p = float(stats.t.sf((0.05 - estimate) / 0.01, 8))
+        rows = pd.DataFrame(
+            {"backend": ["sumo"] * 18, "task": "highway", "outcome": "crashed", "term": "regular", "status": "ok",
+             "estimate": estimate, "se": 0.01, "df": 8.0, "p": 0.01, "p_adjusted": 0.01, "detectable": 0.1,
+             "equivalent_p": p, "equivalent_p_adjusted": p}
+        )  # fmt: skip
+        assert find(claims(rows, slopes({})), name="little harm")["verdict"] == verdict
+
+    def test_signs_are_those_of_the_claims(self) -> None:
+        """An effect that raises return and crash rate, both of which rise with traffic."""
+        arms: dict[Place, Arms] = {}
+        for task, definition in TASKS.items():
+            own = agents(
+                len(definition.levels), 8, np.random.default_rng(6), effect=3.0, spread=0.1, task=task
+            )
+            for (_, _, level, _), pair in own.items():
+                for arm in pair.values():
+                    for name in ("return", "crashed"):
+                        arm.values[name][...] += level
+            arms |= own
+        found = claims(effects(arms), slopes(arms)).set_index("name")["verdict"]
+        assert found["return rises"] == "holds"
+        assert found["return falls with traffic"] == "contradicted"
+        assert found["fewer crashes"] == "contradicted"
+        assert found["crashes rise with traffic"] == "holds"
+        assert found["little harm"] == "contradicted"
+
+    def test_all_seven_for_each_simulator(self, analysis: Analysis) -> None:
+        assert list(analysis.claims["name"]) == [claim.name for claim in CLAIMS]
+
+
+class TestGatesOfAnAnalysis:
     @pytest.mark.parametrize(
         ("slug", "failed"),
         [
@@ -204,350 +390,244 @@ class TestGates:
             ("sumo-u-turn-6-treatment-s3", "beats_constant"),
         ],
     )
-    def test_each_catches_its_fault(self, analysis, slug, failed):
-        (verdict,) = [v for v in analysis["gates"] if v["cell"].startswith(slug + "-")]
-        assert verdict["passed"] is False
-        assert failed in verdict["failed"]
-        assert not verdict["gates"][failed]["passed"]
+    def test_each_catches_its_fault(self, analysis: Analysis, slug: str, failed: str) -> None:
+        [row] = [r for r in analysis.gates.to_dict("records") if r["cell"].startswith(slug + "-")]
+        assert row["passed"] is False and failed in row["failed"].split() and not row[failed]
 
-    def test_sound_agents_pass(self, analysis):
-        sound = [v for v in analysis["gates"] if not any(v["cell"].startswith(slug + "-") for slug in FAULTS)]
-        assert len(sound) == 36
-        assert all(v["passed"] is True for v in sound)
+    def test_sound_agents_pass(self, analysis: Analysis) -> None:
+        assert analysis.gates["passed"].tolist().count(True) == 36
 
-    def test_values_and_limits_are_given(self, analysis):
-        gates = analysis["gates"][0]["gates"]
-        assert gates["q_bounded"]["limit"] == pytest.approx(1.2 * 1 / (1 - 0.95))
-        assert gates["beats_constant"]["value"] > gates["beats_constant"]["limit"]
-        assert "slower" in gates["beats_constant"]["note"]
-
-    def test_agents_that_fail_are_named_and_counted(self, analysis):
-        record = find(analysis["ate"], task="highway", level=2, outcome="crashed", term="sum")
-        assert record["status"] == "ok"
-        assert record["failed"] == [1, 1]
-        assert "1 of 4 treatment agents fail (1 constant policy" in record["gates"]
-        assert "1 of 4 control agents fail (1 diverged" in record["gates"]
-
-    def test_q_that_is_no_longer_finite_fails(self, results):
+    def test_q_that_is_no_longer_finite_fails(self, results: Results) -> None:
         name = next(name for name, cell in results.cells.items() if cell["key"]["kind"] == "agent")
         cell = {**results.cells[name]}
         cell["learner"] = {**cell["learner"], "probe_q": [[1, 1.0, 2.0], [2, None, None]]}
-        changed = analyse(replace(results, cells={**results.cells, name: cell}))
-        verdict = find(changed["gates"], cell=name)
-        assert verdict["gates"]["q_bounded"] == {
-            "passed": False, "value": None, "limit": pytest.approx(24), "note": "Q-values are no longer finite",
-        }  # fmt: skip
+        row = find(analyse(replace(results, cells={**results.cells, name: cell})).gates, cell=name)
+        assert not row["q_bounded"] and row["q_bounded note"] == "Q-values are no longer finite"
 
-    def test_without_baselines_the_gate_is_open_and_said_so(self, results):
-        episodes = results.episodes[results.episodes["kind"] == "agent"]
+    def test_without_baselines_the_gate_is_open(self, results: Results) -> None:
+        tables = {
+            name: table[table["kind"] == "agent"]
+            for name, table in (("episodes", results.episodes), ("gate_episodes", results.gate_episodes))
+        }
         cells = {name: cell for name, cell in results.cells.items() if cell["key"]["kind"] == "agent"}
-        gate_episodes = results.gate_episodes[results.gate_episodes["kind"] == "agent"]
-        changed = analyse(replace(results, episodes=episodes, gate_episodes=gate_episodes, cells=cells))
-        record = find(changed["ate"], task="highway", level=1, outcome="crashed", term="sum")
-        assert record["status"] == "ok"
-        assert "not checked: not above a constant policy" in record["gates"]
-        assert {v["passed"] for v in changed["gates"]} == {None, False}
-
-
-class TestPooling:
-    def test_every_task_weighs_the_same_over_all_agents(self, analysis):
-        (mean,) = [r for r in analysis["pooled"] if r["primary"]]
-        assert (mean["scope"], mean["outcome"], mean["term"]) == ("all tasks", "crashed", "risky")
-        assert mean["comparisons"] == [5, 5]
-        chosen = pd.DataFrame(
-            [r for r in analysis["ate"] if (r["outcome"], r["term"]) == ("crashed", "risky")]
-        )
-        assert mean["estimate"] == pytest.approx(chosen.groupby("task")["estimate"].mean().mean())
-
-    def test_returns_of_different_tasks_are_not_averaged(self, analysis):
-        assert not [r for r in analysis["pooled"] if (r["scope"], r["outcome"]) == ("all tasks", "return")]
-
-    def test_heterogeneity_over_settings_and_tasks(self, analysis):
-        (mean,) = [r for r in analysis["pooled"] if r["primary"]]
-        assert mean["over_settings"]["members"] == 5
-        assert mean["over_settings"]["prediction"][0] < mean["over_settings"]["low"]
-        assert mean["over_tasks"] is None  # two tasks are no sample of tasks
-
-    def test_slope_finds_an_effect_that_grows(self):
-        pairs = agents(4, 6, np.random.default_rng(2), spread=0.3, growth=0.5)
-        found = slopes(pairs, {"highway": 4})
-        record = find(found, outcome="return", quantity="effect")
-        assert 0 < record["low"] < 1.0 < record["high"]
-        assert record["complete"]
-        mean = find(found, outcome="return", quantity="mean")
-        assert mean["low"] < 0.25 < mean["high"]
-        assert not find(slopes(pairs, {"highway": 5}), outcome="return", quantity="mean")["complete"]
-
-    def test_the_share_of_agents_that_fail_is_an_outcome(self):
-        pairs = agents(3, 6, np.random.default_rng(2))
-        bad = [cell for pair in pairs.values() for cell in pair["treatment"].cells[:3]]
-        record = find(failures(pairs, [verdict(cell, False, "treatment") for cell in bad]), scope="all tasks")
-        assert record["counts"] == [[9, 18], [0, 18]]
-        assert record["estimate"] == pytest.approx(0.5)
-        assert 0 < record["low"] < 0.5 < record["high"]
-
-    def test_no_failure_in_either_arm_has_an_interval(self):
-        record = find(failures(agents(1, 5, np.random.default_rng(2)), []), scope="all tasks")
-        assert record["estimate"] == 0
-        assert 0.1 < record["high"] < 0.6
-
-
-class TestSensitivity:
-    def test_without_those_that_fail(self):
-        pairs = agents(2, 5, np.random.default_rng(3), spread=0.1)
-        bad = [verdict(cell, False, "treatment") for p in pairs.values() for cell in p["treatment"].cells[:1]]
-        found = {r["variant"]: r for r in sensitivity(pairs, bad)}
-        assert found["all agents, tasks alike (primary)"]["seeds"] == [10, 10]
-        assert found["agents that pass the gates"]["seeds"] == [8, 10]
-        assert found["agents paired by training seed"]["seeds"] == [10]
-
-    def test_all_variants_agree_on_a_clear_effect(self, analysis):
-        assert len(analysis["sensitivity"]) == 8 + len({record["task"] for record in analysis["ate"]})
-        for record in analysis["sensitivity"]:
-            assert record["estimate"] < 0
-            assert record["p"] < 0.05
-
-    def test_each_task_is_left_out_once(self):
-        random = np.random.default_rng(3)
-        highway = agents(2, 5, random, spread=0.1)
-        found = {
-            r["variant"]: r for r in sensitivity(highway | agents(2, 5, random, effect=3.0, task="u-turn"))
-        }
-        assert found["without u-turn"]["settings"] == found["without highway"]["settings"] == [2, 4]
-        assert found["without u-turn"]["estimate"] == pytest.approx(0, abs=0.3)
-        assert found["without highway"]["estimate"] == pytest.approx(3, abs=1.5)
-        assert not any("without" in record["variant"] for record in sensitivity(highway))
-
-    def test_the_permutation_is_exact_for_a_complete_separation(self):
-        pairs = agents(1, 4, np.random.default_rng(3), spread=0.01, effect=5.0)
-        record = find(sensitivity(pairs), variant="permutation of the arms")
-        assert record["p"] == pytest.approx(2 / 70, abs=0.012)
-
-    def test_a_setting_is_learnt_if_its_control_agents_are(self):
-        pairs = agents(2, 4, np.random.default_rng(3))
-        first, second = pairs.values()
-        verdicts = [verdict(cell, False, "treatment") for cell in first["treatment"].cells]
-        verdicts += [verdict(cell, True, "control") for cell in first["control"].cells]
-        verdicts += [verdict(cell, k == 0, "control") for k, cell in enumerate(second["control"].cells)]
-        assert [r["learnt"] for r in learnt(pairs, verdicts)] == [True, False]
-
-
-class TestSecondBatch:
-    def test_goes_where_it_is_open_and_ten_seeds_can_decide(self):
-        pairs = {
-            **agents(1, 5, np.random.default_rng(3), spread=0.02, effect=1.0, task="highway"),  # decided
-            **agents(1, 5, np.random.default_rng(4), spread=0.02, effect=0.0, task="u-turn"),  # open
-            **agents(1, 5, np.random.default_rng(5), spread=0.5, effect=0.1, task="roundabout"),  # hopeless
-        }
-        records = effects(pairs, plan=TWO_BATCHES)
-        found = {r["task"]: (r["extend"], r["reason"]) for r in second_batch(pairs, records, TWO_BATCHES)}
-        assert found["highway"] == (False, "decided")
-        assert found["u-turn"][0]
-        assert found["roundabout"] == (False, "10 seeds would not decide it")
-        assert second_batch(pairs, records, DEFAULT) == []
-
-    def test_the_first_look_has_a_fifth_of_the_error_rate(self):
-        pairs = agents(1, 5, np.random.default_rng(3), effect=1.0)
-        one_look, first = (
-            find(effects(pairs, plan=plan), outcome="return", term="sum")["p"]
-            for plan in (DEFAULT, TWO_BATCHES)
-        )
-        assert first == pytest.approx(min(1.0, 5 * one_look))
-
-    def test_both_looks_count_when_all_seeds_are_there(self):
-        pairs = agents(1, 10, np.random.default_rng(3), effect=1.0)
-        place, pair = next(iter(pairs.items()))
-        early = {place: {name: arm.below(5) for name, arm in pair.items()}}
-        p = [find(effects(x), outcome="return", term="sum")["p"] for x in (early, pairs)]
-        both = find(effects(pairs, plan=TWO_BATCHES), outcome="return", term="sum")["p"]
-        assert both == pytest.approx(min(p[0] / 0.2, p[1] / 0.8, 1.0))
-
-
-class TestClaims:
-    @staticmethod
-    def records(*values, status="ok"):
-        """Records with estimate, p and Holm's p."""
-        p = [p for _, p in values]
-        return [
-            {"task": "highway", "level_name": str(k), "outcome": "return", "estimate": e, "low": e - 1, "high": e + 1,
-             "p": p[k], "p_adjusted": min(1, p[k] * len(p)), "status": status, "cells": []}
-            for k, (e, _) in enumerate(values)
-        ]  # fmt: skip
-
-    def test_holds_if_each_does_by_itself(self):
-        """Everywhere at once is the harder claim: it needs no adjustment for the number of places."""
-        assert decide(self.records((1, 0.01), (2, 0.04)), +1, 2)[0] == "holds"
-        assert decide(self.records((-1, 0.01), (-2, 0.04)), -1, 2)[0] == "holds"
-        assert decide(self.records((1, 0.01), (2, 0.06)), +1, 2)[0] == "not decided"
-
-    def test_contradicted_only_after_adjustment(self):
-        assert decide(self.records((1, 0.01), (-2, 0.04)), +1, 2)[0] == "not decided"
-
-    def test_places_that_were_not_run_keep_it_open(self):
-        verdict, reason, counts = decide(self.records((1, 0.01), (2, 0.01)), +1, 18)
-        assert verdict == "not decided"
-        assert "as claimed in 2 of 18" in reason and "16 not run" in reason
-        assert counts["right"] == 2 and counts["not_run"] == 16
-
-    def test_is_graded(self):
-        """Weak evidence in many places: in no single one, but together in some at least."""
-        _, _, counts = decide(self.records(*[(1.0, 0.02)] * 6), +1, 6)
-        assert counts["right"] == 0 and counts["at_least"] >= 4
-        assert counts["wrong_at_least"] == 0
-
-    def test_one_on_the_other_side_contradicts_and_is_named(self):
-        verdict, reason, _ = decide(self.records((1, 0.01), (-2, 0.01)), +1, 2)
-        assert verdict == "contradicted"
-        assert "highway 1 (−2.00 [−3.00, −1.00])" in reason
-
-    @pytest.mark.parametrize("status", ["degenerate", "no interval: one seed"])
-    def test_what_is_no_evidence_counts_neither_way(self, status):
-        wrong = self.records((-2, 0.01), status=status)
-        assert decide(self.records((1, 0.01)) + wrong, +1, 2)[0] == "not decided"
-        verdict, reason, _ = decide(wrong, +1, 1)
-        assert verdict == "not decided"
-        assert "no evidence from 1" in reason
-
-    @pytest.mark.parametrize(
-        ("estimate", "verdict"), [(0.001, "holds"), (0.05, "not decided"), (0.2, "contradicted")]
-    )
-    def test_no_harm_is_an_equivalence(self, estimate, verdict):
-        record = {
-            "task": "highway", "level_name": "50", "outcome": "crashed", "estimate": estimate, "se": 0.01, "df": 8.0,
-            "low": estimate - 0.023, "high": estimate + 0.023, "margin": 0.05, "status": "ok", "cells": [],
-        }  # fmt: skip
-        p = float(stats.t.sf((0.05 - estimate) / 0.01, 8))
-        record |= {"equivalence_p": p, "equivalence_p_adjusted": p}
-        assert decide_equivalence([record], 1)[0] == verdict
-
-    def test_what_would_decide_it_is_said(self, analysis):
-        for claim in analysis["claims"]:
-            assert (claim["decides"] is None) == (claim["verdict"] != "not decided")
-        safety = find(analysis["claims"], outcome="primary")
-        assert "13 settings that were not run" in safety["decides"]
-
-    def test_all_seven_for_each_simulator(self, analysis):
-        assert len(analysis["claims"]) == 7
-        assert {claim["source"] for claim in analysis["claims"]} == {"paper", "crash rate"}
-        assert all(claim["cells"] for claim in analysis["claims"])
-
-    def test_signs_are_those_of_the_claims(self):
-        """An effect that raises return and crash rate, both of which rise with traffic."""
-        pairs = agents(3, 8, np.random.default_rng(6), spread=0.1, effect=3.0)
-        for (_, _, level, _), pair in pairs.items():
-            for arm in pair.values():
-                arm.values["return"][...] += level  # every outcome shares these scores
-        found = claims(effects(pairs), slopes(pairs, {"highway": 3}), {"highway": 3})
-        verdicts = {(claim["source"], claim["claim"].split()[0]): claim["verdict"] for claim in found}
-        assert verdicts["paper", "Training"] == "holds"
-        assert verdicts["paper", "The"] == "contradicted"
-        assert verdicts["crash rate", "Training"] == "contradicted"
-        assert verdicts["crash rate", "The"] == "holds"
-        assert verdicts["crash rate", "It"] == "contradicted"
-
-
-class TestHeadline:
-    def test_says_safer_with_numbers_and_the_mark_to_beat(self, analysis):
-        (headline,) = analysis["headlines"]
-        assert headline["answer"] == "safer"
-        text = " ".join(headline["text"])
-        for words in (
-            "points [",
-            "This averages 5 of 18 settings",
-            "2 of 20 treated and 2 of 20 control agents fail the gates",
-            "mark to beat",
-            "every task weighted alike",
-        ):
-            assert words in text
-        assert headline["cells"]
-
-    def test_says_less_safe(self, tmp_path):
-        synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=4, tests=60, effect=+0.4, spread=0.01)
-        (headline,) = analyse(load(tmp_path))["headlines"]
-        assert headline["answer"] == "less safe"
-
-    def test_one_seed_is_no_answer(self, tmp_path):
-        synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=1)
-        found = analyse(load(tmp_path))
-        assert found["headlines"][0]["answer"] == "no answer"
-        assert "single training seed" in found["headlines"][0]["text"][0]
-        record = find(found["ate"], outcome="crashed", term="sum")
-        assert record["status"] == "no interval: one seed"
-        assert record["estimate"] is not None and record["low"] is None
-        assert {claim["verdict"] for claim in found["claims"]} == {"not decided"}
-
-    def test_one_arm_is_no_answer(self, tmp_path):
-        synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=2, arms=("control",))
-        found = analyse(load(tmp_path))
-        assert found["headlines"][0]["answer"] == "no answer"
-        assert {r["status"] for r in found["ate"]} == {"missing"}
-        assert len(found["missing"]) == 2
+        found = analyse(replace(results, cells=cells, **tables))
+        assert set(found.gates["passed"].tolist()) == {None, False}
 
 
 class TestSettingsAreNotMixed:
-    def test_the_last_sweep_decides(self, tmp_path):
+    def test_the_last_sweep_decides(self, tmp_path: Any) -> None:
         synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=3, updates=200, baselines=())
         synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=2, updates=400)
-        chosen, left_out = comparable(load(tmp_path))
-        assert len(left_out) == 6
-        assert all("updates 200 instead of 400" in entry["reason"] for entry in left_out)
-        assert set(chosen.agents["updates"].dropna()) == {400}
-        assert set(chosen.episodes["cell"]) == set(chosen.cells)
-        assert analyse(load(tmp_path))["ate"][0]["seeds"] == [2, 2]
+        chosen = comparable(load(tmp_path))
+        assert len(chosen.left_out) == 6
+        assert all("updates 200 instead of 400" in reason for reason in chosen.left_out.values())
+        assert set(chosen.results.agents["updates"].dropna()) == {400}
+        assert set(chosen.results.episodes["cell"]) == set(chosen.results.cells)
+        assert analyse(load(tmp_path)).effects["seeds_arm"].iloc[0] == 2
 
-    def test_baselines_of_another_test_are_left_out(self, tmp_path):
+    def test_baselines_of_another_test_are_left_out(self, tmp_path: Any) -> None:
         synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=2, tests=10, arms=())
         synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=2, tests=20, baselines=())
-        found = analyse(load(tmp_path))
-        assert len(found["left_out"]) == len(BASELINES)
-        assert "episodes 10 instead of 20" in found["left_out"][0]["reason"]
+        left_out = analyse(load(tmp_path)).notes["left_out"]
+        assert len(left_out) == len(BASELINES)
+        assert all("episodes 10 instead of 20" in reason for reason in left_out.values())
 
-    def test_presets_are_labels(self, tmp_path):
+    def test_presets_are_labels(self, tmp_path: Any) -> None:
         synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=2, preset="quick")
         synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=3, preset="paper")
         found = analyse(load(tmp_path))
-        assert found["left_out"] == []
-        assert found["ate"][0]["seeds"] == [3, 3]
-        assert found["provenance"]["presets"] == ["paper", "quick"]
+        assert found.notes["left_out"] == {} and found.effects["seeds_arm"].iloc[0] == 3
+        assert found.provenance["presets"] == ["paper", "quick"]
+
+    def test_cells_that_fit_no_comparison_are_left_out_and_named(self, tmp_path: Any) -> None:
+        synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=2, tests=8, further=("dense",), updates=200)
+        synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=2, tests=8, updates=400)
+        found = analyse(load(tmp_path))
+        assert not (found.effects["arm"] == "dense").any()
+        assert sum("no agents of both arms" in reason for reason in found.notes["left_out"].values()) == 2
+
+
+class TestIncompleteData:
+    @pytest.mark.parametrize(
+        ("damage", "words"),
+        [
+            (lambda rows: rows.assign(**{"return": rows["return"].where(rows["scenario"] > 3)}), "not a number"),
+            (lambda rows: rows.assign(**{"return": np.inf}), "not a number"),
+            (lambda rows: rows[rows["scenario"] < 7], "7 of 20 test scenarios in regular traffic"),
+            (lambda rows: rows[rows["traffic"] == "regular"], "0 of 20 test scenarios in risky traffic"),
+            (lambda rows: pd.concat([rows, rows.iloc[:1]]), "some twice"),
+        ],
+    )  # fmt: skip
+    def test_is_named_and_not_counted(self, results: Results, damage: Any, words: str) -> None:
+        name = next(name for name in results.cells if "u-turn-3-treatment" in name)
+        own = results.episodes["cell"] == name
+        episodes = pd.concat([results.episodes[~own], damage(results.episodes[own])], ignore_index=True)
+        found = analyse(replace(results, episodes=episodes))
+        assert list(found.notes["incomplete"]) == [name] and words in found.notes["incomplete"][name]
+        row = find(found.effects, task="u-turn", level=1, outcome="crashed", term="risky")
+        assert (row["seeds_arm"], row["seeds_against"]) == (3, 4)
+
+    def test_the_same_agent_twice_is_noticed(self, results: Results) -> None:
+        others = [name for name in results.cells if "u-turn-3-treatment" in name][:2]
+        cells = {key: {**cell} for key, cell in results.cells.items()}
+        for other in others:
+            cells[other]["learner"] = {**cells[other]["learner"], "weights_sha256": "0"}
+        assert analyse(replace(results, cells=cells)).notes["duplicates"] == [sorted(others)]
 
 
 class TestAnalysis:
-    def test_is_strict_json(self, analysis):
-        assert json.loads(json.dumps(analysis, allow_nan=False)) == analysis
+    def test_is_strict_json_of_twelve_digits(self, analysis: Analysis) -> None:
+        value = as_json(analysis)
+        assert json.loads(json.dumps(value, allow_nan=False)) == value
+        numbers = [x for row in value["means"]["rows"] for x in row if isinstance(x, float)]
+        assert numbers and all(x == float(f"{x:.12g}") for x in numbers)
 
-    def test_is_a_pure_function(self, results, analysis):
+    def test_is_a_pure_function(self, results: Results, analysis: Analysis) -> None:
         shuffled = replace(
             results,
             cells=dict(reversed(results.cells.items())),
             episodes=results.episodes.sample(frac=1, random_state=1).reset_index(drop=True),
         )
-        assert json.dumps(analyse(results)) == json.dumps(analysis)
-        assert analyse(shuffled)["headlines"] == analysis["headlines"]
-        assert analyse(shuffled)["provenance"]["hash"] == analysis["provenance"]["hash"]
+        for name in ("effects", "means", "claims", "gates", "policies"):
+            frames = [
+                getattr(analyse(found), name).drop(columns="looks", errors="ignore")
+                for found in (results, shuffled)
+            ]
+            own = getattr(analysis, name).drop(columns="looks", errors="ignore")
+            pd.testing.assert_frame_equal(frames[0], own)
+            pd.testing.assert_frame_equal(frames[1], own, rtol=1e-9)
 
-    def test_policies_are_means_of_seeds_and_of_episodes(self, results, analysis):
+    def test_policies_are_means_of_seeds_and_of_episodes(self, results: Results, analysis: Analysis) -> None:
         episodes = results.episodes.query("task == 'highway' and level == 1 and traffic == 'risky'")
-        arm = find(analysis["policies"], task="highway", level=1, arm="control", traffic="risky")
-        means = episodes[episodes["arm"] == "control"].groupby("seed")["return"].mean()
-        assert arm["mean"]["return"] == pytest.approx(means.mean())
-        assert arm["se"]["return"] == pytest.approx(means.sem())
+        arm = find(analysis.policies, task="highway", level=1, arm="control", traffic="risky")
+        by_seed = episodes[episodes["arm"] == "control"].groupby("seed")["return"].mean()
+        assert (arm["return"], arm["return se"]) == pytest.approx((by_seed.mean(), by_seed.sem()))
         assert (arm["n"], arm["unit"]) == (4, "training seed")
-        careful = find(analysis["policies"], task="highway", level=1, policy="careful", traffic="risky")
+        careful = find(analysis.policies, task="highway", level=1, policy="careful", traffic="risky")
         returns = episodes.loc[episodes["policy"] == "careful", "return"]
-        assert careful["mean"]["return"] == pytest.approx(returns.mean())
-        assert careful["se"]["return"] == pytest.approx(returns.sem())
+        assert (careful["return"], careful["return se"]) == pytest.approx((returns.mean(), returns.sem()))
         assert (careful["n"], careful["unit"]) == (20, "test episode")
+        distance = episodes.loc[episodes["policy"] == "careful", "distance"]
+        assert careful["progress"] == pytest.approx(distance.mean() / TASKS["highway"].defaults["duration"])
 
-    def test_summary_has_one_row_a_policy_and_traffic(self, analysis):
-        table = summary_table(analysis)
-        keys = ["backend", "task", "level", "policy", "arm", "traffic"]
-        assert len(table) == 5 * (2 + len(BASELINES)) * 2 == len(table.drop_duplicates(keys))
-        assert {"crashed", "crashed_se", "density", "cells"} <= set(table.columns)
-
-    def test_two_simulators_are_kept_apart(self, tmp_path):
+    def test_two_simulators_are_kept_apart(self, tmp_path: Any) -> None:
         synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=2)
         synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=3, backend="highway-env")
         found = analyse(load(tmp_path))
-        assert {(r["backend"], *r["seeds"]) for r in found["ate"]} == {("sumo", 2, 2), ("highway-env", 3, 3)}
-        assert [h["backend"] for h in found["headlines"]] == ["highway-env", "sumo"]
-        assert len(found["claims"]) == 14
+        rows = (
+            found.effects[["backend", "seeds_arm", "seeds_against"]]
+            .query("seeds_against > 1")
+            .drop_duplicates()
+        )
+        assert {tuple(row) for row in rows.to_numpy()} == {("sumo", 2, 2), ("highway-env", 3, 3)}
+        assert len(found.claims) == 14
+
+
+LEVELS = {"highway": (1,), "u-turn": (1,)}
+
+
+class TestFurther:
+    """Arms and tests beside the plan."""
+
+    @pytest.fixture(scope="class")
+    def results(self, tmp_path_factory: pytest.TempPathFactory) -> Results:
+        home = tmp_path_factory.mktemp("further")
+        synthetic.write(
+            home, LEVELS, seeds=6, tests=60, effect=-0.4, spread=0.01, further=tuple(EXTRA_ARMS),
+            test_on=("replica", "highway-env"),
+        )  # fmt: skip
+        return load(home)
+
+    @pytest.fixture(scope="class")
+    def analysis(self, results: Results) -> Analysis:
+        return analyse(results)
+
+    def test_nothing_that_the_plan_decides_changes(self, analysis: Analysis, tmp_path: Any) -> None:
+        synthetic.write(tmp_path, LEVELS, seeds=6, tests=60, effect=-0.4, spread=0.01)
+        alone = analyse(load(tmp_path))
+        own = [
+            found.effects[found.effects["family"].notna()].drop(columns="looks")
+            for found in (analysis, alone)
+        ]
+        pd.testing.assert_frame_equal(own[0].reset_index(drop=True), own[1].reset_index(drop=True))
+        for name in ("claims", "slopes", "placebo"):
+            pd.testing.assert_frame_equal(getattr(analysis, name), getattr(alone, name))
+        assert analysis.notes["left_out"] == {} and analysis.notes["incomplete"] == {}
+
+    def test_the_positive_control_is_found(self, analysis: Analysis) -> None:
+        row = find(analysis.means, arm="penalty", scope="all tasks", outcome="crashed", term="regular")
+        assert row["high"] < 0 and row["estimate"] == pytest.approx(synthetic.PENALTY, abs=0.06)
+
+    def test_dense_traffic_is_compared_with_both_arms(self, analysis: Analysis) -> None:
+        wanted = {"arm": "dense", "scope": "all tasks", "outcome": "crashed", "term": "risky"}
+        assert abs(find(analysis.means, **wanted)["estimate"]) < 0.1
+        assert find(analysis.means, **wanted, against="treatment")["low"] > 0
+
+    def test_doses_are_ordered(self, analysis: Analysis) -> None:
+        rows = analysis.policies.query("traffic == 'risky' and task == 'highway'").set_index("arm")["crashed"]
+        rates = rows.loc[["control", "dose25", "dose50", "dose75", "treatment"]].tolist()
+        assert rates == sorted(rates, reverse=True)
+
+    def test_agents_are_compared_on_other_simulators(self, analysis: Analysis) -> None:
+        wanted = {"scope": "all tasks", "outcome": "crashed", "term": "risky"}
+        home = {}
+        for simulator in ("replica", "highway-env"):
+            away = find(analysis.means, **wanted, scenarios=simulator, tested_on=simulator)
+            home[simulator] = find(analysis.means, **wanted, scenarios=simulator, tested_on="sumo")
+            assert away["high"] < 0 and away["seeds_arm"] == home[simulator]["seeds_arm"] == 12
+        over_all_scenarios = find(analysis.means, **wanted)["estimate"]
+        assert home["replica"]["estimate"] == pytest.approx(over_all_scenarios)
+        assert home["highway-env"]["estimate"] != pytest.approx(over_all_scenarios)  # the first 20 alone
+
+    def test_an_agent_that_is_lost_at_home_is_not_compared_elsewhere(self, results: Results) -> None:
+        lost = next(
+            n
+            for n, c in results.cells.items()
+            if (c["key"]["kind"], c["key"]["arm"]) == ("agent", "treatment")
+        )
+        cells = {name: cell for name, cell in results.cells.items() if name != lost}
+        episodes = results.episodes[results.episodes["cell"] != lost]
+        gates = results.gate_episodes[results.gate_episodes["cell"] != lost]
+        found = analyse(replace(results, cells=cells, episodes=episodes, gate_episodes=gates)).means
+        for tested_on in ("replica", "sumo"):
+            row = find(found, scope="all tasks", outcome="crashed", term="risky", scenarios="replica",
+                       tested_on=tested_on)  # fmt: skip
+            assert (row["seeds_arm"], row["seeds_against"]) == (11, 12)
+
+    def test_kinds_of_crashes_add_up(self, analysis: Analysis) -> None:
+        wanted = {"scope": "all tasks", "term": "risky"}
+        parts = [find(analysis.means, **wanted, outcome=kind)["estimate"] for kind in CRASH_KINDS]
+        assert sum(parts) == pytest.approx(find(analysis.means, **wanted, outcome="crashed")["estimate"])
+
+
+@pytest.mark.parametrize(
+    ("kind", "x", "y", "heading", "named"),
+    [
+        ("rear-end", 5.0, 0.2, 0.0, "rear-end, striking"),
+        ("rear-end", -5.0, 0.2, 0.0, "rear-end, struck"),
+        ("rear-end", 4.9, 1.0, -0.1, "cut-in"),  # ahead on the right, coming to the left
+        ("side", 1.0, -2.0, 0.2, "cut-in"),
+        ("side", 1.0, -2.0, -0.2, "side"),  # moving away
+        ("frontal", 5.0, 0.0, 3.1, "frontal"),
+        ("junction", 3.5, 0.0, 1.5, "junction, striking"),
+        ("junction", 0.5, 3.4, 1.5, "junction, struck"),
+    ],
+)
+def test_a_crash_is_named(kind: str, x: float, y: float, heading: float, named: str) -> None:
+    row = {"crash_type": kind, "crashed": 1.0}
+    row |= {"crash_relative_x": x, "crash_relative_y": y, "crash_relative_heading": heading}
+    none = {**dict.fromkeys(row), "crashed": 0.0}
+    assert kind_of_crash(pd.DataFrame([row, none])).tolist() == [named, ""]
+
+
+def test_a_treatment_that_ruins_agents_is_no_success(tmp_path: Any) -> None:
+    """On one task all treated agents fail the gates, and crash: the answer counts them."""
+    faults = {f"sumo-highway-50-treatment-s{seed}": "poor" for seed in range(4)}
+    synthetic.write(tmp_path, {"highway": (1,), "u-turn": (1,)}, seeds=4, tests=40, effect=0.0, faults=faults)
+    ruined = changed(
+        load(tmp_path),
+        crashed=lambda rows: rows["crashed"] | ((rows["task"] == "highway") & (rows["arm"] == "treatment")),
+    )
+    found = analyse(ruined)
+    assert find(found.means, scope="all tasks", outcome="crashed", term="risky")["low"] > 0
+    assert found.gates.query("arm == 'treatment'")["passed"].tolist().count(False) == 4

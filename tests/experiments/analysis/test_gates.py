@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from experiments.analysis.gates import CROSSINGS, gates
+from experiments.analysis.gates import CROSSINGS, GATES, gates
 
 N = 50
 LUCK = np.random.default_rng(0).normal(0, 1, N)  # of the scenarios, shared by everybody
@@ -30,8 +30,10 @@ def episodes(
 
 def verdict(task: str, agent: pd.DataFrame, arm: str = "control", **others: pd.DataFrame) -> dict[str, Any]:
     cells = {"agent": cell("dqn", task, arm), **{policy: cell(policy, task) for policy in others}}
-    (record,) = gates(cells, pd.concat([agent, *others.values()]))
-    return record
+    [row] = gates(cells, pd.concat([agent, *others.values()])).to_dict("records")
+    parts = ("value", "limit", "note")
+    found = {g: {"passed": row[g], **{part: row[f"{g} {part}"] for part in parts}} for g in GATES}
+    return {**row, "failed": row["failed"].split(), "gates": found}
 
 
 def test_a_tie_with_a_constant_policy_is_a_failure() -> None:

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from experiments.analysis.frames.estimate import Scores, binomial_floor
+from experiments.analysis.estimate import Scores, binomial_floor
 from experiments.analysis.plan import OUTCOMES, PROPORTIONS, TERMS
 from experiments.study.arms import ALL_TRAFFICS, TRAFFICS
 from experiments.study.results import Results

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from experiments.analysis.frames.scores import PLACE
+from experiments.analysis.scores import PLACE
 from experiments.study.arms import ARMS, TRAFFICS, gate_traffics
 from experiments.study.results import Results
 from experiments.support.files import canonical_json

@@ -7,10 +7,10 @@ from dataclasses import replace
 import pandas as pd
 from scipy.stats import binomtest
 
-from experiments.analysis.frames.effects import contrasts, mean_over
-from experiments.analysis.frames.estimate import OK
-from experiments.analysis.frames.scores import PLACE, arms_of
+from experiments.analysis.effects import contrasts, mean_over
+from experiments.analysis.estimate import OK
 from experiments.analysis.plan import DEFAULT, OUTCOMES, TERMS, Plan
+from experiments.analysis.scores import PLACE, arms_of
 from experiments.study.arms import ARMS
 
 LEAST = 4  # control agents of a setting that can be dealt into two arms

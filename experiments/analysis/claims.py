@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import pandas as pd
 
-from experiments.analysis.frames import estimate
-from experiments.analysis.frames.effects import GRID
-from experiments.analysis.frames.estimate import OK
+from experiments.analysis import estimate
+from experiments.analysis.effects import GRID
+from experiments.analysis.estimate import OK
 from experiments.analysis.plan import DEFAULT, OUTCOMES, Plan
 
 HOLDS, CONTRADICTED, NOT_DECIDED = "holds", "contradicted", "not decided"

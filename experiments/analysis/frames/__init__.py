@@ -1,1 +1,0 @@
-"""The analysis on tidy frames."""

@@ -1,0 +1,179 @@
+"""Estimates and intervals against scipy, statsmodels and truths that are known; error rates: test_instrument.py."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import stats
+from statsmodels.stats.weightstats import CompareMeans, DescrStatsW, ttost_ind
+
+from experiments.analysis import estimate
+from experiments.analysis.estimate import Mean, combine, interval, linear
+from experiments.analysis.plan import TWO_BATCHES, Plan
+
+# As measured on trained agents at worst: seeds differ with SD 1, episodes of one agent with SD 3.
+SEED_SD, EPISODE_SD, EPISODES = 1.0, 3.0, 100
+
+
+@pytest.fixture
+def random() -> np.random.Generator:
+    return np.random.default_rng(20)
+
+
+def scores(values: np.ndarray) -> np.ndarray:
+    """Scores of agents that were tested on a single scenario: their spread is that of the seeds."""
+    return np.asarray(values, dtype=float)[:, None]
+
+
+def difference(treatment: np.ndarray, control: np.ndarray, floor: float = 0.0) -> Mean:
+    return linear([(treatment, 1.0), (control, -1.0)], floor)
+
+
+class TestInterval:
+    def test_without_scenarios_it_is_welchs(self, random: np.random.Generator) -> None:
+        t, c = random.normal(1, 2, 7), random.normal(0, 1, 5)
+        result = interval(difference(scores(t), scores(c)))
+        other = CompareMeans(DescrStatsW(t), DescrStatsW(c))
+        _, p, df = other.ttest_ind(usevar="unequal")
+        low, high = other.tconfint_diff(usevar="unequal")
+        assert result.estimate == pytest.approx(t.mean() - c.mean())
+        assert (result.low, result.high, result.p, result.df) == pytest.approx((low, high, p, df))
+        assert result.status == "ok"
+
+    def test_variance_is_that_of_new_agents_on_new_scenarios(self, random: np.random.Generator) -> None:
+        """The variance that is estimated is the one of repeated studies, each with its own agents and scenarios."""
+        values, variances = [], []
+        for _ in range(2000):
+            shared, own = random.normal(0, 1, 25), random.normal(0, 1, (2, 25))
+            arms = [
+                random.normal(0, 0.5, (6, 1)) + shared + own[k] + random.normal(0, 1, (6, 25)) for k in (0, 1)
+            ]
+            mean = difference(*arms)
+            values.append(mean.value)
+            variances.append(mean.variance)
+        assert np.mean(variances) == pytest.approx(np.var(values), rel=0.12)
+        # seeds 2 x (.25 / 6 + 1 / 150), scenarios of an arm 2 / 25; what the arms share cancels
+        assert np.mean(variances) == pytest.approx(2 * (0.25 / 6 + 1 / 150) + 2 / 25, rel=0.05)
+
+    @pytest.mark.parametrize(("t", "c"), [([1.0], [0.0]), ([1.0, 2.0], [0.0]), ([1.0], [0.0, 3.0])])
+    def test_one_seed_gives_none(self, t: list[float], c: list[float]) -> None:
+        result = interval(difference(scores(np.array(t)), scores(np.array(c))))
+        assert result.status == "one seed"
+        assert np.isnan([result.low, result.high, result.p, result.df]).all()
+        assert result.estimate == pytest.approx(np.mean(t) - np.mean(c))
+
+    def test_where_nothing_varies_it_is_degenerate(self) -> None:
+        """Diverged agents all behave alike: an effect of exactly 0 with a spread of 0 is no finding."""
+        same = np.full((3, 20), 13.84)
+        result = interval(difference(same, same))
+        assert result.status == "degenerate"
+        assert np.isnan([result.low, result.p]).all()
+
+    def test_one_arm_without_spread_is_kept(self) -> None:
+        result = interval(difference(scores(np.zeros(3)), scores(np.array([0.1, 0.2, 0.3]))))
+        assert result.status == "ok"
+        assert result.df == pytest.approx(2)
+
+    def test_refuses_values_that_are_not_numbers(self) -> None:
+        with pytest.raises(ValueError, match="finite"):
+            difference(np.array([[1.0], [np.nan]]), np.ones((2, 1)))
+
+    def test_pooling_episodes_is_wrong(self, random: np.random.Generator) -> None:
+        """Why seed means: taken as 500 independent episodes an arm, A/A data reject every second time.
+
+        Pairing the episodes by test scenario is worse still: it removes the scenarios' noise from the
+        yardstick and leaves the difference between agents, which is the noise that matters.
+        """
+        repeats, pooled, paired = 400, 0, 0
+        for _ in range(repeats):
+            scenario = random.normal(0, EPISODE_SD / np.sqrt(2), EPISODES)
+            noise = random.normal(0, EPISODE_SD / np.sqrt(2), (2, 5, EPISODES))
+            t, c = scenario + noise + random.normal(0, SEED_SD, (2, 5, 1))
+            pooled += stats.ttest_ind(t.ravel(), c.ravel(), equal_var=False).pvalue < 0.05
+            paired += stats.ttest_rel(t.ravel(), c.ravel()).pvalue < 0.05
+        assert 0.43 < pooled / repeats < 0.67
+        assert paired > pooled
+
+
+class TestFewCrashes:
+    def test_no_crash_at_all_has_an_interval(self) -> None:
+        never = np.zeros((5, 100))
+        result = interval(difference(never, never, estimate.binomial_floor([never, never])))
+        assert result.estimate == 0
+        assert 0.002 < result.high < 0.02
+
+    def test_it_narrows_with_more_agents(self) -> None:
+        floors = [estimate.binomial_floor([np.zeros((n, 100))]) for n in (3, 10)]
+        assert floors[0] > 9 * floors[1]
+
+    def test_arms_that_crash_often_enough_speak_for_themselves(self) -> None:
+        often = np.zeros((5, 100))
+        often[:, ::10] = 1
+        assert estimate.binomial_floor([often, 1 - often]) == 0
+
+
+class TestCombine:
+    def test_is_the_weighted_sum_of_independent_means(self, random: np.random.Generator) -> None:
+        means = [difference(random.normal(k, 1, (4, 10)), random.normal(0, 1, (4, 10))) for k in range(3)]
+        result = combine(means, [0.5, 0.25, 0.25])
+        assert result.value == pytest.approx(
+            sum(w * m.value for w, m in zip([0.5, 0.25, 0.25], means, strict=True))
+        )
+        assert result.variance == pytest.approx(
+            sum(w**2 * m.variance for w, m in zip([0.5, 0.25, 0.25], means, strict=True))
+        )
+
+    def test_slope_equals_least_squares(self, random: np.random.Generator) -> None:
+        x = [1.0, 2.0, 3.0, 5.0]
+        means = [difference(random.normal(2 * k, 1, (4, 9)), random.normal(k, 1, (4, 9))) for k in x]
+        slope = combine(means, estimate.slope_weights(x))
+        assert slope.value == pytest.approx(np.polyfit(x, [m.value for m in means], 1)[0])
+
+    def test_one_seed_anywhere_gives_no_interval(self) -> None:
+        few = difference(np.array([[4.0]]), np.array([[1.0], [2.0]]))
+        ok = difference(np.array([[1.0], [2.0]]), np.array([[0.0], [1.0]]))
+        assert interval(combine([ok, few], [0.5, 0.5])).status == "one seed"
+
+    def test_slope_needs_two_levels(self) -> None:
+        with pytest.raises(ValueError, match="two different levels"):
+            estimate.slope_weights([2.0])
+
+
+class TestMultiplicity:
+    def test_holm_by_hand(self) -> None:
+        assert estimate.adjusted([0.04, 0.01, 0.045, 0.9]) == pytest.approx([0.12, 0.04, 0.12, 0.9])
+
+    def test_what_has_no_p_is_skipped(self) -> None:
+        found = estimate.adjusted([0.01, np.nan, 0.04, 0.03])
+        assert found == pytest.approx([0.03, np.nan, 0.06, 0.06], nan_ok=True)
+        assert estimate.adjusted([np.nan, 0.02], "fdr_bh") == pytest.approx([np.nan, 0.02], nan_ok=True)
+        assert np.isnan(estimate.adjusted([np.nan, np.nan])).all()
+        assert len(estimate.adjusted([])) == 0
+
+
+class TestLooks:
+    def test_they_share_the_error_rate(self) -> None:
+        assert sum(look.share for look in TWO_BATCHES.looks) == pytest.approx(1)
+        assert TWO_BATCHES.limits == [5, 10]
+        assert TWO_BATCHES.held(3) == TWO_BATCHES.held(5) == TWO_BATCHES.held(7) == [0.2]
+        assert TWO_BATCHES.held(10) == [0.2, 0.8]
+        assert Plan().limits == [None] and Plan().share(7) == 1.0
+
+
+class TestEquivalence:
+    def test_equals_statsmodels(self, random: np.random.Generator) -> None:
+        t, c = random.normal(0, 0.02, 8), random.normal(0, 0.03, 9)
+        expected = ttost_ind(t, c, -0.05, 0.05, usevar="unequal")[0]
+        assert estimate.equivalence(interval(difference(scores(t), scores(c))), 0.05) == pytest.approx(
+            expected
+        )
+
+    def test_is_unknown_with_one_seed(self) -> None:
+        assert np.isnan(estimate.equivalence(interval(difference(np.ones((1, 3)), np.ones((1, 3)))), 0.05))
+
+
+class TestPlanning:
+    def test_detectable_effect_has_the_given_power(self) -> None:
+        effect = estimate.detectable(se=0.5, df=18.0, alpha=0.01)
+        limit = stats.t.ppf(0.995, 18)
+        assert stats.nct.sf(limit, 18, effect / 0.5) == pytest.approx(0.8, abs=1e-6)

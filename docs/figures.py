@@ -8,7 +8,6 @@ docs/img/arms.svg             the crash rate of its further arms, likewise
 
 from __future__ import annotations
 
-import json
 import math
 import sys
 from pathlib import Path
@@ -22,13 +21,14 @@ import matplotlib
 matplotlib.use("agg")
 
 import numpy as np
-from experiments.reporting.arm_figures import further_arms
 from matplotlib import pyplot as plt
 from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 from matplotlib.patches import Polygon
 
-from experiments.reporting.figures import effects_by_place
+from experiments.analysis.analysis import stored
+from experiments.reporting.figures import dose_response, effects_by_setting
+from experiments.reporting.tables import main
 from sumo_env.contacts.rectangles import LENGTH, WIDTH, State, separation, state_between, touch_moment
 from sumo_env.networks.lanes import WIDTH as LANE_WIDTH
 from sumo_env.networks.lanes import Point
@@ -200,11 +200,12 @@ def collisions() -> None:
 
 
 def study() -> None:
-    """The effect on the crash rate in every setting, and that of the further arms, on a white ground."""
-    analysis = json.loads((ROOT / "results" / "standard" / "analysis.json").read_text())
+    """The effect on the crash rate in every setting, and that of the dose in training, on a white ground."""
+    analysis = stored(ROOT / "results" / "standard" / "analysis.json")
+    assert analysis is not None, "python experiments/report.py results/standard writes it"
     drawn = {
-        "effects": effects_by_place(analysis["ate"], "crashed"),
-        "arms": further_arms(analysis["ate"], analysis["exploratory"]["arms"]),
+        "effects": effects_by_setting(main(analysis.effects, "sumo"), "sumo"),
+        "arms": dose_response(analysis.policies, "sumo"),
     }
     for name, svg in drawn.items():
         on_white = svg.replace("<svg ", '<svg style="background: white" ', 1)

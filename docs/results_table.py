@@ -34,17 +34,30 @@ def difference(row: dict[str, Any], scale: float, digits: int) -> str:
     return f"{bold}{point}{bold} [{low}, {high}]"
 
 
+def records(analysis: dict[str, Any], name: str) -> list[dict[str, Any]]:
+    """A table of the analysis, one row a dictionary."""
+    return [dict(zip(analysis[name]["columns"], row, strict=True)) for row in analysis[name]["rows"]]
+
+
 def means(analysis: dict[str, Any], traffic: str, outcome: str, arm: str) -> dict[str, float]:
     """The mean of an arm's agents for each task, over its levels, and over the tasks."""
-    rows = [r for r in analysis["policies"] if (r["policy"], r["arm"], r["traffic"]) == ("dqn", arm, traffic)]
-    found = {task: fmean(r["mean"][outcome] for r in rows if r["task"] == task) for task in TASKS}
+    rows = [
+        r
+        for r in records(analysis, "policies")
+        if (r["policy"], r["arm"], r["traffic"]) == ("dqn", arm, traffic)
+    ]
+    found = {task: fmean(r[outcome] for r in rows if r["task"] == task) for task in TASKS}
     return {**found, "all tasks": fmean(found.values())}
 
 
 def lines(analysis: dict[str, Any]) -> Iterator[str]:
     """The rows of the table."""
     columns = [("crashed", "risky", 100, 0), ("crashed", "regular", 100, 0), ("mean_speed", "risky", 1, 1)]
-    effects = {(r["scope"], r["outcome"], r["term"]): r for r in analysis["pooled"]}
+    effects = {
+        (r["scope"], r["outcome"], r["term"]): r
+        for r in records(analysis, "means")
+        if (r["arm"], r["against"], r["scenarios"]) == ("treatment", "control", "own")
+    }
     for scope, name in {**TASKS, "all tasks": "**mean of the tasks**"}.items():
         cells = [name]
         for outcome, traffic, scale, digits in columns:

@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-import json
 import subprocess
 import sys
-from typing import Any
 
 import pandas as pd
-from experiments.analysis.pooling import ALL_TASKS
-from experiments.analysis.wording import difference, place
-from experiments.reporting.beside import beside
 
-from experiments.analysis.gates import gates
+from experiments.analysis.analysis import Analysis, stored
+from experiments.analysis.effects import mean_over
+from experiments.analysis.plan import Plan
+from experiments.reporting.tables import main
+from experiments.reporting.words import difference
 from experiments.study.arms import EXTRA_ARMS, TRAFFICS
 from experiments.study.results import load
 from sumo_env.tasks import TASKS
@@ -28,15 +27,26 @@ def test_the_table_of_the_readme_is_that_of_the_results() -> None:
     subprocess.run([sys.executable, ROOT / "docs" / "results_table.py", "--check"], check=True)
 
 
+def published(name: str) -> Analysis:
+    """The stored analysis of a folder."""
+    found = stored(ROOT / "results" / name / "analysis.json")
+    assert found is not None, f"python experiments/report.py results/{name} writes it"
+    return found
+
+
+def crashes(analysis: Analysis, **wanted: str) -> dict[str, str]:
+    """The mean effect on the crash rate by term, as it is told."""
+    asked = {"arm": "treatment", "against": "control", "scenarios": "own", "scope": "all tasks", **wanted}
+    rows = analysis.means[analysis.means["outcome"] == "crashed"]
+    for column, value in asked.items():
+        rows = rows[rows[column] == value]
+    return {row["term"]: difference(row) for row in rows.to_dict("records")}
+
+
 def test_the_readme_tells_the_numbers_of_the_published_study() -> None:
-    analysis = json.loads((ROOT / "results" / "standard" / "analysis.json").read_text())
-    shown = [r for r in analysis["sensitivity"] if r["variant"] == "without u-turn"]
-    shown += [
-        r for r in further_arms(analysis)
-        if (r["arm"], r["scope"], r["term"]) == ("dense", ALL_TASKS, "risky")
-    ]  # fmt: skip
-    assert len(shown) == 2
-    numbers = [difference(r, "crashed").replace(" points", "") for r in shown]
+    study = published("standard")
+    shown = [crashes(study, scope="without u-turn")["risky"], crashes(study, arm="dense")["risky"]]
+    numbers = [words.replace(" points", "") for words in shown]
     assert [number for number in numbers if number not in told("README.md")] == []
 
 
@@ -68,33 +78,28 @@ def test_crashes_in_the_last_second_and_unfinished_learning() -> None:
 
 
 def test_the_studys_page_tells_what_further_arms_do() -> None:
-    analysis = json.loads((ROOT / "results" / "standard" / "analysis.json").read_text())
+    analysis = published("standard")
     text = section(TEXTS[ROOT / "docs" / "study.md"], "Risk or more interaction?")
-    arms = {(r["arm"], r["scope"], r["term"]): difference(r, "crashed") for r in further_arms(analysis)}
-    arms |= {
-        ("treatment", place(r), r["term"]): difference(r, "crashed")
-        for r in analysis["ate"]
-        if r["outcome"] == "crashed"
+    rows = analysis.effects.query("against == 'control' and scenarios == 'own' and outcome == 'crashed'")
+    arms = {
+        (r["arm"], f"{r['task']} {r['level_name']}", r["term"]): difference(r)
+        for r in rows.to_dict("records")
     }
     columns = [(arm, term) for term in ("risky", "regular") for arm in ("dense", "treatment")]
-    rows = table(text)
-    assert len(rows) == len(TASKS)
-    for name, cells in rows.items():
-        assert [arms[arm, name, term].replace(" points", "") for arm, term in columns] == cells
+    cells = table(text)
+    assert len(cells) == len(TASKS)
+    for name, row in cells.items():
+        assert [arms[arm, name, term].replace(" points", "") for arm, term in columns] == row
     line = " ".join(text.split())
-    over_all = [
-        (arm, ALL_TASKS, term) for arm in ("dose25", "dose50", "dose75", "penalty") for term in TRAFFICS
-    ]
-    shown = [*over_all, ("dense", ALL_TASKS, "risky"), ("dose25", "two-way 5+2", "risky")]
-    assert [key for key in shown if arms[key] not in line] == []
+    means = {arm: crashes(analysis, arm=arm) for arm in ("dose25", "dose50", "dose75", "penalty", "dense")}
+    shown = [means[arm][term] for arm in ("dose25", "dose50", "dose75", "penalty") for term in TRAFFICS]
+    shown += [means["dense"]["risky"], arms["dose25", "two-way 5+2", "risky"]]
+    assert [words for words in shown if words not in line] == []
 
 
 def test_the_agents_of_further_arms_pass_the_gates() -> None:
-    found = load(ROOT / "results" / "standard")
-    cells = {name: cell for name, cell in found.cells.items() if cell["key"]["kind"] in ("agent", "baseline")}
-    verdicts = gates(cells, found.gate_episodes[found.gate_episodes["cell"].isin(cells)])
-    further = [verdict["passed"] for verdict in verdicts if verdict["arm"] in EXTRA_ARMS]
-    assert further == [True] * 120
+    found = published("standard").gates
+    assert found.loc[found["arm"].isin(list(EXTRA_ARMS)), "passed"].tolist() == [True] * 120
     assert "All 120 agents of these arms pass the gates." in TEXTS[ROOT / "docs" / "study.md"]
 
 
@@ -116,26 +121,15 @@ def test_the_replicas_agents_do_the_same_on_highway_env() -> None:
     pd.testing.assert_frame_equal(here.loc[there.index], there, check_exact=True)
 
 
-def further_arms(analysis: dict[str, Any]) -> list[dict[str, Any]]:
-    """The effects of further arms on the crash rate, against the control."""
-    return [
-        r for r in analysis["exploratory"]["arms"]
-        if (r["against"], r["outcome"]) == ("control", "crashed")
-    ]  # fmt: skip
-
-
 def test_the_studys_page_tells_the_numbers_of_every_folder() -> None:
     rows = table(section(TEXTS[ROOT / "docs" / "study.md"], "On highway-env's physics"))
-    analyses = {
-        f"results/{path.parent.name}": json.loads((path.parent / "analysis.json").read_text())
-        for path in (ROOT / "results").glob("*/PUBLISHED.md")
-    }
-    assert set(rows) == set(analyses)
-    study = analyses["results/standard"]
+    assert set(rows) == {f"results/{path.parent.name}" for path in (ROOT / "results").glob("*/PUBLISHED.md")}
     for name, (_, *shown) in rows.items():
-        analysis = analyses[name]
-        other = analysis if analysis is not study else analyses["results/replica"]
-        [compared] = beside([("the study", study), ("the other", other)])
-        means = [compared["tables"][k]["rows"][-1]["effects"][analysis is not study] for k in (0, 1)]
-        passed = [gate["passed"] is True for gate in analysis["gates"] if gate["level"] == 1]
-        assert shown == [*means, f"{sum(passed)} of {len(passed)}"], name
+        analysis = published(name.removeprefix("results/"))
+        effects = main(analysis.effects, str(analysis.effects["backend"].iloc[0]))
+        single = effects.query("outcome == 'crashed' and level == 1")
+        means = [
+            difference(mean_over(single[single["term"] == term], Plan())) for term in ("risky", "regular")
+        ]
+        gates = analysis.gates.query("level == 1 and arm in ('control', 'treatment')")["passed"].tolist()
+        assert shown == [*means, f"{gates.count(True)} of {len(gates)}"], name

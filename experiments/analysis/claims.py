@@ -86,7 +86,9 @@ def _counts(claim: Claim, effects: pd.DataFrame, slopes: pd.DataFrame, plan: Pla
     else:
         better = known["estimate"] * claim.sign > 0
         if claim.name == "fewer crashes":
-            better = known["estimate"] * known["outcome"].map(lambda name: OUTCOMES[name].better) > 0
+            better = (
+                known["estimate"] * known["outcome"].map(lambda name: OUTCOMES[name].better).astype(float) > 0
+            )
         decided = known["p_adjusted"] < plan.alpha
         right, wrong, alone = better & decided, ~better & decided, better & (known["p"] < plan.alpha)
     expected = len(GRID) if is_slope else sum(GRID.values())

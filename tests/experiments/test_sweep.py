@@ -13,9 +13,9 @@ from pathlib import Path
 from types import ModuleType
 
 import pytest
-from experiments.analysis.tables import comparable
 
 from experiments.analysis.analysis import analyse
+from experiments.analysis.cells import comparable
 from experiments.study import grid, store
 from experiments.study.arms import DOSES
 from experiments.study.attempt import Ended, attempt, locked
@@ -485,9 +485,9 @@ def test_policies_of_the_users_own_get_cells_of_their_own(tmp_path):
     assert {"mine.py:Mine", "model.zip"} <= set(episodes.index)
     mine, slower = (episodes.loc[policy, "return"].tolist() for policy in ("mine.py:Mine", "slower"))
     assert mine == slower
-    chosen, left_out = comparable(results)
-    assert not left_out and set(chosen.cells) == set(results.cells)
-    assert {record["policy"] for record in analyse(results)["policies"]} >= {"mine.py:Mine", "model.zip"}
+    chosen = comparable(results)
+    assert not chosen.left_out and set(chosen.results.cells) == set(results.cells)
+    assert set(analyse(results).policies["policy"]) >= {"mine.py:Mine", "model.zip"}
 
 
 @pytest.mark.parametrize(

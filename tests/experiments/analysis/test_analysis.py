@@ -137,12 +137,14 @@ class TestEffects:
     def test_families_by_holm_and_the_rest_by_benjamini_hochberg(self, analysis: Analysis) -> None:
         rows = analysis.effects[analysis.effects["family"].notna()]
         for (name,), own in rows.groupby(["family"]):
-            p = own["p"].dropna().sort_values().to_numpy()
+            p = own["p"].dropna().sort_values().to_numpy(float)
             if name:
                 expected = np.maximum.accumulate(p * np.arange(len(p), 0, -1)).clip(max=1)
             else:
                 expected = stats.false_discovery_control(p.clip(0, 1))
-            assert own["p_adjusted"].dropna().sort_values().to_numpy() == pytest.approx(np.sort(expected))
+            assert own["p_adjusted"].dropna().sort_values().to_numpy(float) == pytest.approx(
+                np.sort(expected)
+            )
         assert set(rows["family"]) == {"safety", "harm", "paper", ""}
 
     def test_the_interval_at_the_familys_level_excludes_zero_only_where_holm_rejects(

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from experiments.analysis.analysis import analyse
+from experiments.analysis.analysis import analyse, as_json
 from experiments.study.results import load
 from tests.processes import children
 
@@ -73,7 +73,7 @@ def fingerprint(directory: Path) -> dict[str, dict[str, str]]:
 
 def analysis(directory: Path) -> str:
     """What the report says, without where and when it was computed."""
-    value = analyse(load(directory))
+    value = as_json(analyse(load(directory)))
     return json.dumps({name: entry for name, entry in value.items() if name != "provenance"})
 
 

@@ -13,7 +13,8 @@ cell         what is computed for a cell: train, test, store
 run          hands tasks to an executor and tries again what dies
 attempt      one try at a task, in whatever process
 executors/   processes of this machine, Ray, Slurm
-store        finished cells on disk
+store        finished cells on disk, one folder each
+pack, packed finished cells in a few tables: written, and read
 results      all of them as tables
 rerun        a stored episode again
 clairvoyant  what is possible at all

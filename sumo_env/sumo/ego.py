@@ -35,6 +35,7 @@ class Ego:
         self._route = ego_route(self._road, spec)
         self.speed, self.target_speed, self.target_lane = spec.speed, spec.target_speed, spec.lane
         self.crashed = False
+        self._lane, self._stretch = "", 1.0  # of SUMO
 
     def obey(self, command: EgoCommand) -> None:
         """Take over the command of a policy step."""
@@ -48,8 +49,10 @@ class Ego:
         else:
             self.speed, distance = approach(self.speed, self.target_speed, TAU, dt)
         lane = session.lane_of(EGO)
+        if lane != self._lane:
+            self._lane, self._stretch = lane, self._network.stretch(lane)
         # lanes of one edge share one length in SUMO, so a metre in a bend is not a metre on the road
-        session.set_speed(EGO, distance / session.step_length * self._network.stretch(lane))
+        session.set_speed(EGO, distance / session.step_length * self._stretch)
         if not self.crashed:
             self._change_lane(session, lane)
         return distance

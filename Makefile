@@ -6,6 +6,8 @@ PYTHON ?= python3
 VENV   := .venv
 BIN    := $(VENV)/bin
 STAMP  := $(VENV)/.installed
+# Where torch for the CPU comes from (with CUDA it is 2.6 GB): make setup TORCH= takes the usual build.
+TORCH  ?= https://download.pytorch.org/whl/cpu
 # Simulators and learner use one thread each; parallel work is done by processes.
 export OMP_NUM_THREADS ?= 1
 
@@ -19,6 +21,8 @@ $(STAMP): pyproject.toml requirements.lock
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 	  { echo "Python 3.11 or newer is needed; name one with: make $(MAKECMDGOALS) PYTHON=/path/to/python3" >&2; exit 1; }
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --disable-pip-version-check --quiet --retries 1 --timeout 10 -c requirements.lock \
+	  $(if $(TORCH),--extra-index-url $(TORCH)) torch
 	$(BIN)/python -m pip install --disable-pip-version-check --quiet -c requirements.lock \
 	  --config-settings editable_mode=compat -e '.[study,reference,replica,networks,calibration,dev]'
 	@touch $@

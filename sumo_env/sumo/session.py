@@ -6,6 +6,8 @@ bumper, degrees clockwise from north) end here: everything above uses highway-en
 
 from __future__ import annotations
 
+import contextlib
+import io
 import math
 import tempfile
 from collections.abc import Iterable, Mapping, Sequence
@@ -17,7 +19,9 @@ from sumo_env.contacts.rectangles import Half, State
 from sumo_env.scene import CAR_SIZE, VEHICLE_LENGTH
 
 try:
-    import libsumo
+    # without its warning about versions of pyarrow, which SUMO needs for Parquet output alone
+    with contextlib.redirect_stdout(io.StringIO()):
+        import libsumo
 except ImportError as error:
     raise ImportError(
         "SUMO is missing: libsumo cannot be imported. Install it with 'pip install libsumo==1.28.0' "

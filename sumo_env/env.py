@@ -340,6 +340,7 @@ class DrivingEnv(gym.Env[Observation, Any]):
             action=action,
             crashed=scene.crashed.item(0),
             on_road=lane.covers(s, lateral),
+            scene=scene,
         )
 
     def _observe(self) -> Observation:

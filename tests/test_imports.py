@@ -102,7 +102,7 @@ FLOORS: tuple[tuple[str, ...], ...] = (
     ("observation", "interface", "information", "rendering", "views", "export"),
     ("sumo",),
     ("env",),
-    ("vector", "doctor", "replica"),
+    ("vector", "doctor", "testing", "replica"),
 )
 
 

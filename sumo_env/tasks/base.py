@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple
@@ -14,6 +15,7 @@ import numpy as np
 from sumo_env.config import Config, ConfigError, simulated_frequency
 from sumo_env.networks import files
 from sumo_env.networks.roads import LaneIndex, Road
+from sumo_env.scene import Scene
 from sumo_env.streams import stream
 from sumo_env.traffic.drivers import (
     POOL,
@@ -41,6 +43,7 @@ class EgoState(NamedTuple):
         speed_count: number of target speeds.
         action: the action of this step, None at a reset.
         crashed, on_road: after the step.
+        scene: all vehicles, for rewards that depend on the traffic; the ego is row 0.
     """
 
     lane: LaneIndex
@@ -54,6 +57,7 @@ class EgoState(NamedTuple):
     action: int | None
     crashed: bool
     on_road: bool
+    scene: Scene | None = None
 
 
 class Task:
@@ -160,21 +164,33 @@ class Task:
                 ) from None
         return task
 
+    @contextmanager
+    def _named(self, method: str) -> Iterator[None]:
+        """Let an error say in which method of which task it was."""
+        try:
+            yield
+        except Exception as error:
+            error.add_note(f"in {type(self).__name__}.{method} of the task {self.name!r}")
+            raise
+
     def scenario(self, config: Config, seed: int) -> Scenario:
         """Draw the scenario number `seed`: a pure function of its arguments."""
         road = self.road(config)
         rng = stream(seed, "scenario")
         drivers = Drivers(self, config, seed)
-        ego = self.ego(config, road, rng)
-        vehicles = self.vehicles(config, road, ego, rng, drivers)
-        spawns = self.spawns(config, road, seed, drivers)
+        with self._named("ego"):
+            ego = self.ego(config, road, rng)
+        with self._named("vehicles"):
+            vehicles = tuple(self.vehicles(config, road, ego, rng, drivers))
+        with self._named("spawns"):
+            spawns = tuple(self.spawns(config, road, seed, drivers))
         return Scenario(
             task=self.name,
             seed=seed,
             risk=config["risk"],
             ego=ego,
-            vehicles=tuple(vehicles),
-            spawns=tuple(spawns),
+            vehicles=vehicles,
+            spawns=spawns,
             events=self.events(config, vehicles, spawns, seed),
             simulation_frequency=simulated_frequency(config),
             policy_frequency=int(config["policy_frequency"]),

@@ -20,8 +20,10 @@ from sumo_env.env import DrivingEnv, SumoDrivingEnv
 from sumo_env.networks import files
 from sumo_env.replica.simulator import Replica
 from sumo_env.simulator import SimulatorError
+from sumo_env.tasks.base import weighted
 from sumo_env.tasks.highway import Highway
 from sumo_env.tasks.network import NetworkTask
+from sumo_env.testing import check_task
 from tests.sumo_env.scenarios import drivers
 
 NETGENERATE = Path(sys.executable).with_name("netgenerate")  # of the eclipse-sumo wheel
@@ -131,6 +133,47 @@ def test_a_task_is_registered_and_driven() -> None:
     assert observations.shape == (2, 5, 5)
     envs.close()
     del gym.registry["test/slalom-v0"]
+
+
+class Polite(Highway):
+    """Pays for a gap to the vehicle ahead, which it finds in the scene."""
+
+    name = "polite"
+    defaults = {**Highway.defaults, "vehicles_count": 6, "duration": 6, "gap_reward": 1.0}  # noqa: RUF012
+
+    def rewards(self, ego: Any, config: Any) -> dict[str, float]:
+        ahead = ego.scene.x[1:] - ego.scene.x[0]
+        gap = min(ahead[(ahead > 0) & (abs(ego.scene.y[1:] - ego.scene.y[0]) < 2)], default=100.0)
+        return {"gap_reward": min(gap / 100.0, 1.0), "on_road_reward": float(ego.on_road)}
+
+    def reward(self, rewards: dict[str, float], config: Any) -> float:
+        return weighted(rewards, config)
+
+
+def test_a_reward_may_ask_for_the_traffic_and_is_checked() -> None:
+    check_task(Polite(), seeds=1)
+
+    class Unweighted(Polite):
+        def rewards(self, ego: Any, config: Any) -> dict[str, float]:
+            return {**super().rewards(ego, config), "comfort_reward": 1.0}
+
+        def reward(self, rewards: dict[str, float], config: Any) -> float:
+            return weighted(rewards, config)
+
+    with pytest.raises(AssertionError, match="'comfort_reward', which has no weight in Unweighted"):
+        check_task(Unweighted(), seeds=1)
+
+
+def test_an_error_inside_a_task_names_its_method() -> None:
+    class Empty(Polite):
+        def vehicles(self, *arguments: Any) -> Any:
+            return None
+
+    env = DrivingEnv(Empty())
+    with pytest.raises(TypeError) as raised:
+        env.reset(seed=0)
+    assert raised.value.__notes__ == ["in Empty.vehicles of the task 'polite'"]
+    env.close()
 
 
 def test_keys_of_a_task_are_checked() -> None:

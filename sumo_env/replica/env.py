@@ -151,6 +151,7 @@ class ReplicaEnv(DrivingEnv):
             action=action,
             crashed=scene.crashed.item(0),
             on_road=is_on_road,
+            scene=scene,
         )
 
     def _observe(self) -> Observation:

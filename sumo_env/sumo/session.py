@@ -296,22 +296,15 @@ class Session:
 
 def _state(front: tuple[float, float], angle: float, speed: float, half: float = HALF_LENGTH) -> State:
     """A vehicle's centre, speed and heading in highway-env's coordinates from SUMO's front bumper and angle [deg]."""
-    heading, c, s = _TURNS.get(angle) or _turn(angle)
-    return front[0] - half * c, -front[1] - half * s, speed, heading
-
-
-_TURNS: dict[float, tuple[float, float, float]] = {}  # on a straight road all vehicles have the same few angles
-
-
-def _turn(angle: float) -> tuple[float, float, float]:
-    """Heading [rad] of SUMO's angle [deg], its cosine and its sine; remembered."""
     heading = math.radians(angle - 90.0)
     if heading > math.pi:
         heading -= 2.0 * math.pi
-    if len(_TURNS) > 10_000:
-        _TURNS.clear()
-    turn = _TURNS[angle] = heading, math.cos(heading), math.sin(heading)
-    return turn
+    return (
+        front[0] - half * math.cos(heading),
+        -front[1] - half * math.sin(heading),
+        speed,
+        heading,
+    )
 
 
 def _write_types(path: Path, settings: Settings) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import pandas as pd
 import pytest
 from matplotlib.axes import Axes
 
@@ -11,28 +12,23 @@ from experiments.reporting import figures
 
 
 def test_bars_over_the_traffic_levels_are_95_percent_intervals(monkeypatch: pytest.MonkeyPatch) -> None:
-    drawn: list[tuple[list[float], list[float]]] = []
+    drawn: list[tuple[float, float]] = []
 
     def errorbar(self: Axes, x: Any, y: Any, half: Any, **style: Any) -> None:
-        drawn.append((list(y), list(half)))
+        drawn.extend(zip(y, half, strict=True))
 
     monkeypatch.setattr(Axes, "errorbar", errorbar)
-    means = {("control", "regular"): 5.0, ("control", "risky"): 3.0, ("treatment", "regular"): 4.0}
+    means = {("control", "regular"): 0.5, ("control", "risky"): 0.3, ("treatment", "regular"): 0.4}
+    place = {"task": "u-turn", "level": 1, "level_name": "3", "policy": "dqn"}
     figures.against_traffic(
-        [
-            {
-                "backend": "sumo", "task": "u-turn", "level": 1, "level_name": "3", "arm": arm, "policy": "dqn",
-                "traffic": traffic, "n": 5, "mean": {"return": mean, "crashed": 0.5},
-                "se": {"return": 1.0, "crashed": 0.1},
-            }
-            for (arm, traffic), mean in means.items()
-        ],
-        "u-turn",
-    )  # fmt: skip
-    returns = [
-        (mean, half) for means, halves in drawn for mean, half in zip(means, halves, strict=True) if mean > 1
-    ]
-    assert sorted(mean for mean, _ in returns) == [3.0, 4.0, 5.0]
-    assert [half for _, half in returns] == pytest.approx(
-        [2.776] * 3, abs=1e-3
-    )  # t with 4 degrees of freedom
+        pd.DataFrame(
+            [
+                {**place, "arm": arm, "traffic": traffic, "n": 5, "crashed": mean, "crashed se": 0.1}
+                for (arm, traffic), mean in means.items()
+            ]
+        ),
+        "sumo",
+    )
+    assert sorted(mean for mean, _ in drawn) == [0.3, 0.4, 0.5]
+    # t with 4 degrees of freedom
+    assert [half for _, half in drawn] == pytest.approx([0.2776] * 3, abs=1e-4)

@@ -77,7 +77,7 @@ def test_arguments_give_cells_or_one_clear_line(arguments):
 
 
 def test_every_argument_that_chooses_cells_is_tried():
-    others = {"out", "workers", "executor", "cell", "hang_after", "dry_run", "early_tests"}
+    others = {"out", "workers", "executor", "cell", "hang_after", "dry_run"}
     assert {field.name for field in fields(Options)} - others == set(ARGUMENTS)
 
 

@@ -57,8 +57,7 @@ class Episodes:
         assert self._env is not None
         if self.peer == "envpool":
             self._action[0] = action
-            action = self._action
-        _, _, terminated, truncated, info = self._env.step(action)
+        _, _, terminated, truncated, info = self._env.step(self._action if self.peer == "envpool" else action)
         over, crashed = terminated or truncated, info["crashed"]
         return (bool(over[0]), bool(crashed[0])) if self.peer == "envpool" else (bool(over), bool(crashed))
 

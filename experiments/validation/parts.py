@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import multiprocessing
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from concurrent.futures import as_completed
+from concurrent.futures import Future, as_completed
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -180,7 +180,9 @@ def run(parts: Sequence[Part], folder: Path, workers: int, note: Callable[[Part]
     for group in groups.values():
         pool = ProcessPool(workers, PARTS_PER_PROCESS, end_with_parent, context=context)
         try:
-            running = {pool.schedule(part.write, args=(folder,)): part for part in group}
+            running: dict[Future[None], Part] = {
+                pool.schedule(part.write, args=(folder,)): part for part in group
+            }
             for future in as_completed(running):
                 part = running[future]
                 if error := future.exception():

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import pandas as pd
 
@@ -32,6 +32,7 @@ class Claim:
     sign: int
 
 
+COUNTS = ("verdict", "right", "wrong", "open", "silent", "not_run", "expected", "detectable")
 CLAIMS = (
     Claim("return rises", "paper", "sum", "return", +1),
     Claim("return effect grows", "paper", "effect", "return", +1),
@@ -64,7 +65,7 @@ def claims(effects: pd.DataFrame, slopes: pd.DataFrame, plan: Plan = DEFAULT) ->
                 claim, effects[effects["backend"] == backend], slopes[slopes["backend"] == backend], plan
             )
             rows.append({"backend": backend, **vars(claim), **counts})
-    return pd.DataFrame(rows)
+    return pd.DataFrame(rows, columns=["backend", *(field.name for field in fields(Claim)), *COUNTS])
 
 
 def _counts(claim: Claim, effects: pd.DataFrame, slopes: pd.DataFrame, plan: Plan) -> Mapping[str, object]:

@@ -6,10 +6,12 @@ one were made by the same plan. Whatever is not named confirmatory is explorator
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
+from experiments.support.files import canonical_json
 from sumo_env.tasks import TASKS
 
 ALPHA = 0.05
@@ -155,7 +157,7 @@ def plan_of(presets: Iterable[str], version: int = DEFAULT.version) -> Plan:
 def as_data(plan: Plan, gates: dict[str, str]) -> dict[str, Any]:
     """The plan as plain values, with the outcomes, terms and gates that it refers to."""
     confirmatory = {(plan.resolve(f, task), f.term) for f in plan.families for task in TASKS}
-    return {
+    data = {
         **asdict(plan),
         "outcomes": {name: _described(outcome) for name, outcome in OUTCOMES.items()},
         "terms": TERMS,
@@ -167,6 +169,8 @@ def as_data(plan: Plan, gates: dict[str, str]) -> dict[str, Any]:
             *EXPLORATORY,
         ],
     }
+    plain: dict[str, Any] = json.loads(canonical_json(data))  # as it is read back from analysis.json
+    return plain
 
 
 def _described(outcome: Outcome) -> dict[str, Any]:

@@ -258,12 +258,14 @@ class TestIncomplete:
         assert "dense" in text and "dose50" in text and "dose of risk in training" in text
 
     def test_no_agents(self, tmp_path):
-        page = write(tmp_path, {"highway": (1,)}, seeds=0, tests=4)
+        page = write(tmp_path, {"highway": (1,)}, seeds=1, tests=4, arms=())
         assert "no agents of both arms to compare" in page.text
 
     def test_failed_and_damaged_cells_are_named(self, tmp_path):
-        names = synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=2, tests=4)
-        [name] = [n for n in names if "treatment-s1" in n]
+        cells = synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=2, tests=4)
+        [name] = [
+            cell.name for cell in cells if cell.kind == "agent" and (cell.arm, cell.seed) == ("treatment", 1)
+        ]
         (tmp_path / "cells" / name / "episodes.parquet").write_bytes(b"no table")
         page = Page(report.write_report(tmp_path).read_text())
         assert "cannot be read and are not counted" in page.text and name in page.text

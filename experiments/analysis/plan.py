@@ -11,7 +11,6 @@ from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
-from experiments.support.files import canonical_json
 from sumo_env.tasks import TASKS
 
 ALPHA = 0.05
@@ -169,7 +168,7 @@ def as_data(plan: Plan, gates: dict[str, str]) -> dict[str, Any]:
             *EXPLORATORY,
         ],
     }
-    plain: dict[str, Any] = json.loads(canonical_json(data))  # as it is read back from analysis.json
+    plain: dict[str, Any] = json.loads(json.dumps(data))  # as it is read back from analysis.json
     return plain
 
 

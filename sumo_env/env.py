@@ -182,7 +182,8 @@ class DrivingEnv(gym.Env[Observation, Any]):
             ``info`` has the same keys after every step and reset: speed [m/s], crashed, arrived, on_road, action (-1 at
             a reset), rewards (the raw terms), cost (1 at a crash), crash (a `CrashRecord` as a dict, with empty strings
             and zeros without a crash), density (vehicles within 200 m), min_ttc [s] (0 at a contact, inf where nothing
-            is near), min_ttc_before_contact, near_miss, distance [m] of this step.
+            is near), min_ttc_before_contact, near_miss, distance [m] of this step, traffic_light (the next one on
+            the ego's way: 0 red, 1 yellow, 2 green, -1 without one), traffic_light_distance [m] (inf without one).
 
         Raises:
             SimulatorError: the simulator cannot continue this episode; `reset` starts another one.
@@ -384,6 +385,7 @@ class DrivingEnv(gym.Env[Observation, Any]):
             min_ttc=step.min_ttc,
             distance=step.distance,
             action=action,
+            light=scene.light,
         )
 
     # -- what highway-env's users read -----------------------------------------------------------------------

@@ -11,6 +11,7 @@ from typing import Any
 
 from sumo_env.contacts.crash import CrashRecord
 from sumo_env.contacts.measures import NEAR_MISS_TTC
+from sumo_env.scene import NO_LIGHT, Light
 
 NO_ACTION = -1  # at a reset
 NO_CRASH: dict[str, Any] = {
@@ -30,6 +31,7 @@ def information(
     min_ttc: float,
     distance: float,
     action: int | None,
+    light: Light = NO_LIGHT,
 ) -> dict[str, Any]:
     """The ``info`` of a step, or of a reset with `action` None; see `DrivingEnv.step`.
 
@@ -49,4 +51,6 @@ def information(
         "min_ttc_before_contact": float(min_ttc),
         "near_miss": bool(min_ttc < NEAR_MISS_TTC and not crashed),
         "distance": float(distance),
+        "traffic_light": int(light.state),
+        "traffic_light_distance": float(light.distance),
     }

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from math import inf
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,6 +16,17 @@ CAR_SIZE = (VEHICLE_LENGTH, VEHICLE_WIDTH)
 PERCEPTION_DISTANCE = 200.0  # [m] 5 * Vehicle.MAX_SPEED, AbstractEnv.PERCEPTION_DISTANCE
 
 Floats = NDArray[np.float64]
+UNLIT, RED, YELLOW, GREEN = -1, 0, 1, 2  # states of a traffic light; UNLIT where there is none
+
+
+class Light(NamedTuple):
+    """The next traffic light on the ego's way: its state, and how far its stop line is from the ego's front [m]."""
+
+    state: int = UNLIT
+    distance: float = inf
+
+
+NO_LIGHT = Light()
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,6 +42,7 @@ class Scene:
         time: since the start of the episode [s].
         in_event: names of the vehicles on which a risk event acts now.
         sizes: length and width [m] of the vehicles that do not have highway-env's size.
+        light: the next traffic light on the ego's way.
     """
 
     ids: tuple[str, ...]
@@ -40,6 +54,7 @@ class Scene:
     time: float
     in_event: frozenset[str] = frozenset()
     sizes: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    light: Light = NO_LIGHT
 
     def size(self, name: str) -> tuple[float, float]:
         """Length and width of a vehicle [m]."""

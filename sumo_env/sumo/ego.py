@@ -1,15 +1,17 @@
 """The ego in SUMO: highway-env's low-level driver as speeds and lane changes that SUMO is commanded.
 
 Speed follows the target with a first-order lag of 0.6 s, without a limit on acceleration, as in highway-env; the
-sideways motion of a lane change is SUMO's.
+sideways motion of a lane change is SUMO's. Where it obeys traffic lights, it brakes for them.
 """
 
 from __future__ import annotations
 
+import math
 from functools import lru_cache
 
 from sumo_env.actions import ego_route, follow_road
 from sumo_env.networks.mapping import Network
+from sumo_env.scene import RED, YELLOW, Light
 from sumo_env.simulator import EgoCommand
 from sumo_env.sumo.session import Session
 from sumo_env.traffic.scenario import EGO, Scenario
@@ -17,6 +19,10 @@ from sumo_env.traffic.scenario import EGO, Scenario
 TAU = 0.6  # [s] ControlledVehicle.TAU_ACC
 REFERENCE_STEP = 1.0 / 15.0  # [s] highway-env's step, whose Euler lag is reproduced at any step length
 CENTRED = 0.05  # [m] from the middle of a lane: no lane change is running
+# [m/s2] usual and hardest braking before traffic lights; where one would need more than its own, the ego drives on
+BRAKING, HARDEST = 4.0, 9.0
+STOPS_FOR = {RED: 8.0, YELLOW: 5.0}
+STOP_DISTANCE = 1.0  # [m] from its front to the stop line
 
 
 class Ego:
@@ -35,6 +41,7 @@ class Ego:
         self._route = ego_route(self._road, spec)
         self.speed, self.target_speed, self.target_lane = spec.speed, spec.target_speed, spec.lane
         self.crashed = False
+        self._obeys_lights = scenario.obeys_lights
         self._lane, self._stretch = "", 1.0  # of SUMO
 
     def obey(self, command: EgoCommand) -> None:
@@ -47,7 +54,12 @@ class Ego:
         if self.crashed:
             self.speed, distance = coast(self.speed, dt)
         else:
-            self.speed, distance = approach(self.speed, self.target_speed, TAU, dt)
+            before = self.speed
+            self.speed, distance = approach(before, self.target_speed, TAU, dt)
+            if self._obeys_lights:
+                allowed = speed_before(session.next_light(EGO), before, dt)
+                if allowed < self.speed:
+                    self.speed, distance = allowed, (before + allowed) / 2.0 * dt
         lane = session.lane_of(EGO)
         if lane != self._lane:
             self._lane, self._stretch = lane, self._network.stretch(lane)
@@ -86,6 +98,14 @@ def approach(speed: float, target: float, tau: float, dt: float) -> tuple[float,
     kept = _kept(tau, dt)
     difference = speed - target
     return target + difference * kept, target * dt + difference * tau * (1.0 - kept)
+
+
+def speed_before(light: Light, speed: float, dt: float) -> float:
+    """Highest speed [m/s] after `dt` [s] of a vehicle that stops at a light; inf where it need not or no longer can."""
+    if light.state not in STOPS_FOR or speed * speed > 2.0 * STOPS_FOR[light.state] * light.distance:
+        return math.inf
+    room = max(light.distance - STOP_DISTANCE, 0.0)
+    return max(math.sqrt(2.0 * BRAKING * room), speed - HARDEST * dt)
 
 
 def coast(speed: float, dt: float) -> tuple[float, float]:

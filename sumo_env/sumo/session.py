@@ -16,7 +16,7 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 from sumo_env.contacts.rectangles import Half, State
-from sumo_env.scene import CAR_SIZE, VEHICLE_LENGTH
+from sumo_env.scene import CAR_SIZE, GREEN, NO_LIGHT, RED, VEHICLE_LENGTH, YELLOW, Light
 
 try:
     # without its warning about versions of pyarrow, which SUMO needs for Parquet output alone
@@ -39,6 +39,10 @@ NO_RIGHT_OF_WAY = 23  # car following; foes that approach a junction are ignored
 # Lane-change modes (https://sumo.dlr.de/docs/TraCI/Change_Vehicle_State.html#lane_change_mode_0xb6)
 COMMANDED_LANE_CHANGES = 0  # commanded changes only, without regard to others
 OWN_LANE_CHANGES = 1621  # the lane-change model decides; how SUMO's vehicles begin
+
+# SUMO's letters for the state of a traffic light (https://sumo.dlr.de/docs/Simulation/Traffic_Lights.html); those that
+# are left out mean that it is off. "s" lets vehicles turn right after a stop.
+LIGHTS = {"r": RED, "u": RED, "s": RED, "y": YELLOW, "Y": YELLOW, "g": GREEN, "G": GREEN}
 
 HALF_LENGTH = VEHICLE_LENGTH / 2.0
 
@@ -70,10 +74,12 @@ class Session:
     Attributes:
         sizes: length and width [m] of the vehicles on the road that do not have highway-env's size.
         step_length: time between two steps as SUMO counts it, in whole milliseconds [s]: 0.067 at 15 Hz.
+        has_lights: whether the network has traffic lights.
     """
 
     def __init__(self) -> None:
         self.step_length = 0.0
+        self.has_lights = False
         self._settings: Settings | None = None
         self._limits: dict[str, float] = {}
         self._known: set[str] = set()  # vehicles whose size is known
@@ -122,6 +128,7 @@ class Session:
         self._steps = 0
         self._settings = settings
         self.step_length = round(settings.step_length, 3)
+        self.has_lights = libsumo.trafficlight.getIDCount() > 0
 
     def _clock_is_ours(self) -> bool:
         """Whether nobody else has moved SUMO's clock; a state that is loaded has vehicle types with fewer digits."""
@@ -214,6 +221,13 @@ class Session:
     def speed_of(self, name: str) -> float:
         """Speed of a vehicle [m/s]."""
         return float(_vehicle.getSpeed(name))
+
+    def next_light(self, name: str) -> Light:
+        """The next traffic light on a vehicle's way."""
+        for _, _, distance, letter in _vehicle.getNextTLS(name) if self.has_lights else ():
+            if letter in LIGHTS:
+                return Light(LIGHTS[letter], float(distance))
+        return NO_LIGHT
 
     def vehicles(self) -> tuple[str, ...]:
         """Names of the vehicles on the road, in alphabetical order."""

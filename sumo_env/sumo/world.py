@@ -330,4 +330,5 @@ class SumoSimulator:
                 if name in self._crashed:  # a commanded speed, as the ego's
                     crashed[row], speed[row] = True, self._crashed[name]
         sizes = {name: size for name, size in self._session.sizes.items() if name in ids}
-        return Scene(ids, x, y, speed, heading, crashed, round(self._time, 6), self._events.acting, sizes)
+        time, acting, light = round(self._time, 6), self._events.acting, self._session.next_light(EGO)
+        return Scene(ids, x, y, speed, heading, crashed, time, acting, sizes, light)

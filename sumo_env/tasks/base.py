@@ -200,6 +200,7 @@ class Task:
             routes=self._routes,
             pools=self.pools(config["risk"]),
             calibration=self.calibration,
+            obeys_lights=bool(config.get("obey_traffic_lights", False)),
         )
 
 

@@ -42,6 +42,7 @@ class NetworkTask(Task):
         "action": DISCRETE_META_ACTION,
         "vehicles_count": 20,  # placed at random on the routes, beside those of a route file
         "spawn_probability": 0.3,  # [1/s] that a vehicle comes at the beginning of a route
+        "obey_traffic_lights": False,  # whether the ego stops at red and yellow lights, whatever the agent does
         "initial_speed": None,  # of the ego [m/s]; None for two thirds of the speed limit
         "duration": 60,  # [s]
         "collision_reward": -1,

@@ -88,6 +88,7 @@ class Scenario:
         routes: SUMO's edges of the routes on a SUMO network, by name.
         pools: drivers that scenarios like this one are made of, which a simulator may load in advance.
         calibration: of SUMO's drivers.
+        obeys_lights: whether the ego stops at red and yellow traffic lights.
     """
 
     task: str
@@ -105,6 +106,7 @@ class Scenario:
     routes: files.Routes = ()
     pools: tuple[DriverPool, ...] = ()
     calibration: Calibration = UNCALIBRATED
+    obeys_lights: bool = False
 
     def __deepcopy__(self, memo: dict[int, object]) -> Scenario:
         return self  # immutable

@@ -1,0 +1,105 @@
+"""Traffic lights on a real crossing (RiLSA, of eclipse-sumo): what `info` says of them, and an ego that obeys."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sumo_env.config import ConfigError
+from sumo_env.env import SumoDrivingEnv
+from sumo_env.scene import GREEN, NO_LIGHT, RED, UNLIT, YELLOW, Light
+from sumo_env.sumo.ego import speed_before
+
+sumo = pytest.importorskip("sumo", reason="needs eclipse-sumo: pip install '.[networks]'")
+SCENARIOS = Path(sumo.SUMO_HOME) / "tools/sumolib/scenario/scenarios/RealWorld"
+CROSSING = SCENARIOS / "RiLSA_example1/rilsa1.net.xml"
+QUIET = {"vehicles_count": 0, "spawn_probability": 0.0, "duration": 90, "policy_frequency": 10}
+FASTER, IDLE = 3, 1
+
+
+def infos(seed: int = 1, **config: Any) -> Iterator[dict[str, Any]]:
+    """Of an episode at full speed, straight on, ten times a second."""
+    env = SumoDrivingEnv(CROSSING, [["em", "mw"]], ["sm", "mn"], {**QUIET, **config})
+    try:
+        yield env.reset(seed=seed)[1]
+        over, action = False, FASTER
+        while not over:
+            *_, terminated, truncated, info = env.step(action)
+            yield info
+            over, action = terminated or truncated, IDLE
+    finally:
+        env.close()
+
+
+def entered(episode: list[dict[str, Any]]) -> int:
+    """Number of the step in which the ego drives into the crossing."""
+    return next(k for k, info in enumerate(episode) if info["traffic_light"] == UNLIT)
+
+
+def test_info_names_the_next_light_and_its_distance() -> None:
+    episode = list(infos())
+    first = entered(episode)
+    distances = [info["traffic_light_distance"] for info in episode]
+    assert distances[0] == pytest.approx(484.0, abs=3.0)  # the edge is 492 m long
+    driven = np.cumsum([info["distance"] for info in episode])
+    np.testing.assert_allclose(distances[0] - driven[:first], distances[:first], atol=0.1)
+    assert set(distances[first:]) == {np.inf}
+    assert {info["traffic_light"] for info in episode[:first]} == {RED}
+    shapes = {repr({key: type(value) for key, value in info.items()}) for info in episode}
+    assert len(shapes) == 1
+
+
+def test_the_ego_drives_through_red_unless_it_is_told_to_obey() -> None:
+    episode = list(infos())
+    assert episode[entered(episode) - 1]["traffic_light"] == RED
+    assert min(info["speed"] for info in episode[20:]) > 10.0
+
+
+def test_an_obedient_ego_waits_at_red_and_goes_on_at_green() -> None:
+    episode = list(infos(obey_traffic_lights=True))
+    first = entered(episode)
+    assert episode[first - 1]["traffic_light"] == GREEN
+    waiting = [info["traffic_light_distance"] for info in episode[:first] if info["speed"] < 0.01]
+    assert len(waiting) > 50 and 0.5 < min(waiting) <= max(waiting) < 1.5
+    assert episode[-1]["arrived"]
+    speeds = [info["speed"] for info in episode[:first]]
+    assert np.diff(speeds).min() > -0.95  # [m/s] in a tenth of a second
+
+
+def test_copies_of_an_obedient_ego_obey() -> None:
+    episode = list(infos(obey_traffic_lights=True))
+    env = SumoDrivingEnv(CROSSING, [["em", "mw"]], ["sm", "mn"], {**QUIET, "obey_traffic_lights": True})
+    other = SumoDrivingEnv(CROSSING, [["em", "mw"]], ["sm", "mn"], QUIET)  # that of the process is taken
+    env.reset(seed=1)
+    other.reset(seed=1)
+    assert [env.step(FASTER if k == 0 else IDLE)[4] for k in range(370)] == episode[1:371]
+    for made in (env, other):
+        made.close()
+
+
+@pytest.mark.parametrize("speed", [0.5, 5.0, 14.0, 30.0])
+@pytest.mark.parametrize(("state", "braking"), [(RED, 8.0), (YELLOW, 5.0)])
+@pytest.mark.parametrize("dt", [0.02, 0.1, 0.2])
+def test_who_can_stop_does(speed: float, state: int, braking: float, dt: float) -> None:
+    for distance in np.linspace(speed**2 / (2 * braking) + 0.01, speed**2 / 4.0 + 20.0, 20).tolist():
+        left, now = distance, speed
+        for _ in range(round(60.0 / dt)):
+            allowed = min(speed_before(Light(state, left), now, dt), now)
+            assert allowed >= now - 9.0 * dt - 1e-9
+            now, left = allowed, left - (now + allowed) / 2.0 * dt
+        assert now < 0.01 and left > -0.05
+
+
+def test_who_cannot_stop_drives_on() -> None:
+    assert speed_before(Light(YELLOW, 19.0), 14.0, 0.1) == np.inf
+    assert speed_before(Light(RED, 10.0), 14.0, 0.1) == np.inf
+    assert speed_before(Light(GREEN, 5.0), 14.0, 0.1) == speed_before(NO_LIGHT, 14.0, 0.1) == np.inf
+
+
+def test_the_key_takes_true_or_false() -> None:
+    with pytest.raises(ConfigError, match="'obey_traffic_lights' must be True or False"):
+        SumoDrivingEnv(CROSSING, [], ["sm", "mn"], {"obey_traffic_lights": "yes"})

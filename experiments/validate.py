@@ -9,11 +9,15 @@ all margins kept, 1 some missed, 2 something has to be put right first. docs/val
 
 from __future__ import annotations
 
-import shlex
 import sys
+from pathlib import Path
+
+if __package__ in (None, ""):  # run as a file: import from the project, not from this folder
+    sys.path[0] = str(Path(__file__).resolve().parents[1])
+
+import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 from typing import Annotated, Any
 
 import tyro

@@ -111,3 +111,20 @@ def test_a_wrong_command_line_is_answered_without_a_traceback(arguments, tmp_pat
     assert "Traceback" not in result.stderr + result.stdout
     assert result.stderr.strip()
     assert not list(tmp_path.iterdir())
+
+
+def test_scripts_do_not_hide_the_standard_library() -> None:
+    """experiments/test.py has the name of a package of Python; no script leaves its own folder on the path."""
+    code = f"""
+import importlib.util, runpy, sys
+from pathlib import Path
+
+for script in sorted(Path({str(ROOT / "experiments")!r}).glob("*.py")):
+    if "__main__" in script.read_text() and script.name != "peers.py":  # which imports nothing of ours
+        sys.path[0] = str(script.parent)
+        runpy.run_path(str(script), run_name="probe")
+        assert sys.path[0] != str(script.parent), script
+found = importlib.util.find_spec("test")
+assert found is None or Path(found.origin).parent.name != "experiments", found
+"""
+    subprocess.run([sys.executable, "-c", code], check=True)

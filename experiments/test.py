@@ -1,9 +1,10 @@
-"""Say how agents drive at risk 0 and at risk 1, beside constant policies and rules.
+"""Say how the agents of a directory drive at risk 0 and at risk 1, and how others drive in the same scenarios.
 
     python experiments/test.py results/mine
 
-Crash rate, return and speed [m/s] over the test scenarios, which are the same for all, with 95 % intervals over
-scenarios. They hold for these agents: what a way of training does needs several seeds (experiments/sweep.py).
+The others are two agents of the published study, one trained in each traffic, and policies that do not learn. Crash
+rate, return and speed [m/s] have 95 % intervals over scenarios. They hold for these agents: what a way of training does
+needs several seeds (experiments/sweep.py).
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ limit_threads()
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
+from operator import itemgetter
 from typing import Annotated, Any
 
 import pandas as pd
@@ -33,11 +35,12 @@ from experiments.study.cell import CellTask
 from experiments.support.errors import UserError, run_command
 
 Z = 1.96  # normal quantile of a 95 % interval
+PUBLISHED = Path(__file__).resolve().parents[1] / "results" / "standard"  # its lightest settings have weights
 
 
 @dataclass(frozen=True)
 class Options:
-    """Say how agents drive at risk 0 and at risk 1, beside constant policies and rules."""
+    """Say how the agents of a directory drive at risk 0 and at risk 1, and how others drive in the same scenarios."""
 
     directory: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
     """Directory of train.py or sweep.py."""
@@ -75,15 +78,16 @@ def test(options: Options) -> int:
         print(f"\rtesting {task.cell.policy} ({number} of {len(others)})   ", end="", flush=True)
         task.compute(lambda _: None)
     print("\r" + " " * 40 + "\r", end="")
-    settings = sorted({grid.setting(key) for key in agents.values()})
-    for setting in settings:
-        show(directory, setting)
-    print("95 % intervals over scenarios, the same for all; comparing ways of training needs several seeds")
+    for setting in sorted({grid.setting(key) for key in agents.values()}):
+        print(table_of(setting, groups_of(directory, setting)))
+    print(
+        "Intervals: 95 %, over scenarios. Comparing ways of training needs several seeds: experiments/sweep.py"
+    )
     return 0
 
 
 def missing(directory: Path, agents: Mapping[str, Mapping[str, Any]]) -> list[CellTask]:
-    """The constant policies and rules in the agents' settings that are not tested yet."""
+    """The policies that do not learn, in the agents' settings, that are not tested yet."""
     names = {field.name for field in fields(grid.Cell)}
     wanted: dict[str, grid.Cell] = {}
     for key in agents.values():
@@ -95,22 +99,61 @@ def missing(directory: Path, agents: Mapping[str, Mapping[str, Any]]) -> list[Ce
     return [CellTask(cell, directory, make_env) for name, cell in wanted.items() if name not in there]
 
 
-def show(directory: Path, setting: str) -> None:
-    """Print the table of a setting."""
-    print(f"{setting:<26}{'crash rate':^30}{'return':^34}{'speed [m/s]':^34}")
-    print(" " * 26 + f"{'risk 0':<15}{'risk 1':<15}" + f"{'risk 0':<17}{'risk 1':<17}" * 2)
-    rows = []
+Rows = list[tuple[str, pd.DataFrame]]  # name of an agent or policy, and its test episodes
+
+
+def groups_of(directory: Path, setting: str) -> dict[str, Rows]:
+    """What is compared in a setting, in the scenarios that all have driven."""
+    agents: Rows = []
+    published: Rows = []
+    others: Rows = []
     for name in store.finished(directory):
         key = store.read_stored(directory, name)["key"]
         if grid.setting(key) == setting and key["kind"] in ("agent", "baseline"):
-            table = store.tables_of(directory, name)[store.EPISODES]
+            (agents if key["kind"] == "agent" else others).append(row_of(directory, name))
+            traffic = [key["dynamics"], key["env_config"]]
+    for name in store.finished(PUBLISHED):
+        key = store.read_stored(PUBLISHED, name)["key"]
+        same = grid.setting(key) == setting and [key["dynamics"], key["env_config"]] == traffic
+        if same and key["kind"] == "agent" and store.weights_file(PUBLISHED, name):
+            published.append(row_of(PUBLISHED, name))
+    groups = {
+        "agents in this directory": agents,
+        "agents of results/standard": published,
+        "policies that do not learn": others,
+    }
+    common = set.intersection(*(set(table["scenario"]) for rows in groups.values() for _, table in rows))
+    return {
+        title: sorted(
+            ((name, table[table["scenario"].isin(common)]) for name, table in rows), key=itemgetter(0)
+        )
+        for title, rows in groups.items()
+    }
+
+
+def row_of(directory: Path, name: str) -> tuple[str, pd.DataFrame]:
+    """The name of a cell within its setting, and its test episodes."""
+    key = store.read_stored(directory, name)["key"]
+    label = grid.slug(key).removeprefix(f"{grid.setting(key)}-")
+    return label, store.tables_of(directory, name)[store.EPISODES]
+
+
+def table_of(setting: str, groups: Mapping[str, Rows]) -> str:
+    """The table of a setting."""
+    scenarios = {table["scenario"].nunique() for rows in groups.values() for _, table in rows}
+    lines = [
+        f"{setting}: {max(scenarios)} scenarios at each risk, the same in every row",
+        f"{'':<26}{'crash rate':^30}{'return':^34}{'speed [m/s]':^34}".rstrip(),
+        f"{'':<26}{'risk 0':<15}{'risk 1':<15}" + f"{'risk 0':<17}{'risk 1':<17}" * 2,
+    ]
+    for title, rows in groups.items():
+        lines.append(f"{title}:" if rows else f"{title}: none in this setting and traffic")
+        for name, table in rows:
             by = [table[table["traffic"] == traffic] for traffic in TRAFFICS]
             cells = [f"{rate(part['crashed']):<15}" for part in by]
             cells += [f"{mean(part[column]):<17}" for column in ("return", "mean_speed") for part in by]
-            rows.append((key["kind"] != "agent", grid.slug(key).removeprefix(f"{setting}-"), "".join(cells)))
-    for _, label, text in sorted(rows):
-        print(f"{label:<26}{text}".rstrip())
-    print()
+            lines.append(f"  {name:<24}{''.join(cells)}".rstrip())
+    return "\n".join(lines) + "\n"
 
 
 if __name__ == "__main__":

@@ -56,7 +56,9 @@ def test_other_policies_are_tested_beside_it(trained: Path, capsys) -> None:
     assert test.test(test.Options(trained)) == 0
     said = capsys.readouterr().out
     rows = {line.split()[0]: line for line in said.splitlines() if "±" in line}
-    assert set(rows) == {"mixed-s0", "idle", "random", "faster", "slower", "idm", "careful"}
+    published = {"control-s0", "treatment-s0"}  # the agents of results/standard whose weights are kept
+    assert set(rows) == {"mixed-s0", *published, "idle", "random", "faster", "slower", "idm", "careful"}
+    assert "4 scenarios at each risk, the same in every row" in said
     [slower] = [n for n in store.finished(trained) if "slower" in n]
     table = store.tables_of(trained, slower)[store.EPISODES]
     regular = table[table["traffic"] == "regular"]

@@ -90,12 +90,8 @@ def _picture(axes: Axes, crashes: pd.DataFrame) -> None:
         axes.add_collection(PolyCollection(outlines, facecolors="none", edgecolors=edges, lw=0.7, alpha=0.5))
         # Counted on a grid: a dot for each crash would make the file grow with the number of crashes.
         places = pd.DataFrame(np.round(contacts(x, y, heading) / BIN) * BIN, columns=["x", "y"])
-        counts = (
-            places.assign(kind=posed["crash_type"].array)
-            .groupby(["x", "y", "kind"])
-            .size()
-            .reset_index(name="n")
-        )
+        places["kind"] = posed["crash_type"].array
+        counts = places.groupby(["x", "y", "kind"]).size().reset_index(name="n")
         sizes = (1.5 + 9 * np.sqrt(counts["n"] / len(posed))).round()  # few sizes keep the file small
         for (kind, size), dots in counts.groupby(["kind", sizes]):
             colour = TYPES.get(kind, UNKNOWN)
@@ -116,9 +112,8 @@ def _bars(axes: Axes, episodes: pd.DataFrame) -> None:
     for number, (traffic, arm) in enumerate((traffic, arm) for traffic in TRAFFICS for arm in ARMS):
         chosen = episodes[(episodes["arm"] == arm) & (episodes["traffic"] == traffic)]
         left = 0.0
-        types = chosen["crash_type"].where(chosen["crash_type"].isin(list(TYPES)), "unknown")[
-            chosen["crashed"]
-        ]
+        types = chosen.loc[chosen["crashed"], "crash_type"]
+        types = types.where(types.isin(list(TYPES)), "unknown")
         for kind, colour in {**TYPES, "unknown": UNKNOWN}.items():
             share = (types == kind).sum() / max(len(chosen), 1)
             axes.barh(-number, share, left=left, color=colour, height=0.62)

@@ -74,6 +74,7 @@ def against_traffic(policies: pd.DataFrame, backend: str) -> str:
     tasks = _tasks(policies)
     figure, axes = new_figure(2, len(tasks), 3.5, sharex="col", sharey=True)
     shown = [name for name in ("careful", *CONSTANT) if (policies["policy"] == name).any()]
+    bars = {"marker": "o", "ms": 4, "capsize": 2, "lw": 1.5, "elinewidth": 1.0}
     for column, task in enumerate(tasks):
         rows = policies[policies["task"] == task].sort_values("level")
         levels = rows.drop_duplicates("level")
@@ -82,8 +83,7 @@ def against_traffic(policies: pd.DataFrame, backend: str) -> str:
             for arm, shift in (("control", -0.08), ("treatment", 0.08)):
                 own = tested[tested["arm"] == arm]
                 error = [_half_width(record, "crashed") for record in own.to_dict("records")]
-                panel.errorbar(own["level"] + shift, own["crashed"], error, color=COLOURS[arm],
-                               marker="o", ms=4, capsize=2, lw=1.5, elinewidth=1.0)  # fmt: skip
+                panel.errorbar(own["level"] + shift, own["crashed"], error, color=COLOURS[arm], **bars)
             for number, policy in enumerate(shown):  # beside each other, so that none hides another
                 own = tested[tested["policy"] == policy]
                 panel.plot(own["level"] + 0.2 + 0.07 * number, own["crashed"], ls="", **_mark(policy))
@@ -95,23 +95,14 @@ def against_traffic(policies: pd.DataFrame, backend: str) -> str:
         axes[row, 0].set_ylabel(f"crash rate,\n{traffic} traffic")
     figure.supxlabel("traffic level", fontsize=8.5)
     _legend(figure, shown)
-    return to_svg(
-        figure,
-        f"{backend}-traffic",
-        "Crash rate against traffic level, by task, traffic of the test and policy",
-    )
+    return to_svg(figure, f"{backend}-traffic", "Crash rate against traffic level, by task and policy")
 
 
 def frontier(points: pd.DataFrame) -> pd.DataFrame:
     """The policies that no other one beats in both crash rate (`crashed`) and `progress`, from slow to fast."""
-    beaten = [
-        bool(
-            ((points["crashed"] <= row.crashed) & (points["progress"] >= row.progress)
-             & ((points["crashed"] < row.crashed) | (points["progress"] > row.progress))).any()
-        )
-        for row in points.itertuples()
-    ]  # fmt: skip
-    return points[~np.array(beaten, dtype=bool)].sort_values("progress")
+    fast = points.sort_values(["progress", "crashed"], ascending=[False, True])
+    safer_than_faster_ones = fast["crashed"] < fast["crashed"].cummin().shift(fill_value=np.inf)
+    return fast[safer_than_faster_ones].sort_values("progress")
 
 
 @styled
@@ -122,11 +113,8 @@ def crashes_against_progress(policies: pd.DataFrame, backend: str) -> str:
     """
     tasks = _tasks(policies)
     figure, axes = new_figure(2, len(tasks), 3.5, sharex="col", sharey=True)
-    mean = (
-        policies.groupby(["task", "traffic", "policy", "arm"], sort=False)[["crashed", "progress"]]
-        .mean()
-        .reset_index()
-    )
+    of_task = policies.groupby(["task", "traffic", "policy", "arm"], sort=False, as_index=False)
+    mean = of_task[["crashed", "progress"]].mean()
     shown = [name for name in ("careful", *CONSTANT) if (policies["policy"] == name).any()]
     for column, task in enumerate(tasks):
         for row, traffic in enumerate(reversed(TRAFFICS)):
@@ -152,9 +140,7 @@ def crashes_against_progress(policies: pd.DataFrame, backend: str) -> str:
         axes[row, 0].set_ylabel(f"crash rate,\n{traffic} traffic")
     figure.supxlabel("progress: distance for each second that the episode was to last [m/s]", fontsize=8.5)
     _legend(figure, shown, ls="")
-    return to_svg(
-        figure, f"{backend}-progress", "Crash rate against progress, by task, traffic of the test and policy"
-    )
+    return to_svg(figure, f"{backend}-progress", "Crash rate against progress, by task and policy")
 
 
 @styled
@@ -185,9 +171,7 @@ def effects_by_setting(effects: pd.DataFrame, backend: str) -> str:
         Line2D([], [], color=INK, marker="o", mfc=PAPER, label="open"),
     ]
     figure.legend(handles=handles, loc="outside upper right", ncols=2)
-    return to_svg(
-        figure, f"{backend}-effects", "Effect on the crash rate by setting, in risky and in regular traffic"
-    )
+    return to_svg(figure, f"{backend}-effects", "Effect on the crash rate by setting and traffic")
 
 
 @styled
@@ -246,9 +230,7 @@ def learning_curves(cells: Mapping[str, Mapping[str, Any]], backend: str) -> str
     axes[1, 0].set_ylabel("crash rate")
     figure.supxlabel("environment steps (thousands)", fontsize=8.5)
     _legend(figure, [], ls="-")
-    return to_svg(
-        figure, f"{backend}-learning", "Learning curves: return and crash rate of training episodes by arm"
-    )
+    return to_svg(figure, f"{backend}-learning", "Return and crash rate of training episodes, by arm")
 
 
 def _is(key: Mapping[str, Any], wanted: tuple[str, int, str]) -> bool:

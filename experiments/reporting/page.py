@@ -19,7 +19,6 @@ from experiments.analysis.scores import TASK_ORDER
 from experiments.reporting import figures, tables
 from experiments.reporting.collision_figures import collisions
 from experiments.reporting.showcase import KINDS
-from experiments.reporting.style import number as plain
 from experiments.reporting.tables import chosen, main
 from experiments.reporting.words import BACKENDS, FILTERS
 from experiments.study.arms import ARMS, DOSE_ARMS, TRAFFICS
@@ -201,30 +200,15 @@ def player(films: Mapping[str, Any], directory: Path) -> dict[str, Any]:
 
 
 def checks(directory: Path, backends: Sequence[str]) -> dict[str, Any]:
-    """How many checks of SUMO against highway-env are within their margins, and by how much the others are beyond."""
+    """How many checks of SUMO against highway-env are within their margins, and what is known of the others."""
     found = of_results(directory) if "sumo" in backends else None
-    tasks = {} if found is None else found["tasks"]
-    total = sum(sum(task["counts"].values()) for task in tasks.values())
-    missed, orders = [], []
-    for task, verdict in tasks.items():
-        for item in verdict["missed"]:
-            where = f"{task} {item['level']}, {item['traffic']}"
-            if item["name"].startswith("pairs of egos"):
-                orders.append(
-                    f"{where}: {item['sumo']:.0f} of {item['reference']:.0f} pairs as in highway-env"
-                )
-                continue
-            what = " of ".join(filter(None, (item["name"], item["ego"])))
-            sizes = (plain(item[part], 2) for part in ("sumo", "reference", "margin"))
-            missed.append("{}, {} {} instead of {} (margin {})".format(where, what, *sizes))
-    within = total - len(missed) - len(orders)
-    return {
-        "relevant": "sumo" in backends,
-        "total": total,
-        "within": within,
-        "missed": missed,
-        "orders": orders,
-    }
+    tasks = found["tasks"] if found else {}
+    total = sum(sum(verdict["counts"].values()) for verdict in tasks.values())
+    beyond = [{"task": task, **item} for task, verdict in tasks.items() for item in verdict["missed"]]
+    orders = [item for item in beyond if item["name"].startswith("pairs of egos")]
+    missed = [item for item in beyond if item not in orders]
+    counts = {"relevant": "sumo" in backends, "total": total, "within": total - len(beyond)}
+    return {**counts, "missed": missed, "orders": orders}
 
 
 def card(results: Results, analysis: Analysis) -> list[dict[str, str]]:
@@ -251,8 +235,7 @@ def card(results: Results, analysis: Analysis) -> list[dict[str, str]]:
 def render(variables: Mapping[str, Any], template: str) -> str:
     """One of the templates as a text."""
     environment = _environment(escape=template.endswith(".html.j2"))
-    script, css = (Markup((TEMPLATES / name).read_text()) for name in ("player.js", "report.css"))
-    return environment.get_template(template).render({**variables, "script": script, "css": css})
+    return environment.get_template(template).render(variables)
 
 
 def _environment(escape: bool) -> Environment:

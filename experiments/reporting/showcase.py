@@ -89,11 +89,7 @@ def showcase(results: Results, left_out: set[str], make_env: MakeEnv) -> dict[st
         }
         name = f"{duo.place[1]} {duo.place[3]}"
         if (place := kept.get(canonical_json(made_of))) is None:
-            missing = [
-                arm for arm, cell in duo.cells.items()
-                if results.weights(cell) is None and not _has_actions(tables[arm])
-            ]  # fmt: skip
-            if missing:
+            if missing := [arm for arm, cell in duo.cells.items() if not _known(results, cell, tables[arm])]:
                 notes.append(f"{name}: the weights of the {' and '.join(missing)} agent are not here")
                 continue
             try:
@@ -121,8 +117,9 @@ def _stored(path: Path) -> list[dict[str, Any]]:
         return []
 
 
-def _has_actions(table: pd.DataFrame) -> bool:
-    return "actions" in table and bool(table["actions"].notna().all())
+def _known(results: Results, cell: str, table: pd.DataFrame) -> bool:
+    """Is it stored how the agent drives, by its weights or by its actions?"""
+    return results.weights(cell) is not None or ("actions" in table and bool(table["actions"].notna().all()))
 
 
 def duos(results: Results, left_out: set[str]) -> Iterator[Duo]:
@@ -229,32 +226,29 @@ def _film(scenes: Sequence[Any], row: Mapping[str, Any]) -> dict[str, Any]:
             frames.append(scene)
     if frames[-1] is not scenes[-1]:
         frames.append(scenes[-1])
-    seen: dict[str, list[tuple[int, float, float, float]]] = {}
-    cars: list[dict[str, Any]] = []
-    hit = None
+    latest: dict[str, list[tuple[int, float, float, float]]] = {}
+    tracks: list[tuple[str, list[tuple[int, float, float, float]]]] = []
     for number, scene in enumerate(frames):
         x, y = np.asarray(scene.x), np.asarray(scene.y)
-        near = np.hypot(x - x[0], y - y[0]) <= NEAR
-        for index in np.flatnonzero(near):
+        for index in np.flatnonzero(np.hypot(x - x[0], y - y[0]) <= NEAR):
             name = scene.ids[index]
-            track = seen.get(name)
+            track = latest.get(name)
             if track is None or track[-1][0] != number - 1:  # new, or back again: a car of its own
-                seen[name] = track = []
-                cars.append({"name": name, "track": track})
+                latest[name] = track = []
+                tracks.append((name, track))
             track.append((number, float(x[index]), float(y[index]), float(scene.heading[index])))
-    for number, car in enumerate(cars):
-        track = car.pop("track")
-        name = car.pop("name")
+    cars: list[dict[str, Any]] = []
+    hit = None
+    for number, (name, track) in enumerate(tracks):
         if row["crashed"] and name == row["crash_other"]:
             hit = number
-        car["from"] = track[0][0]
-        if acts := [frame for frame, *_ in track if name in frames[frame].in_event]:
-            car["acts"] = acts
+        acts = [frame for frame, *_ in track if name in frames[frame].in_event]
         values = np.array([entry[1:] for entry in track])
         values[:, 2] = np.unwrap(values[:, 2])
         whole = np.rint(values * (10, 10, 100)).astype(int)
         steps = np.vstack([whole[:1], np.diff(whole, axis=0)])
-        car |= {name: steps[:, column].tolist() for column, name in enumerate(("x", "y", "h"))}
+        places = {letter: steps[:, column].tolist() for column, letter in enumerate("xyh")}
+        cars.append({"from": track[0][0], **({"acts": acts} if acts else {}), **places})
     return {
         "times": [round(100 * scene.time) for scene in frames],
         "cars": cars,

@@ -161,23 +161,22 @@ def side_by_side(named: Sequence[tuple[str, Analysis]]) -> pd.DataFrame:
     (_, first), *others = named
     rows = []
     for title, other in others:
-        here, there = (_crashes(analysis) for analysis in (first, other))
-        shared = {(r.task, r.level) for r in here.itertuples()} & {
-            (r.task, r.level) for r in there.itertuples()
-        }
+        sides = {"there": _crashes(other), "here": _crashes(first)}
+        shared = set.intersection(*(set(_settings(frame)) for frame in sides.values()))
         if not shared:
             continue
-        passed = other.gates[other.gates["arm"].isin(list(ARMS))]
-        sound = int((passed["passed"].astype(object) == True).sum())  # noqa: E712
+        agents = chosen(other.gates, arm=list(ARMS))
+        passed = int((agents["passed"].astype(object) == True).sum())  # noqa: E712
         line = {
             "folder": title,
             "settings": str(len(shared)),
-            "agents that pass": f"{sound} of {len(passed)}",
+            "agents that pass": f"{passed} of {len(agents)}",
         }
         for term in ("risky", "regular"):
-            for side, frame in (("there", there), ("here", here)):
-                keep = [(r.task, r.level) in shared and r.term == term for r in frame.itertuples()]
-                line[f"{term}, {side}"] = difference(mean_over(frame[keep], Plan()))
+            for side, frame in sides.items():
+                own = chosen(frame, term=term)
+                common = own[[setting in shared for setting in _settings(own)]]
+                line[f"{term}, {side}"] = difference(mean_over(common, Plan()))
         rows.append(line)
     return pd.DataFrame(rows)
 
@@ -186,6 +185,10 @@ def _crashes(analysis: Analysis) -> pd.DataFrame:
     """Effects on the crash rate in each setting, on the first simulator of an analysis."""
     backend = analysis.effects["backend"].iloc[0] if len(analysis.effects) else ""
     return chosen(main(analysis.effects, backend), outcome="crashed", term=("risky", "regular"))
+
+
+def _settings(frame: pd.DataFrame) -> list[tuple[str, int]]:
+    return list(zip(frame["task"], frame["level"], strict=True))
 
 
 def _indexed(lines: Mapping[str, Mapping[str, str]], name: str) -> pd.DataFrame:

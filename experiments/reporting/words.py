@@ -28,9 +28,9 @@ def points(value: float | None, outcome: str) -> str:
     return plain(None if value is None else value * (100 if kind.percent else 1), kind.digits, signed=True)
 
 
-def interval(row: Mapping[str, Any], outcome: str, level: str = "") -> str:
-    """The interval of a row, "[-7.0, +0.8]", or an empty text. level: "_family" for that at the family's level."""
-    low, high = row[f"low{level}"], row[f"high{level}"]
+def interval(row: Mapping[str, Any], outcome: str) -> str:
+    """The interval of a row, "[-7.0, +0.8]", or an empty text."""
+    low, high = row["low"], row["high"]
     return "" if low is None or np.isnan(low) else f"[{points(low, outcome)}, {points(high, outcome)}]"
 
 
@@ -65,4 +65,4 @@ def count(n: int, word: str) -> str:
     return f"{n} {word}{'' if n == 1 else 's'}"
 
 
-FILTERS = {f.__name__: f for f in (number, points, interval, effect, difference, p_value, listing, count)}
+FILTERS = {f.__name__: f for f in (number, difference, p_value, listing, count)}

@@ -11,7 +11,6 @@
   const LENGTH = 5, WIDTH = 2; // [m] of a car
   const STEP = 0.2; // [s] of the arrow keys
   const FRAME = 33; // [ms] between two frames
-  const still = window.matchMedia("(prefers-reduced-motion: reduce)");
   let current = null, time = 0, playing = false, before = 0;
 
   const sums = (values) => { let sum = 0; return values.map((value) => (sum += value)); };
@@ -186,12 +185,8 @@
     if (event.key === " " && event.target.tagName === "BUTTON") return; // a button answers to the space bar itself
     if (keys[event.key]) { event.preventDefault(); keys[event.key](); }
   });
-  for (const button of document.querySelectorAll("[data-film]")) {
-    button.addEventListener("click", () => { choose(Number(button.dataset.film)); section.scrollIntoView({ behavior: still.matches ? "auto" : "smooth" }); });
-  }
   window.addEventListener("resize", () => show(time));
   window.addEventListener("beforeprint", () => { play(false); const moment = telling(); if (Number.isFinite(moment)) show(moment); });
   section.hidden = false;
-  const asked = Number((/^#film-(\d+)$/.exec(window.location.hash) || [0, 0])[1]); // a link to one film
-  choose(asked < films.length ? asked : 0);
+  choose(0);
 })();

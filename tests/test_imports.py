@@ -64,48 +64,6 @@ def test_imports_point_one_way(package: str) -> None:
     assert wrong == []
 
 
-# Rooms of the study by layer, the lowest first. Each may use those below it and itself; the commands use them all.
-LAYERS = ("support", "backends", "study", "analysis", "reporting", "validation", "calibration")
-COMMANDS_SHARE = {
-    "measuring": ("benchmark",),
-    "report": ("sweep",),
-}  # a module beside the commands, and its users
-
-
-def test_the_rooms_of_the_study_are_layers() -> None:
-    wrong = []
-    for path in sources("experiments"):
-        name = path.relative_to(ROOT / "experiments").parts[0].removesuffix(".py")
-        below = LAYERS[: LAYERS.index(name) + 1] if name in LAYERS else (*LAYERS, name)
-        for line, module in imports(path):
-            if not module.startswith("experiments."):
-                continue
-            used = module.split(".")[1]
-            if used not in below and name not in COMMANDS_SHARE.get(used, ()):
-                wrong.append(f"{path.relative_to(ROOT)}:{line} imports {module}")
-    assert wrong == []
-
-
-def test_every_room_of_the_study_has_a_layer() -> None:
-    folders = {path.name for path in (ROOT / "experiments").iterdir() if any(path.glob("*.py"))}
-    assert folders == set(LAYERS)
-
-
-# The modules and packages of sumo_env by floor, the lowest first. Each may use those of lower floors and its own.
-FLOORS: tuple[tuple[str, ...], ...] = (
-    ("networks",),
-    ("scene", "streams", "config"),
-    ("contacts",),
-    ("traffic",),
-    ("tasks",),
-    ("actions", "simulator"),
-    ("observation", "interface", "information", "rendering", "views", "export"),
-    ("sumo",),
-    ("env",),
-    ("vector", "doctor", "testing", "replica"),
-)
-
-
 def modules(*packages: str) -> dict[str, Path]:
     """Name -> file. The roads are found by their link."""
     names = {}
@@ -129,8 +87,34 @@ def used_modules(path: Path, known: dict[str, Path]) -> set[str]:
     return used & known.keys() - {"sumo_env"}
 
 
-def modules_of_sumo_env() -> dict[str, Path]:
-    return modules("sumo_env", "networks")
+# The parts of two packages, the lowest first: a part uses those below it alone. What is not listed is above them all.
+FLOORS = {
+    "sumo_env": """
+        networks < scene streams config < contacts < traffic < tasks < actions simulator
+        < observation information rendering views export < interface < sumo < env
+    """,
+    "experiments": """
+        support < backends < study < analysis < reporting < validation < calibration
+        < measuring peers report < sweep
+    """,
+}
+
+
+@pytest.mark.parametrize("package", FLOORS)
+def test_packages_are_built_on_floors(package: str) -> None:
+    floors = [set(parts.split()) for parts in FLOORS[package].split("<")]
+    known = {name: path for name, path in modules(*PACKAGES).items() if name.startswith(f"{package}.")}
+    floor_of = {name.split(".")[1]: len(floors) for name in known}
+    assert set().union(*floors) <= floor_of.keys()
+    floor_of |= {part: number for number, parts in enumerate(floors) for part in parts}
+    wrong = [
+        f"{name} imports {used}, which is not below it"
+        for name, path in known.items()
+        for used in sorted(used_modules(path, known))
+        for here, there in [(name.split(".")[1], used.split(".")[1])]
+        if here != there and floor_of[there] >= floor_of[here]
+    ]
+    assert wrong == []
 
 
 def test_the_simulator_names_no_task() -> None:
@@ -140,23 +124,6 @@ def test_the_simulator_names_no_task() -> None:
         assert not [name for _, name in imports(path) if name.startswith("sumo_env.tasks")], path
         constants = [node for node in ast.walk(ast.parse(path.read_text())) if isinstance(node, ast.Constant)]
         assert not [node.lineno for node in constants if node.value in names], path
-
-
-def test_every_part_of_the_environments_has_a_floor() -> None:
-    parts = {name.split(".")[1] for name in modules_of_sumo_env() if name != "sumo_env"}
-    assert parts == {part for floor in FLOORS for part in floor}
-
-
-def test_the_environments_are_built_on_floors() -> None:
-    known = modules_of_sumo_env()
-    floor_of = {part: number for number, floor in enumerate(FLOORS) for part in floor}
-    wrong = [
-        f"{name} imports {used}, which is above it"
-        for name, path in known.items()
-        for used in sorted(used_modules(path, known))
-        if name == "sumo_env" or floor_of[used.split(".")[1]] > floor_of[name.split(".")[1]]
-    ]
-    assert wrong == []
 
 
 def test_no_folder_holds_a_circle() -> None:
@@ -182,7 +149,7 @@ def test_the_environments_on_sumo_compile_nothing() -> None:
     """SUMO drives; what is left is fast enough in numpy and plain floats. The replica alone is compiled."""
     compiled = {
         name.split(".")[1]
-        for name, path in modules_of_sumo_env().items()
+        for name, path in modules("sumo_env", "networks").items()
         for _, imported in imports(path)
         if imported.split(".")[0] in COMPILERS
     }
@@ -231,11 +198,6 @@ def loaded_by(statement: str) -> set[str]:
 
 def test_importing_the_environments_is_light() -> None:
     assert loaded_by("import sumo_env").isdisjoint({*HEAVY, "libsumo", "sumolib", "numba", "PIL"})
-
-
-@pytest.mark.parametrize("module", ["contacts.crash", "contacts.measures", "networks.roads"])
-def test_contacts_and_roads_compile_nothing(module: str) -> None:
-    assert "numba" not in loaded_by(f"import sumo_env.{module}")
 
 
 def test_using_an_environment_loads_nothing_of_the_study() -> None:

@@ -5,6 +5,7 @@ And highway-env's classes as they were: making its intersection writes other num
 
 from __future__ import annotations
 
+import gc
 import signal
 import threading
 from collections.abc import Iterator
@@ -22,6 +23,12 @@ if threading.current_thread() is threading.main_thread():
 
 LEAKED = ("DISTANCE_WANTED", "COMFORT_ACC_MAX", "COMFORT_ACC_MIN")
 PRISTINE = {name: getattr(IDMVehicle, name) for name in LEAKED}
+
+
+def pytest_collection_finish() -> None:
+    """All modules are loaded: no garbage is to be looked for in them again (statsmodels' Holm always looks)."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture(autouse=True)

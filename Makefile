@@ -32,11 +32,11 @@ sweep: setup
 
 # Everything but what is marked "long", on two processes: under ten minutes.
 test: setup
-	$(BIN)/python -m pytest -n 2 -m "not long" $(ARGS)
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not long" $(ARGS)
 
 # Under a minute: what to run while writing code.
 test-fast: setup
-	$(BIN)/python -m pytest -n 2 -m "not slow and not long" $(ARGS)
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow and not long" $(ARGS)
 
 # What takes longer; before a release.
 test-long: setup

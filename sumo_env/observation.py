@@ -12,35 +12,19 @@ from gymnasium import spaces
 from numpy.typing import NDArray
 
 from sumo_env.config import MOST_VEHICLES, ConfigError, nearest
-from sumo_env.networks.lanes import CircularLane, Lane, StraightLane, wrap_to_pi
+from sumo_env.networks.lanes import wrap_to_pi
 from sumo_env.networks.roads import LaneIndex, Road
-from sumo_env.scene import PERCEPTION_DISTANCE, VEHICLE_LENGTH, Floats, Scene
+from sumo_env.scene import PERCEPTION_DISTANCE, VEHICLE_LENGTH, Scene
 from sumo_env.tasks.base import EgoState
 from sumo_env.traffic.scenario import VehicleSpec
 
 MAX_SPEED = 40.0  # [m/s] Vehicle.MAX_SPEED
 
 Array = NDArray[np.float32]
-Integers = NDArray[np.int64]
-FEATURES = ("presence", "x", "y", "vx", "vy", "heading", "cos_h", "sin_h", "cos_d", "sin_d", "long_off",
-            "lat_off", "ang_off")  # fmt: skip
+_POSE = ("presence", "x", "y", "vx", "vy", "heading", "cos_h", "sin_h")
+_DIRECTION, _OFFSETS = ("cos_d", "sin_d"), ("long_off", "lat_off", "ang_off")
+FEATURES = (*_POSE, *_DIRECTION, *_OFFSETS)
 RELATIVE = ("x", "y", "vx", "vy")  # to the ego, unless they are absolute
-_DIRECTION, _OFFSETS = {"cos_d", "sin_d"}, {"long_off", "lat_off", "ang_off"}
-_EGO = np.zeros(1, np.int64)  # its row
-
-
-def _longitudinal(lane: Lane, x: Floats, y: Floats) -> Floats:
-    """Coordinates s [m] of positions (x, y) [m] along a lane: `Lane.local_coordinates` for shape (n,)."""
-    if isinstance(lane, CircularLane):
-        turned = np.arctan2(y - lane.center[1], x - lane.center[0]) - lane.start_phase
-        turned = (turned + math.pi) % (2.0 * math.pi) - math.pi
-        return turned * (lane.radius if lane.clockwise else -lane.radius)
-    if not isinstance(lane, StraightLane):
-        return np.array(
-            [lane.local_coordinates(*place)[0] for place in zip(x.tolist(), y.tolist(), strict=True)]
-        )
-    along_x, along_y = lane.direction
-    return (x - lane.start[0]) * along_x + (y - lane.start[1]) * along_y
 
 
 class Kinematics:
@@ -115,23 +99,25 @@ class Kinematics:
                     if self.clip:
                         self.low[column], self.high[column] = -1.0, 1.0
 
-    def visible(self, scene: Scene, road: Road, lane: LaneIndex) -> Integers:
-        """Rows of the scene in the order of the table, the ego's first, shape (m,).
+    def visible(self, scene: Scene, road: Road, lane: LaneIndex) -> list[int]:
+        """Rows of the scene in the order of the table, the ego's first.
 
         Distances are differences of longitudinal coordinates on the ego's lane, as in highway-env: projections
         on curved roads.
         """
-        x, y = scene.x, scene.y
-        ahead = _longitudinal(road.lane(lane), x, y)
-        ahead -= ahead[0]
-        seen = np.hypot(x - x[0], y - y[0]) < PERCEPTION_DISTANCE
-        if not self.see_behind:
-            seen &= ahead > -2.0 * VEHICLE_LENGTH
-        seen[0] = False
-        rows = np.flatnonzero(seen)
+        geometry = road.lane(lane)
+        x, y = scene.x.tolist(), scene.y.tolist()
+        here, _ = geometry.local_coordinates(x[0], y[0])
+        furthest_behind = -math.inf if self.see_behind else -2.0 * VEHICLE_LENGTH
+        seen = []
+        for row in range(1, len(x)):
+            if math.hypot(x[row] - x[0], y[row] - y[0]) < PERCEPTION_DISTANCE:
+                ahead = geometry.local_coordinates(x[row], y[row])[0] - here
+                if ahead > furthest_behind:
+                    seen.append((abs(ahead), row))
         if self.order == "sorted":
-            rows = rows[np.abs(ahead[rows]).argsort(kind="stable")]
-        return np.concatenate((_EGO, rows[: self.vehicles_count - 1]))
+            seen.sort()
+        return [0, *[row for _, row in seen[: self.vehicles_count - 1]]]
 
     def observe(
         self,
@@ -148,12 +134,13 @@ class Kinematics:
         """
         rows = self.visible(scene, road, ego.lane)
         columns = self._columns(scene, road, rows, specs)
-        values = np.stack([columns[feature] for feature in self.features], axis=1)
+        values = np.array([columns[feature] for feature in self.features]).T
         if not self.absolute:
             values[1:] -= values[0] * self.relative
         values *= self.scale
         values += self.shift
-        values.clip(self.low, self.high, out=values)
+        np.maximum(values, self.low, out=values)
+        np.minimum(values, self.high, out=values)
         table = np.zeros((self.vehicles_count, len(self.features)), np.float32)
         table[: len(rows)] = values
         if self.order == "shuffled":
@@ -161,43 +148,38 @@ class Kinematics:
         return table
 
     def _columns(
-        self, scene: Scene, road: Road, rows: Integers, specs: Mapping[str, VehicleSpec]
-    ) -> dict[str, Floats]:
-        """Values of all features of these rows of the scene, shape (m,) each."""
-        speed, heading = scene.speed[rows], scene.heading[rows]
-        cos, sin = np.cos(heading), np.sin(heading)
-        columns = {
-            "presence": np.ones(len(rows)),
-            "x": scene.x[rows],
-            "y": scene.y[rows],
-            "vx": speed * cos,
-            "vy": speed * sin,
+        self, scene: Scene, road: Road, rows: list[int], specs: Mapping[str, VehicleSpec]
+    ) -> dict[str, Sequence[float]]:
+        """Values of all features of these rows of the scene; plain floats, because the rows are few."""
+        x, y, speed, heading = (
+            [values[row] for row in rows]
+            for values in (scene.x.tolist(), scene.y.tolist(), scene.speed.tolist(), scene.heading.tolist())
+        )
+        cos, sin = [math.cos(angle) for angle in heading], [math.sin(angle) for angle in heading]
+        columns: dict[str, Sequence[float]] = {
+            "presence": [1.0] * len(rows),
+            "x": x,
+            "y": y,
+            "vx": [v * c for v, c in zip(speed, cos, strict=True)],
+            "vy": [v * s for v, s in zip(speed, sin, strict=True)],
             "heading": heading,
             "cos_h": cos,
             "sin_h": sin,
         }
-        if any(feature not in columns for feature in self.features):
-            columns |= self._other_columns(scene, road, rows.tolist(), specs)
-        return columns
-
-    def _other_columns(
-        self, scene: Scene, road: Road, rows: list[int], specs: Mapping[str, VehicleSpec]
-    ) -> dict[str, Floats]:
-        """Values of the features that depend on roads and destinations, shape (m,) each."""
-        columns: dict[str, Floats] = {}
-        if not _DIRECTION.isdisjoint(self.features):
+        if any(feature in _DIRECTION for feature in self.features):
             # the ego knows its own destination; those of the others are observed only with observe_intentions
-            known = [row == 0 or self.observe_intentions for row in rows]
-            direction = np.array(
-                [
-                    _direction(scene, road, row, specs.get(scene.ids[row])) if knows else (0.0, 0.0)
-                    for row, knows in zip(rows, known, strict=True)
-                ]
+            columns["cos_d"], columns["sin_d"] = zip(
+                *[
+                    _direction(scene, road, row, specs.get(scene.ids[row]))
+                    if row == 0 or self.observe_intentions
+                    else (0.0, 0.0)
+                    for row in rows
+                ],
+                strict=True,
             )
-            columns["cos_d"], columns["sin_d"] = direction[:, 0], direction[:, 1]
-        if not _OFFSETS.isdisjoint(self.features):
-            offsets = np.array([self._offsets(scene, road, row) for row in rows])
-            columns["long_off"], columns["lat_off"], columns["ang_off"] = offsets.T
+        if any(feature in _OFFSETS for feature in self.features):
+            offsets = [self._offsets(scene, road, row) for row in rows]
+            columns["long_off"], columns["lat_off"], columns["ang_off"] = zip(*offsets, strict=True)
         return columns
 
     @staticmethod

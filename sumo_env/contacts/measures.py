@@ -21,6 +21,7 @@ TTC_RADIUS = 100.0  # [m] vehicles that are further from the ego are not looked 
 CORRIDOR_HALF_WIDTH, CORRIDOR_LENGTH = 2.0, 60.0  # [m] where a leader is looked for, from centre to centre
 MIN_SPEED = 0.1  # [m/s] below it a headway means nothing
 PARALLEL = 1e-12  # [m/s] relative speed along an axis that counts as none
+APART = DIAGONAL * DIAGONAL + 1e-3  # [m2] cars whose centres are further apart, squared, are surely out of touch
 
 
 def ego_ttc(ego: State, others: Iterable[State], horizon: float = HORIZON) -> float:
@@ -31,18 +32,21 @@ def ego_ttc(ego: State, others: Iterable[State], horizon: float = HORIZON) -> fl
     x, y, speed, heading = ego
     c1, s1 = cos(heading), sin(heading)
     vx, vy = speed * c1, speed * s1
-    limit, found = horizon, False
+    fastest, limit, found = abs(speed), horizon, False
     for ox, oy, other_speed, other_heading in others:
         dx, dy = ox - x, oy - y
         # No two vehicles close in faster than by the sum of their speeds.
-        reach = DIAGONAL + (abs(speed) + abs(other_speed)) * limit
+        reach = DIAGONAL + (fastest + abs(other_speed)) * limit
         squared = dx * dx + dy * dy
         if squared > reach * reach:
             continue
         c2, s2 = cos(other_heading), sin(other_heading)
         wx, wy = other_speed * c2 - vx, other_speed * s2 - vy
-        if dx * wx + dy * wy >= 0.0 and squared > DIAGONAL * DIAGONAL:
-            continue  # who is out of touch and moves away stays so
+        closing = dx * wx + dy * wy
+        if squared > APART and (
+            closing >= 0.0 or (squared - APART) * (wx * wx + wy * wy) > closing * closing
+        ):
+            continue  # who is out of touch and moves away stays so, and who passes by does not come into it
         parallel, across = abs(c1 * c2 + s1 * s2), abs(c1 * s2 - s1 * c2)
         width = HALF_WIDTH + HALF_LENGTH * across + HALF_WIDTH * parallel
         # Along each of the four directions of the sides the shadows of the rectangles overlap during one interval of

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import contextlib
 import io
-import math
 import tempfile
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from math import cos, pi, radians, sin, sqrt
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -75,6 +75,8 @@ class Session:
         sizes: length and width [m] of the vehicles on the road that do not have highway-env's size.
         step_length: time between two steps as SUMO counts it, in whole milliseconds [s]: 0.067 at 15 Hz.
         has_lights: whether the network has traffic lights.
+        arrived: names of the vehicles that have left the road in the last step: they were at the end of their route.
+        changed: whether a vehicle has come or left in the last step.
     """
 
     def __init__(self) -> None:
@@ -84,6 +86,8 @@ class Session:
         self._limits: dict[str, float] = {}
         self._known: set[str] = set()  # vehicles whose size is known
         self.sizes: dict[str, tuple[float, float]] = {}
+        self.arrived: tuple[str, ...] = ()
+        self.changed = False
         self._steps = 0  # since the network was loaded
 
     def load(self, settings: Settings) -> None:
@@ -246,10 +250,6 @@ class Session:
             self.sizes.pop(name, None)
         self._known = present
 
-    def traffic_has_changed(self) -> bool:
-        """Whether a vehicle has come or left in the last step."""
-        return bool(_simulation.getArrivedNumber() or _simulation.getDepartedNumber())
-
     def check(self) -> None:
         """An error if somebody else has moved SUMO's clock."""
         if not self._clock_is_ours():
@@ -260,7 +260,7 @@ class Session:
         position, angle, speed = _vehicle.getPosition, _vehicle.getAngle, _vehicle.getSpeed
         if not self.sizes:
             return {name: _state(position(name), angle(name), speed(name)) for name in names}
-        return {name: _state(position(name), angle(name), speed(name), self._half(name)) for name in names}
+        return {name: _state(position(name), angle(name), speed(name), self.half(name)) for name in names}
 
     def halves(self, names: Iterable[str]) -> list[Half]:
         """Half the length and the width of these vehicles [m]; empty where all vehicles on the road are cars."""
@@ -269,7 +269,8 @@ class Session:
         sizes = (self.sizes.get(name, CAR_SIZE) for name in names)
         return [(length / 2.0, width / 2.0) for length, width in sizes]
 
-    def _half(self, name: str) -> float:
+    def half(self, name: str) -> float:
+        """Half the length of a vehicle [m]."""
         return self.sizes.get(name, CAR_SIZE)[0] / 2.0
 
     def near(
@@ -286,17 +287,13 @@ class Session:
         for other in others:
             front = position(other)
             dx, dy = front[0] - x, front[1] - y
-            distance = math.sqrt(dx * dx + dy * dy)
+            distance = sqrt(dx * dx + dy * dy)
             if distance <= radius:
-                half = self._half(other) if sizes else HALF_LENGTH
+                half = self.half(other) if sizes else HALF_LENGTH
                 near[other] = _state(front, angle(other), speed(other), half)
             else:
                 rest.append((other, distance - radius))
         return _state(own, angle(name), speed(name)), near, rest
-
-    def arrived(self) -> tuple[str, ...]:
-        """Names of the vehicles that have left the road in the last step: they were at the end of their route."""
-        return _simulation.getArrivedIDList()
 
     # -- time ----------------------------------------------------------------------------------------------
 
@@ -304,21 +301,18 @@ class Session:
         """Advance by one step; returns the pairs of vehicles that SUMO reports in collision."""
         libsumo.simulationStep()
         self._steps += 1
+        self.arrived = _simulation.getArrivedIDList()
+        self.changed = bool(self.arrived or _simulation.getDepartedNumber())
         found = _simulation.getCollisions()
         return [(contact.collider, contact.victim) for contact in found] if found else ()
 
 
 def _state(front: tuple[float, float], angle: float, speed: float, half: float = HALF_LENGTH) -> State:
     """A vehicle's centre, speed and heading in highway-env's coordinates from SUMO's front bumper and angle [deg]."""
-    heading = math.radians(angle - 90.0)
-    if heading > math.pi:
-        heading -= 2.0 * math.pi
-    return (
-        front[0] - half * math.cos(heading),
-        -front[1] - half * math.sin(heading),
-        speed,
-        heading,
-    )
+    heading = radians(angle - 90.0)
+    if heading > pi:
+        heading -= 2.0 * pi
+    return front[0] - half * cos(heading), -front[1] - half * sin(heading), speed, heading
 
 
 def _write_types(path: Path, settings: Settings) -> None:

@@ -41,39 +41,32 @@ class Surroundings:
 
         A distant vehicle is left out until it may have come near (conservative advancement).
         """
-        if self._session.traffic_has_changed():
+        if self._session.changed:
             self.take_stock()
         others, due = self._others, self._due
         if due:
             others = [name for name in others if due.get(name, time) <= time]
         (x, y, _, heading), self.near, distant = self._session.near(EGO, others, TTC_RADIUS)
-        self.ego = (
-            x,
-            y,
-            speed,
-            heading,
-        )  # SUMO's speed is the commanded one, which covers the way of a sub-step
+        # SUMO's speed is the commanded one, which covers the way of a sub-step
+        self.ego = x, y, speed, heading
         for name, further in distant:
             due[name] = time + further / FASTEST
 
     def time_to_collision(self, horizon: float) -> float:
         """Least time to collision of the ego [s], inf without one within `horizon` [s]."""
-        halves = self._session.halves(self.near)
-        if not halves:
+        if not self._session.sizes:
             return ego_ttc(self.ego, self.near.values(), horizon)
-        times = [
-            ttc_of_size(self.ego, other, half, horizon)
-            for other, half in zip(self.near.values(), halves, strict=True)
-        ]
-        return min(times, default=inf)
+        sized = zip(self.near.values(), self._session.halves(self.near), strict=True)
+        return min((ttc_of_size(self.ego, other, half, horizon) for other, half in sized), default=inf)
 
     def within_reach(self, before: dict[str, State], dt: float) -> list[str]:
         """Who may have touched the ego in the last `dt` [s], of those that were near before."""
         x, y, _, _ = self.ego
-        longest = max((reach_of(half) for half in self._session.halves(self.near)), default=DIAGONAL)
-        reach = max(longest, DIAGONAL) + FASTEST * dt
+        reach = DIAGONAL + FASTEST * dt
+        if self._session.sizes:
+            reach += max((reach_of(half) - DIAGONAL for half in self._session.halves(self.near)), default=0.0)
         return [
             name
             for name, other in self.near.items()
-            if abs(other[0] - x) < reach and abs(other[1] - y) < reach and name in before
+            if -reach < other[0] - x < reach and -reach < other[1] - y < reach and name in before
         ]

@@ -222,14 +222,14 @@ class SumoSimulator:
             self._session.set_speed(name, distance / self._session.step_length * stretch)
         self._time += self._dt
         reported = self._session.step()
-        for name in self._session.arrived():
+        for name in self._session.arrived:
             if name == EGO:
                 raise SimulatorError(
                     f"the ego has driven off the end of the road ({self._scenario.task}, {self._time:.1f} s): "
                     "choose a shorter 'duration', or call reset() to begin another episode"
                 )
             self._forget(name)
-        return [pair for pair in reported if all(name in self._specs for name in pair)]
+        return [pair for pair in reported if all(name in self._specs for name in pair)] if reported else ()
 
     def _look(self, reported: Sequence[tuple[str, str]]) -> None:
         """After a sub-step: who is near the ego, and who has crashed."""
@@ -316,13 +316,13 @@ class SumoSimulator:
 
     def _read(self) -> Scene:
         """The scene by SUMO's vehicles, the ego first."""
-        ids = (EGO, *(name for name in self._specs if name != EGO))
+        ids = (EGO, *[name for name in self._specs if name != EGO])
         present = self._session.vehicles()
         if len(present) > len(ids):  # somebody else has added vehicles
             ids += tuple(name for name in present if name not in self._specs)
-        known = {EGO: self._around.ego, **self._around.near}
-        read = self._session.read([name for name in ids if name not in known])
-        x, y, speed, heading = np.array([known.get(name) or read[name] for name in ids]).T.copy()
+        states = {EGO: self._around.ego, **self._around.near}
+        states |= self._session.read([name for name in ids if name not in states])
+        x, y, speed, heading = map(np.array, zip(*[states[name] for name in ids], strict=True))
         crashed = np.zeros(len(ids), np.bool_)
         crashed[0] = self._ego.crashed
         if self._crashed:

@@ -261,9 +261,10 @@ def test_neither_shards_nor_order_nor_company_change_anything(reference, tmp_pat
     assert fingerprint(tmp_path) == fingerprint(reference)
 
 
-@pytest.mark.slow
+@pytest.mark.long
 @pytest.mark.parametrize("executor", ["ray", "slurm"])
 def test_every_executor_gives_the_same_results(reference, tmp_path, monkeypatch, executor):
+    """Whole sweeps; study/test_executors.py has single tasks on Ray and Slurm every day."""
     if executor == "ray":
         pytest.importorskip("ray")
     else:  # submitit's processes on this machine in the place of Slurm

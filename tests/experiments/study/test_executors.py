@@ -41,7 +41,7 @@ def test_a_job_at_its_time_limit_goes_on_from_its_checkpoint(tmp_path):
     pytest.importorskip("submitit")
     from experiments.study.executors.slurm import SlurmExecutor
 
-    task = Sum("long", tmp_path, pause=1.0)
+    task = Sum("long", tmp_path, pause=0.5)
     executor = SlurmExecutor(tmp_path / "slurm", cluster="local")
 
     class Limit(Witness):

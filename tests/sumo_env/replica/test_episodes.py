@@ -10,7 +10,7 @@ import pytest
 from .pairs import Case, cases, compare
 from .stock import TASKS
 
-FEW = {"highway": 2, "two-way": 6, "roundabout": 10, "intersection": 10, "u-turn": 10}
+FEW = {"highway": 2, "two-way": 6, "roundabout": 6, "intersection": 6, "u-turn": 6}
 EACH = 200  # episodes of each task in the long comparison
 
 

@@ -33,7 +33,6 @@ def both(values: dict[str, list[tuple[float, float]]], measure: str = "return") 
 def test_episodes_of_other_scenarios_are_no_pairs() -> None:
     table = pd.DataFrame([row("a", 0, drawn=1), row("b", 0, drawn=2), row("a", 1), row("b", 1)])
     assert compare.pairs(table, "a", "b")["scenario"].tolist() == [1]
-    assert compare.strangers(table, "a", "b") == 1
 
 
 def test_the_scenario_is_the_unit() -> None:
@@ -71,13 +70,6 @@ def test_wasserstein_distance_of_shifted_headways() -> None:
     assert found.difference == pytest.approx(6 * BIN)
     assert (found.low, found.high) == pytest.approx((6 * BIN, 6 * BIN))
     assert np.isnan(compare.wasserstein(np.zeros(BINS), np.ones(BINS)))
-
-
-def test_rates_of_wrecks_are_ratios_of_sums() -> None:
-    rows = [row("a", 0, wrecks=1, vehicle_hours=1.0), row("a", 1, wrecks=0, vehicle_hours=3.0)]
-    rows += [row("b", 0, wrecks=0, vehicle_hours=1.0), row("b", 1, wrecks=0, vehicle_hours=1.0)]
-    found = compare.wrecks_difference(compare.pairs(pd.DataFrame(rows), "a", "b"))
-    assert (found.first, found.second) == (0.25, 0.0)
 
 
 def test_order_counts_decided_pairs_only() -> None:

@@ -5,7 +5,7 @@ backends   the simulators behind one function
 study      grid -> train -> evaluate -> stored cells (sweep.py)
 analysis   stored cells -> effects and verdicts (report.py)
 reporting  effects -> report.html
-validation, calibration  the parts of validate.py and calibrate.py
+validation the parts of validate.py
 
 Importing anything of it limits numerical libraries to one thread in this process and those that it starts: processes
 do the parallel work, and the bits of a sum depend on the number of threads.

@@ -94,7 +94,7 @@ FLOORS = {
         < observation information rendering views export < interface < sumo < env
     """,
     "experiments": """
-        support < backends < study < analysis < reporting < validation < calibration
+        support < backends < study < analysis < reporting < validation
         < measuring peers report < sweep
     """,
 }

@@ -23,13 +23,17 @@ if TYPE_CHECKING:
 
 Check = dict[str, Any]
 LEAST_SCENARIOS = 3  # with fewer there is no verdict
-REFERENCE, NOISE, VARIANTS, TRUTH = "reference", "reference at 10 Hz", ("connected", "v0"), "highway-env"
+# Engines in a table of episodes beside the compared simulator: highway-env by its replica, the same in other variants,
+# and highway-env itself.
+REFERENCE, VARIANTS, TRUTH = "reference", ("connected", "v0", "10 Hz"), "highway-env"
 # Measures over the egos of CORE: metric -> (name, unit). Those without a margin are reported.
 MEASURES = {
     "traffic_speed": ("traffic speed", "m/s"),
+    "headway": ("headways (Wasserstein distance)", "s"),
     "return": ("return", ""),
     "crashed": ("crash rate", ""),
     "lane_changes": ("lane changes of the traffic", "1/vehicle-minute"),
+    "same_outcome": ("same crash outcome", "share"),
     "length": ("episode length", "steps"),
     "crash_time": ("time to crash, where both crash", "s"),
     "ego_speed": ("speed of the ego", "m/s"),
@@ -53,12 +57,10 @@ class Margin:
         value: of the margin.
         relative_to: what `value` is a share of: nothing ("unit"), highway-env's own value ("reference"), or the range
             of the task's return ("range").
-        reason: why so large.
     """
 
     value: float
     relative_to: Literal["unit", "reference", "range"]
-    reason: str
 
     def bound(self, task: str, reference: float) -> float:
         """The margin in the unit of the measure, where highway-env's value is `reference`."""
@@ -67,20 +69,16 @@ class Margin:
 
 
 MARGINS: dict[str, Margin] = {
-    "traffic_speed": Margin(0.05, "reference", "the spread of desired speeds between drivers is 7 %"),
-    "headway": Margin(
-        0.15, "reference", "Wasserstein distance; traffic that brakes half or twice as hard is further away"
-    ),
-    "return": Margin(0.05, "range", "effects of training worth reporting are larger"),
-    "crashed": Margin(0.10, "unit", "a dose of 1 is calibrated to raise the rate by 0.10 to 0.30"),
-    "crashed_ego": Margin(0.15, "unit", "one ego meets one kind of conflict, all of them the mixture"),
-    "lane_changes": Margin(
-        0.25, "reference", "highway-env at 10 and at 15 Hz differs from itself by as much"
-    ),
-    "order": Margin(0.0, "unit", "which of two egos is better must not depend on the simulator"),
+    "traffic_speed": Margin(0.05, "reference"),  # desired speeds of drivers spread by 7 %
+    "headway": Margin(0.15, "reference"),  # traffic that brakes half or twice as hard is further away
+    "return": Margin(0.05, "range"),  # effects of training worth reporting are larger
+    "crashed": Margin(0.10, "unit"),  # a dose of 1 is calibrated to raise the rate by 0.10 to 0.30
+    "crashed_ego": Margin(0.15, "unit"),  # one ego meets one kind of conflict, all of them the mixture
+    "lane_changes": Margin(0.25, "reference"),  # highway-env at 10 and at 15 Hz differs by as much
+    "order": Margin(0.0, "unit"),  # which of two egos is better must not depend on the simulator
 }
-# The replica is highway-env compiled; an episode may differ only where rounding decides who crosses first.
-REPLICA = Margin(0.01, "unit", "share of the recomputed episodes that end differently")
+# Share of the recomputed episodes that may end differently: where rounding decides who crosses first.
+REPLICA = 0.01
 
 
 def margin_of(metric: str, task: str, traffic: str) -> Margin | None:
@@ -90,29 +88,31 @@ def margin_of(metric: str, task: str, traffic: str) -> Margin | None:
     return MARGINS.get(metric)
 
 
-def check(
-    name: str, metric: str, found: Difference, task: str, margin: Margin | None = None, *, unit: str = "",
-    ego: str = "", noise: float | None = None, variants: Mapping[str, float] | None = None, note: str = "",
-) -> Check:  # fmt: skip
-    """One line of the scorecard as plain JSON values; its verdict is None where there is no margin."""
-    bound = None if margin is None else margin.bound(task, found.second)
+def difference(metric: str, both: pd.DataFrame) -> Difference:
+    """How far the two simulators of `compare.pairs` are apart in one of MEASURES."""
+    special = {"headway": compare.headway_distance, "same_outcome": compare.same_outcome}
+    return special[metric](both) if metric in special else compare.mean_difference(both, metric)
+
+
+def check(metric: str, found: Difference, bound: float | None = None, **labels: Any) -> Check:
+    """One line of the scorecard as plain JSON values; its verdict is None where there is no margin.
+
+    labels: name, unit, ego, note, and variants (engine -> its own difference from the reference).
+    """
+    numbers = {
+        "sumo": found.first,
+        "reference": found.second,
+        "difference": found.difference,
+        "low": found.low,
+        "high": found.high,
+        "margin": bound,
+    }
     return {
-        "name": name,
         "metric": metric,
-        "ego": ego,
-        "unit": unit,
-        "sumo": finite(found.first),
-        "reference": finite(found.second),
-        "difference": finite(found.difference),
-        "low": finite(found.low),
-        "high": finite(found.high),
-        "margin": finite(bound),
+        **{"name": metric, "unit": "", "ego": "", "note": "", "variants": {}, **labels},
+        **{name: finite(value) for name, value in numbers.items()},
         "verdict": verdict(found, bound),
-        "noise": finite(noise),
         "n": found.n,
-        "variants": {key: finite(value) for key, value in (variants or {}).items()},
-        "reason": "" if margin is None else margin.reason,
-        "note": note,
     }
 
 
@@ -122,8 +122,6 @@ def verdict(found: Difference, bound: float | None) -> str | None:
         return None
     if abs(found.difference) > bound + 1e-9:
         return "missed"
-    if found.low is None or found.high is None:
-        return "within"
     return "equivalent" if -bound <= found.low and found.high <= bound else "within"
 
 
@@ -140,33 +138,17 @@ def level_checks(rows: pd.DataFrame, engine: str, task: str, traffic: str) -> li
         engine: which of them is compared with the reference.
     """
     every = compare.pairs(rows, engine, REFERENCE)
-    if every.empty:
-        return []
-    both = every[every["ego"].isin(CORE)]
     core = rows[rows["ego"].isin(CORE)]
-    noise = compare.pairs(core, NOISE, REFERENCE)
-    others = {name: compare.pairs(core, name, REFERENCE) for name in VARIANTS}
-
+    both = every[every["ego"].isin(CORE)]
+    beside = {name: compare.pairs(core, name, REFERENCE) for name in VARIANTS}
+    beside = {name: own for name, own in beside.items() if len(own)}
     found = []
     for metric, (name, unit) in MEASURES.items():
-        difference = compare.mean_difference(both, metric)
-        # of other variants of highway-env: the reference's mean plus the difference in common episodes
-        variants = {
-            variant: difference.second + compare.mean_difference(pairs, metric).difference
-            for variant, pairs in others.items()
-            if len(pairs)
-        }
-        own = compare.mean_difference(noise, metric).difference if len(noise) else None
+        own = difference(metric, both)
         margin = margin_of(metric, task, traffic)
-        found.append(check(name, metric, difference, task, margin, unit=unit, noise=own, variants=variants))
-    for metric, name, unit, measure in (
-        ("headway", "headways (Wasserstein distance)", "s", compare.headway_distance),
-        ("wrecks", "wrecks of the other traffic", "1/vehicle-hour", compare.wrecks_difference),
-        ("same_outcome", "same crash outcome", "share", compare.same_outcome),
-    ):
-        own = measure(noise).difference if len(noise) else None
-        margin = margin_of(metric, task, traffic)
-        found.append(check(name, metric, measure(both), task, margin, unit=unit, noise=own))
+        variants = {other: finite(difference(metric, table).difference) for other, table in beside.items()}
+        bound = None if margin is None else margin.bound(task, own.second)
+        found.append(check(metric, own, bound, name=name, unit=unit, variants=variants))
     found += ego_checks(every, task)
     return sorted((item for item in found if item["n"]), key=lambda item: item["verdict"] is None)
 
@@ -177,43 +159,35 @@ def ego_checks(every: pd.DataFrame, task: str) -> list[Check]:
     for ego in egos(task):
         part = every[every["ego"] == ego]
         crashes, returns = (compare.mean_difference(part, metric) for metric in ("crashed", "return"))
-        found.append(check("crash rate", "crashed_ego", crashes, task, MARGINS["crashed_ego"], ego=ego))
-        found.append(check("return", "return_ego", returns, task, ego=ego))
+        bound = MARGINS["crashed_ego"].bound(task, crashes.second)
+        found.append(check("crashed_ego", crashes, bound, name="crash rate", ego=ego))
+        found.append(check("return_ego", returns, name="return", ego=ego))
     scenarios = every["scenario"].nunique()
     for measure, name in (("return", "return"), ("crashed", "crash rate")):
         turned, decided = compare.reversed_pairs(every, measure)
-        same = decided - len(turned)
-        difference = Difference(float(same), float(decided), -float(len(turned)), None, None, scenarios)
+        order = Difference(decided - len(turned), decided, -len(turned), n=scenarios)
+        labels = {"name": f"pairs of egos in the same order, by {name}", "unit": f"of {decided} decided"}
         note = f"reversed: {', '.join(turned)}" if turned else ""
-        name = f"pairs of egos in the same order, by {name}"
-        unit = f"of {decided} decided"
-        found.append(check(name, "order", difference, task, MARGINS["order"], unit=unit, note=note))
+        found.append(check("order", order, MARGINS["order"].value, note=note, **labels))
     return found
 
 
 def replica_checks(table: pd.DataFrame) -> dict[str, Any] | None:
     """The reference against the random episodes that highway-env itself has driven again, by task; None without any."""
     both = compare.pairs(table, REFERENCE, TRUTH)
-    if both.empty:
-        return None
     sides = [f"{name}_{side}" for name in ("outcome", "length", "return") for side in "ab"]
     tasks = {}
     for task, part in both.groupby("task", sort=False):
         others = compare.differing(part)
-        crashes, returns = (compare.mean_difference(part, metric) for metric in ("crashed", "return"))
         tasks[str(task)] = {
             "episodes": len(part),
             "differing": len(others),
-            "verdict": "within" if len(others) / len(part) <= REPLICA.value else "missed",
-            "crash_rate": finite(crashes.second),
-            "crash_rate_difference": finite(crashes.difference),
-            "return": finite(returns.second),
-            "return_difference": finite(returns.difference),
+            "verdict": "within" if len(others) / len(part) <= REPLICA else "missed",
             "exceptions": others[["level", "traffic", "ego", "scenario", *sides]]
             .astype(object)
             .to_dict("records"),
         }
-    return {"margin": REPLICA.value, "reason": REPLICA.reason, "tasks": tasks}
+    return {"margin": REPLICA, "tasks": tasks} if tasks else None
 
 
 def scorecard(table: pd.DataFrame, engine: str, level_names: Mapping[str, Sequence[str]]) -> dict[str, Any]:
@@ -223,16 +197,10 @@ def scorecard(table: pd.DataFrame, engine: str, level_names: Mapping[str, Sequen
         table: the episodes of all engines.
         level_names: of each task.
     """
-    tasks: dict[str, Any] = {}
-    for task, names in level_names.items():
-        traffics: dict[str, Any] = {}
-        rows = table[table["task"] == task]
-        for traffic in dict.fromkeys(rows["traffic"]):
-            for number, name in enumerate(names, start=1):
-                part = rows[(rows["traffic"] == traffic) & (rows["level"] == number)]
-                if found := level_checks(part, engine, task, traffic):
-                    traffics.setdefault(traffic, {})[name] = found
-        tasks[task] = {"traffics": traffics}
+    tasks: dict[str, Any] = {task: {"traffics": {}} for task in level_names}
+    for (task, traffic, level), rows in table.groupby(["task", "traffic", "level"]):
+        if task in tasks and (found := level_checks(rows, engine, task, traffic)):
+            tasks[task]["traffics"].setdefault(traffic, {})[level_names[task][level - 1]] = found
     return {
         task: {"passed": found["passed"], **tasks[task], "counts": found["counts"]}
         for task, found in summary(tasks).items()

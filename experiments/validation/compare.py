@@ -10,18 +10,14 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import combinations
-from typing import TYPE_CHECKING
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 from scipy import stats
 
 from experiments.validation.episodes import BIN, BINS, HEADWAYS, PAIR
 
-if TYPE_CHECKING:
-    import pandas as pd
-
-CONFIDENCE = 0.90
 RESAMPLES = 200
 CENTRES = (np.arange(BINS) + 0.5) * BIN  # [s] of the headway histogram
 Floats = NDArray[np.float64]
@@ -29,44 +25,33 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Difference:
-    """First minus second: means of both, their difference and its 90 % interval (None without one), scenarios."""
+    """First minus second: the means of both, their difference, its 90 % interval (NaN without one), and scenarios."""
 
-    first: float
-    second: float
-    difference: float
-    low: float | None
-    high: float | None
-    n: int
+    first: float = np.nan
+    second: float = np.nan
+    difference: float = np.nan
+    low: float = np.nan
+    high: float = np.nan
+    n: int = 0
 
 
 def pairs(table: pd.DataFrame, first: str, second: str) -> pd.DataFrame:
     """Episodes that both engines have driven, side by side with suffixes ``_a`` and ``_b``.
 
     Where the two did not start from the same scenario (stored episodes may be of a version that drew others) there
-    is no pair; `strangers` counts those.
+    is no pair.
     """
-    both = _side_by_side(table, first, second)
+    a, b = (table[table["engine"] == name].drop(columns="engine") for name in (first, second))
+    both = a.merge(b, on=PAIR, suffixes=("_a", "_b"))
     return both[both["drawn_a"] == both["drawn_b"]]
 
 
-def strangers(table: pd.DataFrame, first: str, second: str) -> int:
-    """Episodes of both engines that bear one number but are of different scenarios."""
-    both = _side_by_side(table, first, second)
-    return int((both["drawn_a"] != both["drawn_b"]).sum())
-
-
-def _side_by_side(table: pd.DataFrame, first: str, second: str) -> pd.DataFrame:
-    a, b = (table[table["engine"] == name].drop(columns="engine") for name in (first, second))
-    return a.merge(b, on=PAIR, suffixes=("_a", "_b"))
-
-
-def interval(values: Floats) -> tuple[float | None, float | None]:
-    """90 % t-interval of the mean; (None, None) with fewer than two values."""
-    values = values[np.isfinite(values)]
+def interval(values: Floats, confidence: float = 0.90) -> tuple[float, float]:
+    """t-interval of the mean; NaN with fewer than two values."""
     if len(values) < 2:
-        return None, None
+        return np.nan, np.nan
     spread = values.std(ddof=1) / np.sqrt(len(values))
-    half = float(stats.t.ppf(0.5 + CONFIDENCE / 2, len(values) - 1) * spread)
+    half = float(stats.t.ppf(0.5 + confidence / 2, len(values) - 1) * spread)
     centre = float(values.mean())
     return centre - half, centre + half
 
@@ -75,24 +60,18 @@ def mean_difference(both: pd.DataFrame, measure: str) -> Difference:
     """Difference of the means of a measure; pairs in which either has none are left out."""
     columns = both[["scenario", f"{measure}_a", f"{measure}_b"]].astype(float)
     columns = columns[np.isfinite(columns).all(axis=1)]
-    columns["difference"] = columns[f"{measure}_a"] - columns[f"{measure}_b"]
-    by_scenario = columns.groupby("scenario")["difference"].mean().to_numpy()
-    if not len(by_scenario):
-        return Difference(np.nan, np.nan, np.nan, None, None, 0)
-    low, high = interval(by_scenario)
-    return Difference(
-        float(columns[f"{measure}_a"].mean()), float(columns[f"{measure}_b"].mean()),
-        float(columns["difference"].mean()), low, high, len(by_scenario),
-    )  # fmt: skip
+    if columns.empty:
+        return Difference()
+    first, second = columns[f"{measure}_a"], columns[f"{measure}_b"]
+    by_scenario = (first - second).groupby(columns["scenario"]).mean().to_numpy()
+    centre = float((first - second).mean())
+    return Difference(first.mean(), second.mean(), centre, *interval(by_scenario), len(by_scenario))
 
 
-def wrecks_difference(both: pd.DataFrame) -> Difference:
-    """Difference of the rates at which other vehicles crash [1/vehicle-hour]; without an interval."""
-    first, second = (
-        float(wrecks / hours) if hours else np.nan
-        for wrecks, hours in (both[[f"wrecks_{side}", f"vehicle_hours_{side}"]].sum() for side in "ab")
-    )
-    return Difference(first, second, first - second, None, None, both["scenario"].nunique())
+def same_outcome(both: pd.DataFrame) -> Difference:
+    """Share of episodes with the same crash outcome (`first`), against all of them."""
+    same = (both["crashed_a"] == both["crashed_b"]).astype(float)
+    return mean_difference(both.assign(same_a=same, same_b=1.0), "same")
 
 
 def wasserstein(first: Floats, second: Floats) -> float:
@@ -111,21 +90,10 @@ def headway_distance(both: pd.DataFrame) -> Difference:
     for _ in range(RESAMPLES if len(a) > 1 else 0):
         rows = rng.integers(len(a), size=len(a))
         resampled.append(wasserstein(a[rows].sum(axis=0), b[rows].sum(axis=0)))
-    low, high = (float(np.nanquantile(resampled, q)) for q in (0.05, 0.95)) if resampled else (None, None)
-    first, second = (
-        float(side.sum(axis=0) @ CENTRES / side.sum()) if side.sum() else np.nan for side in (a, b)
-    )
-    return Difference(first, second, wasserstein(a.sum(axis=0), b.sum(axis=0)), low, high, len(a))
-
-
-def same_outcome(both: pd.DataFrame) -> Difference:
-    """Share of episodes with the same crash outcome (`first`), against all of them, and its interval."""
-    same = (both["crashed_a"] == both["crashed_b"]).groupby(both["scenario"]).mean().to_numpy(float)
-    if not len(same):
-        return Difference(np.nan, 1.0, np.nan, None, None, 0)
-    share = float(same.mean())
-    ends = [None if end is None else end - 1.0 for end in interval(same)]
-    return Difference(share, 1.0, share - 1.0, ends[0], ends[1], len(same))
+    low, high = pd.Series(resampled, dtype=float).quantile([0.05, 0.95])
+    totals = [side.sum(axis=0) for side in (a, b)]
+    first, second = (float(total @ CENTRES / total.sum()) if total.sum() else np.nan for total in totals)
+    return Difference(first, second, wasserstein(*totals), low, high, len(a))
 
 
 def reversed_pairs(both: pd.DataFrame, measure: str) -> tuple[list[str], int]:
@@ -140,20 +108,13 @@ def reversed_pairs(both: pd.DataFrame, measure: str) -> tuple[list[str], int]:
     turned, decided = [], 0
     for one, other in combinations(tables[1].columns, 2):
         reference = (tables[1][one] - tables[1][other]).dropna().to_numpy()
-        if len(reference) < 3 or not _excludes_zero(reference):
+        low, high = interval(reference, 0.95)
+        if len(reference) < 3 or low <= 0 <= high:
             continue
         decided += 1
         if float((tables[0][one] - tables[0][other]).mean()) * float(reference.mean()) < 0:
             turned.append(f"{one} / {other}")
     return turned, decided
-
-
-def _excludes_zero(values: Floats) -> bool:
-    spread = values.std(ddof=1)
-    if spread == 0:
-        return bool(values[0] != 0)
-    t = abs(values.mean()) / (spread / np.sqrt(len(values)))
-    return bool(t > stats.t.ppf(0.975, len(values) - 1))
 
 
 def differing(both: pd.DataFrame) -> pd.DataFrame:

@@ -43,13 +43,9 @@ COLUMNS: dict[str, str] = {
     "outcome": "str",  # "crashed", "arrived", "time" or "left" (the road)
     "crash_time": "float32",  # [s], nan without a crash
     "ego_speed": "float32",  # [m/s], mean over the steps
-    "min_ttc": "float32",  # [s], inf where no collision was ever in sight
     "traffic_speed": "float32",  # [m/s], mean over the other vehicles within 200 m and the steps
-    "headway": "float32",  # [s], mean over the same, at most 10 s
     "lane_changes": "float32",  # per vehicle-minute
     "density": "float32",  # other vehicles within 200 m, mean over the steps
-    "wrecks": "int16",  # other vehicles that crashed, without the one that the ego hit
-    "vehicle_hours": "float32",  # [h] driven by the other vehicles within 200 m
     **dict.fromkeys(HEADWAYS, "uint16"),
 }
 
@@ -67,24 +63,18 @@ class Recorder:
     speeds: list[float] = field(default_factory=list)
     times: list[float] = field(default_factory=list)
     density: list[int] = field(default_factory=list)
-    wrecks: set[str] = field(default_factory=set)
     changes: int = 0
     followed: int = 0  # pairs of successive scenes in which a vehicle's lane is known
-    seen: int = 0
     _lanes: dict[str, LaneIndex] = field(default_factory=dict)
 
     def see(self, scene: Scene) -> None:
         """Take one scene down."""
-        dx, dy = scene.x - scene.x[0], scene.y - scene.y[0]
-        near = dx * dx + dy * dy <= DENSITY_RADIUS**2
+        near = np.hypot(scene.x - scene.x[0], scene.y - scene.y[0]) <= DENSITY_RADIUS
         near[0] = False
-        self.wrecks |= {scene.ids[row] for row in np.flatnonzero(near & scene.crashed)}
-        self.density.append(int(near.sum()))
         driving = near & ~scene.crashed
-        self.seen += int(driving.sum())
+        self.density.append(int(near.sum()))
         self.speeds += scene.speed[driving].tolist()
-        arrays = (np.ascontiguousarray(a) for a in (scene.x, scene.y, scene.speed, scene.heading))
-        headway = headways(*arrays)
+        headway = headways(*map(np.ascontiguousarray, (scene.x, scene.y, scene.speed, scene.heading)))
         self.times += headway[driving & np.isfinite(headway)].tolist()
         if self.task not in WITHOUT_LANE_CHANGES:
             self._count_changes(scene, driving)
@@ -107,17 +97,14 @@ class Recorder:
             return known
         return self.road.closest_lane(x, y, scene.heading.item(row))
 
-    def row(self, hit: str | None) -> dict[str, Any]:
-        """Means over vehicles and steps, nan where there was nothing to see. `hit`: whom the ego crashed with."""
+    def row(self) -> dict[str, Any]:
+        """Means over vehicles and steps, nan where there was nothing to see."""
         counts, _ = np.histogram(np.clip(self.times, 0, BIN * BINS - 1e-9), BINS, (0, BIN * BINS))
         minutes = self.followed * self.interval / 60.0
         return {
             "traffic_speed": mean(self.speeds),
-            "headway": mean(np.clip(self.times, 0, BIN * BINS)),
             "lane_changes": self.changes / minutes if minutes else math.nan,
             "density": mean(self.density),
-            "wrecks": len(self.wrecks - {hit}),
-            "vehicle_hours": self.seen * self.interval / 3600.0,
             **dict(zip(HEADWAYS, counts.tolist(), strict=True)),
         }
 
@@ -139,7 +126,7 @@ def drive(
     traffic: str,
     ego: str,
     scenario: int,
-    options: Mapping[str, Any] | None = None,
+    options: Mapping[str, Any],
 ) -> dict[str, Any]:
     """Drive test scenario number `scenario` to its end and return its row of COLUMNS.
 
@@ -150,25 +137,32 @@ def drive(
     policy = make_ego(ego, env)
     policy.reset(stream_seed("policy", task, level, traffic, scenario))
     seed = scenario_seed(task, level, scenario)
-    observation, info = env.reset(seed=seed, options={"config": {"risk": dose(traffic)}, **(options or {})})
+    observation, info = env.reset(seed=seed, options={"config": {"risk": dose(traffic)}, **options})
     recorder = Recorder(task, get_task(task).road(inner.config), 1.0 / inner.config["policy_frequency"])
     recorder.see(inner.scene)
     drawn = checksum(inner.scenario)
-    rewards, speeds, nearest = [], [], math.inf
+    rewards, speeds = [], []
     terminated = truncated = False
     while not (terminated or truncated):
         observation, reward, terminated, truncated, info = env.step(policy.act(observation))
         rewards.append(float(reward))
         speeds.append(float(info["speed"]))
-        nearest = min(nearest, float(info["min_ttc_before_contact"]))
         recorder.see(inner.scene)
-    crash = info["crash"] if info["crashed"] else {}
     return {
-        "task": task, "level": level, "traffic": traffic, "ego": ego, "scenario": scenario, "drawn": drawn,
-        "return": math.fsum(rewards), "length": len(rewards), "crashed": bool(info["crashed"]),
-        "outcome": outcome(info, terminated), "crash_time": float(crash.get("time", math.nan)),
-        "ego_speed": mean(speeds), "min_ttc": nearest, **recorder.row(crash.get("other")),
-    }  # fmt: skip
+        "task": task,
+        "level": level,
+        "traffic": traffic,
+        "ego": ego,
+        "scenario": scenario,
+        "drawn": drawn,
+        "return": math.fsum(rewards),
+        "length": len(rewards),
+        "crashed": bool(info["crashed"]),
+        "outcome": outcome(info, terminated),
+        "crash_time": float(info["crash"]["time"]) if info["crashed"] else math.nan,
+        "ego_speed": mean(speeds),
+        **recorder.row(),
+    }
 
 
 def outcome(info: dict[str, Any], terminated: bool) -> str:

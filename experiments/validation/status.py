@@ -21,9 +21,9 @@ if TYPE_CHECKING:
 
 HERE = Path(__file__).parent
 VERDICT, STORED_REFERENCE = HERE / "verdict.json", HERE / "reference.parquet"
-VALIDATED = (
-    "sumo"  # the backend that a sweep has to know about; the others are highway-env, or tested against it
-)
+STORED_SCENARIOS = 24  # of each level
+# The backend that a sweep has to know about; the others are highway-env, or tested against it.
+VALIDATED = "sumo"
 
 
 def before_training(
@@ -42,38 +42,32 @@ def before_training(
         return None
     marks = {task: dynamics(backend, task) for task in tasks}
     known = of_results(out)
-    if known is not None and known["backend"] == backend and covers(known, marks):
+    if known is not None and covers(known, marks):
         return known
-    known = stored_verdict(backend, marks)
+    known = stored_verdict(marks)
     if known is None:
         note("driving SUMO through highway-env's stored scenarios")
-        known = quick_verdict(backend, marks, out / "validation", workers)
+        known = quick_verdict(marks, out / "validation", workers)
     if known is not None:
         write_json(out / "verdict.json", known)
     return known
 
 
-def stored_verdict(backend: str, marks: Mapping[str, str], path: Path | None = None) -> dict[str, Any] | None:
+def stored_verdict(marks: Mapping[str, str]) -> dict[str, Any] | None:
     """The verdict of the last full validation on these tasks; None unless it is of the same versions and dynamics.
 
     Args:
         marks: task -> fingerprint of its dynamics now.
-        path: file with the verdict; None for the one that the package ships.
     """
-    record = read(path or VERDICT)
-    if record is None or record["backend"] != backend or not covers(record, marks):
+    record = read(VERDICT)
+    if record is None or not covers(record, marks):
         return None
-    return {
-        **record,
-        "fingerprints": dict(marks),
-        "tasks": {task: record["tasks"][task] for task in marks},
-    }
+    tasks = {task: record["tasks"][task] for task in marks}
+    return {**record, "fingerprints": dict(marks), "tasks": tasks}
 
 
-def quick_verdict(
-    backend: str, marks: Mapping[str, str], folder: Path, workers: int
-) -> dict[str, Any] | None:
-    """Drive the backend through the stored scenarios of these tasks and compare; None where nothing is stored.
+def quick_verdict(marks: Mapping[str, str], folder: Path, workers: int) -> dict[str, Any] | None:
+    """Drive SUMO through the stored scenarios of these tasks and compare; None where nothing is stored.
 
     So few scenarios cannot show that a margin is kept; a check counts as missed only where its whole 90 % interval
     lies beyond the margin.
@@ -83,23 +77,24 @@ def quick_verdict(
     from experiments.validation import parts
     from experiments.validation.checks import REFERENCE, scorecard
 
-    stored = pd.read_parquet(STORED_REFERENCE) if STORED_REFERENCE.exists() else pd.DataFrame({"task": []})
+    if not STORED_REFERENCE.exists():
+        return None
+    stored = pd.read_parquet(STORED_REFERENCE)
     stored = stored[stored["task"].isin(list(marks))]
     if set(stored["task"]) != set(marks):
         return None
     number = int(stored["scenario"].max()) + 1
     levels = {task: sorted(set(stored.loc[stored["task"] == task, "level"])) for task in marks}
-    engine = parts.Engine(backend, backend, stamps=marks, egos=tuple(sorted(set(stored["ego"]))))
-    work = parts.plan([engine], levels, tuple(dict.fromkeys(stored["traffic"])), range(number), number)
-    folder.mkdir(parents=True, exist_ok=True)
-    parts.run(work, folder, workers, lambda _: None)
-    table = pd.concat([parts.collect(work, folder), stored.assign(engine=REFERENCE)], ignore_index=True)
-    tasks = scorecard(table, backend, {task: level_names(task) for task in marks})
+    engine = parts.Engine(VALIDATED, VALIDATED, egos=tuple(sorted(set(stored["ego"]))))
+    work = parts.plan([engine], levels, tuple(dict.fromkeys(stored["traffic"])), range(number))
+    driven = parts.run(work, folder, workers)
+    table = pd.concat([driven, stored.assign(engine=REFERENCE)], ignore_index=True)
+    tasks = scorecard(table, VALIDATED, {task: level_names(task) for task in marks})
     for found in tasks.values():
         for _, _, item in every_check(found):
             if item["verdict"] == "missed" and not _surely(item):
                 item["verdict"] = None
-    return verdict(backend, f"{number} stored scenarios", summary(tasks), marks)
+    return verdict(VALIDATED, f"{number} stored scenarios", summary(tasks), marks)
 
 
 def _surely(item: Mapping[str, Any]) -> bool:
@@ -111,10 +106,12 @@ def _surely(item: Mapping[str, Any]) -> bool:
     return bool(item["low"] > item["margin"] or item["high"] < -item["margin"])
 
 
-def store(record: Mapping[str, Any], table: pd.DataFrame, scenarios: int, egos: Sequence[str]) -> None:
+def store(record: Mapping[str, Any], table: pd.DataFrame, egos: Sequence[str]) -> None:
     """Keep a full validation in the package: its verdict, and the reference's episodes of the first scenarios."""
     from experiments.validation.checks import REFERENCE
+    from experiments.validation.episodes import COLUMNS
 
     write_json(VERDICT, verdict_of(record))
-    chosen = (table["engine"] == REFERENCE) & (table["scenario"] < scenarios) & table["ego"].isin(list(egos))
-    table[chosen].drop(columns="engine").to_parquet(STORED_REFERENCE, index=False, compression="zstd")
+    first = table["scenario"] < STORED_SCENARIOS
+    chosen = (table["engine"] == REFERENCE) & first & table["ego"].isin(list(egos))
+    table.loc[chosen, list(COLUMNS)].to_parquet(STORED_REFERENCE, index=False, compression="zstd")

@@ -1,41 +1,151 @@
-"""The command that fits SUMO's drivers and the dose of risk, end to end on a few scenarios."""
+"""Fitting SUMO's drivers and the dose of risk: what is made small, the search, and the command on a few scenarios."""
 
 from __future__ import annotations
 
 import json
-from dataclasses import replace
+from dataclasses import asdict, fields
 from pathlib import Path
 
 import pandas as pd
 import pytest
+from optuna.distributions import CategoricalDistribution, FloatDistribution
 from rich.console import Console
 
-from experiments.calibrate import WITHOUT_EVENTS, Options, calibrate, show
+from experiments import calibrate
+from experiments.calibrate import (
+    DRIVERS,
+    RISK,
+    SEARCHED,
+    WITHOUT_EVENTS,
+    Options,
+    dose_distance,
+    drivers_distance,
+    minimise,
+    present_risk,
+    risk_options,
+)
 from experiments.validation.checks import REFERENCE
 from experiments.validation.parts import Engine
+from sumo_env.tasks import TASKS
+from sumo_env.traffic.drivers import RISK_RANGES, RiskRanges
+from tests.experiments.validation.tables import compared, episodes
+
+SPACE = {"x": FloatDistribution(0.0, 10.0), "on": CategoricalDistribution((False, True))}
+START = {"x": 9.0, "on": False}
 
 
-@pytest.fixture
-def options(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Options:
-    """SUMO stands for highway-env, so that both sides are quick."""
-    sumo = Engine("sumo", "sumo", stamps={"u-turn": "now"})
-    both = sumo, replace(sumo, name=REFERENCE)
-    monkeypatch.setattr("experiments.calibrate.engines", lambda options, task: both)
-    return Options(tmp_path, tasks=("u-turn",), reference="sumo", trials=3, scenarios=3, test=4, workers=1)
+def test_traffic_that_is_the_same_has_no_distance() -> None:
+    assert drivers_distance(compared(), "u-turn") == pytest.approx(0.0)
+
+
+def test_distance_grows_with_the_difference() -> None:
+    near, far = (drivers_distance(compared(traffic_speed=speed), "u-turn") for speed in (10.3, 12.0))
+    assert 0.0 < near < far
+
+
+def responses(engine: str, careful: tuple[float, float, float]) -> pd.DataFrame:
+    """Episodes in which the careful ego crashes at these rates at the three doses, the others always."""
+    parts = []
+    for traffic, rate in zip(SEARCHED, careful, strict=True):
+
+        def crashed(ego: str, scenario: int, rate: float = rate) -> bool:
+            return scenario < 40 * rate if ego == "careful" else True
+
+        parts.append(episodes(engine, traffic=traffic, crashed=crashed))
+    return pd.concat(parts)
+
+
+@pytest.mark.parametrize(
+    ("sumo", "reference", "good"),
+    [
+        ((0.0, 0.1, 0.2), (0.0, 0.1, 0.2), True),
+        ((0.0, 0.1, 0.2), (0.2, 0.3, 0.4), False),  # the simulators differ
+        ((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), False),  # the dose does nothing
+        ((0.0, 0.5, 0.9), (0.0, 0.5, 0.9), False),  # the dose does too much
+        ((0.0, 0.3, 0.2), (0.0, 0.3, 0.2), False),  # a smaller dose does more
+    ],
+)
+def test_a_dose_does_what_it_shall(sumo, reference, good) -> None:
+    table = pd.concat([responses("sumo", sumo), responses(REFERENCE, reference)])
+    assert (dose_distance(table, "u-turn") < 0.01) is good
+
+
+def test_responses_are_by_simulator_dose_and_ego() -> None:
+    found = calibrate.responses(responses("sumo", (0.0, 0.1, 0.2)))
+    rows = found[found["ego"] == "careful"]
+    assert dict(zip(rows["traffic"], rows["crash_rate"], strict=True)) == pytest.approx(
+        {"regular": 0.0, "0.5": 0.1, "risky": 0.2}
+    )
+
+
+def objective(settings: dict) -> float:
+    return (settings["x"] - 3.0) ** 2 + (not settings["on"])
+
+
+def test_finds_better_settings_than_those_it_starts_from(tmp_path: Path) -> None:
+    study = minimise(SPACE, objective, START, 40, tmp_path / "a.journal")
+    assert study.trials[0].params == START
+    assert study.best_value < 1.0
+    assert study.best_params["on"] is True
+    assert all(0.0 <= trial.params["x"] <= 10.0 for trial in study.trials)
+
+
+def test_goes_on_where_it_was_stopped(tmp_path: Path) -> None:
+    asked: list[dict] = []
+
+    def counted(settings: dict) -> float:
+        if len(asked) == 5:
+            raise KeyboardInterrupt
+        asked.append(settings)
+        return objective(settings)
+
+    with pytest.raises(KeyboardInterrupt):
+        minimise(SPACE, counted, START, 12, tmp_path / "a.journal")
+    more: list[dict] = []
+    study = minimise(SPACE, lambda s: more.append(s) or objective(s), START, 12, tmp_path / "a.journal")
+    assert len(more) == 12 - len(asked)
+    values = [trial.value for trial in study.trials if trial.value is not None]
+    assert len(values) == 12
+
+
+def test_what_is_searched_exists_for_every_task() -> None:
+    assert set(DRIVERS) == set(RISK) == set(TASKS)
+    for name, task in TASKS.items():
+        assert set(DRIVERS[name]) <= set(asdict(task.calibration))
+        assert set(RISK[name]) <= set(present_risk(task))
+
+
+def test_ranges_of_a_tasks_own_are_searched() -> None:
+    for name, task in TASKS.items():
+        own = {
+            field.name
+            for field in fields(RiskRanges)
+            if getattr(task.risk_ranges, field.name) != getattr(RISK_RANGES, field.name)
+        }
+        assert own <= set(RISK[name])
+
+
+def test_the_lower_end_of_a_range_is_searched_and_its_upper_end_kept() -> None:
+    task = TASKS["u-turn"]
+    assert present_risk(task)["tau"] == task.risk_ranges.tau[0]
+    assert risk_options(task, {"tau": 0.7, "cut_in": 0.3}) == {
+        "risk_rates": {"cut_in": 0.3},
+        "risk_ranges": {"tau": (0.7, task.risk_ranges.tau[1])},
+    }
 
 
 @pytest.mark.slow
-def test_the_present_settings_are_best_where_sumo_is_its_own_reference(options: Options, capsys) -> None:
-    result = calibrate(options, Console(width=200))
-    assert json.loads((options.out / "calibration.json").read_text()) == result
+def test_the_present_settings_are_best_where_sumo_is_its_own_reference(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(calibrate, "HIGHWAY_ENV", Engine(REFERENCE, "sumo"))  # both sides are quick
+    options = Options(tmp_path, tasks=("u-turn",), trials=3, scenarios=3, test=4, workers=1)
+    result = calibrate.calibrate(options, Console(width=200))
+    assert json.loads((tmp_path / "calibration.json").read_text()) == result
     for part in ("drivers", "risk"):
         found = result["u-turn"][part]
         assert len(found["trials"]) == 3
         assert found["training"]["found"] <= found["training"]["present"]
         assert set(found["found"]) == set(found["present"])
     assert result["u-turn"]["drivers"]["training"]["present"] == 0.0
-    table = pd.read_csv(options.out / "doses.csv")
-    assert set(table["engine"]) == {"sumo", WITHOUT_EVENTS, "reference"}
-    assert (options.out / "doses.svg").read_text().startswith("<svg")
-    show(result, Console(width=200))
-    assert "assertive" in capsys.readouterr().out
+    assert set(pd.read_csv(tmp_path / "doses.csv")["engine"]) == {"sumo", WITHOUT_EVENTS, "reference"}

@@ -22,13 +22,24 @@ def episodes(
             rng = np.random.default_rng([scenario, number])
             crashed = bool(rng.random() < 0.1 + 0.1 * number)
             row = {
-                "engine": engine, "task": task, "level": level, "traffic": traffic, "ego": ego, "scenario": scenario,
-                "drawn": scenario, "return": 5.0 + rng.normal(), "length": 10, "crashed": crashed,
-                "outcome": "crashed" if crashed else "time", "crash_time": 4.0 if crashed else np.nan,
-                "ego_speed": 10.0, "min_ttc": 2.0, "traffic_speed": 10.0 + rng.normal(), "headway": 2.0,
-                "lane_changes": 1.0 + 0.1 * rng.normal(), "density": 3.0, "wrecks": 0,
-                "vehicle_hours": 0.01, **dict.fromkeys(HEADWAYS, 1),
-            }  # fmt: skip
+                "engine": engine,
+                "task": task,
+                "level": level,
+                "traffic": traffic,
+                "ego": ego,
+                "scenario": scenario,
+                "drawn": scenario,
+                "return": 5.0 + rng.normal(),
+                "length": 10,
+                "crashed": crashed,
+                "outcome": "crashed" if crashed else "time",
+                "crash_time": 4.0 if crashed else np.nan,
+                "ego_speed": 10.0,
+                "traffic_speed": 10.0 + rng.normal(),
+                "lane_changes": 1.0 + 0.1 * rng.normal(),
+                "density": 3.0,
+                **dict.fromkeys(HEADWAYS, 1),
+            }
             for name, value in changes.items():
                 row[name] = value(ego, scenario) if callable(value) else value
             rows.append(row)

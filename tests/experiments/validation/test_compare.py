@@ -47,7 +47,7 @@ def test_the_scenario_is_the_unit() -> None:
 
 def test_pairs_without_a_value_are_left_out() -> None:
     found = compare.mean_difference(both({"idle": [(1, 0), (np.nan, 0), (5, np.nan)]}), "return")
-    assert (found.difference, found.n, found.low) == (1, 1, None)
+    assert (found.difference, found.n) == (1, 1) and np.isnan(found.low)
 
 
 def test_interval_covers_the_truth_nine_times_in_ten() -> None:
@@ -55,7 +55,6 @@ def test_interval_covers_the_truth_nine_times_in_ten() -> None:
     covered = 0
     for _ in range(1000):
         low, high = compare.interval(rng.normal(1.0, 2.0, size=8))
-        assert low is not None and high is not None
         covered += low <= 1.0 <= high
     assert 860 < covered < 940
 

@@ -38,12 +38,12 @@ def stored(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     monkeypatch.setattr(status, "VERDICT", tmp_path / "verdict.json")
     monkeypatch.setattr(status, "STORED_REFERENCE", tmp_path / "reference.parquet")
     table = compared(crashed=True)
-    status.store(full_record(table), table, 2, CORE)
+    status.store(full_record(table), table, CORE)
     return tmp_path / "verdict.json"
 
 
 def test_a_stored_verdict_holds_for_the_same_dynamics(stored: Path) -> None:
-    known = status.stored_verdict("sumo", MARKS, stored)
+    known = status.stored_verdict(MARKS)
     assert known is not None
     assert known["tasks"]["u-turn"]["passed"] is False
     assert "crash rate" in {item["name"] for item in known["tasks"]["u-turn"]["missed"]}
@@ -51,14 +51,13 @@ def test_a_stored_verdict_holds_for_the_same_dynamics(stored: Path) -> None:
 
 @pytest.mark.parametrize("marks", [{"u-turn": "other"}, {**MARKS, "highway": "abc"}])
 def test_it_does_not_hold_for_others(stored: Path, marks: dict[str, str]) -> None:
-    assert status.stored_verdict("sumo", marks, stored) is None
-    assert status.stored_verdict("replica", MARKS, stored) is None
+    assert status.stored_verdict(marks) is None
 
 
 def test_it_does_not_hold_for_another_version_of_sumo(stored: Path) -> None:
     record = json.loads(stored.read_text())
     stored.write_text(json.dumps({**record, "versions": {"libsumo": "0.0"}}))
-    assert status.stored_verdict("sumo", MARKS, stored) is None
+    assert status.stored_verdict(MARKS) is None
 
 
 def test_a_full_validation_can_be_read_as_a_verdict(tmp_path: Path) -> None:

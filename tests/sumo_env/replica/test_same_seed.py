@@ -62,7 +62,9 @@ def test_a_seed_is_the_episode_of_highway_env(task: str) -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(("task", "config"), CONFIGS)
 def test_so_it_is_under_other_configurations(task: str, config: dict[str, Any]) -> None:
-    assert differences(task, 30, 3, config) == []  # one of the three goes on with the stream of the one before it
+    assert (
+        differences(task, 30, 3, config) == []
+    )  # one of the three goes on with the stream of the one before it
 
 
 @pytest.mark.long

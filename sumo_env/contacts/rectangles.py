@@ -6,7 +6,8 @@ corner that is grazed in between, so contacts are looked for all along the way o
 `first_touch`). Figures: docs/collisions.md.
 
 All functions take plain floats: with the handful of vehicles near the ego this is faster than numpy. A vehicle is a
-`State`, and has highway-env's size where no other is given.
+`State`, and has highway-env's size where no other is given. `distance` and what it calls are also compiled with numba
+(`sumo_env.replica.risk`), which knows no generators.
 """
 
 from __future__ import annotations
@@ -106,14 +107,13 @@ def _corner_distance(first: State, second: State, half: Half, other: Half) -> fl
     c, s = cos(first[3]), sin(first[3])
     x, y = dx * c + dy * s, dy * c - dx * s
     c, s = cos(turn), sin(turn)
-    return min(
-        hypot(
-            max(abs(x + along * c - across * s) - half[0], 0.0),
-            max(abs(y + along * s + across * c) - half[1], 0.0),
-        )
-        for along in (-other[0], other[0])
-        for across in (-other[1], other[1])
-    )
+    nearest = inf
+    for along in (-other[0], other[0]):
+        for across in (-other[1], other[1]):
+            beyond_end = max(abs(x + along * c - across * s) - half[0], 0.0)
+            beyond_side = max(abs(y + along * s + across * c) - half[1], 0.0)
+            nearest = min(nearest, hypot(beyond_end, beyond_side))
+    return nearest
 
 
 def touch_moment(

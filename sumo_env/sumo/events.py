@@ -21,12 +21,11 @@ from sumo_env.sumo.session import (
     Session,
 )
 from sumo_env.traffic.drivers import Calibration
-from sumo_env.traffic.risk import RiskEvent, free_way, has_room
+from sumo_env.traffic.risk import SWERVE_TIME, RiskEvent, free_way, has_room
 from sumo_env.traffic.scenario import Scenario, VehicleSpec
 
 CENTRED = 0.05  # [m] from the middle of a lane: no lane change is running
 CUT_IN_TIME = 1.3  # [s] until SUMO's lane-change model decides again, a little longer than the change takes
-SWERVE_TIME = 3.0  # [s] that a cut-in into the lane of oncoming traffic lasts
 EARLY = 1e-9  # [s] rounding of sums of steps
 
 

@@ -14,7 +14,14 @@ from sumo_env.traffic.risk import RiskRates
 from sumo_env.traffic.scenario import EGO, VehicleSpec
 
 DESTINATIONS = ("exr", "sxr", "nxr")
-# Vehicles beyond highway-env's four are placed anywhere on these (RoundaboutGenericEnv's law).
+# (lane, s [m]) of highway-env's four vehicles; each with a deviation of 2 m and 2 m/s
+SLOTS: tuple[tuple[LaneIndex, float], ...] = (
+    (("we", "sx", 1), 5.0),
+    (("we", "sx", 0), 20.0),
+    (("we", "sx", 0), -20.0),
+    (("eer", "ees", 0), 50.0),
+)
+# Vehicles beyond these are placed anywhere on these (RoundaboutGenericEnv's law).
 EXTRA_ROADS = (
     ("we", "sx", 2),
     ("sx", "se", 2),
@@ -77,19 +84,13 @@ class Roundabout(Task):
         incoming = config["incoming_vehicle_destination"]
         if incoming is not None and incoming not in range(len(DESTINATIONS)):
             raise ConfigError(f"'incoming_vehicle_destination' must be None, 0, 1 or 2, not {incoming!r}")
-        slots: list[tuple[LaneIndex, float]] = [
-            (("we", "sx", 1), 5.0),
-            (("we", "sx", 0), 20.0),
-            (("we", "sx", 0), -20.0),
-            (("eer", "ees", 0), 50.0),
-        ]
         vehicles: list[VehicleSpec] = []
         for k in range(int(config["vehicles_count"])):
             destination = DESTINATIONS[int(rng.integers(3))]
             if k == 0 and incoming is not None:
                 destination = DESTINATIONS[incoming]
-            if k < len(slots):
-                lane, s = slots[k]
+            if k < len(SLOTS):
+                lane, s = SLOTS[k]
                 s += 2.0 * float(rng.normal())
             else:
                 place = _free_place(road, [ego, *vehicles], rng)

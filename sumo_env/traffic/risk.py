@@ -19,6 +19,8 @@ FREE_WAY = 40.0  # [m]
 CUT_IN_GAP = (
     1.0  # [m] that a cut-in leaves to every other vehicle; where there is less room, it does not happen
 )
+LOOKED_AT = 4.0 * LENGTH  # [m] further away, along x and y together, nobody matters to a cut-in
+SWERVE_TIME = 3.0  # [s] that a cut-in into the lane of oncoming traffic lasts
 HALF_CORRIDOR = 2.0  # [m] to either side of the centre: half a lane
 
 
@@ -97,7 +99,7 @@ def draw_events(
 def has_room(there: State, others: Sequence[State]) -> bool:
     """Would a vehicle in the state `there`, in the lane beside, be at least CUT_IN_GAP from every other vehicle?"""
     return all(
-        abs(other[0] - there[0]) + abs(other[1] - there[1]) > 4.0 * LENGTH
+        abs(other[0] - there[0]) + abs(other[1] - there[1]) > LOOKED_AT
         or distance(there, other) >= CUT_IN_GAP
         for other in others
     )

@@ -11,7 +11,7 @@ driving    route, car following (IDM), lane changes (MOBIL)
 neighbours who is ahead of and behind whom
 give_way   right of way at the intersection
 motion     steering and the bicycle model
-contacts   highway-env's test of contacts and what follows from one
+contacts   highway-env's test of contacts and what follows from one, and the time to collision
 risk       cut-ins, sudden braking, surges
-geometry, rectangles, numpy_loops, compiled   what these are computed with
+geometry, numpy_loops, compiled   what these are computed with
 """

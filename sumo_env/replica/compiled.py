@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
-from sumo_env.contacts import measures
+from sumo_env.contacts import measures, rectangles
 
 try:
     import numba
@@ -48,9 +48,8 @@ def _compiled(function: Function, counts: bool) -> Function:
     except RuntimeError as error:
         if "no locator available" not in str(error):
             raise
-        return cast(
-            Function, numba.njit(**options)(function)
-        )  # no directory is writable: compile in each process
+        # no directory is writable: compile in each process
+        return cast(Function, numba.njit(**options)(function))
 
 
 @contextmanager
@@ -79,4 +78,4 @@ def drop_outdated(package: Path, *others: Path) -> int:
     return len(outdated)
 
 
-drop_outdated(Path(__file__).parent, Path(measures.__file__))
+drop_outdated(Path(__file__).parent, Path(measures.__file__), Path(rectangles.__file__))

@@ -1,4 +1,7 @@
-"""Contacts between cars: highway-env's test of rectangles now and after one step (``RoadObject.handle_collisions``)."""
+"""Contacts between cars: highway-env's test of rectangles now and after one step (``RoadObject.handle_collisions``).
+
+And the time until the ego touches somebody, as it is measured for every simulator.
+"""
 
 from __future__ import annotations
 
@@ -7,10 +10,12 @@ from typing import Any
 
 import numpy as np
 
+from sumo_env.contacts import measures
+from sumo_env.contacts.measures import HORIZON, TTC_RADIUS
+from sumo_env.contacts.rectangles import DIAGONAL, HALF_LENGTH, HALF_WIDTH
 from sumo_env.replica.compiled import borrowing, compiled
 
-HALF_LENGTH, HALF_WIDTH = 2.5, 1.0  # [m]
-DIAGONAL = math.sqrt(29.0)  # [m]
+_ego_ttc = borrowing(measures.ego_ttc)
 
 
 @compiled
@@ -96,3 +101,16 @@ def collide(cars: Any, dt: float, before_ego: int) -> None:
                 b.apart_x, b.apart_y = -way_x / 2.0, -way_y / 2.0
             if now:
                 a.crashed = b.crashed = True
+
+
+@borrowing
+def ego_ttc(cars: Any) -> float:
+    """``measures.ego_ttc`` of the ego, the first car, with those within TTC_RADIUS [s]."""
+    ego, least = cars[0], math.inf
+    state = (ego.x, ego.y, ego.speed, ego.heading)
+    for j in range(1, len(cars)):
+        car = cars[j]
+        if abs(car.x - ego.x) <= TTC_RADIUS and math.hypot(car.x - ego.x, car.y - ego.y) <= TTC_RADIUS:
+            other = (car.x, car.y, car.speed, car.heading)
+            least = min(least, _ego_ttc(state, (other,), min(least, HORIZON)))
+    return least

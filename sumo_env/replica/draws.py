@@ -9,13 +9,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Sequence
+from dataclasses import asdict, replace
 
 import numpy as np
 
 from sumo_env.config import Config, ConfigError
 from sumo_env.networks.roads import LaneIndex, Road
 from sumo_env.replica.tables import as_rotated
+from sumo_env.tasks import TASKS, roundabout, u_turn
 from sumo_env.tasks.base import Task
+from sumo_env.tasks.intersection import INITIAL_SPAWN_PROBABILITY
+from sumo_env.tasks.two_way import ONCOMING, OWN
 from sumo_env.traffic.drivers import Driver
 from sumo_env.traffic.scenario import EGO, Scenario, Spawn, VehicleSpec, fits
 
@@ -25,23 +29,10 @@ Centres = Sequence[tuple[float, float]]  # [m]
 WarmUp = Callable[[Road, tuple[VehicleSpec, ...], float, int], Centres]
 
 DELTA, DELTA_RANGE = 4.0, (3.5, 4.5)  # IDMVehicle: the exponent, and its range in `randomize_behavior`
+# highway-env's IDMVehicle, as the intersection changes it there.
+DRIVERS = {name: Driver("stock", DELTA, **asdict(task.car_following)) for name, task in TASKS.items()}
 DEVIATION = 2.0  # [m] and [m/s] of places and speeds on the roundabout and the u-turn
-DESTINATIONS = ("exr", "sxr", "nxr")  # of the roundabout
-RESET_PROBABILITY = 0.6  # of a vehicle at the intersection's reset, whatever `spawn_probability` is
-ROUNDABOUT: tuple[tuple[LaneIndex, float], ...] = (
-    (("we", "sx", 1), 5.0),
-    (("we", "sx", 0), 20.0),
-    (("we", "sx", 0), -20.0),
-    (("eer", "ees", 0), 50.0),
-)
-U_TURN: tuple[tuple[LaneIndex, float, float], ...] = (
-    (("a", "b", 0), 25.0, 13.5),
-    (("a", "b", 1), 56.0, 14.5),
-    (("b", "c", 1), 0.5, 4.5),
-    (("b", "c", 0), 17.5, 5.5),
-    (("c", "d", 0), 1.0, 3.5),
-    (("c", "d", 1), 30.0, 5.5),
-)
+U_TURN_VEHICLES = 6
 
 
 def draw(task: Task, config: Config, rng: Random, warm_up: WarmUp) -> Scenario:
@@ -100,10 +91,9 @@ def _highway(config: Config, road: Road, rng: Random) -> tuple[VehicleSpec, list
 
 def _two_way(config: Config, road: Road, rng: Random) -> tuple[VehicleSpec, list[VehicleSpec]]:
     """``TwoWayEnv._make_vehicles``."""
-    own, oncoming = ("a", "b", 1), ("b", "a", 0)
-    ego = _vehicle(road, EGO, own, 30.0, 30.0)
-    columns = [(own, 70.0 + 40.0 * i, 24.0, 2.0) for i in range(3)]
-    columns += [(oncoming, 200.0 + 100.0 * i, 20.0, 5.0) for i in range(2)]
+    ego = _vehicle(road, EGO, OWN, 30.0, 30.0)
+    columns = [(OWN, 70.0 + 40.0 * i, 24.0, 2.0) for i in range(3)]
+    columns += [(ONCOMING, 200.0 + 100.0 * i, 20.0, 5.0) for i in range(2)]
     vehicles = []
     for k, (lane, s, speed, deviation) in enumerate(columns):
         s, speed = s + 10.0 * rng.normal(), speed + deviation * rng.normal()
@@ -114,14 +104,16 @@ def _two_way(config: Config, road: Road, rng: Random) -> tuple[VehicleSpec, list
 def _roundabout(config: Config, road: Road, rng: Random) -> tuple[VehicleSpec, list[VehicleSpec]]:
     """``RoundaboutEnv._make_vehicles``."""
     incoming = config["incoming_vehicle_destination"]
-    if incoming is not None and incoming not in range(len(DESTINATIONS)):
+    if incoming is not None and incoming not in range(len(roundabout.DESTINATIONS)):
         raise ConfigError(f"'incoming_vehicle_destination' must be None, 0, 1 or 2, not {incoming!r}")
     ego = _vehicle(road, EGO, ("ser", "ses", 0), 125.0, 8.0, "nxs")
     vehicles = []
-    for k, (lane, s) in enumerate(ROUNDABOUT):
+    for k, (lane, s) in enumerate(roundabout.SLOTS):
         s, speed = s + rng.normal() * DEVIATION, 16.0 + rng.normal() * DEVIATION
-        goal = incoming if k == 0 and incoming is not None else rng.integers(len(DESTINATIONS))
-        vehicles.append(_vehicle(road, f"v{k}", lane, s, speed, DESTINATIONS[goal], delta=_delta(rng)))
+        goal = incoming if k == 0 and incoming is not None else rng.integers(len(roundabout.DESTINATIONS))
+        vehicles.append(
+            _vehicle(road, f"v{k}", lane, s, speed, roundabout.DESTINATIONS[goal], delta=_delta(rng))
+        )
     return ego, vehicles
 
 
@@ -129,7 +121,7 @@ def _u_turn(config: Config, road: Road, rng: Random) -> tuple[VehicleSpec, list[
     """``UTurnEnv._make_vehicles``; only the first driver is drawn."""
     ego = _vehicle(road, EGO, ("a", "b", 0), 0.0, 16.0, "d")
     vehicles = []
-    for k, (lane, s, speed) in enumerate(U_TURN):
+    for k, (lane, s, speed) in enumerate(u_turn.SLOTS[:U_TURN_VEHICLES]):
         s, speed = s + rng.normal() * DEVIATION, speed + rng.normal() * DEVIATION
         delta = _delta(rng) if k == 0 else DELTA
         vehicles.append(_vehicle(road, f"v{k}", lane, s, speed, "d", delta=delta))
@@ -144,7 +136,7 @@ def _intersection(
     vehicles: list[VehicleSpec] = []
     for k, place in enumerate(np.linspace(0, 80, count)[:-1] if count > 0 else ()):
         there = [(v.x, v.y) for v in vehicles]
-        vehicle = _arrival(f"v{k}", road, rng, there, RESET_PROBABILITY, float(place))
+        vehicle = _arrival(f"v{k}", road, rng, there, INITIAL_SPAWN_PROBABILITY, float(place))
         if vehicle is not None:
             vehicles.append(vehicle)
     placed = tuple(vehicles)
@@ -202,9 +194,7 @@ def _delta(rng: Random) -> float:
 
 
 def _driver(road: Road, delta: float) -> Driver:
-    """highway-env's IDMVehicle, as the intersection changes it there."""
-    accel, decel, min_gap = (6.0, 3.0, 2.0) if road.name == "intersection" else (3.0, 5.0, 5.0)
-    return Driver("stock", delta, accel, decel, tau=1.5, min_gap=min_gap, emergency_decel=6.0)
+    return replace(DRIVERS[road.name], delta=delta)
 
 
 def _vehicle(

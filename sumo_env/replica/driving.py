@@ -16,16 +16,11 @@ from typing import Any
 import numpy as np
 
 from sumo_env.replica.compiled import borrowing
-from sumo_env.replica.geometry import (
-    VEHICLE_LENGTH,
-    beyond_ends,
-    local_coordinates,
-    not_zero,
-    position,
-)
+from sumo_env.replica.geometry import beyond_ends, local_coordinates, not_zero, position
 from sumo_env.replica.neighbours import distance_beyond, neighbours
 from sumo_env.replica.numpy_loops import binary
 from sumo_env.replica.tables import NONE
+from sumo_env.scene import VEHICLE_LENGTH
 
 LANE_CHANGE_DELAY = 1.0  # [s] a decision of MOBIL is due when the timer exceeds it
 MIN_SPEED = 1.0  # [m/s] below which nobody decides to change lane
@@ -97,10 +92,8 @@ def desired_gap(driver: Any, speed: float, faster: float) -> float:
 @borrowing
 def approach(car: Any, leader: Any) -> float:
     """How much faster than a leader a car drives, along its own heading [m/s]."""
-    faster_x, faster_y = (
-        car.speed * car.cos - leader.speed * leader.cos,
-        car.speed * car.sin - leader.speed * leader.sin,
-    )
+    faster_x = car.speed * car.cos - leader.speed * leader.cos
+    faster_y = car.speed * car.sin - leader.speed * leader.sin
     return faster_x * car.cos + faster_y * car.sin
 
 

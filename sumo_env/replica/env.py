@@ -18,9 +18,8 @@ from sumo_env.traffic.scenario import Scenario
 
 SCENARIOS = ("highway-env", "seeded")
 SIMULATION_FREQUENCY = 15  # [Hz] highway-env's
-TIME_LIMIT = (
-    15  # policy steps of two-way-v0, which has no duration (``max_episode_steps`` of its registration)
-)
+# Policy steps of two-way-v0, which has no duration (``max_episode_steps`` of its registration).
+TIME_LIMIT = 15
 # highway-env's default observations where those of `sumo_env` differ.
 OBSERVATIONS: dict[str, Config] = {
     "two-way": {"type": "TimeToCollision", "horizon": 5},

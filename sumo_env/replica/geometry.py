@@ -13,8 +13,8 @@ import numpy as np
 from sumo_env.replica.compiled import borrowing, compiled
 from sumo_env.replica.numpy_loops import binary, unary
 from sumo_env.replica.tables import CIRCULAR, NONE, SINE
+from sumo_env.scene import VEHICLE_LENGTH
 
-VEHICLE_LENGTH = 5.0  # [m]
 TURN = 2.0 * math.pi  # [rad]
 NEAR = 3.0  # [m] half a lane's width and the margin of 1 m, within which a car counts as on a lane
 

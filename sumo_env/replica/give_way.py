@@ -16,13 +16,12 @@ import numpy as np
 from sumo_env.replica.compiled import borrowing, compiled
 from sumo_env.replica.geometry import heading_at, position
 from sumo_env.replica.tables import NONE
+from sumo_env.scene import VEHICLE_LENGTH, VEHICLE_WIDTH
 
 SAMPLES, SAMPLE_STEP = 11, 0.25  # predictions of each car, at 0.25 s, 0.5 s .. 2.75 s
 MEETING_DISTANCE = 5.0  # [m] centres that are further apart do not meet
-HALF_LENGTH, HALF_WIDTH = (
-    1.5 * 5.0 / 2.0,
-    0.9 * 2.0 / 2.0,
-)  # [m] of the rectangle that stands for a predicted car
+# [m] of the rectangle that stands for a predicted car
+HALF_LENGTH, HALF_WIDTH = 1.5 * VEHICLE_LENGTH / 2.0, 0.9 * VEHICLE_WIDTH / 2.0
 
 
 @borrowing

@@ -6,8 +6,9 @@ import math
 from typing import Any
 
 from sumo_env.replica.compiled import borrowing
-from sumo_env.replica.geometry import VEHICLE_LENGTH, heading_at, not_zero, wrapped
+from sumo_env.replica.geometry import heading_at, not_zero, wrapped
 from sumo_env.replica.numpy_loops import unary
+from sumo_env.scene import VEHICLE_LENGTH
 
 KP_ACCELERATION = 1 / 0.6  # [1/s]
 KP_HEADING = 1 / 0.2  # [1/s]

@@ -19,12 +19,8 @@ def is_car_on(lanes: Any, places: Any, lane: int, j: int) -> bool:
 @borrowing
 def look(lanes: Any, places: Any, lane: int) -> None:
     """Find the cars that a driver sees on a lane and on those joined to it, and sort them along the lane."""
-    joined, offset, order, seen = (
-        lanes[lane].joined,
-        lanes[lane].offset,
-        places.order[lane],
-        places.seen[lane],
-    )
+    joined, offset = lanes[lane].joined, lanes[lane].offset
+    order, seen = places.order[lane], places.seen[lane]
     count = 0
     for j in range(len(order)):
         for k in range(len(joined)):

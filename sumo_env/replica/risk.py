@@ -7,17 +7,25 @@ from __future__ import annotations
 
 from typing import Any
 
+from numba.extending import register_jitable
+
+from sumo_env.contacts import rectangles
 from sumo_env.replica.compiled import borrowing
 from sumo_env.replica.geometry import heading_at, position
-from sumo_env.replica.rectangles import distance
 from sumo_env.replica.tables import CUT_IN
+from sumo_env.traffic.risk import CUT_IN_GAP, HALF_CORRIDOR, LOOKED_AT, SWERVE_TIME
 
-CUT_IN_GAP = 1.0  # [m] a cut-in that would come closer than this to another car is dropped
-LOOKED_AT = 20.0  # [m] further away, along x and y together, nobody matters to a cut-in
-HALF_CORRIDOR = 2.0  # [m] to either side of the centre: half a lane
-SWERVE_TIME = 3.0  # [s] that a cut-in into oncoming traffic lasts
 OWN_LANE, ONCOMING_LANE = 1, 0  # of the two-way road, both driven to the east
 ROUNDING = 1e-9  # [s] of sums of steps
+
+for _function in (
+    rectangles.extents,
+    rectangles._separation,
+    rectangles.separation,
+    rectangles._corner_distance,
+):
+    register_jitable(_function)
+_distance = borrowing(rectangles.distance)
 
 
 @borrowing
@@ -25,12 +33,12 @@ def has_room(lanes: Any, cars: Any, places: Any, loops: Any, i: int, lane: int) 
     """Would car `i`, moved straight sideways to the middle of `lane`, be at least CUT_IN_GAP from everybody else?"""
     s = places.s[lane, i]
     x, y = position(lanes[lane], s)
-    heading = heading_at(lanes[lane], s, loops)
+    there = (x, y, cars[i].speed, heading_at(lanes[lane], s, loops))
     for j in range(len(cars)):
         other = cars[j]
         if j == i or abs(other.x - x) + abs(other.y - y) > LOOKED_AT:
             continue
-        if distance(x, y, heading, other.x, other.y, other.heading) < CUT_IN_GAP:
+        if _distance(there, (other.x, other.y, other.speed, other.heading)) < CUT_IN_GAP:
             return False
     return True
 

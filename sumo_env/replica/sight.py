@@ -13,8 +13,8 @@ import numpy as np
 
 from sumo_env.observation import Kinematics
 from sumo_env.replica.compiled import borrowing, compiled
-from sumo_env.replica.geometry import VEHICLE_LENGTH, local_coordinates
-from sumo_env.scene import PERCEPTION_DISTANCE
+from sumo_env.replica.geometry import local_coordinates
+from sumo_env.scene import PERCEPTION_DISTANCE, VEHICLE_LENGTH
 
 FEATURES = ("presence", "x", "y", "vx", "vy", "heading", "cos_h", "sin_h")
 HALF_WIDTH = 2.0  # [m] of a lane

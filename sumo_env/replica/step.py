@@ -6,13 +6,12 @@ import math
 from typing import Any, NamedTuple
 
 from sumo_env.replica.compiled import borrowing, compiled
-from sumo_env.replica.contacts import collide
+from sumo_env.replica.contacts import collide, ego_ttc
 from sumo_env.replica.driving import drive, follow_road
 from sumo_env.replica.geometry import closest_lane, locate, no_places
 from sumo_env.replica.give_way import regulate
 from sumo_env.replica.motion import KP_ACCELERATION, move, steer
 from sumo_env.replica.numpy_loops import LOOPS, Loops
-from sumo_env.replica.rectangles import ego_ttc
 from sumo_env.replica.risk import push, return_from_swerve, start_events
 
 # Rows of a frame of a trace, shape (frames, 5, cars):

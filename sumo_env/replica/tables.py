@@ -108,10 +108,7 @@ CAR = np.dtype(
         ("acceleration", "f8"),  # of this sub-step [m/s2]
         ("steering", "f8"),  # angle of the front wheels [rad]
         ("crashed", "?"),
-        (
-            "is_pushed_apart",
-            "?",
-        ),  # will be moved by `apart` in the next sub-step, because it touched another car
+        ("is_pushed_apart", "?"),  # has touched another car: will be moved by `apart` in the next sub-step
         ("apart_x", "f8"),  # [m]
         ("apart_y", "f8"),
         *DRIVER,
@@ -208,9 +205,8 @@ def as_rotated(road: Road) -> Mapping[LaneIndex, Lane]:
 
     lanes: dict[LaneIndex, Lane] = {}
     for name, lane in road.lanes.items():
-        corner = (
-            int(name[0][-1]) + name[0].startswith("il")
-        ) % 4  # an exit is built with the arm to its right
+        # an exit is built with the arm to its right
+        corner = (int(name[0][-1]) + name[0].startswith("il")) % 4
         if isinstance(lane, CircularLane):
             lanes[name] = replace(lane, center=turned(lane.center, corner))
         elif isinstance(lane, StraightLane):

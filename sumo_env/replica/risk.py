@@ -107,9 +107,13 @@ def start_events(lanes: Any, cars: Any, places: Any, rules: Any, events: Any, fi
 
 @borrowing
 def push(cars: Any, time: float, dt: float) -> None:
-    """Sudden braking and surges on top of what the drivers want: changes the cars' accelerations."""
+    """Sudden braking and surges on top of what the drivers want: changes the cars' accelerations.
+
+    Marks the cars on which an event acts, cut-ins included; a surge that pauses does not act.
+    """
     for i in range(len(cars)):
         car = cars[i]
+        car.in_event = not car.crashed and (car.is_forced or car.swerve_left > 0.0)
         if car.push == 0.0:
             continue
         if time >= car.push_end - ROUNDING:
@@ -118,6 +122,6 @@ def push(cars: Any, time: float, dt: float) -> None:
             continue
         elif car.push < 0.0:
             standstill = max(car.speed, 0.0) / dt  # nobody brakes into reverse
-            car.acceleration = min(car.acceleration, -min(-car.push, standstill))
+            car.acceleration, car.in_event = min(car.acceleration, -min(-car.push, standstill)), True
         elif has_free_way(cars, i):
-            car.acceleration = max(car.acceleration, car.push)
+            car.acceleration, car.in_event = max(car.acceleration, car.push), True

@@ -6,6 +6,7 @@ import copy
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
+from itertools import compress
 from typing import Any
 
 import numpy as np
@@ -19,7 +20,7 @@ from sumo_env.replica import step as kernels
 from sumo_env.replica.compiled import announced
 from sumo_env.replica.linear import linear_drivers
 from sumo_env.replica.numpy_loops import LOOPS
-from sumo_env.replica.step import CRASHED, HEADING, SPEED, Rules, X, Y
+from sumo_env.replica.step import CRASHED, HEADING, IN_EVENT, SPEED, Rules, X, Y
 from sumo_env.replica.tables import (
     CAR,
     EVENT,
@@ -38,10 +39,11 @@ from sumo_env.traffic.scenario import EGO_DISTANCE, SPAWN_DISTANCE, Scenario, Sp
 Centres = Sequence[tuple[float, float]]  # [m]
 
 VARIANTS = ("stock", "path", "connected", "v0")
+NOBODY: frozenset[str] = frozenset()
 JOINED = ("roundabout", "intersection", "u-turn")  # tasks with lanes that continue others
 EXIT_MARGIN = 20.0  # [m] before the end of an exit of the intersection, where vehicles are removed
 
-FRAME = ("x", "y", "speed", "heading", "crashed")  # the rows of a frame of a trace
+FRAME = ("x", "y", "speed", "heading", "crashed", "in_event")  # the rows of a frame of a trace
 
 
 class Replica:
@@ -259,7 +261,7 @@ class Replica:
         ego["target"] = number
 
     def _scene(self, frame: Any, steps: int | None = None) -> Scene:
-        """The scene of a frame of a trace, shape (5, n); `steps`: sub-steps since the start, if not all of them."""
+        """The scene of a frame of a trace, shape (6, n); `steps`: sub-steps since the start, if not all of them."""
         assert self._scenario is not None
         time = (self._steps if steps is None else steps) / self._scenario.simulation_frequency
         return Scene(
@@ -270,6 +272,7 @@ class Replica:
             heading=frame[HEADING],
             crashed=frame[CRASHED] > 0.0,
             time=round(time, 6),
+            in_event=frozenset(compress(self._present, frame[IN_EVENT])) if len(self._events) else NOBODY,
         )
 
 

@@ -14,8 +14,8 @@ from sumo_env.replica.motion import KP_ACCELERATION, move, steer
 from sumo_env.replica.numpy_loops import LOOPS, Loops
 from sumo_env.replica.risk import push, return_from_swerve, start_events
 
-# Rows of a frame of a trace, shape (frames, 5, cars):
-X, Y, SPEED, HEADING, CRASHED = range(5)
+# Rows of a frame of a trace, shape (frames, 6, cars):
+X, Y, SPEED, HEADING, CRASHED, IN_EVENT = range(6)
 
 
 class Rules(NamedTuple):
@@ -87,7 +87,7 @@ def policy_step(
         rules: of the task.
         steps: sub-steps since the start of the episode.
         warmed_up: sub-steps of the warm-up before it.
-        trace: shape (frames, 5, cars).
+        trace: shape (frames, 6, cars).
 
     Returns:
         the next event, the frame in which the ego crashed (-1: none), the least time to collision [s], and the distance
@@ -109,6 +109,7 @@ def policy_step(
             trace[frame, X, i], trace[frame, Y, i] = car.x, car.y
             trace[frame, SPEED, i], trace[frame, HEADING, i] = car.speed, car.heading
             trace[frame, CRASHED, i] = 1.0 if car.crashed else 0.0
+            trace[frame, IN_EVENT, i] = 1.0 if car.in_event else 0.0
         if not cars[0].crashed:
             least = min(least, ego_ttc(cars))
         elif crash < 0:

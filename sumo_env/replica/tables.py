@@ -105,6 +105,7 @@ CAR = np.dtype(
         ("push", "f8"),  # acceleration of a sudden braking or surge, 0 for none [m/s2]
         ("push_end", "f8"),  # [s]
         ("push_way", "f8"),  # that has to be free for a surge [m]
+        ("in_event", "?"),  # a risk event acts on it in this sub-step
         ("acceleration", "f8"),  # of this sub-step [m/s2]
         ("steering", "f8"),  # angle of the front wheels [rad]
         ("crashed", "?"),
@@ -272,7 +273,7 @@ def cars_of(road: Road, specs: Iterable[VehicleSpec]) -> Records:
             cos(spec.heading), sin(spec.heading), spec.speed, numbers[spec.lane], numbers[spec.lane],
             spec.target_speed, spec.timer, spec.changes_lanes, False,
             _route(road, spec.lane, spec.destination), 0, NONE if spec.destination is None else spec.lane[2],
-            False, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, False, False, 0.0, 0.0, *_driver(spec.driver), *NOT_LINEAR,
+            False, 0.0, 0.0, 0.0, 0.0, False, 0.0, 0.0, False, False, 0.0, 0.0, *_driver(spec.driver), *NOT_LINEAR,
         )
         for number, spec in enumerate(specs)
     ]  # fmt: skip

@@ -64,25 +64,42 @@ def driven(drawn: Scenario, steps: int, name: str) -> list[tuple[Scene, int]]:
     return seen
 
 
+def marked(seen: list[tuple[Scene, int]], name: str) -> list[int]:
+    """The sub-steps in which an event acts on this vehicle, and on no other."""
+    assert all(scene.in_event <= {name} for scene, _ in seen)
+    return [k for k, (scene, _) in enumerate(seen) if scene.in_event]
+
+
 def test_sudden_braking_lasts_as_long_as_the_event_says() -> None:
     drawn = scenario("highway", RiskEvent(1.01, "v5", "brake", accel=-9.0, duration=1.0), vehicles_count=12)
-    speed = [scene.speed[row] for scene, row in driven(drawn, 3, "v5")]
+    seen = driven(drawn, 3, "v5")
+    speed = [scene.speed[row] for scene, row in seen]
     hard = np.flatnonzero(np.diff(speed) * 15 <= -9.0 + 1e-9) + 1
     assert hard.tolist() == list(range(16, 31))  # the first sub-step that begins after 1.01 s is number 16
+    assert marked(seen, "v5") == list(range(16, 31))
 
 
 def test_a_surge_accelerates_whatever_the_driver_wants() -> None:
     drawn = scenario("highway", RiskEvent(0.0, "v11", "surge", accel=4.0, duration=1.0), vehicles_count=12)
-    speed = [scene.speed[row] for scene, row in driven(drawn, 1, "v11")]
-    assert np.all(np.diff(speed) * 15 >= 4.0 - 1e-9)
+    seen = driven(drawn, 1, "v11")
+    assert np.all(np.diff([scene.speed[row] for scene, row in seen]) * 15 >= 4.0 - 1e-9)
+    assert marked(seen, "v11") == list(range(15))
+
+
+def test_a_surge_that_pauses_is_not_marked() -> None:
+    surge = RiskEvent(0.0, "v0", "surge", accel=4.0, duration=1.0, way=1000.0)
+    assert marked(driven(scenario("highway", surge, lanes_count=1), 1, "v0"), "v0") == []
 
 
 def test_a_cut_in_goes_to_the_lane_beside_at_once() -> None:
     drawn = scenario(
         "highway", RiskEvent(0.0, "v11", "cut-in", direction=1), vehicles_count=12, lanes_count=2
     )
-    y = [scene.y[row] for scene, row in driven(drawn, 2, "v11")]
+    seen = driven(drawn, 2, "v11")
+    y = [scene.y[row] for scene, row in seen]
     assert abs(y[-1] - y[0]) == pytest.approx(4.0, abs=0.4)
+    assert marked(seen, "v11") == list(range(len(marked(seen, "v11"))))
+    assert 5 <= len(marked(seen, "v11")) <= 25  # until the car is on the other lane
 
 
 def test_a_swerve_on_the_two_way_road_comes_back() -> None:
@@ -90,7 +107,9 @@ def test_a_swerve_on_the_two_way_road_comes_back() -> None:
         "two-way", RiskEvent(0.2, "v0", "cut-in", direction=1), vehicles_count=1, oncoming_vehicles_count=0
     )
     slow = replace(drawn, ego=drawn.ego._replace(speed=0.0, target_speed=0.0))
-    y = np.array([scene.y[row] for scene, row in driven(slow, 7, "v0")])
+    seen = driven(slow, 7, "v0")
+    assert marked(seen, "v0") == list(range(3, 48))  # for 3 s
+    y = np.array([scene.y[row] for scene, row in seen])
     assert y.min() < 0.1
     assert y[-1] == pytest.approx(4.0, abs=0.1)
     left = np.flatnonzero(y < 2.0)

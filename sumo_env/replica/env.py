@@ -9,6 +9,7 @@ from sumo_env.config import Config, ConfigError, nearest
 from sumo_env.env import VARIED, DrivingEnv, Observation
 from sumo_env.observation import Kinematics
 from sumo_env.replica import draws
+from sumo_env.replica.imagination import with_other_drivers
 from sumo_env.replica.linear import LAWS, check_law
 from sumo_env.replica.linear import draw as draw_linear
 from sumo_env.replica.sight import eyes_of
@@ -104,6 +105,14 @@ class ReplicaEnv(DrivingEnv):
             raise ConfigError(f"highway-env has no {', '.join(varied)} that a reset could vary; {INSTEAD}")
         self._time, self._draws_arrivals = 0.0, False
         return super().reset(seed=seed, options=options)
+
+    def imagine(self, seed: int) -> DrivingEnv:
+        """A copy in which drivers have other parameters too, see `DrivingEnv.imagine` and `with_other_drivers`."""
+        twin = super().imagine(seed)
+        assert twin.scenario is not None and twin._simulator is not None
+        twin.scenario = with_other_drivers(twin.scenario, 2**31 + seed)
+        twin._simulator.imagine(twin.scenario)
+        return twin
 
     def _draw(self, task: Task) -> Scenario:
         if self._is_stock:

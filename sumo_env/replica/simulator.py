@@ -25,6 +25,7 @@ from sumo_env.replica.tables import (
     CAR,
     EVENT,
     NONE,
+    PARAMETERS,
     Records,
     cars_of,
     drive_linearly,
@@ -75,12 +76,7 @@ class Replica:
         """See `Simulator.reset`."""
         self._scenario = scenario
         self._prepare(scenario.road, scenario.simulation_frequency)
-        specs = [*scenario.specs, *(spawn.vehicle for spawn in scenario.spawns)]
-        self._ids = [spec.id for spec in specs]
-        self._everybody = cars_of(scenario.road, specs)
-        if self.is_linear:
-            for name, driver in linear_drivers(scenario).items():
-                drive_linearly(self._everybody[self._ids.index(name)], driver)
+        self._ids, self._everybody = self._all_cars(scenario)
         self._spawns: dict[int, tuple[int, ...]] = {}  # policy step -> numbers
         for number, spawn in enumerate(scenario.spawns, start=len(scenario.specs)):
             self._spawns[spawn.step] = (*self._spawns.get(spawn.step, ()), number)
@@ -170,9 +166,11 @@ class Replica:
         return copy.deepcopy(self)
 
     def imagine(self, scenario: Scenario) -> None:
-        """See `Simulator.imagine`."""
+        """See `Simulator.imagine`; drivers go on with the parameters that they have in this scenario."""
         self._scenario = scenario
         self._events = events_of(scenario.events, {name: number for number, name in enumerate(self._ids)})
+        _, self._everybody = self._all_cars(scenario)
+        self._cars[PARAMETERS] = self._everybody[PARAMETERS][self._cars["number"]]
 
     def close(self) -> None:
         """Forget the episode."""
@@ -208,6 +206,15 @@ class Replica:
             regulation_interval=int(1 / (1 / frequency) / 2) if road.name == "intersection" else 0,
             dt=1.0 / frequency,
         )
+
+    def _all_cars(self, scenario: Scenario) -> tuple[list[str], Records]:
+        """All vehicles of a scenario, those that come later as well: their ids, and how their lives start."""
+        specs = [*scenario.specs, *(spawn.vehicle for spawn in scenario.spawns)]
+        ids, cars = [spec.id for spec in specs], cars_of(scenario.road, specs)
+        if self.is_linear:
+            for name, driver in linear_drivers(scenario).items():
+                drive_linearly(cars[ids.index(name)], driver)
+        return ids, cars
 
     def _with_ego(self, placed: Records) -> Records:
         """``IntersectionEnv._make_vehicles``: traffic drives before the ego is placed, at least 20 m from anybody."""

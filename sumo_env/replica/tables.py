@@ -81,6 +81,8 @@ LINEAR = [  # a driver of `sumo_env.replica.linear`
     ("lateral_gain", "f8"),
 ]
 
+PARAMETERS = [name for name, _ in DRIVER + LINEAR]  # of a driver
+
 CAR = np.dtype(
     [
         ("number", "i8"),  # place among all vehicles of the scenario

@@ -2,7 +2,8 @@
 
 ``import sumo_env`` registers ``sumo/highway-v0``, ``sumo/two-way-v0``, ``sumo/roundabout-v0``,
 ``sumo/intersection-v0`` and ``sumo/u-turn-v0``; ``gym.make("sumo_env:sumo/highway-v0")`` needs no import. The same
-tasks on highway-env's own physics, compiled, are ``replica/highway-v0`` and so on (extra ``[replica]``).
+tasks on highway-env's own physics, compiled, are ``replica/highway-v0`` and so on, with ``replica/highway-fast-v0``
+(extra ``[replica]``).
 """
 
 from __future__ import annotations
@@ -16,6 +17,8 @@ __version__ = "0.1.0"
 _TASKS = ("highway", "two-way", "roundabout", "intersection", "u-turn")
 IDS = tuple(f"sumo/{task}-v0" for task in _TASKS)
 REPLICA_IDS = tuple(f"replica/{task}-v0" for task in _TASKS)
+
+FAST_ID = "replica/highway-fast-v0"  # highway-env's faster variant of its highway
 
 
 def task_of(id: str) -> str:
@@ -45,7 +48,7 @@ def register_envs() -> None:
     for id in IDS:
         if id not in gym.registry:
             register(id, task_of(id))
-    for id in REPLICA_IDS:
+    for id in (*REPLICA_IDS, FAST_ID):
         if id not in gym.registry:
             gym.register(id, entry_point="sumo_env.replica.env:ReplicaEnv", kwargs={"task": task_of(id)})
 

@@ -74,13 +74,13 @@ def touch(first: Any, second: Any, dt: float) -> tuple[bool, bool, float, float]
 
 
 @compiled
-def collide(cars: Any, dt: float, before_ego: int) -> None:
+def collide(cars: Any, rules: Any) -> None:
     """Find who touches whom: marks wrecks, and how far those that will touch are pushed apart in the next step.
 
-    Pairs are looked at in highway-env's order of vehicles, in which the first car, the ego, comes after `before_ego`
-    others.
+    Pairs are looked at in highway-env's order of vehicles, in which the first car, the ego, comes after
+    ``rules.before_ego`` others; by ``rules.ego_contacts`` only those with the ego.
     """
-    n = len(cars)
+    n, before_ego, dt = len(cars), rules.before_ego, rules.dt
     order, x, y = np.arange(n), np.empty(n), np.empty(n)
     order[:before_ego] = np.arange(1, before_ego + 1)
     order[before_ego] = 0
@@ -90,6 +90,8 @@ def collide(cars: Any, dt: float, before_ego: int) -> None:
         a = cars[order[i]]
         near = DIAGONAL + a.speed * dt  # the speed of the first alone counts, as in highway-env
         for j in range(i + 1, n):
+            if rules.ego_contacts and i != before_ego and j != before_ego:
+                continue
             dx, dy = x[j] - x[i], y[j] - y[i]
             if abs(dx) > near or math.sqrt(dx * dx + dy * dy) > near:
                 continue

@@ -26,6 +26,13 @@ OBSERVATIONS: dict[str, Config] = {
     "two-way": {"type": "TimeToCollision", "horizon": 5},
     "u-turn": {"type": "TimeToCollision", "horizon": 16},
 }
+FAST: Config = {  # ``HighwayEnvFast.default_config``
+    "simulation_frequency": 5,
+    "lanes_count": 3,
+    "vehicles_count": 20,
+    "duration": 30,  # [s]
+    "ego_spacing": 1.5,
+}
 INSTEAD = 'make the environment with scenarios="seeded"'
 # Keys of `sumo_env` that highway-env's task does not have.
 OURS: dict[str, tuple[str, ...]] = {
@@ -39,7 +46,8 @@ class ReplicaEnv(DrivingEnv):
     """One of the five tasks on highway-env's physics.
 
     Args:
-        task: highway, two-way, roundabout, intersection or u-turn.
+        task: highway, two-way, roundabout, intersection or u-turn, or highway-fast: the highway with the defaults of
+            highway-fast-v0, which looks for the ego's contacts alone.
         config: configuration keys to change.
         render_mode: None or ``"rgb_array"``.
         scenarios: "highway-env": ``reset(seed=s)`` starts the episode that it starts in highway-env, and the
@@ -64,8 +72,9 @@ class ReplicaEnv(DrivingEnv):
             if value not in known:
                 raise ConfigError(f"unknown '{name}' {value!r}: {nearest(str(value), list(known))}")
         self._is_stock, self._is_linear = scenarios == SCENARIOS[0], check_law(risk_law) == "linear"
-        self._replica = Replica(variant, self._is_linear)
-        super().__init__(task, config, render_mode, self._replica)
+        self._is_fast = task == "highway-fast"
+        self._replica = Replica(variant, self._is_linear, ego_contacts=self._is_fast)
+        super().__init__("highway" if self._is_fast else task, config, render_mode, self._replica)
 
     # -- configuration -------------------------------------------------------------------------------------
 
@@ -75,7 +84,7 @@ class ReplicaEnv(DrivingEnv):
         if self._is_stock:
             defaults["neighbour_vehicles_connected_lanes"] = False
             defaults["observation"] = dict(OBSERVATIONS.get(self.task.name, defaults["observation"]))
-        return defaults
+        return {**defaults, **FAST} if self._is_fast else defaults
 
     def configure(self, config: Mapping[str, Any] | None) -> None:
         """Change these keys of the configuration; they take effect at the next reset."""

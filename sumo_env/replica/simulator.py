@@ -57,16 +57,19 @@ class Replica:
             "stock" is highway-env as it is installed: "v0" or, if `connected`, "connected", and the ego of the
             intersection comes last in the order of vehicles, not first.
         is_linear: whether a scenario's dose of risk means `linear_drivers` (``risk_law`` "linear").
+        ego_contacts: whether only the ego's contacts are looked at, as in highway-fast-v0.
 
     Raises:
         ValueError: unknown variant.
     """
 
-    def __init__(self, variant: str = "path", is_linear: bool = False) -> None:
+    def __init__(
+        self, variant: str = "path", is_linear: bool = False, ego_contacts: bool = False
+    ) -> None:
         if variant not in VARIANTS:
             raise ValueError(f"the variant must be one of {VARIANTS}, not {variant!r}")
         _load()
-        self.variant, self.is_linear = variant, is_linear
+        self.variant, self.is_linear, self.ego_contacts = variant, is_linear, ego_contacts
         self.connected = False  # whether drivers of the variant "stock" look onto the next lanes
         self._rules = Rules(along_path=False, is_two_way=False, regulation_interval=0, dt=0.0)
         self._scenario: Scenario | None = None
@@ -205,6 +208,7 @@ class Replica:
             # highway-env's expression: 7 at 15 Hz
             regulation_interval=int(1 / (1 / frequency) / 2) if road.name == "intersection" else 0,
             dt=1.0 / frequency,
+            ego_contacts=self.ego_contacts,
         )
 
     def _all_cars(self, scenario: Scenario) -> tuple[list[str], Records]:

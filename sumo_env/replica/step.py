@@ -26,6 +26,7 @@ class Rules(NamedTuple):
         is_two_way: cut-ins are swerves into the oncoming lane.
         regulation_interval: sub-steps between two applications of the right of way, 0 without it.
         dt: length of a sub-step [s].
+        ego_contacts: contacts of the others with each other are not looked at (highway-fast).
         before_ego: cars that highway-env has in its list before the ego, for the order of pairs.
         loops: numpy's functions.
     """
@@ -34,6 +35,7 @@ class Rules(NamedTuple):
     is_two_way: bool
     regulation_interval: int
     dt: float
+    ego_contacts: bool = False
     before_ego: int = 0
     loops: Loops = LOOPS
 
@@ -62,7 +64,7 @@ def step(lanes: Any, cars: Any, places: Any, rules: Any, count: int) -> None:
     locate(lanes, cars, places, rules.loops)
     for i in range(len(cars)):
         cars[i].lane = closest_lane(lanes, places, rules.loops, i, cars[i].heading, cars[i].lane)
-    collide(cars, rules.dt, rules.before_ego)
+    collide(cars, rules)
 
 
 @compiled

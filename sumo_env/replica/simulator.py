@@ -63,9 +63,7 @@ class Replica:
         ValueError: unknown variant.
     """
 
-    def __init__(
-        self, variant: str = "path", is_linear: bool = False, ego_contacts: bool = False
-    ) -> None:
+    def __init__(self, variant: str = "path", is_linear: bool = False, ego_contacts: bool = False) -> None:
         if variant not in VARIANTS:
             raise ValueError(f"the variant must be one of {VARIANTS}, not {variant!r}")
         _load()

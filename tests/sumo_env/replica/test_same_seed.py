@@ -67,6 +67,11 @@ def test_so_it_is_under_other_configurations(task: str, config: dict[str, Any]) 
     )  # one of the three goes on with the stream of the one before it
 
 
+@pytest.mark.slow
+def test_so_it_is_in_the_fast_variant_of_the_highway() -> None:
+    assert differences("highway-fast", 0, 20, {}) == []
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("task", TASKS)
 def test_it_is_in_99_percent_of_two_hundred_episodes(task: str, capsys: pytest.CaptureFixture[str]) -> None:
@@ -82,7 +87,7 @@ def test_it_is_in_99_percent_of_two_hundred_episodes(task: str, capsys: pytest.C
 def test_the_defaults_are_those_of_highway_env() -> None:
     import highway_env  # noqa: F401
 
-    for id in sumo_env.REPLICA_IDS:
+    for id in (*sumo_env.REPLICA_IDS, sumo_env.FAST_ID):
         theirs: Any = gym.make(id.removeprefix("replica/")).unwrapped
         ours: Any = gym.make(id).unwrapped
         meaningless = {"other_vehicles_type", "render_agent", "offscreen_rendering", "manual_control",

@@ -1,29 +1,35 @@
 """The results in README.md: ``python docs/results_table.py`` writes the table, ``--check`` compares it.
 
-Crash rates and speed of control and treated agents for each task of results/standard, levels weighted alike, with the
-difference and its 95 % interval as the analysis has them. Bold: the interval excludes 0.
+Crash rates and speed of control and treated agents for each task of results/standard, and of agents of mixed training
+where all settings have them; levels weighted alike. The differences from control and their 95 % intervals are those of
+the analysis. Bold: the interval excludes 0.
 """
 
 from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from statistics import fmean
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
 README, ANALYSIS = ROOT / "README.md", ROOT / "results" / "standard" / "analysis.json"
-START, END = "<!-- written by docs/results_table.py -->\n", "<!-- end of the table -->"
-TASKS = {
-    "highway": "highway", "two-way": "two-way road", "roundabout": "roundabout",
-    "intersection": "intersection", "u-turn": "u-turn",
-}  # fmt: skip
+START, END = "<!-- written by docs/results_table.py -->\n\n", "<!-- end of the table -->"
+TASKS = ("highway", "two-way", "roundabout", "intersection", "u-turn")
+NAMES = {"two-way": "two-way road", "all tasks": "**mean of the tasks**"}  # where it is not the scope's own
+ARMS = {
+    "control": "in regular",
+    "treatment": "in risky",
+    "mixed": "in mixed",
+}  # and the traffic of their training
 HEAD = """\
 | task | crash rate in **risky** traffic [%] | crash rate in **regular** traffic [%] | speed in risky traffic [m/s] |
 |---|---|---|---|
 """
+COLUMNS = (("crashed", "risky", 100, 0), ("crashed", "regular", 100, 0), ("mean_speed", "risky", 1, 1))
+SPACE = "\N{NO-BREAK SPACE}"  # within a cell: a narrow screen scrolls instead of breaking every number
 
 
 def difference(row: dict[str, Any], scale: float, digits: int) -> str:
@@ -41,33 +47,43 @@ def records(analysis: dict[str, Any], name: str) -> list[dict[str, Any]]:
 
 def means(analysis: dict[str, Any], traffic: str, outcome: str, arm: str) -> dict[str, float]:
     """The mean of an arm's agents for each task, over its levels, and over the tasks."""
-    rows = [
-        r
-        for r in records(analysis, "policies")
-        if (r["policy"], r["arm"], r["traffic"]) == ("dqn", arm, traffic)
-    ]
+    wanted = ("dqn", arm, traffic)
+    rows = [r for r in records(analysis, "policies") if (r["policy"], r["arm"], r["traffic"]) == wanted]
     found = {task: fmean(r[outcome] for r in rows if r["task"] == task) for task in TASKS}
     return {**found, "all tasks": fmean(found.values())}
 
 
-def lines(analysis: dict[str, Any]) -> Iterator[str]:
-    """The rows of the table."""
-    columns = [("crashed", "risky", 100, 0), ("crashed", "regular", 100, 0), ("mean_speed", "risky", 1, 1)]
-    effects = {
-        (r["scope"], r["outcome"], r["term"]): r
-        for r in records(analysis, "means")
-        if (r["arm"], r["against"], r["scenarios"]) == ("treatment", "control", "own")
+def arms(analysis: dict[str, Any]) -> list[str]:
+    """The arms of the table: control, treatment, and mixed where it has all settings of the treatment."""
+    levels = {
+        arm: {(r["task"], r["level"]) for r in records(analysis, "policies") if r["arm"] == arm}
+        for arm in ARMS
     }
-    for scope, name in {**TASKS, "all tasks": "**mean of the tasks**"}.items():
-        cells = [name]
-        for outcome, traffic, scale, digits in columns:
-            control, treated = (
-                means(analysis, traffic, outcome, arm)[scope] * scale for arm in ("control", "treatment")
-            )
-            change = difference(
-                effects[scope, outcome, traffic], scale, 1 if scope == "all tasks" else digits
-            )
-            cells.append(f"{control:.{digits}f} → {treated:.{digits}f}: {change}")
+    return [arm for arm in ARMS if levels[arm] >= levels["treatment"]]
+
+
+def lines(analysis: dict[str, Any], shown: Sequence[str]) -> Iterator[str]:
+    """What the numbers are, and the table with a row for each task."""
+    ways = " → ".join(ARMS[arm] for arm in shown)
+    what = (
+        "difference and its 95 % interval"
+        if len(shown) == 2
+        else "differences from the first and their 95 % intervals"
+    )
+    yield f"Trained {ways} traffic, the {what} (bold: excludes 0):\n\n{HEAD}"
+    effects = {
+        (r["arm"], r["scope"], r["outcome"], r["term"]): r
+        for r in records(analysis, "means")
+        if (r["against"], r["scenarios"]) == ("control", "own")
+    }
+    for scope in (*TASKS, "all tasks"):
+        cells = [NAMES.get(scope, scope)]
+        for outcome, traffic, scale, digits in COLUMNS:
+            rates = [f"{means(analysis, traffic, outcome, arm)[scope] * scale:.{digits}f}" for arm in shown]
+            finer = 1 if scope == "all tasks" else digits
+            rows = [effects[arm, scope, outcome, traffic] for arm in shown if arm != "control"]
+            changes = [difference(row, scale, finer).replace(" ", SPACE) for row in rows]
+            cells.append(f"{SPACE.join(' → '.join(rates).split())}: {', '.join(changes)}")
         yield f"| {' | '.join(cells)} |\n"
 
 
@@ -76,7 +92,7 @@ def main() -> int:
     before, _, rest = README.read_text(encoding="utf-8").partition(START)
     _, _, after = rest.partition(END)
     analysis = json.loads(ANALYSIS.read_text(encoding="utf-8"))
-    text = before + START + HEAD + "".join(lines(analysis)) + END + after
+    text = before + START + "".join(lines(analysis, arms(analysis))) + END + after
     if "--check" in sys.argv:
         return int(text != README.read_text(encoding="utf-8"))
     README.write_text(text, encoding="utf-8")

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import runpy
 import subprocess
 import sys
+from pathlib import Path
 
 import pandas as pd
 
-from experiments.analysis.analysis import Analysis, stored
+from experiments.analysis.analysis import Analysis, analyse, as_json, stored
 from experiments.analysis.effects import mean_over
 from experiments.analysis.plan import Plan
 from experiments.reporting.tables import main
@@ -15,6 +17,7 @@ from experiments.reporting.words import difference
 from experiments.study.arms import EXTRA_ARMS, TRAFFICS
 from experiments.study.results import load
 from sumo_env.tasks import TASKS
+from tests.experiments import synthetic
 from tests.pages import ROOT, TEXTS, section, table
 
 
@@ -25,6 +28,30 @@ def told(page: str) -> str:
 
 def test_the_table_of_the_readme_is_that_of_the_results() -> None:
     subprocess.run([sys.executable, ROOT / "docs" / "results_table.py", "--check"], check=True)
+
+
+def test_the_table_of_the_readme_shows_mixed_training_where_there_is_any(tmp_path: Path) -> None:
+    table_of = runpy.run_path(str(ROOT / "docs" / "results_table.py"))
+    for further in ((), ("mixed",)):
+        synthetic.write(
+            tmp_path / str(further), dict.fromkeys(TASKS, (1,)), seeds=3, tests=8, further=further
+        )
+        analysis = as_json(analyse(load(tmp_path / str(further))))
+        shown = table_of["arms"](analysis)
+        assert shown == ["control", "treatment", *further]
+        text = "".join(table_of["lines"](analysis, shown))
+        assert text.count("|\n") == 2 + len(TASKS) + 1
+        assert ("→ in mixed traffic" in text) == bool(further)
+        [row] = [
+            r
+            for r in table_of["records"](analysis, "means")
+            if (r["arm"], r["against"], r["scope"], r["outcome"], r["term"], r["scenarios"])
+            == (shown[-1], "control", "u-turn", "crashed", "regular", "own")
+        ]
+        last = table_of["difference"](row, 100, 0).replace(" ", table_of["SPACE"])
+        [line] = [line for line in text.splitlines() if line.startswith("| u-turn")]
+        cell = line.split(" | ")[2]
+        assert cell.endswith(last) and cell.count("→") == len(shown) - 1
 
 
 def published(name: str) -> Analysis:

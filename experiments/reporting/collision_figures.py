@@ -74,9 +74,7 @@ def collisions(episodes: pd.DataFrame) -> str:
     handles = [Rectangle((0, 0), 1, 1, color=colour, label=kind) for kind, colour in legend.items()]
     figure.legend(handles=handles, loc="outside upper center", ncols=len(legend))
     backend = episodes["backend"].iloc[0]
-    return to_svg(
-        figure, f"{backend}-collisions", "Collisions in the frame of the ego by task and arm, and their types"
-    )
+    return to_svg(figure, f"{backend}-collisions", "Collisions in the ego's frame, by task and arm")
 
 
 def _picture(axes: Axes, crashes: pd.DataFrame) -> None:

@@ -70,6 +70,7 @@ def backend(name: str, results: Results, analysis: Analysis) -> dict[str, Any]:
         "tasks": tables.first_page(analysis, name),
         "claims": chosen(analysis.claims, backend=name).to_dict("records"),
         "figures": drawn(name, results, analysis),
+        "paces": paces(chosen(analysis.policies, backend=name)),
         "crashes": tables.by_setting(analysis, name, "crashed"),
         "returns": tables.by_setting(analysis, name, "return"),
         "variants": tables.variants(analysis, name),
@@ -116,6 +117,14 @@ def answer(name: str, analysis: Analysis) -> dict[str, Any]:
         else None,
         "careful": _careful(name, analysis),
     }
+
+
+def paces(policies: pd.DataFrame) -> dict[str, Any]:
+    """Crash rate and progress of both arms and of the policies that do not learn, by traffic, every task alike."""
+    named = policies.assign(name=policies["arm"].where(policies["arm"] != "", policies["policy"]))
+    of_tasks = named.groupby(["name", "traffic", "task"])[["crashed", "progress"]].mean()
+    means = of_tasks.groupby(["name", "traffic"]).mean()
+    return {str(name): rows.droplevel("name").to_dict("index") for name, rows in means.groupby("name")}
 
 
 def _careful(name: str, analysis: Analysis) -> dict[str, Any] | None:
@@ -175,15 +184,14 @@ def player(films: Mapping[str, Any], directory: Path) -> dict[str, Any]:
             {"name": f"{name} on {BACKENDS.get(place['backend'], place['backend'])}", "first": len(rows)}
         )
         for film in place["films"]:
-            at = f"{film['traffic']} {film['scenario']}"
+            at = f"{film['traffic']} traffic, scenario {film['scenario']}"
             arm = film["kind"] if film["kind"] in ARMS else "control"
-            case = f"{directory / 'cells' / place['cells'][arm]}:{at.replace(' ', ':')}"
+            case = f"{directory / 'cells' / place['cells'][arm]}:{film['traffic']}:{film['scenario']}"
             rows.append({"place": number, "title": f"{titles[film['kind']]} ({at})"})
             endings = {f"{arm} agent": film[arm]["ending"] for arm in ARMS}
             replay = f"python experiments/replay.py {case}"
             listed.append({"episode": f"{name}, {at}", **endings, "as pictures": replay})
-        ways = {titles[kind]: n for kind, n in place["counts"].items()}
-        counts.append({"task": name, **ways})
+        counts.append({"task": name, **{titles[kind]: n for kind, n in place["counts"].items()}})
     hidden = ("made_of", "counts", "failed", "cells")
     data = [{key: value for key, value in place.items() if key not in hidden} for place in shown]
     return {

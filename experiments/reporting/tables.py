@@ -15,7 +15,7 @@ from experiments.analysis.scores import CRASH_KINDS, PLACE, TASK_ORDER
 from experiments.reporting.words import BACKENDS, difference, effect, number, p_value
 from experiments.study.arms import ARMS, TRAFFICS
 
-Row = Mapping[str, Any]
+TERMS = {"sum": "both (the paper's ATE)", "interaction": "risky − regular"}
 
 
 def chosen(frame: pd.DataFrame, **values: Any) -> pd.DataFrame:
@@ -55,9 +55,7 @@ def by_setting(analysis: Analysis, backend: str, outcome: str) -> pd.DataFrame:
     lines: dict[str, dict[str, str]] = {}
     for row in rows.to_dict("records"):
         line = lines.setdefault(f"{row['task']} {row['level_name']}", {})
-        title = {"sum": "both (the paper's ATE)", "interaction": "risky − regular"}.get(
-            row["term"], row["term"]
-        )
+        title = TERMS.get(row["term"], row["term"])
         line[title] = effect(row, outcome)
         if row["family"]:
             level = effect({**row, "low": row["low_family"], "high": row["high_family"]}, outcome)
@@ -75,12 +73,10 @@ def means(frame: pd.DataFrame, columns: Sequence[str] = ("scope",)) -> pd.DataFr
     for row in frame.to_dict("records"):
         if row["outcome"] not in (*OUTCOMES, *CRASH_KINDS):
             continue
-        line = lines.setdefault(
-            tuple(row[name] for name in columns), {name: str(row[name]) for name in columns}
-        )
-        line[f"{row['term']} traffic"] = f"{number(row['mean_against'], row['outcome'])} → " + number(
-            row["mean_arm"], row["outcome"]
-        )
+        names = {name: str(row[name]) for name in columns}
+        line = lines.setdefault(tuple(names.values()), names)
+        pair = (number(row[side], row["outcome"]) for side in ("mean_against", "mean_arm"))
+        line[f"{row['term']} traffic"] = " → ".join(pair)
         line["difference" + " " * (row["term"] == "regular")] = effect(row, row["outcome"])
     return pd.DataFrame(list(lines.values()))
 
@@ -130,9 +126,8 @@ def transfer(analysis: Analysis, backend: str) -> pd.DataFrame:
     """The same agents on the same scenarios of other simulators and at home."""
     rows = analysis.means[analysis.means["scenarios"] != "own"]
     rows = chosen(rows, backend=backend).assign(tested_on=lambda d: d["tested_on"].map(BACKENDS))
-    return means(chosen(rows, scope=ALL_TASKS), ("scenarios", "tested_on")).drop(
-        columns="scenarios", errors="ignore"
-    )
+    found = means(chosen(rows, scope=ALL_TASKS), ("scenarios", "tested_on"))
+    return found.drop(columns="scenarios", errors="ignore")
 
 
 def crash_kinds(analysis: Analysis, backend: str) -> pd.DataFrame:
@@ -146,9 +141,8 @@ def slopes(analysis: Analysis, backend: str) -> pd.DataFrame:
     lines: dict[str, dict[str, str]] = {}
     for row in chosen(analysis.slopes, backend=backend).to_dict("records"):
         title = f"{OUTCOMES[row['outcome']].label}, {'effect' if row['quantity'] == 'effect' else 'mean'}"
-        lines.setdefault(row["task"], {})[title] = (
-            f"{effect(row, row['outcome'])}, p {p_value(row['p_adjusted'])}"
-        )
+        text = f"{effect(row, row['outcome'])}, p {p_value(row['p_adjusted'])}"
+        lines.setdefault(row["task"], {})[title] = text
     return _indexed(lines, "task")
 
 
@@ -166,12 +160,8 @@ def side_by_side(named: Sequence[tuple[str, Analysis]]) -> pd.DataFrame:
         if not shared:
             continue
         agents = chosen(other.gates, arm=list(ARMS))
-        passed = int((agents["passed"].astype(object) == True).sum())  # noqa: E712
-        line = {
-            "folder": title,
-            "settings": str(len(shared)),
-            "agents that pass": f"{passed} of {len(agents)}",
-        }
+        passed = f"{(agents['passed'].astype(object) == True).sum()} of {len(agents)}"  # noqa: E712
+        line = {"folder": title, "settings": str(len(shared)), "agents that pass": passed}
         for term in ("risky", "regular"):
             for side, frame in sides.items():
                 own = chosen(frame, term=term)
@@ -192,11 +182,8 @@ def _settings(frame: pd.DataFrame) -> list[tuple[str, int]]:
 
 
 def _indexed(lines: Mapping[str, Mapping[str, str]], name: str) -> pd.DataFrame:
-    return (
-        pd.DataFrame.from_dict(lines, orient="index").rename_axis(name).reset_index()
-        if lines
-        else pd.DataFrame()
-    )
+    frame = pd.DataFrame.from_dict(lines, orient="index")
+    return frame.rename_axis(name).reset_index() if lines else frame
 
 
 def cells(results: Any, analysis: Analysis) -> pd.DataFrame:

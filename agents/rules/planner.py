@@ -17,9 +17,9 @@ import numpy as np
 from agents.streams import stream
 
 STEPS = 5  # of a sequence
-FUTURES = 3  # that are imagined for a decision
+FUTURES = 2  # that are imagined for a decision
 CRASH = 10.0  # cost of a crash, in units of the reward
-REPEATED = ("IDLE", "SLOWER", "FASTER")
+REPEATED = ("IDLE", "SLOWER")
 
 
 class Planner:
@@ -67,7 +67,7 @@ def _values(env: Any, first: int, repeated: list[int]) -> dict[int, float]:
     value, over = _step(begun, first)
     values = dict.fromkeys(repeated, value)
     for then in repeated if not over else ():
-        twin = copy.deepcopy(begun)
+        twin = begun if then == repeated[-1] else copy.deepcopy(begun)
         ended = False
         for _ in range(STEPS - 1):
             if not ended:

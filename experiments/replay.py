@@ -4,6 +4,12 @@
     python experiments/replay.py results/sumo-quick/cells/sumo-highway-50-control-s0:risky:17
     python experiments/replay.py CASE --gif       # an animation instead of a sheet of pictures
     python experiments/replay.py CASE --sumo      # a folder with episode.sumocfg, for sumo and sumo-gui
+    python experiments/replay.py CASE --avoid     # until when could its crash have been avoided, and a film of both
+    python experiments/replay.py DIR --avoid      # the share of each arm's crashes avoidable 1, 2 and 3 s before
+
+--avoid tries every sequence of --horizon actions from each policy step before the contact, in copies of the episode
+with its own future: an upper bound of what a driver could do. Avoided means no contact for 5 s, or until the episode
+ends; where the horizon is shorter than 5 s, IDLE or SLOWER is repeated after it.
 
 Exit status: 0 the episode was reproduced, 1 it came out differently (the message says what, and which
 versions have changed since), 2 the case does not exist.
@@ -26,6 +32,7 @@ import difflib
 import math
 import re
 from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
@@ -38,11 +45,16 @@ from PIL import Image
 
 from experiments.backends import make_env
 from experiments.study import grid, store
+from experiments.study.avoid import HORIZON, SAFE, Moment, Rewound, Search
+from experiments.study.avoidable import GROUP, judge_all, sample, shares
 from experiments.study.cell import MakeEnv
 from experiments.study.evaluate import play
+from experiments.study.packed import MANIFEST
 from experiments.study.rerun import changed_versions, differences, stored_policy
+from experiments.study.results import load
+from experiments.study.rows import Countdown
 from experiments.support.errors import UserError, disk_error, run_command
-from experiments.support.films import Film, Pictures, save_gif
+from experiments.support.films import Film, Pictures, save_gif, side_by_side
 
 PICTURES = 12  # on a sheet, spread over the episode
 SUGGESTED = 5  # names in an error
@@ -61,6 +73,12 @@ class Options:
     """Write a film in real time (GIF) instead of a sheet of pictures (PNG)."""
     sumo: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = False
     """Write a folder that sumo and sumo-gui open instead: network, vehicles, the ego's way, and configurations."""
+    avoid: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = False
+    """Search for actions without which there would be a crash; CASE may also be a folder of results."""
+    horizon: int = HORIZON
+    """Policy steps in which --avoid tries all sequences of actions."""
+    crashes: int = 20
+    """Crashes of each arm and setting that --avoid searches in a folder, drawn at random (the same at each call)."""
 
 
 @dataclass(frozen=True)
@@ -137,6 +155,14 @@ def replay(options: Options, make_env: MakeEnv = make_env) -> int:
     Raises:
         UserError: the case does not exist, its cell is damaged, or the file cannot be written.
     """
+    if options.horizon < 1 or options.crashes < 1:
+        raise UserError(
+            f"--horizon and --crashes are at least 1, not {options.horizon} and {options.crashes}"
+        )
+    if options.avoid and (options.gif or options.sumo):
+        raise UserError("--avoid writes a film of its own: leave out --gif and --sumo")
+    if options.avoid and is_results(Path(options.case)):
+        return _avoid_all(options, make_env)
     case = parse_case(options.case)
     record, table = store.read_stored(case.path.parents[1], case.path.name), case.table
     key = record["key"]
@@ -145,6 +171,8 @@ def replay(options: Options, make_env: MakeEnv = make_env) -> int:
         raise UserError(
             f"{case.path.name} has {key['eval']['episodes']} scenarios, counted from 0: no {case.scenario}"
         )
+    if options.avoid:
+        return _avoid(options, case, record, rows.iloc[0].to_dict(), make_env)
     env = make_env(key["backend"], key["task"], key["env_config"], "rgb_array")
     try:
         film = Film(env, between=options.gif)
@@ -207,6 +235,100 @@ def sheet(frames: list[NDArray[np.uint8]]) -> NDArray[np.uint8]:
         top, left = number // columns * (height + gap), number % columns * (width + gap)
         paper[top : top + height, left : left + width] = frame
     return paper
+
+
+def is_results(directory: Path) -> bool:
+    """Whether it is a folder of results, and not a cell in one."""
+    return (directory / "cells").is_dir() or (directory / MANIFEST).exists()
+
+
+def _avoid(
+    options: Options, case: Case, record: dict[str, Any], row: dict[str, Any], make_env: MakeEnv
+) -> int:
+    """Search the last moment from which a crash can be avoided; 1 if there is none."""
+    countdown = Countdown(1.0)
+    search = Search(options.horizon, lambda share: countdown.show(share, f"{share:.0%} of the sequences"))
+    key = record["key"]
+    with (
+        closing(make_env(key["backend"], key["task"], key["env_config"], "rgb_array")) as env,
+        closing(Rewound(case.path, record, row, env)) as crash,
+    ):
+        print(f"{case.name}: " + _ending(row))
+        for moment in crash.moments(search):
+            countdown.end()
+            print(_outcome(moment, crash, options.horizon), flush=True)
+            countdown = Countdown(1.0)
+        if moment.actions is None:
+            print("not found: no searched sequence avoids the contact, from the first step on")
+            return 1
+        print(
+            f"point of no return: {moment.time:g} s, {crash.contact - moment.time:.1f} s before the contact "
+            f"(the ego decides every {1 / crash.frequency:g} s)"
+        )
+        path = options.out or Path(case.name + "-avoided.gif")
+        try:
+            save_gif(_both(crash, moment), path)
+        except OSError as error:
+            raise disk_error(error, path) from None
+    print(f"written: {path}")
+    return 0
+
+
+def _outcome(moment: Moment, crash: Rewound, horizon: int) -> str:
+    """A search in words."""
+    when = f"from {moment.time:4.1f} s, {crash.contact - moment.time:.1f} s before the contact: "
+    if moment.actions is not None:
+        words = " ".join(crash.names[action] for action in moment.actions)
+        end = "" if len(moment.actions) >= SAFE * crash.frequency else " (then the episode ends)"
+        return f"{when}avoided by {words}{end}; contacts on the way: {moment.contacts}"
+    steps = min(horizon, math.ceil(SAFE * crash.frequency))
+    return (
+        f"{when}not found: all {len(crash.names) ** steps:,} sequences of {steps} actions end in a contact "
+        f"({moment.contacts} different ones)"
+    )
+
+
+def _both(crash: Rewound, moment: Moment) -> Pictures:
+    """A film of a crash, and of the episode without it, from two seconds before they part."""
+    assert moment.actions is not None
+    begin = max(moment.step - 2 * crash.frequency, 0)
+    words = " ".join(crash.names[action] for action in moment.actions[:5])
+    drives = {
+        f"as stored: contact after {crash.contact:.1f} s": crash.actions[begin:],
+        f"avoided from {moment.time:g} s on: {words}": crash.actions[begin : moment.step] + moment.actions,
+    }
+    films = []
+    for title, actions in drives.items():
+        with closing(crash.before(begin)) as env:
+            film = Film(env)
+            film.frame()
+            for action in actions:
+                env.step(action)
+                film.frame()
+            films.append((title, film.pictures))
+    width, height = films[0][1][0].size
+    return side_by_side(films, columns=1 if width > height else 2)
+
+
+def _avoid_all(options: Options, make_env: MakeEnv) -> int:
+    """Search a sample of a folder's crashes, and print the shares that can be avoided."""
+    results = load(Path(options.case))
+    file = options.out or results.directory / "avoidable.parquet"
+    try:
+        table = judge_all(results, sample(results, options.crashes), file, Search(options.horizon), make_env)
+    except OSError as error:
+        raise disk_error(error, file) from None
+    if table.empty:
+        raise UserError("none of the crashes could be driven again")
+    found = shares(table)
+    found["share"] = [f"{row.share:.0%} [{row.low:.0%}, {row.high:.0%}]" for row in found.itertuples()]
+    found["before"] = found["before"].map("{:g} s before".format)
+    print(found.pivot(index=[*GROUP, "agents", "crashes"], columns="before", values="share").to_string())
+    print(
+        "share of crashes that a search which knows the future avoids, and Wilson's 95 % interval over crashes"
+    )
+    print(f"written: {file}")
+    return 0
 
 
 def _write(options: Options, case: Case, env: gym.Env[Any, Any], pictures: Pictures) -> Path:

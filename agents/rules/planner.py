@@ -17,7 +17,7 @@ import numpy as np
 from agents.streams import stream
 
 STEPS = 5  # of a sequence
-FUTURES = 2  # that are imagined for a decision
+FUTURES = 1  # that are imagined for a decision
 CRASH = 10.0  # cost of a crash, in units of the reward
 REPEATED = ("IDLE", "SLOWER")
 

@@ -2,8 +2,8 @@
 
     python -m experiments.study.planning      compute what results/copies/planners.parquet lacks, and print the table
 
-The lightest level of each task. "planner" imagines the events to come, "clairvoyant" knows them (`agents.rules.planner`):
-in regular traffic, which has no events, they are one.
+The lightest level of each task. "planner" imagines the events to come, "clairvoyant" knows them: in regular traffic,
+which has no events, they are one.
 """
 
 from __future__ import annotations
@@ -31,7 +31,17 @@ if TYPE_CHECKING:
 RESULTS = Path(__file__).resolve().parents[2] / "results"
 FILE, STUDY = RESULTS / "copies" / "planners.parquet", RESULTS / "standard"
 SCENARIOS = 50
-KEPT = ("return", "length", "crashed", "arrived", "mean_speed", "distance", "crash_time", "crash_type", "actions")
+KEPT = (
+    "return",
+    "length",
+    "crashed",
+    "arrived",
+    "mean_speed",
+    "distance",
+    "crash_time",
+    "crash_type",
+    "actions",
+)
 
 
 def play_all(file: Path, scenarios: int) -> pd.DataFrame:

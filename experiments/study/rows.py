@@ -38,7 +38,9 @@ def fill(
         try:
             table = pd.read_parquet(file)
         except (OSError, ValueError) as error:
-            raise UserError(f"{file} is no table of this command ({error}): name another file with --out") from None
+            raise UserError(
+                f"{file} is no table of this command ({error}): name another file with --out"
+            ) from None
     keys = list(wanted[0]) if wanted else []
     if len(table) and not set(keys) <= set(table):
         raise UserError(f"{file} is a table of something else: name another file with --out")
@@ -73,7 +75,12 @@ class Countdown:
         self._shown = now
         left = (now - self._start) * (self._total - done) / done if done else float("nan")
         line = text + (f", about {duration(left)} left" if done else "")
-        print(f"\r{line:<70}" if self._watched else line, end="" if self._watched else "\n", file=sys.stderr, flush=True)
+        print(
+            f"\r{line:<70}" if self._watched else line,
+            end="" if self._watched else "\n",
+            file=sys.stderr,
+            flush=True,
+        )
 
     def end(self) -> None:
         """Clear the line."""

@@ -42,18 +42,23 @@ class Film:
             self.pictures.append(Image.fromarray(self._env.render()))
 
 
-def side_by_side(films: Sequence[tuple[str, Pictures]]) -> Pictures:
-    """Films of pictures of one size in one, each under its title; the shorter ones stay at their end."""
-    length = max(len(pictures) for _, pictures in films)
+def side_by_side(films: Sequence[tuple[str, Pictures]], columns: int | None = None) -> Pictures:
+    """Films of pictures of one size in one, each under its title, in one row or in so many columns.
+
+    The shorter ones stay at their end.
+    """
+    length, columns = max(len(pictures) for _, pictures in films), columns or len(films)
     width, height = films[0][1][0].size
+    rows = -(-len(films) // columns)
     font, sheets = ImageFont.load_default(size=14), []
     for number in range(length):
-        sheet = Image.new("RGB", (len(films) * (width + GAP) - GAP, height + TITLE), "white")
+        size = (columns * (width + GAP) - GAP, rows * (height + TITLE))
+        sheet = Image.new("RGB", size, "white")
         pen = ImageDraw.Draw(sheet)
-        for column, (title, pictures) in enumerate(films):
-            left = column * (width + GAP)
-            pen.text((left + 4, 3), title, fill="black", font=font)
-            sheet.paste(pictures[min(number, len(pictures) - 1)], (left, TITLE))
+        for place, (title, pictures) in enumerate(films):
+            left, top = place % columns * (width + GAP), place // columns * (height + TITLE)
+            pen.text((left + 4, top + 3), title, fill="black", font=font)
+            sheet.paste(pictures[min(number, len(pictures) - 1)], (left, top + TITLE))
         sheets.append(sheet)
     return sheets
 

@@ -1,0 +1,176 @@
+"""Whether a crash could have been avoided: every sequence of actions before it, driven in copies of the environment.
+
+A search begins at the start of a policy step, in the traffic and with the future of the stored episode. It tries all
+sequences of a few actions, depth first: sequences that begin alike share a copy up to where they part, and of two
+actions with the same effect one is driven. Where the horizon ends before SAFE seconds are over, each of REST is
+repeated up to then. The crash is avoided if the ego has no contact for SAFE seconds, or until the episode ends.
+
+An upper bound of what a driver could have done: the search knows the future. And a lower one of what was possible: the
+ego decides at policy steps alone, and after the horizon it only repeats.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+from collections import deque
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+
+from experiments.study.evaluate import play
+from experiments.study.rerun import differences, stored_policy
+from experiments.support.errors import UserError
+
+HORIZON = 5  # policy steps in which all sequences are tried
+SAFE = 5.0  # [s] without a contact, after which a crash counts as avoided
+REST = ("IDLE", "SLOWER")  # what is repeated after the horizon; within it these are tried first
+
+
+@dataclass(frozen=True)
+class Moment:
+    """The search from the beginning of a policy step.
+
+    step: how many steps were driven before. time: since the start [s]. actions: that avoid the contact, None if every
+    sequence ends in one. contacts: how many were driven to in the search.
+    """
+
+    step: int
+    time: float
+    actions: tuple[int, ...] | None
+    contacts: int
+
+
+class Search:
+    """Looks for actions after which there is no contact.
+
+    on_progress: is told the share of the sequences that is done.
+    """
+
+    def __init__(self, horizon: int = HORIZON, on_progress: Callable[[float], None] | None = None) -> None:
+        self.horizon, self._on_progress = horizon, on_progress
+
+    def way_out(self, env: Any) -> tuple[tuple[int, ...] | None, int]:
+        """Actions that avoid a contact from the present state on (None: no sequence does), and the contacts met.
+
+        The environment stays as it is.
+        """
+        self._contacts, self._done = 0, 0.0
+        steps = math.ceil(SAFE * env.config["policy_frequency"])
+        return self._from(env, min(self.horizon, steps), steps, 1.0), self._contacts
+
+    def _from(self, env: Any, free: int, steps: int, share: float) -> tuple[int, ...] | None:
+        """Actions for these steps without a contact, the first `free` ones chosen freely; None if there are none.
+
+        share: of all sequences of the search, those that begin as those to here.
+        """
+        if steps == 0:
+            return ()
+        choices = sorted(env.actions, key=lambda action: env.actions[action] not in REST)
+        if free == 0:
+            choices = choices[: len(REST)]
+        effects = set()
+        for action in choices:
+            with closing(copy.deepcopy(env)) as twin:
+                taken, crashed, over = _repeat(twin, action, 1 if free else steps)
+                if over and not crashed:
+                    return taken
+                if not crashed and (effect := _effect(twin)) not in effects:
+                    effects.add(effect)
+                    rest = self._from(twin, max(free - 1, 0), steps - len(taken), share / len(choices))
+                    if rest is not None:
+                        return taken + rest
+                else:
+                    self._contacts += crashed
+                    self._done += share / len(choices)
+                    if self._on_progress:
+                        self._on_progress(self._done)
+        return None
+
+
+def _repeat(env: Any, action: int, times: int) -> tuple[tuple[int, ...], bool, bool]:
+    """Take an action until the episode ends: what was taken, whether the ego crashed, whether it ended."""
+    for number in range(1, times + 1):
+        *_, terminated, truncated, info = env.step(action)
+        if info["crashed"] or terminated or truncated:
+            return (action,) * number, bool(info["crashed"]), True
+    return (action,) * times, False, False
+
+
+def _effect(env: Any) -> tuple[Any, ...]:
+    """What is different after actions of different effect, from the same state: the ego's commands and its motion."""
+    ego = env.vehicle
+    return (ego.target_lane_index, ego.speed_index, *ego.position, ego.speed, ego.heading)
+
+
+class Rewound:
+    """A stored crash, driven again, with copies of its environment as it was before each of the last policy steps.
+
+    Args:
+        path: DIR/cells/CELL, which need not exist where the cell is packed.
+        record: its cell.json.
+        row: the episode in its table.
+        env: an environment of the cell, which stays the caller's to close.
+        seconds: how long before the contact the copies begin [s].
+
+    Raises:
+        UserError: the episode has no crash, cannot be driven again, or comes out differently now.
+    """
+
+    def __init__(
+        self,
+        path: Path,
+        record: Mapping[str, Any],
+        row: Mapping[str, Any],
+        env: gym.Env[Any, Any],
+        seconds: float = math.inf,
+    ) -> None:
+        name, key = f"{path.name}:{row['traffic']}:{row['scenario']}", record["key"]
+        if not row["crashed"]:
+            raise UserError(f"{name} has no crash that could be avoided")
+        self.contact = float(row["crash_time"])  # [s]
+        self.copies: deque[Any] = deque()
+        self._env: Any = env.unwrapped
+        self.names: Mapping[int, str] = self._env.actions
+        self.frequency = int(self._env.config["policy_frequency"])
+        self._most = seconds * self.frequency + 2
+        try:
+            seen, policy = stored_policy(path, record, env, row.get("actions"))
+            place = (key["task"], key["level"], str(row["traffic"]), int(row["scenario"]))
+            again = play(seen, policy, *place, on_step=self._copy)
+            if wrong := differences(row, again):
+                raise UserError(f"{name} is not reproduced: {'; '.join(wrong)}")
+        except BaseException:
+            self.close()
+            raise
+        self.actions = tuple(map(int, again["actions"]))
+        self.copies.pop().close()  # the crash itself
+
+    def _copy(self) -> None:
+        self.copies.append(copy.deepcopy(self._env))
+        if len(self.copies) > self._most:
+            self.copies.popleft().close()
+
+    def moments(self, search: Search, seconds: float = math.inf) -> Iterator[Moment]:
+        """Search from the last moment before the contact backwards, up to the first from which it can be avoided."""
+        for back, env in enumerate(reversed(self.copies), start=1):
+            step = len(self.actions) - back
+            if self.contact - step / self.frequency > seconds:
+                return
+            actions, contacts = search.way_out(env)
+            yield Moment(step, step / self.frequency, actions, contacts)
+            if actions is not None:
+                return
+
+    def before(self, step: int) -> Any:
+        """A copy of the environment as it was after so many steps, or the first that was kept."""
+        return copy.deepcopy(self.copies[max(step - len(self.actions), -len(self.copies))])
+
+    def close(self) -> None:
+        """Close the copies."""
+        while self.copies:
+            self.copies.pop().close()

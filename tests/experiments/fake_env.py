@@ -28,7 +28,7 @@ class FakeEnv(gym.Env):
     def __init__(self, task: str, config: dict[str, Any], render_mode: str | None = None) -> None:
         self.task = task
         self.render_mode = render_mode
-        self.config = {"risk": 0.0, "duration": 10, **config}
+        self.config = {"risk": 0.0, "duration": 10, "policy_frequency": 1, **config}
         self.actions = {0: "LANE_LEFT", 1: "IDLE", 2: "LANE_RIGHT", 3: "FASTER", 4: "SLOWER"}
         self.action_space = gym.spaces.Discrete(5)
         self.observation_space = gym.spaces.Box(-1, 1, (2, 5), np.float32)
@@ -78,6 +78,16 @@ class FakeEnv(gym.Env):
             speed=np.array([self.speed, 15.0]), heading=np.zeros(2), crashed=np.array([self.crashed] * 2),
             time=float(self.time), in_event=frozenset(),
         )  # fmt: skip
+
+    @property
+    def vehicle(self) -> SimpleNamespace:
+        return SimpleNamespace(
+            target_lane_index=0,
+            speed_index=self.rung,
+            position=np.array([0.0, 4.0]),
+            speed=self.speed,
+            heading=0.0,
+        )
 
     def _observe(self) -> np.ndarray:
         rows = [[1, 0, 0, self.speed / 80, 0], [1, self.gap / 200, 0, (15 - self.speed) / 80, 0]]

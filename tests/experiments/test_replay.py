@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import itertools
 import shutil
 
+import pandas as pd
 import pytest
 from PIL import Image
 
 from experiments.replay import Options, find_cell, parse_case, replay
 from experiments.study import store
+from experiments.study.arms import TRAFFICS
 from experiments.study.attempt import Ended, attempt
 from experiments.study.cell import CellTask
 from experiments.study.rerun import stored_policy
+from experiments.study.seeds import scenario_seed
 from experiments.support.errors import UserError
 from experiments.sweep import Options as SweepOptions
 from experiments.sweep import cells_of
@@ -20,10 +24,10 @@ from tests.experiments.fake_env import make_env
 
 @pytest.fixture(scope="module")
 def cells(tmp_path_factory):
-    """Directories of a stored agent and of a stored baseline."""
+    """Directories of a stored agent, of a baseline that crashes, and of one that does not."""
     home = tmp_path_factory.mktemp("results")
     wanted = cells_of(SweepOptions(preset="smoke", tasks=("highway",), updates=100, episodes=3))
-    chosen = [cell for cell in wanted if cell.arm == "control" or cell.policy == "random"]
+    chosen = [cell for cell in wanted if cell.arm == "control" or cell.policy in ("random", "slower")]
     for cell in chosen:
         assert attempt(CellTask(cell, home, make_env)) == Ended("done")
     return [home / "cells" / cell.name for cell in chosen]
@@ -134,3 +138,109 @@ def test_an_episode_replays_without_weights_and_weights_that_are_needed_are_told
 def test_a_case_is_split_from_the_right(cells):
     case = parse_case(f"{cells[0]}:risky:1")
     assert (case.path, case.traffic, case.scenario) == (cells[0], "risky", 1)
+
+
+# -- whether a crash could have been avoided ---------------------------------------------------------------
+
+
+def first(cells, crashed):
+    """Cell and row of the first episode with a crash, or without one."""
+    rows = ((cell, row) for cell in cells for row in episodes(cell).to_dict("records"))
+    return next((cell, row) for cell, row in rows if row["crashed"] == crashed)
+
+
+def drive(row, actions):
+    """Whether the ego crashes on these actions, in a new environment; on those of the episode alone it does."""
+    env = make_env("sumo", "highway")
+    env.reset(
+        seed=scenario_seed("highway", 1, row["scenario"]),
+        options={"config": {"risk": TRAFFICS[row["traffic"]]}},
+    )
+    return any(env.step(action)[-1]["crashed"] for action in actions)
+
+
+def test_the_last_moment_to_avoid_a_crash_is_found(cells, tmp_path, capsys):
+    """Compared with all sequences of three actions, driven from the start."""
+    cell, row = first(cells, True)
+    actions = [int(action) for action in row["actions"]]
+    film = tmp_path / "both.gif"
+    status = replay(
+        Options(f"{cell}:{row['traffic']}:{row['scenario']}", out=film, avoid=True, horizon=3), make_env
+    )
+    printed = capsys.readouterr().out
+    assert drive(row, actions)
+    for back in range(1, len(actions) + 1):
+        before = actions[:-back]
+        ways = [
+            free
+            for free in itertools.product(range(5), repeat=3)
+            for last in (1, 4)
+            if not drive(row, [*before, *free, last, last][:10])
+        ]
+        assert f"from {len(before):4.1f} s" in printed
+        if ways:
+            break
+        assert (
+            f"from {len(before):4.1f} s, {row['crash_time'] - len(before):.1f} s before the contact: not"
+            in printed
+        )
+    assert status == (0 if ways else 1)
+    if ways:
+        assert f"point of no return: {len(before)} s" in printed
+        assert Image.open(film).size == (60, 2 * (20 + 22))  # one above the other, each with a title
+    assert f"from {len(before) - 1:4.1f} s" not in printed
+
+
+def test_what_cannot_be_avoided_is_said_in_one_line(cells, tmp_path):
+    cell, row = first(cells, False)
+    case = f"{cell}:{row['traffic']}:{row['scenario']}"
+    with pytest.raises(UserError, match="has no crash that could be avoided"):
+        replay(Options(case, avoid=True), make_env)
+    with pytest.raises(UserError, match="--avoid writes a film of its own"):
+        replay(Options(case, avoid=True, gif=True), make_env)
+    with pytest.raises(UserError, match="at least 1, not 0"):
+        replay(Options(case, avoid=True, horizon=0), make_env)
+
+    def other_env(*arguments):
+        env = make_env(*arguments)
+        env.target_speeds = (10.0, 19.0, 31.0)
+        return env
+
+    crashed, row = first(cells, True)
+    with pytest.raises(UserError, match="is not reproduced: "):
+        replay(Options(f"{crashed}:{row['traffic']}:{row['scenario']}", avoid=True), other_env)
+
+
+def test_the_shares_of_a_folder_are_those_of_its_crashes(cells, tmp_path, capsys):
+    """And the same call goes on where it was stopped."""
+    home, file = cells[0].parents[1], tmp_path / "avoidable.parquet"
+    made = []
+
+    def counted(*arguments):
+        made.append(arguments)
+        return make_env(*arguments)
+
+    asked = Options(str(home), out=file, avoid=True, crashes=2)
+    assert replay(asked, counted) == 0
+    printed = capsys.readouterr().out
+    table = pd.read_parquet(file)
+    agents = episodes(cells[0])
+    assert len(table) == min(2, int(agents["crashed"].sum())) > 0
+    assert set(table["cell"]) == {cells[0].name}  # of agents alone
+    assert len(made) == 1
+    assert "1 s before" in printed
+    assert f"{(table['contact'] - table['last'] <= 1).mean():.0%} [" in printed
+    again = pd.read_parquet(file)
+    assert replay(asked, counted) == 0
+    assert len(made) == 1
+    pd.testing.assert_frame_equal(pd.read_parquet(file), again)
+    assert replay(Options(str(home), out=file, avoid=True, crashes=3), counted) == 0
+    assert len(pd.read_parquet(file)) == min(3, int(agents["crashed"].sum()))
+
+
+def test_a_file_of_something_else_is_not_overwritten(cells, tmp_path):
+    file = tmp_path / "notes.txt"
+    file.write_text("mine")
+    with pytest.raises(UserError, match="name another file with --out"):
+        replay(Options(str(cells[0].parents[1]), out=file, avoid=True), make_env)
+    assert file.read_text() == "mine"

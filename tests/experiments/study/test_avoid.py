@@ -1,0 +1,141 @@
+"""The search for actions without a contact finds one exactly where there is one."""
+
+from __future__ import annotations
+
+import itertools
+from contextlib import closing
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from experiments.backends import make_env
+from experiments.study.avoid import REST, Rewound, Search
+from experiments.study.evaluate import play
+from experiments.study.rerun import Repeated
+from experiments.study.seeds import scenario_seed
+
+NAMES = {0: "LANE_LEFT", 1: "IDLE", 2: "LANE_RIGHT", 3: "FASTER", 4: "SLOWER"}
+MOVES = {0: (1, 0), 1: (0, 0), 2: (-1, 0), 3: (0, 1), 4: (0, -1)}  # of lane and speed
+
+
+class Grid:
+    """Three lanes, four speeds, a place each step: whoever is at one of `walls` (step, lane, place) crashes."""
+
+    open = 0
+
+    def __init__(self, walls: frozenset[tuple[int, int, int]], ends: int = 99, frequency: int = 1) -> None:
+        self.walls, self.ends = walls, ends
+        self.config = {"policy_frequency": frequency}
+        self.actions = NAMES
+        self.state = (0, 1, 1, 0)  # step, lane, speed, place
+
+    def step(self, action: int) -> tuple[None, float, bool, bool, dict[str, bool]]:
+        step, lane, speed, place = self.state
+        sideways, faster = MOVES[action]
+        lane, speed = min(max(lane + sideways, 0), 2), min(max(speed + faster, 0), 3)
+        self.state = (step + 1, lane, speed, place + speed)
+        crashed = (step + 1, lane, place + speed) in self.walls
+        return None, 0.0, crashed, step + 1 >= self.ends, {"crashed": crashed}
+
+    @property
+    def vehicle(self) -> SimpleNamespace:
+        _, lane, speed, place = self.state
+        return SimpleNamespace(
+            target_lane_index=lane,
+            speed_index=speed,
+            position=np.array([place, lane]),
+            speed=speed,
+            heading=0.0,
+        )
+
+    def __deepcopy__(self, memo: object) -> Grid:
+        twin = Grid(self.walls, self.ends, self.config["policy_frequency"])
+        twin.state = self.state
+        Grid.open += 1
+        return twin
+
+    def close(self) -> None:
+        Grid.open -= 1
+
+
+def survives(grid: Grid, actions: tuple[int, ...]) -> bool:
+    """Whether there is no contact for these actions, or until the episode ends."""
+    own = Grid(grid.walls, grid.ends)
+    for action in actions:
+        *_, crashed, over, _ = own.step(action)
+        if crashed or over:
+            return not crashed
+    return True
+
+
+walls = st.frozensets(st.tuples(st.integers(1, 5), st.integers(0, 2), st.integers(0, 9)), max_size=120)
+
+
+@settings(max_examples=60, deadline=None, derandomize=True)
+@given(walls=walls, ends=st.integers(3, 7), horizon=st.integers(1, 5))
+def test_it_finds_a_way_where_one_of_all_sequences_is_one(
+    walls: frozenset[tuple[int, int, int]], ends: int, horizon: int
+) -> None:
+    """Compared with every sequence, driven from the start: free ones up to the horizon, then one action repeated."""
+    grid, shares = Grid(walls, ends), []
+    found, contacts = Search(horizon, shares.append).way_out(grid)
+    rest = [number for number, name in NAMES.items() if name in REST]
+    free = itertools.product(NAMES, repeat=horizon)
+    every = (
+        (*some, *[last] * (5 - horizon)) for some in free for last in (rest if horizon < 5 else rest[:1])
+    )
+    assert (found is not None) == any(survives(grid, actions) for actions in every)
+    if found is None:
+        assert contacts > 0
+        assert shares[-1] == pytest.approx(1.0)
+        assert shares == sorted(shares)
+    else:
+        assert survives(grid, found)
+        assert len(found) == min(5, ends)
+    assert grid.state == (0, 1, 1, 0)
+    assert Grid.open == 0
+
+
+def test_five_seconds_are_steps_of_the_policy() -> None:
+    found, _ = Search().way_out(Grid(frozenset(), frequency=3))
+    assert found == (1,) * 15
+
+
+def test_of_actions_with_one_effect_one_is_driven(monkeypatch: pytest.MonkeyPatch) -> None:
+    """On a road of one lane there are three: of its states after four steps, all five actions end in the wall."""
+    monkeypatch.setitem(MOVES, 0, (0, 0))
+    monkeypatch.setitem(MOVES, 2, (0, 0))
+    wall = frozenset((5, lane, place) for lane in range(3) for place in range(20))
+    found, contacts = Search().way_out(Grid(wall))
+    assert found is None
+    assert contacts <= 5 * 3**4
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("backend", ["sumo", "replica", "highway-env"])
+def test_what_is_found_in_copies_comes_true_in_the_environment(backend: str) -> None:
+    """A crash of a driver who always accelerates; driven from its start with the actions found, there is none."""
+    if backend != "sumo":
+        pytest.importorskip({"replica": "numba", "highway-env": "highway_env"}[backend])
+    env = make_env(backend, "u-turn", {"vehicles_count": 3, "duration": 10})
+    faster = 3
+    path, row = Path("results/cells/faster"), None
+    for scenario in range(30):
+        row = play(env, Repeated(str(faster) * 10), "u-turn", 1, "risky", scenario)
+        if row["crashed"] and row["length"] > 1:
+            break
+    assert row is not None and row["crashed"]
+    record = {"key": {"task": "u-turn", "level": 1, "kind": "baseline"}, "source": None}
+    with closing(Rewound(path, record, row, env)) as crash:
+        moments = list(crash.moments(Search()))
+        found = moments[-1]
+        assert [moment.actions is None for moment in moments[:-1]] == [True] * (len(moments) - 1)
+        assert found.actions is not None
+    actions = crash.actions[: found.step] + found.actions
+    env.reset(seed=scenario_seed("u-turn", 1, scenario), options={"config": {"risk": 1.0}})
+    assert not any(env.step(action)[-1]["crashed"] for action in actions)
+    env.close()

@@ -20,8 +20,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import gymnasium as gym
-
 from experiments.study.evaluate import play
 from experiments.study.rerun import differences, stored_policy
 from experiments.support.errors import UserError
@@ -126,7 +124,7 @@ class Rewound:
         path: Path,
         record: Mapping[str, Any],
         row: Mapping[str, Any],
-        env: gym.Env[Any, Any],
+        env: Any,
         seconds: float = math.inf,
     ) -> None:
         name, key = f"{path.name}:{row['traffic']}:{row['scenario']}", record["key"]
@@ -134,8 +132,8 @@ class Rewound:
             raise UserError(f"{name} has no crash that could be avoided")
         self.contact = float(row["crash_time"])  # [s]
         self.copies: deque[Any] = deque()
-        self._env: Any = env.unwrapped
-        self.names: Mapping[int, str] = self._env.actions
+        self._env = env.unwrapped
+        self.names: dict[int, str] = self._env.actions
         self.frequency = int(self._env.config["policy_frequency"])
         self._most = seconds * self.frequency + 2
         try:

@@ -81,7 +81,8 @@ def test_it_finds_a_way_where_one_of_all_sequences_is_one(
     walls: frozenset[tuple[int, int, int]], ends: int, horizon: int
 ) -> None:
     """Compared with every sequence, driven from the start: free ones up to the horizon, then one action repeated."""
-    grid, shares = Grid(walls, ends), []
+    grid = Grid(walls, ends)
+    shares: list[float] = []
     found, contacts = Search(horizon, shares.append).way_out(grid)
     rest = [number for number, name in NAMES.items() if name in REST]
     free = itertools.product(NAMES, repeat=horizon)

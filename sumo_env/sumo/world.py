@@ -29,7 +29,7 @@ from sumo_env.sumo.session import (
     SumoErrors,
 )
 from sumo_env.sumo.surroundings import Surroundings
-from sumo_env.traffic.drivers import UNCALIBRATED, Driver, vehicle_type
+from sumo_env.traffic.drivers import UNCALIBRATED, Driver, DriverPool, vehicle_type
 from sumo_env.traffic.scenario import EGO, EGO_DISTANCE, Scenario, VehicleSpec, fits
 
 # [s] The ego's centre then crosses the line between two lanes when highway-env's does, after 0.45 to 0.5 s.
@@ -48,6 +48,7 @@ class SumoSimulator:
         self._session = Session()
         self._options = check_options(options)
         self._drivers: dict[str, Driver] = {}  # whose vehicle types are loaded
+        self._pools: tuple[DriverPool, ...] = ()  # of which all drivers are surely among them
         self._loaded: Settings | None = None
         self._set_up = UNCALIBRATED
 
@@ -124,22 +125,26 @@ class SumoSimulator:
 
     def _settings(self, scenario: Scenario) -> Settings:
         """What has to be loaded: the network, and every driver that may come; those loaded before are kept."""
-        wanted = {driver.type: driver for pool in scenario.pools for driver in pool.drivers}
-        # a scenario may hold drivers of its own
-        wanted.update((spec.driver.type, spec.driver) for spec in scenario.specs)
-        wanted.update((spawn.vehicle.driver.type, spawn.vehicle.driver) for spawn in scenario.spawns)
         loaded, before, self._set_up = self._loaded, self._set_up, scenario.calibration
         if (
             loaded is None
             or (loaded.net_file, loaded.step_length) != (self._network.net_file, self._dt)
             or before != self._set_up
         ):
-            self._drivers = {}
-        elif all(
+            loaded, self._drivers, self._pools = None, {}, ()
+        wanted: dict[str, Driver] = {}
+        if scenario.pools != self._pools:
+            wanted = {driver.type: driver for pool in scenario.pools for driver in pool.drivers}
+        # a scenario may hold drivers of its own
+        wanted.update((spec.driver.type, spec.driver) for spec in scenario.specs)
+        wanted.update((spawn.vehicle.driver.type, spawn.vehicle.driver) for spawn in scenario.spawns)
+        if loaded is not None and all(
             (known := self._drivers.get(name)) is driver or known == driver for name, driver in wanted.items()
         ):
+            self._pools = scenario.pools
             return loaded
         self._drivers.update(wanted)
+        self._pools = ()
         self._loaded = Settings(
             self._network.net_file,
             tuple(self._network.routes.items()),

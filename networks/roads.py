@@ -23,7 +23,7 @@ LaneIndex = tuple[str, str, int]
 
 CELL = 4.0  # [m] side of the squares for which `closest_lane` keeps lanes in the order of their distance
 SAMPLE = 1.0  # [m] between the points that stand for a lane there
-FEW = 6  # lanes that are all looked at: ordering them would cost more
+FEW = 4  # lanes that are all looked at: ordering them would cost more
 MANY = 256  # lanes of which only those around a cell are kept for it
 AROUND = 50.0  # [m] further from the cell than the nearest lane
 

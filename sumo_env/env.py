@@ -22,9 +22,8 @@ from sumo_env.interface import interface
 from sumo_env.observation import TimeToCollision
 from sumo_env.scene import Scene
 from sumo_env.simulator import EgoCommand, Simulator, Step
-from sumo_env.sumo import open_simulator
 from sumo_env.sumo.options import check_options
-from sumo_env.sumo.remote import RemoteSimulator
+from sumo_env.sumo.process import SumoProcess, open_simulator
 from sumo_env.tasks import get_task
 from sumo_env.tasks.base import EgoState, Task, nearest_index
 from sumo_env.tasks.network import NetworkTask
@@ -236,9 +235,9 @@ class DrivingEnv(gym.Env[Observation, Any]):
         if self.scenario is None:
             raise gym.error.ResetNeeded("call reset() before export()")
         try:
-            simulator: Simulator = copy.deepcopy(self._given) or RemoteSimulator()
+            simulator: Simulator = copy.deepcopy(self._given) or SumoProcess()
         except TypeError:  # it cannot be copied
-            simulator = RemoteSimulator()
+            simulator = SumoProcess()
         try:
             scenes = [simulator.reset(self.scenario)]
             for command in self._commands:

@@ -18,7 +18,7 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from numpy.typing import NDArray
 
 from sumo_env.env import DrivingEnv
-from sumo_env.sumo.remote import RemoteSimulator, SimulatorDied
+from sumo_env.sumo.process import SimulatorDied, SumoProcess
 from sumo_env.tasks.base import Task
 
 # gymnasium's vector environments take type parameters from version 1.4 on
@@ -59,7 +59,7 @@ class SumoVectorEnv(_Base):
             raise ValueError(f"num_envs must be at least 1, not {num_envs}")
         self._pool = ThreadPoolExecutor(num_envs, thread_name_prefix="sumo_env")
         self._ahead = [
-            _Ahead(DrivingEnv(task, config, render_mode, RemoteSimulator()), self._pool)
+            _Ahead(DrivingEnv(task, config, render_mode, SumoProcess()), self._pool)
             for _ in range(num_envs)
         ]
         made = iter(self._ahead)

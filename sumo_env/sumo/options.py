@@ -3,32 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from pkgutil import resolve_name
-from typing import Any
 
 from sumo_env.config import ConfigError
 
-# Options that cannot be changed, and why; the environment sets them itself or could not do its work with them.
-REFUSED = {
-    "--configuration-file": "the environment configures SUMO; pass single options",
-    **dict.fromkeys(
-        ("--net-file", "--route-files"),
-        "roads and vehicles are the task's: use SumoDrivingEnv(network=..., routes=...)",
-    ),
-    **dict.fromkeys(("--begin", "--end"), "episodes begin and end with reset() and 'duration'"),
-    "--step-length": "use the config key 'simulation_frequency'",
-    **dict.fromkeys(
-        ("--collision.action", "--collision.check-junctions", "--collision.mingap-factor", "--time-to-teleport",
-         "--lanechange.duration"),
-        "crash records and the ego rely on the value that it has",
-    ),
-    "--lateral-resolution": "the lane changes of the ego do not work with SUMO's sublane model",
-    "--load-state": "an episode begins with a scenario: reset(options={'scenario': ...})",
-    **dict.fromkeys(
-        ("--remote-port", "--num-clients", "--gui", "--start"),
-        "SUMO runs inside the process, without a window; export() writes an episode for sumo-gui",
-    ),
-}  # fmt: skip
+# Why an option cannot be changed: the environment sets it itself or could not do its work with it.
+REASONS = {
+    "the environment configures SUMO; pass single options": ["configuration-file"],
+    "roads and vehicles are the task's: use SumoDrivingEnv(network=..., routes=...)": [
+        "net-file",
+        "route-files",
+    ],
+    "episodes begin and end with reset() and 'duration'": ["begin", "end"],
+    "use the config key 'simulation_frequency'": ["step-length"],
+    "crash records and the ego rely on the value that it has": [
+        "collision.action",
+        "collision.check-junctions",
+        "collision.mingap-factor",
+        "time-to-teleport",
+        "lanechange.duration",
+    ],
+    "the lane changes of the ego do not work with SUMO's sublane model": ["lateral-resolution"],
+    "an episode begins with a scenario: reset(options={'scenario': ...})": ["load-state"],
+    "SUMO runs inside the process, without a window; export() writes an episode for sumo-gui": [
+        "remote-port",
+        "num-clients",
+        "gui",
+        "start",
+    ],
+}
+REFUSED = {f"--{name}": reason for reason, names in REASONS.items() for name in names}
 
 
 def check_options(options: Sequence[str]) -> tuple[str, ...]:
@@ -72,9 +75,3 @@ def check_copyable(options: Sequence[str]) -> None:
             raise TypeError(
                 f"an environment with SUMO's option {name} cannot be copied: its copies would write to the same files"
             )
-
-
-def make(name: str, options: tuple[str, ...]) -> Any:
-    """A simulator of the class ``module:name``."""
-    simulator = resolve_name(name)
-    return simulator(options=options) if options else simulator()

@@ -1,4 +1,4 @@
-"""The process of `remote.RemoteSimulator`: ``python -m sumo_env.sumo.worker DESCRIPTOR MODULE:CLASS FOLDER OPTIONS``.
+"""The worker of `process.SumoProcess`: ``python -m sumo_env.sumo.worker DESCRIPTOR MODULE:CLASS FOLDER OPTIONS``.
 
 Answers requests (command, arguments) to a simulator by (exception or None, value) until the other end is gone. The
 command "fork" makes a copy of the process, which serves a socket of its own. Temporary files are made in FOLDER, which
@@ -17,21 +17,31 @@ import sys
 import tempfile
 import traceback
 from contextlib import suppress
+from pkgutil import resolve_name
 from typing import Any
 
 from sumo_env.simulator import SimulatorError
-from sumo_env.sumo.options import make
 
 PORTABLE = ("builtins", "gymnasium", "sumo_env")  # packages whose exceptions keep their class
+
+
+def make(name: str, options: tuple[str, ...]) -> Any:
+    """A simulator of the class ``module:name``."""
+    simulator = resolve_name(name)
+    return simulator(options=options) if options else simulator()
 
 
 class Server:
     """The process's end of the socket."""
 
-    def __init__(self, descriptor: int, folder: str) -> None:
-        self._connect(descriptor, folder)
+    def __init__(self, link: socket.socket, folder: str) -> None:
+        self._connect(link, folder)
         self._simulator: Any = None
         self._is_copy = False
+
+    def _connect(self, link: socket.socket, folder: str) -> None:
+        self._link, self._stream, self._folder = link, link.makefile("rb"), folder
+        tempfile.tempdir = folder
 
     def serve(self, name: str, options: tuple[str, ...]) -> None:
         """Answer requests until the client has closed its end, or has died."""
@@ -44,40 +54,32 @@ class Server:
                 try:
                     if self._simulator is None:
                         self._simulator = make(name, options)
-                    self._answer(None, getattr(self._simulator, command)(*arguments))
+                    answer = pickle.dumps((None, getattr(self._simulator, command)(*arguments)), 5)
                 except Exception as error:
-                    self._answer(portable(error), None)
+                    answer = pickle.dumps((portable(error), None), 5)
+                self._link.sendall(answer)
         if self._simulator is not None and not self._is_copy:  # a copy has nothing of its own to close
             self._simulator.close()
         shutil.rmtree(self._folder, ignore_errors=True)
 
-    def _connect(self, descriptor: int, folder: str) -> None:
-        self._link, self._folder = socket.socket(fileno=descriptor), folder
-        self._stream = self._link.makefile("rwb")
-        tempfile.tempdir = folder
-
-    def _answer(self, error: Exception | None, value: Any) -> None:
-        self._stream.write(pickle.dumps((error, value), 5))
-        self._stream.flush()
-
     def _fork(self, folder: str) -> None:
-        """Make a copy of this process, which goes on with `folder` and the socket that the client sends now."""
-        self._stream.write(b".")  # the request is read: what comes next is the socket
-        self._stream.flush()
-        _, (descriptor,), _, _ = socket.recv_fds(self._link, 1, 1)
-        try:
-            pid = os.fork()
-        except OSError as error:
-            os.close(descriptor)
-            self._answer(error, None)
-            return
-        if pid:
-            os.close(descriptor)
-            self._answer(None, pid)
-        else:
-            os.close(self._link.detach())  # without flushing: the original answers
-            self._is_copy = True
-            self._connect(descriptor, folder)
+        """Make a copy of this process, which goes on with `folder` and a socket whose other end goes to the client."""
+        ours, theirs = socket.socketpair()
+        with theirs:
+            try:
+                pid = os.fork()
+            except OSError as error:
+                ours.close()
+                self._link.sendall(pickle.dumps((error, None)))
+                return
+            if pid:
+                ours.close()
+                socket.send_fds(self._link, [pickle.dumps((None, pid))], [theirs.fileno()])
+                return
+        self._link.close()
+        self._stream.close()
+        self._is_copy = True
+        self._connect(ours, folder)
 
 
 def main() -> None:
@@ -85,7 +87,7 @@ def main() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the client's to handle
     signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # nobody waits for copies; the system clears them away
     descriptor, name, folder, *options = sys.argv[1:]
-    Server(int(descriptor), folder).serve(name, tuple(options))
+    Server(socket.socket(fileno=int(descriptor)), folder).serve(name, tuple(options))
 
 
 def portable(error: Exception) -> Exception:

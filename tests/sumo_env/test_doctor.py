@@ -88,11 +88,11 @@ def test_episodes_that_differ_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_worker_that_drives_another_episode_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    from sumo_env.sumo.remote import RemoteSimulator
+    from sumo_env.sumo.process import SumoProcess
 
-    step = RemoteSimulator.step
+    step = SumoProcess.step
     monkeypatch.setattr(
-        RemoteSimulator,
+        SumoProcess,
         "step",
         lambda self, command, trace=False: step(self, command._replace(target_speed=1.0)),
     )

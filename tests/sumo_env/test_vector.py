@@ -14,7 +14,7 @@ from gymnasium.wrappers import FlattenObservation
 
 from sumo_env.config import ConfigError
 from sumo_env.env import DrivingEnv
-from sumo_env.sumo.remote import RemoteSimulator
+from sumo_env.sumo.process import SumoProcess
 from sumo_env.vector import SumoVectorEnv
 
 CONFIG = {"initial_vehicle_count": 20, "spawn_probability": 1.0}
@@ -35,10 +35,10 @@ def envs(shared: SumoVectorEnv) -> SumoVectorEnv:
     return shared
 
 
-def simulator(envs: SumoVectorEnv, index: int) -> RemoteSimulator:
+def simulator(envs: SumoVectorEnv, index: int) -> SumoProcess:
     env = envs.envs[index].unwrapped
     assert isinstance(env, DrivingEnv)
-    assert isinstance(env._simulator, RemoteSimulator)
+    assert isinstance(env._simulator, SumoProcess)
     return env._simulator
 
 

@@ -22,9 +22,8 @@ import pytest
 
 from sumo_env.env import DrivingEnv
 from sumo_env.simulator import SimulatorError
-from sumo_env.sumo import remote
-from sumo_env.sumo.provider import open_simulator
-from sumo_env.sumo.remote import RemoteSimulator, SimulatorDied
+from sumo_env.sumo import process
+from sumo_env.sumo.process import SimulatorDied, SumoProcess, open_simulator
 from sumo_env.tasks import TASKS
 from tests.sumo_env.sumo.fake import COMMAND, FAKE, HANGS, scenario
 
@@ -77,9 +76,9 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 
 @pytest.fixture
-def begun() -> Iterator[RemoteSimulator]:
+def begun() -> Iterator[SumoProcess]:
     """A worker, two steps into an episode of the fake simulator."""
-    simulator = RemoteSimulator(FAKE)
+    simulator = SumoProcess(FAKE)
     simulator.reset(scenario(3))
     for _ in range(2):
         simulator.step(COMMAND)
@@ -134,7 +133,7 @@ def test_a_copy_goes_on_as_the_original_everywhere(task: str, level: int, risk: 
 
 
 def test_without_fork_a_copy_is_driven_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(remote, "CAN_FORK", False)
+    monkeypatch.setattr(process, "CAN_FORK", False)
     check_copies("intersection", 0, 1.0, seed=1)
 
 
@@ -193,7 +192,7 @@ def test_an_imagined_copy_has_the_past_and_another_future() -> None:
     assert endings[1] == endings[2]
     assert len(set(endings)) > 1
     assert first.scenario is not None and first._simulator is not None
-    again = RemoteSimulator()  # an imagined episode is a scenario: driven from its start, it is the same
+    again = SumoProcess()  # an imagined episode is a scenario: driven from its start, it is the same
     again.reset(first.scenario)
     for command in first._commands:
         step = again.step(command)
@@ -216,7 +215,7 @@ def test_without_risk_nothing_is_imagined() -> None:
 # -- ends --------------------------------------------------------------------------------------------------
 
 
-def test_a_killed_copy_leaves_the_others_alone(begun: RemoteSimulator) -> None:
+def test_a_killed_copy_leaves_the_others_alone(begun: SumoProcess) -> None:
     twin = begun.clone()
     assert twin.pid is not None
     os.kill(twin.pid, signal.SIGKILL)
@@ -227,7 +226,7 @@ def test_a_killed_copy_leaves_the_others_alone(begun: RemoteSimulator) -> None:
     twin.close()
 
 
-def test_a_killed_original_leaves_its_copies_alone(begun: RemoteSimulator) -> None:
+def test_a_killed_original_leaves_its_copies_alone(begun: SumoProcess) -> None:
     twin = begun.clone()
     assert begun.pid is not None
     os.kill(begun.pid, signal.SIGKILL)
@@ -243,7 +242,7 @@ def test_a_killed_original_leaves_its_copies_alone(begun: RemoteSimulator) -> No
     third.close()
 
 
-def test_a_copy_that_hangs_is_killed(begun: RemoteSimulator) -> None:
+def test_a_copy_that_hangs_is_killed(begun: SumoProcess) -> None:
     twin = begun.clone()
     twin.timeout = 0.5
     twin.reset(scenario(HANGS))
@@ -254,7 +253,7 @@ def test_a_copy_that_hangs_is_killed(begun: RemoteSimulator) -> None:
     begun.step(COMMAND)
 
 
-def test_copies_that_are_garbage_end(begun: RemoteSimulator) -> None:
+def test_copies_that_are_garbage_end(begun: SumoProcess) -> None:
     twins = [begun.clone() for _ in range(5)]
     pids = [twin.pid for twin in twins]
     assert len(set(pids)) == 5
@@ -263,7 +262,7 @@ def test_copies_that_are_garbage_end(begun: RemoteSimulator) -> None:
     assert all(gone(pid) for pid in pids)
 
 
-def test_ctrl_c_while_a_copy_is_made(begun: RemoteSimulator, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_ctrl_c_while_a_copy_is_made(begun: SumoProcess, monkeypatch: pytest.MonkeyPatch) -> None:
     """The answer is still to come, so the worker ends; nothing is left."""
     pid = begun.pid
 
@@ -271,7 +270,7 @@ def test_ctrl_c_while_a_copy_is_made(begun: RemoteSimulator, monkeypatch: pytest
         raise KeyboardInterrupt
 
     with monkeypatch.context() as patch:
-        patch.setattr(socket, "send_fds", interrupted)
+        patch.setattr(socket, "recv_fds", interrupted)
         with pytest.raises(KeyboardInterrupt):
             begun.clone()
     assert gone(pid)
@@ -280,7 +279,7 @@ def test_ctrl_c_while_a_copy_is_made(begun: RemoteSimulator, monkeypatch: pytest
     begun.reset(scenario(3))
 
 
-def leaves_nothing(simulator: RemoteSimulator, count: int) -> None:
+def leaves_nothing(simulator: SumoProcess, count: int) -> None:
     def descriptors(pid: int | None) -> int:
         return len(os.listdir(f"/proc/{pid}/fd"))
 
@@ -299,13 +298,13 @@ def leaves_nothing(simulator: RemoteSimulator, count: int) -> None:
     assert children == ""
 
 
-def test_copies_leave_no_process_no_descriptor_no_folder(begun: RemoteSimulator) -> None:
+def test_copies_leave_no_process_no_descriptor_no_folder(begun: SumoProcess) -> None:
     leaves_nothing(begun, 30)
 
 
 @pytest.mark.long
 def test_a_thousand_copies_leave_nothing() -> None:
-    simulator = RemoteSimulator()
+    simulator = SumoProcess()
     env = DrivingEnv("highway", simulator=simulator)
     env.reset(seed=0)
     leaves_nothing(simulator, 1000)
@@ -368,7 +367,7 @@ def test_a_simulation_that_was_changed_through_libsumo_is_not_copied(change: str
 
 
 def test_environments_are_not_pickled() -> None:
-    for one in (DrivingEnv("highway"), open_simulator(FAKE), RemoteSimulator(FAKE)):
+    for one in (DrivingEnv("highway"), open_simulator(FAKE), SumoProcess(FAKE)):
         if isinstance(one, DrivingEnv):
             one.reset(seed=0)
         with pytest.raises(TypeError, match=r"cannot be pickled.*copy.deepcopy"):

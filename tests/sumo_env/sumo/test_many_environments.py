@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from sumo_env.env import DrivingEnv
-from sumo_env.sumo.remote import RemoteSimulator
+from sumo_env.sumo.process import SumoProcess
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -49,7 +49,7 @@ def run(tmp_path: Path, script: str, from_stdin: bool = False) -> list[str]:
 def test_the_same_episodes_in_this_process_and_in_a_worker(task: str) -> None:
     """To the last bit: observations, rewards, endings and infos."""
     here = DrivingEnv(task, {"risk": 1.0})
-    there = DrivingEnv(task, {"risk": 1.0}, simulator=RemoteSimulator())
+    there = DrivingEnv(task, {"risk": 1.0}, simulator=SumoProcess())
     for seed in range(3):
         first, _ = here.reset(seed=seed)
         np.testing.assert_array_equal(first, there.reset(seed=seed)[0])

@@ -17,9 +17,8 @@ import numpy as np
 import pytest
 
 from sumo_env.config import ConfigError
-from sumo_env.simulator import SimulatorError
-from sumo_env.sumo.provider import open_simulator
-from sumo_env.sumo.remote import RemoteSimulator, SimulatorDied
+from sumo_env.simulator import Simulator, SimulatorError
+from sumo_env.sumo.process import SimulatorDied, SumoProcess, open_simulator
 from tests.sumo_env.sumo.fake import (
     COMMAND,
     CONFIG_ERROR,
@@ -37,15 +36,15 @@ ROOT = Path(__file__).resolve().parents[3]
 
 
 @pytest.fixture(scope="module")
-def shared() -> Iterator[RemoteSimulator]:
+def shared() -> Iterator[SumoProcess]:
     """One worker for all tests that do not ask for its end."""
-    simulator = RemoteSimulator(FAKE)
+    simulator = SumoProcess(FAKE)
     yield simulator
     simulator.close()
 
 
 @pytest.fixture
-def simulator(shared: RemoteSimulator) -> RemoteSimulator:
+def simulator(shared: SumoProcess) -> SumoProcess:
     shared.reset(scenario())
     return shared
 
@@ -88,7 +87,7 @@ def ends(pid: int, within: float = 30.0) -> bool:
     return not is_running(pid)
 
 
-def pid_of(simulator: RemoteSimulator) -> int:
+def pid_of(simulator: SumoProcess) -> int:
     assert simulator.pid is not None
     return simulator.pid
 
@@ -96,7 +95,7 @@ def pid_of(simulator: RemoteSimulator) -> int:
 # -- the protocol ------------------------------------------------------------------------------------------
 
 
-def test_equal_to_a_simulator_in_this_process(simulator: RemoteSimulator) -> None:
+def test_equal_to_a_simulator_in_this_process(simulator: SumoProcess) -> None:
     here = FakeSimulator()
     for seed in (3, 4):
         first, expected = simulator.reset(scenario(seed)), here.reset(scenario(seed))
@@ -116,20 +115,20 @@ def test_equal_to_a_simulator_in_this_process(simulator: RemoteSimulator) -> Non
     here.close()
 
 
-def test_large_messages_travel(simulator: RemoteSimulator) -> None:
+def test_large_messages_travel(simulator: SumoProcess) -> None:
     assert len(simulator.reset(scenario(others=50_000))) == 50_001
     step = simulator.step(COMMAND, trace=True)
     assert len(step.trace[2]) == 50_001
 
 
 def test_a_step_needs_a_reset() -> None:
-    for simulator in (RemoteSimulator(FAKE), open_simulator(FAKE)):
+    for simulator in (SumoProcess(FAKE), open_simulator(FAKE)):
         with pytest.raises(RuntimeError, match=r"call reset\(\) before step\(\)"):
             simulator.step(COMMAND)
 
 
 def test_what_the_simulator_prints_does_not_disturb(capfd: pytest.CaptureFixture[str]) -> None:
-    simulator = RemoteSimulator(FAKE)
+    simulator = SumoProcess(FAKE)
     simulator.reset(scenario(PRINTS))
     assert simulator.step(COMMAND).distance == COMMAND.target_speed
     simulator.close()
@@ -147,7 +146,7 @@ def test_a_worker_loads_only_what_it_needs() -> None:
 # -- errors ------------------------------------------------------------------------------------------------
 
 
-def test_an_error_keeps_its_class_and_the_worker_goes_on(simulator: RemoteSimulator) -> None:
+def test_an_error_keeps_its_class_and_the_worker_goes_on(simulator: SumoProcess) -> None:
     pid = simulator.pid
     simulator.reset(scenario(CONFIG_ERROR))
     with pytest.raises(ConfigError, match="a key that is not known") as caught:
@@ -158,14 +157,14 @@ def test_an_error_keeps_its_class_and_the_worker_goes_on(simulator: RemoteSimula
     assert simulator.pid == pid
 
 
-def test_an_error_of_a_foreign_class_is_named(simulator: RemoteSimulator) -> None:
+def test_an_error_of_a_foreign_class_is_named(simulator: SumoProcess) -> None:
     simulator.reset(scenario(FOREIGN_ERROR))
     with pytest.raises(SimulatorError, match="ForeignError: 1 and 2"):
         simulator.step(COMMAND)
 
 
 def test_a_simulator_that_cannot_be_made_is_an_error_of_the_reset() -> None:
-    simulator = RemoteSimulator("tests.sumo_env.sumo.fake:NoSuchSimulator")
+    simulator = SumoProcess("tests.sumo_env.sumo.fake:NoSuchSimulator")
     with pytest.raises(AttributeError, match="NoSuchSimulator"):
         simulator.reset(scenario())
     simulator.close()
@@ -175,7 +174,7 @@ def test_a_simulator_that_cannot_be_made_is_an_error_of_the_reset() -> None:
 
 
 def test_a_killed_worker_is_told_and_replaced() -> None:
-    simulator = RemoteSimulator(FAKE)
+    simulator = SumoProcess(FAKE)
     simulator.reset(scenario(7))
     simulator.step(COMMAND)
     old = pid_of(simulator)
@@ -194,14 +193,14 @@ def test_a_killed_worker_is_told_and_replaced() -> None:
 
 
 def test_a_crash_of_the_simulator_is_told() -> None:
-    simulator = RemoteSimulator(FAKE)
+    simulator = SumoProcess(FAKE)
     simulator.reset(scenario(CRASHES))
     with pytest.raises(SimulatorDied, match=f"SIGSEGV in step 1.*scenario seed {CRASHES}"):
         simulator.step(COMMAND)
 
 
 def test_a_worker_that_died_before_a_reset_is_replaced_silently() -> None:
-    simulator = RemoteSimulator(FAKE)
+    simulator = SumoProcess(FAKE)
     simulator.reset(scenario())
     os.kill(pid_of(simulator), signal.SIGKILL)
     simulator.reset(scenario())
@@ -210,7 +209,7 @@ def test_a_worker_that_died_before_a_reset_is_replaced_silently() -> None:
 
 
 def test_a_scenario_that_kills_every_worker_is_an_error() -> None:
-    simulator = RemoteSimulator(FAKE)
+    simulator = SumoProcess(FAKE)
     with pytest.raises(
         SimulatorDied, match=r"3 workers died one after another.*reset of highway \(scenario seed 105\)"
     ):
@@ -218,7 +217,7 @@ def test_a_scenario_that_kills_every_worker_is_an_error() -> None:
 
 
 def test_a_silent_worker_is_killed() -> None:
-    simulator = RemoteSimulator(FAKE)
+    simulator = SumoProcess(FAKE)
     simulator.reset(scenario(HANGS))
     pid = pid_of(simulator)
     simulator.timeout = 0.2  # [s]
@@ -229,7 +228,7 @@ def test_a_silent_worker_is_killed() -> None:
 
 def test_an_interrupted_step_ends_the_episode() -> None:
     """The answer to it must not be taken for that to the next request."""
-    simulator = RemoteSimulator(FAKE)
+    simulator = SumoProcess(FAKE)
     simulator.reset(scenario(HANGS))
     timer = threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT))
     timer.start()
@@ -246,7 +245,7 @@ def test_an_interrupted_step_ends_the_episode() -> None:
 
 
 def test_closing_ends_the_worker_and_may_be_repeated() -> None:
-    simulator = RemoteSimulator(FAKE)
+    simulator = SumoProcess(FAKE)
     simulator.close()
     simulator.reset(scenario())
     pid = pid_of(simulator)
@@ -258,7 +257,7 @@ def test_closing_ends_the_worker_and_may_be_repeated() -> None:
 
 
 def test_a_forgotten_simulator_ends_its_worker() -> None:
-    simulator = RemoteSimulator(FAKE)
+    simulator = SumoProcess(FAKE)
     simulator.reset(scenario())
     pid = pid_of(simulator)
     del simulator
@@ -272,12 +271,12 @@ def run(tmp_path: Path, script: str) -> subprocess.Popen[str]:
     file.write_text(
         "import os, sys, time\n"
         "from tests.sumo_env.sumo.fake import *\n"
-        "from sumo_env.sumo.provider import open_simulator\n"
+        "from sumo_env.sumo.process import open_simulator\n"
         "simulators = [open_simulator(FAKE) for _ in range(3)]\n"
         "for seed, simulator in enumerate(simulators):\n"
         "    simulator.reset(scenario(seed))\n"
         "    simulator.step(COMMAND)\n"
-        "print(*[one._simulator.pid for one in simulators[1:]], flush=True)\n" + script
+        "print(*[one.pid for one in simulators[1:]], flush=True)\n" + script
     )
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "TMPDIR": str(tmp_path)}
     pipe = subprocess.PIPE
@@ -354,8 +353,9 @@ def test_ctrl_c_while_a_worker_starts_prints_no_traceback_of_it(tmp_path: Path) 
 # -- who has the simulation of this process ----------------------------------------------------------------
 
 
-def in_this_process(simulator: object) -> bool:
-    return isinstance(simulator._simulator, FakeSimulator)  # type: ignore[attr-defined]
+def in_this_process(simulator: Simulator) -> bool:
+    assert isinstance(simulator, SumoProcess)
+    return simulator.pid is None
 
 
 def test_the_first_is_in_this_process_and_further_ones_are_not() -> None:
@@ -423,7 +423,7 @@ def test_a_forked_process_has_its_own_workers(tmp_path: Path) -> None:
         "    one = open_simulator(FAKE)\n"
         "    one.reset(scenario(50))\n"
         "    print(simulators[1].step(COMMAND).scene.x[-1], one.step(COMMAND).scene.x[-1])\n"
-        "    print(type(one._simulator).__name__)\n"
+        "    print('here' if one.pid is None else 'in a worker')\n"
         "else:\n"
         "    print(os.waitpid(child, 0)[1])\n"
         "    print([one.step(COMMAND).scene.time for one in simulators])\n",
@@ -433,7 +433,7 @@ def test_a_forked_process_has_its_own_workers(tmp_path: Path) -> None:
     assert errors == ""
     refusal, values, kind, status, times = out.splitlines()
     assert "belongs to the process that this one was forked from" in refusal
-    assert (values, kind) == ("40.0 50.0", "RemoteSimulator")
+    assert (values, kind) == ("40.0 50.0", "in a worker")
     assert (status, times) == ("0", "[2.0, 2.0, 2.0]")
     assert all(ends(pid) for pid in workers)
 
@@ -443,7 +443,7 @@ def test_fifty_leave_nothing_behind() -> None:
     before = descriptors()
     workers = []
     for start in range(0, 50, 10):
-        simulators = [RemoteSimulator(FAKE) for _ in range(10)]
+        simulators = [SumoProcess(FAKE) for _ in range(10)]
         for seed, simulator in enumerate(simulators, start):
             simulator.reset(scenario(seed))
             workers.append(pid_of(simulator))

@@ -1,0 +1,394 @@
+"""Which process runs SUMO for an environment: this one, or a worker behind the same `Simulator` protocol; and copies.
+
+libsumo supports one simulation per process. The first environment of a process has it; every further one gets a worker
+process, and cannot tell the difference except by the time that a message takes. A worker is ``python -m
+sumo_env.sumo.worker``, not a process of multiprocessing, which would import the user's script once more. Requests and
+answers are pickles on a socket of their own, so that nothing that SUMO prints gets between them. A worker ends when the
+socket is closed, by this process or by its death.
+
+An episode is copied by forking its worker. One of this process is first driven again in a worker, to the same bits;
+without fork, every copy is.
+"""
+
+from __future__ import annotations
+
+import os
+import pickle
+import select
+import shutil
+import signal
+import socket
+import subprocess
+import sys
+import tempfile
+import weakref
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Any, ClassVar, NoReturn, TypeVar
+
+import numpy as np
+
+from sumo_env.scene import Scene
+from sumo_env.simulator import EgoCommand, Simulator, SimulatorError, Step, refuse_to_pickle
+from sumo_env.sumo.options import check_copyable
+from sumo_env.sumo.worker import make
+from sumo_env.traffic.scenario import Scenario
+
+SIMULATOR = "sumo_env.sumo.world:SumoSimulator"
+TIMEOUT = 300.0  # [s] for an answer; a step takes milliseconds, the start of a worker less than a second
+ATTEMPTS = 3  # to begin an episode in new workers, before giving up
+GRACE = 5.0  # [s] for a worker to end by itself
+SINGLE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
+# A copy is not a child of this process, which can wait for it by a file descriptor alone.
+CAN_FORK = hasattr(os, "pidfd_open")
+T = TypeVar("T")
+
+
+class SimulatorDied(SimulatorError):
+    """The worker process that drove an episode is gone, and the episode with it; `reset` begins another one."""
+
+
+class SumoProcess:
+    """A `Simulator` in a process that is chosen at the first `reset`, so that one that is only looked at holds nothing.
+
+    A worker that is dead or that does not answer is replaced at the next `reset`; a `step` that meets it raises
+    `SimulatorDied`, which says what episode has ended. Exceptions of the simulator are raised here as well, with
+    their class if it is one of Python's, gymnasium's or this package's, else as a `SimulatorError` that names it.
+
+    Args:
+        simulator: class that is to be run, as ``module:name``.
+        timeout: longest time to wait for a worker's answer [s].
+        options: of SUMO.
+        here: whether it may be this process. The choice stands until `close`. Threads may ask at once.
+    """
+
+    def __init__(
+        self,
+        simulator: str = SIMULATOR,
+        timeout: float = TIMEOUT,
+        options: tuple[str, ...] = (),
+        here: bool = False,
+    ) -> None:
+        self.timeout = timeout
+        self._name, self._options, self._may_be_here = simulator, options, here
+        self._host: _Here | _Worker | None = None
+        self._episode = ""  # for error messages
+        self._calls: list[tuple[str, tuple[Any, ...]]] = []  # what the episode was made of, from its reset on
+        self._scene: Scene | None = None
+
+    @property
+    def pid(self) -> int | None:
+        """Process id of the worker, None without one."""
+        return self._host.process.pid if isinstance(self._host, _Worker) else None
+
+    def reset(self, scenario: Scenario) -> Scene:
+        """Place a scenario, in a new worker if there is none or if it has died.
+
+        Raises:
+            SimulatorDied: workers died again and again.
+        """
+        for _ in range(ATTEMPTS):
+            if self._host is None:
+                here = self._may_be_here and _Here.take(self._name, self._options)
+                self._adopt(here or _Worker.start(self._name, self._options))
+            self._calls = []
+            self._episode = f"the reset of {scenario.task} (scenario seed {scenario.seed})"
+            try:
+                self._scene = self._ask("reset", scenario)
+            except SimulatorDied as error:
+                died = error
+            else:
+                self._episode = (
+                    f"an episode of {scenario.task} (scenario seed {scenario.seed}, risk {scenario.risk:g})"
+                )
+                return self._scene
+        raise SimulatorDied(
+            f"{ATTEMPTS} workers died one after another, the last one so: {died}. What they said is above, if they "
+            "did; `python -m sumo_env.doctor` checks the installation"
+        )
+
+    def step(self, command: EgoCommand, trace: bool = False) -> Step:
+        """Drive one policy step.
+
+        Raises:
+            SimulatorDied: the worker has died, or has not answered in time.
+        """
+        step: Step = self._ask("step", command, trace)
+        self._scene = step.scene
+        return step
+
+    def imagine(self, scenario: Scenario) -> None:
+        """See `Simulator.imagine`."""
+        self._ask("imagine", scenario)
+
+    def clone(self) -> SumoProcess:
+        """A simulator in the same state.
+
+        Raises:
+            TypeError: an option of SUMO forbids it (`options.check_copyable`).
+            SimulatorDied: the worker has died.
+            SimulatorError: somebody else has changed the simulation, or the system has no process for the copy.
+        """
+        check_copyable(self._options)
+        twin = SumoProcess(self._name, self.timeout, self._options)
+        if self._episode:
+            if isinstance(self._talk(lambda host: host), _Here):
+                self._move_out()
+            if CAN_FORK:
+                twin._adopt(self._talk(lambda host: host.fork(self.timeout)))
+                twin._episode, twin._calls, twin._scene = self._episode, self._calls.copy(), self._scene
+            else:
+                twin._drive_again(self._calls)
+        twin._may_be_here = self._may_be_here
+        return twin
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> SumoProcess:
+        return self.clone()
+
+    def close(self) -> None:
+        """Close the simulator, and end the worker."""
+        self._episode = ""
+        self._end()
+
+    def __reduce__(self) -> NoReturn:
+        refuse_to_pickle()
+
+    def _adopt(self, host: _Here | _Worker) -> None:
+        self._host = host
+        self._forgotten = weakref.finalize(self, host.forget)  # as garbage, or at the interpreter's exit
+
+    def _end(self, grace: float = GRACE) -> None:
+        if self._host is not None:
+            self._forgotten.detach()
+            self._host.end(grace)
+            self._host = None
+
+    def _drive_again(self, calls: list[tuple[str, tuple[Any, ...]]]) -> None:
+        """Drive an episode once more, from its reset on."""
+        for command, arguments in calls:
+            getattr(self, command)(*arguments)
+
+    def _move_out(self) -> None:
+        """Go on in a worker, where the episode is driven again up to here."""
+        there = SumoProcess(self._name, self.timeout, self._options)
+        try:
+            there._drive_again(self._calls)
+            if not _equal(there._scene, self._scene):
+                raise SimulatorError(
+                    "this simulation cannot be copied: driven again from its scenario, the episode is another one. "
+                    "Was it changed through libsumo?"
+                )
+        except BaseException:
+            there.close()
+            raise
+        self._end()
+        assert there._host is not None
+        there._forgotten.detach()
+        self._adopt(there._host)
+
+    def _ask(self, command: str, *arguments: Any) -> Any:
+        error, value = self._talk(lambda host: host.exchange(command, arguments, self.timeout), command)
+        if error is not None:
+            raise error
+        self._calls.append((command, arguments))
+        return value
+
+    def _talk(self, exchange: Callable[[Any], T], command: str = "") -> T:
+        if self._host is None:
+            if self._episode:
+                raise SimulatorDied(f"{self._episode} has ended; call reset()")
+            raise RuntimeError("call reset() before step()")
+        try:
+            return exchange(self._host)
+        except SimulatorError:
+            raise
+        except (OSError, EOFError, pickle.UnpicklingError) as error:
+            assert isinstance(self._host, _Worker)
+            how = self._host.death(error)
+            self._end(grace=0.0)
+            steps = 1 + sum(name == "step" for name, _ in self._calls)
+            when = f" in step {steps}" if command == "step" else ""
+            raise SimulatorDied(
+                f"the worker process of SUMO {how}{when}: {self._episode} has ended; reset() begins another one in "
+                "a new worker"
+            ) from None
+        except BaseException:
+            # Ctrl-C: the answer is still to come, and would be taken for that to the next request
+            self._end(grace=0.0)
+            raise
+
+
+def open_simulator(simulator: str = SIMULATOR, options: tuple[str, ...] = ()) -> Simulator:
+    """SUMO in this process if no other environment has it, else in a worker process."""
+    return SumoProcess(simulator, options=options, here=True)
+
+
+def _equal(one: Scene | None, other: Scene | None) -> bool:
+    """Whether two scenes are the same to the last bit."""
+    if one is None or other is None:
+        return one is other
+    arrays = ("ids", "x", "y", "speed", "heading", "crashed")
+    return all(np.array_equal(getattr(one, name), getattr(other, name)) for name in arrays)
+
+
+class _Here:
+    """The simulation of this process, which one at a time may take."""
+
+    _free: ClassVar = [True]  # threads may take from a list at once, and garbage collection meanwhile
+
+    def __init__(self, simulator: Any) -> None:
+        self._simulator = simulator
+
+    @classmethod
+    def take(cls, simulator: str, options: tuple[str, ...]) -> _Here | None:
+        """The simulation if it is free."""
+        try:
+            cls._free.pop()
+        except IndexError:
+            return None
+        try:
+            return cls(make(simulator, options))
+        except BaseException:
+            cls._free.append(True)
+            raise
+
+    def exchange(self, command: str, arguments: tuple[Any, ...], timeout: float) -> Any:
+        """As of `_Worker`."""
+        try:
+            return None, getattr(self._simulator, command)(*arguments)
+        except Exception as error:
+            return error, None
+
+    def end(self, grace: float) -> None:
+        """Close the simulation, which is free then."""
+        self._simulator.close()
+        self.forget()
+
+    def forget(self) -> None:
+        """Leave the simulation to others as it is."""
+        self._free.append(True)
+
+
+class _Worker:
+    """A process, and the socket to talk with it."""
+
+    def __init__(self, process: subprocess.Popen[bytes] | _Copy, link: socket.socket, folder: str) -> None:
+        self._owner, self.process, self._folder = os.getpid(), process, folder
+        self._socket, self._stream = link, link.makefile("rwb")
+        _workers.add(self)
+
+    @classmethod
+    def start(cls, simulator: str, options: tuple[str, ...]) -> _Worker:
+        """A new process."""
+        folder = tempfile.mkdtemp(prefix="sumo_env-")  # for its files, which outlive it if it is killed
+        ours, theirs = socket.socketpair()
+        with theirs:  # closed here, so that reading ends when the worker does
+            worker = [sys.executable, "-P", "-m", "sumo_env.sumo.worker", str(theirs.fileno())]
+            # -P, and the search path of this process: the worker imports what this process would import
+            path = os.pathsep.join(entry or os.getcwd() for entry in sys.path)
+            process = subprocess.Popen(
+                [*worker, simulator, folder, *options],
+                env={**os.environ, **SINGLE_THREAD, "PYTHONPATH": path},
+                stdin=subprocess.DEVNULL,
+                pass_fds=(theirs.fileno(),),
+                start_new_session=True,  # Ctrl-C in the terminal is for this process alone
+            )
+        return cls(process, ours, folder)
+
+    def fork(self, timeout: float) -> _Worker:
+        """A copy of the process, which serves a socket of its own; SimulatorError if the system has no process left."""
+        folder = tempfile.mkdtemp(prefix="sumo_env-")
+        try:
+            self._send("fork", (folder,), timeout)
+            answer, descriptors, _, _ = socket.recv_fds(self._socket, 4096, 1)
+            if not answer:
+                raise EOFError("no answer to a request for a copy")
+            error, pid = pickle.loads(answer)
+            if error is not None:
+                raise SimulatorError(f"the worker process of SUMO cannot be copied now: {error}")
+            return _Worker(_Copy(pid), socket.socket(fileno=descriptors[0]), folder)
+        except BaseException:
+            shutil.rmtree(folder, ignore_errors=True)
+            raise
+
+    def exchange(self, command: str, arguments: tuple[Any, ...], timeout: float) -> Any:
+        """The answer to a request: an exception or None, and a value."""
+        self._send(command, arguments, timeout)
+        return pickle.load(self._stream)
+
+    def _send(self, command: str, arguments: tuple[Any, ...], timeout: float) -> None:
+        request = pickle.dumps((command, arguments), 5)
+        self._socket.settimeout(timeout)
+        self._stream.write(request)
+        self._stream.flush()
+
+    def death(self, error: Exception) -> str:
+        """How the worker has ended, given the error that `exchange` has met."""
+        if self._owner != os.getpid():
+            return "belongs to the process that this one was forked from"
+        if isinstance(error, TimeoutError):
+            return f"gave no answer for {self._socket.gettimeout():g} s"
+        if isinstance(self.process, _Copy):
+            return "is gone (it was a copy: how it ended is not known)"
+        with suppress(subprocess.TimeoutExpired):
+            code = self.process.wait(GRACE)
+            return (
+                f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
+            )
+        return f"closed its connection ({error})"
+
+    def end(self, grace: float = GRACE) -> None:
+        """See to it that the worker is gone, after `grace` [s] to end by itself, and what it has left."""
+        self.disconnect()
+        if self._owner != os.getpid():
+            return
+        try:
+            self.process.wait(grace)
+        except subprocess.TimeoutExpired:
+            self.process.kill()
+            self.process.wait()
+        shutil.rmtree(self._folder, ignore_errors=True)
+
+    forget = end
+
+    def disconnect(self) -> None:
+        """Close the socket, which tells the worker to end."""
+        descriptor = self._socket.detach()  # unlike close(), does not flush half a request
+        if descriptor >= 0:
+            os.close(descriptor)
+
+
+class _Copy:
+    """A process that a worker has forked: the part of `subprocess.Popen` that is needed here."""
+
+    def __init__(self, pid: int) -> None:
+        self.pid, self._handle = pid, -1
+        with suppress(ProcessLookupError):
+            self._handle = os.pidfd_open(pid)  # a process id alone may be another process's by now
+
+    def wait(self, timeout: float | None = None) -> int:
+        """Wait for its end; how it ended is known to nobody."""
+        if self._handle >= 0:
+            if not select.select([self._handle], [], [], timeout)[0]:
+                raise subprocess.TimeoutExpired("a copy of a worker", timeout or 0.0)
+            os.close(self._handle)
+            self._handle = -1
+        return 0
+
+    def kill(self) -> None:
+        """Kill it."""
+        with suppress(ProcessLookupError):
+            signal.pidfd_send_signal(self._handle, signal.SIGKILL)
+
+
+_workers: weakref.WeakSet[_Worker] = weakref.WeakSet()
+
+
+def _disconnect_all() -> None:
+    """In a forked process: the workers are the parent's, and end when the last of these sockets is closed."""
+    for worker in _workers:
+        worker.disconnect()
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_disconnect_all)

@@ -10,7 +10,7 @@ from rich.console import Console
 
 from experiments import benchmark
 from experiments.benchmark import Effort, Options, run, show
-from experiments.measuring import Driver, Slice, median_rate, median_ratio, remote, resident_mib
+from experiments.measuring import Driver, Slice, median_rate, median_ratio, remote
 
 LITTLE = Effort(
     turns=2,
@@ -52,10 +52,6 @@ def test_ratios_are_taken_turn_by_turn() -> None:
     assert median_rate(ours) == 10.0
 
 
-def test_memory_is_that_of_a_python_process() -> None:
-    assert 10 < resident_mib() < 10_000
-
-
 def test_a_slice_ends_with_an_episode_and_holds_its_resets() -> None:
     driver = Driver("sumo", "u-turn", {"simulation_frequency": 15})
     assert 1 <= driver.drive(0.0).count <= 10
@@ -77,8 +73,6 @@ def test_the_command_measures_every_part(tmp_path: Path, monkeypatch: pytest.Mon
     assert all(r["ratio"] > 1.0 and r["of_bare_engine"] > 0.0 for r in results["env"])
     assert 0.0 < results["start"][0]["ours"] < 60.0
     assert {r["of"] for r in results["learner"]} == {"attention", "dueling"}
-    assert 0.0 < results["training"][0]["ours"] < 1000.0
-    assert results["memory"][0]["ours"] > 10.0
     stock, *others = results["peers"]
     assert stock["of"] == "highway-env, u-turn" and stock["ratio"] == 1.0 and stock["distinct"] == 100
     replica = next(r for r in others if r["of"] == "replica, u-turn")

@@ -14,16 +14,14 @@ from pathlib import Path
 if __package__ in (None, ""):  # run as a file: import from the project, not from this folder
     sys.path[0] = str(Path(__file__).resolve().parents[1])
 
-from experiments.support.threads import limit_threads
-
-limit_threads()
-
 import multiprocessing
 import os
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+import gymnasium as gym
+import pandas as pd
 import tyro
 
 from agents.dqn import DQNConfig
@@ -34,66 +32,40 @@ from experiments.study.grid import choose_tasks, env_config
 from experiments.study.presets import get_preset
 from experiments.study.results import load
 from experiments.study.seeds import training_seed
-from experiments.study.wrappers import observed, trained_on
 from experiments.support.errors import run_command, unknown
 from experiments.support.files import write_file
 from experiments.support.processes import end_with_parent
 
-if TYPE_CHECKING:
-    import gymnasium as gym
-    import pandas as pd
-
-STABLE_BASELINES: dict[str, dict[str, Any]] = {
-    # highway-env's own example for Stable-Baselines3 (scripts/sb3_highway_dqn.py)
-    "sb3": {
-        "policy_kwargs": {"net_arch": [256, 256]},
-        "learning_rate": 5e-4,
-        "buffer_size": 15_000,
-        "learning_starts": 200,
-        "batch_size": 32,
-        "gamma": 0.8,
-        "train_freq": 1,
-        "target_update_interval": 50,
-    },
-    # RL Baselines3 Zoo has no DQN for highway-env; this is what it tuned for LunarLander-v3 (hyperparams/dqn.yml),
-    # its nearest task: few continuous observations, four actions, crashes
-    "sb3-zoo": {
-        "policy_kwargs": {"net_arch": [256, 256]},
-        "learning_rate": 6.3e-4,
-        "buffer_size": 50_000,
-        "learning_starts": 0,
-        "batch_size": 128,
-        "gamma": 0.99,
-        "train_freq": 4,
-        "gradient_steps": -1,
-        "target_update_interval": 250,
-        "exploration_fraction": 0.12,
-        "exploration_final_eps": 0.1,
-    },
-    # what Stable-Baselines3's DQN can take over of the profile "tuned"
-    "sb3-tuned": {
-        "policy_kwargs": {"net_arch": [256, 192, 128]},
-        "learning_rate": 5e-4,  # falling linearly to 0, see `_stable_baselines`
-        "buffer_size": 50_000,
-        "learning_starts": 1000,
-        "batch_size": 100,
-        "gamma": 0.95,
-        "train_freq": 4,
-        "target_update_interval": 1,
-        "tau": 0.005,
-        "exploration_fraction": 0.45,
-        "exploration_final_eps": 0.1,
-    },
+# highway-env's own example for Stable-Baselines3 (scripts/sb3_highway_dqn.py)
+STABLE_BASELINES = {
+    "policy_kwargs": {"net_arch": [256, 256]},
+    "learning_rate": 5e-4,
+    "buffer_size": 15_000,
+    "learning_starts": 200,
+    "batch_size": 32,
+    "gamma": 0.8,
+    "train_freq": 1,
+    "target_update_interval": 50,
 }
 # Settings of rl-agents' files on networks of this project, the paper's dueling network and ego attention:
 # HighwayEnv/agents/DQNAgent/dueling_ddqn.json and IntersectionEnv/agents/DQNAgent/ego_attention_2h.json. The clip of
 # the gradient's norm and the random steps before the first update are this project's.
-RL_AGENTS: dict[str, dict[str, Any]] = {
-    "rl-agents-dueling": {"network": "dueling", "gamma": 0.8, "batch_size": 32, "target_interval": 50},
-    "rl-agents-attention": {"network": "attention", "gamma": 0.95, "batch_size": 64, "target_interval": 512},
+WARM_UP = 200
+RL_AGENTS = DQNConfig(
+    steps_per_update=1,
+    learning_rate_final=5e-4,
+    tau=1.0,
+    replay_capacity=15_000,
+    warm_up=WARM_UP,
+    standardise=False,
+    epsilon_final=0.05,
+)
+OF_NETWORK: dict[str, dict[str, Any]] = {
+    "dueling": {"gamma": 0.8, "batch_size": 32, "target_interval": 50},
+    "attention": {"gamma": 0.95, "batch_size": 64, "target_interval": 512},
 }
-EXPLORATION = {"rl-agents-dueling": 6000, "rl-agents-attention": 15_000}  # time constant [steps]
-LEARNERS = (*STABLE_BASELINES, *RL_AGENTS)
+EXPLORATION = {"dueling": 6000, "attention": 15_000}  # time constant [steps]
+LEARNERS = ("sb3", "rl-agents-dueling", "rl-agents-attention")
 
 
 @dataclass(frozen=True)
@@ -107,7 +79,7 @@ class Options:
     tasks: tuple[str, ...] = ("highway", "two-way", "roundabout", "intersection", "u-turn")
     """Tasks, in their lightest traffic."""
     learners: tuple[str, ...] = LEARNERS
-    """Of sb3, sb3-zoo, sb3-tuned, rl-agents-dueling, rl-agents-attention."""
+    """Of sb3, rl-agents-dueling, rl-agents-attention."""
     seeds: int = 3
     """Trainings of each."""
     steps: int | None = None
@@ -139,47 +111,31 @@ class Training:
         """Train, test and write the table, unless it is there."""
         if self.file.exists():
             return
-        profile = get_preset("standard").profiles()[self.task] if self.learner == "sb3-tuned" else {}
         env = make_env("sumo", self.task, env_config("sumo", self.task, 1))
         try:
-            train = _stable_baselines if self.learner in STABLE_BASELINES else _rl_agents
-            policy = train(self, trained_on(env, profile), training_seed(self.task, 1, self.seed))
-            table = evaluate(observed(env, profile), policy, self.task, 1, self.episodes)
+            policy = self.train(env, training_seed(self.task, 1, self.seed))
+            table = evaluate(env, policy, self.task, 1, self.episodes)
         finally:
             env.close()
         table = table.assign(task=self.task, learner=self.learner, seed=self.seed)
         write_file(self.file, table.to_parquet(index=False))
 
+    def train(self, env: gym.Env[Any, Any], seed: int) -> Policy:
+        """The policy that the learner finds."""
+        if self.learner == "sb3":
+            from stable_baselines3 import DQN
 
-def _stable_baselines(training: Training, env: gym.Env[Any, Any], seed: int) -> Policy:
-    from stable_baselines3 import DQN
+            model = DQN("MlpPolicy", env, seed=seed, device="cpu", **STABLE_BASELINES)
+            model.learn(self.steps)
+            model.save(self.file.with_suffix(".zip"))
+            return StableBaselines(self.file.with_suffix(".zip"), env)
+        from agents.training import train
 
-    settings = dict(STABLE_BASELINES[training.learner])
-    if training.learner == "sb3-tuned":
-        first = float(settings["learning_rate"])
-        settings["learning_rate"] = lambda left: first * left
-    model = DQN("MlpPolicy", env, seed=seed, device="cpu", **settings)
-    model.learn(training.steps)
-    model.save(training.file.with_suffix(".zip"))
-    return StableBaselines(training.file.with_suffix(".zip"), env)
-
-
-def _rl_agents(training: Training, env: gym.Env[Any, Any], seed: int) -> Policy:
-    from agents.training import train
-
-    warm_up = 200
-    config = DQNConfig(
-        updates=training.steps - warm_up,
-        steps_per_update=1,
-        learning_rate_final=5e-4,
-        tau=1.0,
-        replay_capacity=15_000,
-        warm_up=warm_up,
-        standardise=False,
-        epsilon_final=0.05,
-        epsilon_decay=EXPLORATION[training.learner] / (training.steps - warm_up),
-    )
-    return train(env, replace(config, **RL_AGENTS[training.learner]), seed).policy
+        network = self.learner.removeprefix("rl-agents-")
+        updates = self.steps - WARM_UP
+        decay = EXPLORATION[network] / updates
+        own = {"network": network, "updates": updates, "epsilon_decay": decay, **OF_NETWORK[network]}
+        return train(env, replace(RL_AGENTS, **own), seed).policy
 
 
 def trainings(options: Options) -> list[Training]:
@@ -201,8 +157,6 @@ def trainings(options: Options) -> list[Training]:
 
 def table(trained: list[Training], beside: Path | None) -> pd.DataFrame:
     """Return and crash rate of every learner, agent and policy: means over the trainings, and their standard error."""
-    import pandas as pd
-
     parts = [pd.read_parquet(training.file) for training in trained]
     if beside is not None:
         known = load(beside).episodes

@@ -19,5 +19,5 @@ def test_every_learner_is_trained_and_tested(learner: str, tmp_path: Path) -> No
 
 
 def test_what_does_not_exist_is_named() -> None:
-    with pytest.raises(UserError, match=r"did you mean .sb3-tuned"):
-        trainings(Options(learners=("sb3-tune",)))
+    with pytest.raises(UserError, match=r"did you mean .sb3"):
+        trainings(Options(learners=("sb4",)))

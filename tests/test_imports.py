@@ -95,7 +95,7 @@ FLOORS = {
     """,
     "experiments": """
         support < backends < study < analysis < reporting < validation
-        < measuring peers report < sweep
+        < peers report < sweep
     """,
 }
 

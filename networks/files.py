@@ -1,8 +1,9 @@
 """Any SUMO network as a road: its lanes, junctions and speed limits, read with sumolib.
 
 An edge E becomes the road from node "E:from" to node "E:to", with lane 0 on the left as in highway-env, and the
-connections through a junction onto the edge F become the road from "E:to" to "F:from". Only lanes for passenger cars
-count. `lane("E", 0)` is the index of a lane.
+connections through a junction onto the edge F become the road from "E:to" to "F:from". Those are the lanes for
+passenger cars; lanes for buses, bicycles and others alone are the road from "E/closed:from" to "E/closed:to".
+`lane("E", 0)` is the index of a lane.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
-from itertools import pairwise
+from itertools import count, pairwise
 from pathlib import Path
 from types import MappingProxyType
 from typing import Any
@@ -23,6 +24,10 @@ from sumo_env.networks.roads import LaneIndex, Road
 Routes = tuple[tuple[str, tuple[str, ...]], ...]  # (name, SUMO's edges)
 Shape = tuple[Point, ...]
 
+CAR = "passenger"  # SUMO's class of the ego, and of all vehicles without another one
+CLOSED = "/closed"  # after the name of an edge: its lanes on which no cars drive
+TWO_WHEELS = {"bicycle", "moped", "motorcycle"}
+OTHERS = TWO_WHEELS | {"bus", "coach", "delivery", "emergency", "taxi", "trailer", "truck"}
 CLOSE = 0.05  # [m] points of a lane that are nearer to each other count as one: between them is no direction
 SHORT = (
     2.0  # [m] in lanes shorter than this, SUMO's length is taken for the drawn one: their ratio means nothing
@@ -44,7 +49,7 @@ def network(net_file: str | Path, routes: Routes = ()) -> Network:
 
     Raises:
         ValueError: there is no such file, it is no network with lanes inside its junctions, or a route leads over
-            edges that it does not have or that are not connected.
+            edges that it does not have or that are not connected (`check_route`, for vehicles of any class).
     """
     path = Path(net_file).resolve()
     if not path.is_file():
@@ -55,18 +60,41 @@ def network(net_file: str | Path, routes: Routes = ()) -> Network:
 @lru_cache(maxsize=16)
 def _with_routes(path: Path, changed: int, routes: Routes) -> Network:
     plain = _read(path, changed)
-    lanes = plain.road.lanes
     for name, way in routes:
-        for edge in way:
-            if lane(edge) not in lanes:
-                raise ValueError(
-                    f"route {name!r} leads over edge {edge!r}, which {path.name} does not have for passenger cars"
-                )
-        for one, other in pairwise(way):
-            if (f"{one}:to", f"{other}:from", 0) not in lanes:
-                raise ValueError(f"route {name!r}: no connection leads from edge {one!r} to edge {other!r}")
+        check_route(plain, name, way, "")
     ways = {name: tuple(f"{edge}:{end}" for edge in way for end in ("from", "to")) for name, way in routes}
     return replace(plain, road=plain.road.with_ways(ways), routes=MappingProxyType(dict(routes)))
+
+
+def lanes_for(network: Network, edge: str, vehicles: str = CAR) -> list[LaneIndex]:
+    """Lanes of an edge on which vehicles of a class may drive, from the left; all that there are for the class ""."""
+    found = []
+    for name in (edge, edge + CLOSED):
+        for number in count():
+            if (index := lane(name, number)) not in network.lanes:
+                break
+            if not vehicles or vehicles in network.lanes[index].classes:
+                found.append(index)
+    return found
+
+
+def check_route(network: Network, name: str, way: Sequence[str], vehicles: str = CAR) -> None:
+    """That vehicles of a class can drive a route.
+
+    Raises:
+        ValueError: the network has no such edge for them, or two edges are not connected; the message names them.
+    """
+    drivers = "passenger cars" if vehicles in ("", CAR) else f"vehicles of class {vehicles!r}"
+    lanes = [lanes_for(network, edge, vehicles) for edge in way]
+    for edge, own in zip(way, lanes, strict=True):
+        if not own:
+            raise ValueError(
+                f"route {name!r} leads over edge {edge!r}, which {network.task} does not have for {drivers}"
+            )
+    leads = network.road.leads
+    for (one, own), (other, after) in pairwise(zip(way, lanes, strict=True)):
+        if not any(end in after for index in own for joint in leads[index] for end in leads[joint]):
+            raise ValueError(f"route {name!r}: no connection leads from edge {one!r} to edge {other!r}")
 
 
 @lru_cache(maxsize=4)
@@ -82,6 +110,7 @@ def _read(path: Path, changed: int) -> Network:
     lanes: dict[LaneIndex, Lane] = {}
     first: dict[LaneIndex, SumoLane] = {}  # SUMO's lane where each begins
     indices: dict[str, LaneIndex] = {}
+    following: dict[LaneIndex, list[str]] = {}  # SUMO's lanes that come next
 
     def add(index: LaneIndex, parts: list[Any], before: Shape = (), after: Shape = ()) -> None:
         own = [point for part in parts for point in sumo_lanes[part.getID()].shape]
@@ -92,40 +121,54 @@ def _read(path: Path, changed: int) -> Network:
         first[index] = sumo_lanes[parts[0].getID()]
         indices.update((part.getID(), index) for part in parts)
 
-    edges = {edge.getID(): edge for edge in net.getEdges(withInternal=False) if not edge.isSpecial()}
-    for name, edge in edges.items():
-        own = [part for part in reversed(edge.getLanes()) if part.allows("passenger")]
-        for number, part in enumerate(own):
-            add(lane(name, number), [part])
-        joints: dict[str, int] = {}
-        for part in own:
-            for joint in part.getOutgoing():
-                after, inside = joint.getToLane(), joint.getViaLaneID()
-                goal = after.getEdge().getID()
-                if goal not in edges or not after.allows("passenger"):
-                    continue
-                parts = []
-                while inside.startswith(":"):  # a long way through a junction is made of several lanes
-                    parts.append(net.getLane(inside))
-                    inside = sumo_lanes[inside].following[0]
-                if not parts:
-                    raise ValueError(
-                        f"{path} has no lanes inside its junctions (--no-internal-links?): "
-                        f"from edge {name!r} to edge {goal!r}"
-                    )
-                number = joints[goal] = joints.get(goal, -1) + 1
-                shapes = [sumo_lanes[end.getID()].shape for end in (part, after)]
-                add((f"{name}:to", f"{goal}:from", number), parts, *shapes)
-    if not lanes:
-        classes = {
-            name for edge in edges.values() for part in edge.getLanes() for name in part.getPermissions()
-        }
+    def road_of(part: Any) -> str:
+        """Name of the road that a lane is part of; "" where nobody drives."""
+        classes, edge = sumo_lanes[part.getID()].classes, part.getEdge()
+        if edge.isSpecial() or not (classes & OTHERS or CAR in classes):
+            return ""
+        name: str = edge.getID()
+        return name if CAR in classes else name + CLOSED
+
+    for edge in net.getEdges(withInternal=False):
+        own: dict[str, list[Any]] = {}
+        for part in reversed(edge.getLanes()):
+            own.setdefault(road_of(part), []).append(part)
+        own.pop("", None)
+        for name, parts in own.items():
+            for number, part in enumerate(parts):
+                add(lane(name, number), [part])
+            joints: dict[str, int] = {}
+            for number, part in enumerate(parts):
+                following[lane(name, number)] = []
+                for joint in part.getOutgoing():
+                    after, inside = joint.getToLane(), joint.getViaLaneID()
+                    goal = road_of(after)
+                    if not goal:
+                        continue
+                    within = []
+                    while inside.startswith(":"):  # a long way through a junction is made of several lanes
+                        within.append(net.getLane(inside))
+                        inside = sumo_lanes[inside].following[0]
+                    if not within:
+                        raise ValueError(
+                            f"{path} has no lanes inside its junctions (--no-internal-links?): "
+                            f"from edge {name!r} to edge {goal!r}"
+                        )
+                    place = joints[goal] = joints.get(goal, -1) + 1
+                    shapes = [sumo_lanes[end.getID()].shape for end in (part, after)]
+                    index = f"{name}:to", f"{goal}:from", place
+                    add(index, within, *shapes)
+                    following[lane(name, number)].append(within[0].getID())
+                    following[index] = [after.getID()]
+    if not any(CAR in found.classes for found in first.values()):
+        classes = {name for found in sumo_lanes.values() for name in found.classes}
         raise ValueError(
             f"{path} has no lane for passenger cars, only for: {', '.join(sorted(classes)) or 'nobody'}"
         )
+    leads = {index: tuple(indices[name] for name in names) for index, names in following.items()}
     return Network(
         path.name,
-        Road(path.name, lanes),
+        Road(path.name, lanes, leads=leads),
         path,
         MappingProxyType({}),
         MappingProxyType(first),
@@ -160,8 +203,10 @@ def _stub(point: Point, before: Shape, after: Shape) -> list[Point]:
     return [point, (point[0] + scale * (x1 - x0), point[1] + scale * (y1 - y0))]
 
 
-def shortest(net_file: str, start: str, end: str, via: Sequence[str] = ()) -> tuple[str, ...]:
-    """The fastest way for a car from one edge over others to the last; () if there is none.
+def shortest(
+    net_file: str, start: str, end: str, via: Sequence[str] = (), vehicles: str = CAR
+) -> tuple[str, ...]:
+    """The fastest way for vehicles of a class from one edge over others to the last; () if there is none.
 
     Raises:
         ValueError: the network has no such edge.
@@ -173,7 +218,7 @@ def shortest(net_file: str, start: str, end: str, via: Sequence[str] = ()) -> tu
             raise ValueError(f"{net_file} has no edge {edge!r}")
     way = [start]
     for one, other in pairwise(stations):
-        found, _ = net.getOptimalPath(net.getEdge(one), net.getEdge(other), fastest=True, vClass="passenger")
+        found, _ = net.getOptimalPath(net.getEdge(one), net.getEdge(other), fastest=True, vClass=vehicles)
         if not found:
             return ()
         way += [edge.getID() for edge in found[1:]]

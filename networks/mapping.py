@@ -46,6 +46,7 @@ class SumoLane:
         drawn: along the shape [m].
         shape: points of its middle, in highway-env's coordinates [m].
         following, preceding: ids of the lanes and joints that may come next, or come before.
+        classes: SUMO's vehicle classes that may drive here.
     """
 
     id: str
@@ -54,6 +55,7 @@ class SumoLane:
     shape: tuple[Point, ...]
     following: tuple[str, ...]
     preceding: tuple[str, ...]
+    classes: frozenset[str]
 
 
 @dataclass(frozen=True)
@@ -253,6 +255,7 @@ def sumo_lanes_of(net: Any) -> dict[str, SumoLane]:
             tuple((x, -y) for x, y in lane.getShape()),
             following[name],
             tuple(preceding[name]),
+            frozenset(lane.getPermissions()),
         )
         for name, lane in lanes.items()
     }

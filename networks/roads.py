@@ -35,17 +35,28 @@ class Road:
     """An immutable set of named lanes and the graph that they form.
 
     `lanes` keeps the order in which highway-env stores them, which decides ties in `closest_lane`. `ways` are routes by
-    name, as nodes; a name stands for the end of its route wherever a destination is asked for. `arguments` are those of
-    `road`, beside the name.
+    name, as nodes; a name stands for the end of its route wherever a destination is asked for. `leads` says which lanes
+    follow each lane, on networks of SUMO; without it, numbers and places of lanes do, as in highway-env. `arguments`
+    are those of `road`, beside the name.
 
     oncoming: whether the lane to the left is that of oncoming traffic.
     clears_exits: whether vehicles are taken off shortly before the end of an exit (IntersectionEnv._clear_vehicles).
     """
 
     __slots__ = (
-        "_cells", "_counts", "_items", "_samples",
-        "arguments", "clears_exits", "lanes", "name", "oncoming", "successors", "ways",
-    )  # fmt: skip
+        "_cells",
+        "_counts",
+        "_items",
+        "_samples",
+        "arguments",
+        "clears_exits",
+        "lanes",
+        "leads",
+        "name",
+        "oncoming",
+        "successors",
+        "ways",
+    )
 
     def __init__(
         self,
@@ -55,10 +66,12 @@ class Road:
         arguments: tuple[tuple[str, float], ...] = (),
         oncoming: bool = False,
         clears_exits: bool = False,
+        leads: Mapping[LaneIndex, tuple[LaneIndex, ...]] | None = None,
     ) -> None:
         self.name, self.arguments = name, arguments
         self.oncoming, self.clears_exits = oncoming, clears_exits
         self.ways: Mapping[str, tuple[str, ...]] = MappingProxyType(dict(ways or {}))
+        self.leads: Mapping[LaneIndex, tuple[LaneIndex, ...]] = MappingProxyType(dict(leads or {}))
         self.lanes: Mapping[LaneIndex, Lane] = MappingProxyType(dict(_graph_order(lanes)))
         self._items = tuple((0.0, rank, *item) for rank, item in enumerate(self.lanes.items()))
         self._cells: dict[tuple[float, float], tuple[_Candidate, ...]] = {}
@@ -78,8 +91,8 @@ class Road:
 
     def __reduce__(self) -> tuple[type[Road], tuple[object, ...]]:
         # a MappingProxyType cannot be pickled
-        lanes, ways = dict(self.lanes), dict(self.ways)
-        return Road, (self.name, lanes, ways, self.arguments, self.oncoming, self.clears_exits)
+        lanes, ways, leads = dict(self.lanes), dict(self.ways), dict(self.leads)
+        return Road, (self.name, lanes, ways, self.arguments, self.oncoming, self.clears_exits, leads)
 
     def __deepcopy__(self, memo: dict[int, object]) -> Road:
         return self  # immutable
@@ -129,10 +142,10 @@ class Road:
     ) -> LaneIndex:
         """The lane that follows `index` on the way along the nodes of `route`.
 
-        Onto a road with as many lanes the lane id is kept; otherwise the lane is taken that is closest to
-        the current lane's centre beside the vehicle at (x, y) [m] (without a position: to that lane's
-        end). Where the route does not go on past the lane's end all successors compete; without any,
-        `index` stays.
+        That is one of those that `leads` has. Where it has none, the lane id is kept onto a road with as many lanes;
+        otherwise the lane is taken that is closest to the current lane's centre beside the vehicle at (x, y) [m]
+        (without a position: to that lane's end). Where the route does not go on past the lane's end all successors
+        compete; without any, `index` stays.
         """
         start, node, i = index
         lane = self.lanes[index]
@@ -140,9 +153,10 @@ class Road:
         projected = lane.position(s, 0.0)
 
         def onto(end: str) -> tuple[float, LaneIndex]:
-            if self._counts[start, node] == self._counts[node, end]:
-                candidates: list[LaneIndex] = [(node, end, i)]
-            else:
+            candidates = [lane for lane in self.leads.get(index, ()) if lane[1] == end]
+            if not candidates and self._counts[start, node] == self._counts[node, end]:
+                candidates = [(node, end, i)]
+            elif not candidates:
                 candidates = [(node, end, j) for j in range(self._counts[node, end])]
             return min(((self.lanes[c].distance(*projected), c) for c in candidates), key=_first)
 

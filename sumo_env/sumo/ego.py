@@ -62,12 +62,20 @@ class Ego:
                     self.speed, distance = allowed, (before + allowed) / 2.0 * dt
         lane = session.lane_of(EGO)
         if lane != self._lane:
+            self._follow_fork(self._lane, lane)
             self._lane, self._stretch = lane, self._network.stretch(lane)
         # lanes of one edge share one length in SUMO, so a metre in a bend is not a metre on the road
         session.set_speed(EGO, distance / session.step_length * self._stretch)
         if not self.crashed:
             self._change_lane(session, lane)
         return distance
+
+    def _follow_fork(self, before: str, lane: str) -> None:
+        """Where SUMO's lane `before` forks inside a junction: steer for the way that SUMO has taken."""
+        indices = self._network.indices
+        onward = self._road.leads.get(indices[before], ()) if before else ()
+        if self.target_lane in onward and indices[lane] in onward:
+            self.target_lane = indices[lane]
 
     def _change_lane(self, session: Session, lane: str) -> None:
         """Begin a lane change where the ego is on another lane than it steers for, and no change is running."""

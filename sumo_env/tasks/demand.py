@@ -17,6 +17,7 @@ import numpy as np
 from gymnasium import logger
 
 from sumo_env.config import ConfigError
+from sumo_env.networks.files import CAR
 from sumo_env.networks.lanes import VEHICLE_LENGTH
 from sumo_env.traffic.attributes import check_attributes, of_class
 
@@ -24,7 +25,9 @@ _T = TypeVar("_T")
 LONGEST = 3600.0  # [s] that flows without an end go on
 Element = ElementTree.Element
 Edges = tuple[str, ...]
-Router = Callable[[str, str, Sequence[str]], Edges]  # from edge, to edge, via edges -> route
+Router = Callable[
+    [str, str, Sequence[str], str], Edges
+]  # from edge, to edge, via edges, vehicle class -> route
 
 HERE = {"id", "type", "route", "depart", "departLane", "departPos", "departSpeed", "begin", "end", "number", "period",
         "vehsPerHour", "perHour", "probability", "from", "to", "via", "speedFactor"}  # fmt: skip
@@ -60,6 +63,11 @@ class Kind(NamedTuple):
     deviation: float = 0.0
     least: float = 0.2
     most: float = 2.0
+
+    @property
+    def vehicles(self) -> str:
+        """SUMO's class of vehicles."""
+        return self.attributes.get("vClass", CAR)
 
     def factor(self, rng: np.random.Generator) -> float:
         """The factor of one driver."""
@@ -105,6 +113,11 @@ class Entry(NamedTuple):
     end: float = math.inf
     number: float = math.inf
     single: bool = False
+
+    @property
+    def vehicles(self) -> set[str]:
+        """SUMO's classes of vehicles."""
+        return {CAR if kind is None else kind.vehicles for kind, _ in self.kinds}
 
     def departures(self, rng: np.random.Generator, begin: float, end: float) -> Iterator[Departure]:
         """Those in [begin, end]; what is left to chance is drawn from `rng`."""
@@ -259,8 +272,8 @@ class _Reader:
 
     # -- departures ----------------------------------------------------------------------------------------
 
-    def _way(self, item: Element) -> Choice:
-        """The routes of a vehicle, a trip or a flow."""
+    def _way(self, item: Element, vehicles: str) -> Choice:
+        """The routes of a vehicle, a trip or a flow; `vehicles` is the class for which a trip is routed."""
         name = f"route of {item.get('id')}"
         inner = item.find("route")
         if inner is not None:
@@ -273,9 +286,8 @@ class _Reader:
             return tuple(self._route_of(item, item.get("route", "")))
         if item.get("from") is None or item.get("to") is None:
             raise self._wrong(item, "it has no route, and no edges in from and to")
-        self.routes[name] = self._router(
-            item.get("from", ""), item.get("to", ""), item.get("via", "").split()
-        )
+        via = item.get("via", "").split()
+        self.routes[name] = self._router(item.get("from", ""), item.get("to", ""), via, vehicles)
         if not self.routes[name]:
             raise self._wrong(
                 item, f"no route leads from edge {item.get('from')!r} to edge {item.get('to')!r}"
@@ -293,10 +305,12 @@ class _Reader:
         front = self._number(item, "departPos", VEHICLE_LENGTH, FRONTS)
         speed = self._number(item, "departSpeed", 0.0, SPEEDS)
         kind = item.get("type")
+        kinds = ((None, 1.0),) if kind is None else tuple(self._type_of(item, kind))
+        classes = {CAR if one is None else one.vehicles for one, _ in kinds}
         common: dict[str, Any] = {
             "id": item.get("id", ""),
-            "routes": self._way(item),
-            "kinds": ((None, 1.0),) if kind is None else tuple(self._type_of(item, kind)),
+            "routes": self._way(item, CAR if CAR in classes else min(classes)),
+            "kinds": kinds,
             "lane": int(lane) if lane.isdigit() else None,
             "front": None if math.isnan(front) else front,
             "speed": None if math.isnan(speed) else speed,

@@ -79,12 +79,19 @@ class NetworkTask(Task):
         if not ego_route or isinstance(ego_route, str):
             raise ConfigError(f"ego_route must be a list of edges, not {ego_route!r}")
         self.routes = {**named, EGO_ROUTE: tuple(ego_route)}
-        self._others = tuple(named)
+        users: dict[str, set[str]] = {name: set() for name in self.routes}
+        for entry in self._demand:
+            for name, _ in entry.routes:
+                users[name] |= entry.vehicles
+        self._others = tuple(name for name in named if files.CAR in (users[name] or {files.CAR}))
         try:
             driven = files.network(self.net, self._routes)
+            for name, classes in users.items():
+                for vehicles in sorted(classes or {files.CAR}):
+                    files.check_route(driven, name, self.routes[name], vehicles)
         except ValueError as error:
             raise ConfigError(str(error)) from error
-        self._indices = dict(driven.indices)
+        self._network = driven
         self._way = Way(driven, self.routes[EGO_ROUTE], VEHICLE_LENGTH)
         self.ego_road = files.lane(ego_route[0])[:2]
         limit = self._way.limit
@@ -151,7 +158,7 @@ class NetworkTask(Task):
     def _departing(
         self, departure: Departure, road: Road, rng: np.random.Generator, drivers: Drivers
     ) -> VehicleSpec:
-        index = self._departure_lane(departure, road, rng)
+        index = self._departure_lane(departure, rng)
         lane = road.lane(index)
         drawn = float(rng.uniform(2 * MARGIN, max(lane.length - MARGIN, 2 * MARGIN)))
         front = drawn if departure.front is None else departure.front % lane.length
@@ -165,16 +172,18 @@ class NetworkTask(Task):
         wanted = factor * lane.speed_limit
         return _placed(road, departure.id, index, s, speed, driver, departure.route, wanted)
 
-    def _departure_lane(self, departure: Departure, road: Road, rng: np.random.Generator) -> LaneIndex:
+    def _departure_lane(self, departure: Departure, rng: np.random.Generator) -> LaneIndex:
         """The lane in which a vehicle departs: SUMO's number counts all lanes, pavements too."""
         edge = self.routes[departure.route][0]
+        vehicles = files.CAR if departure.kind is None else departure.kind.vehicles
+        lanes = files.lanes_for(self._network, edge, vehicles)
         if departure.lane is None:
-            return files.lane(edge, int(rng.integers(road.count(*files.lane(edge)[:2]))))
-        index = self._indices.get(f"{edge}_{departure.lane}")
-        if index is None:
+            return lanes[int(rng.integers(len(lanes)))]
+        index = self._network.indices.get(f"{edge}_{departure.lane}")
+        if index not in lanes:
             raise ConfigError(
                 f"vehicle {departure.id!r} departs on lane {departure.lane} of edge {edge!r}, which has no such lane "
-                "for passenger cars"
+                f"for vehicles of class {vehicles!r}"
             )
         return index
 

@@ -30,7 +30,14 @@ class Way:
         if twice:
             raise ConfigError(f"ego_route leads over edge {twice[0]!r} twice")
         road = self._network_road = network.road
-        self._joints = _joints(network, edges)
+        leads = network.road.leads
+        self._joints = {  # ways through the junctions of the route, each with the lanes that it joins
+            joint: (index, leads[joint][0])
+            for edge, following in pairwise(edges)
+            for index in _lanes(road, edge)
+            for joint in leads[index]
+            if joint[1] == f"{following}:from"
+        }
         parts = [*(index for edge in edges for index in _lanes(road, edge)), *self._joints]
         self._road = Road(road.name, {index: road.lane(index) for index in parts})
         self.limit = max(road.lane(files.lane(edge)).speed_limit for edge in edges)
@@ -99,24 +106,15 @@ class Way:
         return self._remaining[index[:2]] + self._road.lane(index).length - s
 
     def free(self, ego: EgoState) -> float:
-        """How far the ego gets on its route without a lane change [m]; inf to its end."""
+        """How far the ego gets on its route without a lane change [m]; inf to its end.
+
+        Where a lane forks inside a junction, SUMO takes the way that leads on, and the others lie over it at first.
+        """
         index, s = self._place(ego)
-        return self._free[index] - s
+        start, _ = self._joints.get(index, (None, None))
+        forks = [joint for joint, (before, _) in self._joints.items() if before == start] or [index]
+        return max(self._free[fork] for fork in forks) - s
 
 
 def _lanes(road: Road, edge: str) -> list[LaneIndex]:
     return [files.lane(edge, number) for number in range(road.count(*files.lane(edge)[:2]))]
-
-
-def _joints(network: Network, edges: Sequence[str]) -> dict[LaneIndex, tuple[LaneIndex, LaneIndex]]:
-    """The ways through the junctions of a route, each with the lanes that it joins."""
-    joints: dict[LaneIndex, tuple[LaneIndex, LaneIndex]] = {}
-    for edge, following in pairwise(edges):
-        nodes = f"{edge}:to", f"{following}:from"
-        for number in range(network.road.count(*nodes)):
-            first = network.lanes[*nodes, number]
-            end = first.following[0]
-            while end.startswith(":"):
-                end = network.sumo_lanes[end].following[0]
-            joints[*nodes, number] = network.indices[first.preceding[0]], network.indices[end]
-    return joints

@@ -66,9 +66,7 @@ LOOKS = {
 
 
 def of_class(name: str, given: Mapping[str, str]) -> dict[str, str]:
-    """The attributes of a vType of a file as those of a driver: its class says its size and what it can do.
-
-    Every class drives where passenger cars may.
+    """The attributes of a vType of a file as those of a driver: its class says its size, what it can do, and its lanes.
 
     Raises:
         ValueError: vehicles of this class do not drive on roads.
@@ -79,7 +77,7 @@ def of_class(name: str, given: Mapping[str, str]) -> dict[str, str]:
     defaults = dict(
         zip(("length", "width", "maxSpeed", "accel", "decel"), map(str, CLASSES.get(kind, ())), strict=False)
     )
-    return {**defaults, **{key: value for key, value in given.items() if key not in LOOKS | {"vClass"}}}
+    return {**defaults, **{key: value for key, value in given.items() if key not in LOOKS}}
 
 
 def check_attributes(name: str, attributes: Iterable[str]) -> None:

@@ -23,7 +23,7 @@ TYPES = """
 def departures(tmp_path: Path, elements: str, end: float = 100.0, seed: int = 0) -> list[demand.Departure]:
     file = tmp_path / "d.rou.xml"
     file.write_text(f"<routes>{TYPES}{elements}</routes>")
-    _, entries = demand.read(file, lambda start, end, via: (start, *via, end))
+    _, entries = demand.read(file, lambda start, end, via, _: (start, *via, end))
     rng = np.random.default_rng(seed)
     return [one for entry in entries for one in entry.departures(rng, 0.0, end)]
 
@@ -59,7 +59,7 @@ def test_distributions_of_types_and_routes(tmp_path: Path) -> None:
 def test_trips_are_routed(tmp_path: Path) -> None:
     file = tmp_path / "d.rou.xml"
     file.write_text('<routes><trip id="t" from="x" to="z" via="y" depart="3"/></routes>')
-    routes, (entry,) = demand.read(file, lambda start, end, via: (start, *via, end))
+    routes, (entry,) = demand.read(file, lambda start, end, via, _: (start, *via, end))
     assert routes[entry.routes[0][0]] == ("x", "y", "z")
 
 

@@ -81,8 +81,12 @@ def endings(env: SumoDrivingEnv, seeds: range, action: int | None = None) -> set
 
 
 def walk(network: Network, rng: random.Random, count: int) -> list[str]:
-    """Edges one after the other, none twice."""
-    ends = network.road.successors
+    """Edges for cars one after the other, none twice."""
+    ends = {
+        node: [end for end in after if files.CLOSED not in end]
+        for node, after in network.road.successors.items()
+        if files.CLOSED not in node
+    }
     way = [rng.choice(sorted(node[:-5] for node in ends if node.endswith(":from")))]
     while len(way) < count:
         following = [node[:-5] for node in ends.get(f"{way[-1]}:to", ()) if node[:-5] not in way]

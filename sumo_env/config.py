@@ -102,6 +102,16 @@ def nearest(word: str, choices: Mapping[str, Any] | set[str] | list[str]) -> str
     return f"did you mean {match[0]!r}?" if match else f"known: {', '.join(known)}"
 
 
+def refuse_keywords(keywords: Mapping[str, Any]) -> None:
+    """An error if an environment was made with further arguments, as in ``gym.make(id, vehicles_count=5)``."""
+    if keywords:
+        names = ", ".join(map(repr, keywords))
+        raise TypeError(
+            f"unexpected argument {names}: give keys of the configuration as config={dict(keywords)!r}, to gym.make or "
+            "in reset(options={'config': ...})"
+        )
+
+
 def resolve(task: str, defaults: Config, *overrides: Mapping[str, Any] | None) -> Config:
     """`defaults` updated with `overrides`; top-level keys are replaced as a whole, as in highway-env.
 

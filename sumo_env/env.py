@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sumo_env.actions import available_actions, ego_route, target_lane, target_speed_index
-from sumo_env.config import COMMON, Config, ConfigError, resolve, simulated_frequency
+from sumo_env.config import COMMON, Config, ConfigError, refuse_keywords, resolve, simulated_frequency
 from sumo_env.contacts.measures import density
 from sumo_env.information import information
 from sumo_env.interface import interface
@@ -69,7 +69,9 @@ class DrivingEnv(gym.Env[Observation, Any]):
         render_mode: str | None = None,
         simulator: Simulator | None = None,
         sumo_options: Sequence[str] = (),
+        **keywords: Any,
     ) -> None:
+        refuse_keywords(keywords)
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ValueError(
                 f"render_mode must be None or 'rgb_array' (drawn without a display), not {render_mode!r}"
@@ -445,6 +447,8 @@ class SumoDrivingEnv(DrivingEnv):
         config: Mapping[str, Any] | None = None,
         render_mode: str | None = None,
         sumo_options: Sequence[str] = (),
+        **keywords: Any,
     ) -> None:
+        refuse_keywords(keywords)
         task = NetworkTask(network, routes, ego_route)
         super().__init__(task, config, render_mode, sumo_options=sumo_options)

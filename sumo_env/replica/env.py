@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from sumo_env.config import Config, ConfigError, nearest
+from sumo_env.config import Config, ConfigError, nearest, refuse_keywords
 from sumo_env.env import VARIED, DrivingEnv, Observation
 from sumo_env.observation import Kinematics
 from sumo_env.replica import draws
@@ -67,7 +67,9 @@ class ReplicaEnv(DrivingEnv):
         scenarios: str = SCENARIOS[0],
         variant: str = "stock",
         risk_law: str = LAWS[0],
+        **keywords: Any,
     ) -> None:
+        refuse_keywords(keywords)
         for name, value, known in (("scenarios", scenarios, SCENARIOS), ("variant", variant, VARIANTS)):
             if value not in known:
                 raise ConfigError(f"unknown '{name}' {value!r}: {nearest(str(value), list(known))}")

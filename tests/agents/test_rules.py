@@ -168,10 +168,10 @@ def test_idm_follows_a_leader_round_a_bend() -> None:
 @pytest.mark.parametrize(
     ("task", "episodes", "most_crashes", "better_than_idle"),
     [
-        ("highway", 4, 0, True),
         ("u-turn", 6, 1, True),
         ("roundabout", 6, 2, True),
-        ("intersection", 8, 2, False),
+        pytest.param("highway", 4, 0, True, marks=pytest.mark.long),
+        pytest.param("intersection", 8, 2, False, marks=pytest.mark.long),
     ],
 )
 def test_careful_on_highway_env(task: str, episodes: int, most_crashes: int, better_than_idle: bool) -> None:

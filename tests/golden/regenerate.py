@@ -1,7 +1,7 @@
 """Write the golden results anew, then review the difference: see README.md in this folder.
 
 python tests/golden/regenerate.py                     # everything, half a minute
-python tests/golden/regenerate.py scenes outcomes     # some of: scenes outcomes analysis
+python tests/golden/regenerate.py outcomes            # some of: scenes outcomes
 python tests/golden/regenerate.py numbers             # the published numbers, when a correction was announced
 """
 
@@ -22,7 +22,7 @@ from experiments.support.threads import limit_threads
 limit_threads()
 
 from sumo_env.tasks import TASKS
-from tests.golden import numbers, outcomes, scenes, study
+from tests.golden import numbers, outcomes, scenes
 
 FOLDER = Path(__file__).resolve().parent
 WIDTH = 110
@@ -37,17 +37,7 @@ def every(part: str, drive: Callable[[str], Any]) -> Iterator[tuple[str, Any]]:
 PARTS: dict[str, Callable[[], Iterator[tuple[str, Any]]]] = {
     "scenes": lambda: every("scenes", scenes.drive),
     "outcomes": lambda: every("outcomes", outcomes.table),
-    "analysis": lambda: iter([("analysis.json", significant(study.analysis()))]),
 }
-
-
-def significant(value: Any) -> Any:
-    """Numbers to ten significant digits: what is beyond differs between processors."""
-    if isinstance(value, dict):
-        return {key: significant(item) for key, item in value.items()}
-    if isinstance(value, list):
-        return [significant(item) for item in value]
-    return float(f"{value:.10g}") if isinstance(value, float) else value
 
 
 def pretty(value: Any, indent: int = 0) -> str:

@@ -19,7 +19,7 @@ from experiments.analysis.analysis import analyse, stored
 from experiments.analysis.plan import OUTCOMES
 from experiments.reporting import figures
 from experiments.reporting.collision_figures import LENGTH, WIDTH, collisions, contacts, corners
-from experiments.reporting.page import checks
+from experiments.reporting.page import FIGURES, checks
 from experiments.reporting.style import CONTROL
 from experiments.reporting.tables import main, side_by_side
 from experiments.reporting.words import difference
@@ -74,6 +74,14 @@ class Page(HTMLParser):
 def write(directory: Path, *args, **kwargs) -> Page:
     synthetic.write(directory, *args, **kwargs)
     return Page(report.write_report(directory).read_text())
+
+
+@pytest.fixture(scope="class")
+def words_alone():
+    """Pages without figures: drawing them takes longer than all else."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("experiments.reporting.page.drawn", lambda *_: dict.fromkeys(FIGURES))
+        yield
 
 
 @pytest.fixture(scope="module")
@@ -143,7 +151,7 @@ class TestAnswer:
     """Numbers of the answer stand where they belong: risky with risky, treated with treated."""
 
     @pytest.fixture(scope="class")
-    def analysis(self, tmp_path_factory):
+    def analysis(self, tmp_path_factory, words_alone):
         home = tmp_path_factory.mktemp("answer")
         synthetic.write(home, {"highway": (1,), "u-turn": (1, 2)}, seeds=6, tests=60, effect=-0.4)
         return analyse(load(home)), Page(report.write_report(home).read_text()).text, report.answer(home)
@@ -184,6 +192,7 @@ def shown(directory, *others) -> str:
     return Page((report.write_report(directory, *others).parent / "appendix.html").read_text()).text
 
 
+@pytest.mark.usefixtures("words_alone")
 class TestCard:
     def test_follows_what_was_run(self, tmp_path):
         synthetic.write(tmp_path / "sumo", {"u-turn": (1,)}, seeds=3, tests=8)
@@ -195,6 +204,7 @@ class TestCard:
         assert "physics of highway-env, compiled" in shown(tmp_path / "replica")
 
 
+@pytest.mark.usefixtures("words_alone")
 class TestSideBySide:
     def test_the_mean_is_that_of_the_settings_in_common(self, tmp_path):
         own, other = tmp_path / "own", tmp_path / "other"
@@ -275,6 +285,7 @@ class TestIncomplete:
             report.write_report(tmp_path / "nowhere")
 
 
+@pytest.mark.usefixtures("words_alone")
 class TestValidation:
     def verdict(self, directory: Path) -> None:
         missed = [

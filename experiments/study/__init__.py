@@ -17,7 +17,10 @@ store        finished cells on disk, one folder each
 pack, packed finished cells in a few tables: written, and read
 results      all of them as tables
 rerun        a stored episode again
-clairvoyant  what is possible at all
+avoid        whether a stored crash could have been avoided
+avoidable    how many of a folder's crashes could
+planning     what planners reach that act in copies
+rows         a table that goes on where it was stopped
 estimate     how long it will take
 progress     what a person sees meanwhile
 """

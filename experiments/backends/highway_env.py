@@ -111,9 +111,23 @@ class ScenarioEnv(AbstractEnv):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[np.ndarray, dict[str, Any]]:
-        """Start an episode; the same seed and config give the same scenario as in `sumo_env`."""
+        """Start an episode; the same seed and config give the same scenario as in `sumo_env`.
+
+        Args:
+            seed: of the environment's generator.
+            options: ``config``, ``risk_rates`` and ``risk_ranges``, as of `sumo_env.env.DrivingEnv.reset`.
+
+        Raises:
+            ConfigError: another option, an unknown name.
+        """
+        varied = dict(options or {})
         # also when no options are given: users of highway-env write to env.unwrapped.config directly
-        config = (options or {}).get("config") or {}
+        config = varied.pop("config", None) or {}
+        if varied.keys() - {"risk_rates", "risk_ranges"}:
+            raise ConfigError(
+                f"reset's options on highway-env are 'config', 'risk_rates' and 'risk_ranges', not {options!r}"
+            )
+        self._drawn_by = self.task.varied(varied)
         result: tuple[np.ndarray, dict[str, Any]] = super().reset(seed=seed, options={"config": config})
         return result
 
@@ -152,7 +166,9 @@ class ScenarioEnv(AbstractEnv):
     def _reset(self) -> None:
         seed, is_linear = int(self.np_random.integers(2**31)), self.config["risk_law"] == "linear"
         self.scenario: Scenario = (
-            draw(self.task, self.config, seed) if is_linear else self.task.scenario(self.config, seed)
+            draw(self._drawn_by, self.config, seed)
+            if is_linear
+            else self._drawn_by.scenario(self.config, seed)
         )
         self._linear: dict[str, LinearDriver] = linear_drivers(self.scenario) if is_linear else {}
         self._events = list(self.scenario.events)

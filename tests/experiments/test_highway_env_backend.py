@@ -455,6 +455,15 @@ def test_configuration() -> None:
     env.config["vehicles_count"] = 3  # as users of highway-env do
     env.reset(seed=0)
     assert len(env.scenario.vehicles) == 3 and env.scenario.risk == 1.0
+    brakes = {"cut_in": 0.0, "brake": 0.9, "surge": 0.0}
+    env.reset(seed=0, options={"risk_rates": brakes, "risk_ranges": {"tau": [0.1, 0.1]}})
+    assert {event.kind for event in env.scenario.events} == {"brake"}
+    assert all(spec.driver.tau == pytest.approx(0.15) for spec in env.scenario.vehicles)
+    env.reset(seed=0)
+    assert {event.kind for event in env.scenario.events} != {"brake"}
+    for option in ("calibration", "scenario", "risk_rate"):
+        with pytest.raises(ConfigError, match="options on highway-env are 'config', 'risk_rates'"):
+            env.reset(seed=0, options={option: {}})
     with pytest.raises(ConfigError, match="did you mean 'connected'"):
         make("roundabout", variant="conected")
     with pytest.raises(ConfigError, match="did you mean 'vehicles_count'"):

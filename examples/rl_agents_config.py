@@ -4,7 +4,7 @@
 
 With rl-agents installed, pass the same file to its scripts/experiments.py. Files of rl-agents' own work with "id" and
 "import_module" changed to "sumo/...-v0" and "sumo_env"; what cannot be driven on SUMO is a ConfigError. Planners (MCTS,
-DeterministicPlanner) copy the environment, which needs the backend `replica`.
+DeterministicPlanner) copy the environment, which works; the preprocessor "simplify" does not exist.
 """
 
 import argparse

@@ -29,7 +29,7 @@ INSTEAD = {
     "done": "step() returns terminated and truncated",
     "time": "use 'scene.time' [s]",
     "define_spaces": "configure() sets the spaces",
-    "simplify": "planners that copy the environment run on the backend 'replica' (README.md)",
+    "simplify": "leave it out of 'env_preprocessors': planners copy the whole scene",
     "to_finite_mdp": "use the observation 'TimeToCollision'",
     **dict.fromkeys(
         ("change_vehicles", "set_vehicle_field", "call_vehicle_method", "randomize_behavior", "set_preferred_lane",

@@ -287,7 +287,7 @@ def test_available_actions_are_those_that_change_something(highway: DrivingEnv) 
 
 @pytest.mark.parametrize(
     ("name", "message"),
-    [("viewer", "render"), ("simplify", "replica"), ("nonsense", "no attribute 'nonsense'$")],
+    [("viewer", "render"), ("simplify", "env_preprocessors"), ("nonsense", "no attribute 'nonsense'$")],
 )
 def test_what_does_not_exist_says_what_replaces_it(highway: DrivingEnv, name: str, message: str) -> None:
     assert not hasattr(highway, name)

@@ -170,6 +170,46 @@ def test_a_planner_of_rl_agents_kind_copies_attribute_by_attribute() -> None:
         one.close()
 
 
+def test_a_tree_of_states_as_rl_agents_planners_keep_it() -> None:
+    """Its deterministic planner keeps every state that it has reached, closes none, and takes available actions."""
+    env = gym.make("sumo/u-turn-v0", config={"risk": 1.0})
+    env.reset(seed=5)
+    tree: dict[tuple[int, ...], tuple[float, Any]] = {(): (0.0, env)}
+    leaves = [()]
+    for _ in range(5):
+        path = max(leaves, key=lambda path: tree[path][0])
+        leaves.remove(path)
+        total, state = tree[path]
+        for action in state.unwrapped.get_available_actions():
+            child = attribute_by_attribute(state)
+            _, reward, terminated, truncated, _ = child.step(action)
+            tree[*path, action] = total + float(reward), child
+            if not (terminated or truncated):
+                leaves.append((*path, action))
+    best = max(leaves, key=lambda path: tree[path][0])
+    assert len(best) > 1
+    assert env.unwrapped.scene.time == 0.0  # type: ignore[attr-defined]
+    assert sum(float(env.step(action)[1]) for action in best) == tree[best][0]
+    processes = [state.unwrapped._simulator.pid for path, (_, state) in tree.items() if path]
+    assert len(set(processes)) == len(processes) > 5
+    tree.clear()
+    del state, child
+    gc.collect()
+    assert all(gone(pid) for pid in processes)
+    env.close()
+
+
+@pytest.mark.parametrize(
+    ("method", "reason"),
+    [("simplify", "leave it out"), ("change_vehicles", "SUMO drives"), ("to_finite_mdp", "TimeToCollision")],
+)
+def test_preprocessors_of_rl_agents_are_refused_with_the_reason(method: str, reason: str) -> None:
+    """It calls them by name, and goes on without those that are an AttributeError."""
+    env = gym.make("sumo/highway-v0")
+    with pytest.raises(AttributeError, match=reason):
+        getattr(env.unwrapped, method)
+
+
 def test_an_imagined_copy_has_the_past_and_another_future() -> None:
     env = DrivingEnv("u-turn", {"risk": 1.0, **TASKS["u-turn"].levels["12"]})
     env.reset(seed=8)

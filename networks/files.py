@@ -160,6 +160,8 @@ def _read(path: Path, changed: int) -> Network:
                     add(index, within, *shapes)
                     following[lane(name, number)].append(within[0].getID())
                     following[index] = [after.getID()]
+    if not sumo_lanes:
+        raise ValueError(f"{path} has no edges: is it a SUMO network (.net.xml)?")
     if not any(CAR in found.classes for found in first.values()):
         classes = {name for found in sumo_lanes.values() for name in found.classes}
         raise ValueError(

@@ -84,6 +84,7 @@ FILE_KEYS = ("id", "import_module")  # rl-agents hands its whole JSON file to `c
 FIXED: dict[str, tuple[Any, str]] = {
     "controlled_vehicles": (1, "there is one ego"),
     "manual_control": (False, "the agent drives the ego"),
+    "obey_traffic_lights": (False, "this road has no traffic lights"),
     "other_vehicles_type": (
         "highway_env.vehicle.behavior.IDMVehicle",
         "SUMO drives the other vehicles; 'risk' makes them risky, and docs/own-parts.md brings drivers of your own",

@@ -362,7 +362,8 @@ class DrivingEnv(gym.Env[Observation, Any]):
 
     def _rewards(self, action: int | None) -> dict[str, float]:
         """The raw terms of the reward, by name; the action is None at a reset."""
-        return self.task.rewards(self.ego_state, self.config)
+        with self.task.named("rewards"):
+            return dict(self.task.rewards(self.ego_state, self.config))
 
     def _is_terminated(self) -> bool:
         """Whether the episode has ended by what happened in it."""

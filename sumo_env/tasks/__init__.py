@@ -23,6 +23,8 @@ def get_task(name: str | Task) -> Task:
     """
     if isinstance(name, Task):
         return name
+    if isinstance(name, type):
+        raise ConfigError(f"a task is needed, not its class: {name.__name__}()")
     if name not in TASKS:
         raise ConfigError(f"unknown task {name!r}: {nearest(name, list(TASKS))}")
     return TASKS[name]

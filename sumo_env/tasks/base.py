@@ -165,7 +165,7 @@ class Task:
         return task
 
     @contextmanager
-    def _named(self, method: str) -> Iterator[None]:
+    def named(self, method: str) -> Iterator[None]:
         """Let an error say in which method of which task it was."""
         try:
             yield
@@ -178,12 +178,16 @@ class Task:
         road = self.road(config)
         rng = stream(seed, "scenario")
         drivers = Drivers(self, config, seed)
-        with self._named("ego"):
+        with self.named("ego"):
             ego = self.ego(config, road, rng)
-        with self._named("vehicles"):
+        with self.named("vehicles"):
             vehicles = tuple(self.vehicles(config, road, ego, rng, drivers))
-        with self._named("spawns"):
+        with self.named("spawns"):
             spawns = tuple(self.spawns(config, road, seed, drivers))
+        ids = [ego.id, *(spec.id for spec in vehicles), *(spawn.vehicle.id for spawn in spawns)]
+        if len(set(ids)) < len(ids):
+            twice = next(id for id in ids if ids.count(id) > 1)
+            raise ConfigError(f"two vehicles of the task {self.name!r} are called {twice!r}")
         return Scenario(
             task=self.name,
             seed=seed,
@@ -243,6 +247,8 @@ def make_on_lane(
     concerns_ego: bool = True,
 ) -> VehicleSpec:
     """A vehicle in the middle of a lane, aligned with it (highway-env's ``Vehicle.make_on_lane``)."""
+    if lane not in road.lanes:
+        raise ConfigError(f"{id!r} cannot be placed: the road {road.name!r} has no lane {lane!r}")
     geometry = road.lane(lane)
     x, y = geometry.position(s, 0.0)
     heading = geometry.heading_at(s)

@@ -20,6 +20,7 @@ from sumo_env.config import ConfigError
 from sumo_env.networks.files import CAR
 from sumo_env.networks.lanes import VEHICLE_LENGTH
 from sumo_env.traffic.attributes import check_attributes, of_class
+from sumo_env.traffic.scenario import EGO
 
 _T = TypeVar("_T")
 LONGEST = 3600.0  # [s] that flows without an end go on
@@ -51,6 +52,8 @@ FRONTS = {
     "last": VEHICLE_LENGTH,
     **dict.fromkeys(("random", "free", "random_free"), math.nan),
 }
+RIGHTMOST = -1
+LANES = {"first": RIGHTMOST, **dict.fromkeys(("random", "free", "allowed", "best"), math.nan)}
 SPEEDS = dict.fromkeys(("max", "desired", "speedLimit", "random", "avg", "last"), math.nan)
 
 
@@ -159,6 +162,10 @@ def read(file: Path, router: Router) -> tuple[dict[str, Edges], tuple[Entry, ...
             root = ElementTree.parse(opened).getroot()
     except (OSError, ElementTree.ParseError) as error:
         raise ConfigError(f"{file} cannot be read as a route file: {error}") from error
+    if root.tag not in ("routes", "additional"):
+        raise ConfigError(
+            f"{file} is no route file of SUMO: it begins with <{root.tag}> and not with <routes>"
+        )
     reader = _Reader(file, router)
     for item in root:
         reader.take(item)
@@ -175,6 +182,7 @@ class _Reader:
         self.entries: list[Entry] = []
         self.ignored: set[str] = set()
         self._file, self._router = file, router
+        self._names = {EGO}
         self._kinds: dict[str, tuple[tuple[Kind | None, float], ...]] = {}
         self._choices: dict[str, Choice] = {}  # of routes
 
@@ -301,17 +309,25 @@ class _Reader:
             f"<{inner.tag}> of a {item.tag}" for inner in item if not inner.tag.startswith("route")
         }
         self.ignored |= {f"{key} of a {item.tag}" for key in set(item.keys()) - HERE - WITHOUT_MEANING}
-        lane = item.get("departLane", "")
+        name = item.get("id", "")
+        if name in self._names:
+            raise self._wrong(item, "there is another vehicle of this id")
+        self._names.add(name)
+        if item.tag != "flow" and item.get("depart") is None:
+            raise self._wrong(item, "it needs a time to depart")
+        lane = self._number(item, "departLane", math.nan, LANES)
         front = self._number(item, "departPos", VEHICLE_LENGTH, FRONTS)
         speed = self._number(item, "departSpeed", 0.0, SPEEDS)
+        if speed < 0.0:
+            raise self._wrong(item, f"departSpeed={speed:g} is negative")
         kind = item.get("type")
         kinds = ((None, 1.0),) if kind is None else tuple(self._type_of(item, kind))
         classes = {CAR if one is None else one.vehicles for one, _ in kinds}
         common: dict[str, Any] = {
-            "id": item.get("id", ""),
+            "id": name,
             "routes": self._way(item, CAR if CAR in classes else min(classes)),
             "kinds": kinds,
-            "lane": int(lane) if lane.isdigit() else None,
+            "lane": None if math.isnan(lane) else int(lane),
             "front": None if math.isnan(front) else front,
             "speed": None if math.isnan(speed) else speed,
             "factor": self._number(item, "speedFactor", 1.0) if item.get("speedFactor") else None,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from functools import partial
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from sumo_env.networks.lanes import VEHICLE_LENGTH
 from sumo_env.networks.roads import LaneIndex, Road
 from sumo_env.streams import stream
 from sumo_env.tasks.base import Drivers, EgoState, Task, ego_driver, make_on_lane, speed_term, weighted
-from sumo_env.tasks.demand import Departure, Entry, read
+from sumo_env.tasks.demand import RIGHTMOST, Departure, Entry, read
 from sumo_env.tasks.way import Way
 from sumo_env.traffic.drivers import Driver
 from sumo_env.traffic.risk import RiskRates
@@ -74,7 +75,10 @@ class NetworkTask(Task):
             # what a file says is all the traffic there is, unless more is asked for
             self.defaults = {**self.defaults, "vehicles_count": 0, "spawn_probability": 0.0}
         else:
-            items = routes.items() if isinstance(routes, Mapping) else enumerate(routes)
+            items = list(routes.items() if isinstance(routes, Mapping) else enumerate(routes))
+            for name, way in items:
+                if isinstance(way, str):
+                    raise ConfigError(f"route {name} must be a list of edges, not {way!r}")
             named = {f"route {name}": tuple(way) for name, way in items}
         if not ego_route or isinstance(ego_route, str):
             raise ConfigError(f"ego_route must be a list of edges, not {ego_route!r}")
@@ -92,6 +96,9 @@ class NetworkTask(Task):
         except ValueError as error:
             raise ConfigError(str(error)) from error
         self._network = driven
+        for entry in self._demand:
+            for (name, _), vehicles in product(entry.routes, entry.vehicles):
+                self._departure_lanes(entry, name, vehicles)
         self._way = Way(driven, self.routes[EGO_ROUTE], VEHICLE_LENGTH)
         self.ego_road = files.lane(ego_route[0])[:2]
         limit = self._way.limit
@@ -158,7 +165,9 @@ class NetworkTask(Task):
     def _departing(
         self, departure: Departure, road: Road, rng: np.random.Generator, drivers: Drivers
     ) -> VehicleSpec:
-        index = self._departure_lane(departure, rng)
+        vehicles = files.CAR if departure.kind is None else departure.kind.vehicles
+        lanes = self._departure_lanes(departure, departure.route, vehicles)
+        index = lanes[int(rng.integers(len(lanes)))] if departure.lane is None else lanes[0]
         lane = road.lane(index)
         drawn = float(rng.uniform(2 * MARGIN, max(lane.length - MARGIN, 2 * MARGIN)))
         front = drawn if departure.front is None else departure.front % lane.length
@@ -172,20 +181,25 @@ class NetworkTask(Task):
         wanted = factor * lane.speed_limit
         return _placed(road, departure.id, index, s, speed, driver, departure.route, wanted)
 
-    def _departure_lane(self, departure: Departure, rng: np.random.Generator) -> LaneIndex:
-        """The lane in which a vehicle departs: SUMO's number counts all lanes, pavements too."""
-        edge = self.routes[departure.route][0]
-        vehicles = files.CAR if departure.kind is None else departure.kind.vehicles
+    def _departure_lanes(self, departure: Departure | Entry, route: str, vehicles: str) -> list[LaneIndex]:
+        """The lanes in which a vehicle may depart; SUMO's number counts all lanes, pavements too."""
+        edge = self.routes[route][0]
         lanes = files.lanes_for(self._network, edge, vehicles)
-        if departure.lane is None:
-            return lanes[int(rng.integers(len(lanes)))]
-        index = self._network.indices.get(f"{edge}_{departure.lane}")
-        if index not in lanes:
+        if departure.lane == RIGHTMOST:
+            lanes = lanes[-1:]
+        elif departure.lane is not None:
+            lanes = [index for index in lanes if self._network.lanes[index].id == f"{edge}_{departure.lane}"]
+        if not lanes:
             raise ConfigError(
-                f"vehicle {departure.id!r} departs on lane {departure.lane} of edge {edge!r}, which has no such lane "
-                f"for vehicles of class {vehicles!r}"
+                f"{departure.id!r} departs on lane {departure.lane} of edge {edge!r}, which has no such lane for "
+                f"vehicles of class {vehicles!r}"
             )
-        return index
+        length = self._network.road.lane(lanes[0]).length
+        if departure.front is not None and abs(departure.front) > length + SPACING:
+            raise ConfigError(
+                f"{departure.id!r} departs at {departure.front:g} m of edge {edge!r}, which is {length:.0f} m long"
+            )
+        return lanes
 
     # -- reward and end ------------------------------------------------------------------------------------
 

@@ -14,20 +14,28 @@ SCHEMA = "data/xsd/types/route.xsd"  # of the package sumo-data, which libsumo i
 _XSD = "{http://www.w3.org/2001/XMLSchema}"
 
 
+MODEL = "carFollowing-"  # how the schema's elements for car-following models begin
+FURTHER_MODELS = {"KraussX", "Rail"}  # that the schema does not have
+LEAST = {"positiveFloatType": "above 0", "nonNegativeFloatType": "at least 0"}
+
+
 @lru_cache(maxsize=1)
-def known_attributes() -> frozenset[str]:
-    """Attributes of a vType and of every car-following model; empty where SUMO's schema is not installed."""
+def _schema() -> tuple[Mapping[str, str], set[str]]:
+    """Types of the attributes of a vType and of every car-following model, and the models; empty without a schema."""
     found = importlib.util.find_spec("sumo_data")
     file = Path(next(iter(found.submodule_search_locations or ()), "") if found else "") / SCHEMA
     if not file.is_file():
-        return frozenset()
-    types = ElementTree.parse(file).getroot().iter(f"{_XSD}complexType")
-    return frozenset(
-        attribute.get("name", "")
-        for kind in types
+        return {}, set()
+    root = ElementTree.parse(file).getroot()
+    types = {
+        attribute.get("name", ""): attribute.get("type", "")
+        for kind in root.iter(f"{_XSD}complexType")
         if (name := kind.get("name", "")) == "vTypeBaseType" or name.startswith("cf")
         for attribute in kind.iter(f"{_XSD}attribute")
-    )
+    }
+    elements = [element.get("name", "") for element in root.iter(f"{_XSD}element")]
+    models = {name.removeprefix(MODEL) for name in elements if name.startswith(MODEL)}
+    return types, models | FURTHER_MODELS
 
 
 # What SUMO gives the vehicles of a class: length, width [m], maxSpeed [m/s], accel, decel [m/s2]
@@ -73,24 +81,49 @@ def of_class(name: str, given: Mapping[str, str]) -> dict[str, str]:
     """
     kind = given.get("vClass", "passenger")
     if kind not in CLASSES and kind not in CARS:
-        raise ValueError(f"vType {name!r}: vehicles of class {kind!r} cannot be driven here")
+        near = _nearest(kind, CLASSES.keys() | CARS)
+        raise ValueError(
+            f"vType {name!r}: vehicles of class {kind!r} cannot be driven here; {near}".rstrip("; ")
+        )
     defaults = dict(
         zip(("length", "width", "maxSpeed", "accel", "decel"), map(str, CLASSES.get(kind, ())), strict=False)
     )
     return {**defaults, **{key: value for key, value in given.items() if key not in LOOKS}}
 
 
-def check_attributes(name: str, attributes: Iterable[str]) -> None:
-    """That SUMO knows these attributes of the vehicle type `name`; it ignores all others without a word.
+def check_attributes(name: str, attributes: Mapping[str, object]) -> None:
+    """That SUMO knows these attributes of the vehicle type `name`, and that their values are numbers where it asks so.
+
+    SUMO ignores unknown attributes without a word, and refuses wrong values when an episode begins.
 
     Raises:
         ValueError: it does not; the message names the nearest one.
     """
-    known = known_attributes()
-    for attribute in attributes if known else ():
-        if attribute not in known:
-            near = difflib.get_close_matches(attribute, sorted(known), n=1, cutoff=0.5)
+    types, models = _schema()
+    for attribute, value in attributes.items() if types else ():
+        if attribute not in types:
             raise ValueError(
                 f"{name!r} has an attribute that SUMO's vehicle types do not have, {attribute!r}: "
-                + (f"did you mean {near[0]!r}?" if near else f"see {PAGE}")
+                f"{_nearest(attribute, types) or f'see {PAGE}'}"
             )
+        if attribute == "carFollowModel" and value not in models:
+            known = _nearest(str(value), models) or f"known: {', '.join(sorted(models))}"
+            raise ValueError(f"carFollowModel of {name!r} is {value!r}, which SUMO does not have: {known}")
+        if types[attribute].endswith("loatType") and not _is_number(value, types[attribute]):
+            least = LEAST.get(types[attribute], "")
+            raise ValueError(
+                f"{attribute} of {name!r} must be a number {least}".rstrip() + f", not {value!r}"
+            )
+
+
+def _is_number(value: object, kind: str) -> bool:
+    try:
+        number = float(str(value))
+    except ValueError:
+        return False
+    return number > 0.0 or kind not in LEAST or (number == 0.0 and kind != "positiveFloatType")
+
+
+def _nearest(word: str, known: Iterable[str]) -> str:
+    near = difflib.get_close_matches(word, sorted(known), n=1, cutoff=0.5)
+    return f"did you mean {near[0]!r}?" if near else ""

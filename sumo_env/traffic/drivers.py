@@ -113,6 +113,7 @@ class Driver:
         Raises:
             ValueError: attributes that SUMO does not know, or that would have no effect here.
         """
+        check_attributes(name, attributes)
         fixed = sorted({"id", "guiShape"} & attributes.keys())
         if fixed:
             raise ValueError(f"{', '.join(fixed)} of {name!r} cannot be changed: vehicles are boxes")
@@ -127,7 +128,6 @@ class Driver:
                 f"{', '.join(factors)} of {name!r} would have no effect: the target_speed of a VehicleSpec is the "
                 "speed that a vehicle wants to drive, and 'maxSpeed' limits it"
             )
-        check_attributes(name, attributes)
         own = tuple((key, str(value)) for key, value in attributes.items())
         type = f"{name}.{self.type}"
         return replace(

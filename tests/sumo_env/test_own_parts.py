@@ -20,7 +20,7 @@ from sumo_env.env import DrivingEnv, SumoDrivingEnv
 from sumo_env.networks import files
 from sumo_env.replica.simulator import Replica
 from sumo_env.simulator import SimulatorError
-from sumo_env.tasks.base import weighted
+from sumo_env.tasks.base import ego_driver, make_on_lane, weighted
 from sumo_env.tasks.highway import Highway
 from sumo_env.tasks.network import NetworkTask
 from sumo_env.testing import check_task
@@ -46,6 +46,7 @@ EDGES = """<edges>
     <edge id="slip" from="south" to="merge" numLanes="1" speed="15" priority="1"/>
     <edge id="out" from="merge" to="east" numLanes="2" speed="20" priority="3" shape="300,0 500,0 580,30 600,100"/>
 </edges>"""
+DEPARTING = '<vehicle id="v" depart="0" {}><route edges="main"/></vehicle>'
 DEMAND = """<routes>
     <vType id="lorry" carFollowModel="Krauss" accel="1.0" maxSpeed="12"/>
     <route id="through" edges="main out"/>
@@ -247,7 +248,52 @@ def test_attributes_that_sumo_would_ignore_are_refused(attribute: str, message: 
         drivers("highway", 0.0)[0].like("bus", {attribute: 2.0})
 
 
+@pytest.mark.parametrize(
+    ("attributes", "message"),
+    [
+        ({"carFollowModel": "Kraus"}, "did you mean 'Krauss'"),
+        ({"accel": "fast"}, "accel of 'odd' must be a number above 0, not 'fast'"),
+        ({"length": "long"}, "length of 'odd' must be a number"),
+        ({"tau": -1.0}, "tau of 'odd' must be a number at least 0, not -1"),
+    ],
+)
+def test_values_that_sumo_would_refuse_are_named(attributes: dict[str, Any], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        drivers("highway", 0.0)[0].like("odd", attributes)
+
+
+def test_mistakes_in_a_task_of_ones_own_are_named() -> None:
+    class Wrong(Slalom):
+        ego_lane, names, terms = 0, ("v0", "v1"), True
+
+        def ego(self, config: Any, road: Any, rng: Any) -> Any:
+            return make_on_lane(road, "ego", ("0", "1", self.ego_lane), 10.0, 9.0, ego_driver(self))
+
+        def vehicles(self, *arguments: Any) -> list[Any]:
+            specs = super().vehicles(*arguments)
+            return [spec._replace(id=name) for spec, name in zip(specs, self.names, strict=False)]
+
+        def rewards(self, ego: Any, config: Any) -> Any:
+            return super().rewards(ego, config) if self.terms else None
+
+    for changes, message in (
+        ({"ego_lane": 9}, r"'ego' cannot be placed: the road 'highway' has no lane \('0', '1', 9\)"),
+        ({"names": ("v0", "v0")}, "two vehicles of the task 'slalom' are called 'v0'"),
+        ({"names": ("ego",)}, "two vehicles of the task 'slalom' are called 'ego'"),
+    ):
+        env = DrivingEnv(type("Mine", (Wrong,), changes)())
+        with pytest.raises(ConfigError, match=message):
+            env.reset(seed=0)
+    env = DrivingEnv(type("Mine", (Wrong,), {"terms": False})())
+    with pytest.raises(TypeError) as raised:
+        env.reset(seed=0)
+    assert raised.value.__notes__ == ["in Mine.rewards of the task 'slalom'"]
+    env.close()
+
+
 def test_a_class_in_place_of_a_task_is_named() -> None:
+    with pytest.raises(ConfigError, match=r"not its class: Highway\(\)"):
+        DrivingEnv(Highway)  # type: ignore[arg-type]
     with pytest.raises(TypeError, match=r"Highway\(\)"):
         sumo_env.register("test/class-v0", Highway)
 
@@ -256,7 +302,7 @@ def test_sumo_s_words_are_passed_on_when_it_refuses_a_driver() -> None:
     class Wrong(Slalom):
         def vehicles(self, *arguments: Any) -> list[Any]:
             return [
-                spec._replace(driver=spec.driver.like("odd", {"carFollowModel": "Kraus"}))
+                spec._replace(driver=spec.driver.like("odd", {"emissionClass": "none of these"}))
                 for spec in super().vehicles(*arguments)
             ]
 
@@ -411,6 +457,19 @@ def test_what_cannot_be_driven_is_named(grid: Path, change: dict[str, Any], mess
         ('<flow id="f" begin="0"><route edges="main"/></flow>', "vehsPerHour"),
         ('<vehicle id="v" depart="0" departLane="7"><route edges="main"/></vehicle>', "departs on lane 7"),
         ("<vehicle", "cannot be read"),
+        ('<vehicle id="v"><route edges="main"/></vehicle>', "vehicle 'v': it needs a time to depart"),
+        ('<vehicle id="ego" depart="0"><route edges="main"/></vehicle>', "'ego': there is another vehicle"),
+        (2 * '<vehicle id="v" depart="0"><route edges="main"/></vehicle>', "'v': there is another vehicle"),
+        (DEPARTING.format('departLane="firts"'), "departLane='firts'"),
+        (DEPARTING.format('departPos="999"'), "departs at 999 m of edge 'main', which is 2.. m long"),
+        (DEPARTING.format('departSpeed="-3"'), "departSpeed=-3 is negative"),
+        ('<vType id="x" carFollowModel="Kraus"/>', "carFollowModel .* did you mean 'Krauss'"),
+        ('<vType id="x" accel="fast"/>', "accel of 'x' must be a number above 0, not 'fast'"),
+        ('<vType id="x" length="-3"/>', "length of 'x' must be a number above 0, not '-3'"),
+        ('<vType id="x" vClass="buss"/>', "did you mean 'bus'"),
+        ('<route id="r" edges="main"><stop lane="main_0" duration="9"/></route>', "stops"),
+        ('<trip id="t" from="main" to="out" depart="0"><stop lane="main_0" duration="9"/></trip>', "stops"),
+        ('<flow id="f" begin="0" period="9" from="main" to="out"><stop lane="main_0"/></flow>', "stops"),
     ],
 )
 def test_what_a_route_file_cannot_say_is_named(
@@ -420,6 +479,29 @@ def test_what_a_route_file_cannot_say_is_named(
     demand.write_text(f"<routes>{element}</routes>")
     with pytest.raises(ConfigError, match=message):
         SumoDrivingEnv(merge, demand, ["main", "out"]).reset(seed=0)
+
+
+def test_files_and_lists_in_each_other_s_place_are_named(merge: Path, tmp_path: Path) -> None:
+    demand = tmp_path / "d.rou.xml"
+    demand.write_text("<routes/>")
+    for network, routes, message in (
+        (merge, merge, "begins with <net> and not with <routes>"),
+        (demand, [], "has no edges: is it a SUMO network"),
+        (merge, ["main", "out"], "route 0 must be a list of edges, not 'main'"),
+        (merge, {"r": "main out"}, "route r must be a list of edges"),
+    ):
+        with pytest.raises(ConfigError, match=message):
+            SumoDrivingEnv(network, routes, ["main", "out"])
+
+
+def test_vehicles_depart_in_the_lane_that_is_named(merge: Path, tmp_path: Path) -> None:
+    demand = tmp_path / "d.rou.xml"
+    for lane, number in (("0", 1), ("1", 0), ("first", 1)):
+        demand.write_text(f"<routes>{DEPARTING}</routes>".format(f'departLane="{lane}" departPos="90"'))
+        env = SumoDrivingEnv(merge, demand, ["main", "out"])
+        env.reset(seed=0)
+        assert env.road.vehicles[1].lane_index == files.lane("main", number)
+        env.close()
 
 
 def test_a_network_without_lanes_inside_its_junctions_is_refused(tmp_path: Path) -> None:

@@ -94,32 +94,18 @@ def test_an_episode_ends_within_its_duration(id: str) -> None:
         ({"vehicle_count": 3}, "did you mean 'vehicles_count'"),
         ({"vehicles_count": "50"}, "must be a number"),
         ({"vehicles_count": 2.5}, "whole number"),
-        ({"vehicles_count": float("nan")}, "must be a number"),
-        ({"duration": True}, "must be a number"),
         ({"duration": 0}, "must be positive"),
-        ({"lanes_count": 0}, "must be positive"),
         ({"lanes_count": 9}, "must be one of"),
         ({"initial_lane_id": 4}, "lane below 'lanes_count'"),
         ({"risk": 1.5}, "must lie in"),
-        ({"traffic_model": "SUMO"}, "can only be 'sumo'"),
         ({"traffic_model": "matched"}, "is gone.*'replica'"),
         ({"policy_frequency": 3}, "must be a multiple"),
         ({"normalize_reward": "yes"}, "True or False"),
         ({"centering_position": 0.3}, "a list of 2 numbers"),
-        ({"reward_speed_range": [20]}, "a list of 2 numbers"),
         ({"observation": "Kinematics"}, "must be a dict"),
         ({"observation": {"type": "Kinematic"}}, "did you mean 'Kinematics'"),
-        ({"observation": {"type": "Kinematics", "feature": []}}, "did you mean 'features'"),
         ({"observation": {"type": "Kinematics", "features": ["presence", "vxx"]}}, "did you mean"),
-        ({"observation": {"type": "Kinematics", "vehicles_count": 0}}, "from 1 to"),
-        ({"action": None}, "must be a dict"),
-        ({"action": {"type": "ContinuousAction"}}, "DiscreteMetaAction"),
         ({"action": {"type": "DiscreteMetaAction", "target_speeds": [30, 20]}}, "rising speeds"),
-        ({"manual_control": True}, "can only be False"),
-        ({"controlled_vehicles": 2}, "there is one ego"),
-        ({"other_vehicles_type": "highway_env.vehicle.behavior.LinearVehicle"}, "SUMO drives"),
-        ({"observation": {"type": "OccupancyGrid"}}, "not ported"),
-        ({"observation": {"type": "KinematicsGoal"}}, "not ported"),
         ({"observation": {"vehicles_count": 3}}, "needs a 'type'"),
         ([("vehicles_count", 3)], "must be a dict"),
     ],
@@ -153,11 +139,6 @@ def test_crowded_two_way_roads_are_filled() -> None:
     places = sorted(spec.s for spec in env.scenario.vehicles if spec.lane == ("a", "b", 1))
     assert len(places) == 100
     assert min(np.diff(places)) > 6.0
-
-
-def test_an_unknown_task_is_named() -> None:
-    with pytest.raises(ConfigError, match="did you mean 'roundabout'"):
-        DrivingEnv("roundabot")
 
 
 def test_a_render_mode_that_does_not_exist_is_named() -> None:
@@ -213,7 +194,6 @@ def test_reset_takes_risk_and_calibration_for_one_episode(highway: gym.Env[Any, 
     [
         ({"risk_rate": {"cut_in": 0.1}}, "'risk_rates', 'risk_ranges'"),
         ({"risk_rates": {"cutin": 0.1}}, "map some of cut_in, brake"),
-        ({"risk_rates": 0.1}, "map some of cut_in, brake"),
         ({"calibration": {"tau": 2.0}, "scenario": None}, "either 'scenario' or"),
     ],
 )
@@ -282,18 +262,6 @@ def test_a_step_before_a_reset_is_refused() -> None:
 def test_a_picture_before_a_reset_is_refused() -> None:
     with pytest.raises(gym.error.ResetNeeded, match="reset"):
         DrivingEnv("highway", render_mode="rgb_array").render()
-
-
-def test_two_environments_of_a_process_go_on_side_by_side() -> None:
-    first, second = DrivingEnv("highway"), DrivingEnv("roundabout")
-    first.reset(seed=0)
-    expected = first.step(1)[0]
-    first.reset(seed=0)
-    second.reset(seed=0)
-    np.testing.assert_array_equal(first.step(1)[0], expected)
-    second.step(1)
-    first.close()
-    second.close()
 
 
 def test_closing_one_environment_leaves_the_other_alone() -> None:
@@ -397,19 +365,3 @@ def test_info_holds_plain_values(highway: gym.Env[Any, Any]) -> None:
     highway.reset(seed=0)
     *_, info = highway.step(1)
     assert info["distance"] == pytest.approx(info["speed"], rel=0.1)
-
-
-def test_a_crash_is_described() -> None:
-    env = DrivingEnv("intersection", {"initial_vehicle_count": 30, "spawn_probability": 1.0})
-    for seed in range(20):
-        env.reset(seed=seed)
-        terminated = truncated = False
-        while not (terminated or truncated):
-            *_, terminated, truncated, info = env.step(2)
-        if info["crashed"]:
-            break
-    assert info["crashed"]
-    assert terminated
-    assert set(info["crash"]) >= {"other", "time", "x", "y", "closing_speed", "type", "detected_by"}
-    assert info["crash"]["type"] in ("rear-end", "side", "frontal", "junction")
-    env.close()

@@ -256,22 +256,6 @@ def test_what_is_read_cannot_be_written(highway: DrivingEnv) -> None:
         highway.road.vehicles.append(highway.vehicle)  # type: ignore[attr-defined]
 
 
-def test_keys_that_are_accepted_are_kept() -> None:
-    given = {"offscreen_rendering": True, "controlled_vehicles": 1, "id": "highway-v0"}
-    env = DrivingEnv("highway", given)
-    assert given.items() <= env.config.items()
-    env.configure({"risk": 0.5})
-    assert given.items() <= env.config.items()
-
-
-@pytest.mark.parametrize("name", ["neighbour_vehicles", "objects"])
-def test_what_the_road_does_not_have_says_what_there_is(highway: DrivingEnv, name: str) -> None:
-    with pytest.raises(AttributeError, match=f"'{name}' on SUMO; it has network and vehicles"):
-        getattr(highway.road, name)
-    with pytest.raises(AttributeError, match="it has get_lane"):
-        highway.road.network.graph  # type: ignore[attr-defined]  # noqa: B018
-
-
 def test_available_actions_are_those_that_change_something(highway: DrivingEnv) -> None:
     """In the left lane there is nothing to the left; at the top speed nothing is faster."""
     names = highway.action_type.actions_indexes

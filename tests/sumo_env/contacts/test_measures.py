@@ -114,13 +114,6 @@ def test_nothing_counts_beyond_the_horizon() -> None:
     assert ego_ttc(ego, [leader], 2.1) == pytest.approx(2.0)
 
 
-def test_time_to_collision_does_not_depend_on_the_frame(traffic) -> None:
-    angle, cos, sin = 0.7, math.cos(0.7), math.sin(0.7)
-    x, y, speed, heading = traffic.T
-    turned = np.column_stack([cos * x - sin * y + 30.0, sin * x + cos * y - 4.0, speed, heading + angle])
-    np.testing.assert_allclose(ttc(turned), ttc(traffic), atol=1e-6)
-
-
 def test_headway_is_to_the_nearest_in_the_corridor() -> None:
     x = np.array([0.0, 30.0, 20.0, 25.0, -10.0, 95.0])
     y = np.array([0.0, 0.5, 2.5, -1.9, 0.0, 0.0])

@@ -16,22 +16,15 @@ import pytest
 import shapely
 
 from sumo_env.env import DrivingEnv
-from sumo_env.scene import VEHICLE_LENGTH, VEHICLE_WIDTH, Scene
+from sumo_env.scene import Scene
 from sumo_env.sumo.world import SumoSimulator
 from sumo_env.tasks import TASKS
+
+from .shapes import polygons
 
 PARTS = 20  # of a sub-step of 0.1 s
 REACH = 12.0  # [m] between centres, beyond which two vehicles cannot touch within a sub-step
 TOUCHING = 0.1  # [m] SUMO's own reports count within it
-CORNERS = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]]) * (VEHICLE_LENGTH / 2, VEHICLE_WIDTH / 2)
-
-
-def polygons(poses: np.ndarray) -> np.ndarray:
-    """Outlines of a vehicle at x, y [m] and heading [rad], shape (n, 3)."""
-    cos, sin = np.cos(poses[:, 2])[:, None], np.sin(poses[:, 2])[:, None]
-    x = poses[:, :1] + cos * CORNERS[:, 0] - sin * CORNERS[:, 1]
-    y = poses[:, 1:2] + sin * CORNERS[:, 0] + cos * CORNERS[:, 1]
-    return np.asarray(shapely.polygons(np.stack([x, y], axis=-1)))
 
 
 def way(before: Scene, after: Scene, name: str) -> np.ndarray:
@@ -60,7 +53,7 @@ class Truth:
             apart = math.hypot(after.x[i] - after.x[j], after.y[i] - after.y[j])
             if apart > REACH or not {first, second} <= set(before.ids):
                 continue
-            gaps = shapely.distance(polygons(way(before, after, first)), polygons(way(before, after, second)))
+            gaps = shapely.distance(*(polygons(*way(before, after, name).T) for name in (first, second)))
             if i == 0:
                 self.nearest = min(self.nearest, float(gaps.min()))
             if gaps.min() == 0.0:

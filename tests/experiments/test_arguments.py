@@ -96,14 +96,8 @@ def test_shards_are_a_partition(count):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "arguments",
-    [
-        ["--workers", "two"], ["--workers", "0"], ["--seeds", "1.5"], ["--no-such-option"], ["--shard", "0/0"],
-        ["--gamma", "nan"], ["--preset", "smoke", "--cell", "none"], ["--hang-after", "-1"], ["--executor", "pbs"],
-        ["--out", "/proc/none/results"], ["--tasks", "highway,,u-turn"],
-    ],
-    ids=" ".join,
-)  # fmt: skip
+    "arguments", [["--seeds", "1.5"], ["--preset", "quik"], ["--out", "/proc/none/results"]], ids=" ".join
+)
 def test_a_wrong_command_line_is_answered_without_a_traceback(arguments, tmp_path):
     command = [sys.executable, str(ROOT / "experiments/sweep.py"), *arguments]
     result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120)

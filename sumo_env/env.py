@@ -5,20 +5,22 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from contextlib import closing
 from operator import index
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from sumo_env.actions import available_actions, ego_route, target_lane, target_speed_index
+from sumo_env.actions import ego_route, target_lane, target_speed_index
 from sumo_env.config import COMMON, Config, ConfigError, refuse_keywords, resolve, simulated_frequency
 from sumo_env.contacts.measures import density
+from sumo_env.contacts.rectangles import state_of
 from sumo_env.information import information
 from sumo_env.interface import interface
+from sumo_env.networks.roads import LaneIndex
 from sumo_env.observation import TimeToCollision
 from sumo_env.scene import Scene
 from sumo_env.simulator import EgoCommand, Simulator, Step
@@ -28,7 +30,7 @@ from sumo_env.tasks import get_task
 from sumo_env.tasks.base import EgoState, Task, nearest_index
 from sumo_env.tasks.network import NetworkTask
 from sumo_env.traffic.scenario import Scenario
-from sumo_env.views import INSTEAD, NEVER_CALLED, ActionType, RoadView, Vehicle
+from sumo_env.views import ReadAsHighwayEnv
 
 if TYPE_CHECKING:
     from gymnasium.wrappers import RecordVideo
@@ -39,7 +41,7 @@ Observation = NDArray[np.float32]
 VARIED = ("risk_rates", "risk_ranges", "calibration")  # parts of a task that `reset` may change
 
 
-class DrivingEnv(gym.Env[Observation, Any]):
+class DrivingEnv(ReadAsHighwayEnv):
     """One of the five driving tasks on SUMO.
 
     Observations, actions, rewards, endings and `config` keys are highway-env's; docs/environments has a page for each
@@ -87,20 +89,8 @@ class DrivingEnv(gym.Env[Observation, Any]):
         self._renderer: Renderer | None = None
         self._video: RecordVideo[Any, Any] | None = None
         self._configured: Config | None = None
-        self._view: RoadView | None = None
         self.scenario: Scenario | None = None
         self.configure(config)
-
-    def __init_subclass__(cls, **kwargs: Any) -> None:
-        super().__init_subclass__(**kwargs)
-        for name in sorted(NEVER_CALLED.keys() & vars(cls).keys()):
-            raise TypeError(f"{cls.__name__}.{name} would never be called on SUMO: {NEVER_CALLED[name]}")
-
-    if not TYPE_CHECKING:
-
-        def __getattr__(self, name: str) -> NoReturn:
-            hint = f": {INSTEAD[name]}" if name in INSTEAD else ""
-            raise AttributeError(f"{type(self).__name__!r} has no attribute {name!r}{hint}")
 
     # -- configuration -------------------------------------------------------------------------------------
 
@@ -154,9 +144,7 @@ class DrivingEnv(gym.Env[Observation, Any]):
         try:
             scenario = options.get("scenario") or self._draw(task)
             ego = scenario.ego
-            scenario.network.place(
-                ego.lane, ego.s, ego.destination
-            )  # that there are such a network and place
+            scenario.network.place(ego.lane, ego.s, ego.destination)  # there are such a network and place
         except ValueError as error:
             raise ConfigError(str(error)) from error
         self.scenario = scenario
@@ -228,9 +216,8 @@ class DrivingEnv(gym.Env[Observation, Any]):
     def export(self, folder: str | Path) -> list[Path]:
         """Write the present episode, as far as it was driven, for ``sumo`` and ``sumo-gui``; returns the files.
 
-        ``episode.sumocfg`` shows what happened; in ``traffic.sumocfg`` SUMO drives the traffic again around the ego on
-        its recorded way (see `sumo_env.export`). The episode is driven a second time, in a simulator of its own, so
-        that every simulation step is in the files.
+        ``episode.sumocfg`` shows what happened; in ``traffic.sumocfg`` SUMO drives the traffic again (see `export`).
+        The episode is driven a second time, in a simulator of its own, so that every simulation step is in the files.
         """
         from sumo_env import export
 
@@ -240,12 +227,10 @@ class DrivingEnv(gym.Env[Observation, Any]):
             simulator: Simulator = copy.deepcopy(self._given) or SumoProcess()
         except TypeError:  # it cannot be copied
             simulator = SumoProcess()
-        try:
+        with closing(simulator):
             scenes = [simulator.reset(self.scenario)]
             for command in self._commands:
                 scenes += simulator.step(command, trace=True).trace
-        finally:
-            simulator.close()
         return export.write(Path(folder), self.scenario, scenes)
 
     def set_record_video_wrapper(self, wrapper: RecordVideo[Any, Any]) -> None:
@@ -297,16 +282,7 @@ class DrivingEnv(gym.Env[Observation, Any]):
             raise gym.error.ResetNeeded("call reset() before imagine()")
         twin = copy.deepcopy(self)
         # no seed of a scenario is as large, so that nobody imagines the truth
-        drawn = self._drawn_by.events(
-            {**self.config, "risk": self.scenario.risk},
-            self.scenario.vehicles,
-            self.scenario.spawns,
-            2**31 + seed,
-        )
-        now = self.scene.time
-        events = [event for event in self.scenario.events if event.time <= now]
-        events += [event for event in drawn if event.time > now]
-        twin.scenario = replace(self.scenario, events=tuple(events))
+        twin.scenario = self._drawn_by.imagined(self.scenario, self.config, self.scene.time, 2**31 + seed)
         assert twin._simulator is not None
         twin._simulator.imagine(twin.scenario)
         return twin
@@ -325,34 +301,36 @@ class DrivingEnv(gym.Env[Observation, Any]):
     # -- parts ---------------------------------------------------------------------------------------------
 
     def _ego_state(self, action: int | None) -> EgoState:
+        lane, s, lateral, on_road = self._ego_place()
         scene = self.scene
-        x, y, heading = scene.x.item(0), scene.y.item(0), scene.heading.item(0)
-        index = self._road.closest_lane(x, y, heading)
-        lane = self._road.lane(index)
-        s, lateral = lane.local_coordinates(x, y)
         return EgoState(
-            lane=index,
+            lane=lane,
             s=s,
             lateral=lateral,
             speed=scene.speed.item(0),
-            heading=heading,
+            heading=scene.heading.item(0),
             target_lane=self._target_lane,
             speed_index=self._speed_index,
             speed_count=len(self.target_speeds),
             action=action,
             crashed=scene.crashed.item(0),
-            on_road=lane.covers(s, lateral),
+            on_road=on_road,
             scene=scene,
         )
 
+    def _ego_place(self) -> tuple[LaneIndex, float, float, bool]:
+        """The ego's lane, its coordinates there [m], and whether it is on the road."""
+        x, y, _, heading = state_of(self.scene, 0)
+        index = self._road.closest_lane(x, y, heading)
+        lane = self._road.lane(index)
+        s, lateral = lane.local_coordinates(x, y)
+        return index, s, lateral, lane.covers(s, lateral)
+
     def _observe(self) -> Observation:
-        if isinstance(self.observation_type, TimeToCollision):
-            return self.observation_type.observe(
-                self.scene, self._road, self.ego_state, self.target_speeds, self._route
-            )
-        return self.observation_type.observe(
-            self.scene, self._road, self.ego_state, self._spec_of, self.np_random
-        )
+        kind, seen = self.observation_type, (self.scene, self._road, self.ego_state)
+        if isinstance(kind, TimeToCollision):
+            return kind.observe(*seen, self.target_speeds, self._route)
+        return kind.observe(*seen, self._spec_of, self.np_random)
 
     # -- what a subclass may override, as in highway-env -----------------------------------------------------
 
@@ -389,37 +367,6 @@ class DrivingEnv(gym.Env[Observation, Any]):
             action=action,
             light=scene.light,
         )
-
-    # -- what highway-env's users read -----------------------------------------------------------------------
-
-    @property
-    def road(self) -> RoadView:
-        """The lanes (`road.network`) and the vehicles (`road.vehicles`) of the present scene."""
-        if self._view is None or self._view.scene is not self.scene:
-            self._view = RoadView(
-                self.scene,
-                self._road,
-                target_lane_index=self._target_lane,
-                speed_index=self._speed_index,
-                target_speeds=np.array(self.target_speeds),
-            )
-        return self._view
-
-    @property
-    def vehicle(self) -> Vehicle:
-        """The ego: position, speed, heading, lane_index, crashed, ..."""
-        return self.road.vehicles[0]
-
-    @property
-    def action_type(self) -> ActionType:
-        """The meta-actions: actions, actions_indexes, target_speeds, get_available_actions()."""
-        return ActionType(self.actions, np.array(self.target_speeds), self.get_available_actions)
-
-    def get_available_actions(self) -> list[int]:
-        """Indices of the actions that would change something now, and of IDLE."""
-        x, y, lane = self.scene.x.item(0), self.scene.y.item(0), self.ego_state.lane
-        speeds = len(self.target_speeds)
-        return available_actions(self.actions, self._road, lane, x, y, self._speed_index, speeds)
 
 
 class SumoDrivingEnv(DrivingEnv):

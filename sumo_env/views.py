@@ -12,12 +12,15 @@ from functools import cached_property
 from math import cos, sin
 from typing import TYPE_CHECKING, Any, NoReturn
 
+import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
+from sumo_env.actions import available_actions
 from sumo_env.networks.lanes import Lane
 from sumo_env.networks.roads import LaneIndex, Road
 from sumo_env.scene import VEHICLE_LENGTH, VEHICLE_WIDTH, Floats, Scene
+from sumo_env.tasks.base import EgoState
 
 # What takes the place of attributes of highway-env's environments that do not exist on SUMO.
 INSTEAD = {
@@ -32,24 +35,39 @@ INSTEAD = {
     "simplify": "leave it out of 'env_preprocessors': planners copy the whole scene",
     "to_finite_mdp": "use the observation 'TimeToCollision'",
     **dict.fromkeys(
-        ("change_vehicles", "set_vehicle_field", "call_vehicle_method", "randomize_behavior", "set_preferred_lane",
-         "set_route_at_intersection"),
+        (
+            "change_vehicles",
+            "set_vehicle_field",
+            "call_vehicle_method",
+            "randomize_behavior",
+            "set_preferred_lane",
+            "set_route_at_intersection",
+        ),
         "SUMO drives the other vehicles; use 'risk' or drivers of your own (docs/own-parts.md)",
     ),
-}  # fmt: skip
+}
 
 # Methods of highway-env's environments that subclasses override there and that would never be called here.
 NEVER_CALLED = {
     **dict.fromkeys(
-        ("_make_road", "_create_road", "_make_vehicles", "_create_vehicles", "_spawn_vehicle", "_clear_vehicles"),
+        (
+            "_make_road",
+            "_create_road",
+            "_make_vehicles",
+            "_create_vehicles",
+            "_spawn_vehicle",
+            "_clear_vehicles",
+        ),
         "the road and the vehicles are a task's: subclass sumo_env.tasks.base.Task",
     ),
-    **dict.fromkeys(("_reset", "_simulate"), "SUMO simulates: override reset() or step(), or bring a Simulator"),
+    **dict.fromkeys(
+        ("_reset", "_simulate"), "SUMO simulates: override reset() or step(), or bring a Simulator"
+    ),
     "define_spaces": "override configure()",
     "has_arrived": "the goal is a task's: override Task.arrived",
     "_agent_reward": "there is one ego: override _reward()",
     "_agent_rewards": "there is one ego: override _rewards()",
-}  # fmt: skip
+}
 
 
 def _read_only(view: object, name: str, value: object) -> NoReturn:
@@ -190,9 +208,13 @@ class RoadView:
         positions = np.column_stack((scene.x, scene.y))
         positions.flags.writeable = False
         rows = zip(
-            scene.ids, positions, scene.speed.tolist(), scene.heading.tolist(),
-            scene.crashed.tolist(), strict=True,
-        )  # fmt: skip
+            scene.ids,
+            positions,
+            scene.speed.tolist(),
+            scene.heading.tolist(),
+            scene.crashed.tolist(),
+            strict=True,
+        )
         first, *others = rows
         self.vehicles = (
             Ego(*first, road, **ego),
@@ -230,3 +252,56 @@ class ActionType:
     def actions_indexes(self) -> dict[str, int]:
         """Indices by name."""
         return {name: index for index, name in self.actions.items()}
+
+
+class ReadAsHighwayEnv(gym.Env[NDArray[np.float32], Any]):
+    """The part of `DrivingEnv` that scripts and subclasses written for highway-env meet."""
+
+    scene: Scene
+    ego_state: EgoState
+    actions: dict[int, str]
+    target_speeds: tuple[float, ...]
+    _road: Road
+    _target_lane: LaneIndex
+    _speed_index: int
+    _view: RoadView | None = None
+
+    def __init_subclass__(cls, **kwargs: Any) -> None:
+        super().__init_subclass__(**kwargs)
+        for name in sorted(NEVER_CALLED.keys() & vars(cls).keys()):
+            raise TypeError(f"{cls.__name__}.{name} would never be called on SUMO: {NEVER_CALLED[name]}")
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> NoReturn:
+            hint = f": {INSTEAD[name]}" if name in INSTEAD else ""
+            raise AttributeError(f"{type(self).__name__!r} has no attribute {name!r}{hint}")
+
+    @property
+    def road(self) -> RoadView:
+        """The lanes (`road.network`) and the vehicles (`road.vehicles`) of the present scene."""
+        if self._view is None or self._view.scene is not self.scene:
+            self._view = RoadView(
+                self.scene,
+                self._road,
+                target_lane_index=self._target_lane,
+                speed_index=self._speed_index,
+                target_speeds=np.array(self.target_speeds),
+            )
+        return self._view
+
+    @property
+    def vehicle(self) -> Vehicle:
+        """The ego: position, speed, heading, lane_index, crashed, ..."""
+        return self.road.vehicles[0]
+
+    @property
+    def action_type(self) -> ActionType:
+        """The meta-actions: actions, actions_indexes, target_speeds, get_available_actions()."""
+        return ActionType(self.actions, np.array(self.target_speeds), self.get_available_actions)
+
+    def get_available_actions(self) -> list[int]:
+        """Indices of the actions that would change something now, and of IDLE."""
+        x, y, lane = self.scene.x.item(0), self.scene.y.item(0), self.ego_state.lane
+        speeds = len(self.target_speeds)
+        return available_actions(self.actions, self._road, lane, x, y, self._speed_index, speeds)

@@ -7,6 +7,7 @@ from typing import Any
 
 from sumo_env.config import Config, ConfigError, nearest, refuse_keywords
 from sumo_env.env import VARIED, DrivingEnv, Observation
+from sumo_env.networks.roads import LaneIndex
 from sumo_env.observation import Kinematics
 from sumo_env.replica import draws
 from sumo_env.replica.imagination import with_other_drivers
@@ -14,7 +15,7 @@ from sumo_env.replica.linear import LAWS, check_law
 from sumo_env.replica.linear import draw as draw_linear
 from sumo_env.replica.sight import eyes_of
 from sumo_env.replica.simulator import VARIANTS, Replica
-from sumo_env.tasks.base import EgoState, Task
+from sumo_env.tasks.base import Task
 from sumo_env.traffic.scenario import Scenario
 
 SCENARIOS = ("highway-env", "seeded")
@@ -155,23 +156,8 @@ class ReplicaEnv(DrivingEnv):
 
     # -- what the ego sees ---------------------------------------------------------------------------------
 
-    def _ego_state(self, action: int | None) -> EgoState:
-        lane, s, lateral, is_on_road = self._replica.ego_place()
-        scene = self.scene
-        return EgoState(
-            lane=lane,
-            s=s,
-            lateral=lateral,
-            speed=scene.speed.item(0),
-            heading=scene.heading.item(0),
-            target_lane=self._target_lane,
-            speed_index=self._speed_index,
-            speed_count=len(self.target_speeds),
-            action=action,
-            crashed=scene.crashed.item(0),
-            on_road=is_on_road,
-            scene=scene,
-        )
+    def _ego_place(self) -> tuple[LaneIndex, float, float, bool]:
+        return self._replica.ego_place()
 
     def _observe(self) -> Observation:
         if self._eyes is None:

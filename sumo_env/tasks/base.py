@@ -143,6 +143,12 @@ class Task:
         lifetimes += [(spawn.vehicle.id, spawn.step / config["policy_frequency"]) for spawn in spawns]
         return draw_events(self.risk_rates, config["risk"], tuple(lifetimes), seed, config["duration"])
 
+    def imagined(self, scenario: Scenario, config: Config, now: float, seed: int) -> Scenario:
+        """The scenario with the events that have begun `now` [s] after its start, and others from then on."""
+        drawn = self.events({**config, "risk": scenario.risk}, scenario.vehicles, scenario.spawns, seed)
+        begun = [event for event in scenario.events if event.time <= now]
+        return replace(scenario, events=(*begun, *(event for event in drawn if event.time > now)))
+
     def varied(self, changes: Mapping[str, Mapping[str, Any]]) -> Task:
         """This task with other values in its `risk_rates`, `risk_ranges` or `calibration`.
 

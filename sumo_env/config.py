@@ -45,9 +45,15 @@ OBSERVATION_KEYS: dict[str, set[str]] = {
     "TimeToCollision": {"type", "horizon"},
 }
 NOT_PORTED = (
-    "AttributesObservation", "ExitObservation", "GrayscaleObservation", "KinematicsGoal", "LidarObservation",
-    "MultiAgentObservation", "OccupancyGrid", "TupleObservation",
-)  # fmt: skip
+    "AttributesObservation",
+    "ExitObservation",
+    "GrayscaleObservation",
+    "KinematicsGoal",
+    "LidarObservation",
+    "MultiAgentObservation",
+    "OccupancyGrid",
+    "TupleObservation",
+)
 # What takes all memory or all time beyond; frequencies: SUMO's clock counts milliseconds.
 LARGEST = {
     "policy_frequency": 1000,

@@ -31,6 +31,7 @@ REPLAYED = {"tau": "0.1", "minGap": "0", "decel": "200", "emergencyDecel": "200"
 COLOURS = {EGO: "0,114,178", "car": "233,237,241", "risky": "255,196,0"}
 NO_LANE_CHANGES = {"lcStrategic": "-1", "lcCooperative": "-1", "lcSpeedGain": "0", "lcKeepRight": "0"}
 NO_WAITING = {"jmIgnoreFoeProb": "1", "jmIgnoreFoeSpeed": "100"}
+VIEW = "view.xml"
 WINDOW = (1200, 800)  # [px] of sumo-gui
 AROUND = 50.0  # [m] that it shows around the way of the ego
 
@@ -51,31 +52,32 @@ def write(folder: Path, scenario: Scenario, scenes: Sequence[Scene]) -> list[Pat
     length = (len(scenes) + 1) * step
     warm_up = round(scenario.warm_up / step) * step
     specs = {spec.id: spec for spec in (*scenario.specs, *(spawn.vehicle for spawn in scenario.spawns))}
-    files = [folder / name for name in ("network.net.xml", "recorded.fcd.xml", "types.add.xml", "ego.fcd.xml",
-             "traffic.rou.xml", "view.xml", "episode.sumocfg", "traffic.sumocfg")]  # fmt: skip
-    net, recorded, types, ego, routes, view, episode, traffic = files
-    folder.mkdir(parents=True, exist_ok=True)
-    shutil.copyfile(road.net_file, net)
-    _write(recorded, _floating_car_data(road, specs, scenes, step, 0.0))
-    _write(ego, _floating_car_data(road, {EGO: scenario.ego}, scenes, step, warm_up))
     sizes = {size for scene in scenes for size in scene.sizes.values()}
     shown = [
         ElementTree.Element("vType", {"id": _type(name, size), "color": colour, **REPLAYED, **_extent(size)})
         for name, colour in COLOURS.items()
         for size in (None, *sorted(sizes))
     ]
-    _write(types, _element("additional", *shown))
-    _write(routes, _element("routes", *_departures(road, scenario, scenes, warm_up)))
-    _write(view, _view(road, scenes))
-    inputs = {"net-file": net.name, "additional-files": types.name}
+    inputs = {"net-file": "network.net.xml", "additional-files": "types.add.xml"}
+    driven = {**inputs, "route-files": "traffic.rou.xml"}
     # sumo-gui stops after the first step, when the vehicles are there, and with the last scene, before SUMO's own end
     last = (len(scenes) - 1) * step
-    _write(episode, _configuration(inputs, recorded, view, step, length, (step, last)))
-    inputs["route-files"] = routes.name
-    _write(
-        traffic, _configuration(inputs, ego, view, step, warm_up + length, (warm_up + step, warm_up + last))
-    )
-    return files
+    stops, later_stops = (step, last), (warm_up + step, warm_up + last)
+    contents = {
+        "recorded.fcd.xml": _floating_car_data(road, specs, scenes, step, 0.0),
+        "types.add.xml": _element("additional", *shown),
+        "ego.fcd.xml": _floating_car_data(road, {EGO: scenario.ego}, scenes, step, warm_up),
+        "traffic.rou.xml": _element("routes", *_departures(road, scenario, scenes, warm_up)),
+        VIEW: _view(road, scenes),
+        "episode.sumocfg": _configuration(inputs, "recorded.fcd.xml", step, length, stops),
+        "traffic.sumocfg": _configuration(driven, "ego.fcd.xml", step, warm_up + length, later_stops),
+    }
+    folder.mkdir(parents=True, exist_ok=True)
+    shutil.copyfile(road.net_file, folder / inputs["net-file"])
+    for name, root in contents.items():
+        ElementTree.indent(root)
+        ElementTree.ElementTree(root).write(folder / name, encoding="utf-8", xml_declaration=True)
+    return [folder / name for name in (inputs["net-file"], *contents)]
 
 
 def _floating_car_data(
@@ -101,10 +103,18 @@ def _floating_car_data(
             lane_id, position = ways[name].locate(x, y)
             kind = _type(shown.get(name, "car"), scene.sizes.get(name))
             ElementTree.SubElement(
-                now, "vehicle", id=name, x=f"{x:.3f}", y=f"{-y:.3f}",
-                angle=f"{(math.degrees(heading) + 90.0) % 360.0:.3f}", type=kind,
-                speed=f"{float(scene.speed[row]):.3f}", pos=f"{position:.3f}", lane=lane_id, slope="0",
-            )  # fmt: skip
+                now,
+                "vehicle",
+                id=name,
+                x=f"{x:.3f}",
+                y=f"{-y:.3f}",
+                angle=f"{(math.degrees(heading) + 90.0) % 360.0:.3f}",
+                type=kind,
+                speed=f"{float(scene.speed[row]):.3f}",
+                pos=f"{position:.3f}",
+                lane=lane_id,
+                slope="0",
+            )
     return root
 
 
@@ -158,10 +168,16 @@ def _departures(
         limit = road.road.lane(spec.lane).speed_limit
         desired = max(min(spec.target_speed, limit), 0.01)
         vehicle = ElementTree.Element(
-            "vehicle", id=spec.id, type=spec.driver.type, depart=f"{time:.2f}", departLane=index,
-            departPos=f"{position:.3f}", departSpeed=f"{min(spec.speed, desired):.3f}", insertionChecks="none",
+            "vehicle",
+            id=spec.id,
+            type=spec.driver.type,
+            depart=f"{time:.2f}",
+            departLane=index,
+            departPos=f"{position:.3f}",
+            departSpeed=f"{min(spec.speed, desired):.3f}",
+            insertionChecks="none",
             speedFactor=f"{desired / limit:.6f}",
-        )  # fmt: skip
+        )
         ElementTree.SubElement(vehicle, "route", edges=" ".join(edges[edges.index(edge) :]))
         vehicles.append(vehicle)
     return types + vehicles
@@ -198,28 +214,29 @@ def _view(road: Network, scenes: Sequence[Scene]) -> ElementTree.Element:
 
 
 def _configuration(
-    inputs: Mapping[str, str],
-    replayed: Path,
-    view: Path,
-    step: float,
-    end: float,
-    stops: Sequence[float],
+    inputs: Mapping[str, str], replayed: str, step: float, end: float, stops: Sequence[float]
 ) -> ElementTree.Element:
     """A .sumocfg with files relative to it, so that the folder can be moved; sumo-gui pauses at `stops` [s]."""
     options = {
         "input": inputs,
         "time": {"begin": "0", "end": f"{end:g}", "step-length": f"{step:g}"},
         "processing": {
-            "collision.action": "none", "collision.check-junctions": "true", "collision.mingap-factor": "0",
-            "time-to-teleport": "-1", "lanechange.duration": "0.8", "default.speeddev": "0",
+            "collision.action": "none",
+            "collision.check-junctions": "true",
+            "collision.mingap-factor": "0",
+            "time-to-teleport": "-1",
+            "lanechange.duration": "0.8",
+            "default.speeddev": "0",
         },
-        "fcd_replay": {"device.fcd-replay.file": replayed.name},
+        "fcd_replay": {"device.fcd-replay.file": replayed},
         "report": {"no-step-log": "true", "no-warnings": "true", "duration-log.disable": "true"},
         "gui_only": {
-            "gui-settings-file": view.name, "start": "true", "window-size": ",".join(map(str, WINDOW)),
+            "gui-settings-file": VIEW,
+            "start": "true",
+            "window-size": ",".join(map(str, WINDOW)),
             "breakpoints": ",".join(f"{time:g}" for time in dict.fromkeys(stops) if time > 0),
         },
-    }  # fmt: skip
+    }
     root = ElementTree.Element("configuration")
     for section, values in options.items():
         group = ElementTree.SubElement(root, section)
@@ -232,8 +249,3 @@ def _element(tag: str, *children: ElementTree.Element) -> ElementTree.Element:
     root = ElementTree.Element(tag)
     root.extend(children)
     return root
-
-
-def _write(path: Path, root: ElementTree.Element) -> None:
-    ElementTree.indent(root)
-    ElementTree.ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)

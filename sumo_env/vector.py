@@ -67,8 +67,7 @@ class SumoVectorEnv(_Base):
             raise ValueError(f"num_envs must be at least 1, not {num_envs}")
         self._pool = ThreadPoolExecutor(num_envs, thread_name_prefix="sumo_env")
         self._ahead = [
-            _Ahead(DrivingEnv(task, config, render_mode, SumoProcess()), self._pool)
-            for _ in range(num_envs)
+            _Ahead(DrivingEnv(task, config, render_mode, SumoProcess()), self._pool) for _ in range(num_envs)
         ]
         made = iter(self._ahead)
         super().__init__([lambda: next(made)] * num_envs, autoreset_mode=autoreset_mode)

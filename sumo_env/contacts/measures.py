@@ -21,7 +21,7 @@ TTC_RADIUS = 100.0  # [m] vehicles that are further from the ego are not looked 
 CORRIDOR_HALF_WIDTH, CORRIDOR_LENGTH = 2.0, 60.0  # [m] where a leader is looked for, from centre to centre
 MIN_SPEED = 0.1  # [m/s] below it a headway means nothing
 PARALLEL = 1e-12  # [m/s] relative speed along an axis that counts as none
-APART = DIAGONAL * DIAGONAL + 1e-3  # [m2] cars whose centres are further apart, squared, are surely out of touch
+APART = DIAGONAL * DIAGONAL + 1e-3  # [m2] squared distance of centres: further apart, cars do not touch
 
 
 def ego_ttc(ego: State, others: Iterable[State], horizon: float = HORIZON) -> float:

@@ -103,8 +103,10 @@ class Renderer:
         if self._road is not road:
             self._road, paint = road, markings(road)
             self._layers = (
-                _Layer(paint.rims, WHITE), _Layer(paint.surfaces, ASPHALT), _Layer(paint.dashes, WHITE)
-            )  # fmt: skip
+                _Layer(paint.rims, WHITE),
+                _Layer(paint.surfaces, ASPHALT),
+                _Layer(paint.dashes, WHITE),
+            )
             self._tiles.clear()
         if self._scale != scale:
             self._scale = scale

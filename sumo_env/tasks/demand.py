@@ -30,8 +30,26 @@ Router = Callable[
     [str, str, Sequence[str], str], Edges
 ]  # from edge, to edge, via edges, vehicle class -> route
 
-HERE = {"id", "type", "route", "depart", "departLane", "departPos", "departSpeed", "begin", "end", "number", "period",
-        "vehsPerHour", "perHour", "probability", "from", "to", "via", "speedFactor"}  # fmt: skip
+HERE = {
+    "id",
+    "type",
+    "route",
+    "depart",
+    "departLane",
+    "departPos",
+    "departSpeed",
+    "begin",
+    "end",
+    "number",
+    "period",
+    "vehsPerHour",
+    "perHour",
+    "probability",
+    "from",
+    "to",
+    "via",
+    "speedFactor",
+}
 WITHOUT_MEANING = {
     "color",
     "line",

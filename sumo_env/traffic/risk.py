@@ -89,9 +89,13 @@ def draw_events(
                     )
                 else:
                     event = RiskEvent(
-                        time, vehicle, "surge",
-                        accel=rates.surge_accel, duration=rates.surge_duration, way=rates.surge_way,
-                    )  # fmt: skip
+                        time,
+                        vehicle,
+                        "surge",
+                        accel=rates.surge_accel,
+                        duration=rates.surge_duration,
+                        way=rates.surge_way,
+                    )
                 events.append(event)
     return tuple(sorted(events, key=lambda event: (event.time, event.vehicle, event.kind)))
 

@@ -136,9 +136,8 @@ class DrivingEnv(ReadAsHighwayEnv):
                 f"reset's options are 'config' and either 'scenario' or {', '.join(map(repr, VARIED))}, not {options!r}"
             )
         # also without options: users of highway-env write to env.unwrapped.config directly
-        override = options.get("config")
-        if override or self.config != self._configured:
-            self.configure(override)
+        if options.get("config") or self.config != self._configured:
+            self.configure(options.get("config"))
         varied = {part: options[part] for part in VARIED if part in options}
         self._drawn_by = task = self.task.varied(varied) if varied else self.task
         try:

@@ -46,7 +46,7 @@ from PIL import Image
 from experiments.backends import make_env
 from experiments.study import grid, store
 from experiments.study.avoid import HORIZON, SAFE, Moment, Rewound, Search
-from experiments.study.avoidable import GROUP, judge_all, sample, shares
+from experiments.study.avoidable import judge_all, sample, shares
 from experiments.study.cell import MakeEnv
 from experiments.study.evaluate import play
 from experiments.study.packed import MANIFEST
@@ -320,13 +320,11 @@ def _avoid_all(options: Options, make_env: MakeEnv) -> int:
         raise disk_error(error, file) from None
     if table.empty:
         raise UserError("none of the crashes could be driven again")
-    found = shares(table)
-    found["share"] = [f"{row.share:.0%} [{row.low:.0%}, {row.high:.0%}]" for row in found.itertuples()]
-    found["before"] = found["before"].map("{:g} s before".format)
-    print(found.pivot(index=[*GROUP, "agents", "crashes"], columns="before", values="share").to_string())
+    print(shares(table).to_string())
     print(
-        "share of crashes that a search which knows the future avoids, and Wilson's 95 % interval over crashes"
+        "share of the crashes that can be avoided so long before the contact, by a search that knows the future,"
     )
+    print("with Wilson's 95 % interval over crashes; until_end: only up to the end of the episode")
     print(f"written: {file}")
     return 0
 

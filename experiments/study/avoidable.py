@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from experiments.study.arms import TRAFFICS
-from experiments.study.avoid import Rewound, Search
+from experiments.study.avoid import SAFE, Rewound, Search
 from experiments.study.cell import MakeEnv
 from experiments.study.evaluate import COLUMNS
 from experiments.study.results import Results
@@ -55,7 +55,8 @@ def judge_all(
     """Search the crashes; one row each, which the file keeps.
 
     Added columns: contact [s], last: the last moment from which it can be avoided [s], missing if there is none in the
-    last seconds of BEFORE; avoided_by: the actions then, a digit each; contacts: in all searches.
+    last seconds of BEFORE; avoided_by: the actions then, a digit each; clear: how long they are followed [s], less than
+    SAFE where the episode ends before; contacts: in all searches.
     """
     stored = {(row["cell"], row["traffic"], row["scenario"]): row for row in crashes.to_dict("records")}
     envs: dict[str, gym.Env[Any, Any]] = {}  # by what they are made of
@@ -78,6 +79,7 @@ def judge_all(
             "contact": crash.contact,
             "last": found.time if found else None,
             "avoided_by": "".join(map(str, found.actions or ())) if found else "",
+            "clear": len(found.actions or ()) / crash.frequency if found else None,
             "contacts": sum(moment.contacts for moment in moments),
         }
 
@@ -91,20 +93,29 @@ def judge_all(
 
 
 def shares(table: pd.DataFrame) -> pd.DataFrame:
-    """Of each setting, arm and time before the contact: crashes, share that can be avoided, and its 95 % interval.
+    """One row a setting and arm: agents, crashes, and the share that can be avoided so long before the contact.
 
-    Wilson's intervals over crashes: they hold for these agents, and are too narrow for others of their arm.
+    With Wilson's 95 % intervals over crashes: they hold for these agents, and are too narrow for others of their arm.
+    until_end: how many of the crashes are avoided only up to the end of the episode, and not for SAFE seconds.
     """
     import pandas as pd
-    from scipy.stats import binomtest
 
     rows = []
     for group, crashes in table.groupby(GROUP):
-        for before in BEFORE:
-            avoided = int((crashes["contact"] - crashes["last"] <= before).sum())
-            interval = binomtest(avoided, len(crashes)).proportion_ci(method="wilson")
-            rows.append({
-                **dict(zip(GROUP, group, strict=True)), "before": before, "agents": crashes["cell"].nunique(),
-                "crashes": len(crashes), "share": avoided / len(crashes), "low": interval.low, "high": interval.high,
-            })  # fmt: skip
-    return pd.DataFrame(rows)
+        margin = crashes["contact"] - crashes["last"]  # NaN where nothing was found
+        row = {
+            **dict(zip(GROUP, group, strict=True)),
+            "agents": crashes["cell"].nunique(),
+            "crashes": len(crashes),
+        }
+        row |= {f"{before:g} s": _share(margin <= before) for before in BEFORE}
+        rows.append({**row, "until_end": int((crashes["clear"] < SAFE).sum())})
+    return pd.DataFrame(rows).set_index(GROUP)
+
+
+def _share(avoided: pd.Series) -> str:
+    """A share in per cent, and its interval."""
+    from scipy.stats import binomtest
+
+    interval = binomtest(int(avoided.sum()), len(avoided)).proportion_ci(method="wilson")
+    return f"{avoided.mean():.0%} [{100 * interval.low:.0f}, {100 * interval.high:.0f}]"

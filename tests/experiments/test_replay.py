@@ -228,7 +228,7 @@ def test_the_shares_of_a_folder_are_those_of_its_crashes(cells, tmp_path, capsys
     assert len(table) == min(2, int(agents["crashed"].sum())) > 0
     assert set(table["cell"]) == {cells[0].name}  # of agents alone
     assert len(made) == 1
-    assert "1 s before" in printed
+    assert "until_end" in printed
     assert f"{(table['contact'] - table['last'] <= 1).mean():.0%} [" in printed
     again = pd.read_parquet(file)
     assert replay(asked, counted) == 0

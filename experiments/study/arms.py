@@ -13,16 +13,13 @@ TRAFFICS: dict[str, float] = {"regular": 0.0, "risky": 1.0}  # dose of risk in t
 # interaction; "penalty" in regular traffic with a doubled penalty for crashes: a positive control, whose effect has
 # to be found.
 # The arms of DRAWN have another dose in every training episode, and here its mean.
-EXTRA_ARMS: dict[str, float] = {
-    "dose25": 0.25, "dose50": 0.5, "dose75": 0.75, "dense": 0.0, "penalty": 0.0, "mixed": 0.5, "drawn": 0.5,
-    "mixed-seen": 0.5,
-}  # fmt: skip
+DOSE_TRAFFICS: dict[str, float] = {"dose25": 0.25, "dose50": 0.5, "dose75": 0.75}
 DRAWN = ("mixed", "drawn", "mixed-seen")
+EXTRA_ARMS: dict[str, float] = {**DOSE_TRAFFICS, "dense": 0.0, "penalty": 0.0, **dict.fromkeys(DRAWN, 0.5)}
 # What an arm changes about the learner: "mixed-seen" observes the dose, also in the test.
 ARM_PROFILES = {"mixed-seen": {"dose_observed": True}}
 DOSES: dict[str, float] = {**ARMS, **EXTRA_ARMS}
 DOSE_ARMS = ("control", "dose25", "dose50", "dose75", "treatment")
-DOSE_TRAFFICS: dict[str, float] = {"dose25": 0.25, "dose50": 0.5, "dose75": 0.75}
 ALL_TRAFFICS: dict[str, float] = {**TRAFFICS, **DOSE_TRAFFICS}
 
 

@@ -31,9 +31,7 @@ from sumo_env.traffic.scenario import Scenario
 
 SCENARIOS, STEPS = 2, 4
 DECIMALS = 2  # of metres and metres per second
-LIGHTEST_ALONE = (
-    "highway-env",
-)  # backends that are too slow for the fingerprint to cover the heaviest traffic too
+LIGHTEST_ALONE = ("highway-env",)  # too slow for the fingerprint to cover the heaviest traffic too
 TABLE = Path(__file__).with_name("fingerprints.json")
 
 
@@ -56,8 +54,7 @@ def fingerprint(backend: str, task: str, config: dict[str, Any] | None = None) -
 
 def _table() -> dict[str, dict[str, dict[str, str]]]:
     """`name` and `behaviour` by backend and task."""
-    table: dict[str, dict[str, dict[str, str]]] = json.loads(TABLE.read_text())
-    return table
+    return json.loads(TABLE.read_text())
 
 
 @cache
@@ -103,11 +100,11 @@ def checksum(scenario: Scenario) -> int:
     Of the vehicles only the first five count: some simulators leave out those that the ego cannot reach.
     """
     specs = (scenario.ego, *scenario.vehicles[:5], *(spawn.vehicle for spawn in scenario.spawns))
-    drawn = [
-        (v.id, v.lane, round(v.s, 6), round(v.speed, 6), round(v.target_speed, 6), v.destination,
-         *(round(value, 6) for value in (v.driver.delta, v.driver.accel, v.driver.tau, v.driver.min_gap)))
-        for v in specs
-    ]  # fmt: skip
+    drawn = []
+    for v in specs:
+        place = (v.id, v.lane, round(v.s, 6), round(v.speed, 6), round(v.target_speed, 6), v.destination)
+        driver = (v.driver.delta, v.driver.accel, v.driver.tau, v.driver.min_gap)
+        drawn.append((*place, *(round(value, 6) for value in driver)))
     events = [(round(event.time, 6), event.vehicle, event.kind) for event in scenario.events]
     return zlib.crc32(repr((drawn, events)).encode())
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import importlib.metadata
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from functools import cache
 from typing import Any
 
@@ -40,10 +40,10 @@ LEARNER = "dqn"
 HIGHWAY_ENV = {"simulation_frequency": 15, "variant": "path"}
 BACKEND_KEYS = ("variant", "risk_law")  # keys that only the replica and highway-env have
 MARKS = (1 / 3, 2 / 3)  # shares of the budget after which an agent can be tested as well
-# Settings that say how an episode is drawn or which arm is meant, not what is simulated.
-NOT_IN_KEY = {
-    "risk", "screen_width", "screen_height", "scaling", "centering_position", "show_trajectories",
-}  # fmt: skip
+# Keys of the environments that say how an episode is drawn or which arm is meant, not what is simulated.
+PICTURES = {"screen_width", "screen_height", "scaling", "centering_position", "show_trajectories"}
+FREE = {"risk", *PICTURES}
+NOT_IN_KEY = {"source", "early_tests"}  # fields of a cell
 
 
 @dataclass(frozen=True)
@@ -82,21 +82,11 @@ class Cell:
 
     def key(self) -> dict[str, Any]:
         """All of it as plain JSON values; what cell.json stores."""
-        more = {"trained_with": self.trained_with, "test_on": self.test_on}
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
         return {
-            "kind": self.kind,
-            "backend": self.backend,
-            "task": self.task,
-            "level": self.level,
-            "level_name": self.level_name,
-            "arm": self.arm,
-            "seed": self.seed,
-            "policy": self.policy,
-            "profile": dict(self.profile),
-            "env_config": dict(self.env_config),
-            "eval": dict(self.eval),
-            "dynamics": self.dynamics,
-            **{name: dict(value) for name, value in more.items() if value},
+            name: dict(value) if isinstance(value, Mapping) else value
+            for name, value in values.items()
+            if name not in NOT_IN_KEY and (value or name not in ("trained_with", "test_on"))
         }
 
     @property
@@ -231,8 +221,7 @@ def versions(backend: str, runs_on: str | None = None) -> dict[str, Any]:
     Raises:
         UserError: a package that the cell needs is not installed.
     """
-    simulators = dict.fromkeys((SIMULATORS[backend], SIMULATORS[runs_on or backend]))
-    names = ["sumo-risky-driving", *simulators, "numpy", "torch"]
+    names = ("sumo-risky-driving", SIMULATORS[backend], SIMULATORS[runs_on or backend], "numpy", "torch")
     return {"schema": RESULT_SCHEMA, **{name: _installed(name) for name in names}}
 
 
@@ -254,21 +243,20 @@ def env_config(
         UserError: an unknown key or a wrong value.
     """
     names = level_names(task)
-    if free := NOT_IN_KEY.intersection(changes or {}):
+    common = dict(changes or {})
+    own = {name: common.pop(name) for name in BACKEND_KEYS if name in common}
+    if own and backend == "sumo":
+        raise UserError(f"{', '.join(own)} is a key of the backends replica and highway-env, not of sumo")
+    if free := FREE.intersection(common):
         raise UserError(
             f"{', '.join(sorted(free))} cannot be set for an experiment: it is drawn or has no meaning there"
         )
-    more = {} if backend == "sumo" else HIGHWAY_ENV
-    own = {name: value for name, value in (changes or {}).items() if name in BACKEND_KEYS}
-    if own and backend == "sumo":
-        raise UserError(f"{', '.join(own)} is a key of the backends replica and highway-env, not of sumo")
-    common = {name: value for name, value in (changes or {}).items() if name not in own}
     try:
-        settings = resolve(task, TASKS[task].defaults, TASKS[task].levels[names[level - 1]], common)
+        config = resolve(task, TASKS[task].defaults, TASKS[task].levels[names[level - 1]], common)
     except ConfigError as error:
         raise UserError(str(error)) from None
-    settings = {name: value for name, value in settings.items() if name not in NOT_IN_KEY}
-    return {**settings, **more, **own}
+    config = {name: value for name, value in config.items() if name not in FREE}
+    return {**config, **({} if backend == "sumo" else HIGHWAY_ENV), **own}
 
 
 def choose_tasks(wanted: Sequence[str]) -> tuple[str, ...]:
@@ -390,19 +378,20 @@ class Ask:
 def build(ask: Ask) -> list[Cell]:
     """The cells of an experiment: on each task and level the arms of every training seed, and the baselines."""
     cells: list[Cell] = []
+    drivers = dict.fromkeys((*BASELINES, *(CAUTIONS if ask.frontier else ())))
     for task, level in ((task, level) for task, levels in ask.levels.items() for level in levels):
         common = ask.cell(task, level)
-        learner = replace(
-            common, kind="agent", policy=LEARNER, source=ask.network, early_tests=ask.early_tests,
-            profile={"preset": ask.preset, **ask.profiles[task]},
-        )  # fmt: skip
         agents = [
             replace(
-                learner,
+                common,
+                kind="agent",
                 arm=arm,
                 seed=seed,
+                policy=LEARNER,
+                profile={**common.profile, **ask.profiles[task], **ARM_PROFILES.get(arm, {})},
+                source=ask.network,
                 trained_with=different,
-                profile={**learner.profile, **ARM_PROFILES.get(arm, {})},
+                early_tests=ask.early_tests,
             )
             for seed in range(ask.first_seed, ask.first_seed + ask.seeds)
             for arm in dict.fromkeys(ask.arms)
@@ -410,7 +399,6 @@ def build(ask: Ask) -> list[Cell]:
         ]
         cells += agents
         cells += [test for agent in agents for test in ask.further_tests(agent)]
-        drivers = dict.fromkeys((*BASELINES, *(CAUTIONS if ask.frontier else ())))
         cells += [replace(common, policy=policy) for policy in drivers]
         cells += [
             replace(common, policy=label, source=source, profile={**common.profile, "policy_sha256": digits})

@@ -37,10 +37,9 @@ def read(path: Path) -> dict[str, Any] | None:
         return None
 
 
-def covers(record: Mapping[str, Any], marks: Mapping[str, str]) -> bool:
-    """Whether a verdict is of these versions and of these dynamics (task -> fingerprint)."""
-    known = record["fingerprints"]
-    return record["versions"] == versions() and all(known.get(task) == mark for task, mark in marks.items())
+def covers(record: Mapping[str, Any], fingerprints: Mapping[str, str]) -> bool:
+    """Whether a verdict is of these versions and of these dynamics, by task."""
+    return record["versions"] == versions() and fingerprints.items() <= record["fingerprints"].items()
 
 
 def every_check(found: Mapping[str, Any]) -> list[tuple[str, str, dict[str, Any]]]:
@@ -81,13 +80,15 @@ def verdict_of(record: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def verdict(backend: str, source: str, tasks: Mapping[str, Any], marks: Mapping[str, str]) -> dict[str, Any]:
+def verdict(
+    backend: str, source: str, tasks: Mapping[str, Any], fingerprints: Mapping[str, str]
+) -> dict[str, Any]:
     """A verdict as plain JSON values, of the versions that are installed."""
     return {
         "schema": SCHEMA,
         "backend": backend,
         "source": source,
         "versions": versions(),
-        "fingerprints": dict(marks),
+        "fingerprints": dict(fingerprints),
         "tasks": dict(tasks),
     }

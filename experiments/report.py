@@ -15,18 +15,10 @@ Exit status: 0 written, 2 the directory holds no results, or cannot be written.
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
-if __package__ in (None, ""):  # run as a file: import from the project, not from this folder
-    sys.path[0] = str(Path(__file__).resolve().parents[1])
-
-from experiments.support.threads import limit_threads
-
-limit_threads()
-
 import json
+import sys
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated
 
 import tyro
@@ -165,9 +157,7 @@ def print_report(directory: Path, *others: Path, plan: int = DEFAULT.version) ->
 
 def pack_cells(directory: Path) -> None:
     """Pack the finished settings of a directory and say what was done."""
-    from experiments.study.pack import pack
-
-    names, unfinished = pack(directory)
+    names, unfinished = store.pack(directory)
     print(f"{len(names)} cells packed into the tables of {directory}, and read back equal")
     for setting, missing in unfinished.items():
         print(f"{setting} is not packed: {missing} of its cells are missing")

@@ -8,12 +8,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from experiments.study.packed import read_packed
 from experiments.study.store import (
     EPISODES,
     GATES,
     MARKS,
-    TABLES,
     TRAINING,
     DamagedCell,
     check_results,
@@ -21,7 +19,7 @@ from experiments.study.store import (
     read_failures,
     read_stored,
     read_sweeps,
-    read_table,
+    tables_of,
     weights_file,
 )
 from experiments.support.errors import UserError
@@ -79,48 +77,34 @@ def load(directory: Path, skip_damaged: bool = False) -> Results:
     import pandas as pd
 
     directory = Path(directory)
-    cells: dict[str, dict[str, Any]] = {}
-    agents: list[dict[str, Any]] = []
-    parts: dict[str, dict[str, pd.DataFrame]] = {file: {} for file in TABLES}  # by file, then by cell
-    damaged: dict[str, str] = {}
     check_results(directory)
-    packed = read_packed(directory)
-    rows = {file: table for file in TABLES if (table := packed.table(file)) is not None}
-    of_cell = {file: dict(iter(table.groupby("cell"))) for file, table in rows.items()}
+    cells: dict[str, dict[str, Any]] = {}
+    tables: dict[str, dict[str, pd.DataFrame]] = {}
+    damaged: dict[str, str] = {}
     for name in finished(directory):
-        path = directory / "cells" / name
         try:
-            record = read_stored(directory, name)
-            if path.is_dir():
-                there = [file for file in TABLES if file in record["files"] and (path / file).exists()]
-                tables = {file: read_table(path / file) for file in there}
-            else:
-                known = {file: rows[name] for file, rows in of_cell.items() if name in rows}
-                tables = {file: rows.drop(columns="cell") for file, rows in known.items()}
+            cells[name], tables[name] = read_stored(directory, name), tables_of(directory, name)
         except DamagedCell as error:
             if not skip_damaged:
                 raise
             damaged[name] = str(error)
-            continue
-        columns = {column: {**record["key"], "cell": name}.get(column) for column in KEY_COLUMNS}
-        columns["preset"] = record["key"]["profile"].get("preset")
-        cells[name] = record
-        agents.append({**columns, **_scalars(record["key"]["profile"]), **_learner(record)})
-        for file, table in tables.items():
-            parts[file][name] = table
-    if damaged and not cells:
-        raise UserError(next(iter(damaged.values())))
     if not cells:
-        raise UserError(f"{directory} holds no finished cell yet: run the sweep first")
+        reason = f"{directory} holds no finished cell yet: run the sweep first"
+        raise UserError(next(iter(damaged.values()), reason))
     # A baseline has neither arm nor seed: types that know missing values keep seeds whole numbers.
-    known = pd.DataFrame(agents).astype({"arm": "str", "seed": "Int64"})
+    agents = pd.DataFrame([_row(name, record) for name, record in cells.items()])
+    agents = agents.astype({"arm": "str", "seed": "Int64"})
+    episodes, gates, training, marks = (
+        _concatenate({name: own[file] for name, own in tables.items() if file in own}, agents)
+        for file in (EPISODES, GATES, TRAINING, MARKS)
+    )
     return Results(
         directory=directory,
-        agents=known,
-        episodes=_concatenate(parts[EPISODES], known),
-        gate_episodes=_concatenate(parts[GATES], known),
-        training=_concatenate(parts[TRAINING], known),
-        marks=_concatenate(parts[MARKS], known),
+        agents=agents,
+        episodes=episodes,
+        gate_episodes=gates,
+        training=training,
+        marks=marks,
         cells=cells,
         failed=read_failures(directory),
         expected=tuple(name for sweep in read_sweeps(directory) for name in sweep["cells"]),
@@ -142,20 +126,15 @@ def _concatenate(tables: Mapping[str, pd.DataFrame], agents: pd.DataFrame) -> pd
     return pd.concat([keys.loc[cells].reset_index(drop=True), rows], axis=1)
 
 
-def _scalars(profile: Mapping[str, Any]) -> dict[str, Any]:
-    return {name: value for name, value in profile.items() if not isinstance(value, list | dict)}
-
-
-def _learner(record: Mapping[str, Any]) -> dict[str, Any]:
-    learner = record.get("learner")
-    if not learner:
-        return {}
-    probe = learner.get("probe_q", [])
-    return {
-        "updates": learner.get("updates"),
-        "episodes": learner.get("episodes"),
-        "q_bound": learner.get("q_bound"),
+def _row(name: str, record: Mapping[str, Any]) -> dict[str, Any]:
+    """A cell's row of `Results.agents`."""
+    key, learner = {**record["key"], "cell": name}, record.get("learner")
+    row = {column: key.get(column) for column in KEY_COLUMNS}
+    row |= {column: value for column, value in key["profile"].items() if not isinstance(value, list | dict)}
+    row["preset"] = key["profile"].get("preset")
+    if learner:
+        row |= {column: learner.get(column) for column in ("updates", "episodes", "q_bound")}
         # JSON knows no infinity: a diverged agent's value is stored as null
-        "max_abs_q": max((math.inf if row[2] is None else row[2] for row in probe), default=None),
-        "weights_sha256": learner.get("weights_sha256"),
-    }
+        largest = (math.inf if look[2] is None else look[2] for look in learner.get("probe_q", []))
+        row |= {"max_abs_q": max(largest, default=None), "weights_sha256": learner.get("weights_sha256")}
+    return row

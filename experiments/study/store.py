@@ -3,29 +3,28 @@
 DIR/cells/<cell>/     cell.json, episodes.parquet; but for further tests of an agent gates.parquet; for agents also
                       training.parquet, marks.parquet (tests at parts of the budget), weights.npz
 DIR/packed.json, *.parquet, weights/   finished cells of which the folders may be removed (see `packed`)
-DIR/work/<cell>/      a cell in progress: checkpoint, lock, log (see `attempt`); failed.json if it was given up
+DIR/work/<cell>/      a cell in progress: checkpoint, lock, log (see `run`); failed.json if it was given up
 DIR/damaged/          what was put aside because it was damaged
 DIR/sweep.json        what sweeps have asked for
-DIR/PUBLISHED.md      allows that weights and training episodes are missing; its heading is the name of DIR in reports
+DIR/PUBLISHED.md      its heading is the name of DIR in reports
 
 `results` reads all of it as tables.
 """
 
 from __future__ import annotations
 
-import io
-import itertools
 import json
 import os
 import shutil
 import socket
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from experiments.study.grid import RESULT_SCHEMA, Cell, cell_name
-from experiments.study.packed import MANIFEST, read_packed
+from experiments.study.grid import RESULT_SCHEMA, Cell, cell_name, setting
+from experiments.study.packed import MANIFEST, add, as_parquet, read_packed
 from experiments.support.errors import UserError
 from experiments.support.files import alone, publish, sha256_bytes, sha256_file, write_file, write_json
 
@@ -35,29 +34,12 @@ if TYPE_CHECKING:
 CELL, EPISODES, GATES = "cell.json", "episodes.parquet", "gates.parquet"
 TRAINING, MARKS, WEIGHTS = "training.parquet", "marks.parquet", "weights.npz"
 TABLES = (EPISODES, GATES, TRAINING, MARKS)
-FAILED = "failed.json"
-PUBLISHED = "PUBLISHED.md"
-SWEEPS = "sweep.json"
-UNPUBLISHED = {
-    TRAINING,
-    WEIGHTS,
-}  # files that a published directory may lack: the analysis does not need them
-COMPACT: dict[str, Any] = {"compression": "zstd", "write_statistics": False, "store_schema": False}
+FAILED, SWEEPS, PUBLISHED = "failed.json", "sweep.json", "PUBLISHED.md"
 # Columns of gates.parquet and marks.parquet, all that is analysed of those episodes.
-GATE_COLUMNS = (
-    "traffic", "scenario", "return", "length", "crashed", "mean_speed", "distance", "near_misses",
-    "action_0", "action_1", "action_2", "action_3", "action_4",
-)  # fmt: skip
-MARK_COLUMNS = (
-    "mark", "traffic", "scenario", "return", "length", "crashed", "mean_speed", "distance", "near_misses", "crash_time",
-)  # fmt: skip
-NEEDED = {
-    "baseline": {EPISODES, GATES},
-    "agent": {EPISODES, GATES, TRAINING, WEIGHTS},  # and MARKS, which cells of earlier versions lack
-    "test": {EPISODES},
-}
+_JUDGED = "traffic scenario return length crashed mean_speed distance near_misses"
+GATE_COLUMNS = (*_JUDGED.split(), *(f"action_{number}" for number in range(5)))
+MARK_COLUMNS = ("mark", *_JUDGED.split(), "crash_time")
 HEAD = '{\n "checksum": "%s",\n'  # of cell.json
-ENTRIES = {"schema", "key", "versions", "source", "learner", "timing", "provenance", "files"}  # of cell.json
 
 
 class DamagedCell(UserError):
@@ -71,7 +53,7 @@ class DamagedCell(UserError):
 
 
 class Store:
-    """The result directory of an experiment.
+    """The result directory of an experiment, to be written.
 
     Raises:
         OSError: it cannot be made or written.
@@ -111,21 +93,16 @@ class Store:
         shutil.rmtree(staged, ignore_errors=True)
         staged.mkdir(parents=True)
         for name, content in files.items():
-            if isinstance(content, Path):
-                data = content.read_bytes()
-            else:
-                buffer = io.BytesIO()
-                content.to_parquet(buffer, index=False, **COMPACT)
-                data = buffer.getvalue()
-            write_file(staged / name, data)
-        checksums = {name: sha256_file(staged / name) for name in sorted(files)}
+            write_file(
+                staged / name, content.read_bytes() if isinstance(content, Path) else as_parquet(content)
+            )
         value = {
             "schema": RESULT_SCHEMA,
             "key": cell.key(),
             "versions": cell.versions,
             "source": cell.source,
             **record,
-            "files": checksums,
+            "files": {name: sha256_file(staged / name) for name in sorted(files)},
         }
         write_file(staged / CELL, seal(value))
         publish(staged, self.cells / cell.name)
@@ -141,14 +118,16 @@ class Store:
         wanted = dict.fromkeys(cell.name for cell in cells)
         settings = tuple({f"{cell.setting}-" for cell in cells})
         with alone(self.directory):
-            sweeps = []
             there = set(finished(self.directory))
-            for sweep in read_sweeps(self.directory):
-                kept = [
-                    name for name in sweep["cells"]
-                    if name not in wanted and (name in there or not name.startswith(settings))
-                ]  # fmt: skip
-                sweeps += [{**sweep, "cells": kept}] if kept else []
+
+            def stays(name: str) -> bool:
+                return name not in wanted and (name in there or not name.startswith(settings))
+
+            before = [
+                {**sweep, "cells": [name for name in sweep["cells"] if stays(name)]}
+                for sweep in read_sweeps(self.directory)
+            ]
+            sweeps = [sweep for sweep in before if sweep["cells"]]
             sweeps.append({"command": command, "cells": list(wanted)})
             write_json(self.directory / SWEEPS, {"sweeps": sweeps})
 
@@ -168,14 +147,18 @@ class Store:
         """Move something damaged to a name of its own in DIR/damaged, and return that."""
         folder = self.directory / "damaged"
         folder.mkdir(exist_ok=True)
-        names = path.relative_to(self.directory).parts
-        for number in itertools.count(1):
-            target = folder / f"{'-'.join(names[1:])}.{number}"
-            if not target.exists():
-                with suppress(FileNotFoundError):  # another sweep was faster
-                    path.rename(target)
-                return target
-        raise AssertionError
+        name, number = "-".join(path.relative_to(self.directory).parts[1:]), 1
+        while (target := folder / f"{name}.{number}").exists():
+            number += 1
+        with suppress(FileNotFoundError):  # another sweep was faster
+            path.rename(target)
+        return target
+
+
+def seal(record: Mapping[str, Any]) -> bytes:
+    """A record as readable JSON whose first entry is the checksum of all bytes that follow."""
+    body = json.dumps(record, indent=1, allow_nan=False).removeprefix("{\n") + "\n"
+    return (HEAD % sha256_bytes(body.encode()) + body).encode()
 
 
 def read_cell(path: Path) -> dict[str, Any]:
@@ -184,27 +167,22 @@ def read_cell(path: Path) -> dict[str, Any]:
     Raises:
         DamagedCell: a file is missing, unreadable or changed.
     """
-    record = _read_sealed(path / CELL)
+    file = path / CELL
     try:
-        files, key, version = record["files"], record["key"], record["versions"]
-        name = cell_name(key, version)
-        needed = NEEDED[key["kind"]]
-    except (KeyError, TypeError) as error:
-        raise DamagedCell(path / CELL, f"{error} is missing") from None
-    if missing := needed - set(files):
-        raise DamagedCell(path / CELL, f"no checksum of {', '.join(sorted(missing))}")
-    if name != path.name:
-        raise DamagedCell(path / CELL, f"its content is that of {name}")
-    published = (path.parents[1] / PUBLISHED).exists()
-    for file, checksum in files.items():
-        if published and file in UNPUBLISHED and not (path / file).exists():
-            continue
-        try:
-            found = sha256_file(path / file)
-        except OSError as error:
-            raise DamagedCell(path / file, error.strerror or "unreadable") from None
-        if found != checksum:
-            raise DamagedCell(path / file, "its checksum does not match")
+        data = file.read_bytes()
+        begin = len(HEAD % ("0" * 64))
+        if data[:begin] != (HEAD % sha256_bytes(data[begin:])).encode():
+            raise DamagedCell(file, "its checksum does not match")
+        record: dict[str, Any] = json.loads(data)
+        del record["checksum"]
+        if (name := cell_name(record["key"], record["versions"])) != path.name:
+            raise DamagedCell(file, f"its content is that of {name}")
+        for file, checksum in ((path / name, checksum) for name, checksum in record["files"].items()):
+            found = sha256_file(file)
+            if found != checksum:
+                raise DamagedCell(file, "its checksum does not match")
+    except OSError as error:
+        raise DamagedCell(file, error.strerror or "unreadable") from None
     return record
 
 
@@ -228,23 +206,6 @@ def check_results(directory: Path) -> None:
         )
 
 
-def read_sweeps(directory: Path) -> list[dict[str, Any]]:
-    """The sweeps that have asked for cells of a directory, with `command` and the names of the `cells`, oldest first.
-
-    Raises:
-        UserError: the note cannot be read.
-    """
-    path = directory / SWEEPS
-    if not path.exists():
-        return []
-    try:
-        return [
-            {"command": sweep["command"], "cells": list(sweep["cells"])} for sweep in _parse(path)["sweeps"]
-        ]
-    except (ValueError, KeyError, TypeError) as error:
-        raise UserError(f"{path} is damaged ({error}): delete this file and run the sweep again") from None
-
-
 def read_stored(directory: Path, name: str) -> dict[str, Any]:
     """cell.json of a finished cell, packed or not, checked. Raises DamagedCell, or KeyError if there is none."""
     path = directory / "cells" / name
@@ -253,11 +214,13 @@ def read_stored(directory: Path, name: str) -> dict[str, Any]:
 
 def tables_of(directory: Path, name: str) -> dict[str, pd.DataFrame]:
     """The tables of a finished cell that are here, by the names of their files. Raises DamagedCell."""
+    import pandas as pd
+
     path = directory / "cells" / name
     if not path.is_dir():
         return read_packed(directory).tables(name)
     files = read_cell(path)["files"]
-    return {file: read_table(path / file) for file in TABLES if file in files and (path / file).exists()}
+    return {file: pd.read_parquet(path / file) for file in TABLES if file in files}
 
 
 def weights_file(directory: Path, name: str) -> Path | None:
@@ -266,60 +229,64 @@ def weights_file(directory: Path, name: str) -> Path | None:
     return own if own.exists() else packed if packed.exists() else None
 
 
+def read_sweeps(directory: Path) -> list[dict[str, Any]]:
+    """The sweeps that have asked for cells of a directory, with `command` and the names of the `cells`, oldest first.
+
+    Raises:
+        UserError: the note cannot be read.
+    """
+    path = directory / SWEEPS
+    try:
+        sweeps = json.loads(path.read_text())["sweeps"]
+        return [{"command": sweep["command"], "cells": list(sweep["cells"])} for sweep in sweeps]
+    except FileNotFoundError:
+        return []
+    except (ValueError, KeyError, TypeError) as error:
+        reason = str(error).partition("\n")[0]
+        raise UserError(f"{path} is damaged ({reason}): delete this file and run the sweep again") from None
+
+
 def read_failures(directory: Path) -> dict[str, str]:
     """Name and reason of the cells that were given up and are not finished since."""
     failures = {}
     there = set(finished(directory))
     for path in sorted(directory.glob(f"work/*/{FAILED}")):
-        name = path.parent.name
-        if name not in there:
-            with suppress(ValueError):  # a note that was cut off: the cell counts as missing
-                failures[name] = str(_parse(path).get("reason"))
+        if path.parent.name not in there:
+            with suppress(
+                ValueError, KeyError, TypeError
+            ):  # a note that was cut off: the cell counts as missing
+                failures[path.parent.name] = str(json.loads(path.read_text())["reason"])
     return failures
 
 
-def read_table(file: Path) -> pd.DataFrame:
-    """A table of a stored cell. Raises DamagedCell."""
-    import pandas as pd
-    import pyarrow
+def pack(directory: Path) -> tuple[list[str], dict[str, int]]:
+    """Pack the cells of all finished settings that are not packed yet; see `packed.add`.
 
-    try:
-        return pd.read_parquet(file)
-    except (OSError, pyarrow.ArrowException) as error:
-        raise DamagedCell(file, str(error).partition("\n")[0]) from None
+    Returns:
+        Names of the cells that were packed now, and the number of missing cells of each setting that is not finished.
 
-
-def seal(record: Mapping[str, Any]) -> bytes:
-    """A record as readable JSON whose first entry is the checksum of all bytes that follow."""
-    body = json.dumps(record, indent=1, allow_nan=False).removeprefix("{\n") + "\n"
-    return (HEAD % sha256_bytes(body.encode()) + body).encode()
-
-
-def _read_sealed(path: Path) -> dict[str, Any]:
-    """What `seal` wrote; or of an earlier version, without a checksum. Raises DamagedCell."""
-    try:
-        record = _parse(path)
-        data = path.read_bytes()
-    except (ValueError, OSError) as error:
-        raise DamagedCell(path, str(error)) from None
-    begin = len(HEAD % ("0" * 64))
-    if data[:begin] == (HEAD % sha256_bytes(data[begin:])).encode():
-        del record["checksum"]
-    elif not record.keys() <= ENTRIES:
-        raise DamagedCell(path, "its checksum does not match")
-    return record
-
-
-def _parse(path: Path) -> dict[str, Any]:
-    """The JSON object in a file. Raises ValueError with the reason in a few words."""
-    try:
-        value = json.loads(path.read_text())
-    except RecursionError:
-        raise ValueError("it cannot be read: it is nested too deeply") from None
-    except FileNotFoundError:
-        raise ValueError("it is missing") from None
-    except (OSError, ValueError) as error:
-        raise ValueError(f"it cannot be read: {str(error).partition(chr(10))[0]}") from None
-    if not isinstance(value, dict):
-        raise ValueError("it is not a JSON object")
-    return value
+    Raises:
+        UserError: no result directory, or a damaged cell or table.
+    """
+    check_results(directory)
+    with alone(directory):
+        there = {name: read_stored(directory, name) for name in finished(directory)}
+        settings = {setting(record["key"]) for record in there.values()}
+        wanted = {name for sweep in read_sweeps(directory) for name in sweep["cells"]}
+        # The longest setting with which a name begins: that of a cell may be the beginning of another's.
+        of = {
+            name: max((known for known in settings if name.startswith(f"{known}-")), key=len, default="")
+            for name in wanted - there.keys()
+        }
+        missing = dict(Counter(filter(None, of.values())))
+        packed = read_packed(directory).records
+        new = [name for name in there if name not in packed and setting(there[name]["key"]) not in missing]
+        files = {name: directory / "cells" / name / WEIGHTS for name in new}
+        if new:
+            add(
+                directory,
+                {name: there[name] for name in new},
+                {name: tables_of(directory, name) for name in new},
+                {name: path for name, path in files.items() if path.exists()},
+            )
+    return new, missing

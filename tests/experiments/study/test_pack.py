@@ -12,13 +12,12 @@ import pytest
 
 from experiments.replay import Options as ReplayOptions
 from experiments.replay import replay
-from experiments.study import pack as packing
-from experiments.study import store
-from experiments.study.attempt import Ended, attempt
+from experiments.study import packed, store
 from experiments.study.cell import CellTask
-from experiments.study.pack import pack
 from experiments.study.packed import CELLS, MANIFEST
 from experiments.study.results import Results, load
+from experiments.study.run import Ended, attempt
+from experiments.study.store import pack
 from experiments.support.errors import UserError
 from experiments.sweep import Options, cells_of, sweep
 from tests.experiments.fake_env import make_env
@@ -137,7 +136,7 @@ def test_what_was_packed_before_survives_a_kill_while_packing(
     shutil.rmtree(results / "cells")
     compute(results, seeds=2)
     before = load(results)
-    write_file, done = packing.write_file, []
+    write_file, done = packed.write_file, []
 
     def killed(path: Path, data: bytes) -> None:
         if len(done) == writes:
@@ -145,7 +144,7 @@ def test_what_was_packed_before_survives_a_kill_while_packing(
         done.append(path)
         write_file(path, data)
 
-    monkeypatch.setattr(packing, "write_file", killed)
+    monkeypatch.setattr(packed, "write_file", killed)
     with pytest.raises(KeyboardInterrupt):
         pack(results)
     assert_same(load(results), before)
@@ -158,9 +157,9 @@ def test_what_was_packed_before_survives_a_kill_while_packing(
 def test_what_does_not_read_back_equal_is_not_believed(
     results: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    to_parquet = packing._parquet
+    to_parquet = packed.as_parquet
     monkeypatch.setattr(
-        packing, "_parquet", lambda table: to_parquet(table.assign(length=1) if "length" in table else table)
+        packed, "as_parquet", lambda table: to_parquet(table.assign(length=1) if "length" in table else table)
     )
     with pytest.raises(UserError, match="does not read back as it was: nothing was packed"):
         pack(results)
@@ -185,7 +184,7 @@ def test_cells_of_earlier_versions_have_no_actions_and_pack_with_others(results:
     """Their tables lack the column; beside others it is missing there."""
     old = next(results.glob("cells/*-idle-*"))
     table = pd.read_parquet(old / store.EPISODES).drop(columns="actions")
-    table.to_parquet(old / store.EPISODES, index=False, **store.COMPACT)
+    (old / store.EPISODES).write_bytes(packed.as_parquet(table))
     record = json.loads((old / store.CELL).read_text())
     record["files"][store.EPISODES] = store.sha256_file(old / store.EPISODES)
     del record["checksum"]

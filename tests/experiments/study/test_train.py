@@ -12,7 +12,7 @@ from experiments.study.arms import ARM_PROFILES, drawn_dose
 from experiments.study.cell import CellTask
 from experiments.study.grid import Cell
 from experiments.study.seeds import training_seed
-from experiments.study.store import EPISODES, GATES, TRAINING, WEIGHTS, Store, read_table
+from experiments.study.store import EPISODES, GATES, TRAINING, WEIGHTS, Store, tables_of
 from experiments.study.train import train_cell
 from tests.experiments.fake_env import FakeEnv, make_env
 
@@ -82,9 +82,9 @@ def test_tests_keep_their_own_clock_and_doses(tmp_path: Path) -> None:
     task = CellTask(cell("mixed", training_clock=[13, 13], finite_horizon=False), tmp_path, make_env)
     assert task.cell.training_config == {"duration": 13}
     task.compute(lambda _: None)
-    stored = Store(tmp_path).cells / task.name
-    assert read_table(stored / EPISODES)["length"].max() <= 10
-    assert set(read_table(stored / EPISODES)["scenario"]) == {50, 51, 52}
-    assert set(read_table(stored / GATES)["scenario"]) == {50, 51, 52}
-    training = read_table(stored / TRAINING)
+    stored = tables_of(tmp_path, task.name)
+    assert stored[EPISODES]["length"].max() <= 10
+    assert set(stored[EPISODES]["scenario"]) == {50, 51, 52}
+    assert set(stored[GATES]["scenario"]) == {50, 51, 52}
+    training = stored[TRAINING]
     assert training["length"].max() > 10 and set(training["risk"]) == {0.0, 1.0}

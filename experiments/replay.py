@@ -23,11 +23,6 @@ from pathlib import Path
 if __package__ in (None, ""):  # run as a file: import from the project, not from this folder
     sys.path[0] = str(Path(__file__).resolve().parents[1])
 
-from experiments.study.arms import TRAFFICS
-from experiments.support.threads import limit_threads
-
-limit_threads()
-
 import difflib
 import math
 import re
@@ -45,6 +40,7 @@ from PIL import Image
 
 from experiments.backends import make_env
 from experiments.study import grid, store
+from experiments.study.arms import TRAFFICS
 from experiments.study.avoid import HORIZON, SAFE, Moment, Rewound, Search
 from experiments.study.avoidable import judge_all, sample, shares
 from experiments.study.cell import MakeEnv

@@ -15,10 +15,14 @@ Exit status: 0 written, 2 the directory holds no results, or cannot be written.
 
 from __future__ import annotations
 
-import json
 import sys
-from dataclasses import dataclass
 from pathlib import Path
+
+if __package__ in (None, ""):  # run as a file: import from the project, not from this folder
+    sys.path[0] = str(Path(__file__).resolve().parents[1])
+
+import json
+from dataclasses import dataclass
 from typing import Annotated
 
 import tyro

@@ -22,34 +22,10 @@ from pathlib import Path
 if __package__ in (None, ""):  # run as a file: import from the project, not from this folder
     sys.path[0] = str(Path(__file__).resolve().parents[1])
 
-from experiments.study.arms import ARMS
-from experiments.support.errors import leave_on_signals
-from experiments.support.threads import limit_threads
-
-limit_threads()
-
-
-def _gather(words: Iterable[str]) -> list[str]:
-    """`--policy A --policy B` as `--policy A B`: of an option that is repeated, tyro would keep the last alone."""
-    values: dict[str, list[str]] = {}
-    name = ""
-    for word in words:
-        if word.startswith("--"):
-            name, *given = word.split("=", 1)
-            values.setdefault(name, []).extend(given)
-        else:
-            values.setdefault(name, []).append(word)
-    return [word for name, given in values.items() for word in ([name] if name else []) + given]
-
-
-if __name__ == "__main__":
-    leave_on_signals()  # the imports below take seconds
-
 import json
 import shlex
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from typing import Annotated, Any
 
@@ -57,24 +33,18 @@ import tyro
 
 from experiments.backends import make_env
 from experiments.study import grid
-from experiments.study.attempt import LOG, locked
+from experiments.study.arms import ARMS
 from experiments.study.cell import SILENCE, CellTask, MakeEnv
-from experiments.study.estimate import START, Rates, duration
+from experiments.study.estimate import START, Rates, duration, rates_of
 from experiments.study.executors import EXECUTORS, cores, open_executor
 from experiments.study.fingerprint import check_dynamics
 from experiments.study.grid import Cell
 from experiments.study.policies import foreign
-from experiments.study.presets import PRESETS, get_preset
+from experiments.study.presets import get_preset
 from experiments.study.progress import Progress
-from experiments.study.run import Interrupted, Stop, run
-from experiments.study.store import DamagedCell, Store, finished, read_stored, weights_file
-from experiments.support.errors import (
-    INTERRUPTED,
-    UserError,
-    disk_error,
-    run_command,
-    unknown,
-)
+from experiments.study.run import LOG, compute_here, run
+from experiments.study.store import DamagedCell, Store, finished, weights_file
+from experiments.support.errors import UserError, disk_error, run_command, unknown
 from experiments.validation.status import before_training
 
 PLACEBO_SEEDS = 4  # control agents at least, to be dealt into two arms
@@ -88,6 +58,9 @@ Validate = Callable[[str, Sequence[str], Path, int, Callable[[str], None]], obje
 def _argument(metavar: str, default: str = "the preset's") -> Any:
     """How an argument is shown in the help text."""
     return tyro.conf.arg(metavar=metavar, help_behavior_hint=f"(default: {default})")
+
+
+Flag = Annotated[bool, tyro.conf.arg(help_behavior_hint="")]
 
 
 @dataclass(frozen=True)
@@ -113,16 +86,16 @@ class Options:
     arms: Annotated[tuple[str, ...], _argument("ARM ...", "control treatment")] = ()
     """Arms: control, treatment, dose25, dose50, dose75 (then tested at these too), dense, penalty, mixed, mixed-seen,
     drawn."""
-    placebo: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = False
+    placebo: Flag = False
     """Train control agents alone, twice as many, and compare them with each other: no effect should be found."""
     test_on: Annotated[tuple[str, ...], _argument("NAME ...", "none")] = ()
     """Other simulators on which the trained agents are tested as well."""
-    unseen: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = False
+    unseen: Flag = False
     """Test the trained agents in risky traffic that nobody was trained in as well: each kind of event alone, risky
     drivers without events, and SUMO's car-following models Krauss and EIDM."""
-    early_tests: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = False
+    early_tests: Flag = False
     """Also test every agent as it was after a third and two thirds of its budget."""
-    frontier: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = False
+    frontier: Flag = False
     """Test the careful driver at five cautions: with the constant policies, the crashes of a speed without learning."""
     config: Annotated[tuple[str, ...], _argument("KEY=VALUE ...", "none")] = ()
     """Keys of the environments' configuration to set, for training and test (values as in JSON, or plain words)."""
@@ -146,7 +119,7 @@ class Options:
     """Compute this cell alone and in this process, to see why it fails."""
     hang_after: Annotated[float, _argument("SECONDS", "900")] = SILENCE
     """A cell that makes no progress for so long hangs, and is begun again."""
-    dry_run: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = False
+    dry_run: Flag = False
     """Print the cells and an estimate of the time, and compute nothing."""
 
     @property
@@ -161,12 +134,15 @@ def cells_of(options: Options) -> list[Cell]:
     Raises:
         UserError: something in the options does not exist or makes no sense.
     """
+    if options.placebo and options.arms:
+        raise UserError("--placebo trains control agents alone: leave out --arms")
+    for level in options.levels:
+        if not level.isdecimal():
+            raise UserError(f"--levels takes numbers, 1 is the lightest traffic, not {level!r}")
     preset = get_preset(options.preset)
     tasks = grid.choose_tasks(options.tasks or tuple(grid.TASKS))
-    own_network, label, fingerprint = None, options.network, None
-    if options.network and ":" in options.network:
-        own_network = options.network
-        label, fingerprint = foreign(own_network)
+    own = options.network if ":" in (options.network or "") else None
+    label, fingerprint = foreign(own) if own else (options.network, None)
     profiles = preset.profiles(
         updates=options.updates,
         gamma=options.gamma,
@@ -176,12 +152,7 @@ def cells_of(options: Options) -> list[Cell]:
     )
     if fingerprint:
         profiles = {task: {**profile, "network_sha256": fingerprint} for task, profile in profiles.items()}
-    for level in options.levels:
-        if not level.isdecimal():
-            raise UserError(f"--levels takes numbers, 1 is the lightest traffic, not {level!r}")
     seeds = preset.seeds if options.seeds is None else options.seeds
-    if options.placebo and options.arms:
-        raise UserError("--placebo trains control agents alone: leave out --arms")
     ask = grid.Ask(
         backend=options.backend,
         levels=grid.choose_levels(tasks, tuple(map(int, options.levels)) or preset.levels),
@@ -190,7 +161,7 @@ def cells_of(options: Options) -> list[Cell]:
         profiles=profiles,
         preset=preset.name,
         gate_episodes=preset.gate_episodes,
-        network=own_network,
+        network=own,
         policies={label: (name, sha) for name in options.policy for label, sha in [foreign(name)]},
         arms=("control",) if options.placebo else options.arms or tuple(ARMS),
         test_on=options.test_on,
@@ -198,14 +169,14 @@ def cells_of(options: Options) -> list[Cell]:
         frontier=options.frontier,
         first_seed=preset.first_seed,
         first_scenario=preset.first_scenario,
-        changes=dict(map(_setting, options.config)),
+        changes=dict(map(_key_and_value, options.config)),
         early_tests=options.early_tests,
     )
     return grid.build(ask)
 
 
-def _setting(text: str) -> tuple[str, Any]:
-    """Key and value of "collision_reward=-2" or "risk_law=linear"."""
+def _key_and_value(text: str) -> tuple[str, Any]:
+    """Of "collision_reward=-2" or "risk_law=linear"."""
     key, equals, value = text.partition("=")
     if not (key and equals):
         raise UserError(f"--config takes KEY=VALUE, for example collision_reward=-2, not {text!r}")
@@ -241,60 +212,58 @@ def sweep(
     here = options.workers if options.workers and options.executor == "local" else cores()
     cells = cells_of(options)
     mine = grid.shard(cells, options.shard)
-    directory = options.directory
-    if validate is not None and not options.dry_run:
-        driven = ((backend, cell.task) for cell in mine for backend in (cell.backend, cell.runs_on))
-        check_dynamics(dict.fromkeys(driven))
-    if options.cell:
-        return compute_one(options, cells, make_env)
+    rates = rates_of(options.directory)
     if options.dry_run:
-        describe(options, mine, here)
+        describe(options, mine, rates, here)
         return 0
-    again = shlex.join(["python", "experiments/sweep.py", *arguments])
-    known = rates_of(directory)
+    if validate is not None:
+        check_dynamics(
+            dict.fromkeys((name, cell.task) for cell in mine for name in (cell.backend, cell.runs_on))
+        )
     tasks = {
-        cell.name: CellTask(cell, directory, make_env, known.seconds(cell), options.hang_after)
+        cell.name: CellTask(cell, options.directory, make_env, rates.seconds(cell), options.hang_after)
         for cell in mine
     }
-    with Stop(lambda: stopped(directory, again)) as stop:
-        try:
-            store = Store(directory)
-            store.write_sweep(again, cells)
-            if validate is not None:
-                names = tuple(dict.fromkeys(cell.task for cell in cells))
-                validate(options.backend, names, directory, here, lambda words: print(words, flush=True))
-            there = {name for name, task in tasks.items() if is_finished(store, task)}
-            for name in tasks:
-                store.forget(name, name in there)
-            left = [task for name, task in tasks.items() if name not in there]
-            found = f"{len(mine)} cells, {len(there)} of them finished before"
-            print(f"{found}; results go to {directory}", flush=True)
-            failures: dict[str, str] = {}
-            # Agents are tested elsewhere once all are trained.
-            for further in (False, True):
-                batch = [task for task in left if (task.cell.kind == "test") == further]
-                if further:
-                    batch = [
-                        task for task in batch if weights_file(directory, task.cell.parent.name) is not None
-                    ]
-                if batch:
-                    per_process = (
-                        1 if "highway-env" in (options.backend, *options.test_on) else TASKS_PER_PROCESS
-                    )
-                    executor, limit = open_executor(options.executor, options.workers, directory, per_process)
-                    known_names = {task.name for task in batch} | there
-                    shown = [cell for cell in mine if cell.name in known_names]
-                    progress = Progress(store, shown, there, known, limit, f"{again} --cell")
-                    try:
-                        failures |= run(batch, executor, limit, progress, stop)
-                    finally:
-                        progress.close()
-        except OSError as error:
-            raise disk_error(error, directory) from None
-        except Interrupted:
-            stop.say()
-            return INTERRUPTED
-        return _conclude(directory, tasks, failures, again, options.placebo)
+    again = shlex.join(["python", "experiments/sweep.py", *arguments])
+    try:
+        if options.cell:
+            return compute_one(options.cell, tasks)
+        store = Store(options.directory)
+        store.write_sweep(again, cells)
+        if validate is not None:
+            names = tuple(dict.fromkeys(cell.task for cell in cells))
+            validate(options.backend, names, options.directory, here, lambda words: print(words, flush=True))
+        failures = compute(options, store, tasks, rates, again)
+    except OSError as error:
+        raise disk_error(error, options.directory) from None
+    return conclude(options, tasks, failures, again)
+
+
+def compute(
+    options: Options, store: Store, tasks: Mapping[str, CellTask], rates: Rates, again: str
+) -> dict[str, str]:
+    """Compute the cells that are not finished; returns the reason of each failure by the name of its cell."""
+    there = {name for name, task in tasks.items() if is_finished(store, task)}
+    for name in tasks:
+        store.forget(name, name in there)
+    found = f"{len(tasks)} cells, {len(there)} of them finished before"
+    print(f"{found}; results go to {store.directory}", flush=True)
+    per_process = 1 if "highway-env" in (options.backend, *options.test_on) else TASKS_PER_PROCESS
+    progress = Progress(store, [task.cell for task in tasks.values()], there, rates, f"{again} --cell")
+    failures: dict[str, str] = {}
+    try:
+        for kinds in (("agent", "baseline"), ("test",)):  # agents are tested elsewhere once all are trained
+            batch = [task for name, task in tasks.items() if name not in there and task.cell.kind in kinds]
+            if kinds == ("test",):
+                batch = [task for task in batch if weights_file(store.directory, task.cell.parent.name)]
+            if batch:
+                executor, progress.workers = open_executor(
+                    options.executor, options.workers, store.directory, per_process
+                )
+                failures |= run(batch, executor, progress.workers, progress)
+    finally:
+        progress.close()
+    return failures
 
 
 def is_finished(store: Store, task: CellTask) -> bool:
@@ -308,41 +277,27 @@ def is_finished(store: Store, task: CellTask) -> bool:
         return False
 
 
-def stopped(directory: Path, again: str) -> str:
-    """What is said when a signal ends the sweep."""
-    done = len(finished(directory))
-    return f"stopped; {done} cells are finished and kept. To go on: {again}"
+def compute_one(wanted: str, tasks: Mapping[str, CellTask]) -> int:
+    """Compute one cell in this process, to see why it fails."""
+    for name, task in tasks.items():
+        if wanted in (name, task.cell.slug):
+            compute_here(task)
+            print(f"finished: {task.directory / 'cells' / name}")
+            return 0
+    raise unknown("cell", wanted, (task.cell.slug for task in tasks.values()))
 
 
-def compute_one(options: Options, cells: Sequence[Cell], make_env: MakeEnv) -> int:
-    """Compute one cell in this process, where a debugger can follow it and errors show their traceback."""
-    found = [cell for cell in cells if options.cell in (cell.name, cell.slug)]
-    if not found:
-        raise unknown("cell", options.cell, (cell.slug for cell in cells))
-    task = CellTask(found[0], options.directory, make_env)
-    with locked(task.folder) as mine:
-        if not mine:
-            raise UserError(f"another process computes {task.name}: wait until it ends")
-        if not task.done():
-            task.compute(lambda _: None)
-    Store(options.directory).forget(task.name, finished=True)
-    print(f"finished: {options.directory / 'cells' / task.name}")
-    return 0
-
-
-def _conclude(
-    directory: Path, tasks: Mapping[str, CellTask], failures: Mapping[str, str], again: str, placebo: bool
-) -> int:
+def conclude(options: Options, tasks: Mapping[str, CellTask], failures: Mapping[str, str], again: str) -> int:
     """Write the report and say how it went."""
     if len(failures) < len(tasks):
         from experiments.report import print_report
 
         print("writing the report", flush=True)
-        print_report(directory)
-        if placebo:
+        print_report(options.directory)
+        if options.placebo:
             from experiments.report import report_placebo
 
-            report_placebo(directory)
+            report_placebo(options.directory)
     if failures:
         print(f"{len(failures)} of {len(tasks)} cells failed, all others are kept:", file=sys.stderr)
         for name, reason in failures.items():
@@ -353,54 +308,49 @@ def _conclude(
     return 0
 
 
-def rates_of(directory: Path) -> Rates:
-    """The rates measured on this kind of processor in a result directory, which need not exist."""
-    rates = Rates()
-    for name in finished(directory):
-        with suppress(DamagedCell):
-            rates.learn(read_stored(directory, name))
-    return rates
-
-
-def describe(options: Options, cells: Sequence[Cell], workers: int) -> None:
+def describe(options: Options, cells: Sequence[Cell], rates: Rates, workers: int) -> None:
     """Print what would be computed and how long it would take."""
-    measured = rates_of(options.directory)
     there = set(finished(options.directory))
-    print(f"preset {options.preset}: {PRESETS[options.preset].about}")
+    print(f"preset {options.preset}: {get_preset(options.preset).about}")
     print(f"results go to {options.directory}")
-    header = ("task", "level", "agents", "updates", "baselines", "finished", "core time")
-    print("{:<14}{:>8}{:>8}{:>9}{:>11}{:>10}{:>13}".format(*header))
+    layout = "{:<14}{:>8}{:>8}{:>9}{:>11}{:>10}{:>13}"
+    print(layout.format("task", "level", "agents", "updates", "baselines", "finished", "core time"))
     total = 0.0
     for task, level in dict.fromkeys((cell.task, cell.level_name) for cell in cells):
         group = [cell for cell in cells if (cell.task, cell.level_name) == (task, level)]
-        agents = [cell for cell in group if cell.kind == "agent"]
-        left = sum(measured.seconds(cell) for cell in group if cell.name not in there)
+        kinds = Counter(cell.kind for cell in group)
+        left = sum(rates.seconds(cell) for cell in group if cell.name not in there)
         done = sum(cell.name in there for cell in group)
-        updates = agents[0].updates if agents else 0  # further tests of agents are in the core time alone
-        baselines = sum(cell.kind == "baseline" for cell in group)
-        row = (task, level, len(agents), updates, baselines, done, duration(left))
-        print("{:<14}{:>8}{:>8}{:>9}{:>11}{:>10}{:>13}".format(*row))
+        updates = max(cell.updates for cell in group)  # further tests of agents are in the core time alone
+        print(layout.format(task, level, kinds["agent"], updates, kinds["baseline"], done, duration(left)))
         total += left
     kinds = Counter(cell.kind for cell in cells)
-    left_in_all = START + total / workers if total else 0.0
-    source = f"measured on {measured.measured} stored cells" if measured.measured else "by default rates"
+    source = f"measured on {rates.measured} stored cells" if rates.measured else "by default rates"
     print(
-        f"{kinds['agent']} agents and {kinds['baseline']} baselines; about {duration(left_in_all)} left "
-        f"with {workers} processes ({source})"
+        f"{kinds['agent']} agents and {kinds['baseline']} baselines; about "
+        f"{duration(START + total / workers if total else 0.0)} left with {workers} processes ({source})"
     )
+
+
+def words_of(arguments: Iterable[str]) -> list[str]:
+    """`--tasks highway,u-turn` and `--policy A --policy B` as tyro takes them: with spaces, and each option once."""
+    values: dict[str, list[str]] = {}
+    name = ""
+    for word in arguments:
+        if word.startswith("--"):
+            name, *given = word.split("=", 1)
+        else:
+            given = [word] if set("/=") & set(word) else word.split(",")
+        values.setdefault(name, []).extend(given)
+    return [word for name, given in values.items() for word in ([name] if name else []) + given]
 
 
 def main() -> int:
     """The command line."""
-    arguments = _gather(part for word in sys.argv[1:] for part in _split(word))
+    arguments = words_of(sys.argv[1:])
     options = tyro.cli(Options, args=arguments, description=__doc__, config=(tyro.conf.FlagCreatePairsOff,))
     return sweep(options, arguments=sys.argv[1:], validate=before_training)
 
 
-def _split(word: str) -> list[str]:
-    """`--tasks highway,u-turn` as well as `--tasks highway u-turn`."""
-    return word.split(",") if "," in word and not word.startswith("-") and "/" not in word else [word]
-
-
 if __name__ == "__main__":
-    run_command(main)
+    run_command(main, resumes=True)

@@ -15,10 +15,6 @@ from pathlib import Path
 if __package__ in (None, ""):  # run as a file: import from the project, not from this folder
     sys.path[0] = str(Path(__file__).resolve().parents[1])
 
-from experiments.support.threads import limit_threads
-
-limit_threads()
-
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace

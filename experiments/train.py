@@ -15,10 +15,6 @@ from pathlib import Path
 if __package__ in (None, ""):  # run as a file: import from the project, not from this folder
     sys.path[0] = str(Path(__file__).resolve().parents[1])
 
-from experiments.support.threads import limit_threads
-
-limit_threads()
-
 import shlex
 from dataclasses import dataclass
 from typing import Annotated, Any
@@ -28,19 +24,17 @@ import tyro
 
 from experiments import sweep
 from experiments.backends import make_env
-from experiments.study.attempt import locked
 from experiments.study.cell import CellTask
 from experiments.study.curve import Live, Watched, draw
 from experiments.study.fingerprint import check_dynamics
 from experiments.study.grid import Cell
+from experiments.study.run import compute_here
 from experiments.study.store import Store
 from experiments.support.errors import UserError, disk_error, run_command, unknown
 
 # The traffic of the training, and the arm of the experiment that it is.
-ARMS = {
-    "0": "control", "1": "treatment", "mixed": "mixed", "drawn": "drawn",
-    "0.25": "dose25", "0.5": "dose50", "0.75": "dose75",
-}  # fmt: skip
+ARMS = {"0": "control", "0.25": "dose25", "0.5": "dose50", "0.75": "dose75", "1": "treatment"}
+ARMS |= {"mixed": "mixed", "drawn": "drawn"}
 
 
 @dataclass(frozen=True)
@@ -77,9 +71,14 @@ def cells_of(options: Options) -> tuple[Cell, list[Cell]]:
         raise UserError(f"--seed takes 0 or more, not {options.seed}")
     arm = ARMS[options.risk]
     asked = sweep.Options(
-        backend=options.backend, tasks=(options.task,), levels=(str(options.level),), seeds=options.seed + 1,
-        arms=(arm,), updates=options.updates, network=options.network,
-    )  # fmt: skip
+        backend=options.backend,
+        tasks=(options.task,),
+        levels=(str(options.level),),
+        seeds=options.seed + 1,
+        arms=(arm,),
+        updates=options.updates,
+        network=options.network,
+    )
     cells = sweep.cells_of(asked)
     [agent] = [cell for cell in cells if (cell.kind, cell.seed) == ("agent", options.seed)]
     return agent, [cell for cell in cells if cell.kind == "baseline"]
@@ -99,15 +98,10 @@ def train(options: Options, arguments: list[str]) -> int:
         return Watched(make_env(backend, task, config), live)
 
     try:
-        store = Store(options.out)
-        store.write_sweep(shlex.join(["python", "experiments/train.py", *arguments]), [agent, *others])
-        task = CellTask(agent, options.out, watched)
-        with locked(task.folder) as mine:
-            if not mine:
-                raise UserError(f"another process trains {agent.name}: wait until it ends")
-            if not task.done():
-                task.compute(live.beat)
-        store.forget(agent.name, finished=True)
+        Store(options.out).write_sweep(
+            shlex.join(["python", "experiments/train.py", *arguments]), [agent, *others]
+        )
+        compute_here(CellTask(agent, options.out, watched), live.beat)
         picture = draw(options.out, agent)
     except OSError as error:
         raise disk_error(error, options.out) from None

@@ -10,12 +10,11 @@ policies     the policy of a cell
 train        one agent in its traffic, resumable
 evaluate     a policy on the test scenarios
 cell         what is computed for a cell: train, test, store
-run          hands tasks to an executor and tries again what dies
-attempt      one try at a task, in whatever process
+run          hands tasks to an executor, tries again what dies; what a process does with a task
 executors/   processes of this machine, Ray, Slurm
-store        finished cells on disk, one folder each
-pack, packed finished cells in a few tables: written, and read
-results      all of them as tables
+store        finished cells on disk: one folder each, or packed
+packed       finished cells in a few tables
+results      all of them as frames
 rerun        a stored episode again
 avoid        whether a stored crash could have been avoided
 avoidable    how many of a folder's crashes could

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
-from contextlib import closing
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
 
-from experiments.study.attempt import Beat
-from experiments.study.evaluate import Policy, evaluate
+from agents.checkpoint import CheckpointError
+from agents.policies import Policy
+from experiments.study.evaluate import evaluate
 from experiments.study.grid import Cell
 from experiments.study.policies import load_agent, untrained_policy
+from experiments.study.run import Beat
 from experiments.study.store import (
     EPISODES,
     GATE_COLUMNS,
@@ -43,7 +45,7 @@ SILENCE = 900.0  # [s] a cell that makes no update and ends no episode for so lo
 
 @dataclass(frozen=True)
 class CellTask:
-    """A cell to compute in a result directory (an `attempt.Task`).
+    """A cell to compute in a result directory (a `run.Task`).
 
     make_env: makes an environment from (backend, task, config); must be importable in another process.
     cost: expected time on one core [s].
@@ -81,74 +83,85 @@ class CellTask:
 
 def compute(cell: Cell, store: Store, make_env: MakeEnv, beat: Beat) -> str:
     """Train, test and store a cell; returns a remark for the user, or nothing."""
-    meter = Meter(beat, cell.updates + cell.work * TEST_EPISODE)
-    scratch = store.work / cell.name
-    trained, timing, remark = _train(cell, store, make_env, meter) if cell.kind == "agent" else (None, {}, "")
-    clock = Clock()
-    with closing(make_env(cell.runs_on, cell.task, dict(cell.tested_config))) as env:
-        tables = _early_tests(cell, trained, env, scratch, meter) if trained else {}
-        tables |= _test(cell, *_policy(cell, trained, store, env), meter)
-    record = {"timing": {**timing, **clock.test(cell.work)}, "provenance": provenance()}
-    if trained is None:
-        store.write(cell, record, tables)
-    else:
-        trained.policy.save(scratch / WEIGHTS)
-        files = {**tables, TRAINING: trained.episodes, WEIGHTS: scratch / WEIGHTS}
-        store.write(cell, {"learner": trained.learner, **record}, files)
+    done, total = 0.0, cell.updates + TEST_EPISODE * cell.work
+
+    def advance(amount: float = TEST_EPISODE) -> None:
+        nonlocal done
+        done += amount
+        beat(done / total)
+
+    trained, remark = None, ""
+    timing: dict[str, Any] = {}
+    learner: dict[str, Any] = {}
+    if cell.kind == "agent":
+        with timed("train", timing):
+            trained, remark = _train(cell, store, make_env, advance)
+        timing["timed_updates"] = trained.timed_updates
+        learner = {"learner": trained.learner}
+    with timed("test", timing), closing(make_env(cell.runs_on, cell.task, dict(cell.tested_config))) as env:
+        files: dict[str, Any] = _test(cell, env, trained, store, advance)
+    timing["test_episodes"] = cell.work
+    timing["finished"] = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
+    if trained is not None:
+        weights = store.work / cell.name / WEIGHTS
+        trained.policy.save(weights)
+        files |= {TRAINING: trained.episodes, WEIGHTS: weights}
+    store.write(cell, {**learner, "timing": timing, "provenance": provenance()}, files)
     return remark
 
 
-class Meter:
-    """Turns amounts of work into the share of a cell that is done. total: the work in updates."""
-
-    def __init__(self, beat: Beat, total: float) -> None:
-        self._beat, self._total, self._done = beat, total, 0.0
-
-    def add(self, amount: float = TEST_EPISODE) -> None:
-        """Note that a piece of the work is done."""
-        self._done += amount
-        self._beat(self._done / self._total)
+@contextmanager
+def timed(what: str, timing: dict[str, Any]) -> Iterator[None]:
+    """Note how long something takes, in time and in processor time of this process."""
+    started, processed = time.monotonic(), time.process_time()
+    yield
+    timing[f"{what}_seconds"] = time.monotonic() - started
+    timing[f"{what}_cpu_seconds"] = time.process_time() - processed
 
 
-class Clock:
-    """Measures time and processor time."""
+def _train(
+    cell: Cell, store: Store, make_env: MakeEnv, advance: Callable[[float], None]
+) -> tuple[Trained, str]:
+    """The trained agent, and a remark."""
+    from experiments.study.train import CHECKPOINT, train_cell  # baselines need no learner
 
-    def __init__(self) -> None:
-        self._started, self._processed = time.monotonic(), time.process_time()
-
-    def since(self, what: str) -> dict[str, float]:
-        """How long something has taken."""
-        return {
-            f"{what}_seconds": time.monotonic() - self._started,
-            f"{what}_cpu_seconds": time.process_time() - self._processed,
-        }
-
-    def test(self, episodes: int) -> dict[str, Any]:
-        """What cell.json says of a test of so many episodes, which ends now."""
-        finished = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
-        return {"test_episodes": episodes, **self.since("test"), "finished": finished}
-
-
-def _train(cell: Cell, store: Store, make_env: MakeEnv, meter: Meter) -> tuple[Trained, dict[str, Any], str]:
-    """The trained agent, what its training has taken, and a remark."""
-    from experiments.study.train import CHECKPOINT, checkpoint_damage, train_cell  # baselines need no learner
-
-    scratch = store.work / cell.name
-    scratch.mkdir(exist_ok=True)
-    remark = ""
-    if (damage := checkpoint_damage(scratch / CHECKPOINT)) is not None:
-        aside = store.put_aside(scratch / CHECKPOINT)
-        remark = f"its checkpoint was damaged ({damage}) and put aside in {aside}"
-    clock = Clock()  # of this process: a resumed training counts from its last checkpoint
+    scratch, remark = store.work / cell.name, ""
     with closing(make_env(cell.backend, cell.task, cell.training_config)) as env:
-        trained = train_cell(cell, env, scratch, meter.add, cell.marks)
-    return trained, {**clock.since("train"), "timed_updates": trained.timed_updates}, remark
+        try:
+            trained = train_cell(cell, env, scratch, advance, cell.marks)
+        except CheckpointError as damage:
+            aside = store.put_aside(scratch / CHECKPOINT)
+            remark = f"its checkpoint was damaged ({damage}) and put aside in {aside}"
+            trained = train_cell(cell, env, scratch, advance, cell.marks)
+    return trained, remark
 
 
-def _policy(
-    cell: Cell, trained: Trained | None, store: Store, env: gym.Env[Any, Any]
+def _test(
+    cell: Cell, env: gym.Env[Any, Any], trained: Trained | None, store: Store, advance: Callable[[], None]
+) -> dict[str, pd.DataFrame]:
+    """The tables of the tests of a cell, by file."""
+    import pandas as pd
+
+    def play(driver: tuple[gym.Env[Any, Any], Policy], episodes: int, **options: Any) -> pd.DataFrame:
+        first = cell.first_scenario
+        return evaluate(*driver, cell.task, cell.level, episodes, advance, first=first, **options)
+
+    driver = _driver(cell, env, trained, store)
+    if cell.test_on is not None:
+        return {EPISODES: play(driver, cell.test_on["episodes"], traffics=cell.test_on["traffics"])}
+    gates = play(driver, cell.gate_episodes, purpose="gate", traffics=cell.gate_traffics)
+    tables = {EPISODES: play(driver, cell.episodes), GATES: gates[list(GATE_COLUMNS)]}
+    if trained is not None and trained.marks:
+        early = [load_agent(cell.key(), cell.source, file, env) for file in trained.marks]
+        tested = [play(driver, cell.episodes).assign(mark=k) for k, driver in enumerate(early, start=1)]
+        tables[MARKS] = pd.concat(tested)[list(MARK_COLUMNS)]
+    return tables
+
+
+def _driver(
+    cell: Cell, env: gym.Env[Any, Any], trained: Trained | None, store: Store
 ) -> tuple[gym.Env[Any, Any], Policy]:
-    """The policy to be tested, and the environment as it observes it."""
+    """The policy to be tested, behind the environment as it observes it."""
     if trained is not None:
         return observed(env, cell.profile), trained.policy
     if cell.test_on is None:
@@ -159,43 +172,3 @@ def _policy(
             f"the weights of {cell.parent.name} are not here: train it first, by the same command without --cell"
         )
     return load_agent(cell.key(), cell.source, weights, env)
-
-
-def _test(cell: Cell, env: gym.Env[Any, Any], policy: Policy, meter: Meter) -> dict[str, pd.DataFrame]:
-    """The tables of a policy's test, by file."""
-    first = cell.first_scenario
-    if cell.test_on is not None:
-        traffics, episodes = cell.test_on["traffics"], int(cell.test_on["episodes"])
-        return {
-            EPISODES: evaluate(
-                env, policy, cell.task, cell.level, episodes, meter.add, traffics=traffics, first=first
-            )
-        }
-    test = evaluate(env, policy, cell.task, cell.level, cell.episodes, meter.add, first=first)
-    gates = evaluate(
-        env, policy, cell.task, cell.level, cell.gate_episodes, meter.add,
-        purpose="gate", traffics=cell.gate_traffics, first=first,
-    )  # fmt: skip
-    return {EPISODES: test, GATES: gates[list(GATE_COLUMNS)]}
-
-
-def _early_tests(
-    cell: Cell, trained: Trained, env: gym.Env[Any, Any], scratch: Path, meter: Meter
-) -> dict[str, pd.DataFrame]:
-    """The test of the policies that an agent had after shares of its budget, by file."""
-    import pandas as pd
-
-    tables = []
-    for number, file in enumerate(trained.marks, start=1):
-        try:
-            seen, policy = load_agent(cell.key(), cell.source, file, env)
-        except (UserError, OSError) as error:
-            for checkpoint in scratch.glob("checkpoint*"):
-                checkpoint.unlink()
-            raise RuntimeError(f"{file.name} is lost ({error}): the training begins again") from None
-        table = evaluate(
-            seen, policy, cell.task, cell.level, cell.episodes, meter.add, first=cell.first_scenario
-        )
-        table.insert(0, "mark", number)
-        tables.append(table)
-    return {MARKS: pd.concat(tables)[list(MARK_COLUMNS)]} if tables else {}

@@ -22,10 +22,10 @@ import tyro
 from experiments.backends import make_env
 from experiments.study import grid
 from experiments.study.arms import ARMS
-from experiments.study.attempt import locked
 from experiments.study.evaluate import evaluate
 from experiments.study.grid import Cell
 from experiments.study.presets import second_version
+from experiments.study.run import locked
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-from collections import defaultdict, deque
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from contextlib import suppress
+from pathlib import Path
 from statistics import median
 from typing import Any
 
 from experiments.study.grid import Cell
+from experiments.study.store import DamagedCell, finished, read_stored
 from experiments.support.provenance import cpu
-
-Place = tuple[str, str, int]  # backend, task, level
 
 # Processor seconds of a common server for (a training step, a test episode) in the lightest traffic;
 # rough but for SUMO.
@@ -36,51 +35,55 @@ OTHERWISE = (0.0006, 0.005)
 UPDATE = 0.005  # [s] of the learner, without the steps
 CELL = 0.5  # [s] beside training and test: environment, files
 START = 20.0  # [s] of a sweep: starting the processes, and the report
-RECENT = 50  # cells of a place that the measured rates are the median of
+RECENT = 50  # cells that a measured rate is the median of
 GROWTH = 0.25  # how much longer each heavier level takes, where it was not measured
 
 
 class Rates:
-    """Seconds for an update with its training steps and for a test episode, by (backend, task, level).
-
-    Args:
-        records: cell.json of stored cells; those of other processors are passed over.
+    """Seconds for an update with its training steps and for a test episode, by simulator, task and level.
 
     Attributes:
         measured: how many stored cells they come from (0: the default rates alone).
     """
 
-    def __init__(self, records: Iterable[Mapping[str, Any]] = ()) -> None:
+    def __init__(self) -> None:
         self.measured = 0
-        self._updates: dict[Place, deque[float]] = defaultdict(lambda: deque(maxlen=RECENT))
-        self._episodes: dict[Place, deque[float]] = defaultdict(lambda: deque(maxlen=RECENT))
-        for record in records:
-            self.learn(record)
+        self._seen: dict[tuple[Any, ...], list[float]] = {}
+        self._rates: dict[tuple[Any, ...], float] = {}
 
     def seconds(self, cell: Cell) -> float:
         """Expected time of a cell on one core [s], without what a sweep takes once (START)."""
-        place = (cell.runs_on, cell.task, cell.level)
         factor = 1.0 + GROWTH * (cell.level - 1)
         step, episode = (factor * rate for rate in DEFAULT_RATES[cell.runs_on].get(cell.task, OTHERWISE))
         update = UPDATE + cell.profile.get("steps_per_update", 1) * step
-        if place in self._updates:
-            update = median(self._updates[place])
-        if place in self._episodes:
-            episode = median(self._episodes[place])
+        update = self._rates.get(("update", cell.runs_on, cell.task, cell.level), update)
+        episode = self._rates.get(("episode", cell.runs_on, cell.task, cell.level), episode)
         return CELL + cell.updates * update + cell.work * episode
 
     def learn(self, record: Mapping[str, Any]) -> None:
-        """Take in a stored cell. One of other versions is passed over: an estimate is no place to complain."""
-        with suppress(KeyError, TypeError, ZeroDivisionError):
-            if record["provenance"]["cpu"] != cpu():
-                return
-            key, timing = record["key"], record["timing"]
-            runs_on = key.get("test_on", {}).get("backend", key["backend"])
-            place = (runs_on, key["task"], key["level"])
-            self._episodes[place].append(timing["test_seconds"] / timing["test_episodes"])
-            if timing.get("timed_updates"):
-                self._updates[place].append(timing["train_seconds"] / timing["timed_updates"])
-            self.measured += 1
+        """Take in cell.json of a stored cell, unless it was computed by another processor."""
+        if record["provenance"]["cpu"] != cpu():
+            return
+        key, timing = record["key"], record["timing"]
+        where = (key.get("test_on", key)["backend"], key["task"], key["level"])
+        self._note(("episode", *where), timing["test_seconds"] / timing["test_episodes"])
+        if timing.get("timed_updates"):
+            self._note(("update", *where), timing["train_seconds"] / timing["timed_updates"])
+        self.measured += 1
+
+    def _note(self, place: tuple[Any, ...], seconds: float) -> None:
+        seen = self._seen.setdefault(place, [])
+        seen.append(seconds)
+        self._rates[place] = median(seen[-RECENT:])
+
+
+def rates_of(directory: Path) -> Rates:
+    """The rates measured on this kind of processor in a result directory, which need not exist."""
+    rates = Rates()
+    for name in finished(directory):
+        with suppress(DamagedCell):
+            rates.learn(read_stored(directory, name))
+    return rates
 
 
 def duration(seconds: float) -> str:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
 import numpy as np
 
+from agents.policies import Policy
 from experiments.study.arms import ALL_TRAFFICS, TRAFFICS
 from experiments.study.seeds import scenario_seed, stream_seed
 from experiments.study.unseen import UNSEEN, UnseenRisk
@@ -47,16 +48,6 @@ COLUMNS: dict[str, str] = {
     "actions": "str",  # the actions one after the other, a digit each; cells of earlier versions lack them
 }
 CRASH_KEYS = tuple(name.removeprefix("crash_") for name in COLUMNS if name.startswith("crash_"))
-
-
-class Policy(Protocol):
-    """What drives: a trained agent or a rule."""
-
-    def act(self, observation: Any) -> int:
-        """The action for an observation."""
-
-    def reset(self, seed: int) -> None:
-        """Begin an episode; `seed` is for policies that draw random numbers."""
 
 
 def play(

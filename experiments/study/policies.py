@@ -23,15 +23,11 @@ def foreign(name: str) -> tuple[str, str]:
     Raises:
         UserError: there is no such file.
     """
-    path, attribute = (Path(name), "") if name.endswith(".zip") else _parts(name)
-    if not path.is_file():
-        raise UserError(f"there is no file {path}")
-    return f"{path.name}:{attribute}" if attribute else path.name, sha256(path)
-
-
-def _parts(name: str) -> tuple[Path, str]:
     try:
-        return split(name)
+        path, attribute = (Path(name), "") if name.endswith(".zip") else split(name)
+        return f"{path.name}:{attribute}" if attribute else path.name, sha256(path)
+    except OSError:
+        raise UserError(f"there is no file {name}") from None
     except ValueError as error:
         raise UserError(str(error)) from None
 

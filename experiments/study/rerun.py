@@ -9,8 +9,9 @@ from typing import Any
 
 import gymnasium as gym
 
+from agents.policies import Policy
 from experiments.study import grid, store
-from experiments.study.evaluate import Policy, play
+from experiments.study.evaluate import play
 from experiments.study.fingerprint import dynamics
 from experiments.study.policies import load_agent, untrained_policy
 from experiments.support.errors import UserError
@@ -24,7 +25,7 @@ class Repeated:
     def __init__(self, actions: str) -> None:
         self._actions = actions
 
-    def reset(self, seed: int) -> None:
+    def reset(self, seed: int | None = None) -> None:
         """Begin the episode."""
         self._left = iter(self._actions)
 

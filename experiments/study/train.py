@@ -12,7 +12,6 @@ import gymnasium as gym
 import numpy as np
 import pandas as pd
 
-from agents.checkpoint import CheckpointError, load_arrays
 from agents.dqn import DQNConfig
 from agents.greedy import Greedy
 from agents.models import network_class
@@ -46,23 +45,6 @@ class Trained:
     marks: tuple[Path, ...] = ()
 
 
-def config_of(cell: Cell) -> DQNConfig:
-    """The learner's configuration in a cell's profile."""
-    names = {field.name for field in fields(DQNConfig)}
-    return DQNConfig(**{name: value for name, value in cell.profile.items() if name in names})
-
-
-def checkpoint_damage(path: Path) -> str | None:
-    """Why a checkpoint cannot be read; None if it can, or if there is none."""
-    try:
-        load_arrays(path)
-    except FileNotFoundError:
-        return None
-    except (CheckpointError, OSError) as error:
-        return str(error)
-    return None
-
-
 def train_cell(
     cell: Cell,
     env: gym.Env[Any, Any],
@@ -79,24 +61,22 @@ def train_cell(
         marks: shares of the budget after which the policy is kept.
 
     Raises:
-        UserError: the checkpoint is damaged, or the network does not fit.
+        CheckpointError: the checkpoint is damaged.
+        UserError: the network does not fit.
         OSError: the checkpoint cannot be written.
     """
-    config = config_of(cell)
+    names = {field.name for field in fields(DQNConfig)}
+    config = DQNConfig(**{name: value for name, value in cell.profile.items() if name in names})
     if cell.source is not None:
         check(cell.source, cell.profile["network_sha256"])
-    begun: int | None = None
-    last = 0
     seed = training_seed(cell.task, cell.level, cell.seed or 0)
     traffic = DrawnDose(env, cell.arm) if cell.arm in DRAWN else env
     files = {round(share * config.updates): directory / f"mark-{k}.npz" for k, share in enumerate(marks)}
+    blocks = [0]  # updates after each block of this process
 
     def progress(state: Progress) -> None:
-        nonlocal begun, last
-        if begun is None:
-            begun = max(state.updates - config.block, 0)
-        on_updates(state.updates - last)
-        last = state.updates
+        on_updates(state.updates - blocks[-1])
+        blocks.append(state.updates)
 
     try:
         agent = train(
@@ -111,19 +91,13 @@ def train_cell(
             marks=tuple(files),
             at_mark=lambda mark, policy: policy.save(files[mark]),
         )
-    except (CheckpointError, ValueError) as error:
+    except ValueError as error:
         raise UserError(str(error)) from None
-    timed = agent.updates - (agent.updates if begun is None else begun)
     episodes = pd.DataFrame(agent.episodes)
     if cell.arm in DRAWN:
         episodes["risk"] = [drawn_dose(cell.arm, episode_seed(seed, k)) for k in episodes["episode"]]
-    return Trained(
-        agent.policy,
-        episodes,
-        learner_record(agent),
-        timed,
-        tuple(files.values()),
-    )
+    timed = agent.updates - max(blocks[1] - config.block, 0) if len(blocks) > 1 else 0
+    return Trained(agent.policy, episodes, learner_record(agent), timed, tuple(files.values()))
 
 
 def learner_record(agent: TrainedAgent) -> dict[str, Any]:
@@ -133,11 +107,15 @@ def learner_record(agent: TrainedAgent) -> dict[str, Any]:
     states that have the most common greedy action, at the same updates. q_bound: the largest value that
     any policy can have, max |r| / (1 - gamma). curve: see `learning_curve`. A number that is not finite is null.
     """
+
+    def finite(value: float) -> float | None:
+        return float(value) if math.isfinite(value) else None
+
     return {
         "updates": agent.updates,
         "steps": agent.steps,
         "episodes": len(agent.episodes["episode"]),
-        "probe_q": [[look.update, _finite(look.mean), _finite(look.largest)] for look in agent.probe_q],
+        "probe_q": [[look.update, finite(look.mean), finite(look.largest)] for look in agent.probe_q],
         "greedy_share": [look.greedy_share for look in agent.probe_q],
         "curve": learning_curve(agent.episodes),
         "max_abs_reward": agent.max_abs_reward,
@@ -163,7 +141,3 @@ def learning_curve(episodes: Mapping[str, Any]) -> dict[str, list[Any]]:
         ]
 
     return {"step": edges[1:].round().tolist(), "return": mean("return"), "crashed": mean("crashed")}
-
-
-def _finite(value: float) -> float | None:
-    return float(np.float64(value)) if math.isfinite(value) else None

@@ -8,10 +8,12 @@ import os
 import shlex
 import signal
 import sys
+import threading
 from collections.abc import Callable, Iterable
 
 USAGE = 2  # exit status: the call or the directory has to be put right first
 INTERRUPTED = 130  # exit status after Ctrl-C, as a shell has it
+LEAVE = 4.0  # [s] after a signal in which the process ends in any case
 
 
 class UserError(Exception):
@@ -46,36 +48,43 @@ def disk_error(error: OSError, directory: object) -> UserError:
     )
 
 
-def leave_on_signals() -> None:
-    """Let SIGINT and SIGTERM end the process with one line; for a command that has not begun anything yet."""
-
-    def leave(number: int, frame: object) -> None:
-        print("stopped before anything was begun", file=sys.stderr, flush=True)
-        os._exit(INTERRUPTED)
-
-    for number in (signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, leave)
-
-
 def run_command(main: Callable[[], int], resumes: bool = False) -> None:
     """Run a command's `main` and leave the process with its exit status (0, 1, 2 or 130).
 
-    SIGTERM is answered as Ctrl-C is: the processes of a pool are ended, and one line says what happened.
+    SIGINT and SIGTERM end it with one line: in order, as KeyboardInterrupt, or after LEAVE seconds wherever it is,
+    which harms nothing, because every file is written atomically.
 
     Args:
         resumes: whether the same command goes on where it was stopped, which is then said.
     """
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    again = f"; what is finished is kept. To go on: {shlex.join(['python', *sys.argv])}" if resumes else ""
+    said = threading.Lock()
+
+    def say() -> None:
+        if said.acquire(blocking=False):
+            print(f"interrupted{again}", file=sys.stderr, flush=True)
+
+    def leave() -> None:
+        say()
+        os._exit(INTERRUPTED)
+
+    def interrupt(number: int, frame: object) -> None:
+        for each in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(each, signal.SIG_IGN)
+        timer = threading.Timer(LEAVE, leave)
+        timer.daemon = True
+        timer.start()
+        raise KeyboardInterrupt
+
+    for each in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(each, interrupt)
     try:
         status = main()
     except UserError as error:
         print(f"error: {error}", file=sys.stderr)
         status = USAGE
     except KeyboardInterrupt:
-        again = (
-            f"; what is finished is kept. To go on: {shlex.join(['python', *sys.argv])}" if resumes else ""
-        )
-        print(f"interrupted{again}", file=sys.stderr)
+        say()
         status = INTERRUPTED
     except BrokenPipeError:  # the reader of our output (head, less) has gone
         sys.stderr.close()

@@ -16,7 +16,7 @@ from experiments.study import grid
 from experiments.study.arms import DOSES
 from experiments.study.presets import PRESETS
 from experiments.support.errors import UserError
-from experiments.sweep import Options, _gather, cells_of
+from experiments.sweep import Options, cells_of, words_of
 from sumo_env.tasks import TASKS
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -83,7 +83,7 @@ def test_every_argument_that_chooses_cells_is_tried():
 
 def test_a_repeated_option_adds_values():
     words = ["--policy", "a:make", "--seeds=2", "--policy", "b.zip", "--placebo", "--policy=c"]
-    assert _gather(words) == ["--policy", "a:make", "b.zip", "c", "--seeds", "2", "--placebo"]
+    assert words_of(words) == ["--policy", "a:make", "b.zip", "c", "--seeds", "2", "--placebo"]
 
 
 @given(count=st.integers(1, 12))

@@ -6,7 +6,6 @@ import os
 from concurrent.futures import Executor
 from pathlib import Path
 
-from experiments.study.attempt import Ended
 from experiments.support.errors import UserError, unknown
 
 EXECUTORS = ("local", "ray", "slurm")
@@ -35,7 +34,7 @@ def open_executor(
         if name == "local":
             from experiments.study.executors.local import LocalExecutor
 
-            return LocalExecutor(workers or cores(), tasks_per_process, _spoilt), workers or cores()
+            return LocalExecutor(workers or cores(), tasks_per_process), workers or cores()
         if name == "ray":
             from experiments.study.executors.ray import RayExecutor
 
@@ -50,8 +49,3 @@ def open_executor(
             f"--executor {name} needs the package {error.name}: .venv/bin/python -m pip install '.[{name}]'"
         ) from None
     raise unknown("executor", name, EXECUTORS)
-
-
-def _spoilt(ended: object) -> bool:
-    """After an error nobody knows in what state a simulator is: the next try gets a fresh process."""
-    return isinstance(ended, Ended) and ended.state == "failed"

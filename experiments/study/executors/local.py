@@ -13,7 +13,7 @@ from typing import Any
 
 from pebble import ProcessPool
 
-from experiments.study.attempt import SPOILT
+from experiments.study.run import SPOILT, Ended
 from experiments.support.processes import end_with_parent
 
 
@@ -23,12 +23,11 @@ class LocalExecutor(Executor):
     Args:
         workers: number of processes.
         tasks_per_process: then a fresh process takes over, so that whatever a simulator leaks is given back.
-        spoilt: tells from a task's result whether its process may not be used again.
     """
 
-    def __init__(self, workers: int, tasks_per_process: int, spoilt: Callable[[Any], bool] = lambda _: False):
+    def __init__(self, workers: int, tasks_per_process: int) -> None:
         resource_tracker.ensure_running()  # here: it unblocks signals in the thread that starts it
-        self._workers, self._tasks_per_process, self._spoilt = workers, tasks_per_process, spoilt
+        self._workers, self._tasks_per_process = workers, tasks_per_process
         self._pool = self._open()
 
     def _open(self) -> ProcessPool:
@@ -43,16 +42,15 @@ class LocalExecutor(Executor):
         """Call a function in one of the processes; to cancel the future kills the process."""
         # Ctrl-C reaches all processes of a terminal; those that are started from here leave it to their parent.
         before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-        call = [self._spoilt, function, args, kwargs]
         try:
             try:
-                return self._pool.schedule(_call, args=call)
+                return self._pool.schedule(_call, args=[function, args, kwargs])
             except RuntimeError:  # pebble gives up a pool whose only busy process is killed between two tasks
                 with suppress(OSError):  # some of its processes may have ended
                     self._pool.stop()
                     self._pool.join()
                 self._pool = self._open()
-                return self._pool.schedule(_call, args=call)
+                return self._pool.schedule(_call, args=[function, args, kwargs])
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
@@ -62,16 +60,14 @@ class LocalExecutor(Executor):
             self._pool.stop()
         else:
             self._pool.close()
-        if (
-            wait or cancel_futures
-        ):  # at once is short, and Python's own exit handlers fail on a pool that is closing
+        # At once is short, and Python's own exit handlers fail on a pool that is closing.
+        if wait or cancel_futures:
             self._pool.join()
 
 
-def _call(
-    spoilt: Callable[[Any], bool], function: Callable[..., Any], args: tuple[Any, ...], kwargs: dict[str, Any]
-) -> Any:
+def _call(function: Callable[..., Any], args: tuple[Any, ...], kwargs: dict[str, Any]) -> Any:
     result = function(*args, **kwargs)
-    if spoilt(result):
+    # After an error nobody knows in what state a simulator is: the next try gets a fresh process.
+    if isinstance(result, Ended) and result.state == "failed":
         os._exit(SPOILT)
     return result

@@ -7,6 +7,7 @@ import signal
 import threading
 from collections.abc import Callable
 from concurrent.futures import Executor, Future
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -53,9 +54,9 @@ class RayExecutor(Executor):
 
     def submit(self, function: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         """Call a function in a process of the cluster."""
-        reference = self._call.remote(function, args, kwargs)
-        future: Future[Any] = reference.future()
+        reference = self._call.remote(partial(function, *args, **kwargs))
         self._references.add(reference)
+        future: Future[Any] = reference.future()
         future.add_done_callback(lambda _: self._references.discard(reference))
         return future
 
@@ -69,5 +70,5 @@ class RayExecutor(Executor):
         ray.shutdown()
 
 
-def _call(function: Callable[..., Any], args: tuple[Any, ...], kwargs: dict[str, Any]) -> Any:
-    return function(*args, **kwargs)
+def _call(function: Callable[[], Any]) -> Any:
+    return function()

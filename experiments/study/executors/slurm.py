@@ -7,10 +7,12 @@ SBATCH_MEM_PER_NODE), which take precedence over what is set here.
 from __future__ import annotations
 
 import os
+import queue
 import subprocess
 import threading
 from collections.abc import Callable
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -47,26 +49,25 @@ class SlurmExecutor(Executor):
         self._jobs.update_parameters(
             name="sweep", timeout_min=TIME, mem_gb=MEMORY, cpus_per_task=1, stderr_to_stdout=True
         )
-        self._new: list[tuple[Future[Any], Callable[..., Any], tuple[Any, ...], dict[str, Any]]] = []
+        self._new: queue.SimpleQueue[tuple[Future[Any], partial[Any]]] = queue.SimpleQueue()
         self._open: dict[Future[Any], submitit.Job[Any]] = {}
-        self._lock = threading.Lock()
         self._closed = threading.Event()
-        threading.Thread(target=self._follow, name="follow jobs", daemon=True).start()
+        self._follower = threading.Thread(target=self._follow, name="follow jobs", daemon=True)
+        self._follower.start()
 
     def submit(self, function: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         """Call a function in a job."""
         future: Future[Any] = Future()
         future.set_running_or_notify_cancel()  # from now on it cannot be cancelled alone
-        with self._lock:
-            self._new.append((future, function, args, kwargs))
+        self._new.put((future, partial(function, *args, **kwargs)))
         return future
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """Take no more; with `cancel_futures`, cancel the jobs."""
         self._closed.set()
-        with self._lock:
-            jobs = list(self._open.values())
-        if cancel_futures and jobs:
+        self._follower.join()
+        jobs = list(self._open.values())
+        if cancel_futures:
             with ThreadPoolExecutor(16) as pool:  # every job takes a call of scancel
                 list(pool.map(lambda job: job.cancel(check=False), jobs))
         elif wait:
@@ -76,26 +77,24 @@ class SlurmExecutor(Executor):
     def _follow(self) -> None:
         """Hand over new jobs and take in the results, in a thread."""
         while not self._closed.wait(POLL):
-            with self._lock:
-                new, self._new = self._new, []
-                if new:
-                    self._hand_over(new)
+            new = [self._new.get() for _ in range(self._new.qsize())]
+            if new:
+                self._hand_over(new)
             for future, job in list(self._open.items()):
                 if job.done():
                     del self._open[future]
                     _take(job, future)
 
-    def _hand_over(self, new: list[Any]) -> None:
+    def _hand_over(self, new: list[tuple[Future[Any], partial[Any]]]) -> None:
+        """All that are new in one job array."""
         try:
             with self._jobs.batch():
-                jobs = [
-                    self._jobs.submit(Restartable(), call, *args, **kwargs) for _, call, args, kwargs in new
-                ]
+                jobs = [self._jobs.submit(Restartable(call)) for _, call in new]
         except Exception as error:  # sbatch refuses: no such partition, no account, too many jobs
-            for future, *_ in new:
+            for future, _ in new:
                 future.set_exception(UserError(f"Slurm takes no job: {error}".replace("\n", " ")))
             return
-        self._open.update((entry[0], job) for entry, job in zip(new, jobs, strict=True))
+        self._open.update((future, job) for (future, _), job in zip(new, jobs, strict=True))
 
 
 def _take(job: submitit.Job[Any], future: Future[Any]) -> None:
@@ -104,20 +103,20 @@ def _take(job: submitit.Job[Any], future: Future[Any]) -> None:
     except (
         Exception
     ):  # submitit's own words name its files and show the end of the log, which is there to be read
-        future.set_exception(JobFailed(f"its job {job.job_id} is {job.state} (output: {job.paths.stdout})"))
-
-
-class JobFailed(RuntimeError):
-    """A job ended without a result."""
+        lost = f"its job {job.job_id} is {job.state} (output: {job.paths.stdout})"
+        future.set_exception(RuntimeError(lost))
 
 
 class Restartable:
     """A call that goes on from its own checkpoint when Slurm ends the job and submitit hands it in again."""
 
-    def __call__(self, function: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
-        """Call the function."""
-        return function(*args, **kwargs)
+    def __init__(self, call: partial[Any]) -> None:
+        self._call = call
 
-    def checkpoint(self, *args: Any, **kwargs: Any) -> DelayedSubmission:
+    def __call__(self) -> Any:
+        """Make the call."""
+        return self._call()
+
+    def checkpoint(self) -> DelayedSubmission:
         """What is to be called in the next job."""
-        return DelayedSubmission(self, *args, **kwargs)
+        return DelayedSubmission(self)

@@ -32,7 +32,7 @@ def test_jobs_of_submitit_are_computed_and_retried(tmp_path):
     assert failures == {}
     assert results(tasks) == [TOTAL] * 3
     assert [len(task.tries()) for task in tasks] == [1, 2, 2]
-    [reason] = [reason for name, reason, _ in witness.retries if name == "dies"]
+    [reason] = [words for name, words in witness.retries if name == "dies"]
     assert str(tmp_path / "slurm") in reason  # submitit's log
     assert tasks[1].tries()[1][1] == STEPS // 2  # from its checkpoint
 

@@ -13,9 +13,8 @@ from pathlib import Path
 import pytest
 
 from experiments.study import run as runner
-from experiments.study.attempt import LOG, PROGRESS, Ended, attempt, locked
 from experiments.study.executors import open_executor
-from experiments.study.run import Observer, run
+from experiments.study.run import LOG, PROGRESS, Ended, Observer, attempt, locked, run
 from experiments.support.errors import UserError
 from tests.experiments.study.misbehaving import STEPS, Sum
 from tests.processes import is_alive, wait_for
@@ -28,15 +27,15 @@ class Witness(Observer):
     """Keeps what the runner tells."""
 
     def __init__(self) -> None:
-        self.retries: list[tuple[str, str, int]] = []
+        self.retries: list[tuple[str, str]] = []
         self.seen: set[str] = set()
         self.order: list[str] = []
 
-    def started(self, task) -> None:
-        self.order.append(task.name)
-
-    def again(self, task, reason, number) -> None:
-        self.retries.append((task.name, reason, number))
+    def tell(self, task, state, words="") -> None:
+        if state == "running":
+            self.order.append(task.name)
+        elif state == "waiting":
+            self.retries.append((task.name, words))
 
     def tick(self, running) -> None:
         self.seen |= {name for name, sign in running.items() if sign is not None}
@@ -90,9 +89,8 @@ def test_what_goes_wrong_goes_on_from_its_checkpoint_in_another_process(tmp_path
     (first, begin), (second, resumed) = bad.tries()
     assert first != second
     assert (begin, resumed) == (0, STEPS // 2)
-    [(name, why, number)] = witness.retries
-    assert (name, number) == ("bad", 1)
-    assert reason in why
+    [(name, words)] = witness.retries
+    assert name == "bad" and reason in words and words.endswith("retry 1 of 3")
     assert len(tasks[1].tries()) == 1  # its process died alone
 
 
@@ -114,8 +112,8 @@ def test_what_hangs_is_ended_and_tried_again(tmp_path, fault, monkeypatch):
     failures, witness = compute([bad, Sum("good", tmp_path)])
     assert failures == {}
     assert results([bad]) == [TOTAL]
-    [(_, reason, _)] = witness.retries
-    assert "it hung: no sign of life" in reason
+    [(_, words)] = witness.retries
+    assert "it hung: no sign of life" in words
 
 
 @pytest.mark.parametrize("fault", ["segfault", "fail"])
@@ -124,7 +122,7 @@ def test_what_always_goes_wrong_is_given_up_and_the_others_are_computed(tmp_path
     failures, witness = compute([bad, good])
     assert list(failures) == ["bad"]
     assert results([bad, good]) == [None, TOTAL]
-    assert [number for *_, number in witness.retries] == [1, 2, 3]
+    assert [words[-6:] for _, words in witness.retries] == ["1 of 3", "2 of 3", "3 of 3"]
     assert len(bad.tries()) == 4
     log = (bad.folder / LOG).read_text()
     assert "misbehaving.py" in log  # the stack says where
@@ -149,9 +147,9 @@ def test_a_task_that_another_run_computes_is_waited_for_and_taken_over(tmp_path,
     assert held.__enter__()
 
     class Release(Witness):
-        def elsewhere(self, task) -> None:
-            if not self.retries:
-                self.retries.append(("released", "", 0))
+        def tell(self, task, state, words="") -> None:
+            if state == "in another run" and not self.order:
+                self.order.append("released")
                 held.__exit__(None, None, None)
 
     assert run([task], *open_executor("local", 1, tmp_path, 25), Release()) == {}
@@ -183,8 +181,8 @@ def test_a_task_whose_process_is_lost_on_another_machine_is_handed_out_again(tmp
     witness = Witness()
     assert run([task], Unreliable(), 1, witness) == {}
     assert results([task]) == [TOTAL]
-    [(_, reason, _)] = witness.retries
-    assert "no sign of life from process 1 on elsewhere" in reason
+    [(_, words)] = witness.retries
+    assert "no sign of life from process 1 on elsewhere" in words
 
 
 class Refusing(Executor):
@@ -202,7 +200,7 @@ def test_a_lock_is_free_as_soon_as_its_holder_is_killed(tmp_path):
 import sys, time
 sys.path.insert(0, {str(ROOT)!r})
 from pathlib import Path
-from experiments.study.attempt import locked
+from experiments.study.run import locked
 with locked(Path({str(tmp_path / "work" / "task")!r})) as mine:
     print(mine, flush=True)
     time.sleep(600)
@@ -223,16 +221,12 @@ from pathlib import Path
 sys.path.insert(0, {root!r})
 if __name__ == "__main__":
     from experiments.study.executors import open_executor
-    from experiments.study.run import Interrupted, Stop, run
+    from experiments.study.run import run
+    from experiments.support.errors import run_command
     from tests.experiments.study.misbehaving import Sum
     here = Path(sys.argv[1])
     tasks = [Sum(f"t{{number}}", here, pause=0.05) for number in range(6)]
-    with Stop(lambda: "go on") as stop:
-        try:
-            sys.exit(bool(run(tasks, *open_executor("local", 2, here, 25), stop=stop)))
-        except Interrupted:
-            stop.say()
-            sys.exit(130)
+    run_command(lambda: bool(run(tasks, *open_executor("local", 2, here, 25))))
 """
 
 
@@ -284,5 +278,5 @@ def test_a_signal_ends_everything_within_five_seconds_with_one_line(tmp_path, nu
     output, errors = process.communicate(timeout=30)
     assert time.monotonic() - then < 5.0
     assert process.returncode == 130
-    assert (output, errors) == ("", "\ngo on\n")
+    assert (output, errors) == ("", "interrupted\n")
     wait_for(lambda: not any(map(is_alive, begun(here))), 5.0)

@@ -198,26 +198,6 @@ def test_damaged_cells_are_passed_over_and_named_on_request(directory, cells):
     assert set(results.episodes["cell"]) == set(results.cells)
 
 
-def test_a_published_directory_may_lack_weights_and_training_episodes_and_nothing_else(directory, cells):
-    agent = directory / "cells" / cells[0].name
-    whole = load(directory)
-    (agent / store.WEIGHTS).unlink()
-    with pytest.raises(store.DamagedCell, match=r"weights\.npz"):
-        load(directory)
-    (directory / store.PUBLISHED).write_text("left out on purpose")
-    (agent / store.TRAINING).unlink()
-    found = load(directory)
-    pd.testing.assert_frame_equal(found.episodes, whole.episodes)
-    assert store.Store(directory).is_finished(cells[0])
-    other = next(cell for cell in cells[1:] if cell.kind == "agent")
-    (directory / "cells" / other.name / store.WEIGHTS).write_bytes(b"changed")
-    with pytest.raises(store.DamagedCell, match=r"weights.npz is damaged \(its checksum"):
-        load(directory)
-    (agent / store.EPISODES).unlink()
-    with pytest.raises(store.DamagedCell, match=r"episodes.parquet"):
-        store.read_cell(agent)
-
-
 def test_a_further_test_has_test_episodes_alone(directory, cells):
     agent = next(cell for cell in cells if cell.kind == "agent")
     doses = {"backend": "sumo", "traffics": ["dose50"], "episodes": 3, "env_config": agent.env_config}

@@ -47,6 +47,17 @@ def computed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return directory
 
 
+@pytest.fixture(scope="module")
+def grown(computed: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Packed cells, and those of another seed that are not packed yet."""
+    directory = tmp_path_factory.mktemp("grown") / "results"
+    shutil.copytree(computed, directory)
+    pack(directory)
+    shutil.rmtree(directory / "cells")
+    compute(directory, seeds=2)
+    return directory
+
+
 @pytest.fixture
 def results(computed: Path, tmp_path: Path) -> Path:
     shutil.copytree(computed, tmp_path / "results")
@@ -130,11 +141,10 @@ def test_an_unknown_or_damaged_manifest_is_named(results: Path, manifest: str, m
 
 @pytest.mark.parametrize("writes", [0, 1, 2, 3])
 def test_what_was_packed_before_survives_a_kill_while_packing(
-    results: Path, writes: int, monkeypatch: pytest.MonkeyPatch
+    grown: Path, tmp_path: Path, writes: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    pack(results)
-    shutil.rmtree(results / "cells")
-    compute(results, seeds=2)
+    results = tmp_path / "results"
+    shutil.copytree(grown, results)
     before = load(results)
     write_file, done = packed.write_file, []
 

@@ -68,12 +68,13 @@ class CellTask:
         return Store(self.directory).work / self.name
 
     def done(self) -> bool:
-        """Whether it is stored; damaged results are put aside."""
+        """Whether it is stored; damaged results are named and put aside."""
         store = Store(self.directory)
         try:
             return store.is_finished(self.cell)
-        except DamagedCell:
-            store.put_aside(store.cells / self.name)
+        except DamagedCell as error:
+            aside = store.put_aside(store.cells / self.name)
+            print(f"{error.file} is damaged ({error.reason}): put aside in {aside}, to be computed again")
             return False
 
     def compute(self, beat: Beat) -> str:

@@ -6,7 +6,7 @@ import os
 from concurrent.futures import Executor
 from pathlib import Path
 
-from experiments.support.errors import UserError, unknown
+from experiments.support.errors import UserError
 
 EXECUTORS = ("local", "ray", "slurm")
 SLURM_JOBS = 100  # at a time, unless the user says otherwise
@@ -23,18 +23,15 @@ def open_executor(
     """An executor by name, and how many tasks it should be given at a time.
 
     Args:
+        name: of EXECUTORS.
         workers: that number; by default the cores of the machine or of the cluster.
         directory: for what the executor itself writes.
         tasks_per_process: then a fresh process takes over, so that whatever a simulator leaks is given back.
 
     Raises:
-        UserError: there is none of this name, its package is not installed, or it cannot be reached.
+        UserError: its package is not installed, or it cannot be reached.
     """
     try:
-        if name == "local":
-            from experiments.study.executors.local import LocalExecutor
-
-            return LocalExecutor(workers or cores(), tasks_per_process), workers or cores()
         if name == "ray":
             from experiments.study.executors.ray import RayExecutor
 
@@ -48,4 +45,6 @@ def open_executor(
         raise UserError(
             f"--executor {name} needs the package {error.name}: .venv/bin/python -m pip install '.[{name}]'"
         ) from None
-    raise unknown("executor", name, EXECUTORS)
+    from experiments.study.executors.local import LocalExecutor
+
+    return LocalExecutor(workers or cores(), tasks_per_process), workers or cores()

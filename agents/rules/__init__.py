@@ -10,12 +10,12 @@ from agents.policies import Policy
 from agents.rules.careful import Careful
 from agents.rules.constant import Constant, Random
 from agents.rules.idm import IDM
-from agents.rules.planner import Planner
+from agents.rules.planner import clairvoyant, imagining
 
 POLICIES = ("idle", "random", "faster", "slower", "idm", "careful")
 # The careful driver at other cautions: with the constant policies, how many crashes a speed costs without learning.
-PLANNERS = {"planner": False, "clairvoyant": True}  # whether they know the future
 CAUTIONS = {"careful-0.1": 0.1, "careful-0.5": 0.5, "careful": 1.0, "careful-2": 2.0, "careful-4": 4.0}
+PLANNERS = {"planner": imagining, "clairvoyant": clairvoyant}
 
 
 def make_policy(name: str, env: gym.Env[Any, Any]) -> Policy:
@@ -23,8 +23,8 @@ def make_policy(name: str, env: gym.Env[Any, Any]) -> Policy:
 
     "idle", "faster" and "slower" repeat one meta-action, "random" draws uniformly, "idm" is
     :class:`agents.rules.idm.IDM`, "careful" :class:`agents.rules.careful.Careful`, "careful-2" the same with twice the
-    caution (see CAUTIONS). "planner" is :class:`agents.rules.planner.Planner`, "clairvoyant" the same with copies that
-    know the future; these two need an environment that can be copied.
+    caution (see CAUTIONS). "planner" is :class:`agents.rules.planner.Planner` with imagined copies, "clairvoyant" the
+    same with copies that know the future; these two need an environment that can be copied.
 
     Raises:
         ValueError: unknown name, or an action that the environment lacks.
@@ -35,7 +35,7 @@ def make_policy(name: str, env: gym.Env[Any, Any]) -> Policy:
     if name == "idm":
         return IDM(env)
     if name in PLANNERS:
-        return Planner(env, foresees=PLANNERS[name])
+        return PLANNERS[name](env)
     if name in CAUTIONS:
         return Careful(env, CAUTIONS[name])
     if name not in POLICIES:

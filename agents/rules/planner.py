@@ -61,6 +61,16 @@ class Planner:
         return self._env.imagine(int(self._generator.integers(2**31)))
 
 
+def imagining(env: gym.Env[Any, Any]) -> Planner:
+    """The one that imagines."""
+    return Planner(env, foresees=False)
+
+
+def clairvoyant(env: gym.Env[Any, Any]) -> Planner:
+    """The one that knows the future."""
+    return Planner(env, foresees=True)
+
+
 def _values(env: Any, first: int, repeated: list[int]) -> dict[int, float]:
     """Value of a first action followed by each of the repeated ones, in copies."""
     begun = copy.deepcopy(env)

@@ -9,7 +9,8 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from agents.rules import make_policy
+from agents.policies import foreign_policy
+from agents.rules import make_policy, planner
 from agents.rules.planner import Planner
 
 NAMES = {0: "SLOWER", 1: "IDLE", 2: "FASTER"}
@@ -106,6 +107,30 @@ def test_idle_is_kept_where_nothing_makes_a_difference() -> None:
             return Flat(self.strikes_at, self.places)
 
     assert NAMES[Planner(Flat(None), foresees=True).act(np.zeros(1))] == "IDLE"
+
+
+@pytest.mark.parametrize(("name", "maker"), [("planner", "imagining"), ("clairvoyant", "clairvoyant")])
+def test_a_study_takes_it_as_a_policy_from_its_file(name: str, maker: str) -> None:
+    """``sweep.py --policy agents/rules/planner.py:imagining``."""
+    chosen = []
+    for policy in (foreign_policy(f"{planner.__file__}:{maker}", Road()), make_policy(name, Road())):
+        policy.reset(3)  # type: ignore[attr-defined]
+        chosen.append([policy.act(np.zeros(1)) for _ in range(4)])
+    assert chosen[0] == chosen[1]
+
+
+@pytest.mark.slow
+def test_without_risk_both_are_one() -> None:
+    """Nothing is imagined there, so that `experiments.study.planning` drives one of them in regular traffic."""
+    driven = []
+    for name in ("planner", "clairvoyant"):
+        env = gym.make("sumo_env:sumo/u-turn-v0", config={"vehicles_count": 3, "duration": 4})
+        policy = make_policy(name, env)
+        env.reset(seed=1)
+        policy.reset(1)
+        driven.append([env.step(policy.act(np.zeros(1)))[1] for _ in range(3)])
+        env.close()
+    assert driven[0] == driven[1]
 
 
 @pytest.mark.slow

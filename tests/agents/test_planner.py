@@ -114,7 +114,7 @@ def test_a_study_takes_it_as_a_policy_from_its_file(name: str, maker: str) -> No
     """``sweep.py --policy agents/rules/planner.py:imagining``."""
     chosen = []
     for policy in (foreign_policy(f"{planner.__file__}:{maker}", Road()), make_policy(name, Road())):
-        policy.reset(3)  # type: ignore[attr-defined]
+        policy.reset(3)
         chosen.append([policy.act(np.zeros(1)) for _ in range(4)])
     assert chosen[0] == chosen[1]
 

@@ -172,10 +172,10 @@ def test_a_planner_of_rl_agents_kind_copies_attribute_by_attribute() -> None:
 
 def test_a_tree_of_states_as_rl_agents_planners_keep_it() -> None:
     """Its deterministic planner keeps every state that it has reached, closes none, and takes available actions."""
-    env = gym.make("sumo/u-turn-v0", config={"risk": 1.0})
+    env: Any = gym.make("sumo/u-turn-v0", config={"risk": 1.0})
     env.reset(seed=5)
     tree: dict[tuple[int, ...], tuple[float, Any]] = {(): (0.0, env)}
-    leaves = [()]
+    leaves: list[tuple[int, ...]] = [()]
     for _ in range(5):
         path = max(leaves, key=lambda path: tree[path][0])
         leaves.remove(path)
@@ -188,7 +188,7 @@ def test_a_tree_of_states_as_rl_agents_planners_keep_it() -> None:
                 leaves.append((*path, action))
     best = max(leaves, key=lambda path: tree[path][0])
     assert len(best) > 1
-    assert env.unwrapped.scene.time == 0.0  # type: ignore[attr-defined]
+    assert env.unwrapped.scene.time == 0.0
     assert sum(float(env.step(action)[1]) for action in best) == tree[best][0]
     processes = [state.unwrapped._simulator.pid for path, (_, state) in tree.items() if path]
     assert len(set(processes)) == len(processes) > 5

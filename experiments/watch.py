@@ -45,7 +45,7 @@ class Options:
 
 
 def chosen(directory: Path, part: str) -> str:
-    """The name of the agent's cell: of those that fit, the one that was finished last.
+    """The name of the agent's cell: of those that fit and have weights, the one that was finished last.
 
     Raises:
         UserError: there is none.
@@ -56,6 +56,7 @@ def chosen(directory: Path, part: str) -> str:
     if not fitting:
         names = ", ".join(sorted(agents)[:5]) or "none"
         raise UserError(f"no agent in {directory} has {part!r} in its name; there are: {names}")
+    fitting = [name for name in fitting if store.weights_file(directory, name)] or fitting
     return max(fitting, key=lambda name: str(agents[name]["timing"]["finished"]))
 
 

@@ -12,6 +12,7 @@ import pandas as pd
 from experiments.analysis.analysis import Analysis, analyse, as_json, stored
 from experiments.analysis.effects import mean_over
 from experiments.analysis.plan import Plan
+from experiments.reporting.page import paces
 from experiments.reporting.tables import main
 from experiments.reporting.words import difference
 from experiments.study.arms import EXTRA_ARMS, TRAFFICS
@@ -75,6 +76,22 @@ def test_the_readme_tells_the_numbers_of_the_published_study() -> None:
     shown = [crashes(study, scope="without u-turn")["risky"], crashes(study, arm="dense")["risky"]]
     numbers = [words.replace(" points", "") for words in shown]
     assert [number for number in numbers if number not in told("README.md")] == []
+
+
+def test_progress_is_told_beside_speed() -> None:
+    policies = published("standard").policies
+    found = paces(policies[policies["backend"] == "sumo"])
+    risky, regular = (
+        [f"{found[name][traffic]['progress']:.1f}" for name in ("treatment", "control", "slower")]
+        for traffic in ("risky", "regular")
+    )
+    slower = f"{100 * found['slower']['risky']['crashed']:.0f} %"
+    assert "cover {} m/s in risky traffic, the others {}; always choosing SLOWER covers {}".format(
+        *risky
+    ) in told("README.md")
+    assert f"covers {risky[2]} and crashes in {slower}" in told("README.md")
+    assert "is {} m/s, that of control agents {}.".format(*risky) in told("docs/study.md")
+    assert "it is {}, {} and {} m/s".format(*regular) in told("docs/study.md")
 
 
 def test_crashes_in_the_last_second_and_unfinished_learning() -> None:

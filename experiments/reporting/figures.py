@@ -138,7 +138,7 @@ def crashes_against_progress(policies: pd.DataFrame, backend: str) -> str:
         axes[0, column].set_title(task)
     for row, traffic in enumerate(reversed(TRAFFICS)):
         axes[row, 0].set_ylabel(f"crash rate,\n{traffic} traffic")
-    figure.supxlabel("progress: distance for each second that the episode was to last [m/s]", fontsize=8.5)
+    figure.supxlabel("progress: distance covered, over the time limit of the episode [m/s]", fontsize=8.5)
     _legend(figure, shown, ls="")
     return to_svg(figure, f"{backend}-progress", "Crash rate against progress, by task and policy")
 

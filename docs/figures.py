@@ -2,8 +2,8 @@
 
 docs/img/networks/*.png       SUMO's lanes (grey, orange in junctions) under highway-env's centre lines (bright, dashed)
 docs/img/collisions.png       how contacts are looked for
-docs/img/effects.svg          the effect on the crash rate in the published study, as in its report
-docs/img/arms.svg             the crash rate of its further arms, likewise
+docs/img/effects.svg          the effect on the crash rate in the published study, as in its appendix
+docs/img/arms.svg             the crash rate against the dose of risk in training, as in its appendix
 """
 
 from __future__ import annotations

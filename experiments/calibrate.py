@@ -248,7 +248,7 @@ class Fit:
 
     def __init__(self, options: Options, task: str) -> None:
         self.options, self.task = options, task
-        self.levels = tuple(range(1, len(grid.level_names(task)) + 1))
+        self.levels = list(range(1, len(grid.level_names(task)) + 1))
 
     def drive(
         self, engines: Sequence[Engine], levels: Sequence[int], traffics: Sequence[str], scenarios: range
@@ -273,11 +273,11 @@ class Fit:
         Drivers are fitted at the lowest and the highest level and judged at all; risk at the lowest level.
         """
         task = TASKS[self.task]
+        fitted, judged = [1], [1]
+        space, present = RISK[self.task], present_risk(task)
         if part == "drivers":
+            fitted, judged = [self.levels[0], self.levels[-1]], self.levels
             space, present = DRIVERS[self.task], asdict(task.calibration)
-            fitted, judged = (self.levels[0], self.levels[-1]), self.levels
-        else:
-            space, present, fitted, judged = RISK[self.task], present_risk(task), (1,), (1,)
         if not space:
             return None
         start = {name: present[name] for name in space}

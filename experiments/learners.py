@@ -37,7 +37,7 @@ from experiments.support.files import write_file
 from experiments.support.processes import end_with_parent
 
 # highway-env's own example for Stable-Baselines3 (scripts/sb3_highway_dqn.py)
-STABLE_BASELINES = {
+STABLE_BASELINES: dict[str, Any] = {
     "policy_kwargs": {"net_arch": [256, 256]},
     "learning_rate": 5e-4,
     "buffer_size": 15_000,

@@ -67,9 +67,7 @@ def engines(options: Options) -> list[Engine]:
     judged = [Engine("sumo", "sumo"), Engine(checks.REFERENCE, "replica", path)]
     if options.quick:
         return [Engine(engine.name, engine.backend, engine.config, egos=CORE) for engine in judged]
-    ten = {**path, "simulation_frequency": 10}
-    changes = dict(zip(checks.VARIANTS, ({"variant": "connected"}, {"variant": "v0"}, ten), strict=True))
-    variants = [Engine(name, "replica", config) for name, config in changes.items()]
+    variants = [Engine(name, "replica", config) for name, config in checks.VARIANTS.items()]
     return [*judged, *variants, Engine(checks.TRUTH, "highway-env", path, one_in=options.one_in)]
 
 

@@ -23,9 +23,14 @@ if TYPE_CHECKING:
 
 Check = dict[str, Any]
 LEAST_SCENARIOS = 3  # with fewer there is no verdict
-# Engines in a table of episodes beside the compared simulator: highway-env by its replica, the same in other variants,
-# and highway-env itself.
-REFERENCE, VARIANTS, TRUTH = "reference", ("connected", "v0", "10 Hz"), "highway-env"
+# Engines in a table of episodes beside the compared simulator: highway-env by its replica, and highway-env itself.
+REFERENCE, TRUTH = "reference", "highway-env"
+# The replica in other variants, by what differs.
+VARIANTS: dict[str, dict[str, Any]] = {
+    "connected": {"variant": "connected"},
+    "v0": {"variant": "v0"},
+    "10 Hz": {"variant": "path", "simulation_frequency": 10},
+}
 # Measures over the egos of CORE: metric -> (name, unit). Those without a margin are reported.
 MEASURES = {
     "traffic_speed": ("traffic speed", "m/s"),

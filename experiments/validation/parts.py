@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import multiprocessing
 from collections.abc import Iterable, Mapping, Sequence
-from concurrent.futures import as_completed
+from concurrent.futures import Future, as_completed
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -153,7 +153,7 @@ def run(parts: Sequence[Part], folder: Path, workers: int, console: Console | No
     pool = ProcessPool(workers, PARTS_PER_PROCESS, end_with_parent, context=context)
     left = [part for part in parts if not (folder / part.file).exists()]
     try:
-        running = {pool.schedule(part.write, args=(folder,)): part for part in left}
+        running: dict[Future[None], Part] = {pool.schedule(part.write, args=(folder,)): part for part in left}
         finished = as_completed(running)
         for future in track(finished, "driving", len(left), console=console, disable=console is None):
             if error := future.exception():

@@ -31,7 +31,7 @@ def episodes(
 def verdict(task: str, agent: pd.DataFrame, arm: str = "control", **others: pd.DataFrame) -> dict[str, Any]:
     cells = {"agent": cell("dqn", task, arm), **{policy: cell(policy, task) for policy in others}}
     [row] = gates(cells, pd.concat([agent, *others.values()])).to_dict("records")
-    parts = ("value", "limit", "note")
+    parts = ("value", "limit")
     found = {g: {"passed": row[g], **{part: row[f"{g} {part}"] for part in parts}} for g in GATES}
     return {**row, "failed": row["failed"].split(), "gates": found}
 
@@ -40,7 +40,6 @@ def test_a_tie_with_a_constant_policy_is_a_failure() -> None:
     """Whatever actions it takes, an agent that always gets what standing gets has learnt nothing."""
     record = verdict("highway", episodes("agent", 9 + LUCK), slower=episodes("slower", 9 + LUCK))
     assert record["failed"] == ["not_constant", "beats_constant"]
-    assert "the return is that of slower in 100%" in record["gates"]["not_constant"]["note"]
 
 
 def test_a_tie_with_another_than_the_best_constant_policy_is_one_too() -> None:
@@ -71,9 +70,7 @@ def test_waiting_where_waiting_pays_more_than_anything_else_is_no_failure() -> N
         "faster": episodes("faster", 3.0 + LUCK),
         "careful": episodes("careful", 9.4 + LUCK),
     }
-    record = verdict("roundabout", waiting, **references)
-    assert record["passed"] is True
-    assert record["gates"]["crosses"]["note"] == "above careful, which crosses"
+    assert verdict("roundabout", waiting, **references)["passed"] is True
 
 
 def test_waiting_where_crossing_pays_more_is_a_failure() -> None:
@@ -84,7 +81,6 @@ def test_waiting_where_crossing_pays_more_is_a_failure() -> None:
     }
     record = verdict("roundabout", waiting, **references)
     assert record["failed"] == ["crosses"]
-    assert record["gates"]["crosses"]["note"] == "not above careful, which crosses"
 
 
 @pytest.mark.parametrize("task", list(CROSSINGS))

@@ -16,8 +16,8 @@ from experiments.analysis import plan as plans
 from experiments.analysis.cells import comparable, duplicates, is_main
 from experiments.analysis.claims import claims
 from experiments.analysis.controls import negative_control, placebo
-from experiments.analysis.effects import adjusted, against_policy, contrasts, means, slopes, variants
-from experiments.analysis.estimate import OK, Mean
+from experiments.analysis.effects import adjusted, contrasts, means, slopes, variants
+from experiments.analysis.estimate import Mean
 from experiments.analysis.gates import GATES, gates, learnt
 from experiments.analysis.plan import OUTCOMES, TERMS, Plan
 from experiments.analysis.scores import (
@@ -130,12 +130,10 @@ def exploratory(
     rules = episodes[episodes["kind"] == "baseline"]
     rules = rules.assign(arm=rules["policy"], seed=0)
     drivers = arms_of(pd.concat([own_agents(episodes), rules]), SHOWN)
-    mark = against_policy(drivers, "careful", list(ARMS), questions, plain)
+    mark = contrasts(drivers, [(arm, "careful") for arm in ARMS], questions, plain)
     yield mark, means(mark, plain)
     yield sensitivity(episodes, home, passed, plain)
-    for other in sorted(
-        {*episodes["tested_on"]} - {*episodes["backend"]} | {*_elsewhere(episodes)["tested_on"]}
-    ):
+    for other in sorted({*elsewhere(episodes)["tested_on"]}):
         yield from transfer(episodes, str(other), plain)
 
 
@@ -154,14 +152,14 @@ def sensitivity(
     return sound.iloc[:0], pd.concat([scopes, passing])
 
 
-def _elsewhere(episodes: pd.DataFrame) -> pd.DataFrame:
+def elsewhere(episodes: pd.DataFrame) -> pd.DataFrame:
     """The episodes of agents on another simulator than that of their training."""
     return episodes[(episodes["kind"] == "test") & (episodes["tested_on"] != episodes["backend"])]
 
 
 def transfer(episodes: pd.DataFrame, other: str, plain: Plan) -> Iterable[Frames]:
     """The effect on the crash rate on another simulator, and of the same agents on the same scenarios at home."""
-    tests = _elsewhere(episodes)
+    tests = elsewhere(episodes)
     tests = tests[tests["tested_on"] == other]
     agents = own_agents(episodes)
     away = tests.merge(agents[AGENT].drop_duplicates())
@@ -282,14 +280,7 @@ def stored(path: Path) -> Analysis | None:
         for name, part in value.items()
     }
     effects = frames["effects"]
-    effects["looks"] = [
-        (
-            Mean(
-                row.estimate,
-                ((row.se**2, row.df),) if row.status == OK else (),
-                min(row.seeds_arm, row.seeds_against),
-            ),
-        )
-        for row in effects.itertuples()
-    ]
+    variances = (effects["se"] ** 2).fillna(0.0), effects["df"].fillna(1.0)
+    seeds = effects[["seeds_arm", "seeds_against"]].min(axis=1)
+    effects["looks"] = [(Mean(*row),) for row in zip(effects["estimate"], *variances, seeds, strict=True)]
     return Analysis(**frames)

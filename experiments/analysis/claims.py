@@ -85,11 +85,8 @@ def _counts(claim: Claim, effects: pd.DataFrame, slopes: pd.DataFrame, plan: Pla
         wrong = estimate.adjusted(estimate.stats.t.sf(beyond, known["df"])) < plan.alpha / 2
         alone = known["equivalent_p"] < plan.alpha
     else:
-        better = known["estimate"] * claim.sign > 0
-        if claim.name == "fewer crashes":
-            better = (
-                known["estimate"] * known["outcome"].map(lambda name: OUTCOMES[name].better).astype(float) > 0
-            )
+        signs = claim.sign if is_slope else [OUTCOMES[name].better for name in known["outcome"]]
+        better = known["estimate"] * signs > 0
         decided = known["p_adjusted"] < plan.alpha
         right, wrong, alone = better & decided, ~better & decided, better & (known["p"] < plan.alpha)
     expected = len(GRID) if is_slope else sum(GRID.values())

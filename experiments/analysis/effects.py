@@ -11,7 +11,7 @@ all looks that were held) and status ("ok", or why there is no interval, see `es
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Container, Iterable, Mapping, Sequence
 from dataclasses import asdict
 from typing import Any
 
@@ -22,6 +22,7 @@ from experiments.analysis import estimate
 from experiments.analysis.estimate import OK, SATURATED, Estimate, Mean
 from experiments.analysis.plan import DEFAULT, OUTCOMES, Plan
 from experiments.analysis.scores import PLACE, TASK_ORDER, Arm, Arms, Place
+from experiments.study.arms import DOSES
 from sumo_env.tasks import TASKS
 
 ALL_TASKS, SETTINGS_ALIKE = "all tasks", "every setting alike"
@@ -31,6 +32,7 @@ ESTIMATE = ["estimate", "se", "df", "low", "high", "p", "status"]
 COMPARISON = ["backend", "tested_on", "scenarios", "arm", "against"]
 QUESTION = ["outcome", "term"]
 KEY = [*COMPARISON, "task", "level", "level_name", *QUESTION]
+MEANS = ["mean_arm", "mean_against", "seeds_arm", "seeds_against"]
 GRID = {task: len(definition.levels) for task, definition in TASKS.items()}
 
 
@@ -73,7 +75,7 @@ def contrasts(
     plan: Plan = DEFAULT,
     **labels: str,
 ) -> pd.DataFrame:
-    """Effects: one arm minus another, in every setting that has both.
+    """Effects: one arm minus another, or minus a policy that has no training, in every setting that has both.
 
     Args:
         arms: from `scores.arms_of`. pairs: (arm, against). questions: (outcome, term).
@@ -85,38 +87,38 @@ def contrasts(
     """
     rows = []
     for place, by_name in arms.items():
-        where = dict(zip(PLACE, place, strict=True))
-        where = {**where, "tested_on": labels.get("tested_on", where["backend"])}
+        where = {**dict(zip(PLACE, place, strict=True)), "tested_on": place[0], "scenarios": "own", **labels}
         for arm, against in pairs:
-            if arm not in by_name or against not in by_name:
-                continue
-            pair = by_name[arm], by_name[against]
-            for outcome, term in questions:
-                rows.append(
-                    {
-                        **where,
-                        "scenarios": labels.get("scenarios", "own"),
-                        "arm": arm,
-                        "against": against,
-                        "outcome": outcome,
-                        "term": term,
-                        **_contrast(pair, outcome, term, plan),
-                    }
-                )
+            if arm in by_name and against in by_name:
+                pair = by_name[arm], by_name[against]
+                compare = _between_arms if against in DOSES else _against_policy
+                rows += [
+                    {**where, "arm": arm, "against": against, "outcome": outcome, "term": term}
+                    | compare(pair, outcome, term, plan)
+                    for outcome, term in questions
+                ]
     return pd.DataFrame(rows, columns=[*KEY, *ESTIMATE, *MEANS, "looks"])
 
 
-MEANS = ["mean_arm", "mean_against", "seeds_arm", "seeds_against"]
-
-
-def _contrast(pair: tuple[Arm, Arm], outcome: str, term: str, plan: Plan) -> dict[str, Any]:
+def _between_arms(pair: tuple[Arm, Arm], outcome: str, term: str, plan: Plan) -> dict[str, Any]:
     looks = at_looks(pair, (1.0, -1.0), outcome, term, plan)
-    seeds = [len(arm.seeds) for arm in pair]
-    found = decided(looks, min(seeds), plan)
+    found = decided(looks, min(len(arm.seeds) for arm in pair), plan)
     if plan.version > 1 and _saturated(pair, outcome, term):
         found = Estimate(found.estimate, SATURATED)
+    return {**asdict(found), **_means_of(pair, outcome, term), "looks": looks}
+
+
+def _against_policy(pair: tuple[Arm, Arm], outcome: str, term: str, plan: Plan) -> dict[str, Any]:
+    """Agents minus a policy scenario by scenario."""
+    agents, policy = (arm.scores(outcome, term) for arm in pair)
+    looks = (estimate.linear([(agents - policy, 1.0)]),)
+    return {**asdict(decided(looks, len(agents), plan)), **_means_of(pair, outcome, term), "looks": looks}
+
+
+def _means_of(pair: Sequence[Arm], outcome: str, term: str) -> dict[str, float]:
+    """MEANS of two arms."""
     means = [float(arm.scores(outcome, term).mean()) for arm in pair]
-    return asdict(found) | dict(zip(MEANS, [*means, *seeds], strict=True)) | {"looks": looks}
+    return dict(zip(MEANS, [*means, *(len(arm.seeds) for arm in pair)], strict=True))
 
 
 def _saturated(pair: Iterable[Arm], outcome: str, term: str) -> bool:
@@ -124,38 +126,6 @@ def _saturated(pair: Iterable[Arm], outcome: str, term: str) -> bool:
     return outcome == "crashed" and all(
         (table == 1).all() for arm in pair for table in arm.tested(outcome, term)
     )
-
-
-def against_policy(
-    arms: Mapping[Place, Arms],
-    policy: str,
-    names: Sequence[str],
-    questions: Sequence[tuple[str, str]],
-    plan: Plan,
-) -> pd.DataFrame:
-    """Effects of arms against a policy that has no training: agents minus the policy, scenario by scenario."""
-    result: dict[Place, dict[str, Arm]] = {}
-    for place, by_name in arms.items():
-        if policy in by_name:
-            own = by_name[policy].values
-            for name in names:
-                if name in by_name:
-                    values = {k: v - own[k] for k, v in by_name[name].values.items()}
-                    result.setdefault(place, {})[name] = Arm(by_name[name].seeds, values)
-    rows = []
-    for place, by_name in result.items():
-        where = {**dict(zip(PLACE, place, strict=True)), "tested_on": place[0], "scenarios": "own"}
-        for name, arm in by_name.items():
-            for outcome, term in questions:
-                looks = (estimate.linear([(arm.scores(outcome, term), 1.0)]),)
-                means = [float(arms[place][who].scores(outcome, term).mean()) for who in (name, policy)]
-                row = dict(zip(MEANS, [*means, len(arm.seeds), 1], strict=True))
-                rows.append(
-                    {**where, "arm": name, "against": policy, "outcome": outcome, "term": term}
-                    | asdict(decided(looks, len(arm.seeds), plan))
-                    | {**row, "looks": looks}
-                )
-    return pd.DataFrame(rows, columns=[*KEY, *ESTIMATE, *MEANS, "looks"])
 
 
 def adjusted(effects: pd.DataFrame, plan: Plan = DEFAULT) -> pd.DataFrame:
@@ -185,8 +155,7 @@ def adjusted(effects: pd.DataFrame, plan: Plan = DEFAULT) -> pd.DataFrame:
     one_traffic = effects[(effects["status"] == OK) & effects["term"].isin(["risky", "regular"])]
     for (_, outcome, _), rows in one_traffic.groupby(["backend", "outcome", "term"]):
         if outcome in OUTCOMES and (margin := OUTCOMES[outcome].margin) is not None:
-            estimates = [Estimate(**row) for row in rows[ESTIMATE].to_dict("records")]
-            p = [estimate.equivalence(found, margin) for found in estimates]
+            p = estimate.equivalence(rows, margin)
             effects.loc[rows.index, "equivalent_p"] = p
             effects.loc[rows.index, "equivalent_p_adjusted"] = estimate.adjusted(p)
     return effects
@@ -214,9 +183,6 @@ def mean_over(rows: pd.DataFrame, plan: Plan, tasks_alike: bool = True) -> dict[
     return found | dict(zip(MEANS, [*means, *agents], strict=True)) | {"settings": len(rows)}
 
 
-Scopes = Iterator[tuple[str, pd.DataFrame]]
-
-
 def means(effects: pd.DataFrame, plan: Plan = DEFAULT) -> pd.DataFrame:
     """Means of effects over the levels of each task, and over all tasks if the outcome means the same on every task.
 
@@ -226,14 +192,7 @@ def means(effects: pd.DataFrame, plan: Plan = DEFAULT) -> pd.DataFrame:
     Returns:
         A row a mean: COMPARISON, scope (a task or "all tasks"), QUESTION, ESTIMATE, MEANS and settings.
     """
-
-    def scopes(rows: pd.DataFrame, outcome: str) -> Scopes:
-        for task in _tasks(rows):
-            yield task, rows[rows["task"] == task]
-        if outcome not in OUTCOMES or OUTCOMES[outcome].poolable:
-            yield ALL_TASKS, rows
-
-    return _means(effects, plan, scopes)
+    return _means(effects, plan, lambda rows: _by_task(rows) | _over_all(rows))
 
 
 def variants(
@@ -245,31 +204,39 @@ def variants(
         effects: from `contrasts`. learnt: the settings (backend, task, level) that were.
     """
 
-    def scopes(rows: pd.DataFrame, outcome: str) -> Scopes:
-        tasks = _tasks(rows)
-        for task in tasks if len(tasks) > 1 else ():
-            yield f"without {task}", rows[rows["task"] != task]
-        yield SETTINGS_ALIKE, rows
-        places = zip(rows["backend"], rows["task"], rows["level"], strict=True)
-        known = rows[[place in learnt for place in places]]
-        if len(known):
-            yield "settings that were learnt", known
+    def scopes(rows: pd.DataFrame) -> Scopes:
+        tasks = list(_by_task(rows))
+        without = {f"without {task}": rows[rows["task"] != task] for task in tasks if len(tasks) > 1}
+        known = [place in learnt for place in zip(rows["backend"], rows["task"], rows["level"], strict=True)]
+        return without | {SETTINGS_ALIKE: rows, "settings that were learnt": rows[known]}
 
     return _means(effects, plan, scopes)
 
 
-def _means(effects: pd.DataFrame, plan: Plan, scopes: Callable[[pd.DataFrame, str], Scopes]) -> pd.DataFrame:
+Scopes = dict[
+    str, pd.DataFrame
+]  # effects of one comparison, outcome and term, by what they are averaged over
+
+
+def _by_task(rows: pd.DataFrame) -> Scopes:
+    return {task: rows[rows["task"] == task] for task in TASK_ORDER if (rows["task"] == task).any()}
+
+
+def _over_all(rows: pd.DataFrame) -> Scopes:
+    outcome = OUTCOMES.get(rows["outcome"].iloc[0])
+    return {ALL_TASKS: rows} if outcome is None or outcome.poolable else {}
+
+
+def _means(effects: pd.DataFrame, plan: Plan, scopes: Callable[[pd.DataFrame], Scopes]) -> pd.DataFrame:
     rows = []
     for key, group in effects.groupby([*COMPARISON, *QUESTION], sort=False):
         labels = dict(zip([*COMPARISON, *QUESTION], key, strict=True))
-        for scope, members in scopes(group, labels["outcome"]):
-            found = mean_over(members, plan, tasks_alike=scope != SETTINGS_ALIKE)
-            rows.append({**labels, "scope": scope, **found})
+        rows += [
+            {**labels, "scope": scope, **mean_over(own, plan, tasks_alike=scope != SETTINGS_ALIKE)}
+            for scope, own in scopes(group).items()
+            if len(own)
+        ]
     return pd.DataFrame(rows, columns=[*COMPARISON, "scope", *QUESTION, *ESTIMATE, *MEANS, "settings"])
-
-
-def _tasks(rows: pd.DataFrame) -> list[str]:
-    return sorted(rows["task"].unique(), key=TASK_ORDER.__getitem__)
 
 
 def slopes(arms: Mapping[Place, Arms], plan: Plan = DEFAULT) -> pd.DataFrame:

@@ -17,7 +17,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
+import pandas as pd
+from numpy.typing import ArrayLike, NDArray
 from scipy import optimize, stats
 from statsmodels.stats.multitest import multipletests
 
@@ -50,25 +51,22 @@ class Estimate:
 
 @dataclass(frozen=True)
 class Mean:
-    """A linear combination of arms' means: its value and the independent parts of its variance.
+    """A linear combination of arms' means: its value, its variance and the degrees of freedom of that.
 
-    parts: (variance, degrees of freedom) each. least: training seeds in the smallest arm.
+    least: training seeds in the smallest arm; with one there is no variance.
     """
 
     value: float
-    parts: tuple[tuple[float, float], ...]
+    variance: float
+    df: float
     least: int
 
-    @property
-    def variance(self) -> float:
-        """The whole variance."""
-        return float(sum(variance for variance, _ in self.parts))
 
-    @property
-    def df(self) -> float:
-        """Satterthwaite's degrees of freedom."""
-        below = sum(variance**2 / df for variance, df in self.parts)
-        return float(self.variance**2 / below) if below > 0 else 1.0
+def total(parts: Sequence[tuple[float, float]]) -> tuple[float, float]:
+    """The sum of independent variances (each with degrees of freedom), and Satterthwaite's degrees of freedom."""
+    variance = float(sum(part for part, _ in parts))
+    below = sum(part**2 / df for part, df in parts)
+    return variance, float(variance**2 / below) if below > 0 else 1.0
 
 
 def check(scores: Scores) -> Scores:
@@ -93,7 +91,7 @@ def linear(arms: Sequence[tuple[Scores, float]], floor: float = 0.0) -> Mean:
     n = [len(scores) for scores, _ in used]
     value = float(sum(weight * scores.mean() for scores, weight in used))
     if min(n) == 1:
-        return Mean(value, (), 1)
+        return Mean(value, 0.0, 1.0, 1)
     parts, noise = [], 0.0
     scenarios = used[0][0].shape[1]
     per_scenario = np.zeros(scenarios)
@@ -112,7 +110,7 @@ def linear(arms: Sequence[tuple[Scores, float]], floor: float = 0.0) -> Mean:
     lacking = floor - sum(variance for variance, _ in parts)
     if lacking > 0:
         parts.append((lacking, float(sum(n) - len(n))))
-    return Mean(value, tuple(parts), min(n))
+    return Mean(value, *total(parts), min(n))
 
 
 def binomial_floor(arms: Sequence[Scores]) -> float:
@@ -133,13 +131,10 @@ def binomial_floor(arms: Sequence[Scores]) -> float:
 
 def combine(means: Sequence[Mean], weights: Sequence[float]) -> Mean:
     """sum of weight x mean of independent settings."""
-    value = sum(weight * mean.value for mean, weight in zip(means, weights, strict=True))
-    parts = tuple(
-        (weight**2 * variance, df)
-        for mean, weight in zip(means, weights, strict=True)
-        for variance, df in mean.parts
-    )
-    return Mean(float(value), parts, min(mean.least for mean in means))
+    pairs = list(zip(means, weights, strict=True))
+    parts = [(weight**2 * mean.variance, mean.df) for mean, weight in pairs]
+    value = float(sum(weight * mean.value for mean, weight in pairs))
+    return Mean(value, *total(parts), min(mean.least for mean in means))
 
 
 def interval(mean: Mean, confidence: float = 1 - ALPHA) -> Estimate:
@@ -154,9 +149,10 @@ def interval(mean: Mean, confidence: float = 1 - ALPHA) -> Estimate:
     return Estimate(mean.value, OK, se, mean.df, mean.value - half, mean.value + half, p)
 
 
-def equivalence(found: Estimate, margin: float) -> float:
-    """p-value of "the arms differ by margin or more" (two one-sided tests); NaN without an interval."""
-    return float(stats.t.sf((margin - abs(found.estimate)) / found.se, found.df))
+def equivalence(found: Estimate | pd.DataFrame, margin: float) -> NDArray[np.float64]:
+    """p-values of "the arms differ by margin or more" (two one-sided tests); NaN without an interval."""
+    p: NDArray[np.float64] = stats.t.sf((margin - abs(found.estimate)) / found.se, found.df)
+    return p
 
 
 def slope_weights(x: Sequence[float]) -> list[float]:
@@ -172,7 +168,7 @@ def slope_weights(x: Sequence[float]) -> list[float]:
     return [float(w) for w in centred / (centred**2).sum()]
 
 
-def adjusted(p_values: Sequence[float], method: str = "holm") -> NDArray[np.float64]:
+def adjusted(p_values: ArrayLike, method: str = "holm") -> NDArray[np.float64]:
     """p-values adjusted by a method of statsmodels ("holm", "fdr_bh"); NaN stays NaN and does not count."""
     p = np.asarray(p_values, dtype=np.float64)
     result = np.full(len(p), np.nan)

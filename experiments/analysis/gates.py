@@ -42,80 +42,60 @@ FAILURES: dict[str, str] = {  # what it means to fail, in two or three words
     "crosses": "does not cross",
     "beats_constant": "not above a constant policy",
 }
-Gate = dict[str, Any]
+Verdict = tuple[bool | None, float | None, float | None]  # passed, value, limit; None where there is none
+UNKNOWN: Verdict = (None, None, None)
+References = Mapping[str, pd.DataFrame]  # the episodes of policies in the same traffic, by name
 
 
-def _q_bounded(learner: Mapping[str, Any]) -> Gate:
+def _q_bounded(learner: Mapping[str, Any]) -> Verdict:
     curve, largest = learner.get("probe_q") or [], learner.get("q_bound")
     if not curve or largest is None:
-        return {"passed": None, "value": None, "limit": None, "note": "no Q-values were recorded"}
-    values = [row[2] for row in curve]
-    limit = Q_SLACK * float(largest)
+        return UNKNOWN
+    values, limit = [row[2] for row in curve], Q_SLACK * float(largest)
     if any(value is None or not math.isfinite(value) for value in values):
-        return {"passed": False, "value": None, "limit": limit, "note": "Q-values are no longer finite"}
-    return {"passed": max(values) <= limit, "value": float(max(values)), "limit": limit, "note": None}
+        return False, None, limit
+    return max(values) <= limit, float(max(values)), limit
 
 
-def _not_constant(own: pd.DataFrame, references: Mapping[str, pd.DataFrame]) -> Gate:
+def _not_constant(own: pd.DataFrame, references: References) -> Verdict:
     counts = own[[column for column in own if str(column).startswith("action_")]].sum()
     share = float(counts.max() / counts.sum())
-    action = str(counts.idxmax()).removeprefix("action_")
-    ties = {
-        policy: float(np.isclose(own["return"] - references[policy]["return"], 0.0, atol=1e-9).mean())
+    ties = [
+        float(np.isclose(own["return"] - references[policy]["return"], 0.0, atol=1e-9).mean())
         for policy in CONSTANT_POLICIES
         if policy in references
-    }
-    tied = max(ties, key=lambda policy: ties[policy], default=None)
-    note = f"action {action}"
-    if tied is not None and ties[tied] >= TIED:
-        note += f"; the return is that of {tied} in {ties[tied]:.0%} of the scenarios"
-    passed = share < CONSTANT and all(tie < TIED for tie in ties.values())
-    return {"passed": passed, "value": share, "limit": CONSTANT, "note": note}
+    ]
+    return share < CONSTANT and all(tie < TIED for tie in ties), share, CONSTANT
 
 
-def _entering(episodes: pd.DataFrame, way: float) -> float:
-    return float((episodes["distance"] >= way).mean())
-
-
-def _crosses(task: str, own: pd.DataFrame, references: Mapping[str, pd.DataFrame]) -> Gate:
+def _crosses(task: str, own: pd.DataFrame, references: References) -> Verdict:
     """Waiting is a failure only where something that crosses is worth more."""
     if task not in CROSSINGS:
-        return {"passed": True, "value": None, "limit": None, "note": "no crossing"}
-    share = _entering(own, CROSSINGS[task])
-    gate: Gate = {"passed": True, "value": share, "limit": ENTERING, "note": None}
+        return True, None, None
+
+    def entering(episodes: pd.DataFrame) -> float:
+        return float((episodes["distance"] >= CROSSINGS[task]).mean())
+
+    share = entering(own)
     if share >= ENTERING:
-        return gate
-    crossing = {
-        policy: float(table["return"].mean())
-        for policy, table in references.items()
-        if _entering(table, CROSSINGS[task]) >= ENTERING
-    }
-    if not crossing:
-        return {**gate, "passed": None, "note": "no reference policy that crosses in this directory"}
-    best = max(crossing, key=lambda policy: crossing[policy])
-    passed = float(own["return"].mean()) > crossing[best]
-    return {**gate, "passed": passed, "note": f"{'above' if passed else 'not above'} {best}, which crosses"}
+        return True, share, ENTERING
+    crossing = [float(rows["return"].mean()) for rows in references.values() if entering(rows) >= ENTERING]
+    return (float(own["return"].mean()) > max(crossing) if crossing else None), share, ENTERING
 
 
-def _beats_constant(own: pd.DataFrame, references: Mapping[str, pd.DataFrame]) -> Gate:
+def _beats_constant(own: pd.DataFrame, references: References) -> Verdict:
     """Compared on the same scenarios, so that their noise cancels."""
     value = float(own["return"].mean())
     means = {p: float(references[p]["return"].mean()) for p in CONSTANT_POLICIES if p in references}
     if not means:
-        return {"passed": None, "value": value, "limit": None, "note": "no baselines in this directory"}
+        return None, value, None
     best = max(means, key=lambda policy: means[policy])
     difference = (own["return"] - references[best]["return"]).dropna()
     if len(difference) < 2:
-        return {"passed": None, "value": value, "limit": None, "note": "no common scenarios"}
+        return None, value, None
     distance = 2 * float(difference.std(ddof=1)) / math.sqrt(len(difference))
-    missing = [policy for policy in CONSTANT_POLICIES if policy not in references]
-    note = f"best is {best}" + (f"; {', '.join(missing)} not run" if missing else "")
-    return {
-        "passed": float(difference.mean()) > distance,
-        "value": value,
-        "limit": value - float(difference.mean()) + distance,
-        "note": note,
-    }
+    centre = float(difference.mean())
+    return centre > distance, value, value - centre + distance
 
 
 def gates(cells: Mapping[str, Mapping[str, Any]], episodes: pd.DataFrame) -> pd.DataFrame:
@@ -126,8 +106,8 @@ def gates(cells: Mapping[str, Mapping[str, Any]], episodes: pd.DataFrame) -> pd.
 
     Returns:
         A row an agent: cell, PLACE, arm, seed, passed (False if any gate fails, None if one could not be checked, True
-        otherwise), failed (the names of the gates), and for each of GATES "<gate>" (passed), "<gate> value", "<gate>
-        limit" (in the gate's own unit: Q-value, share, share, return) and "<gate> note".
+        otherwise), failed (the names of the gates), and for each of GATES "<gate>" (passed), "<gate> value" and "<gate>
+        limit" (in the gate's own unit: Q-value, share, share, return).
     """
     tables = {
         key: table.set_index("scenario").sort_index()
@@ -142,28 +122,23 @@ def gates(cells: Mapping[str, Mapping[str, Any]], episodes: pd.DataFrame) -> pd.
     rows = []
     for name, cell in cells.items():
         key = cell["key"]
-        if key["kind"] != "agent":
-            continue
-        (traffic,) = gate_traffics(key["arm"])
-        if (name, traffic) not in tables:
+        (traffic, *_) = gate_traffics(key["arm"])
+        if key["kind"] != "agent" or (name, traffic) not in tables:
             continue
         own = tables[name, traffic]
         others = references.get((*(key[column] for column in PLACE), traffic), {})
-        found: dict[str, Gate] = {
+        found = {
             "q_bounded": _q_bounded(cell.get("learner") or {}),
             "not_constant": _not_constant(own, others),
             "crosses": _crosses(key["task"], own, others),
             "beats_constant": _beats_constant(own, others),
         }
-        passed = [gate["passed"] for gate in found.values()]
-        row = {"cell": name, **{column: key[column] for column in (*PLACE, "arm", "seed")}}
-        row["passed"] = False if False in passed else None if None in passed else True
-        row["failed"] = " ".join(gate for gate, result in found.items() if result["passed"] is False)
-        for gate, result in found.items():
-            row[gate] = result["passed"]
-            row |= {f"{gate} {part}": result[part] for part in ("value", "limit", "note")}
-        rows.append(row)
-    parts = [f"{gate}{part}" for gate in GATES for part in ("", " value", " limit", " note")]
+        passed = [verdict[0] for verdict in found.values()]
+        failed = " ".join(gate for gate, verdict in found.items() if verdict[0] is False)
+        sound = False if False in passed else None if None in passed else True
+        numbers = [number for verdict in found.values() for number in verdict]
+        rows.append([name, *(key[column] for column in (*PLACE, "arm", "seed")), sound, failed, *numbers])
+    parts = [f"{gate}{part}" for gate in GATES for part in ("", " value", " limit")]
     frame = pd.DataFrame(rows, columns=["cell", *PLACE, "arm", "seed", "passed", "failed", *parts])
     order = frame.assign(task=frame["task"].map(TASK_ORDER))
     return frame.loc[order.sort_values(["backend", "task", "level", "arm", "seed"]).index].reset_index(

@@ -49,9 +49,12 @@ OUTCOMES: dict[str, Outcome] = {
 }
 # Beside the effects of the two arms; none of it enters a family or decides a claim.
 EXPLORATORY = (
-    "further arms against control and treatment", "transfer between simulators", "kinds of crashes",
-    "both arms against the careful driver", "speed",
-)  # fmt: skip
+    "further arms against control and treatment",
+    "transfer between simulators",
+    "kinds of crashes",
+    "both arms against the careful driver",
+    "speed",
+)
 PROPORTIONS = ("crashed",)  # 0 or 1 in an episode: a mean near 0 or 1 still has an interval
 TERMS: dict[str, dict[str, float]] = {
     "risky": {"risky": 1.0},

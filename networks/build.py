@@ -20,12 +20,12 @@ from sumo_env.networks import plans
 HERE = Path(__file__).resolve().parent
 SUFFIXES = (".nod.xml", ".edg.xml", ".con.xml", ".net.xml")
 OPTIONS = (
-    "--offset.disable-normalization", "true",  # x stays highway-env's x, y its -y
-    "--no-turnarounds", "true",
-    "--roundabouts.guess", "false",  # the ring is named in the plan
-    "--junctions.join", "false",
-    "--precision", "4",
-)  # fmt: skip
+    "--offset.disable-normalization=true",  # x stays highway-env's x, y its -y
+    "--no-turnarounds=true",
+    "--roundabouts.guess=false",  # the ring is named in the plan
+    "--junctions.join=false",
+    "--precision=4",
+)
 
 
 def netconvert() -> Path:
@@ -56,7 +56,7 @@ def build(plan: plans.Plan, folder: Path) -> Path:
 
 def _with_speed_limit(net: str, plan: plans.Plan) -> str:
     """The network with the plan's speed limit on every lane, internal ones included."""
-    return re.sub(r'(<lane [^>]*\bspeed=")[^"]*', rf"\g<1>{plan.edges[0].speed:.4f}", net)
+    return re.sub(r'(<lane [^>]*\bspeed=")[^"]*', rf"\g<1>{plan.edges[0]['speed']:.4f}", net)
 
 
 def stale(folder: Path = HERE) -> list[str]:

@@ -8,9 +8,10 @@ to do so.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 from sumo_env.networks import roads
@@ -25,88 +26,35 @@ SINE_STEP = 0.5  # [m]
 LANES_COUNTS = (1, 2, 3, 4, 5, 6)  # highways that are built
 
 
-@dataclass(frozen=True)
-class Node:
-    """A junction at (x, y) [m]; `shape` is its outline, netconvert's own without one."""
-
-    id: str
-    x: float
-    y: float
-    type: str = "priority"
-    shape: Line = ()
-
-
-@dataclass(frozen=True)
-class Edge:
-    """A road of `lanes` parallel lanes whose middle is `shape`; `neigh` names the opposite lane beside it."""
-
-    id: str
-    start: str
-    end: str
-    lanes: int
-    shape: Line
-    speed: float  # [m/s]
-    priority: int = 1
-    neigh: str = ""
-
-
-@dataclass(frozen=True)
-class Connection:
-    """From a lane of an edge onto a lane of the next one (SUMO's lane numbers, 0 is the right lane)."""
-
-    start: str
-    end: str
-    from_lane: int
-    to_lane: int
-    shape: Line
+Item = dict[str, Any]  # attributes of an XML element, and elements inside it; lengths in m, lines as points
 
 
 @dataclass(frozen=True)
 class Plan:
-    """One SUMO network before it is built. `roundabout` lists the edges of the ring."""
+    """One SUMO network before it is built: netconvert's plain XML. `roundabout` lists the edges of the ring."""
 
     name: str  # folder/stem of its files
     road: Road
-    nodes: tuple[Node, ...]
-    edges: tuple[Edge, ...]
-    connections: tuple[Connection, ...] = ()
+    nodes: tuple[Item, ...]
+    edges: tuple[Item, ...]
+    connections: tuple[Item, ...] = ()
     roundabout: tuple[str, ...] = ()
 
     def write(self, folder: Path) -> list[Path]:
         """Write <name>.nod.xml, .edg.xml and .con.xml below `folder`; returns their paths in this order."""
-        nodes = ElementTree.Element("nodes")
-        for n in self.nodes:
-            item = ElementTree.SubElement(
-                nodes, "node", id=n.id, x=_number(n.x), y=_number(-n.y), type=n.type
-            )
-            if n.shape:
-                item.set("shape", _text(n.shape))
-        edges = ElementTree.Element("edges")
-        for e in self.edges:
-            item = ElementTree.SubElement(
-                edges, "edge", {"from": e.start, "to": e.end}, id=e.id, numLanes=str(e.lanes),
-                width=_number(WIDTH), speed=_number(e.speed), priority=str(e.priority),
-                spreadType="center", shape=_text(e.shape),
-            )  # fmt: skip
-            if e.neigh:
-                lane = ElementTree.SubElement(item, "lane", index="0")
-                ElementTree.SubElement(lane, "neigh", lane=e.neigh)
-        if self.roundabout:
-            ring = [e.split("-")[0] for e in self.roundabout]
-            ElementTree.SubElement(edges, "roundabout", nodes=" ".join(ring), edges=" ".join(self.roundabout))
-        connections = ElementTree.Element("connections")
-        for c in self.connections:
-            ElementTree.SubElement(
-                connections, "connection", {"from": c.start, "to": c.end},
-                fromLane=str(c.from_lane), toLane=str(c.to_lane), shape=_text(c.shape),
-                # no internal junction, which would split a left turn in two lanes with a stop between them
-                contPos="0",
-                # by default SUMO's drivers slow down before a minor connection until they are 4.5 m from it, in order
-                # to see whether somebody comes; highway-env's see everywhere
-                visibility="200",
-            )  # fmt: skip
+        sheets = (
+            ("nod", "node", self.nodes),
+            ("edg", "edge", self.edges),
+            ("con", "connection", self.connections),
+        )
         paths = []
-        for suffix, tree in (("nod", nodes), ("edg", edges), ("con", connections)):
+        for suffix, tag, items in sheets:
+            tree = ElementTree.Element(f"{tag}s")
+            for item in items:
+                _add(tree, tag, item)
+            if tag == "edge" and self.roundabout:
+                ring = [edge.split("-")[0] for edge in self.roundabout]
+                _add(tree, "roundabout", {"nodes": " ".join(ring), "edges": " ".join(self.roundabout)})
             path = folder / f"{self.name}.{suffix}.xml"
             path.parent.mkdir(parents=True, exist_ok=True)
             ElementTree.indent(tree)
@@ -115,12 +63,41 @@ class Plan:
         return paths
 
 
-def _number(value: float) -> str:
-    return f"{round(value, 4) + 0.0:.4f}"  # + 0.0 makes 0.0 of -0.0
+def _add(parent: ElementTree.Element, tag: str, item: Item) -> None:
+    own = {key: _text(value) for key, value in item.items() if value != () and not isinstance(value, dict)}
+    element = ElementTree.SubElement(parent, tag, own)
+    for key, value in item.items():
+        if isinstance(value, dict):
+            _add(element, key, value)
 
 
-def _text(line: Line) -> str:
-    return " ".join(f"{_number(x)},{_number(-y)}" for x, y in line)
+def _text(value: str | int | float | Line) -> str:
+    if isinstance(value, float):
+        return f"{round(value, 4) + 0.0:.4f}"  # + 0.0 makes 0.0 of -0.0
+    return " ".join(f"{_text(x)},{_text(-y)}" for x, y in value) if isinstance(value, tuple) else str(value)
+
+
+def _place(id: str, at: Point, type: str = "priority", shape: Line = ()) -> Item:
+    """A junction; `shape` is its outline, netconvert's own without one."""
+    return {"id": id, "x": at[0], "y": -at[1], "type": type, "shape": shape}
+
+
+def _way(start: str, end: str, lanes: int, shape: Line, speed: float, priority: int = 1) -> Item:
+    """An edge of parallel lanes whose middle is `shape`; `speed` [m/s]."""
+    ends = {"from": start, "to": end, "id": f"{start}-{end}"}
+    size = {"numLanes": lanes, "width": WIDTH, "speed": speed, "priority": priority}
+    return {**ends, **size, "spreadType": "center", "shape": shape}
+
+
+def _connection(start: str, end: str, from_lane: int, to_lane: int, shape: Line) -> Item:
+    """From a lane of an edge onto a lane of the next one (SUMO's lane numbers, 0 is the right lane).
+
+    contPos 0: no internal junction, which would split a left turn in two lanes with a stop between them. visibility
+    200: by default SUMO's drivers slow down before a minor connection until they are 4.5 m from it, in order to see
+    whether somebody comes; highway-env's see everywhere.
+    """
+    ends = {"from": start, "to": end, "fromLane": from_lane, "toLane": to_lane}
+    return {**ends, "shape": shape, "contPos": "0", "visibility": "200"}
 
 
 def sample(lane: Lane, start: float, end: float, lat: float = 0.0) -> Line:
@@ -134,11 +111,6 @@ def sample(lane: Lane, start: float, end: float, lat: float = 0.0) -> Line:
     return tuple(lane.position(start + (end - start) * k / n, lat) for k in range(n + 1))
 
 
-def edge_id(index: LaneIndex) -> str:
-    """The SUMO edge of a lane, "<from>-<to>" (for lanes inside the intersection: of the way through it)."""
-    return f"{index[0]}-{index[1]}"
-
-
 def _scale(road: Road, index: LaneIndex) -> float:
     """Length of a lane over the length of the middle of its road."""
     lane, left = road.lane(index), road.lane((*index[:2], 0))
@@ -147,14 +119,14 @@ def _scale(road: Road, index: LaneIndex) -> float:
     return 1.0
 
 
-def _edge(road: Road, start: str, end: str, before: float, after: float, priority: int = 1) -> Edge:
+def _edge(road: Road, start: str, end: str, before: float, after: float, priority: int = 1) -> Item:
     """highway-env's road from `start` to `end`, longer by `before` and `after` [m] (shorter if negative)."""
     n = road.count(start, end)
     left = road.lane((start, end, 0))
     middle = WIDTH * (n - 1) / 2
     scale = _scale(road, (start, end, 0))  # trimmed by angle, so that the lanes of a bend end side by side
     shape = sample(left, -before * scale, left.length + after * scale, middle)
-    return Edge(f"{start}-{end}", start, end, n, shape, left.speed_limit, priority)
+    return _way(start, end, n, shape, left.speed_limit, priority)
 
 
 def _bow(start: Point, direction: float, end: Point, end_direction: float) -> Line:
@@ -177,13 +149,14 @@ def _bow(start: Point, direction: float, end: Point, end_direction: float) -> Li
     return tuple(points)
 
 
-def _join(road: Road, first: LaneIndex, second: LaneIndex, trim: tuple[float, float]) -> Connection:
+def _join(road: Road, first: LaneIndex, second: LaneIndex, trim: tuple[float, float]) -> Item:
     """From the end of lane `first` (less `trim[0]` m) onto the start of lane `second` (plus `trim[1]` m)."""
     a, b = road.lane(first), road.lane(second)
     s_a, s_b = a.length - trim[0] * _scale(road, first), trim[1] * _scale(road, second)
     shape = _bow(a.position(s_a, 0.0), a.heading_at(s_a), b.position(s_b, 0.0), b.heading_at(s_b))
     n_a, n_b = road.count(*first[:2]), road.count(*second[:2])
-    return Connection(edge_id(first), edge_id(second), n_a - 1 - first[2], n_b - 1 - second[2], shape)
+    edges = f"{first[0]}-{first[1]}", f"{second[0]}-{second[1]}"
+    return _connection(*edges, n_a - 1 - first[2], n_b - 1 - second[2], shape)
 
 
 def highway(lanes_count: int = 4) -> Plan:
@@ -193,7 +166,7 @@ def highway(lanes_count: int = 4) -> Plan:
     return Plan(
         f"highway/highway-{lanes_count}",
         road,
-        (Node("0", -500.0, y, "dead_end"), Node("1", 11_000.0, y, "dead_end")),
+        (_place("0", (-500.0, y), "dead_end"), _place("1", (11_000.0, y), "dead_end")),
         (_edge(road, "0", "1", 500.0, 1000.0),),
     )
 
@@ -204,18 +177,13 @@ def two_way() -> Plan:
     highway-env's third lane, ("a","b",0), is the oncoming one driven the wrong way: in SUMO the edge "b-a".
     """
     road = roads.two_way(800.0)
-    nodes = (Node("a", -700.0, WIDTH / 2, "dead_end"), Node("b", 1500.0, WIDTH / 2, "dead_end"))
-    shape = ((-700.0, WIDTH), (1500.0, WIDTH))
-    oncoming = ((1500.0, 0.0), (-700.0, 0.0))
-    return Plan(
-        "two_way/two_way",
-        road,
-        nodes,
-        (
-            Edge("a-b", "a", "b", 1, shape, 20.0, neigh="b-a_0"),
-            Edge("b-a", "b", "a", 1, oncoming, 20.0, neigh="a-b_0"),
-        ),
-    )
+    ends = {"a": (-700.0, WIDTH / 2), "b": (1500.0, WIDTH / 2)}
+    own = _way("a", "b", 1, ((-700.0, WIDTH), (1500.0, WIDTH)), 20.0)
+    oncoming = _way("b", "a", 1, ((1500.0, 0.0), (-700.0, 0.0)), 20.0)
+    own["lane"] = {"index": "0", "neigh": {"lane": "b-a_0"}}
+    oncoming["lane"] = {"index": "0", "neigh": {"lane": "a-b_0"}}
+    nodes = tuple(_place(name, at, "dead_end") for name, at in ends.items())
+    return Plan("two_way/two_way", road, nodes, (own, oncoming))
 
 
 def _across(road: Road, start: str, end: str, s: float) -> tuple[Point, Point]:
@@ -226,7 +194,7 @@ def _across(road: Road, start: str, end: str, s: float) -> tuple[Point, Point]:
     return left.position(s, -WIDTH / 2), left.position(s, WIDTH * (n - 1) + WIDTH / 2)
 
 
-def _node(road: Road, before: tuple[str, str], branch: tuple[str, str] | None = None) -> Node:
+def _node(road: Road, before: tuple[str, str], branch: tuple[str, str] | None = None) -> Item:
     """A short junction across the road at the end of `before`, which goes on with as many lanes.
 
     A `branch` is a road right of it that ends (or starts) a few metres off: the outline gets a spur that
@@ -248,8 +216,9 @@ def _node(road: Road, before: tuple[str, str], branch: tuple[str, str] | None = 
         else:
             left, right = _across(road, *branch, touch)
             spur = (left, right)
-    x, y = lane.position(lane.length, offset)
-    return Node(name, x, y, shape=(left_in, left_out, right_out, *spur, right_in))
+    return _place(
+        name, lane.position(lane.length, offset), shape=(left_in, left_out, right_out, *spur, right_in)
+    )
 
 
 def u_turn() -> Plan:
@@ -262,10 +231,10 @@ def u_turn() -> Plan:
         _edge(road, "c", "d", -g, 400.0),
     )
     nodes = (
-        Node("a", *edges[0].shape[0], "dead_end"),
+        _place("a", edges[0]["shape"][0], "dead_end"),
         _node(road, ("a", "b")),
         _node(road, ("b", "c")),
-        Node("d", *edges[2].shape[-1], "dead_end"),
+        _place("d", edges[2]["shape"][-1], "dead_end"),
     )
     joints = tuple(_join(road, (a, b, i), (b, c, i), (g, g)) for a, b, c in ("abc", "bcd") for i in range(2))
     return Plan("u_turn/u_turn", road, nodes, edges, joints)
@@ -294,10 +263,10 @@ def roundabout() -> Plan:
             _edge(road, sine_out, road_out, -g, 400.0),
         ]
         nodes += [
-            Node(road_in, *edges[-4].shape[0], "dead_end"),
+            _place(road_in, edges[-4]["shape"][0], "dead_end"),
             _node(road, (road_in, sine_in)),
             _node(road, (ring_out, sine_out)),
-            Node(road_out, *edges[-1].shape[-1], "dead_end"),
+            _place(road_out, edges[-1]["shape"][-1], "dead_end"),
         ]
         after = roads.RING[roads.RING.index(ring_in) + 1]
         last = roads.RING[roads.RING.index(ring_out) - 1]
@@ -309,30 +278,28 @@ def roundabout() -> Plan:
             _join(road, (last, ring_out, 0), (ring_out, sine_out, 0), (g, 0.0)),
             _join(road, (ring_out, sine_out, 0), (sine_out, road_out, 0), (g, g)),
         ]
-    return Plan(
-        "roundabout/roundabout", road, tuple(nodes), tuple(edges), tuple(joints),
-        tuple(f"{a}-{b}" for a, b in ring),
-    )  # fmt: skip
+    circle = tuple(f"{a}-{b}" for a, b in ring)
+    return Plan("roundabout/roundabout", road, tuple(nodes), tuple(edges), tuple(joints), circle)
 
 
 def intersection() -> Plan:
     """Four arms and the square of +-11 m, in which SUMO's internal lanes are highway-env's lanes."""
     road = roads.intersection()
     square = ((-11.0, -11.0), (11.0, -11.0), (11.0, 11.0), (-11.0, 11.0))
-    nodes = [Node("x", 0.0, 0.0, "priority", square)]
+    nodes = [_place("x", (0.0, 0.0), "priority", square)]
     edges, joints = [], []
     for k in range(4):
         priority = 10 if k % 2 else 1
         entry = _edge(road, f"o{k}", f"ir{k}", 50.0, 0.0, priority)
         leave = _edge(road, f"il{k}", f"o{k}", 0.0, 400.0, priority)
         start, end = f"start{k}", f"end{k}"
-        nodes += [Node(start, *entry.shape[0], "dead_end"), Node(end, *leave.shape[-1], "dead_end")]
-        edges += [replace(entry, start=start, end="x"), replace(leave, start="x", end=end)]
+        nodes += [_place(start, entry["shape"][0], "dead_end"), _place(end, leave["shape"][-1], "dead_end")]
+        edges += [{**entry, "from": start, "to": "x"}, {**leave, "from": "x", "to": end}]
         for j in range(4):
             if j != k:
                 lane = road.lane((f"ir{k}", f"il{j}", 0))
                 turn = sample(lane, 0.0, lane.length)
-                joints.append(Connection(f"o{k}-ir{k}", f"il{j}-o{j}", 0, 0, turn))
+                joints.append(_connection(f"o{k}-ir{k}", f"il{j}-o{j}", 0, 0, turn))
     return Plan("intersection/intersection", road, tuple(nodes), tuple(edges), tuple(joints))
 
 

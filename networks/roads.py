@@ -43,21 +43,6 @@ class Road:
     clears_exits: whether vehicles are taken off shortly before the end of an exit (IntersectionEnv._clear_vehicles).
     """
 
-    __slots__ = (
-        "_cells",
-        "_counts",
-        "_items",
-        "_samples",
-        "arguments",
-        "clears_exits",
-        "lanes",
-        "leads",
-        "name",
-        "oncoming",
-        "successors",
-        "ways",
-    )
-
     def __init__(
         self,
         name: str,
@@ -100,9 +85,7 @@ class Road:
     def with_ways(self, ways: Mapping[str, tuple[str, ...]]) -> Road:
         """The same road with other ways."""
         road = Road.__new__(Road)
-        for name in self.__slots__:
-            setattr(road, name, getattr(self, name))
-        road.ways = MappingProxyType(dict(ways))
+        road.__dict__.update(self.__dict__, ways=MappingProxyType(dict(ways)))
         return road
 
     def lane(self, index: LaneIndex) -> Lane:
@@ -164,20 +147,6 @@ class Road:
             return onto(route[route.index(node) + 1])[1]
         ends = self.successors.get(node, ())
         return min(map(onto, ends), key=_first)[1] if ends else index
-
-    def way(self, index: LaneIndex, destination: str | None = None) -> list[LaneIndex]:
-        """Lanes from `index` to node `destination`, then on to where the road ends, branches or turns back.
-
-        Where no route leads there, the way ends with `index` and what follows it without a choice.
-        """
-        route = self.route(index[1], destination) if destination not in (None, index[1]) else ()
-        nodes = (index[0], *route) if route else index[:2]
-        while len(following := self.successors.get(nodes[-1], ())) == 1 and following[0] not in nodes:
-            nodes = (*nodes, following[0])
-        lanes = [index]
-        for _ in nodes[2:]:
-            lanes.append(self.next_lane(lanes[-1], nodes[1:]))  # a way around the ring may pass its start
-        return lanes
 
     def goal(self, destination: str) -> str:
         """The node that a destination stands for."""
@@ -321,7 +290,8 @@ def roundabout() -> Road:
     access, period, amplitude = 170.0, 85.0, 5.0  # [m]
     sine = 0.2 * period  # [m], length of an entry or exit
     pulsation = 2 * math.pi / period
-    leave = -math.pi / 2 + pulsation * (period - sine)  # phase at which an exit's sine begins
+    enter = {"amplitude": amplitude, "pulsation": pulsation, "phase": -math.pi / 2}
+    leave = {**enter, "phase": -math.pi / 2 + pulsation * (period - sine)}
     for arm, name in enumerate(ARMS):  # the southern arm's coordinates, turned
 
         def at(x: float, y: float, quarters: int = -arm) -> Point:
@@ -330,16 +300,9 @@ def roundabout() -> Road:
         road_in, sine_in, ring_in = name + "er", name + "es", name + "e"
         ring_out, sine_out, road_out = name + "x", name + "xs", name + "xr"
         lanes[road_in, sine_in, 0] = StraightLane(at(2, access), at(2, period / 2))
-        lanes[sine_in, ring_in, 0] = SineLane(
-            at(2 + amplitude, period / 2),
-            at(2 + amplitude, period / 2 - sine),
-            amplitude=amplitude, pulsation=pulsation, phase=-math.pi / 2,
-        )  # fmt: skip
-        lanes[ring_out, sine_out, 0] = SineLane(
-            at(-2 - amplitude, period / 2 - sine),
-            at(-2 - amplitude, period / 2),
-            amplitude=amplitude, pulsation=pulsation, phase=leave,
-        )  # fmt: skip
+        near, far = period / 2 - sine, period / 2
+        lanes[sine_in, ring_in, 0] = SineLane(at(2 + amplitude, far), at(2 + amplitude, near), **enter)
+        lanes[ring_out, sine_out, 0] = SineLane(at(-2 - amplitude, near), at(-2 - amplitude, far), **leave)
         lanes[sine_out, road_out, 0] = StraightLane(at(-2, period / 2), at(-2, access))
     return Road("roundabout", lanes)
 
@@ -358,27 +321,18 @@ def intersection() -> Road:
         def at(x: float, y: float, quarters: int = corner) -> Point:
             return _turned((x, y), quarters)
 
-        angle = math.radians(90 * corner)
-        priority = 3 if corner % 2 else 1
-        entry, right, left, ahead = (
-            f"ir{corner}", f"il{(corner - 1) % 4}", f"il{(corner + 1) % 4}", f"il{(corner + 2) % 4}",
-        )  # fmt: skip
-        lanes[f"o{corner}", entry, 0] = StraightLane(
-            at(2, access + half), at(2, half), priority=priority, speed_limit=10.0
-        )
-        lanes[entry, right, 0] = CircularLane(
-            at(half, half), turn, angle + math.pi, angle + math.radians(270),
-            priority=priority, speed_limit=10.0,
-        )  # fmt: skip
-        lanes[entry, left, 0] = CircularLane(
-            at(-half, half), turn + WIDTH, angle, angle - math.pi / 2, clockwise=False,
-            priority=priority - 1, speed_limit=10.0,
-        )  # fmt: skip
-        lanes[entry, ahead, 0] = StraightLane(at(2, half), at(2, -half), priority=priority, speed_limit=10.0)
+        angle, rank = math.radians(90 * corner), 3 if corner % 2 else 1
+        rule, left_rule = ({"priority": priority, "speed_limit": 10.0} for priority in (rank, rank - 1))
+        entry = f"ir{corner}"
+        right, left, ahead = (f"il{(corner + turned) % 4}" for turned in (-1, 1, 2))
+        quarters = angle + math.pi, angle + math.radians(270)
+        to_left = CircularLane(at(-half, half), turn + WIDTH, angle, angle - math.pi / 2, False, **left_rule)
+        lanes[f"o{corner}", entry, 0] = StraightLane(at(2, access + half), at(2, half), **rule)
+        lanes[entry, right, 0] = CircularLane(at(half, half), turn, *quarters, **rule)
+        lanes[entry, left, 0] = to_left
+        lanes[entry, ahead, 0] = StraightLane(at(2, half), at(2, -half), **rule)
         # An exit carries the priority of the corner right of it, as in highway-env.
-        lanes[right, f"o{(corner - 1) % 4}", 0] = StraightLane(
-            at(half, 2), at(access + half, 2), priority=priority, speed_limit=10.0
-        )
+        lanes[right, f"o{(corner - 1) % 4}", 0] = StraightLane(at(half, 2), at(access + half, 2), **rule)
     return Road("intersection", lanes, clears_exits=True)
 
 

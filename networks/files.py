@@ -14,7 +14,6 @@ from dataclasses import replace
 from functools import lru_cache
 from itertools import count, pairwise
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 from sumo_env.networks.lanes import Lane, Point, PolyLane
@@ -63,7 +62,7 @@ def _with_routes(path: Path, changed: int, routes: Routes) -> Network:
     for name, way in routes:
         check_route(plain, name, way, "")
     ways = {name: tuple(f"{edge}:{end}" for edge in way for end in ("from", "to")) for name, way in routes}
-    return replace(plain, road=plain.road.with_ways(ways), routes=MappingProxyType(dict(routes)))
+    return replace(plain, road=plain.road.with_ways(ways), routes=dict(routes))
 
 
 def lanes_for(network: Network, edge: str, vehicles: str = CAR) -> list[LaneIndex]:
@@ -168,15 +167,8 @@ def _read(path: Path, changed: int) -> Network:
             f"{path} has no lane for passenger cars, only for: {', '.join(sorted(classes)) or 'nobody'}"
         )
     leads = {index: tuple(indices[name] for name in names) for index, names in following.items()}
-    return Network(
-        path.name,
-        Road(path.name, lanes, leads=leads),
-        path,
-        MappingProxyType({}),
-        MappingProxyType(first),
-        MappingProxyType(indices),
-        MappingProxyType(sumo_lanes),
-    )
+    road = Road(path.name, lanes, leads=leads)
+    return Network(path.name, road, path, {}, first, indices, sumo_lanes)
 
 
 def _to_scale(found: SumoLane) -> SumoLane:

@@ -113,18 +113,15 @@ class StraightLane(Lane):
         return self._dx, self._dy
 
     def position(self, s: float, lat: float) -> Point:
-        """See `Lane.position`."""
         return (
             self.start[0] + s * self._dx - lat * self._dy,
             self.start[1] + s * self._dy + lat * self._dx,
         )
 
     def heading_at(self, s: float) -> float:
-        """See `Lane.heading_at`."""
         return self.heading
 
     def local_coordinates(self, x: float, y: float) -> Point:
-        """See `Lane.local_coordinates`."""
         x -= self.start[0]
         y -= self.start[1]
         return x * self._dx + y * self._dy, y * self._dx - x * self._dy
@@ -142,7 +139,6 @@ class SineLane(StraightLane):
     phase: float
 
     def position(self, s: float, lat: float) -> Point:
-        """See `Lane.position`."""
         lat += self.amplitude * math.sin(self.pulsation * s + self.phase)
         return (
             self.start[0] + s * self._dx - lat * self._dy,
@@ -150,12 +146,10 @@ class SineLane(StraightLane):
         )
 
     def heading_at(self, s: float) -> float:
-        """See `Lane.heading_at`."""
         slope = self.amplitude * self.pulsation * math.cos(self.pulsation * s + self.phase)
         return self.heading + math.atan(slope)
 
     def local_coordinates(self, x: float, y: float) -> Point:
-        """See `Lane.local_coordinates`."""
         x -= self.start[0]
         y -= self.start[1]
         s = x * self._dx + y * self._dy
@@ -183,17 +177,14 @@ class CircularLane(Lane):
         object.__setattr__(self, "length", self.radius * (self.end_phase - self.start_phase) * turn)
 
     def position(self, s: float, lat: float) -> Point:
-        """See `Lane.position`."""
         phi = self._turn * s / self.radius + self.start_phase
         r = self.radius - lat * self._turn
         return self.center[0] + r * math.cos(phi), self.center[1] + r * math.sin(phi)
 
     def heading_at(self, s: float) -> float:
-        """See `Lane.heading_at`."""
         return self._turn * s / self.radius + self.start_phase + math.pi / 2 * self._turn
 
     def local_coordinates(self, x: float, y: float) -> Point:
-        """See `Lane.local_coordinates`."""
         x -= self.center[0]
         y -= self.center[1]
         # The nearer way round: at most half a turn behind the start, then s jumps to half a turn ahead.
@@ -222,16 +213,14 @@ class PolyLane(Lane):
         return max(bisect_right(self._starts, s) - 1, 0)
 
     def position(self, s: float, lat: float) -> Point:
-        """See `Lane.position`."""
         k = self._piece(s)
         return self._pieces[k].position(s - self._starts[k], lat)
 
     def heading_at(self, s: float) -> float:
-        """See `Lane.heading_at`."""
         return self._pieces[self._piece(s)].heading
 
     def local_coordinates(self, x: float, y: float) -> Point:
-        """See `Lane.local_coordinates`; on the nearest piece."""
+        # on the nearest piece
         best, nearest, last = (0.0, 0.0), math.inf, len(self._pieces) - 1
         for k, piece in enumerate(self._pieces):
             s, lat = piece.local_coordinates(x, y)

@@ -14,7 +14,6 @@ from dataclasses import dataclass, field
 from functools import lru_cache
 from itertools import pairwise
 from pathlib import Path
-from types import MappingProxyType
 from typing import Any
 
 from sumo_env.networks import plans, roads
@@ -24,15 +23,13 @@ from sumo_env.networks.roads import LaneIndex, Road
 FOLDER = Path(__file__).resolve().parent
 TASKS = tuple(roads.ROADS)
 ROAD_LENGTHS = (100.0, 1500.0)  # [m], two-way roads that fit the built network, which ends at x = 1500 m
-ENDS: Mapping[str, tuple[str, ...]] = MappingProxyType(
-    {
-        "highway": ("1",),
-        "two-way": ("a", "b"),
-        "roundabout": ("sxr", "exr", "nxr", "wxr"),
-        "intersection": ("o0", "o1", "o2", "o3"),
-        "u-turn": ("d",),
-    }
-)  # nodes at which vehicles leave a road
+ENDS: Mapping[str, tuple[str, ...]] = {  # nodes at which vehicles leave a road
+    "highway": ("1",),
+    "two-way": ("a", "b"),
+    "roundabout": ("sxr", "exr", "nxr", "wxr"),
+    "intersection": ("o0", "o1", "o2", "o3"),
+    "u-turn": ("d",),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -214,16 +211,7 @@ def network(task: str, lanes_count: int = 4, road_length: float = 800.0) -> Netw
     for lane in sumo_lanes.values():
         if lane.id.startswith(":"):
             indices.setdefault(lane.id, indices[lane.following[0]])
-    return Network(
-        task,
-        road,
-        net_file,
-        MappingProxyType(_routes(road, sumo_lanes)),
-        MappingProxyType(lanes),
-        MappingProxyType(indices),
-        MappingProxyType(sumo_lanes),
-        ENDS[task],
-    )
+    return Network(task, road, net_file, _routes(road, sumo_lanes), lanes, indices, sumo_lanes, ENDS[task])
 
 
 def _read(net_file: Path) -> dict[str, SumoLane]:

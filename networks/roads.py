@@ -11,7 +11,6 @@ import math
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -55,9 +54,9 @@ class Road:
     ) -> None:
         self.name, self.arguments = name, arguments
         self.oncoming, self.clears_exits = oncoming, clears_exits
-        self.ways: Mapping[str, tuple[str, ...]] = MappingProxyType(dict(ways or {}))
-        self.leads: Mapping[LaneIndex, tuple[LaneIndex, ...]] = MappingProxyType(dict(leads or {}))
-        self.lanes: Mapping[LaneIndex, Lane] = MappingProxyType(dict(_graph_order(lanes)))
+        self.ways: Mapping[str, tuple[str, ...]] = ways or {}
+        self.leads: Mapping[LaneIndex, tuple[LaneIndex, ...]] = leads or {}
+        self.lanes: Mapping[LaneIndex, Lane] = dict(_graph_order(lanes))
         self._items = tuple((0.0, rank, *item) for rank, item in enumerate(self.lanes.items()))
         self._cells: dict[tuple[float, float], tuple[_Candidate, ...]] = {}
         self._samples: tuple[list[NDArray[np.float64]], NDArray[np.float64]] | None = None
@@ -67,17 +66,17 @@ class Road:
             self._counts[start, end] = self._counts.get((start, end), 0) + 1
             if end not in successors.setdefault(start, []):
                 successors[start].append(end)
-        self.successors: Mapping[str, tuple[str, ...]] = MappingProxyType(
-            {node: tuple(ends) for node, ends in successors.items()}
-        )
+        self.successors: Mapping[str, tuple[str, ...]] = {
+            node: tuple(ends) for node, ends in successors.items()
+        }
 
     def __repr__(self) -> str:
         return f"Road({self.name!r}, {len(self.lanes)} lanes)"
 
     def __reduce__(self) -> tuple[type[Road], tuple[object, ...]]:
-        # a MappingProxyType cannot be pickled
-        lanes, ways, leads = dict(self.lanes), dict(self.ways), dict(self.leads)
-        return Road, (self.name, lanes, ways, self.arguments, self.oncoming, self.clears_exits, leads)
+        # without what is kept for `closest_lane`
+        given = self.name, self.lanes, self.ways, self.arguments, self.oncoming, self.clears_exits, self.leads
+        return Road, given
 
     def __deepcopy__(self, memo: dict[int, object]) -> Road:
         return self  # immutable
@@ -85,7 +84,7 @@ class Road:
     def with_ways(self, ways: Mapping[str, tuple[str, ...]]) -> Road:
         """The same road with other ways."""
         road = Road.__new__(Road)
-        road.__dict__.update(self.__dict__, ways=MappingProxyType(dict(ways)))
+        road.__dict__.update(self.__dict__, ways=ways)
         return road
 
     def lane(self, index: LaneIndex) -> Lane:
@@ -353,15 +352,13 @@ def u_turn() -> Road:
     return Road("u-turn", lanes)
 
 
-ROADS: Mapping[str, Callable[..., Road]] = MappingProxyType(
-    {
-        "highway": highway,
-        "two-way": two_way,
-        "roundabout": roundabout,
-        "intersection": intersection,
-        "u-turn": u_turn,
-    }
-)
+ROADS: Mapping[str, Callable[..., Road]] = {
+    "highway": highway,
+    "two-way": two_way,
+    "roundabout": roundabout,
+    "intersection": intersection,
+    "u-turn": u_turn,
+}
 
 
 def road(name: str, **arguments: float) -> Road:

@@ -113,10 +113,7 @@ class StraightLane(Lane):
         return self._dx, self._dy
 
     def position(self, s: float, lat: float) -> Point:
-        return (
-            self.start[0] + s * self._dx - lat * self._dy,
-            self.start[1] + s * self._dy + lat * self._dx,
-        )
+        return (self.start[0] + s * self._dx - lat * self._dy, self.start[1] + s * self._dy + lat * self._dx)
 
     def heading_at(self, s: float) -> float:
         return self.heading
@@ -140,10 +137,7 @@ class SineLane(StraightLane):
 
     def position(self, s: float, lat: float) -> Point:
         lat += self.amplitude * math.sin(self.pulsation * s + self.phase)
-        return (
-            self.start[0] + s * self._dx - lat * self._dy,
-            self.start[1] + s * self._dy + lat * self._dx,
-        )
+        return (self.start[0] + s * self._dx - lat * self._dy, self.start[1] + s * self._dy + lat * self._dx)
 
     def heading_at(self, s: float) -> float:
         slope = self.amplitude * self.pulsation * math.cos(self.pulsation * s + self.phase)

@@ -28,7 +28,7 @@ from sumo_env.traffic.drivers import (
     driver_pool,
 )
 from sumo_env.traffic.risk import RiskEvent, RiskRates, draw_events
-from sumo_env.traffic.scenario import EGO, Scenario, Spawn, VehicleSpec
+from sumo_env.traffic.scenario import Scenario, Spawn, VehicleSpec
 
 
 class EgoState(NamedTuple):
@@ -303,17 +303,3 @@ def weighted(rewards: dict[str, float], config: Config) -> float:
 def speed_term(speed: float, config: dict[str, Any]) -> float:
     """Speed mapped from ``reward_speed_range`` to [0, 1] and clipped."""
     return min(max(lmap(speed, config["reward_speed_range"], (0.0, 1.0)), 0.0), 1.0)
-
-
-__all__ = [
-    "EGO",
-    "Drivers",
-    "EgoState",
-    "Task",
-    "ego_driver",
-    "lmap",
-    "make_on_lane",
-    "nearest_index",
-    "speed_term",
-    "weighted",
-]

@@ -30,35 +30,11 @@ Router = Callable[
     [str, str, Sequence[str], str], Edges
 ]  # from edge, to edge, via edges, vehicle class -> route
 
-HERE = {
-    "id",
-    "type",
-    "route",
-    "depart",
-    "departLane",
-    "departPos",
-    "departSpeed",
-    "begin",
-    "end",
-    "number",
-    "period",
-    "vehsPerHour",
-    "perHour",
-    "probability",
-    "from",
-    "to",
-    "via",
-    "speedFactor",
-}
-WITHOUT_MEANING = {
-    "color",
-    "line",
-    "insertionChecks",
-    "parkingBadges",
-    "personNumber",
-    "containerNumber",
-    "reroute",
-}
+WHEN = {"depart", "begin", "end", "number", "period", "vehsPerHour", "perHour", "probability"}
+WHERE = {"route", "from", "to", "via", "departLane", "departPos", "departSpeed"}
+HERE = WHEN | WHERE | {"id", "type", "speedFactor"}
+LOAD = {"personNumber", "containerNumber"}
+WITHOUT_MEANING = LOAD | {"color", "line", "insertionChecks", "parkingBadges", "reroute"}
 REFUSED = {
     **dict.fromkeys(("person", "personFlow", "container", "containerFlow"), "only vehicles drive here"),
     "include": "put its contents into this file",

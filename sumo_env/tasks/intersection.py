@@ -68,14 +68,7 @@ class Intersection(Task):
             raise ConfigError(f"'destination' must be 'o1', 'o2', 'o3' or None, not {destination!r}")
         s = 60.0 + 5.0 * float(rng.normal(1.0))
         return make_on_lane(
-            road,
-            EGO,
-            ("o0", "ir0", 0),
-            s,
-            10.0,
-            ego_driver(self),
-            destination=destination,
-            target_speed=9.0,
+            road, EGO, ("o0", "ir0", 0), s, 10.0, ego_driver(self), destination=destination, target_speed=9.0
         )
 
     def vehicles(

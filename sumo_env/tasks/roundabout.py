@@ -58,11 +58,7 @@ class Roundabout(Task):
         "screen_height": 600,
         "centering_position": [0.5, 0.6],
     }
-    levels = {
-        "5": {"vehicles_count": 5},
-        "10": {"vehicles_count": 10},
-        "15": {"vehicles_count": 15},
-    }
+    levels = {"5": {"vehicles_count": 5}, "10": {"vehicles_count": 10}, "15": {"vehicles_count": 15}}
     # Surges alone empty the ring before a slow ego arrives, so some drivers also brake to a standstill in it.
     calibration = Calibration(lane_changes=False, ignores_approaching=0.85, ignores_inside=0.5)
     # Tailgating drivers whom right of way does not stop make up for half of the events (docs/traffic-and-risk.md).

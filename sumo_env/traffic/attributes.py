@@ -51,26 +51,9 @@ CLASSES = {
     "moped": (2.1, 0.78, 12.5, 1.1, 7.0),
     "bicycle": (1.6, 0.65, 5.56, 1.2, 3.0),
 }
-CARS = {
-    "passenger",
-    "private",
-    "taxi",
-    "hov",
-    "evehicle",
-    "vip",
-    "custom1",
-    "custom2",
-    "ignoring",
-    "authority",
-    "army",
-}
-LOOKS = {
-    "guiShape",
-    "imgFile",
-    "color",
-    "osgFile",
-    "laneChangeModel",
-}  # of a vType in a file, without effect here
+SPECIAL = {"authority", "army", "vip", "ignoring", "custom1", "custom2"}
+CARS = SPECIAL | {"passenger", "private", "taxi", "hov", "evehicle"}
+LOOKS = {"guiShape", "imgFile", "color", "osgFile", "laneChangeModel"}  # in a file, without effect here
 
 
 def of_class(name: str, given: Mapping[str, str]) -> dict[str, str]:

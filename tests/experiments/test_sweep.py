@@ -219,13 +219,10 @@ def wait_for(condition, process: subprocess.Popen, seconds: float = 300.0) -> No
 @pytest.mark.slow
 def test_a_killed_sweep_goes_on_where_it_was(reference, tmp_path):
     directory = tmp_path / "results"
-    for _ in range(2):
-        process = start(tmp_path, directory)
-        wait_for(
-            lambda: list(directory.glob("work/*/checkpoint.npz")) or list(directory.glob("cells/*")), process
-        )
-        process.kill()
-        process.communicate()
+    process = start(tmp_path, directory)
+    wait_for(lambda: list(directory.glob("work/*/checkpoint.npz")) or list(directory.glob("cells/*")), process)
+    process.kill()
+    process.communicate()
     assert run(directory) == 0
     assert fingerprint(directory) == fingerprint(reference)
 
@@ -252,17 +249,6 @@ def test_a_stopped_sweep_says_how_to_go_on(tmp_path, number):
     assert process.returncode == 130
     again = shlex.join(["python", *command[1:]])
     assert errors == f"interrupted; what is finished is kept. To go on: {again}\n"
-
-
-@pytest.mark.slow
-def test_two_sweeps_on_one_directory_share_the_work(reference, tmp_path):
-    directory = tmp_path / "results"
-    other = start(tmp_path, directory, workers=1)
-    wait_for(lambda: list(directory.glob("work/*/lock")), other)
-    assert run(directory, workers=1) == 0
-    _, errors = other.communicate(timeout=300)
-    assert other.returncode == 0, errors
-    assert fingerprint(directory) == fingerprint(reference)
 
 
 def test_neither_shards_nor_order_nor_company_change_anything(reference, tmp_path):

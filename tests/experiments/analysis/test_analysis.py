@@ -19,7 +19,6 @@ from experiments.analysis.effects import adjusted, contrasts, mean_over, slopes
 from experiments.analysis.estimate import interval, linear
 from experiments.analysis.plan import DEFAULT, FIRST, OUTCOMES, TERMS, TWO_BATCHES, Plan, as_data, plan_of
 from experiments.analysis.scores import CRASH_KINDS, Arm, Arms, Place, kind_of_crash
-from experiments.study.arms import EXTRA_ARMS
 from experiments.study.grid import BASELINES
 from experiments.study.results import Results, load
 from sumo_env.tasks import TASKS
@@ -527,6 +526,7 @@ class TestAnalysis:
 
 
 LEVELS = {"highway": (1,), "u-turn": (1,)}
+FURTHER = ("dense", "penalty", "dose25", "dose50", "dose75")
 
 
 class TestFurther:
@@ -536,7 +536,7 @@ class TestFurther:
     def results(self, tmp_path_factory: pytest.TempPathFactory) -> Results:
         home = tmp_path_factory.mktemp("further")
         synthetic.write(
-            home, LEVELS, seeds=6, tests=60, effect=-0.4, spread=0.01, further=tuple(EXTRA_ARMS),
+            home, LEVELS, seeds=6, tests=60, effect=-0.4, spread=0.01, further=FURTHER,
             test_on=("replica", "highway-env"),
         )  # fmt: skip
         return load(home)

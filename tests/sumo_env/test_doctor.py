@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import subprocess
 import sys
+from typing import Any
 
 import pytest
 
@@ -65,13 +66,15 @@ def test_episodes_that_differ_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_a_worker_that_drives_another_episode_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    from sumo_env.sumo.process import SumoProcess
+    from sumo_env.sumo.process import _Worker
 
-    step = SumoProcess.step
-    monkeypatch.setattr(
-        SumoProcess,
-        "step",
-        lambda self, command, trace=False: step(self, command._replace(target_speed=1.0)),
-    )
+    exchange = _Worker.exchange
+
+    def slower(worker: _Worker, command: str, arguments: Any, timeout: float) -> Any:
+        if command == "step":
+            arguments = (arguments[0]._replace(target_speed=1.0), *arguments[1:])
+        return exchange(worker, command, arguments, timeout)
+
+    monkeypatch.setattr(_Worker, "exchange", slower)
     with pytest.raises(doctor.Problem, match="drives another episode than this process"):
         doctor.workers()

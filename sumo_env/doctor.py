@@ -10,6 +10,8 @@ import platform
 import sys
 import time
 from collections.abc import Callable, Sequence
+from contextlib import closing
+from functools import partial
 from importlib import metadata
 from typing import TextIO
 
@@ -21,6 +23,7 @@ import sumo_env
 MINIMUM = {"gymnasium": (1, 1), "numpy": (2, 0), "pillow": (10, 1), "libsumo": (1, 28)}
 SUMO_VERSION = "1.28.0"  # that the drivers were calibrated on
 STEPS = 100  # of the speed measurement
+REPORT = "please report this, with the table above"
 
 
 class Problem(Exception):
@@ -90,19 +93,13 @@ def networks() -> str:
 
 def task(id: str) -> str:
     """One episode, twice, gives equal observations; how fast it goes."""
-    env = gym.make(id)
-    try:
-        first, again = _episode(env), _episode(env)
-        if not np.array_equal(first, again):
-            raise Problem(
-                "the same seed gave two different episodes", "please report this, with the table above"
-            )
+    with closing(gym.make(id)) as env:
+        if not np.array_equal(_episode(env), _episode(env)):
+            raise Problem("the same seed gave two different episodes", REPORT)
         start, steps = time.perf_counter(), 0
         while steps < STEPS:
             steps += len(_episode(env, seed=steps)) - 1
         return f"same seed, same episode; {steps / (time.perf_counter() - start):.0f} steps/s"
-    finally:
-        env.close()
 
 
 def _episode(env: gym.Env[np.ndarray, int], seed: int = 0) -> np.ndarray:
@@ -128,39 +125,23 @@ def pictures() -> str:
 def workers() -> str:
     """A second environment of a process gets a worker process, and drives the same episode."""
     start = time.perf_counter()
-    envs = [gym.make(sumo_env.IDS[0]) for _ in range(2)]
-    try:
-        first, second = (_episode(env) for env in envs)
-    finally:
-        for env in envs:
-            env.close()
-    if not np.array_equal(first, second):
-        raise Problem(
-            "a worker process drives another episode than this process with the same seed",
-            "please report this, with the table above",
-        )
+    with closing(gym.make(sumo_env.IDS[0])) as here, closing(gym.make(sumo_env.IDS[0])) as there:
+        if not np.array_equal(_episode(here), _episode(there)):
+            wrong = "a worker process drives another episode than this process with the same seed"
+            raise Problem(wrong, REPORT)
     return f"same episode; started and driven in {time.perf_counter() - start:.1f} s"
 
 
 def vector() -> str:
     """gymnasium's `make_vec` makes environments that drive the episodes of single ones."""
-    env = gym.make(sumo_env.IDS[0])
-    envs = gym.make_vec(sumo_env.IDS[0], num_envs=2)
-    try:
+    with (
+        closing(gym.make(sumo_env.IDS[0])) as env,
+        closing(gym.make_vec(sumo_env.IDS[0], num_envs=2)) as envs,
+    ):
         _, second = envs.reset(seed=0)[0]  # the seeds of a vector environment count up
         if not np.array_equal(second, env.reset(seed=1)[0]):
-            raise Problem(
-                "a vector environment drives another episode with the same seed",
-                "please report this, with the table above",
-            )
-    finally:
-        env.close()
-        envs.close()
+            raise Problem("a vector environment drives another episode with the same seed", REPORT)
     return "same episode"
-
-
-def _check_of(id: str) -> Check:
-    return sumo_env.task_of(id), lambda: task(id)
 
 
 CHECKS: tuple[Check, ...] = (
@@ -168,7 +149,7 @@ CHECKS: tuple[Check, ...] = (
     ("packages", packages),
     ("SUMO", sumo),
     ("networks", networks),
-    *(_check_of(id) for id in sumo_env.IDS),
+    *((sumo_env.task_of(id), partial(task, id)) for id in sumo_env.IDS),
     ("pictures", pictures),
     ("workers", workers),
     ("vector", vector),
@@ -185,10 +166,8 @@ def examine(checks: Sequence[Check], out: TextIO) -> int:
         try:
             print(f"  ok    {name:14}{check()}", file=out, flush=True)
         except Exception as error:
-            remedy = (
-                error.remedy if isinstance(error, Problem) else "please report this, with the table above"
-            )
-            wrong = str(error) if isinstance(error, Problem) else f"{type(error).__name__}: {error}"
+            known = isinstance(error, Problem)
+            remedy, wrong = (error.remedy, error) if known else (REPORT, f"{type(error).__name__}: {error}")
             print(f"  FAIL  {name:14}{wrong}\n        {'':14}-> {remedy}", file=out, flush=True)
             left = len(checks) - made - 1
             print(f"1 problem; {left} checks not made" if left else "1 problem", file=out)

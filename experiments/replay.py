@@ -12,7 +12,7 @@ with its own future: an upper bound of what a driver could do. Avoided means no 
 ends; where the horizon is shorter than 5 s, IDLE or SLOWER is repeated after it.
 
 Exit status: 0 the episode was reproduced, 1 it came out differently (the message says what, and which
-versions have changed since), 2 the case does not exist.
+versions have changed since) or no way around the crash was found, 2 the case does not exist or has no crash.
 """
 
 from __future__ import annotations
@@ -70,7 +70,8 @@ class Options:
     sumo: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = False
     """Write a folder that sumo and sumo-gui open instead: network, vehicles, the ego's way, and configurations."""
     avoid: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = False
-    """Search for actions without which there would be a crash; CASE may also be a folder of results."""
+    """Search for actions that would have avoided the crash; CASE may also be a folder of results. Writes
+    CASE-avoided.gif, or DIR/avoidable.parquet, with which the same call goes on."""
     horizon: int = HORIZON
     """Policy steps in which --avoid tries all sequences of actions."""
     crashes: int = 20

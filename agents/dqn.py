@@ -75,7 +75,7 @@ class DQNConfig:
 
     @property
     def steps(self) -> int:
-        """Environment steps of a training, but for the end of its last episode."""
+        """Environment steps of a training, without the end of its last episode."""
         return self.warm_up + self.steps_per_update * self.updates
 
     def epsilon(self, step: int) -> float:

@@ -292,7 +292,7 @@ def measure_learner(task: str, backends: Sequence[str], turns: int, seconds: flo
 
 
 def measure_peers(task: str, backends: Sequence[str], turns: int, seconds: float) -> Iterator[Record]:
-    """highway-env, EnvPool's copy of it, the replica and SUMO; a peer that is not installed is left out."""
+    """highway-env, EnvPool's copy of it, the replica and SUMO; a peer that is not installed is skipped."""
     python = Path(os.environ.get("ENVPOOL_PYTHON", sys.executable))
     return peers.measure(task, python, turns, seconds, 100, round(100 * seconds))
 

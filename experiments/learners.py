@@ -83,7 +83,7 @@ class Options:
     seeds: int = 3
     """Trainings of each."""
     steps: int | None = None
-    """Environment steps; the preset's if left out."""
+    """Environment steps; by default the preset's."""
     episodes: int = 100
     """Test scenarios in each traffic."""
     workers: int = os.cpu_count() or 1

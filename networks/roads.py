@@ -196,7 +196,7 @@ class Road:
 def _bound(distance: Any) -> Any:
     """The least distance, in a lane's frame, of all points of a cell to a lane this far [m] from its centre.
 
-    It is at least that as the crow flies, but for a sine lane, whose s is measured along its axis: 7 % may be missing.
+    It is at least the straight distance, except on a sine lane, whose s is measured along its axis: 7 % may be missing.
     """
     return 0.9 * (distance - CELL / math.sqrt(2.0) - SAMPLE)
 

@@ -268,7 +268,7 @@ class DrivingEnv(ReadAsHighwayEnv):
         return self._renderer
 
     def imagine(self, seed: int) -> DrivingEnv:
-        """A copy of this environment in which the risk events that have not begun are drawn anew.
+        """A copy of this environment in which new risk events replace those that have not begun.
 
         ``copy.deepcopy(env)`` is a copy that knows the future: it meets the same events as the environment itself. A
         planner that must not know them acts in imagined copies instead. They still know what the traffic is going to

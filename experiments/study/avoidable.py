@@ -72,7 +72,7 @@ def judge_all(
             with closing(Rewound(path, record, row, envs[known], BEFORE[-1])) as crash:
                 moments = list(crash.moments(search, BEFORE[-1]))
         except UserError as error:
-            print(f"left out: {error}", file=sys.stderr)
+            print(f"skipped: {error}", file=sys.stderr)
             return None
         found = moments[-1] if moments and moments[-1].actions is not None else None
         return {

@@ -13,7 +13,7 @@ from experiments.study.store import DamagedCell, finished, read_stored
 from experiments.support.provenance import cpu
 
 # Processor seconds of a common server for (a training step, a test episode) in the lightest traffic;
-# rough but for SUMO.
+# rough except for SUMO.
 DEFAULT_RATES: dict[str, dict[str, tuple[float, float]]] = {
     "sumo": {
         "highway": (0.0025, 0.050),

@@ -82,7 +82,7 @@ def check_dynamics(pairs: Iterable[tuple[str, str]]) -> None:
 
 
 def main() -> int:
-    """Compare all simulators with the table, and name those anew that have changed."""
+    """Compare all simulators with the table, and give new names to those that have changed."""
     table = _table()
     for backend, tasks in table.items():
         for task, known in tasks.items():

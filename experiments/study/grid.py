@@ -52,7 +52,7 @@ class Cell:
     test of an agent that another cell has trained.
 
     kind: "agent", "baseline" or "test". level: 1 is the lightest traffic. arm, seed: None for baselines.
-    profile: every hyper-parameter of the learner and its budget; for baselines empty but for the preset's
+    profile: every hyper-parameter of the learner and its budget; for baselines only the preset's
         name.
     env_config: the environment's configuration, without the dose of risk. eval: how it is tested.
     dynamics: fingerprint of what the backend does on this task, see `fingerprint.dynamics`.
@@ -292,7 +292,7 @@ class Ask:
         first_seed on.
     episodes: test episodes in each traffic, of the scenarios from number first_scenario on.
     profiles: hyper-parameters and budget of each task. preset: label that the cells carry.
-    gate_episodes: episodes for the gates in each traffic; as many as test episodes if left out.
+    gate_episodes: episodes for the gates in each traffic; by default as many as test episodes.
     network: FILE:CLASS of a network of the user's own. policies: policies of the user's own to test:
         label -> (FILE:MAKE or zip file, fingerprint of the file).
     arms: of DOSES. test_on: other simulators on which the trained agents are tested too.

@@ -181,7 +181,7 @@ def _by_cell(table: pd.DataFrame) -> dict[str, pd.DataFrame]:
 
 
 def _check(file: str, found: Tables, expected: Tables) -> None:
-    """Raise UserError unless the tables of all cells are as expected, but for columns that are missing there."""
+    """Raise UserError unless the tables of all cells are as expected; columns may be missing there."""
     if found.keys() != expected.keys():
         raise UserError(f"the packed {file} has rows of other cells: nothing was packed")
     for name, rows in expected.items():

@@ -20,7 +20,7 @@ EPISODE_LENGTH = {"highway": 17, "two-way": 6, "roundabout": 10, "intersection":
 # Settings of the learner by profile, over the defaults of `agents.dqn.DQNConfig`, which are those of "tuned".
 PROFILES: dict[str, dict[str, Any]] = {
     "tuned": {},
-    # The paper's numbers; where it is silent, those of the code that it cites, but for the target network, which that
+    # The paper's numbers; where it is silent, those of the code that it cites, except the target network, which that
     # code copies at every update: at gamma .99 six of six agents diverged (docs/developers/decisions.md).
     "paper": {
         "network": "dueling",

@@ -349,7 +349,7 @@ class _Run(Generic[T]):
             self._observer.tell(task, "failed", reason)
 
     def watch(self) -> None:
-        """Look at the signs of life. Processes end themselves in a silence, but for those that are frozen or lost."""
+        """Look at the signs of life. Processes end themselves after a silence, unless they are frozen or lost."""
         now = time.monotonic()
         if now < self._next_look:
             return

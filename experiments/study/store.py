@@ -1,6 +1,6 @@
 """Finished cells on disk: written whole or not at all, checked when read, never computed twice.
 
-DIR/cells/<cell>/     cell.json, episodes.parquet; but for further tests of an agent gates.parquet; for agents also
+DIR/cells/<cell>/     cell.json, episodes.parquet; gates.parquet except in further tests of an agent; for agents also
                       training.parquet, marks.parquet (tests at parts of the budget), weights.npz
 DIR/packed.json, *.parquet, weights/   finished cells of which the folders may be removed (see `packed`)
 DIR/work/<cell>/      a cell in progress: checkpoint, lock, log (see `run`); failed.json if it was given up
@@ -110,7 +110,7 @@ class Store:
     def write_sweep(self, command: str, cells: Sequence[Cell]) -> None:
         """Note what a sweep asks for.
 
-        What earlier sweeps asked for stays, but for cells of the same tasks and levels that were never finished.
+        What earlier sweeps asked for stays, except cells of the same tasks and levels that were never finished.
 
         Raises:
             UserError: the note of earlier sweeps cannot be read.

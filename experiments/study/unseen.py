@@ -28,7 +28,7 @@ UNSEEN = (*EVENTS, PARAMETERS, *MODELS)
 def unseen_traffics(task: str, backend: str = "sumo") -> tuple[str, ...]:
     """The traffics of UNSEEN that differ from regular and risky traffic in a task, on a backend.
 
-    A kind of event that the task does not have is left out; so are SUMO's models on other simulators.
+    Kinds of events that the task does not have are skipped, and SUMO's models on other simulators.
     """
     rates = TASKS[task].risk_rates
     present = {kind for kind in EVENTS.values() if getattr(rates, kind.replace("-", "_")) > 0}

@@ -57,7 +57,7 @@ def interval(values: Floats, confidence: float = 0.90) -> tuple[float, float]:
 
 
 def mean_difference(both: pd.DataFrame, measure: str) -> Difference:
-    """Difference of the means of a measure; pairs in which either has none are left out."""
+    """Difference of the means of a measure; pairs in which either has none do not count."""
     columns = both[["scenario", f"{measure}_a", f"{measure}_b"]].astype(float)
     columns = columns[np.isfinite(columns).all(axis=1)]
     if columns.empty:

@@ -122,7 +122,7 @@ def plan(
 ) -> list[Part]:
     """Everything that the engines have to drive, `size` scenarios in a part.
 
-    On roads without joins, engines that differ only in how far drivers see beyond a join are left out.
+    On roads without joins, engines that differ only in how far drivers see beyond a join are not driven.
     """
     return [
         Part(engine, task, level, traffic, scenarios[first : first + size])

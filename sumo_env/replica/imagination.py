@@ -1,4 +1,4 @@
-"""What an imagined copy of an episode does not know of the drivers: their parameters are drawn anew."""
+"""What an imagined copy of an episode does not know of the drivers: it draws new parameters."""
 
 from __future__ import annotations
 

@@ -139,7 +139,7 @@ class Session:
         return abs(_simulation.getTime() - self._steps * self.step_length) < 1e-6
 
     def forget(self) -> None:
-        """Load anew at the next `load`, whatever is loaded (somebody else may have changed it)."""
+        """Load again at the next `load`, whatever is loaded (somebody else may have changed it)."""
         self._settings = None
 
     def close(self) -> None:

@@ -32,14 +32,14 @@ class Surroundings:
         self.look(0.0, speed)
 
     def take_stock(self) -> None:
-        """List the vehicles on the road anew, and look at all of them next."""
+        """Read which vehicles are on the road, and look at all of them next."""
         self._others = [name for name in self._session.vehicles() if name != EGO]
         self._due: dict[str, float] = {}  # distant vehicle -> time before which it cannot be near [s]
 
     def look(self, time: float, speed: float) -> None:
         """Look around after the sub-step that ended at `time` [s] with the ego's `speed` [m/s].
 
-        A distant vehicle is left out until it may have come near (conservative advancement).
+        A distant vehicle is skipped until it may have come near (conservative advancement).
         """
         if self._session.changed:
             self.take_stock()

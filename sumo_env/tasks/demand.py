@@ -74,7 +74,7 @@ class Kind(NamedTuple):
 
 
 class Departure(NamedTuple):
-    """A vehicle of a route file: when, on which route and how it departs. None is drawn at random or left out."""
+    """A vehicle of a route file: when, on which route and how it departs. None: drawn at random, or not set."""
 
     id: str
     route: str

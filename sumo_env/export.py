@@ -25,8 +25,10 @@ from sumo_env.scene import Scene
 from sumo_env.traffic.drivers import Calibration, vehicle_type
 from sumo_env.traffic.scenario import EGO, Scenario, VehicleSpec
 
-# What a replayed vehicle must be able to do, so that SUMO lets it start and move as it was recorded.
-REPLAYED = {"tau": "0.1", "minGap": "0", "decel": "200", "emergencyDecel": "200", "guiShape": "delivery"}
+# What a replayed vehicle must be able to do, so that SUMO lets it start and move as it was recorded, also on lanes for
+# buses or bicycles.
+FREE = {"tau": "0.1", "minGap": "0", "decel": "200", "emergencyDecel": "200", "vClass": "ignoring"}
+REPLAYED = {**FREE, "guiShape": "delivery"}
 # Those of the pictures; a replayed vehicle cannot change its colour, so it has one for the whole episode.
 COLOURS = {EGO: "0,114,178", "car": "233,237,241", "risky": "255,196,0"}
 NO_LANE_CHANGES = {"lcStrategic": "-1", "lcCooperative": "-1", "lcSpeedGain": "0", "lcKeepRight": "0"}

@@ -148,7 +148,10 @@ def test_vehicles_drive_where_their_class_may(tmp_path: Path) -> None:
     assert all(index[0].startswith("ab:") for index in lanes["ego"])
     assert env.get_available_actions() == [1, 3]  # neither the bus lane nor the bicycles'
     assert env.scene.sizes["b"] == (12.0, 2.5) and env.scene.sizes["k"] == (1.6, 0.65)
+    env.export(tmp_path / "episode")
     env.close()
+    for name in ("episode.sumocfg", "traffic.sumocfg"):
+        subprocess.run([NETCONVERT.with_name("sumo"), "-c", tmp_path / "episode" / name], check=True)
 
 
 @pytest.mark.parametrize(

@@ -37,6 +37,7 @@ import pandas as pd
 import tyro
 from numpy.typing import NDArray
 from PIL import Image
+from rich.progress import Progress
 
 from experiments.backends import make_env
 from experiments.study import grid, store
@@ -48,7 +49,6 @@ from experiments.study.evaluate import play
 from experiments.study.packed import MANIFEST
 from experiments.study.rerun import changed_versions, differences, stored_policy
 from experiments.study.results import load
-from experiments.study.rows import Countdown
 from experiments.support.errors import UserError, disk_error, run_command
 from experiments.support.films import Film, Pictures, save_gif, side_by_side
 
@@ -243,18 +243,19 @@ def _avoid(
     options: Options, case: Case, record: dict[str, Any], row: dict[str, Any], make_env: MakeEnv
 ) -> int:
     """Search the last moment from which a crash can be avoided; 1 if there is none."""
-    countdown = Countdown(1.0)
-    search = Search(options.horizon, lambda share: countdown.show(share, f"{share:.0%} of the sequences"))
+    bar = Progress(transient=True)
+    search = Search(options.horizon, lambda share: bar.update(bar.task_ids[-1], completed=share))
     key = record["key"]
     with (
         closing(make_env(key["backend"], key["task"], key["env_config"], "rgb_array")) as env,
         closing(Rewound(case.path, record, row, env)) as crash,
     ):
         print(f"{case.name}: " + _ending(row))
-        for moment in crash.moments(search):
-            countdown.end()
-            print(_outcome(moment, crash, options.horizon), flush=True)
-            countdown = Countdown(1.0)
+        bar.add_task("sequences of the present moment", total=1.0)
+        with bar:
+            for moment in crash.moments(search):
+                print(_outcome(moment, crash, options.horizon))
+                bar.reset(bar.task_ids[-1])
         if moment.actions is None:
             print("not found: no searched sequence avoids the contact, from the first step on")
             return 1

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import copy
 import json
 from collections.abc import Iterator
-from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -13,7 +11,6 @@ import pytest
 from highway_env import envs
 
 import sumo_env
-from experiments.backends import make_env
 from sumo_env.config import Config, ConfigError
 from sumo_env.env import DrivingEnv
 
@@ -284,31 +281,3 @@ def test_what_does_not_exist_says_what_replaces_it(highway: DrivingEnv, name: st
 def test_vehicles_before_a_reset_are_an_error() -> None:
     with pytest.raises(AttributeError, match="reset"):
         DrivingEnv("highway").vehicle  # noqa: B018
-
-
-# -- planners ----------------------------------------------------------------------------------------------
-
-
-def copied(env: gym.Env[Any, Any]) -> gym.Env[Any, Any]:
-    """As rl-agents' planners copy: attribute by attribute, without calling the constructor."""
-    twin = object.__new__(type(env))
-    memo = {id(env): twin}
-    for name, value in vars(env).items():
-        setattr(twin, name, copied(value) if isinstance(value, gym.Env) else copy.deepcopy(value, memo=memo))
-    return twin
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("backend", ["sumo", "replica"])
-@pytest.mark.parametrize("task", ["highway", "intersection"])
-@pytest.mark.parametrize("copier", [copied, copy.deepcopy])
-def test_environments_can_be_copied(backend: str, task: str, copier: Any) -> None:
-    """A planner's imagined steps leave the environment as it was, and come true when they are taken."""
-    env = make_env(backend, task)
-    env.reset(seed=0)
-    env.step(1)
-    twin = copier(env)
-    assert twin.unwrapped.get_available_actions() == env.unwrapped.get_available_actions()  # type: ignore[attr-defined]
-    imagined = [twin.step(2)[0] for _ in range(2)]
-    np.testing.assert_array_equal([env.step(2)[0] for _ in range(2)], imagined)
-    env.close()

@@ -240,28 +240,9 @@ def test_a_refused_configuration_leaves_the_old_one() -> None:
 # -- use ---------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("action", [-1, 5, 1.0, "IDLE", None])
-def test_a_bad_action_is_refused(highway: gym.Env[Any, Any], action: Any) -> None:
-    highway.reset(seed=0)
-    with pytest.raises(ValueError, match="LANE_LEFT"):
-        highway.unwrapped.step(action)
-
-
-@pytest.mark.parametrize("action", [np.int64(3), np.array(3), np.uint8(3), True])
-def test_integers_of_all_kinds_are_actions(highway: gym.Env[Any, Any], action: Any) -> None:
-    highway.reset(seed=0)
-    *_, info = highway.unwrapped.step(action)
-    assert info["action"] == int(action)
-
-
 def test_a_step_before_a_reset_is_refused() -> None:
     with pytest.raises(gym.error.ResetNeeded, match="reset"):
         DrivingEnv("highway").step(1)
-
-
-def test_a_picture_before_a_reset_is_refused() -> None:
-    with pytest.raises(gym.error.ResetNeeded, match="reset"):
-        DrivingEnv("highway", render_mode="rgb_array").render()
 
 
 def test_closing_one_environment_leaves_the_other_alone() -> None:

@@ -140,13 +140,6 @@ def test_wrong_actions_are_refused(envs: SumoVectorEnv, actions: Any) -> None:
         envs.step(actions)
 
 
-def test_attributes(envs: SumoVectorEnv) -> None:
-    assert envs.call("configure", {"screen_width": 300}) == (None, None)
-    assert [config["screen_width"] for config in envs.get_attr("config")] == [300, 300]
-    envs.set_attr("remark", ["a", "b"])
-    assert envs.get_attr("remark") == ("a", "b")
-
-
 def test_a_killed_worker_is_replaced(envs: SumoVectorEnv) -> None:
     envs.reset(seed=3)
     before, *_ = envs.step([1, 1])
@@ -211,12 +204,6 @@ def test_a_silent_worker_is_replaced(envs: SumoVectorEnv, monkeypatch: pytest.Mo
 
 
 # -- making and closing ------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("num_envs", [0, -2])
-def test_at_least_one_environment(num_envs: int) -> None:
-    with pytest.raises(ValueError, match="num_envs must be at least 1"):
-        gym.make_vec("sumo/highway-v0", num_envs=num_envs)
 
 
 def test_closing_ends_the_processes_and_may_be_repeated() -> None:

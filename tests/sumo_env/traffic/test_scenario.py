@@ -114,12 +114,6 @@ def test_two_way_traffic_of_every_level_is_on_the_road_and_ahead(level: str) -> 
             assert scenario.ego.x < v.x < config["road_length"] + 20.0
 
 
-def test_roundabout_slots_and_counts() -> None:
-    first = draw("roundabout").vehicles
-    assert [v.lane[:2] for v in first[:1]] == [("we", "sx")] and len(first) == 4
-    assert [len(draw("roundabout", s, vehicles_count=15).vehicles) for s in SEEDS] == [15] * len(SEEDS)
-
-
 def test_intersection_traffic_starts_on_its_approach_and_has_three_seconds_to_drive() -> None:
     """IntersectionEnv._make_vehicles: tries at 0 to 80 m, refused within 15 m, then the challenger."""
     counts, speeds = [], []
@@ -140,12 +134,6 @@ def test_intersection_traffic_starts_on_its_approach_and_has_three_seconds_to_dr
     assert np.mean(speeds) == pytest.approx(8.0, abs=0.3)
 
 
-def test_the_other_tasks_have_no_warm_up() -> None:
-    for task in TASKS.keys() - {"intersection"}:
-        scenario = draw(task)
-        assert (scenario.warm_up, scenario.spawns) == (0.0, ())
-
-
 def test_intersection_tries_to_spawn_after_every_step() -> None:
     steps = [s.step for k in SEEDS for s in draw("intersection", k, spawn_probability=1.0).spawns if s.step]
     assert sorted(set(steps)) == list(range(1, 14)) and len(steps) == 13 * len(SEEDS)
@@ -158,9 +146,3 @@ def test_a_vehicle_fits_where_nobody_is_within_15_metres() -> None:
     assert fits(vehicle, [])
     assert fits(vehicle, [(vehicle.x, vehicle.y + SPAWN_DISTANCE)])
     assert not fits(vehicle, [(vehicle.x + 100.0, vehicle.y), (vehicle.x - 14.9, vehicle.y)])
-
-
-def test_u_turn_has_at_most_twelve_slots() -> None:
-    assert len(draw("u-turn", vehicles_count=12).vehicles) == 12
-    with pytest.raises(ValueError, match="at most 12"):
-        draw("u-turn", vehicles_count=13)

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import math
 import os
-import signal
-import subprocess
-import sys
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -134,33 +131,6 @@ def test_an_interrupted_training_goes_on_bit_for_bit(tmp_path: Path, moments: tu
     assert_equal(expected, actual)
 
 
-KILLED = """
-import os, signal, sys
-from tests.agents.road import Road
-from tests.agents.test_training import SMALL, train
-
-class Mortal(Road):
-    lives = int(sys.argv[2])
-    def step(self, action):
-        Mortal.lives -= 1
-        if Mortal.lives == 0:
-            os.kill(os.getpid(), signal.SIGKILL)
-        return super().step(action)
-
-train(Mortal(), SMALL, 0, checkpoint=sys.argv[1], checkpoint_interval=40)
-"""
-
-
-def test_a_killed_process_is_resumed_bit_for_bit(tmp_path: Path) -> None:
-    file = tmp_path / "checkpoint.npz"
-    root = Path(__file__).parents[2]
-    for steps in (250, 61):  # mid-episode, early and after a first resume
-        run = subprocess.run([sys.executable, "-c", KILLED, str(file), str(steps)], cwd=root, check=False)
-        assert run.returncode == -signal.SIGKILL
-    assert file.exists()
-    assert_equal(train(Road(), SMALL, 0, checkpoint=file), train(Road(), SMALL, 0))
-
-
 def test_a_kill_while_writing_leaves_the_old_checkpoint(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -256,15 +226,6 @@ def test_values_are_watched_on_the_first_observations_or_on_given_ones() -> None
 def test_a_number_that_is_none_counts_as_divergence() -> None:
     agent = train(Road(), replace(SMALL, updates=20), 0, probe=np.full((3, 2, 5), np.nan))
     assert agent.diverged
-
-
-def test_progress_counts_updates_and_episodes() -> None:
-    seen: list[Progress] = []
-    agent = train(Road(), replace(SMALL, updates=50), 0, progress=seen.append)
-    assert [p.updates for p in seen] == [20, 40, 50]
-    assert all(p.budget == 50 for p in seen)
-    assert seen[-1].episodes == len(agent.episodes["episode"])
-    assert seen[-1].mean_return == pytest.approx(agent.episodes["return"][-20:].mean())
 
 
 def test_wrong_arguments_are_refused() -> None:

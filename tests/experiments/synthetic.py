@@ -21,24 +21,15 @@ from experiments.study.store import EPISODES, GATES, MARKS, TRAINING, WEIGHTS, S
 from experiments.study.train import learning_curve
 
 DURATION = {"highway": 20, "two-way": 15, "roundabout": 11, "intersection": 13, "u-turn": 10}
-CRASH = {"idle": 0.7, "random": 0.75, "faster": 0.9, "slower": 0.1, "idm": 0.2, "careful": 0.03, "dqn": 0.25}
-REWARD = {
-    "idle": 0.75,
-    "random": 0.7,
-    "faster": 0.8,
-    "slower": 0.6,
-    "idm": 0.78,
-    "careful": 0.82,
-    "dqn": 0.85,
-}
-SPEED = {
-    "idle": 22.0,
-    "random": 21.0,
-    "faster": 28.0,
-    "slower": 12.0,
-    "idm": 19.0,
-    "careful": 18.0,
-    "dqn": 20.0,
+# By policy: chance to crash, reward per step, speed [m/s].
+BEHAVIOUR = {
+    "idle": (0.7, 0.75, 22.0),
+    "random": (0.75, 0.7, 21.0),
+    "faster": (0.9, 0.8, 28.0),
+    "slower": (0.1, 0.6, 12.0),
+    "idm": (0.2, 0.78, 19.0),
+    "careful": (0.03, 0.82, 18.0),
+    "dqn": (0.25, 0.85, 20.0),
 }
 TYPES = ("rear-end", "side", "frontal", "junction")
 PENALTY = -0.2  # what a doubled penalty for crashes changes about the chance to crash
@@ -61,26 +52,23 @@ def episodes(
         own = random.normal(0, spread) if cell.kind == "agent" else 0.0
     if purpose != "test":
         random = generator(cell.slug, purpose)
+    chance_to_crash, reward, speed = BEHAVIOUR[cell.policy]
     tables = []
     tested = cell.test_on or {"traffics": TRAFFICS, "episodes": cell.episodes}
     for traffic in tested["traffics"] if purpose == "test" else cell.gate_traffics:
         n = tested["episodes"] if purpose == "test" else cell.gate_episodes
         steps = DURATION[cell.task]
-        words = (
-            (cell.task, cell.level, traffic)
-            if purpose == "test"
-            else (cell.task, cell.level, traffic, purpose)
-        )
-        luck = generator(*words).uniform(size=n)  # shared by all who are tested
+        words = () if purpose == "test" else (purpose,)
+        luck = generator(cell.task, cell.level, traffic, *words).uniform(
+            size=n
+        )  # shared by all who are tested
         dose = ALL_TRAFFICS[traffic]
-        chance = CRASH[cell.policy] + 0.05 * (cell.level - 1) + own + 0.15 * dose
+        chance = chance_to_crash + 0.05 * (cell.level - 1) + own + 0.15 * dose
         chance += effect * cell.risk * dose + PENALTY * (cell.arm == "penalty")
         noise = random.uniform(-0.3, 0.3, n)
         crashed = luck + noise < chance if fault != "diverged" else np.zeros(n, bool)
         length = np.where(crashed, random.integers(2, steps, n), steps)
-        per_step = {"poor": 0.1, "diverged": 0.6}.get(
-            fault or "", REWARD[cell.policy] - 0.03 * cell.level - own / 2
-        )
+        per_step = {"poor": 0.1, "diverged": 0.6}.get(fault or "", reward - 0.03 * cell.level - own / 2)
         table: dict[str, Any] = {"traffic": traffic, "scenario": np.arange(n)}
         table["return"] = (
             length * per_step - crashed + (0 if fault == "diverged" else random.normal(0, 0.3, n))
@@ -88,7 +76,6 @@ def episodes(
         table["length"], table["crashed"] = length, crashed
         table["arrived"] = (cell.task == "intersection") & ~crashed
         table["truncated"] = ~crashed & ~table["arrived"]
-        speed = SPEED[cell.policy]
         table["mean_speed"] = speed if fault == "diverged" else np.abs(random.normal(speed, 1.0, n))
         table["distance"] = table["mean_speed"] * length
         table["min_ttc"] = np.where(random.uniform(size=n) < 0.2, np.inf, random.uniform(0.1, 8, n))

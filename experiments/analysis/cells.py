@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-import pandas as pd
 
 from experiments.analysis.scores import PLACE
 from experiments.study.arms import ARMS, TRAFFICS, gate_traffics
@@ -43,10 +42,7 @@ def comparable(results: Results) -> Selection:
     have been tested in the same environment, on the same scenarios and under the same versions. Further arms, and tests
     on other simulators, must be of agents trained and tested as those of both arms are.
     """
-    tests = _by_cell(results.episodes)
-    gates = _by_cell(results.gate_episodes)
-    faults = {name: _faults(cell, tests.get(name), gates.get(name)) for name, cell in results.cells.items()}
-    incomplete = {name: "; ".join(found) for name, found in faults.items() if found}
+    incomplete = _incomplete(results)
     whole = {name: cell for name, cell in results.cells.items() if name not in incomplete}
     left_out: dict[str, str] = {}
     places: dict[tuple[Any, ...], dict[str, Cell]] = {}
@@ -126,36 +122,35 @@ def without(results: Results, gone: set[str]) -> Results:
     return replace(results, cells={k: v for k, v in results.cells.items() if k not in gone}, **tables)
 
 
-def _by_cell(table: pd.DataFrame) -> dict[str, pd.DataFrame]:
-    return {str(name): rows for name, rows in table.groupby("cell", sort=False)} if len(table) else {}
+def _incomplete(results: Results) -> dict[str, str]:
+    """What cells' tables lack: every scenario once, and nothing but numbers."""
+    faults: dict[str, list[str]] = {}
+    for purpose, table in (("test", results.episodes), ("gate", results.gate_episodes)):
+        seen = table.groupby(["cell", "traffic"])["scenario"].agg(sorted).to_dict()
+        for name, cell in results.cells.items():
+            wanted, traffics = _wanted(cell["key"], purpose)
+            for traffic in traffics:
+                found = seen.get((name, traffic), [])
+                if found != list(wanted):
+                    twice = ", some twice" if len(found) > len(set(found)) else ""
+                    words = (
+                        f"{len(set(found))} of {len(wanted)} {purpose} scenarios in {traffic} traffic{twice}"
+                    )
+                    faults.setdefault(name, []).append(words)
+        for column in table.columns.intersection(NUMBERS):
+            for name in table.loc[~np.isfinite(table[column].astype(float)), "cell"].unique():
+                faults.setdefault(name, []).append(f"{column} of the {purpose} is not a number")
+    return {name: "; ".join(found) for name, found in faults.items()}
 
 
-def _faults(cell: Cell, tests: pd.DataFrame | None, gates: pd.DataFrame | None) -> list[str]:
-    """What a cell's tables lack: every scenario once, and nothing but numbers."""
-    key = cell["key"]
-    test = key.get("test_on", {"episodes": key["eval"]["episodes"], "traffics": list(TRAFFICS)})
+def _wanted(key: Mapping[str, Any], purpose: str) -> tuple[range, Sequence[str]]:
+    """The scenarios and traffics of the episodes that a cell has for the test or the gates."""
     first = int(key["eval"].get("first_scenario", 0))
-    faults = _lacking(tests, range(first, first + int(test["episodes"])), test["traffics"], "test")
-    if "gate_episodes" in key["eval"] and key["kind"] != "test":
-        wanted = range(first, first + int(key["eval"]["gate_episodes"]))
-        faults += _lacking(gates, wanted, gate_traffics(key["arm"]), "gate")
-    return faults
-
-
-def _lacking(table: pd.DataFrame | None, wanted: range, traffics: Sequence[str], purpose: str) -> list[str]:
-    if table is None:
-        return [f"no {purpose} episodes"]
-    faults = []
-    for traffic in traffics:
-        rows = table[table["traffic"] == traffic]
-        if sorted(rows["scenario"]) != list(wanted):
-            found = rows["scenario"].nunique()
-            twice = ", some twice" if len(rows) > found else ""
-            faults.append(f"{found} of {len(wanted)} {purpose} scenarios in {traffic} traffic{twice}")
-    for column in NUMBERS:
-        if column in table and not np.isfinite(table[column].astype(float)).all():
-            faults.append(f"{column} of the {purpose} is not a number")
-    return faults
+    if purpose == "gate":
+        number = 0 if key["kind"] == "test" else int(key["eval"].get("gate_episodes", 0))
+        return range(first, first + number), gate_traffics(key["arm"]) if number else ()
+    test = key.get("test_on", {"episodes": key["eval"]["episodes"], "traffics": list(TRAFFICS)})
+    return range(first, first + int(test["episodes"])), test["traffics"]
 
 
 def duplicates(results: Results) -> list[list[str]]:

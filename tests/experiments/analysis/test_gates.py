@@ -15,7 +15,7 @@ LUCK = np.random.default_rng(0).normal(0, 1, N)  # of the scenarios, shared by e
 PLACE = {"backend": "sumo", "level": 1, "level_name": "1"}
 
 
-def cell(policy: str, task: str, arm: str | None = None, largest: float = 10.0) -> dict[str, Any]:
+def cell(policy: str, task: str, arm: str | None = None, largest: float | None = 10.0) -> dict[str, Any]:
     kind = "agent" if arm else "baseline"
     key = {**PLACE, "task": task, "kind": kind, "policy": policy, "arm": arm, "seed": 0 if arm else None}
     return {"key": key, "learner": {"probe_q": [[100, 1.0, largest]], "q_bound": 20.0} if arm else None}
@@ -109,8 +109,15 @@ def test_an_agent_is_judged_in_the_traffic_that_it_was_trained_in() -> None:
     assert verdict("highway", agent, "control", slower=slower)["passed"] is False
 
 
-def test_values_beyond_what_rewards_allow_are_divergence() -> None:
-    cells = {"agent": cell("dqn", "highway", "control", largest=24.1), "slower": cell("slower", "highway")}
+@pytest.mark.parametrize(("largest", "passed"), [(24.1, False), (23.9, True), (None, False)])
+def test_values_beyond_what_rewards_allow_are_divergence(largest: float | None, passed: bool) -> None:
+    """Values that are no longer finite are stored as None."""
+    cells = {"agent": cell("dqn", "highway", "control", largest=largest), "slower": cell("slower", "highway")}
     table = pd.concat([episodes("agent", 9 + LUCK), episodes("slower", 5 + 2 * LUCK)])
     [record] = gates(cells, table).to_dict("records")
-    assert record["failed"] == "q_bounded"
+    assert record["failed"] == ("" if passed else "q_bounded") and record["passed"] is passed
+
+
+def test_without_policies_to_compare_with_gates_are_open() -> None:
+    record = verdict("highway", episodes("agent", 9 + LUCK))
+    assert record["passed"] is None and record["failed"] == []

@@ -106,9 +106,19 @@ def drawn(pairs: dict[Place, Arms]) -> pd.DataFrame:
     return pd.concat(
         [
             pd.DataFrame(
-                {"backend": place[0], "task": place[1], "level": place[2], "level_name": place[3], "kind": "agent",
-                 "arm": name, "seed": seed, "traffic": traffic, "scenario": range(values.shape[-1]),
-                 "crashed": values[k, n], "return": arm.values["return"][k, n]}
+                {
+                    "backend": place[0],
+                    "task": place[1],
+                    "level": place[2],
+                    "level_name": place[3],
+                    "kind": "agent",
+                    "arm": name,
+                    "seed": seed,
+                    "traffic": traffic,
+                    "scenario": range(values.shape[-1]),
+                    "crashed": values[k, n],
+                    "return": arm.values["return"][k, n],
+                }
             )
             for place, pair in pairs.items()
             for name, arm in pair.items()
@@ -117,7 +127,7 @@ def drawn(pairs: dict[Place, Arms]) -> pd.DataFrame:
             for n, seed in enumerate(arm.seeds)
         ],
         ignore_index=True,
-    )  # fmt: skip
+    )
 
 
 class TestKnownTruths:

@@ -52,9 +52,14 @@ def test_no_verdict_without_margin_or_with_too_few_scenarios() -> None:
 def test_margins_are_those_of_the_design() -> None:
     assert set(RETURN_RANGE) == set(TASKS)
     assert {name: margin.value for name, margin in MARGINS.items()} == {
-        "traffic_speed": 0.05, "headway": 0.15, "return": 0.05, "crashed": 0.10, "crashed_ego": 0.15,
-        "lane_changes": 0.25, "order": 0.0,
-    }  # fmt: skip
+        "traffic_speed": 0.05,
+        "headway": 0.15,
+        "return": 0.05,
+        "crashed": 0.10,
+        "crashed_ego": 0.15,
+        "lane_changes": 0.25,
+        "order": 0.0,
+    }
     assert MARGINS["return"].bound("highway", 3.0) == 1.0  # of the range of 20
     assert MARGINS["headway"].bound("highway", 2.0) == pytest.approx(0.3)
     assert MARGINS["crashed"].bound("highway", 0.5) == 0.10

@@ -14,9 +14,15 @@ from experiments.validation.episodes import BIN, BINS, HEADWAYS
 
 def row(engine: str, scenario: int, ego: str = "idle", drawn: int = 1, **values: Any) -> dict[str, Any]:
     return {
-        "engine": engine, "task": "highway", "level": 1, "traffic": "regular", "ego": ego, "scenario": scenario,
-        "drawn": drawn, **values,
-    }  # fmt: skip
+        "engine": engine,
+        "task": "highway",
+        "level": 1,
+        "traffic": "regular",
+        "ego": ego,
+        "scenario": scenario,
+        "drawn": drawn,
+        **values,
+    }
 
 
 def both(values: dict[str, list[tuple[float, float]]], measure: str = "return") -> pd.DataFrame:

@@ -86,10 +86,12 @@ def test_progress_is_told_beside_speed() -> None:
         for traffic in ("risky", "regular")
     )
     slower = f"{100 * found['slower']['risky']['crashed']:.0f} %"
-    assert "cover {} m/s in risky traffic, the others {}; always choosing SLOWER covers {}".format(
-        *risky
-    ) in told("README.md")
-    assert f"covers {risky[2]} and crashes in {slower}" in told("README.md")
+    readme = told("README.md")
+    assert (
+        f"cover {risky[0]} m per second of the time limit (a crash stops them), the others {risky[1]};"
+        in readme
+    )
+    assert f"covers {risky[2]} and crashes in {slower}" in readme
     assert "is {} m/s, that of control agents {}.".format(*risky) in told("docs/study.md")
     assert "it is {}, {} and {} m/s".format(*regular) in told("docs/study.md")
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Collection, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 from sumo_env.contacts.rectangles import (
@@ -63,7 +63,7 @@ class CrashRecord:
 
     def as_dict(self) -> dict[str, Any]:
         """The record as plain values, as in ``info["crash"]``."""
-        return asdict(self)
+        return {name: getattr(self, name) for name in self.__slots__}
 
 
 def classify(relative_x: float, relative_y: float, relative_heading: float) -> CrashType:

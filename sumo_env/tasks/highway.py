@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from sumo_env.config import DISCRETE_META_ACTION, Config, ConfigError
-from sumo_env.networks.roads import Road, highway
+from sumo_env.networks.roads import LaneIndex, Road, highway
 from sumo_env.scene import PERCEPTION_DISTANCE, Floats
 from sumo_env.tasks.base import Drivers, EgoState, Task, ego_driver, make_on_lane, speed_term, weighted
 from sumo_env.traffic.drivers import Calibration
@@ -49,13 +49,10 @@ class Highway(Task):
         return highway(lanes_count=int(config["lanes_count"]))
 
     def ego(self, config: Config, road: Road, rng: np.random.Generator) -> VehicleSpec:
-        lane = config["initial_lane_id"]
-        if lane is not None and lane not in range(int(config["lanes_count"])):
-            raise ConfigError(f"'initial_lane_id' must be None or a lane below 'lanes_count', not {lane!r}")
-        lane = int(rng.integers(config["lanes_count"])) if lane is None else int(lane)
+        lane = first_lane(config, rng)
         spacing = float(_spacing(np.array(25.0), config["ego_spacing"], config))
         s = spacing * (3.0 + rng.uniform(0.9, 1.1))
-        return make_on_lane(road, EGO, ("0", "1", lane), s, 25.0, ego_driver(self))
+        return make_on_lane(road, EGO, lane, s, 25.0, ego_driver(self))
 
     def vehicles(
         self, config: Config, road: Road, ego: VehicleSpec, rng: np.random.Generator, drivers: Drivers
@@ -91,6 +88,14 @@ class Highway(Task):
 
     def reward_limits(self, config: Config) -> tuple[float, float]:
         return config["collision_reward"], config["high_speed_reward"] + config["right_lane_reward"]
+
+
+def first_lane(config: Config, rng: np.random.Generator) -> LaneIndex:
+    """The lane in which the ego starts."""
+    lane = config["initial_lane_id"]
+    if lane is not None and lane not in range(int(config["lanes_count"])):
+        raise ConfigError(f"'initial_lane_id' must be None or a lane below 'lanes_count', not {lane!r}")
+    return "0", "1", int(rng.integers(config["lanes_count"])) if lane is None else int(lane)
 
 
 def _spacing(speed: Floats, spacing: float, config: Config) -> Floats:

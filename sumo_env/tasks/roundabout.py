@@ -77,14 +77,12 @@ class Roundabout(Task):
     def vehicles(
         self, config: Config, road: Road, ego: VehicleSpec, rng: np.random.Generator, drivers: Drivers
     ) -> list[VehicleSpec]:
-        incoming = config["incoming_vehicle_destination"]
-        if incoming is not None and incoming not in range(len(DESTINATIONS)):
-            raise ConfigError(f"'incoming_vehicle_destination' must be None, 0, 1 or 2, not {incoming!r}")
+        given = incoming(config)
         vehicles: list[VehicleSpec] = []
         for k in range(int(config["vehicles_count"])):
             destination = DESTINATIONS[int(rng.integers(3))]
-            if k == 0 and incoming is not None:
-                destination = DESTINATIONS[incoming]
+            if k == 0 and given:
+                destination = given
             if k < len(SLOTS):
                 lane, s = SLOTS[k]
                 s += 2.0 * float(rng.normal())
@@ -113,6 +111,14 @@ class Roundabout(Task):
 
     def reward_limits(self, config: Config) -> tuple[float, float]:
         return config["collision_reward"], config["high_speed_reward"]
+
+
+def incoming(config: Config) -> str | None:
+    """The destination of the first vehicle, which enters the ring; None if it is drawn."""
+    number = config["incoming_vehicle_destination"]
+    if number is not None and number not in range(len(DESTINATIONS)):
+        raise ConfigError(f"'incoming_vehicle_destination' must be None, 0, 1 or 2, not {number!r}")
+    return None if number is None else DESTINATIONS[number]
 
 
 def _free_place(

@@ -6,6 +6,7 @@ The reward has no crash term, as in highway-env: a crash only ends the episode. 
 from __future__ import annotations
 
 from itertools import count as count_from
+from itertools import pairwise
 
 import numpy as np
 
@@ -93,9 +94,10 @@ def _column(
     direction = 1.0 if spacing > 0 else -1.0
     deviation = 10.0 * step / abs(spacing)
     for attempt in count_from(1):
-        places = start + direction * step * np.arange(count) + rng.normal(size=count) * deviation
-        if count < 2 or np.min(np.diff(np.sort(places))) > MIN_SPACING:
+        jitter = rng.normal(size=count).tolist()
+        places = [start + direction * step * k + jitter[k] * deviation for k in range(count)]
+        if all(front - rear > MIN_SPACING for rear, front in pairwise(sorted(places))):
             break
         if attempt >= 100:  # in a crowded column, chance alone would not find free places
             deviation *= 0.9
-    return [float(place) for place in places]
+    return places

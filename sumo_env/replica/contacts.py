@@ -8,26 +8,35 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numpy as np
-
 from sumo_env.contacts import measures
 from sumo_env.contacts.measures import HORIZON, TTC_RADIUS
 from sumo_env.contacts.rectangles import DIAGONAL, HALF_LENGTH, HALF_WIDTH
-from sumo_env.replica.compiled import borrowing, compiled
+from sumo_env.replica.compiled import borrowing
 
 _ego_ttc = borrowing(measures.ego_ttc)
 
 
-@compiled
+@borrowing
 def corners(car: Any) -> Any:
-    """``RoadObject.polygon``: the corners and the first again, shape (5, 2)."""
-    c, s = car.cos, car.sin
-    points = np.empty((5, 2))
-    for k in range(5):
-        along = HALF_LENGTH if k in (2, 3) else -HALF_LENGTH
-        across = HALF_WIDTH if k in (1, 2) else -HALF_WIDTH
-        points[k, 0], points[k, 1] = c * along - s * across + car.x, s * along + c * across + car.y
-    return points
+    """``RoadObject.polygon``: the four corners, x and y [m] each."""
+    along_x, along_y = HALF_LENGTH * car.cos, HALF_LENGTH * car.sin
+    across_x, across_y = HALF_WIDTH * car.sin, HALF_WIDTH * car.cos
+    return (
+        (-along_x + across_x + car.x, -along_y - across_y + car.y),
+        (-along_x - across_x + car.x, -along_y + across_y + car.y),
+        (along_x - across_x + car.x, along_y + across_y + car.y),
+        (along_x + across_x + car.x, along_y - across_y + car.y),
+    )
+
+
+@borrowing
+def shadow(points: Any, x: float, y: float) -> tuple[float, float]:
+    """Least and largest coordinate of the points along the direction (x, y)."""
+    low, high = math.inf, -math.inf
+    for k in range(4):
+        place = points[k][0] * x + points[k][1] * y
+        low, high = min(low, place), max(high, place)
+    return low, high
 
 
 @borrowing
@@ -36,7 +45,7 @@ def interval_distance(low: float, high: float, other_low: float, other_high: flo
     return other_low - high if low < other_low else low - other_high
 
 
-@compiled
+@borrowing
 def touch(first: Any, second: Any, dt: float) -> tuple[bool, bool, float, float]:
     """``utils.are_polygons_intersecting``: do cars touch now, will they after `dt` [s], and the way out of it.
 
@@ -45,15 +54,16 @@ def touch(first: Any, second: Any, dt: float) -> tuple[bool, bool, float, float]
     a, b = corners(first), corners(second)
     move_x = first.speed * first.cos * dt - second.speed * second.cos * dt
     move_y = first.speed * first.sin * dt - second.speed * second.sin * dt
-    apart_x, apart_y = a[:4, 0].mean() - b[:4, 0].mean(), a[:4, 1].mean() - b[:4, 1].mean()
+    apart_x = (a[0][0] + a[1][0] + a[2][0] + a[3][0]) / 4.0 - (b[0][0] + b[1][0] + b[2][0] + b[3][0]) / 4.0
+    apart_y = (a[0][1] + a[1][1] + a[2][1] + a[3][1]) / 4.0 - (b[0][1] + b[1][1] + b[2][1] + b[3][1]) / 4.0
     now, soon, least, way_x, way_y = True, True, math.inf, 0.0, 0.0
     for side in range(8):
         points, k = (a, side) if side < 4 else (b, side - 4)
-        nx, ny = points[k, 1] - points[k + 1, 1], points[k + 1, 0] - points[k, 0]
+        start, end = points[k], points[(k + 1) % 4]
+        nx, ny = start[1] - end[1], end[0] - start[0]
         norm = math.sqrt(nx * nx + ny * ny)
         nx, ny = nx / norm, ny / norm
-        shadow, other = a[:, 0] * nx + a[:, 1] * ny, b[:, 0] * nx + b[:, 1] * ny
-        low, high, other_low, other_high = shadow.min(), shadow.max(), other.min(), other.max()
+        (low, high), (other_low, other_high) = shadow(a, nx, ny), shadow(b, nx, ny)
         if interval_distance(low, high, other_low, other_high) > 0.0:
             now = False
         move = nx * move_x + ny * move_y
@@ -73,30 +83,32 @@ def touch(first: Any, second: Any, dt: float) -> tuple[bool, bool, float, float]
     return now, soon, least * way_x, least * way_y
 
 
-@compiled
+@borrowing
+def row_of(k: int, before_ego: int) -> int:
+    """The row of car number `k` in highway-env's order of vehicles, in which others come before the ego, row 0."""
+    if k > before_ego:
+        return k
+    return k + 1 if k < before_ego else 0
+
+
+@borrowing
 def collide(cars: Any, rules: Any) -> None:
     """Find who touches whom: marks wrecks, and how far those that will touch are pushed apart in the next step.
 
-    Pairs are looked at in highway-env's order of vehicles, in which the first car, the ego, comes after
-    ``rules.before_ego`` others; by ``rules.ego_contacts`` only those with the ego.
+    Pairs are looked at in highway-env's order of vehicles; by ``rules.ego_contacts`` only those with the ego.
     """
-    n, before_ego, dt = len(cars), rules.before_ego, rules.dt
-    order, x, y = np.arange(n), np.empty(n), np.empty(n)
-    order[:before_ego] = np.arange(1, before_ego + 1)
-    order[before_ego] = 0
+    n, before_ego = len(cars), rules.before_ego
     for i in range(n):
-        x[i], y[i] = cars[order[i]].x, cars[order[i]].y
-    for i in range(n):
-        a = cars[order[i]]
-        near = DIAGONAL + a.speed * dt  # the speed of the first alone counts, as in highway-env
+        a = cars[row_of(i, before_ego)]
+        near = DIAGONAL + a.speed * rules.dt  # the speed of the first alone counts, as in highway-env
         for j in range(i + 1, n):
             if rules.ego_contacts and i != before_ego and j != before_ego:
                 continue
-            dx, dy = x[j] - x[i], y[j] - y[i]
+            b = cars[row_of(j, before_ego)]
+            dx, dy = b.x - a.x, b.y - a.y
             if abs(dx) > near or math.sqrt(dx * dx + dy * dy) > near:
                 continue
-            b = cars[order[j]]
-            now, soon, way_x, way_y = touch(a, b, dt)
+            now, soon, way_x, way_y = touch(a, b, rules.dt)
             if soon:
                 a.is_pushed_apart = b.is_pushed_apart = True
                 a.apart_x, a.apart_y = way_x / 2.0, way_y / 2.0

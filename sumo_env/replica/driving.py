@@ -98,16 +98,22 @@ def approach(car: Any, leader: Any) -> float:
 
 
 @borrowing
+def ahead(lanes: Any, places: Any, rules: Any, car: Any, i: int, j: int) -> tuple[float, bool]:
+    """Distance of car `j` ahead of car `i` [m], and whether that is along the path beyond the end of the lane."""
+    if rules.along_path:
+        distance = distance_beyond(lanes, places, car.lane, car.target, i, j)
+        if not math.isnan(distance):
+            return distance, True
+    return places.s[car.lane, j] - places.s[car.lane, i], False
+
+
+@borrowing
 def linear_acceleration(lanes: Any, cars: Any, places: Any, rules: Any, driver: Any, i: int, j: int) -> float:
     """``LinearVehicle.acceleration`` [m/s2]; arguments as in `acceleration`."""
     car = cars[i]
     too_fast, too_near = 0.0, 0.0
     if j != NONE:
-        distance = math.nan
-        if rules.along_path:
-            distance = distance_beyond(lanes, places, car.lane, car.target, i, j)
-        if math.isnan(distance):
-            distance = places.s[car.lane, j] - places.s[car.lane, i]
+        distance, _ = ahead(lanes, places, rules, car, i, j)
         too_fast = min(cars[j].speed - car.speed, 0.0)
         too_near = min(distance - (driver.jam_distance + max(car.speed, 0.0) * driver.tau), 0.0)
     return (
@@ -133,15 +139,9 @@ def acceleration(lanes: Any, cars: Any, places: Any, rules: Any, driver: Any, i:
     result = driver.accel * (1.0 - binary(rules.loops.power, max(car.speed, 0.0) / wanted, driver.delta))
     if j == NONE:
         return result
-    distance = math.nan
-    if rules.along_path:
-        distance = distance_beyond(lanes, places, car.lane, car.target, i, j)
-    if math.isnan(distance):
-        gap = desired_gap(driver, car.speed, approach(car, cars[j]))
-        distance = places.s[car.lane, j] - places.s[car.lane, i]
-    else:
-        gap = desired_gap(driver, car.speed, car.speed - cars[j].speed)
-    ratio = gap / not_zero(distance)
+    distance, is_beyond = ahead(lanes, places, rules, car, i, j)
+    faster = car.speed - cars[j].speed if is_beyond else approach(car, cars[j])
+    ratio = desired_gap(driver, car.speed, faster) / not_zero(distance)
     return result - driver.accel * (ratio * ratio)
 
 

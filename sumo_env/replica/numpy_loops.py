@@ -74,22 +74,18 @@ def _call(builder: Any, loop: Any, inputs: list[Any]) -> Any:
     return builder.load(cells[-1])
 
 
-def _of_one(typing_context: Any, loop: Any, x: Any) -> Any:
-    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return _call(builder, arguments[0], [*arguments[1:]])
-
-    return types.float64(loop, types.float64), emit
+def _emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+    return _call(builder, arguments[0], [*arguments[1:]])
 
 
-def _of_two(typing_context: Any, loop: Any, x: Any, y: Any) -> Any:
-    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        return _call(builder, arguments[0], [*arguments[1:]])
-
-    return types.float64(loop, types.float64, types.float64), emit
+@intrinsic
+def _unary(typing_context: Any, loop: Any, x: Any) -> Any:
+    return types.float64(loop, types.float64), _emit
 
 
-_unary: Any = intrinsic(_of_one)
-_binary: Any = intrinsic(_of_two)
+@intrinsic
+def _binary(typing_context: Any, loop: Any, x: Any, y: Any) -> Any:
+    return types.float64(loop, types.float64, types.float64), _emit
 
 
 @borrowing

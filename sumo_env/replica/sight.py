@@ -13,7 +13,7 @@ import numpy as np
 
 from sumo_env.observation import Kinematics
 from sumo_env.replica.compiled import borrowing, compiled
-from sumo_env.replica.geometry import local_coordinates
+from sumo_env.replica.geometry import is_on, local_coordinates
 from sumo_env.scene import PERCEPTION_DISTANCE, VEHICLE_LENGTH
 
 FEATURES = ("presence", "x", "y", "vx", "vy", "heading", "cos_h", "sin_h")
@@ -62,19 +62,8 @@ def eyes_of(kinematics: Kinematics) -> Eyes | None:
 @borrowing
 def feature(car: Any, k: int) -> float:
     """The value of a car that FEATURES[k] names."""
-    if k == 0:
-        return 1.0
-    if k == 1:
-        return car.x
-    if k == 2:
-        return car.y
-    if k == 3:
-        return car.speed * car.cos
-    if k == 4:
-        return car.speed * car.sin
-    if k == 5:
-        return car.heading
-    return car.cos if k == 6 else car.sin
+    velocity = car.speed * car.cos, car.speed * car.sin
+    return (1.0, car.x, car.y, velocity[0], velocity[1], car.heading, car.cos, car.sin)[k]
 
 
 @compiled
@@ -115,5 +104,4 @@ def ego_place(lanes: Any, cars: Any) -> tuple[int, float, float, bool]:
     """The ego's lane, where it is on it (s and lat) [m], and whether it is on the road."""
     lane = lanes[cars[0].lane]
     s, lat = local_coordinates(lane, cars[0].x, cars[0].y)
-    is_on = abs(lat) <= HALF_WIDTH and -VEHICLE_LENGTH <= s < lane.length + VEHICLE_LENGTH
-    return cars[0].lane, s, lat, is_on
+    return cars[0].lane, s, lat, is_on(lane, s, lat) and abs(lat) <= HALF_WIDTH

@@ -15,24 +15,12 @@ from sumo_env.contacts.crash import CrashRecord, crash_record
 from sumo_env.contacts.rectangles import separation, state_of
 from sumo_env.networks.roads import LaneIndex, Road, highway
 from sumo_env.observation import Kinematics
-from sumo_env.replica import sight
+from sumo_env.replica import sight, tables
 from sumo_env.replica import step as kernels
 from sumo_env.replica.compiled import announced
 from sumo_env.replica.linear import linear_drivers
 from sumo_env.replica.numpy_loops import LOOPS
 from sumo_env.replica.step import CRASHED, HEADING, IN_EVENT, SPEED, Rules, X, Y
-from sumo_env.replica.tables import (
-    CAR,
-    EVENT,
-    NONE,
-    PARAMETERS,
-    Records,
-    cars_of,
-    drive_linearly,
-    events_of,
-    joined,
-    lanes_of,
-)
 from sumo_env.scene import Scene
 from sumo_env.simulator import EgoCommand, Step
 from sumo_env.traffic.scenario import EGO_DISTANCE, SPAWN_DISTANCE, Scenario, Spawn, VehicleSpec
@@ -42,7 +30,6 @@ Centres = Sequence[tuple[float, float]]  # [m]
 VARIANTS = ("stock", "path", "connected", "v0")
 NOBODY: frozenset[str] = frozenset()
 JOINED = ("roundabout", "intersection", "u-turn")  # tasks with lanes that continue others
-EXIT_MARGIN = 20.0  # [m] before the end of an exit of the intersection, where vehicles are removed
 
 FRAME = ("x", "y", "speed", "heading", "crashed", "in_event")  # the rows of a frame of a trace
 
@@ -71,22 +58,20 @@ class Replica:
         self.connected = False  # whether drivers of the variant "stock" look onto the next lanes
         self._rules = Rules(along_path=False, is_two_way=False, regulation_interval=0, dt=0.0)
         self._scenario: Scenario | None = None
-        self._warm: tuple[tuple[VehicleSpec, ...], Records] | None = None
+        self._warm: tuple[tuple[VehicleSpec, ...], tables.Records] | None = None
 
     def reset(self, scenario: Scenario) -> Scene:
         """See `Simulator.reset`."""
-        self._scenario = scenario
         self._prepare(scenario.road, scenario.simulation_frequency)
-        self._ids, self._everybody = self._all_cars(scenario)
+        self._read(scenario)
         self._spawns: dict[int, tuple[int, ...]] = {}  # policy step -> numbers
         for number, spawn in enumerate(scenario.spawns, start=len(scenario.specs)):
             self._spawns[spawn.step] = (*self._spawns.get(spawn.step, ()), number)
-        self._events = events_of(scenario.events, {name: number for number, name in enumerate(self._ids)})
         self._next_event = self._steps = self._policy_steps = 0
         self._crash: CrashRecord | None = None
         self._warmed_up = round(scenario.warm_up * scenario.simulation_frequency)
         placed = self._everybody[: len(scenario.specs)]
-        self._cars = self._with_ego(placed) if self._warmed_up else placed.copy()
+        self._cars = self._with_ego(placed) if self._warmed_up else tables.chosen(placed, slice(None))
         self._first_arrival = len(placed) + len(self._spawns.get(0, ()))
         self._name_cars()
         return self._scene(np.array([self._cars[name] for name in FRAME], float))
@@ -141,7 +126,7 @@ class Replica:
         """
         self._prepare(road, frequency)
         self._warmed_up = round(time * frequency)
-        cars = cars_of(road, vehicles)
+        cars = tables.cars_of(road, vehicles)
         cars["number"] += 1  # the ego's is 0
         self._warm = vehicles, self._driven(cars)
         return _centres(self._warm[1])
@@ -155,10 +140,10 @@ class Replica:
         assert self._scenario is not None
         scenario = self._scenario
         self._scenario = replace(scenario, spawns=(*scenario.spawns, spawn))
-        arrival = cars_of(scenario.road, [spawn.vehicle])
+        arrival = tables.cars_of(scenario.road, [spawn.vehicle])
         arrival["number"] = len(self._everybody)
         self._spawns = {**self._spawns, spawn.step: (len(self._everybody),)}
-        self._everybody = joined(self._everybody, arrival)
+        self._everybody = tables.joined(self._everybody, arrival)
         self._ids = [*self._ids, spawn.vehicle.id]
         return self._scenario
 
@@ -168,10 +153,8 @@ class Replica:
 
     def imagine(self, scenario: Scenario) -> None:
         """See `Simulator.imagine`; drivers go on with the parameters that they have in this scenario."""
-        self._scenario = scenario
-        self._events = events_of(scenario.events, {name: number for number, name in enumerate(self._ids)})
-        _, self._everybody = self._all_cars(scenario)
-        self._cars[PARAMETERS] = self._everybody[PARAMETERS][self._cars["number"]]
+        self._read(scenario)
+        self._cars[tables.PARAMETERS] = self._everybody[tables.PARAMETERS][self._cars["number"]]
 
     def close(self) -> None:
         """Forget the episode."""
@@ -181,7 +164,7 @@ class Replica:
         """A copy for planners: it has cars of its own, and shares what never changes."""
         twin = copy.copy(self)
         if self._scenario is not None:
-            twin._cars = self._cars.copy()
+            twin._cars = tables.chosen(self._cars, slice(None))
         return twin
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -194,14 +177,13 @@ class Replica:
 
     def _prepare(self, road: Road, frequency: int) -> None:
         """Lanes and rules of a road."""
-        if self.variant == "stock":
-            joined = self.connected
-        else:
-            joined = road.name in JOINED and self.variant != "v0"
-        self._lanes = lanes_of(road, joined)
+        connected = (
+            self.connected if self.variant == "stock" else road.name in JOINED and self.variant != "v0"
+        )
+        self._lanes = tables.lanes_of(road, connected)
         self._seen_lanes = self._lanes.table if self.variant == "stock" else self._lanes.exact
         self._rules = Rules(
-            along_path=joined and self.variant == "path",
+            along_path=connected and self.variant == "path",
             is_two_way=road.name == "two-way",
             # highway-env's expression: 7 at 15 Hz
             regulation_interval=int(1 / (1 / frequency) / 2) if road.name == "intersection" else 0,
@@ -209,49 +191,50 @@ class Replica:
             ego_contacts=self.ego_contacts,
         )
 
-    def _all_cars(self, scenario: Scenario) -> tuple[list[str], Records]:
-        """All vehicles of a scenario, those that come later as well: their ids, and how their lives start."""
+    def _read(self, scenario: Scenario) -> None:
+        """All vehicles of a scenario as their lives start, those that come later as well, and its risk events."""
+        self._scenario = scenario
         specs = [*scenario.specs, *(spawn.vehicle for spawn in scenario.spawns)]
-        ids, cars = [spec.id for spec in specs], cars_of(scenario.road, specs)
+        numbers = {spec.id: number for number, spec in enumerate(specs)}
+        self._ids, self._everybody = list(numbers), tables.cars_of(scenario.road, specs)
         if self.is_linear:
             for name, driver in linear_drivers(scenario).items():
-                drive_linearly(cars[ids.index(name)], driver)
-        return ids, cars
+                tables.drive_linearly(self._everybody[numbers[name]], driver)
+        self._events = tables.events_of(scenario.events, numbers)
 
-    def _with_ego(self, placed: Records) -> Records:
+    def _with_ego(self, placed: tables.Records) -> tables.Records:
         """``IntersectionEnv._make_vehicles``: traffic drives before the ego is placed, at least 20 m from anybody."""
         assert self._scenario is not None
         warm, self._warm = self._warm, None
         is_driven = warm is not None and warm[0] is self._scenario.vehicles
-        cars = warm[1] if warm and is_driven else self._driven(placed[1:].copy())
+        cars = warm[1] if warm and is_driven else self._driven(tables.chosen(placed, slice(1, None)))
         cars = self._with_spawns(cars, 0)
-        return joined(placed[:1], cars[_distance(cars, placed[0]) >= EGO_DISTANCE])
+        ego = placed[0]
+        far = np.hypot(cars["x"] - ego["x"], cars["y"] - ego["y"]) >= EGO_DISTANCE
+        return tables.joined(placed[:1], tables.chosen(cars, far))
 
-    def _driven(self, cars: Records) -> Records:
+    def _driven(self, cars: tables.Records) -> tables.Records:
         kernels.warm_up(self._lanes.table, cars, self._rules, self._warmed_up)
         return cars
 
-    def _staying(self) -> Records:
-        """``IntersectionEnv._clear_vehicles``: all but those near the end of an exit."""
-        cars = self._cars
-        leaving = self._lanes.is_exit[cars["lane"]] & ~cars["is_ego"]
-        for row in np.flatnonzero(leaving):
-            lane, car = self._lanes.table[cars["lane"][row]], cars[row]
-            s = (car["x"] - lane["x"]) * lane["cos"] + (car["y"] - lane["y"]) * lane["sin"]
-            leaving[row] = s >= lane["length"] - EXIT_MARGIN
-        return cars[~leaving] if leaving.any() else cars
+    def _staying(self) -> tables.Records:
+        """The cars that do not leave before the next step."""
+        stays = kernels.staying(self._lanes.table, self._cars)
+        return self._cars if stays.all() else tables.chosen(self._cars, stays)
 
     def _let_out_and_in(self) -> None:
         """Vehicles leave, and the spawns of this step come."""
-        self._cars = self._with_spawns(self._staying(), self._policy_steps)
-        self._name_cars()
+        cars = self._with_spawns(self._staying(), self._policy_steps)
+        if cars is not self._cars:
+            self._cars = cars
+            self._name_cars()
 
-    def _with_spawns(self, cars: Records, step: int) -> Records:
+    def _with_spawns(self, cars: tables.Records, step: int) -> tables.Records:
         """The cars and those of the spawns of this policy step that have no other within 15 m."""
         for number in self._spawns.get(step, ()):
             fresh = self._everybody[number : number + 1]
-            if np.all(_distance(cars, fresh[0]) >= SPAWN_DISTANCE):
-                cars = joined(cars, fresh)
+            if kernels.is_free(cars, fresh["x"].item(), fresh["y"].item(), SPAWN_DISTANCE):
+                cars = tables.joined(cars, fresh)
         return cars
 
     def _name_cars(self) -> None:
@@ -266,7 +249,7 @@ class Replica:
         legs = np.flatnonzero(ego["route"] == road)
         legs = legs[legs > ego["leg"]]
         if len(legs) and ego["route"][ego["leg"]] != road:
-            ego["leg"], ego["planned"] = legs[0], NONE
+            ego["leg"], ego["planned"] = legs[0], tables.NONE
         ego["target"] = number
 
     def _scene(self, frame: Any, steps: int | None = None) -> Scene:
@@ -288,21 +271,24 @@ class Replica:
 @lru_cache(maxsize=1)
 def _load() -> None:
     """Load all kernels, or compile them, by a call of each that drives nobody anywhere; once in a process."""
-    lanes, cars, rules = lanes_of(highway(), False).table, np.zeros(1, CAR), Rules(False, False, 0, 0.1)
+    lanes, cars, rules = (
+        tables.lanes_of(highway(), False).table,
+        np.zeros(1, tables.CAR),
+        Rules(False, False, 0, 0.1),
+    )
     with announced(kernels.policy_step):
         kernels.warm_up(lanes, cars, rules, 0)
-        kernels.policy_step(lanes, cars, np.empty(0, EVENT), 0, rules, 0, 0, np.empty((0, len(FRAME), 1)))
+        kernels.staying(lanes, cars)
+        kernels.is_free(cars, 0.0, 0.0, 0.0)
+        kernels.policy_step(
+            lanes, cars, np.empty(0, tables.EVENT), 0, rules, 0, 0, np.empty((0, len(FRAME), 1))
+        )
         sight.ego_place(lanes, cars)
         sight.table(lanes, cars, sight.eyes_of(Kinematics({}, 1)))
 
 
-def _centres(cars: Records) -> Centres:
+def _centres(cars: tables.Records) -> Centres:
     return list(zip(cars["x"].tolist(), cars["y"].tolist(), strict=True))
-
-
-def _distance(cars: Records, place: Any) -> Any:
-    """Distances of the centres of cars from that of a place [m], shape (n,)."""
-    return np.hypot(cars["x"] - place["x"], cars["y"] - place["y"])
 
 
 def _record(scene: Scene) -> CrashRecord:

@@ -5,15 +5,18 @@ from __future__ import annotations
 import math
 from typing import Any, NamedTuple
 
+import numpy as np
+
 from sumo_env.replica.compiled import borrowing, compiled
 from sumo_env.replica.contacts import collide, ego_ttc
 from sumo_env.replica.driving import drive, follow_road
-from sumo_env.replica.geometry import closest_lane, locate, no_places
+from sumo_env.replica.geometry import closest_lane, locate, no_places, on_axis
 from sumo_env.replica.give_way import regulate
 from sumo_env.replica.motion import KP_ACCELERATION, move, steer
 from sumo_env.replica.numpy_loops import LOOPS, Loops
 from sumo_env.replica.risk import push, return_from_swerve, start_events
 
+EXIT_MARGIN = 20.0  # [m] before the end of an exit of the intersection, where vehicles are removed
 # Rows of a frame of a trace, shape (frames, 6, cars):
 X, Y, SPEED, HEADING, CRASHED, IN_EVENT = range(6)
 
@@ -65,6 +68,26 @@ def step(lanes: Any, cars: Any, places: Any, rules: Any, count: int) -> None:
     for i in range(len(cars)):
         cars[i].lane = closest_lane(lanes, places, rules.loops, i, cars[i].heading, cars[i].lane)
     collide(cars, rules)
+
+
+@compiled
+def staying(lanes: Any, cars: Any) -> Any:
+    """``IntersectionEnv._clear_vehicles``: which cars stay; all but the ego leave near the end of an exit."""
+    stays = np.ones(len(cars), np.bool_)
+    for i in range(len(cars)):
+        lane = lanes[cars[i].lane]
+        if lane.is_exit and not cars[i].is_ego:
+            stays[i] = on_axis(lane, cars[i].x, cars[i].y)[0] < lane.length - EXIT_MARGIN
+    return stays
+
+
+@borrowing
+def is_free(cars: Any, x: float, y: float, distance: float) -> bool:
+    """Is no centre of a car nearer to (x, y) [m] than a distance [m]?"""
+    for i in range(len(cars)):  # noqa: SIM110 (numba compiles no generators)
+        if math.hypot(cars[i].x - x, cars[i].y - y) < distance:
+            return False
+    return True
 
 
 @compiled

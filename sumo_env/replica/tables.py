@@ -6,7 +6,7 @@ the number of the left one is also the number of their road.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import pairwise
@@ -51,6 +51,7 @@ LANE = np.dtype(
         ("abreast", "i8"),  # lanes of this road
         ("start", "i8"),  # number of the node where the lane begins
         ("end", "i8"),
+        ("is_exit", "?"),  # vehicles leave near its end (intersection)
         ("roads_after", "i8", (MOST_JOINS,)),  # roads that begin at its end, then NONE
         # The lane itself, the `following` lanes that a driver looks at beyond its end, and those before its start:
         ("joined", "i8", (MOST_JOINS,)),
@@ -142,14 +143,12 @@ class Lanes:
         table: records of LANE.
         exact: the same with the intersection's arms turned exactly, as `sumo_env` sees them (see `as_rotated`).
         names: highway-env's index of each lane; `numbers` is the reverse.
-        is_exit: whether vehicles leave near the end of a lane (intersection), shape (lanes,).
     """
 
     table: Records
     exact: Records
     names: tuple[LaneIndex, ...]
     numbers: dict[LaneIndex, int]
-    is_exit: Any
 
 
 @lru_cache(maxsize=16)
@@ -169,7 +168,7 @@ def lanes_of(road: Road, connected: bool) -> Lanes:
         record = table[number]
         _write_geometry(record, curve)
         record["road"], record["abreast"] = roads[start, end], road.count(start, end)
-        record["start"], record["end"] = nodes[start], nodes[end]
+        record["start"], record["end"], record["is_exit"] = nodes[start], nodes[end], start.startswith("il")
         after = [pair for pair in roads if pair[0] == end]
         before = [pair for pair in roads if pair[1] == start]
         record["roads_after"] = _filled([roads[pair] for pair in after])
@@ -180,22 +179,21 @@ def lanes_of(road: Road, connected: bool) -> Lanes:
         begins = [0.0, *[curve.length] * len(following), *(-road.lane(names[k]).length for k in preceding)]
         record["offset"][: len(begins)] = begins
     turned = table.copy()
-    for record, curve in zip(turned, as_rotated(road).values(), strict=True):
+    for record, curve in zip(turned, as_rotated(road).lanes.values(), strict=True):
         _write_geometry(record, curve)
-    is_exit = np.array([start.startswith("il") for start, _, _ in names])
-    return Lanes(turned, table, names, numbers, is_exit)
+    return Lanes(turned, table, names, numbers)
 
 
 @lru_cache(maxsize=16)
-def as_rotated(road: Road) -> Mapping[LaneIndex, Lane]:
-    """The intersection's lanes as highway-env computes them: the southern arm's, turned by a matrix.
+def as_rotated(road: Road) -> Road:
+    """The intersection with lanes as highway-env computes them: the southern arm's, turned by a matrix.
 
     That is 1e-14 m from the exact places. It matters because highway-env's steering is unstable below 0.7 m/s: it
     multiplies what a car is away from the middle of its lane, be it a rounding error, until it zigzags.
     """
 
     if road.name != "intersection":
-        return road.lanes
+        return road
 
     def turned(point: Point, corner: int) -> Point:
         angle = np.radians(90 * corner)
@@ -214,7 +212,7 @@ def as_rotated(road: Road) -> Mapping[LaneIndex, Lane]:
             lanes[name] = replace(lane, center=turned(lane.center, corner))
         elif isinstance(lane, StraightLane):
             lanes[name] = replace(lane, start=turned(lane.start, corner), end=turned(lane.end, corner))
-    return lanes
+    return Road(road.name, lanes, arguments=road.arguments)
 
 
 def _filled(numbers: list[int], size: int = MOST_JOINS) -> list[int]:
@@ -234,11 +232,8 @@ def _write_geometry(record: Any, lane: Lane) -> None:
         record["cos"], record["sin"] = ((b - a) / length for a, b in zip(lane.start, lane.end, strict=True))
         if isinstance(lane, SineLane):
             record["kind"] = SINE
-            record["amplitude"], record["pulsation"], record["phase"] = (
-                lane.amplitude,
-                lane.pulsation,
-                lane.phase,
-            )
+            record["amplitude"], record["pulsation"] = lane.amplitude, lane.pulsation
+            record["phase"] = lane.phase
     else:
         raise TypeError(
             f"the replica drives highway-env's roads, which have no {type(lane).__name__}; other networks need SUMO"
@@ -282,10 +277,18 @@ def cars_of(road: Road, specs: Iterable[VehicleSpec]) -> Records:
     return np.array(rows, CAR)
 
 
+# numpy copies records field by field; as bytes they are copied up to fifty times as fast.
+BYTES = np.dtype((np.void, CAR.itemsize))
+
+
 def joined(first: Records, second: Records) -> Records:
-    """Cars after one another; numpy's own way of joining records of many fields takes fifty times as long."""
-    raw = np.dtype((np.void, CAR.itemsize))
-    return np.concatenate((first.view(raw), second.view(raw))).view(CAR)
+    """Copies of cars, after one another."""
+    return np.concatenate((first.view(BYTES), second.view(BYTES))).view(CAR)
+
+
+def chosen(cars: Records, rows: Any) -> Records:
+    """Copies of some cars; rows: anything that numpy takes as an index, such as ``slice(None)`` for all of them."""
+    return np.array(cars.view(BYTES)[rows]).view(CAR)
 
 
 def drive_linearly(car: Any, driver: LinearDriver) -> None:

@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 from typing import Any
 
-from sumo_env.replica.compiled import borrowing
+import numpy as np
+
+from sumo_env.replica.compiled import borrowing, compiled
 from sumo_env.replica.geometry import heading_at, not_zero, wrapped
-from sumo_env.replica.numpy_loops import unary
+from sumo_env.replica.numpy_loops import each
 from sumo_env.scene import VEHICLE_LENGTH
 
 KP_ACCELERATION = 1 / 0.6  # [1/s]
@@ -25,38 +27,62 @@ def clip(value: float, low: float, high: float) -> float:
 
 
 @borrowing
-def steer(lanes: Any, places: Any, loops: Any, car: Any, i: int) -> None:
-    """``ControlledVehicle.steering_control``: write the angle that leads a car to the middle of its target lane."""
-    s, lat = places.s[car.target, i], places.lat[car.target, i]
+def steer_linearly(car: Any, ahead: float, lat: float) -> float:
+    """``LinearVehicle.steering_control``: the angle [rad] of a car at `lat` [m]; ahead: heading of its lane [rad]."""
     speed = not_zero(car.speed)
-    ahead = heading_at(lanes[car.target], s + car.speed * TAU_PURSUIT, loops)
-    if car.is_linear:  # ``LinearVehicle.steering_control``
-        turn = wrapped(ahead - car.heading) * VEHICLE_LENGTH / speed
-        angle = car.heading_gain * turn + car.lateral_gain * (-lat * VEHICLE_LENGTH / (speed * speed))
-        car.steering = clip(angle, -MAX_STEERING_ANGLE, MAX_STEERING_ANGLE)
-        return
-    sideways = unary(loops.arcsin, clip(-KP_LATERAL * lat / speed, -1.0, 1.0))
-    wanted = ahead + clip(sideways, -math.pi / 4, math.pi / 4)
-    rate = KP_HEADING * wrapped(wanted - car.heading)
-    slip = unary(loops.arcsin, clip(VEHICLE_LENGTH / 2 / speed * rate, -1.0, 1.0))
-    car.steering = clip(
-        unary(loops.arctan, 2 * unary(loops.tan, slip)), -MAX_STEERING_ANGLE, MAX_STEERING_ANGLE
-    )
+    turn = wrapped(ahead - car.heading) * VEHICLE_LENGTH / speed
+    return car.heading_gain * turn + car.lateral_gain * (-lat * VEHICLE_LENGTH / (speed * speed))
+
+
+@compiled
+def steer(lanes: Any, cars: Any, places: Any, loops: Any) -> None:
+    """``ControlledVehicle.steering_control``: write the angles that lead cars to the middle of their target lanes."""
+    angles = np.empty(len(cars))
+    for i in range(len(cars)):
+        lat = places.lat[cars[i].target, i]
+        angles[i] = clip(-KP_LATERAL * lat / not_zero(cars[i].speed), -1.0, 1.0)
+    each(loops.arcsin, angles)
+    for i in range(len(cars)):
+        car = cars[i]
+        s, lat = places.s[car.target, i], places.lat[car.target, i]
+        ahead = heading_at(lanes[car.target], s + car.speed * TAU_PURSUIT, loops)
+        rate = KP_HEADING * wrapped(ahead + clip(angles[i], -math.pi / 4, math.pi / 4) - car.heading)
+        angles[i] = clip(VEHICLE_LENGTH / 2 / not_zero(car.speed) * rate, -1.0, 1.0)
+        if car.is_linear:
+            car.steering = steer_linearly(car, ahead, lat)
+    each(loops.arcsin, angles)
+    each(loops.tan, angles)
+    angles *= 2
+    each(loops.arctan, angles)
+    for i in range(len(cars)):
+        angle = cars[i].steering if cars[i].is_linear else angles[i]
+        cars[i].steering = clip(angle, -MAX_STEERING_ANGLE, MAX_STEERING_ANGLE)
+
+
+@compiled
+def move(cars: Any, loops: Any, dt: float) -> None:
+    """``Vehicle.step``: an explicit Euler step of `dt` [s]; wrecks coast straight on."""
+    slips = np.empty(len(cars))
+    for i in range(len(cars)):
+        if cars[i].crashed:
+            cars[i].steering, cars[i].acceleration = 0.0, -cars[i].speed
+        slips[i] = cars[i].steering
+    each(loops.tan, slips)
+    slips *= 1 / 2
+    each(loops.arctan, slips)
+    for i in range(len(cars)):
+        drift(cars[i], slips[i], dt)
 
 
 @borrowing
-def move(car: Any, loops: Any, dt: float) -> None:
-    """``Vehicle.step``: an explicit Euler step of `dt` [s]; wrecks coast straight on."""
-    if car.crashed:
-        car.steering, car.acceleration = 0.0, -car.speed
+def drift(car: Any, slip: float, dt: float) -> None:
+    """The step of a car with this slip angle [rad] at its centre."""
     if car.speed > MAX_SPEED:
         car.acceleration = min(car.acceleration, MAX_SPEED - car.speed)
     elif car.speed < -MAX_SPEED:
         car.acceleration = max(car.acceleration, -MAX_SPEED - car.speed)
-    if car.steering == 0.0:
-        slip, c, s = 0.0, car.cos, car.sin
-    else:
-        slip = unary(loops.arctan, 1 / 2 * unary(loops.tan, car.steering))
+    c, s = car.cos, car.sin
+    if slip != 0.0:
         c, s = math.cos(car.heading + slip), math.sin(car.heading + slip)
     car.x += car.speed * c * dt
     car.y += car.speed * s * dt

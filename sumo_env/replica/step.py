@@ -53,7 +53,7 @@ def act(lanes: Any, cars: Any, places: Any, rules: Any) -> None:
             car.acceleration = KP_ACCELERATION * (car.target_speed - car.speed)
         elif not car.crashed:
             drive(lanes, cars, places, rules, i)
-        steer(lanes, places, rules.loops, car, i)
+    steer(lanes, cars, places, rules.loops)
 
 
 @borrowing
@@ -61,8 +61,8 @@ def step(lanes: Any, cars: Any, places: Any, rules: Any, count: int) -> None:
     """``Road.step``; `count`: number of this sub-step since the first vehicles were placed, from 1."""
     if rules.regulation_interval > 0 and count % rules.regulation_interval == 0:
         regulate(lanes, cars, places, rules)
+    move(cars, rules.loops, rules.dt)
     for i in range(len(cars)):
-        move(cars[i], rules.loops, rules.dt)
         return_from_swerve(cars[i], rules.dt)
     locate(lanes, cars, places, rules.loops)
     for i in range(len(cars)):

@@ -119,6 +119,17 @@ def refuse_keywords(keywords: Mapping[str, Any]) -> None:
         )
 
 
+def one_of(name: str, value: Any, choices: tuple[str, ...]) -> str:
+    """The value of an argument of this name that can only be one of some words.
+
+    Raises:
+        ConfigError: it is none of them.
+    """
+    if value not in choices:
+        raise ConfigError(f"unknown {name!r} {value!r}: {nearest(str(value), list(choices))}")
+    return str(value)
+
+
 def resolve(task: str, defaults: Config, *overrides: Mapping[str, Any] | None) -> Config:
     """`defaults` updated with `overrides`; top-level keys are replaced as a whole, as in highway-env.
 

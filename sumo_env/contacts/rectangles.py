@@ -116,6 +116,9 @@ def _corner_distance(first: State, second: State, half: Half, other: Half) -> fl
     return nearest
 
 
+OF_DISTANCE = extents, _separation, separation, _corner_distance  # what `distance` calls
+
+
 def touch_moment(
     first: State, first_after: State, second: State, second_after: State, other: Half = CAR
 ) -> float:

@@ -5,16 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from sumo_env.config import Config, ConfigError, nearest, refuse_keywords
+from sumo_env.config import Config, ConfigError, one_of, refuse_keywords
 from sumo_env.env import VARIED, DrivingEnv, Observation
 from sumo_env.networks.roads import LaneIndex
 from sumo_env.observation import Kinematics
 from sumo_env.replica import draws
-from sumo_env.replica.imagination import with_other_drivers
 from sumo_env.replica.linear import LAWS, check_law
 from sumo_env.replica.linear import draw as draw_linear
 from sumo_env.replica.sight import eyes_of
 from sumo_env.replica.simulator import VARIANTS, Replica
+from sumo_env.tasks import highway
 from sumo_env.tasks.base import Task
 from sumo_env.traffic.scenario import Scenario
 
@@ -26,13 +26,6 @@ TIME_LIMIT = 15
 OBSERVATIONS: dict[str, Config] = {
     "two-way": {"type": "TimeToCollision", "horizon": 5},
     "u-turn": {"type": "TimeToCollision", "horizon": 16},
-}
-FAST: Config = {  # ``HighwayEnvFast.default_config``
-    "simulation_frequency": 5,
-    "lanes_count": 3,
-    "vehicles_count": 20,
-    "duration": 30,  # [s]
-    "ego_spacing": 1.5,
 }
 INSTEAD = 'make the environment with scenarios="seeded"'
 # Keys of `sumo_env` that highway-env's task does not have.
@@ -71,12 +64,11 @@ class ReplicaEnv(DrivingEnv):
         **keywords: Any,
     ) -> None:
         refuse_keywords(keywords)
-        for name, value, known in (("scenarios", scenarios, SCENARIOS), ("variant", variant, VARIANTS)):
-            if value not in known:
-                raise ConfigError(f"unknown '{name}' {value!r}: {nearest(str(value), list(known))}")
-        self._is_stock, self._is_linear = scenarios == SCENARIOS[0], check_law(risk_law) == "linear"
-        self._is_fast = task == "highway-fast"
-        self._replica = Replica(variant, self._is_linear, ego_contacts=self._is_fast)
+        self._is_stock = one_of("scenarios", scenarios, SCENARIOS) == SCENARIOS[0]
+        self._is_linear, self._is_fast = check_law(risk_law) == "linear", task == "highway-fast"
+        self._replica = Replica(
+            one_of("variant", variant, VARIANTS), self._is_linear, ego_contacts=self._is_fast
+        )
         super().__init__("highway" if self._is_fast else task, config, render_mode, self._replica)
 
     # -- configuration -------------------------------------------------------------------------------------
@@ -87,7 +79,7 @@ class ReplicaEnv(DrivingEnv):
         if self._is_stock:
             defaults["neighbour_vehicles_connected_lanes"] = False
             defaults["observation"] = dict(OBSERVATIONS.get(self.task.name, defaults["observation"]))
-        return {**defaults, **FAST} if self._is_fast else defaults
+        return {**defaults, **highway.FAST} if self._is_fast else defaults
 
     def configure(self, config: Mapping[str, Any] | None) -> None:
         """Change these keys of the configuration; they take effect at the next reset."""
@@ -119,10 +111,10 @@ class ReplicaEnv(DrivingEnv):
         return super().reset(seed=seed, options=options)
 
     def imagine(self, seed: int) -> DrivingEnv:
-        """A copy in which drivers have other parameters too, see `DrivingEnv.imagine` and `with_other_drivers`."""
+        """A copy in which drivers have other parameters too (`draws.with_other_drivers`), see `DrivingEnv.imagine`."""
         twin = super().imagine(seed)
         assert twin.scenario is not None and twin._simulator is not None
-        twin.scenario = with_other_drivers(twin.scenario, 2**31 + seed)
+        twin.scenario = draws.with_other_drivers(twin.scenario, 2**31 + seed)
         twin._simulator.imagine(twin.scenario)
         return twin
 

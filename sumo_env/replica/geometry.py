@@ -120,13 +120,8 @@ def is_on(lane: Any, s: float, lat: float) -> bool:
 def no_places(lanes: Any, cars: Any) -> Places:
     """Room for the places of these cars, to be filled by `locate`."""
     shape = len(lanes), len(cars)
-    return Places(
-        np.empty(shape),
-        np.empty(shape),
-        np.empty(shape, np.int64),
-        np.empty(shape),
-        np.empty(len(lanes), np.int64),
-    )
+    s, lat, order, seen = np.empty(shape), np.empty(shape), np.empty(shape, np.int64), np.empty(shape)
+    return Places(s, lat, order, seen, np.empty(len(lanes), np.int64))
 
 
 @borrowing

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sumo_env.config import Config, ConfigError, nearest
+from sumo_env.config import Config, one_of
 from sumo_env.streams import stream
 from sumo_env.tasks.base import Task
 from sumo_env.traffic.scenario import Scenario
@@ -56,11 +56,5 @@ def draw(task: Task, config: Config, seed: int) -> Scenario:
 
 
 def check_law(law: object) -> str:
-    """The name of a law of risk, if it is one.
-
-    Raises:
-        ConfigError: unknown law.
-    """
-    if law not in LAWS:
-        raise ConfigError(f"unknown 'risk_law' {law!r}: {nearest(str(law), list(LAWS))}")
-    return str(law)
+    """The name of a law of risk, if it is one, see `one_of`."""
+    return one_of("risk_law", law, LAWS)

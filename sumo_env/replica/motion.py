@@ -71,27 +71,22 @@ def move(cars: Any, loops: Any, dt: float) -> None:
     slips *= 1 / 2
     each(loops.arctan, slips)
     for i in range(len(cars)):
-        drift(cars[i], slips[i], dt)
-
-
-@borrowing
-def drift(car: Any, slip: float, dt: float) -> None:
-    """The step of a car with this slip angle [rad] at its centre."""
-    if car.speed > MAX_SPEED:
-        car.acceleration = min(car.acceleration, MAX_SPEED - car.speed)
-    elif car.speed < -MAX_SPEED:
-        car.acceleration = max(car.acceleration, -MAX_SPEED - car.speed)
-    c, s = car.cos, car.sin
-    if slip != 0.0:
-        c, s = math.cos(car.heading + slip), math.sin(car.heading + slip)
-    car.x += car.speed * c * dt
-    car.y += car.speed * s * dt
-    if car.is_pushed_apart:
-        car.x += car.apart_x
-        car.y += car.apart_y
-        car.crashed, car.is_pushed_apart = True, False
-    if slip != 0.0:
-        car.heading += car.speed * math.sin(slip) / (VEHICLE_LENGTH / 2) * dt
-        car.cos, car.sin = math.cos(car.heading), math.sin(car.heading)
-    car.speed += car.acceleration * dt
-    car.timer += dt
+        car, slip = cars[i], slips[i]
+        if car.speed > MAX_SPEED:
+            car.acceleration = min(car.acceleration, MAX_SPEED - car.speed)
+        elif car.speed < -MAX_SPEED:
+            car.acceleration = max(car.acceleration, -MAX_SPEED - car.speed)
+        c, s = car.cos, car.sin
+        if slip != 0.0:
+            c, s = math.cos(car.heading + slip), math.sin(car.heading + slip)
+        car.x += car.speed * c * dt
+        car.y += car.speed * s * dt
+        if car.is_pushed_apart:
+            car.x += car.apart_x
+            car.y += car.apart_y
+            car.crashed, car.is_pushed_apart = True, False
+        if slip != 0.0:
+            car.heading += car.speed * math.sin(slip) / (VEHICLE_LENGTH / 2) * dt
+            car.cos, car.sin = math.cos(car.heading), math.sin(car.heading)
+        car.speed += car.acceleration * dt
+        car.timer += dt

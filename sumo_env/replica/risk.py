@@ -18,12 +18,7 @@ from sumo_env.traffic.risk import CUT_IN_GAP, HALF_CORRIDOR, LOOKED_AT, SWERVE_T
 OWN_LANE, ONCOMING_LANE = 1, 0  # of the two-way road, both driven to the east
 ROUNDING = 1e-9  # [s] of sums of steps
 
-for _function in (
-    rectangles.extents,
-    rectangles._separation,
-    rectangles.separation,
-    rectangles._corner_distance,
-):
+for _function in rectangles.OF_DISTANCE:
     register_jitable(_function)
 _distance = borrowing(rectangles.distance)
 

@@ -89,9 +89,8 @@ class Replica:
         ego = self._cars[0]
         ego["target_speed"] = command.target_speed
         self._steer_ego_for(command.target_lane)
-        frames = np.empty(
-            (scenario.simulation_frequency // scenario.policy_frequency, len(FRAME), len(self._cars))
-        )
+        substeps = scenario.simulation_frequency // scenario.policy_frequency
+        frames = np.empty((substeps, len(FRAME), len(self._cars)))
         self._next_event, crash, min_ttc, distance = kernels.policy_step(
             self._lanes.table, self._cars, self._events, self._next_event, self._rules, self._steps,
             self._warmed_up, frames,
@@ -271,18 +270,13 @@ class Replica:
 @lru_cache(maxsize=1)
 def _load() -> None:
     """Load all kernels, or compile them, by a call of each that drives nobody anywhere; once in a process."""
-    lanes, cars, rules = (
-        tables.lanes_of(highway(), False).table,
-        np.zeros(1, tables.CAR),
-        Rules(False, False, 0, 0.1),
-    )
+    lanes, rules = tables.lanes_of(highway(), False).table, Rules(False, False, 0, 0.1)
+    cars, events, frames = np.zeros(1, tables.CAR), np.empty(0, tables.EVENT), np.empty((0, len(FRAME), 1))
     with announced(kernels.policy_step):
         kernels.warm_up(lanes, cars, rules, 0)
         kernels.staying(lanes, cars)
         kernels.is_free(cars, 0.0, 0.0, 0.0)
-        kernels.policy_step(
-            lanes, cars, np.empty(0, tables.EVENT), 0, rules, 0, 0, np.empty((0, len(FRAME), 1))
-        )
+        kernels.policy_step(lanes, cars, events, 0, rules, 0, 0, frames)
         sight.ego_place(lanes, cars)
         sight.table(lanes, cars, sight.eyes_of(Kinematics({}, 1)))
 

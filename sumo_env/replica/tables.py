@@ -240,9 +240,6 @@ def _write_geometry(record: Any, lane: Lane) -> None:
         )
 
 
-NOT_LINEAR = (False, 0.0, 0.0, 0.0, 0.0, 0.0)
-
-
 @lru_cache(maxsize=1024)
 def _driver(driver: Driver) -> tuple[Any, ...]:
     return (
@@ -270,7 +267,8 @@ def cars_of(road: Road, specs: Iterable[VehicleSpec]) -> Records:
             cos(spec.heading), sin(spec.heading), spec.speed, numbers[spec.lane], numbers[spec.lane],
             spec.target_speed, spec.timer, spec.changes_lanes, False,
             _route(road, spec.lane, spec.destination), 0, NONE if spec.destination is None else spec.lane[2],
-            False, 0.0, 0.0, 0.0, 0.0, False, 0.0, 0.0, False, False, 0.0, 0.0, *_driver(spec.driver), *NOT_LINEAR,
+            False, 0.0, 0.0, 0.0, 0.0, False, 0.0, 0.0, False, False, 0.0, 0.0,
+            *_driver(spec.driver), *[0] * len(LINEAR),
         )
         for number, spec in enumerate(specs)
     ]  # fmt: skip

@@ -14,6 +14,15 @@ from sumo_env.traffic.drivers import Calibration
 from sumo_env.traffic.risk import RiskRates
 from sumo_env.traffic.scenario import EGO, VehicleSpec
 
+# ``HighwayEnvFast.default_config``, of highway-fast-v0
+FAST: Config = {
+    "simulation_frequency": 5,  # [Hz]
+    "lanes_count": 3,
+    "vehicles_count": 20,
+    "duration": 30,  # [s]
+    "ego_spacing": 1.5,
+}
+
 
 class Highway(Task):
     """Four lanes, all traffic ahead of the ego and slower than it."""

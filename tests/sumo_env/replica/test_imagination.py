@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import sumo_env
-from sumo_env.replica.imagination import with_other_drivers
+from sumo_env.replica.draws import with_other_drivers
 from sumo_env.replica.tables import PARAMETERS
 
 TASKS = tuple(sumo_env.task_of(id) for id in sumo_env.REPLICA_IDS)

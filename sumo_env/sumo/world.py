@@ -66,8 +66,8 @@ class SumoSimulator:
         except SumoErrors as error:
             self._session.forget()
             raise SimulatorError(
-                f"SUMO cannot begin this episode ({scenario.task}, seed {scenario.seed}): {error} What it says is "
-                f"above; was it given wrong options ({' '.join(self._options) or 'none'}) or vehicle types?"
+                f"SUMO cannot begin this episode ({scenario.task}, seed {scenario.seed}): {_words(error)} What it says "
+                f"is above; was it given wrong options ({' '.join(self._options) or 'none'}) or vehicle types?"
             ) from error
 
     def step(self, command: EgoCommand, trace: bool = False) -> Step:
@@ -78,7 +78,7 @@ class SumoSimulator:
             self._session.forget()
             raise SimulatorError(
                 f"SUMO cannot go on with this episode ({self._scenario.task}, seed {self._scenario.seed}, "
-                f"{self._time:.1f} s): {error}. Was libsumo called from elsewhere in this process? "
+                f"{self._time:.1f} s): {_words(error)} Was libsumo called from elsewhere in this process? "
                 "Call reset() to begin another episode."
             ) from error
 
@@ -184,7 +184,7 @@ class SumoSimulator:
         for spec in scenario.vehicles:
             if spec.concerns_ego:
                 self._place(spec)
-        self._time = -scenario.warm_up
+        self._time = 0.0 - scenario.warm_up
         if not scenario.warm_up:
             return
         for _ in range(round(scenario.warm_up / self._dt)):
@@ -337,3 +337,8 @@ class SumoSimulator:
         sizes = {name: size for name, size in self._session.sizes.items() if name in ids}
         time, acting, light = round(self._time, 6), self._events.acting, self._session.next_light(EGO)
         return Scene(ids, x, y, speed, heading, crashed, time, acting, sizes, light)
+
+
+def _words(error: Exception) -> str:
+    """What SUMO says, as a sentence."""
+    return str(error).strip().rstrip(".") + "."

@@ -283,16 +283,16 @@ class Session:
         position, angle, speed = _vehicle.getPosition, _vehicle.getAngle, _vehicle.getSpeed
         own = position(name)
         x, y = own
-        near, rest, sizes = {}, [], self.sizes
+        near, rest, sizes, reach = {}, [], self.sizes, radius * radius
         for other in others:
             front = position(other)
             dx, dy = front[0] - x, front[1] - y
-            distance = sqrt(dx * dx + dy * dy)
-            if distance <= radius:
+            squared = dx * dx + dy * dy
+            if squared <= reach:
                 half = self.half(other) if sizes else HALF_LENGTH
                 near[other] = _state(front, angle(other), speed(other), half)
             else:
-                rest.append((other, distance - radius))
+                rest.append((other, sqrt(squared) - radius))
         return _state(own, angle(name), speed(name)), near, rest
 
     # -- time ----------------------------------------------------------------------------------------------

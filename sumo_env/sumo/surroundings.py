@@ -8,8 +8,9 @@ from __future__ import annotations
 
 from math import inf
 
+from sumo_env.contacts.crash import SUMO_TOLERANCE
 from sumo_env.contacts.measures import TTC_RADIUS, ego_ttc, ttc_of_size
-from sumo_env.contacts.rectangles import DIAGONAL, State, reach_of
+from sumo_env.contacts.rectangles import DIAGONAL, State, reach_of, stay_apart
 from sumo_env.sumo.session import Session
 from sumo_env.traffic.scenario import EGO
 
@@ -59,14 +60,18 @@ class Surroundings:
         sized = zip(self.near.values(), self._session.halves(self.near), strict=True)
         return min((ttc_of_size(self.ego, other, half, horizon) for other, half in sized), default=inf)
 
-    def within_reach(self, before: dict[str, State], dt: float) -> list[str]:
-        """Who may have touched the ego in the last `dt` [s], of those that were near before."""
+    def within_reach(self, ego: State, before: dict[str, State], dt: float) -> list[str]:
+        """Who may have touched the ego in the last `dt` [s], or nearly; `ego` and `before` are the states then."""
         x, y, _, _ = self.ego
-        reach = DIAGONAL + FASTEST * dt
+        reach = DIAGONAL + SUMO_TOLERANCE
         if self._session.sizes:
             reach += max((reach_of(half) - DIAGONAL for half in self._session.halves(self.near)), default=0.0)
-        return [
-            name
-            for name, other in self.near.items()
-            if -reach < other[0] - x < reach and -reach < other[1] - y < reach and name in before
-        ]
+        far = reach + FASTEST * dt
+        found = []
+        for name, other in self.near.items():
+            dx, dy = other[0] - x, other[1] - y
+            if -far < dx < far and -far < dy < far and name in before:
+                was = before[name]
+                if not stay_apart(was[0] - ego[0], was[1] - ego[1], dx, dy, reach):
+                    found.append(name)
+        return found

@@ -241,7 +241,7 @@ class SumoSimulator:
         ego, around, detector = self._ego, self._around, self._detector
         seen, before = around.ego, around.near
         around.look(self._time, ego.speed)
-        ids = around.within_reach(before, self._dt)
+        ids = around.within_reach(seen, before, self._dt)
         if ids or reported or detector.reported:
             crash = detector.look(
                 self._time,

@@ -45,9 +45,8 @@ from experiments.study.arms import TRAFFICS
 from experiments.study.avoid import HORIZON, SAFE, Moment, Rewound, Search
 from experiments.study.avoidable import judge_all, sample, shares
 from experiments.study.cell import MakeEnv
-from experiments.study.evaluate import play
 from experiments.study.packed import MANIFEST
-from experiments.study.rerun import changed_versions, differences, stored_policy
+from experiments.study.rerun import changed_versions, differences, play_again
 from experiments.study.results import load
 from experiments.support.errors import UserError, disk_error, run_command
 from experiments.support.films import Film, Pictures, save_gif, side_by_side
@@ -173,16 +172,8 @@ def replay(options: Options, make_env: MakeEnv = make_env) -> int:
     env = make_env(key["backend"], key["task"], key["env_config"], "rgb_array")
     try:
         film = Film(env, between=options.gif)
-        seen, policy = stored_policy(case.path, record, env, rows.iloc[0].get("actions"))
-        row = play(
-            seen,
-            policy,
-            key["task"],
-            key["level"],
-            case.traffic,
-            case.scenario,
-            None if options.sumo else film.frame,
-        )
+        actions, on_step = rows.iloc[0].get("actions"), None if options.sumo else film.frame
+        row = play_again(case.path, record, env, case.traffic, case.scenario, actions, on_step)
         written = _write(options, case, env, film.pictures)
     except OSError as error:
         raise disk_error(error, options.out or Path.cwd()) from None

@@ -22,8 +22,7 @@ from experiments.backends import make_env
 from experiments.study import store
 from experiments.study.arms import TRAFFICS
 from experiments.study.cell import MakeEnv
-from experiments.study.evaluate import play
-from experiments.study.rerun import stored_policy
+from experiments.study.rerun import play_again
 from experiments.support.errors import UserError, run_command
 from experiments.support.films import Film, save_gif, side_by_side
 
@@ -76,8 +75,8 @@ def watch(options: Options, make_env: MakeEnv = make_env) -> int:
             film = Film(env)
             at = (table["traffic"] == traffic) & (table["scenario"] == scenario)
             actions = table[at]["actions"].iloc[0] if at.any() and "actions" in table else None
-            seen, policy = stored_policy(options.directory / "cells" / name, record, env, actions)
-            row = play(seen, policy, key["task"], key["level"], traffic, scenario, film.frame)
+            path = options.directory / "cells" / name
+            row = play_again(path, record, env, traffic, scenario, actions, film.frame)
         finally:
             env.close()
         films.append((f"risk {risk:g}: {_ending(row)}", film.pictures))

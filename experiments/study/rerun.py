@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -62,6 +62,25 @@ def stored_policy(
     return env, untrained_policy(key, source, env)
 
 
+def play_again(
+    path: Path,
+    record: Mapping[str, Any],
+    env: gym.Env[Any, Any],
+    traffic: str,
+    scenario: int,
+    actions: Any = None,
+    on_step: Callable[[], None] | None = None,
+) -> dict[str, Any]:
+    """Play a test episode of a stored cell again and return its row of `evaluate.COLUMNS`.
+
+    Raises:
+        UserError: see `stored_policy`.
+    """
+    seen, policy = stored_policy(path, record, env, actions)
+    key = record["key"]
+    return play(seen, policy, key["task"], key["level"], traffic, scenario, on_step)
+
+
 def differences(stored: Mapping[str, Any], row: Mapping[str, Any]) -> list[str]:
     """Columns in which a replayed episode is not the stored one, in words; empty if it is reproduced."""
     found = []
@@ -107,19 +126,8 @@ class Recorder:
         self.scenes.append(self._env.scene)
 
     def play(
-        self,
-        path: Path,
-        record: Mapping[str, Any],
-        traffic: str,
-        scenario: int,
-        actions: Any = None,
+        self, path: Path, record: Mapping[str, Any], traffic: str, scenario: int, actions: Any = None
     ) -> dict[str, Any]:
-        """Play a test episode of a stored cell and return its row of `evaluate.COLUMNS`.
-
-        Raises:
-            UserError: see `stored_policy`.
-        """
+        """Play a test episode of a stored cell again, see `play_again`."""
         self.scenes = []
-        seen, policy = stored_policy(path, record, self._env, actions)
-        key = record["key"]
-        return play(seen, policy, key["task"], key["level"], traffic, scenario, self._capture_frame)
+        return play_again(path, record, self._env, traffic, scenario, actions, self._capture_frame)

@@ -98,9 +98,16 @@ def compute(name: str, cell: Cell, folder: Path) -> pd.DataFrame:
     learner = trained.learner
     largest = max(row[2] if row[2] is not None else float("inf") for row in learner["probe_q"])
     return pd.concat(tables, ignore_index=True).assign(
-        task=cell.task, variant=name, arm=cell.arm, seed=cell.seed, cell=cell.name, largest_q=largest,
-        q_bound=learner["q_bound"], weights=learner["weights_sha256"], cpu_seconds=time.process_time() - started,
-    )  # fmt: skip
+        task=cell.task,
+        variant=name,
+        arm=cell.arm,
+        seed=cell.seed,
+        cell=cell.name,
+        largest_q=largest,
+        q_bound=learner["q_bound"],
+        weights=learner["weights_sha256"],
+        cpu_seconds=time.process_time() - started,
+    )
 
 
 def train_all(out: Path) -> None:

@@ -17,7 +17,7 @@ PAPER_EPISODES = 3072  # training episodes of an agent in the paper
 EPISODE_LENGTH = {"highway": 17, "two-way": 6, "roundabout": 10, "intersection": 9, "u-turn": 9}
 
 
-# Settings of the learner by profile, over the defaults of `agents.dqn.DQNConfig`, which are those of "tuned".
+# Hyper-parameters of the learner by profile, over the defaults of `agents.dqn.DQNConfig`, which are those of "tuned".
 PROFILES: dict[str, dict[str, Any]] = {
     "tuned": {},
     # The paper's numbers; where it is silent, those of the code that it cites, except the target network, which that
@@ -37,7 +37,7 @@ PROFILES: dict[str, dict[str, Any]] = {
 # is observed (see `wrappers`). The roundabout's reward pays for standing at the entry: with values beyond the limit,
 # waiting is worth more than driving, and agents learn to wait. On the u-turn nothing is ever learnt of the places where
 # the limit ends an episode, so that the values beyond it, guessed there, grow without bound (docs/learner.md).
-TASK_SETTINGS: dict[str, dict[str, Any]] = {
+TASK_PROFILES: dict[str, dict[str, Any]] = {
     "roundabout": {"finite_horizon": True},
     "u-turn": {"finite_horizon": True},
 }
@@ -52,7 +52,7 @@ CLOCKS = {
 def second_version(
     task: str, steps: int, steps_per_update: int, batch_size: int, clock: str = "drawn"
 ) -> dict[str, Any]:
-    """Settings of a task in the second version of "tuned", of which `choice` tries variants.
+    """Hyper-parameters of a task in the second version of "tuned", of which `choice` tries variants.
 
     Args:
         steps: environment steps of a training.
@@ -74,7 +74,7 @@ class Preset:
     levels: traffic levels by number, None for all. seeds: training seeds an arm. episodes: test episodes a
         traffic. gate_episodes: episodes a traffic on which the gates are judged.
     first_seed, first_scenario: numbers at which training seeds and scenarios begin, so that studies share none.
-    updates: training budget of each task. profile: of PROFILES. learner: other settings of `agents.dqn.DQNConfig`.
+    updates: training budget of each task. profile: of PROFILES. learner: other fields of `agents.dqn.DQNConfig`.
     """
 
     name: str
@@ -90,14 +90,14 @@ class Preset:
     first_scenario: int = 0
 
     def profiles(self, crash_reward: float | None = None, **overrides: Any) -> dict[str, dict[str, Any]]:
-        """Every setting of the learner for each task, as plain values.
+        """Every hyper-parameter of the learner for each task, as plain values.
 
         Args:
             crash_reward: added to the reward of a crash in training, in all arms.
-            overrides: settings that the user asked for; None means not asked for.
+            overrides: those that the user asked for; None means not asked for.
 
         Raises:
-            UserError: a setting that makes no sense.
+            UserError: one makes no sense.
         """
         from agents.dqn import DQNConfig  # here: not every command needs the learner
         from agents.models import network_class
@@ -105,12 +105,13 @@ class Preset:
         if crash_reward is not None and not math.isfinite(crash_reward):
             raise UserError(f"the reward of a crash has to be a finite number, not {crash_reward}")
         asked = {name: value for name, value in overrides.items() if value is not None}
-        own = TASK_SETTINGS if self.profile == "tuned" else {}
+        own = TASK_PROFILES if self.profile == "tuned" else {}
         profiles = {}
         for task in TASKS:
-            settings = {"updates": self.updates[task], **PROFILES[self.profile], **self.learner, **asked}
             try:
-                config = DQNConfig(**settings)
+                config = DQNConfig(
+                    **{"updates": self.updates[task], **PROFILES[self.profile], **self.learner, **asked}
+                )
                 if ":" not in config.network:
                     network_class(config.network)
             except ValueError as error:

@@ -35,7 +35,7 @@ KEY_COLUMNS = ("cell", "kind", "backend", "task", "level", "level_name", "arm", 
 class Results:
     """All finished cells of a directory as tidy tables.
 
-    agents: one row a cell, trained agents and baselines alike (`kind`): KEY_COLUMNS, the profile's settings
+    agents: one row a cell, trained agents and baselines alike (`kind`): KEY_COLUMNS, the profile's entries
         as columns (gamma, updates, ...; missing for baselines), and of the learner updates, episodes,
         q_bound, max_abs_q (largest on the probe states at any checkpoint), weights_sha256.
     episodes: one row a test episode: KEY_COLUMNS and the columns of `evaluate.COLUMNS`.

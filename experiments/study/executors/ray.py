@@ -33,15 +33,15 @@ class RayExecutor(Executor):
     def __init__(self, workers: int | None, tasks_per_process: int) -> None:
         handler = signal.getsignal(signal.SIGTERM)
         environment = {"env_vars": {"PYTHONPATH": str(ROOT), **dict.fromkeys(VARIABLES, "1")}}
-        settings: dict[str, Any] = {
+        common: dict[str, Any] = {
             "runtime_env": environment,
             "log_to_driver": False,
             "logging_level": "ERROR",
         }
         try:
-            ray.init(address="auto", **settings)
+            ray.init(address="auto", **common)
         except ConnectionError:  # none runs
-            ray.init(address="local", num_cpus=workers, include_dashboard=False, **settings)
+            ray.init(address="local", num_cpus=workers, include_dashboard=False, **common)
         if threading.current_thread() is threading.main_thread():
             signal.signal(signal.SIGTERM, handler)  # Ray puts its own in the place of ours
         self._call = ray.remote(num_cpus=1, max_retries=0, max_calls=tasks_per_process)(_call)

@@ -58,10 +58,17 @@ class FakeEnv(gym.Env):
         crash = None
         if self.crashed:
             crash = {
-                "other": "v0", "time": float(self.time), "x": 0.0, "y": 0.0, "relative_x": self.gap,
-                "relative_y": 0.0, "relative_heading": 0.0, "closing_speed": self.speed - leader,
-                "type": "rear-end", "detected_by": "sumo",
-            }  # fmt: skip
+                "other": "v0",
+                "time": float(self.time),
+                "x": 0.0,
+                "y": 0.0,
+                "relative_x": self.gap,
+                "relative_y": 0.0,
+                "relative_heading": 0.0,
+                "closing_speed": self.speed - leader,
+                "type": "rear-end",
+                "detected_by": "sumo",
+            }
         reward = 0.0 if self.crashed else self.speed / 30.0
         truncated = self.time >= self.config["duration"]
         return self._observe(), reward, self.crashed, truncated, self._info(self.speed, crash)
@@ -74,10 +81,15 @@ class FakeEnv(gym.Env):
     @property
     def scene(self) -> SimpleNamespace:
         return SimpleNamespace(
-            ids=("ego", "v0"), x=np.array([0.0, self.gap]), y=np.array([4.0, 4.0]),
-            speed=np.array([self.speed, 15.0]), heading=np.zeros(2), crashed=np.array([self.crashed] * 2),
-            time=float(self.time), in_event=frozenset(),
-        )  # fmt: skip
+            ids=("ego", "v0"),
+            x=np.array([0.0, self.gap]),
+            y=np.array([4.0, 4.0]),
+            speed=np.array([self.speed, 15.0]),
+            heading=np.zeros(2),
+            crashed=np.array([self.crashed] * 2),
+            time=float(self.time),
+            in_event=frozenset(),
+        )
 
     @property
     def vehicle(self) -> SimpleNamespace:
@@ -97,10 +109,17 @@ class FakeEnv(gym.Env):
         closing = self.speed - 15.0
         ttc = (self.gap - 5) / closing if closing > 0 else float("inf")
         return {
-            "speed": self.speed, "crashed": self.crashed, "arrived": False, "rewards": {}, "on_road": True,
-            "crash": crash, "density": 1, "min_ttc_before_contact": max(ttc, 0.0),
-            "near_miss": ttc < 1.5 and not self.crashed, "distance": distance,
-        }  # fmt: skip
+            "speed": self.speed,
+            "crashed": self.crashed,
+            "arrived": False,
+            "rewards": {},
+            "on_road": True,
+            "crash": crash,
+            "density": 1,
+            "min_ttc_before_contact": max(ttc, 0.0),
+            "near_miss": ttc < 1.5 and not self.crashed,
+            "distance": distance,
+        }
 
     def _die(self) -> None:
         """Kill this process at the next point that FAKE_KILL names."""

@@ -31,7 +31,8 @@ ROOT = Path(__file__).resolve().parents[2]
 TINY = {
     "preset": "smoke",
     "tasks": ("u-turn",),
-    "updates": 300,
+    "updates": 150,
+    "network": "dueling",
     "episodes": 3,
     "workers": 2,
 }
@@ -140,7 +141,7 @@ def test_cells_say_what_they_are_and_where_they_come_from(reference):
     results = load(reference)
     agents = [record for record in results.cells.values() if record["key"]["kind"] == "agent"]
     for record in agents:
-        assert record["learner"]["updates"] == 300
+        assert record["learner"]["updates"] == TINY["updates"]
         assert record["learner"]["q_bound"] > 0
         assert record["learner"]["probe_q"]
         assert record["versions"]["schema"] == grid.RESULT_SCHEMA
@@ -148,7 +149,7 @@ def test_cells_say_what_they_are_and_where_they_come_from(reference):
         assert record["timing"]["test_seconds"] > 0
     assert len({record["learner"]["weights_sha256"] for record in agents}) == len(agents)
     training = results.training
-    assert (training.groupby("cell").step.max() >= 300).all()
+    assert (training.groupby("cell").step.max() >= 4 * TINY["updates"]).all()
     assert set(results.episodes.groupby(["cell", "traffic"]).size()) == {3}
 
 
@@ -240,9 +241,15 @@ def test_a_stopped_sweep_says_how_to_go_on(tmp_path, number):
         str(directory),
     ]
     process = subprocess.Popen(
-        command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=tmp_path,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # tests in the background inherit its neglect
-    )  # fmt: skip
+        command,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        cwd=tmp_path,
+        preexec_fn=lambda: signal.signal(
+            signal.SIGINT, signal.SIG_DFL
+        ),  # tests in the background inherit its neglect
+    )
     wait_for(lambda: list(directory.glob("work/*/lock")), process)
     process.send_signal(number)
     _, errors = process.communicate(timeout=300)
@@ -420,14 +427,16 @@ def test_a_network_of_the_users_own_is_trained_and_stored(tmp_path, here):
     case = ReplayOptions(f"{tmp_path}/results/cells/{name}:risky:1", out=tmp_path / "picture.png")
     assert replay(case, make_env) == 0
 
-    before = {cell.name for cell in cells_of(Options(**TINY, network=f"{file}:Mine")) if cell.arm}
+    before = {cell.name for cell in cells_of(Options(**{**TINY, "network": f"{file}:Mine"})) if cell.arm}
     elsewhere = tmp_path / "other" / "mine.py"
     elsewhere.parent.mkdir()
     elsewhere.write_text(NETWORK)
-    moved = {cell.name for cell in cells_of(Options(**TINY, network=f"{elsewhere}:Mine")) if cell.arm}
+    moved = {cell.name for cell in cells_of(Options(**{**TINY, "network": f"{elsewhere}:Mine"})) if cell.arm}
     assert moved == before  # where the file lies does not matter, what it says does
     elsewhere.write_text(NETWORK + "# changed")
-    changed = {cell.name for cell in cells_of(Options(**TINY, network=f"{elsewhere}:Mine")) if cell.arm}
+    changed = {
+        cell.name for cell in cells_of(Options(**{**TINY, "network": f"{elsewhere}:Mine"})) if cell.arm
+    }
     assert not changed & before
 
 

@@ -98,8 +98,13 @@ def test_a_sweep_goes_on_from_packed_cells(results: Path, capsys: pytest.Capture
     found = load(results)
     new = set(found.cells) - before
     assert sorted(cell["key"]["kind"] for name, cell in found.cells.items() if name in new) == [
-        "agent", "agent", "test", "test", "test", "test",
-    ]  # fmt: skip
+        "agent",
+        "agent",
+        "test",
+        "test",
+        "test",
+        "test",
+    ]
     assert len(list((results / "cells").iterdir())) == len(new)
     assert set(pack(results)[0]) == new
     shutil.rmtree(results / "cells")

@@ -30,9 +30,17 @@ class Idle:
 
 
 TRAINING_TABLE = pd.DataFrame(
-    {"episode": [0], "step": [3], "return": [1.0], "length": [3], "crashed": [True], "arrived": [False],
-     "mean_speed": [20.0], "epsilon": [1.0]}
-)  # fmt: skip
+    {
+        "episode": [0],
+        "step": [3],
+        "return": [1.0],
+        "length": [3],
+        "crashed": [True],
+        "arrived": [False],
+        "mean_speed": [20.0],
+        "epsilon": [1.0],
+    }
+)
 
 
 @pytest.fixture(scope="module")
@@ -54,8 +62,13 @@ def directory(tmp_path, cells):
         record = {"timing": {"test_seconds": 1.0}, "provenance": {"cpu": "none"}}
         if cell.kind == "agent":
             files |= {store.TRAINING: TRAINING_TABLE, store.WEIGHTS: weights}
-            record["learner"] = {"updates": 10, "episodes": 1, "probe_q": [[5, 0.1, 0.2], [10, 0.3, 0.5]],
-                                 "q_bound": 20.0, "weights_sha256": "x"}  # fmt: skip
+            record["learner"] = {
+                "updates": 10,
+                "episodes": 1,
+                "probe_q": [[5, 0.1, 0.2], [10, 0.3, 0.5]],
+                "q_bound": 20.0,
+                "weights_sha256": "x",
+            }
         home.write(cell, record, files)
     return home.directory
 

@@ -29,10 +29,19 @@ def test_an_arm_differs_by_the_traffic_of_its_training_alone(
 
     monkeypatch.setattr(FakeEnv, "reset", noting)
     cell = Cell(
-        kind="agent", backend="sumo", task="u-turn", level=1, level_name="3", arm=arm, seed=0, policy="dqn",
-        profile=PROFILE, env_config={"duration": 10}, eval={"episodes": EPISODES, "gate_episodes": EPISODES},
+        kind="agent",
+        backend="sumo",
+        task="u-turn",
+        level=1,
+        level_name="3",
+        arm=arm,
+        seed=0,
+        policy="dqn",
+        profile=PROFILE,
+        env_config={"duration": 10},
+        eval={"episodes": EPISODES, "gate_episodes": EPISODES},
         dynamics="none",
-    )  # fmt: skip
+    )
     CellTask(cell, tmp_path, make_env).compute(lambda _: None)
 
     tests, gates = (

@@ -21,11 +21,19 @@ PROFILE = {"network": "dueling", "updates": 60, "steps_per_update": 2, "warm_up"
 
 def cell(arm: str, **profile: object) -> Cell:
     return Cell(
-        kind="agent", backend="sumo", task="u-turn", level=1, level_name="3", arm=arm, seed=2, policy="dqn",
-        profile={**PROFILE, **profile}, env_config={"duration": 10},
+        kind="agent",
+        backend="sumo",
+        task="u-turn",
+        level=1,
+        level_name="3",
+        arm=arm,
+        seed=2,
+        policy="dqn",
+        profile={**PROFILE, **profile},
+        env_config={"duration": 10},
         eval={"episodes": 3, "gate_episodes": 3, "first_scenario": 50},
         dynamics="none",
-    )  # fmt: skip
+    )
 
 
 class Interrupted(Exception):

@@ -49,11 +49,12 @@ def cells() -> list[grid.Cell]:
     return grid.build(grid.Ask("sumo", {"highway": (1,), "u-turn": (1,)}, 1, 3, profiles, "smoke"))
 
 
-@pytest.fixture
-def directory(tmp_path, cells):
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory, cells):
     """A directory with all cells finished."""
-    home = store.Store(tmp_path / "results")
-    weights = tmp_path / "weights.npz"
+    folder = tmp_path_factory.mktemp("finished")
+    home = store.Store(folder / "results")
+    weights = folder / "weights.npz"
     Greedy(nn.Linear(10, 5)).save(weights)
     for cell in cells:
         env = make_env(cell.backend, cell.task, cell.env_config)
@@ -71,6 +72,12 @@ def directory(tmp_path, cells):
             }
         home.write(cell, record, files)
     return home.directory
+
+
+@pytest.fixture
+def directory(finished, tmp_path):
+    """A copy of it."""
+    return shutil.copytree(finished, tmp_path / "results")
 
 
 def test_a_stored_cell_is_finished_and_comes_back(directory, cells):

@@ -180,25 +180,20 @@ def policies(episodes: pd.DataFrame) -> pd.DataFrame:
         episode was to last); "<outcome> se" over those units, NaN with one of them.
     """
     rows = episodes[episodes["tested_on"] == episodes["backend"]]
-    rows = rows.assign(arm=rows["arm"].where(rows["kind"] != "baseline", "").fillna("").astype(str))
-    rows = rows.assign(progress=rows["distance"] / rows["seconds"])
+    arms = rows["arm"].where(rows["kind"] != "baseline", "").fillna("").astype(str)
+    rows = rows.assign(
+        arm=arms,
+        unit=rows["seed"].where(arms != "", rows["scenario"]),
+        progress=rows["distance"] / rows["seconds"],
+    )
     columns = [*OUTCOMES, *DESCRIPTIVE]
     group = [*PLACE, "policy", "arm", "traffic"]
-    trained = rows["arm"] != ""
-    units = pd.concat(
-        [
-            rows[trained].groupby([*group, "seed"], sort=False)[columns].mean().reset_index(),
-            rows[~trained][[*group, *columns]],
-        ]
-    )
-    grouped = units.astype(dict.fromkeys(columns, float)).groupby(group, sort=False)
-    frame = grouped[columns].mean()
-    frame.insert(0, "n", grouped.size())
-    frame.insert(
-        1, "unit", ["training seed" if arm else "test episode" for arm in frame.index.get_level_values("arm")]
-    )
+    rows = rows.astype(dict.fromkeys(columns, float))
+    grouped = rows.groupby([*group, "unit"], sort=False)[columns].mean().groupby(group, sort=False)
     errors = grouped[list(OUTCOMES)].sem().add_suffix(" se")
-    frame = frame.join(errors).reset_index()
+    frame = grouped.mean().join(errors).reset_index()
+    frame.insert(len(group), "n", grouped.size().to_numpy())
+    frame.insert(len(group) + 1, "unit", np.where(frame["arm"] != "", "training seed", "test episode"))
     own = sorted({*frame["policy"]} - {LEARNER, *BASELINES})
     rank = {(LEARNER, arm): n for n, arm in enumerate((*ARMS, *EXTRA_ARMS))}
     rank |= {(policy, ""): len(rank) + n for n, policy in enumerate((*BASELINES, *own))}

@@ -34,12 +34,6 @@ def test_sampling_is_uniform_over_what_is_stored() -> None:
     assert np.abs(counts - 1000).max() < 5 * np.sqrt(1000)
 
 
-def test_sampling_repeats_with_its_generator() -> None:
-    first, second = (filled(9, 9).sample(np.random.default_rng(3), 50) for _ in range(2))
-    for one, other in zip(first, second, strict=True):
-        assert torch.equal(one, other)
-
-
 def test_a_batch_holds_whole_transitions() -> None:
     batch = filled(50, 20).sample(np.random.default_rng(0), 30)
     number = batch.observations[:, 0, 0]

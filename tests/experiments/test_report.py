@@ -17,7 +17,7 @@ from experiments import report
 from experiments.analysis.analysis import analyse, stored
 from experiments.analysis.plan import OUTCOMES
 from experiments.reporting import figures
-from experiments.reporting.collision_figures import LENGTH, WIDTH, collisions, contacts, corners
+from experiments.reporting.collision_figures import LENGTH, WIDTH, contacts
 from experiments.reporting.page import FIGURES, checks
 from experiments.reporting.style import CONTROL
 from experiments.reporting.tables import main, side_by_side
@@ -192,18 +192,6 @@ def shown(directory, *others) -> str:
 
 
 @pytest.mark.usefixtures("words_alone")
-class TestCard:
-    def test_follows_what_was_run(self, tmp_path):
-        synthetic.write(tmp_path / "sumo", {"u-turn": (1,)}, seeds=3, tests=8)
-        text = shown(tmp_path / "sumo")
-        assert "on SUMO, whose calibrated drivers" in text
-        assert "1 of the same 18 settings" in text
-        assert "3 training seeds for each arm" in text
-        synthetic.write(tmp_path / "replica", {"u-turn": (1,)}, seeds=3, tests=8, backend="replica")
-        assert "physics of highway-env, compiled" in shown(tmp_path / "replica")
-
-
-@pytest.mark.usefixtures("words_alone")
 class TestSideBySide:
     def test_the_mean_is_that_of_the_settings_in_common(self, tmp_path):
         own, other = tmp_path / "own", tmp_path / "other"
@@ -216,28 +204,24 @@ class TestSideBySide:
         assert row["settings"] == "2"
         assert row["risky, here"] in shown(own, other)
 
-    def test_nothing_is_shown_without_a_setting_in_common(self, tmp_path):
-        own, other = tmp_path / "own", tmp_path / "other"
-        synthetic.write(own, {"highway": (1,)}, seeds=3, tests=4)
-        synthetic.write(other, {"u-turn": (1,)}, seeds=3, tests=4)
-        assert "Side by side" not in shown(own, other)
-
     def test_a_run_is_shown_beside_the_published_study_and_that_beside_its_variants(
         self, tmp_path, monkeypatch
     ):
         study, variant, own = tmp_path / "standard", tmp_path / "replica", tmp_path / "own"
         monkeypatch.setattr(report, "PUBLISHED", study)
-        synthetic.write(study, {"u-turn": (1,)}, seeds=5, tests=10, preset="standard")
-        (study / store.PUBLISHED).write_text("# The published study\n\nWords.\n")
-        assert "Side by side" not in shown(study)
-        synthetic.write(own, {"u-turn": (1,)}, seeds=1, tests=4)
-        assert "The published study" in shown(own)
-        synthetic.write(variant, {"u-turn": (1,)}, seeds=4, tests=10, backend="replica")
-        (variant / store.PUBLISHED).write_text("# The study on the replica\n")
-        shown(variant)
-        assert "The study on the replica" in shown(study)
+        for home, backend in ((study, "sumo"), (variant, "replica"), (own, "sumo")):
+            synthetic.write(home, {"u-turn": (1,)}, seeds=2 + (home == study), tests=4, backend=backend)
+        for home, title in ((study, "The published study"), (variant, "The study on the replica")):
+            (home / store.PUBLISHED).write_text(f"# {title}\n\nWords.\n")
+            report.write_report(home)
+
+        def beside(home):
+            return [title for title, _ in report._published(home, analyse(load(home)))]
+
+        assert beside(own) == ["The published study"]
+        assert beside(study) == ["The study on the replica"]
         (study / "analysis.json").write_text('{"schema": 0}')
-        assert "Side by side" not in shown(own)
+        assert beside(own) == []
 
 
 def test_a_damaged_analysis_of_another_directory_is_named(tmp_path, capsys):
@@ -265,10 +249,6 @@ class TestIncomplete:
         synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=2, tests=8, further=("dense", "dose50"))
         text = shown(tmp_path)
         assert "dense" in text and "dose50" in text and "dose of risk in training" in text
-
-    def test_no_agents(self, tmp_path):
-        page = write(tmp_path, {"highway": (1,)}, seeds=1, tests=4, arms=())
-        assert "no agents of both arms to compare" in page.text
 
     def test_failed_and_damaged_cells_are_named(self, tmp_path):
         cells = synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=2, tests=4)
@@ -349,18 +329,6 @@ class TestFigures:
         )
         assert figures.frontier(points)["policy"].tolist() == ["a", "b", "e"]
 
-    def test_ids_carry_the_name_of_the_figure(self, directory):
-        drawn = collisions(load(directory).episodes)
-        ids = re.findall(r'\bid="([^"]+)"', drawn)
-        assert ids and all(name.startswith("sumo-collisions-") for name in ids)
-        references = set(re.findall(r'(?:url\(|href=")#([^")]+)', drawn))
-        assert references <= set(ids)
-
-    def test_unknown_types_of_crash_are_shown_as_such(self, directory):
-        episodes = load(directory).episodes
-        drawn = collisions(episodes.assign(crash_type=pd.Series(pd.NA, index=episodes.index, dtype="str")))
-        assert "not recorded" in drawn
-
 
 class TestContacts:
     """Where two vehicles touch, in the ego's frame."""
@@ -378,21 +346,6 @@ class TestContacts:
     def test_of_two_vehicles(self, pose, expected):
         x, y, heading = (np.array([value]) for value in pose)
         assert contacts(x, y, heading)[0] == pytest.approx(expected, abs=0.05)
-
-    def test_lie_within_the_ego_where_vehicles_overlap(self):
-        random = np.random.default_rng(0)
-        x, y, heading = (
-            random.uniform(-3.2, 3.2, 200),
-            random.uniform(-0.9, 0.9, 200),
-            random.uniform(-3, 3, 200),
-        )
-        found = contacts(x, y, heading)
-        assert (np.abs(found) <= np.array([LENGTH / 2, WIDTH / 2]) + 0.01).all()
-
-    def test_corners_of_a_turned_vehicle(self):
-        shape = corners(np.array([1.0]), np.array([2.0]), np.array([np.pi / 2]))[0]
-        assert shape.mean(axis=0) == pytest.approx([1.0, 2.0])
-        assert np.ptp(shape, axis=0) == pytest.approx([WIDTH, LENGTH])
 
 
 OWN = """

@@ -108,7 +108,7 @@ def test_films_outlive_the_weights(copy):
     assert after["notes"] == ["highway 50: the weights of the control and treatment agent are not here"]
 
 
-@pytest.mark.parametrize("content", ["", "[]", '{"schema": 0}', '{"schema": 1}'])
+@pytest.mark.parametrize("content", ["", '{"schema": 0}'])
 def test_a_damaged_record_is_made_again(copy, content):
     results = load(copy)
     before = showcase(results, set(), make_env)

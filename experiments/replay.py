@@ -125,14 +125,13 @@ def parse_case(text: str) -> Case:
 
 
 def find_cell(word: str, names: Sequence[str]) -> str:
-    """The cell with this name, or the only one whose name begins so.
+    """The cell with this name, with or without its hash, or the only one whose name begins so.
 
     Raises:
         UserError: none or several; the nearest five are named.
     """
-    if word in names:
-        return word
-    fitting = [name for name in names if name.startswith(word)]
+    fitting = [name for name in names if word in (name, name.rpartition("-")[0])]
+    fitting = fitting or [name for name in names if name.startswith(word)]
     if len(fitting) == 1:
         return fitting[0]
     near = fitting or difflib.get_close_matches(word, names, n=SUGGESTED, cutoff=0.3)

@@ -51,9 +51,13 @@ def chosen(directory: Path, part: str) -> str:
     """
     records = {name: store.read_stored(directory, name) for name in store.finished(directory)}
     agents = {name: record for name, record in records.items() if record["key"]["kind"] == "agent"}
+    if not agents:
+        raise UserError(
+            f"there is no trained agent in {directory}: python experiments/train.py --out {directory}"
+        )
     fitting = [name for name in agents if part in name]
     if not fitting:
-        names = ", ".join(sorted(agents)[:5]) or "none"
+        names = ", ".join(sorted(agents)[:5])
         raise UserError(f"no agent in {directory} has {part!r} in its name; there are: {names}")
     fitting = [name for name in fitting if store.weights_file(directory, name)] or fitting
     return max(fitting, key=lambda name: str(agents[name]["timing"]["finished"]))

@@ -89,3 +89,5 @@ def test_what_does_not_exist_is_said(trained: Path, tmp_path: Path) -> None:
         watch.watch(watch.Options(trained, agent="treatment"))
     with pytest.raises(UserError, match="no trained agent"):
         test.test(test.Options(tmp_path))
+    with pytest.raises(UserError, match="no trained agent"):
+        watch.watch(watch.Options(tmp_path))

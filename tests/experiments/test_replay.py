@@ -83,6 +83,8 @@ def test_the_beginning_of_a_name_is_enough():
         *(f"sumo-highway-{k}-x" for k in range(9)),
     ]
     assert find_cell("sumo-u-turn-3-control-s1", names) == "sumo-u-turn-3-control-s1-bb"
+    further = [*names, "sumo-u-turn-3-control-s1-on-replica-cc"]
+    assert find_cell("sumo-u-turn-3-control-s1", further) == "sumo-u-turn-3-control-s1-bb"
     with pytest.raises(
         UserError, match="2 cells begin with 'sumo-u-turn'; did you mean sumo-u-turn-3-control-s0-aa"
     ):

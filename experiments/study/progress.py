@@ -122,7 +122,7 @@ class Progress(Observer[CellTask]):
             words = f"{duration(left)} left" if left else "done"
             self._bars.update(self._bar, completed=share, description=words)
         else:
-            print(f"[{duration(self._shown - self._start)}] {self.summary()}", flush=True)
+            print(f"[{duration(time.monotonic() - self._start)}] {self.summary()}", flush=True)
 
     def _log(self, text: str) -> None:
         with suppress(OSError), (self._store.directory / LOG).open("a") as file:

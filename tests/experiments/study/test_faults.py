@@ -164,18 +164,3 @@ def test_twenty_random_kills_lose_nothing_and_change_nothing(script, undisturbed
         assert not (directory / "damaged").exists()
     print(f"{kills} in {tries} sweeps")
     assert all(kills.values())
-
-
-@pytest.mark.long
-def test_two_sweeps_at_once_compute_every_cell_once(script, reference, tmp_path):
-    processes = [
-        subprocess.Popen(
-            command(script, tmp_path), stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
-        )
-        for _ in range(2)
-    ]
-    for process in processes:
-        output, _ = process.communicate(timeout=600)
-        assert process.returncode == 0, output
-    assert fingerprint(tmp_path) == fingerprint(reference)
-    assert not list((tmp_path / "work").iterdir())

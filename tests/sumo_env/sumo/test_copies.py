@@ -10,7 +10,6 @@ import pickle
 import signal
 import socket
 import tempfile
-import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -25,7 +24,7 @@ from sumo_env.simulator import SimulatorError
 from sumo_env.sumo import process
 from sumo_env.sumo.process import SimulatorDied, SumoProcess, open_simulator
 from sumo_env.tasks import TASKS
-from tests.sumo_env.sumo.fake import COMMAND, FAKE, HANGS, scenario
+from tests.sumo_env.sumo.fake import COMMAND, FAKE, HANGS, ends, scenario
 
 Result = tuple[Any, ...]
 
@@ -50,20 +49,6 @@ def to_the_end(*envs: Any, seed: int = 0) -> int:
     first, *others = [env.unwrapped.np_random.bit_generator.state for env in envs]
     assert all(state == first for state in others)
     return steps
-
-
-def gone(pid: int | None, patience: float = 10.0) -> bool:
-    """Whether a process ends soon."""
-    assert pid is not None
-    end = time.monotonic() + patience
-    while time.monotonic() < end:
-        try:
-            if "\nState:\tZ" in Path(f"/proc/{pid}/status").read_text():
-                return True
-        except FileNotFoundError:
-            return True
-        time.sleep(0.01)
-    return False
 
 
 @pytest.fixture(autouse=True)
@@ -195,7 +180,7 @@ def test_a_tree_of_states_as_rl_agents_planners_keep_it() -> None:
     tree.clear()
     del state, child
     gc.collect()
-    assert all(gone(pid) for pid in processes)
+    assert all(ends(pid) for pid in processes)
     env.close()
 
 
@@ -270,7 +255,7 @@ def test_a_killed_original_leaves_its_copies_alone(begun: SumoProcess) -> None:
     twin = begun.clone()
     assert begun.pid is not None
     os.kill(begun.pid, signal.SIGKILL)
-    assert gone(begun.pid)
+    assert ends(begun.pid)
     with pytest.raises(SimulatorDied, match="was killed by SIGKILL"):
         begun.clone()
     with pytest.raises(SimulatorDied, match="has ended"):
@@ -289,7 +274,7 @@ def test_a_copy_that_hangs_is_killed(begun: SumoProcess) -> None:
     pid = twin.pid
     with pytest.raises(SimulatorDied, match=r"gave no answer for 0\.5 s"):
         twin.step(COMMAND)
-    assert gone(pid)
+    assert ends(pid)
     begun.step(COMMAND)
 
 
@@ -299,7 +284,7 @@ def test_copies_that_are_garbage_end(begun: SumoProcess) -> None:
     assert len(set(pids)) == 5
     del twins
     gc.collect()
-    assert all(gone(pid) for pid in pids)
+    assert all(ends(pid) for pid in pids)
 
 
 def test_ctrl_c_while_a_copy_is_made(begun: SumoProcess, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -313,7 +298,7 @@ def test_ctrl_c_while_a_copy_is_made(begun: SumoProcess, monkeypatch: pytest.Mon
         patch.setattr(socket, "recv_fds", interrupted)
         with pytest.raises(KeyboardInterrupt):
             begun.clone()
-    assert gone(pid)
+    assert ends(pid)
     with pytest.raises(SimulatorDied, match="has ended"):
         begun.step(COMMAND)
     begun.reset(scenario(3))
@@ -332,7 +317,7 @@ def leaves_nothing(simulator: SumoProcess, count: int) -> None:
         if number % 10 == 0:
             twin.step(COMMAND)
         twin.close()
-    assert all(gone(pid) for pid in pids)
+    assert all(ends(pid) for pid in pids)
     assert before == (descriptors(os.getpid()), descriptors(simulator.pid))
     children = Path(f"/proc/{simulator.pid}/task/{simulator.pid}/children").read_text()
     assert children == ""

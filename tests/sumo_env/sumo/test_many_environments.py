@@ -82,22 +82,6 @@ def test_environments_side_by_side(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_sync_vector_env_of_four(tmp_path: Path) -> None:
-    assert run(
-        tmp_path,
-        """
-        import gymnasium as gym, numpy as np
-        envs = gym.vector.SyncVectorEnv(
-            [lambda: gym.make("sumo_env:sumo/highway-v0", config=CONFIG) for _ in range(4)]
-        )
-        envs.reset(seed=0)
-        ended = sum((step[2] | step[3]).sum() for step in (envs.step(np.ones(4, int)) for _ in range(20)))
-        print(ended >= 4)
-        """,
-    ) == ["True"]
-
-
-@pytest.mark.slow
 def test_make_vec_of_four(tmp_path: Path) -> None:
     """All four have workers, so a crash of SUMO cannot take the script with it."""
     assert run(

@@ -29,6 +29,8 @@ from tests.sumo_env.sumo.fake import (
     HANGS,
     PRINTS,
     FakeSimulator,
+    ends,
+    is_running,
     scenario,
 )
 
@@ -71,20 +73,6 @@ def descriptors() -> int:
 def temporary(folder: Path) -> list[str]:
     """Temporary folders of workers."""
     return [name for name in os.listdir(folder) if name.startswith("sumo_env-")]
-
-
-def is_running(pid: int) -> bool:
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except OSError:
-        return False
-
-
-def ends(pid: int, within: float = 30.0) -> bool:
-    deadline = time.monotonic() + within
-    while is_running(pid) and time.monotonic() < deadline:
-        time.sleep(0.02)
-    return not is_running(pid)
 
 
 def pid_of(simulator: SumoProcess) -> int:

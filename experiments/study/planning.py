@@ -8,7 +8,7 @@ which has no events, they are one.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -70,21 +70,24 @@ def play_all(file: Path, scenarios: int) -> pd.DataFrame:
             env.close()
 
 
-def study(scenarios: int) -> pd.DataFrame:
+def study(scenarios: Collection[int]) -> pd.DataFrame:
     """The same scenarios of the published study, by its agents of both arms and the careful driver."""
     from experiments.study.results import load
 
     rows = load(STUDY).episodes
-    rows = rows[(rows["level"] == 1) & (rows["scenario"] < scenarios) & rows["traffic"].isin(list(TRAFFICS))]
+    met = rows["scenario"].isin(scenarios) & rows["traffic"].isin(list(TRAFFICS))
+    rows = rows[met & (rows["level"] == 1)]
     rows = rows.assign(policy=rows["policy"].where(rows["kind"] == "baseline", rows["arm"]))
     return rows[rows["kind"].isin(["agent", "baseline"]) & rows["policy"].isin([*ARMS, "careful"])]
 
 
 def summary(rows: pd.DataFrame) -> pd.DataFrame:
-    """Crash rate, return and distance per scheduled second [m/s] by task, traffic and driver."""
+    """Crash rate / return / distance per scheduled second [m/s]: one row a traffic and driver, one column a task."""
     seconds = rows["task"].map({task: env_config("sumo", task, 1)["duration"] for task in TASKS})
     values = rows.assign(pace=rows["distance"] / seconds)
-    return values.groupby(["task", "traffic", "policy"])[["crashed", "return", "pace"]].mean()
+    means = values.groupby(["traffic", "policy", "task"])[["crashed", "return", "pace"]].mean()
+    text = means["crashed"].map("{:.2f}".format) + means["return"].map(" / {:.1f}".format)
+    return (text + means["pace"].map(" / {:.1f}".format)).unstack("task")[list(TASKS)]
 
 
 def main(out: Path = FILE, scenarios: int = SCENARIOS) -> int:
@@ -99,8 +102,8 @@ def main(out: Path = FILE, scenarios: int = SCENARIOS) -> int:
     limit_threads()
     out.parent.mkdir(parents=True, exist_ok=True)
     planned = play_all(out, scenarios)
-    table = summary(pd.concat([planned, study(scenarios)], ignore_index=True))
-    print(table.unstack("policy").round(2).to_string())
+    print(summary(pd.concat([planned, study(range(scenarios))], ignore_index=True)).to_string())
+    print("crash rate / return / distance per scheduled second [m/s]")
     return 0
 
 

@@ -166,9 +166,10 @@ def examine(checks: Sequence[Check], out: TextIO) -> int:
         try:
             print(f"  ok    {name:14}{check()}", file=out, flush=True)
         except Exception as error:
-            known = isinstance(error, Problem)
-            remedy, wrong = (error.remedy, error) if known else (REPORT, f"{type(error).__name__}: {error}")
-            print(f"  FAIL  {name:14}{wrong}\n        {'':14}-> {remedy}", file=out, flush=True)
+            known = (
+                error if isinstance(error, Problem) else Problem(f"{type(error).__name__}: {error}", REPORT)
+            )
+            print(f"  FAIL  {name:14}{known}\n        {'':14}-> {known.remedy}", file=out, flush=True)
             left = len(checks) - made - 1
             print(f"1 problem; {left} checks not made" if left else "1 problem", file=out)
             return 1

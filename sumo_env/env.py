@@ -75,9 +75,7 @@ class DrivingEnv(ReadAsHighwayEnv):
     ) -> None:
         refuse_keywords(keywords)
         if render_mode not in (None, *self.metadata["render_modes"]):
-            raise ValueError(
-                f"render_mode must be None or 'rgb_array' (drawn without a display), not {render_mode!r}"
-            )
+            raise ValueError(f"render_mode must be None or 'rgb_array', not {render_mode!r}")
         if simulator is not None and sumo_options:
             raise ValueError(
                 "sumo_options are for SUMO, which this environment starts itself: leave out `simulator`"

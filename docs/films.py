@@ -3,6 +3,8 @@
 docs/img/environments/*.png   one moment of each task, as its page shows it
 docs/img/films/*.gif          up to 12 s of each task at risk 1, all of one size
 docs/img/risk.gif             one scenario at risk 0 and at risk 1
+
+``python docs/films.py town`` trains the agent of own-parts.md in Braunschweig and films it: docs/img/films/town.gif.
 """
 
 from __future__ import annotations
@@ -16,7 +18,8 @@ sys.path[0] = str(ROOT)
 
 from agents.rules import make_policy
 from experiments.support.films import Film, Pictures, save_gif, side_by_side
-from sumo_env.env import DrivingEnv
+from sumo_env.env import DrivingEnv, SumoDrivingEnv
+from sumo_env.networks import files
 
 IMAGES = ROOT / "docs" / "img"
 
@@ -41,6 +44,14 @@ BESIDE: tuple[str, int, str, dict[str, Any]] = (
     "u-turn", 2, "careful",
     {"screen_width": 400, "screen_height": 240, "scaling": 2.9, "centering_position": [0.4, 0.8]},
 )  # fmt: skip
+# of Stable-Baselines3's DQN in the town
+SETTINGS: dict[str, Any] = {
+    "learning_rate": 5e-4,
+    "gamma": 0.9,
+    "learning_starts": 200,
+    "target_update_interval": 100,
+    "exploration_fraction": 0.3,
+}
 
 
 def film(task: str, seed: int, name: str, config: dict[str, Any], seconds: int = 12) -> Pictures:
@@ -80,7 +91,31 @@ def risk() -> None:
     save_gif(side_by_side(both), IMAGES / "risk.gif")
 
 
+def town(steps: int = 3_500, seed: int = 1001, seconds: int = 24) -> None:
+    """The ten lines of own-parts.md, with fewer steps; needs Stable-Baselines3 and eclipse-sumo."""
+    import sumo
+    from stable_baselines3 import DQN
+
+    net = f"{sumo.SUMO_HOME}/tools/game/bs3d/bs.net.xml"
+    way = files.shortest(net, "33049438#0", "23204862")
+    others = [way, files.shortest(net, "33049407#2", "4314834#0")]
+    size = {"screen_width": 420, "screen_height": 260, "scaling": 3.0}
+    config = {"risk": 0.5, "obey_traffic_lights": True, **size}
+    env = SumoDrivingEnv(net, others, way, config, "rgb_array")
+    model = DQN("MlpPolicy", env, seed=0, **SETTINGS).learn(steps)
+    recorded = Film(env)
+    observation, _ = env.reset(seed=seed)
+    for _ in range(seconds):
+        observation, *_ = env.step(int(model.predict(observation, deterministic=True)[0]))
+        recorded.frame()
+    env.close()
+    save_gif(recorded.pictures, IMAGES / "films" / "town.gif")
+
+
 if __name__ == "__main__":
+    if "town" in sys.argv:
+        town()
+        sys.exit()
     environments()
     films()
     risk()

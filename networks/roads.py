@@ -289,7 +289,7 @@ def roundabout() -> Road:
     access, period, amplitude = 170.0, 85.0, 5.0  # [m]
     sine = 0.2 * period  # [m], length of an entry or exit
     pulsation = 2 * math.pi / period
-    enter = {"amplitude": amplitude, "pulsation": pulsation, "phase": -math.pi / 2}
+    enter: dict[str, Any] = {"amplitude": amplitude, "pulsation": pulsation, "phase": -math.pi / 2}
     leave = {**enter, "phase": -math.pi / 2 + pulsation * (period - sine)}
     for arm, name in enumerate(ARMS):  # the southern arm's coordinates, turned
 
@@ -321,7 +321,8 @@ def intersection() -> Road:
             return _turned((x, y), quarters)
 
         angle, rank = math.radians(90 * corner), 3 if corner % 2 else 1
-        rule, left_rule = ({"priority": priority, "speed_limit": 10.0} for priority in (rank, rank - 1))
+        rule: dict[str, Any] = {"priority": rank, "speed_limit": 10.0}
+        left_rule: dict[str, Any] = {**rule, "priority": rank - 1}
         entry = f"ir{corner}"
         right, left, ahead = (f"il{(corner + turned) % 4}" for turned in (-1, 1, 2))
         quarters = angle + math.pi, angle + math.radians(270)

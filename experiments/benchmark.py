@@ -341,7 +341,8 @@ def run(options: Options, console: Console) -> dict[str, Any]:
         write_json(options.out / "benchmark.json", results)
         table = Table(*results[part][0], title=part)
         for row in results[part]:
-            table.add_row(*(f"{x:.3g}" if isinstance(x, float) else str(x) for x in row.values()))
+            shown = (f"{x:.3g}" if isinstance(x, float) else x for x in row.values())
+            table.add_row(*("" if x is None else str(x) for x in shown))
         console.print(table)
     return results
 

@@ -102,7 +102,7 @@ class Peer:
         )  # fmt: skip
 
     def ask(self, method: str, *arguments: Any) -> Any:
-        """The result of a method; None if the process is gone, such as that of a peer that is not installed."""
+        """The result of a method; None if the process has ended, such as that of a peer that is not installed."""
         assert self._process.stdin is not None and self._process.stdout is not None
         try:
             self._process.stdin.write(json.dumps([method, *arguments]) + "\n")
@@ -120,26 +120,26 @@ class Peer:
 def measure(
     task: str, python: Path, turns: int, seconds: float, seeds: int, episodes: int
 ) -> Iterator[dict[str, Any]]:
-    """Lines of the benchmark's table: each peer beside highway-env, rates in turns.
+    """Rows of the benchmark's table: each peer beside highway-env, rates in turns.
 
-    python: that has envpool. seeds: of which first observations are compared. episodes: of each constant policy.
+    `distinct` is the number of different first observations of so many seeds, `crash_rates` are those of the constant
+    policies over so many episodes. python: that has envpool; without it EnvPool is left out.
     """
     peers = {name: Peer(name, task, python if name == "envpool" else Path(sys.executable)) for name in PEERS}
     try:
         here = [name for name in PEERS if peers[name].ask("distinct", 1) is not None]
+        if "envpool" not in here:
+            print(f"EnvPool is left out: {python} has none (ENVPOOL_PYTHON names a Python)", file=sys.stderr)
         rates = [{name: peers[name].ask("rate", seconds, turn) for name in here} for turn in range(turns)]
         for name in here:
             ratios = sorted(turn[name] / turn["highway-env"] for turn in rates)
             crashes = {policy: peers[name].ask("crash_rate", policy, episodes) for policy in WITH_LANES}
             distinct = peers[name].ask("distinct", seeds)
-            shown = ", ".join(f"{policy} {rate:.2f}" for policy, rate in crashes.items())
             yield {
-                "measured": "peers: steps per s",
                 "of": f"{name}, {task}",
-                "ours": sorted(turn[name] for turn in rates)[turns // 2],
-                "theirs": sorted(turn["highway-env"] for turn in rates)[turns // 2],
+                "steps_per_second": sorted(turn[name] for turn in rates)[turns // 2],
+                "highway_env": sorted(turn["highway-env"] for turn in rates)[turns // 2],
                 "ratio": ratios[turns // 2],
-                "note": f"{distinct} first observations of {seeds} seeds; crash rates: {shown}",
                 "distinct": distinct,
                 "crash_rates": crashes,
             }

@@ -93,7 +93,8 @@ FIXED: dict[str, tuple[Any, str]] = {
     "obey_traffic_lights": (False, "this road has no traffic lights"),
     "other_vehicles_type": (
         "highway_env.vehicle.behavior.IDMVehicle",
-        "SUMO drives the other vehicles; 'risk' makes them risky, and docs/own-parts.md brings drivers of your own",
+        "SUMO drives the other vehicles of sumo/* (docs/own-parts.md brings drivers of your own), and replica/* has "
+        "IDMVehicle compiled; 'risk' makes both risky",
     ),
 }
 

@@ -31,9 +31,8 @@ def departures(tmp_path: Path, elements: str, end: float = 100.0, seed: int = 0)
 def test_times_positions_and_lanes(tmp_path: Path) -> None:
     (one,) = departures(tmp_path, '<vehicle id="v" route="r" depart="0:01:10" departLane="1" departPos="7"/>')
     assert (one.id, one.route, one.time, one.lane, one.front, one.kind) == ("v", "r", 70.0, 1, 7.0, None)
-    assert [d.id for d in departures(tmp_path, '<flow id="f" route="r" period="30" end="100"/>')] == [
-        "f.0", "f.1", "f.2", "f.3"
-    ]  # fmt: skip
+    flow = departures(tmp_path, '<flow id="f" route="r" period="30" end="100"/>')
+    assert [one.id for one in flow] == ["f.0", "f.1", "f.2", "f.3"]
 
 
 @pytest.mark.parametrize("gaps", ['period="exp(0.5)"', 'probability="0.5"'])

@@ -2,9 +2,9 @@
 
 Run in a process of its own for each task, because highway-env's tasks change class attributes:
 
-    python tests/sumo_env/replica/same_seed.py TASK FIRST EPISODES '{"vehicles_count": 20}'
+    python tests/sumo_env/replica/same_seed.py TASK '[[FIRST, EPISODES, {"vehicles_count": 20}], ...]'
 
-prints the episodes that differ, as JSON: ``[[seed, step, what], ...]``.
+prints the episodes that differ, as JSON: ``[[seed, step, what, configuration], ...]``.
 """
 
 from __future__ import annotations
@@ -63,14 +63,14 @@ def generator(env: Any) -> Any:
     return env.unwrapped.np_random.bit_generator.state
 
 
-def differences(task: str, first: int, episodes: int, config: dict[str, Any]) -> list[tuple[int, int, str]]:
+def differences(task: str, first: int, episodes: int, config: dict[str, Any]) -> list[tuple[Any, ...]]:
     stock, replica = pair(task, config)
-    found = [(seed, *episode(stock, replica, seed)) for seed in range(first, first + episodes)]
+    found = [(seed, *episode(stock, replica, seed), config) for seed in range(first, first + episodes)]
     return [entry for entry in found if entry[2]]
 
 
 if __name__ == "__main__":
     warnings.simplefilter("ignore")
     gym.logger.min_level = gym.logger.ERROR
-    task, first, episodes, config = sys.argv[1:]
-    print(json.dumps(differences(task, int(first), int(episodes), json.loads(config))))
+    task, runs = sys.argv[1:]
+    print(json.dumps([entry for run in json.loads(runs) for entry in differences(task, *run)]))

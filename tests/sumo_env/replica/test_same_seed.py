@@ -28,27 +28,33 @@ EACH = 200  # episodes of each task in the long comparison
 TABLE = {"type": "Kinematics"}
 SHUFFLED = {**TABLE, "order": "shuffled"}
 LADDER = {"type": "DiscreteMetaAction", "target_speeds": [4, 12, 20]}
-CONFIGS: list[tuple[str, dict[str, Any]]] = [
-    ("highway", {"lanes_count": 3, "vehicles_count": 12, "vehicles_density": 2, "initial_lane_id": 1}),
-    ("highway", {"vehicles_count": 8, "duration": 3, "policy_frequency": 5, "observation": SHUFFLED}),
-    ("two-way", {"observation": TABLE, "neighbour_vehicles_connected_lanes": True}),
-    ("roundabout", {"neighbour_vehicles_connected_lanes": True, "incoming_vehicle_destination": 1}),
-    ("roundabout", {"simulation_frequency": 10, "policy_frequency": 2, "normalize_reward": False}),
-    ("intersection", {"neighbour_vehicles_connected_lanes": True, "destination": None}),
-    ("intersection", {"initial_vehicle_count": 20, "spawn_probability": 1.0, "normalize_reward": True}),
-    ("intersection", {"observation": {**SHUFFLED, "vehicles_count": 6, "see_behind": True}}),
-    ("u-turn", {"observation": {**TABLE, "absolute": True, "normalize": False}}),
-    ("u-turn", {"neighbour_vehicles_connected_lanes": True, "action": LADDER}),
-]  # fmt: skip
+CONFIGS: dict[str, list[dict[str, Any]]] = {
+    "highway": [
+        {"lanes_count": 3, "vehicles_count": 12, "vehicles_density": 2, "initial_lane_id": 1},
+        {"vehicles_count": 8, "duration": 3, "policy_frequency": 5, "observation": SHUFFLED},
+    ],
+    "two-way": [{"observation": TABLE, "neighbour_vehicles_connected_lanes": True}],
+    "roundabout": [
+        {"neighbour_vehicles_connected_lanes": True, "incoming_vehicle_destination": 1},
+        {"simulation_frequency": 10, "policy_frequency": 2, "normalize_reward": False},
+    ],
+    "intersection": [
+        {"neighbour_vehicles_connected_lanes": True, "destination": None},
+        {"initial_vehicle_count": 20, "spawn_probability": 1.0, "normalize_reward": True},
+        {"observation": {**SHUFFLED, "vehicles_count": 6, "see_behind": True}},
+    ],
+    "u-turn": [
+        {"observation": {**TABLE, "absolute": True, "normalize": False}},
+        {"neighbour_vehicles_connected_lanes": True, "action": LADDER},
+    ],
+}
 
 
-def differences(task: str, first: int, episodes: int, config: dict[str, Any]) -> list[Any]:
-    """Episodes that differ, found in a fresh process."""
-    command = [sys.executable, str(Path(__file__).with_name("same_seed.py")), task, str(first), str(episodes)]
+def differences(task: str, *runs: tuple[int, int, dict[str, Any]]) -> list[Any]:
+    """Episodes that differ, found in a fresh process; a run is its first seed, its episodes and a configuration."""
+    command = [sys.executable, str(Path(__file__).with_name("same_seed.py")), task, json.dumps(runs)]
     environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    done = subprocess.run(
-        [*command, json.dumps(config)], capture_output=True, text=True, check=True, env=environment
-    )
+    done = subprocess.run(command, capture_output=True, text=True, check=True, env=environment)
     found: list[Any] = json.loads(done.stdout.splitlines()[-1])
     return found
 
@@ -56,26 +62,14 @@ def differences(task: str, first: int, episodes: int, config: dict[str, Any]) ->
 @pytest.mark.slow
 @pytest.mark.parametrize("task", TASKS)
 def test_a_seed_is_the_episode_of_highway_env(task: str) -> None:
-    assert differences(task, 0, FEW[task], {}) == []
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(("task", "config"), CONFIGS)
-def test_so_it_is_under_other_configurations(task: str, config: dict[str, Any]) -> None:
-    assert (
-        differences(task, 30, 3, config) == []
-    )  # one of the three goes on with the stream of the one before it
-
-
-@pytest.mark.slow
-def test_so_it_is_in_the_fast_variant_of_the_highway() -> None:
-    assert differences("highway-fast", 0, 20, {}) == []
+    """By default, and under other configurations; one of three episodes goes on with the stream of the one before."""
+    assert differences(task, (0, FEW[task], {}), *((30, 3, config) for config in CONFIGS[task])) == []
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("task", TASKS)
 def test_it_is_in_99_percent_of_two_hundred_episodes(task: str, capsys: pytest.CaptureFixture[str]) -> None:
-    found = differences(task, 1000, EACH, {})
+    found = differences(task, (1000, EACH, {}))
     with capsys.disabled():
         print(f"\n{task}: {EACH - len(found)} of {EACH} episodes the same {found or ''}")
     assert len(found) <= 0.01 * EACH

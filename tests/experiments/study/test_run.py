@@ -110,7 +110,7 @@ def test_a_process_that_is_killed_between_two_tasks_is_replaced(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("fault", ["hold", "deadlock", "freeze"])
+@pytest.mark.parametrize("fault", ["hold", "freeze", pytest.param("deadlock", marks=pytest.mark.long)])
 def test_what_hangs_is_ended_and_tried_again(tmp_path, fault, monkeypatch):
     monkeypatch.setattr(runner, "GRACE", 2.0)
     bad = Sum("bad", tmp_path, fault=fault, times=1, silence=3.0)

@@ -118,7 +118,9 @@ def test_dqn_with_an_evaluation_callback(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("start_method", ["fork", "spawn", "forkserver"])
+@pytest.mark.parametrize(
+    "start_method", ["fork", "spawn", pytest.param("forkserver", marks=pytest.mark.long)]
+)
 def test_subproc_vec_env_after_the_parent_has_used_sumo(tmp_path: Path, start_method: str) -> None:
     """Only multiprocessing's own start methods need a guard."""
     assert run(

@@ -75,6 +75,7 @@ class Preset:
         traffic. gate_episodes: episodes a traffic on which the gates are judged.
     first_seed, first_scenario: numbers at which training seeds and scenarios begin, so that studies share none.
     updates: training budget of each task. profile: of PROFILES. learner: other fields of `agents.dqn.DQNConfig`.
+    clock: of CLOCKS; None: that of the profile.
     """
 
     name: str
@@ -88,6 +89,7 @@ class Preset:
     learner: Mapping[str, Any] = field(default_factory=dict)
     first_seed: int = 0
     first_scenario: int = 0
+    clock: str | None = None
 
     def profiles(self, crash_reward: float | None = None, **overrides: Any) -> dict[str, dict[str, Any]]:
         """Every hyper-parameter of the learner for each task, as plain values.
@@ -106,6 +108,8 @@ class Preset:
             raise UserError(f"the reward of a crash has to be a finite number, not {crash_reward}")
         asked = {name: value for name, value in overrides.items() if value is not None}
         own = TASK_PROFILES if self.profile == "tuned" else {}
+        if self.clock is not None:
+            own = {task: {"training_clock": ends} for task, ends in CLOCKS[self.clock].items()}
         profiles = {}
         for task in TASKS:
             try:
@@ -159,6 +163,20 @@ PRESETS = {
             gate_episodes=100,
             # on the two-way road, 10,000 are too few (docs/learner.md)
             updates={**dict.fromkeys(TASKS, 10_000), "two-way": 20_000},
+        ),
+        Preset(
+            name="second",
+            about="the second study: learners that go on until they have finished, five seeds, 400 scenarios: days",
+            levels=None,
+            seeds=5,
+            episodes=400,
+            gate_episodes=100,
+            # one update per step with batch 64, and the clock: docs/developers/learner_choice.md
+            updates={**dict.fromkeys(TASKS, 40_000), "two-way": 160_000, "u-turn": 80_000},
+            learner={"steps_per_update": 1, "batch_size": 64, "tau": 0.005 / 4},
+            clock="longer",
+            first_seed=100,
+            first_scenario=1000,
         ),
         Preset(
             name="paper",

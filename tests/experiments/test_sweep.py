@@ -391,6 +391,14 @@ def test_presets_name_every_task_and_keep_the_arms_comparable():
         assert {profile["network"] for profile in tuned.values()} == {"attention"}
 
 
+def test_in_the_second_study_nobody_knows_when_a_test_ends():
+    profiles = PRESETS["second"].profiles()
+    clocks = {task: profile.get("training_clock") for task, profile in profiles.items()}
+    assert {task: clock for task, clock in clocks.items() if clock} == {"roundabout": [15, 15], "u-turn": [13, 13]}
+    assert not any(profile["finite_horizon"] for profile in profiles.values())
+    assert {(profile["steps_per_update"], profile["batch_size"]) for profile in profiles.values()} == {(1, 64)}
+
+
 NETWORK = """
 from torch import nn
 class Mine(nn.Module):

@@ -86,8 +86,8 @@ def summary(rows: pd.DataFrame) -> pd.DataFrame:
     seconds = rows["task"].map({task: env_config("sumo", task, 1)["duration"] for task in TASKS})
     values = rows.assign(pace=rows["distance"] / seconds)
     means = values.groupby(["traffic", "policy", "task"])[["crashed", "return", "pace"]].mean()
-    text = means["crashed"].map("{:.2f}".format) + means["return"].map(" / {:.1f}".format)
-    return (text + means["pace"].map(" / {:.1f}".format)).unstack("task")[list(TASKS)]
+    text = means["crashed"].map("{:.2f}".format) + means["return"].map("/{:.1f}".format)
+    return (text + means["pace"].map("/{:.1f}".format)).unstack("task")[list(TASKS)]
 
 
 def main(out: Path = FILE, scenarios: int = SCENARIOS) -> int:

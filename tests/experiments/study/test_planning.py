@@ -27,4 +27,4 @@ def test_a_summary_counts_crashes_and_the_scheduled_time() -> None:
     driven += [(task, False, 1.0, 0.0) for task in others]
     rows = pd.DataFrame(driven, columns=["task", "crashed", "return", "distance"])
     rows = rows.assign(traffic="risky", policy="planner")
-    assert summary(rows).loc[("risky", "planner"), "u-turn"] == "0.50 / 3.0 / 10.0"  # of 10 s
+    assert summary(rows).loc[("risky", "planner"), "u-turn"] == "0.50/3.0/10.0"  # of 10 s

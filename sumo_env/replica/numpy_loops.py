@@ -105,16 +105,16 @@ def _each(typing_context: Any, loop: Any, address: Any, count: Any) -> Any:
 @borrowing
 def each(loop: tuple[int, int], numbers: Any) -> None:
     """The function of every number of an array, in place; some loops take eight for the time of one."""
-    _each(loop, numbers.ctypes.data, len(numbers))
+    _each(loop, numbers.ctypes.data, len(numbers))  # type: ignore[call-arg]
 
 
 @borrowing
 def unary(loop: tuple[int, int], x: float) -> float:
     """The tangent, arc sine or arc tangent of a number, such as ``unary(loops.tan, x)``; all of 0 are 0."""
-    return x if x == 0.0 else _unary(loop, x)
+    return x if x == 0.0 else _unary(loop, x)  # type: ignore[call-arg]
 
 
 @borrowing
 def binary(loop: tuple[int, int], x: float, y: float) -> float:
     """The arc tangent of y and x or the power of two numbers, such as ``binary(loops.power, x, y)``."""
-    return _binary(loop, x, y)
+    return _binary(loop, x, y)  # type: ignore[call-arg]

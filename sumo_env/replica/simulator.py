@@ -58,6 +58,8 @@ class Replica:
         self.connected = False  # whether drivers of the variant "stock" look onto the next lanes
         self._rules = Rules(along_path=False, is_two_way=False, regulation_interval=0, dt=0.0)
         self._scenario: Scenario | None = None
+        self._ids: list[str] = []
+        self._everybody: tables.Records
         self._warm: tuple[tuple[VehicleSpec, ...], tables.Records] | None = None
 
     def reset(self, scenario: Scenario) -> Scene:

@@ -45,13 +45,14 @@ class DoseObserved(_Observed):
         return float(self.env.unwrapped.config["risk"])  # type: ignore[attr-defined]
 
 
-class TimeObserved(_Observed):
+class TimeObserved(_Observed, gym.utils.RecordConstructorArgs):
     """Shows the share of the episode that is over. ``steps``: length of an episode.
 
     gymnasium's TimeAwareObservation would flatten the table of vehicles.
     """
 
     def __init__(self, env: Env, steps: int) -> None:
+        gym.utils.RecordConstructorArgs.__init__(self, steps=steps)  # so that its spec makes it again
         super().__init__(env)
         self._steps, self._time = steps, 0
 

@@ -115,8 +115,8 @@ def refuse_keywords(keywords: Mapping[str, Any]) -> None:
     if keywords:
         names = ", ".join(map(repr, keywords))
         raise TypeError(
-            f"unexpected argument {names}: give keys of the configuration as config={dict(keywords)!r}, to gym.make or "
-            "in reset(options={'config': ...})"
+            f"unexpected keyword argument {names}: give keys of the configuration as config={dict(keywords)!r}, to "
+            "gym.make or in reset(options={'config': ...})"
         )
 
 

@@ -270,7 +270,7 @@ class DrivingEnv(ReadAsHighwayEnv):
 
         ``copy.deepcopy(env)`` is a copy that knows the future: it meets the same events as the environment itself. A
         planner that must not know them acts in imagined copies instead. They still know what the traffic is going to
-        do without events: drivers' parameters and routes, and which vehicles arrive later.
+        do without events: drivers' parameters (on the replica other ones are drawn), routes, and who arrives later.
 
         Args:
             seed: of the events; the same seed imagines the same.

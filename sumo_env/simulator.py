@@ -77,7 +77,7 @@ class Simulator(Protocol):
         ...
 
     def imagine(self, scenario: Scenario) -> None:
-        """Go on with the risk events of this scenario that have not begun; it differs from the present one in these."""
+        """Go on with the risk events of this scenario that have not begun, on the replica also with its drivers."""
         ...
 
     def close(self) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import copy
 import difflib
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -103,11 +103,16 @@ class ConfigError(ValueError):
     """The configuration is invalid; the message names the key, the reason, and what is accepted."""
 
 
+def did_you_mean(word: str, choices: Iterable[str]) -> str:
+    """A question for an error message: the nearest known word; "" if none is near."""
+    match = difflib.get_close_matches(word, sorted(choices), n=1, cutoff=0.5)
+    return f"did you mean {match[0]!r}?" if match else ""
+
+
 def nearest(word: str, choices: Mapping[str, Any] | set[str] | list[str]) -> str:
     """End of an error message: the nearest known word, or all known words."""
     known = sorted(map(str, choices))
-    match = difflib.get_close_matches(str(word), known, n=1, cutoff=0.5)
-    return f"did you mean {match[0]!r}?" if match else f"known: {', '.join(known)}"
+    return did_you_mean(str(word), known) or f"known: {', '.join(known)}"
 
 
 def refuse_keywords(keywords: Mapping[str, Any]) -> None:

@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-import difflib
 import importlib.util
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
 from xml.etree import ElementTree
 
+from sumo_env.config import did_you_mean, nearest
+
 PAGE = "https://sumo.dlr.de/docs/Definition_of_Vehicles%2C_Vehicle_Types%2C_and_Routes.html"
 SCHEMA = "data/xsd/types/route.xsd"  # of the package sumo-data, which libsumo installs
 _XSD = "{http://www.w3.org/2001/XMLSchema}"
-
-
 MODEL = "carFollowing-"  # how the schema's elements for car-following models begin
 FURTHER_MODELS = {"KraussX", "Rail"}  # that the schema does not have
 LEAST = {"positiveFloatType": "above 0", "nonNegativeFloatType": "at least 0"}
@@ -64,7 +63,7 @@ def of_class(name: str, given: Mapping[str, str]) -> dict[str, str]:
     """
     kind = given.get("vClass", "passenger")
     if kind not in CLASSES and kind not in CARS:
-        near = _nearest(kind, CLASSES.keys() | CARS)
+        near = did_you_mean(kind, CLASSES.keys() | CARS)
         raise ValueError(
             f"vType {name!r}: vehicles of class {kind!r} cannot be driven here; {near}".rstrip("; ")
         )
@@ -87,10 +86,10 @@ def check_attributes(name: str, attributes: Mapping[str, object]) -> None:
         if attribute not in types:
             raise ValueError(
                 f"{name!r} has an attribute that SUMO's vehicle types do not have, {attribute!r}: "
-                f"{_nearest(attribute, types) or f'see {PAGE}'}"
+                f"{did_you_mean(attribute, types) or f'see {PAGE}'}"
             )
         if attribute == "carFollowModel" and value not in models:
-            known = _nearest(str(value), models) or f"known: {', '.join(sorted(models))}"
+            known = nearest(str(value), models)
             raise ValueError(f"carFollowModel of {name!r} is {value!r}, which SUMO does not have: {known}")
         if types[attribute].endswith("loatType") and not _is_number(value, types[attribute]):
             least = LEAST.get(types[attribute], "")
@@ -105,8 +104,3 @@ def _is_number(value: object, kind: str) -> bool:
     except ValueError:
         return False
     return number > 0.0 or kind not in LEAST or (number == 0.0 and kind != "positiveFloatType")
-
-
-def _nearest(word: str, known: Iterable[str]) -> str:
-    near = difflib.get_close_matches(word, sorted(known), n=1, cutoff=0.5)
-    return f"did you mean {near[0]!r}?" if near else ""

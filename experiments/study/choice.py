@@ -1,6 +1,7 @@
 """Choose the second version of the profile "tuned": train its variants and compare their returns.
 
     python -m experiments.study.choice --out DIR           train what is missing, block by block
+    python -m experiments.study.choice --out DIR --check   the same for the chosen learner on all five tasks
     python -m experiments.study.choice --out DIR --pack    add what is there to results/choice, and judge it
 
 Design, rule and outcome: docs/developers/learner_choice.md. The same command goes on where it was stopped; several
@@ -12,7 +13,7 @@ from __future__ import annotations
 import os
 import shutil
 import time
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -24,7 +25,7 @@ from experiments.study import grid
 from experiments.study.arms import ARMS
 from experiments.study.evaluate import evaluate
 from experiments.study.grid import Cell
-from experiments.study.presets import second_version
+from experiments.study.presets import PRESETS, second_version
 from experiments.study.run import locked
 
 if TYPE_CHECKING:
@@ -33,8 +34,15 @@ if TYPE_CHECKING:
 PACKED = Path(__file__).resolve().parents[2] / "results" / "choice" / "runs.parquet"
 TASKS = ("u-turn", "two-way")  # in their lightest traffic
 STEPS = {"u-turn": 40_000, "two-way": 80_000}  # environment steps of the first version
-RANGE = {"u-turn": 10.0, "two-way": 15.0}  # of the return: one a second
+RANGE = {
+    "highway": 20.0,
+    "two-way": 15.0,
+    "roundabout": 11.0,
+    "intersection": 13.0,
+    "u-turn": 10.0,
+}  # of the return: one a second
 SEEDS = (900, 901, 902)  # no report uses these
+CHECK_SEED = 905  # nor this one
 EPISODES, PURPOSE = 100, "choice"  # scenarios of their own, see `seeds.scenario_seed`
 MARK = 3 / 4  # of the budget: what the last quarter changes
 TOLERANCE = 0.02  # of the return's range
@@ -67,6 +75,16 @@ def cells() -> Iterator[tuple[str, Cell]]:
                 profile = {**asdict(config), "finite_horizon": False, **variant}
                 built = grid.build(grid.Ask("sumo", {task: [1]}, 1, EPISODES, {task: profile}, name))
                 yield from ((name, replace(cell, seed=seed)) for cell in built if cell.kind == "agent")
+
+
+def chosen() -> Iterator[tuple[str, Cell]]:
+    """The chosen learner's name and training in both arms of all five tasks, the longest first."""
+    preset = PRESETS["second"]
+    for task in sorted(RANGE, key=lambda task: -preset.updates[task]):
+        ask = grid.Ask(
+            "sumo", {task: [1]}, 1, EPISODES, preset.profiles(), preset.name, first_seed=CHECK_SEED
+        )
+        yield from ((preset.name, cell) for cell in grid.build(ask) if cell.kind == "agent")
 
 
 def compute(name: str, cell: Cell, folder: Path) -> pd.DataFrame:
@@ -110,12 +128,12 @@ def compute(name: str, cell: Cell, folder: Path) -> pd.DataFrame:
     )
 
 
-def train_all(out: Path) -> None:
-    """Compute every run that is not there; says what it does."""
+def train_all(runs: Iterable[tuple[str, Cell]], out: Path) -> None:
+    """Compute every one of the runs that is not there; says what it does."""
     import pandas as pd
 
     known = set(pd.read_parquet(PACKED, columns=["cell"])["cell"]) if PACKED.exists() else set()
-    for name, cell in cells():
+    for name, cell in runs:
         label = f"{cell.task} {name} {cell.arm} {cell.seed}"
         path, scratch = out / f"{label.replace(' ', '_')}.parquet", out / "work" / cell.name
         if path.exists() or cell.name in known:
@@ -152,18 +170,19 @@ def judge(table: pd.DataFrame) -> pd.DataFrame:
     )
 
 
-def main(out: Path, pack: bool = False) -> None:
+def main(out: Path, check: bool = False, pack: bool = False) -> None:
     """Train the variants of the learner that are not there yet, or pack and judge those that are.
 
     Args:
         out: folder of the runs.
+        check: train the chosen learner on all five tasks instead of the variants.
         pack: add its finished runs to results/choice/runs.parquet and judge them all; nothing is trained then.
     """
     import pandas as pd
 
     out.mkdir(parents=True, exist_ok=True)
     if not pack:
-        train_all(out)
+        train_all(chosen() if check else cells(), out)
         return
     files = [path for path in (PACKED, *sorted(out.glob("*.parquet"))) if path.exists()]
     runs = pd.concat(map(pd.read_parquet, files), ignore_index=True)

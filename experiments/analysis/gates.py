@@ -110,23 +110,26 @@ def gates(cells: Mapping[str, Mapping[str, Any]], episodes: pd.DataFrame) -> pd.
         limit" (in the gate's own unit: Q-value, share, share, return).
     """
     tables = {
-        key: table.set_index("scenario").sort_index()
-        for key, table in episodes.groupby(["cell", "traffic"], sort=False)
+        name: table.set_index(["traffic", "scenario"]).sort_index()
+        for name, table in episodes.groupby("cell", sort=False)
     }
     references: dict[tuple[Any, ...], dict[str, pd.DataFrame]] = {}
-    for (name, traffic), table in tables.items():
+    for name, table in tables.items():
         key = cells[name]["key"]
         if key["kind"] != "agent":
-            place = (*(key[column] for column in PLACE), traffic)
-            references.setdefault(place, {})[key["policy"]] = table
+            references.setdefault(tuple(key[column] for column in PLACE), {})[key["policy"]] = table
     rows = []
     for name, cell in cells.items():
         key = cell["key"]
-        (traffic, *_) = gate_traffics(key["arm"])
-        if key["kind"] != "agent" or (name, traffic) not in tables:
+        traffics = list(gate_traffics(key["arm"]))  # of its training
+        table = tables.get(name)
+        if key["kind"] != "agent" or table is None or not {*traffics} <= {*table.index.unique("traffic")}:
             continue
-        own = tables[name, traffic]
-        others = references.get((*(key[column] for column in PLACE), traffic), {})
+        own = table.loc[traffics]
+        others = {
+            policy: table.loc[traffics]
+            for policy, table in references.get(tuple(key[column] for column in PLACE), {}).items()
+        }
         found = {
             "q_bounded": _q_bounded(cell.get("learner") or {}),
             "not_constant": _not_constant(own, others),

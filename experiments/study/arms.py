@@ -35,10 +35,12 @@ def drawn_dose(arm: str, seed: int) -> float:
 def gate_traffics(arm: str | None) -> tuple[str, ...]:
     """Traffics that the gates of an arm look at: its own; for the policies it is held against (None) both.
 
-    Exploratory arms are judged in regular traffic, where all policies are.
+    The arms of DRAWN are judged in both traffics, the other exploratory arms in regular traffic.
     """
-    own = ARMS.get(arm, 0.0) if arm else None
-    return tuple(traffic for traffic, risk in TRAFFICS.items() if own is None or risk == own)
+    if arm is None or arm in DRAWN:
+        return tuple(TRAFFICS)
+    own = ARMS.get(arm, 0.0)
+    return tuple(traffic for traffic, risk in TRAFFICS.items() if risk == own)
 
 
 def trained_with(arm: str, task: str, level: int) -> Config | None:

@@ -121,3 +121,18 @@ def test_values_beyond_what_rewards_allow_are_divergence(largest: float | None, 
 def test_without_policies_to_compare_with_gates_are_open() -> None:
     record = verdict("highway", episodes("agent", 9 + LUCK))
     assert record["passed"] is None and record["failed"] == []
+
+
+def test_an_agent_trained_in_both_traffics_is_judged_in_both() -> None:
+    """Two points above standing in regular traffic and one below it in risky traffic: above it in its own traffic."""
+
+    def both(name: str, regular: float, risky: float) -> pd.DataFrame:
+        return pd.concat(
+            [episodes(name, regular + LUCK), episodes(name, risky + LUCK[::-1], traffic="risky")]
+        )
+
+    slower = both("slower", 9.0, 9.0)
+    better, worse = both("agent", 11.0, 8.0), both("agent", 11.0, 6.0)
+    assert verdict("highway", better, "mixed", slower=slower)["passed"] is True
+    assert verdict("highway", worse, "mixed", slower=slower)["failed"] == ["beats_constant"]
+    assert verdict("highway", worse, "control", slower=slower)["passed"] is True

@@ -16,211 +16,58 @@ from pathlib import Path
 if __package__ in (None, ""):  # run as a file: import from the project, not from this folder
     sys.path[0] = str(Path(__file__).resolve().parents[1])
 
-import multiprocessing
 import os
 import statistics
 import subprocess
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, closing
 from dataclasses import dataclass
-from multiprocessing.managers import BaseManager
+from functools import partial
 from typing import Any
 
-import gymnasium as gym
-import numpy as np
 import tyro
 from rich.console import Console
 from rich.table import Table
 
-from experiments import peers
-from experiments.backends import make_env
 from experiments.study.grid import BACKENDS, choose_tasks, env_config
 from experiments.support.errors import disk_error, run_command, unknown
 from experiments.support.files import write_json
-from experiments.support.processes import end_with_parent
 from experiments.support.provenance import provenance
+from experiments.timed import ROOT, WITH_LANES, Process
 from sumo_env.tasks import TASKS
 
 SCHEMA = 4
-ROOT = Path(__file__).resolve().parents[1]
 REFERENCE = "highway-env"
 # highway-env's own code alone, whose drivers see beyond the ends of their lanes; 15 Hz is its own frequency.
 REFERENCE_CONFIG = {"variant": "connected", "simulation_frequency": 15}
-REFERENCE_STEPS = 3  # in a slice, at least
-STORED = 10_000  # random transitions in every replay
+PEERS = (REFERENCE, "envpool", "replica", "sumo")
+SEEDS = 100  # whose first observations are compared
 TURNS, SECONDS = 9, 1.0  # of each comparison; of a slice
 QUICK_TURNS, QUICK_SECONDS = 3, 0.2
 Record = dict[str, Any]  # a line of a part's table and of benchmark.json
 
 
-@dataclass(frozen=True)
-class Slice:
-    """A stretch of work: how much of it, in which processor time [s]."""
-
-    count: int
-    cpu: float
-
-    @property
-    def per_second(self) -> float:
-        """Rate in processor time: what one core does, whoever else uses the machine."""
-        return self.count / self.cpu
+def in_turns(sides: Mapping[Any, Callable[[], float]], turns: int) -> dict[Any, list[float]]:
+    """The rate of each side in every turn."""
+    measured = [{side: measure() for side, measure in sides.items()} for _ in range(turns)]
+    return {side: [turn[side] for turn in measured] for side in sides}
 
 
-def median_rate(slices: Sequence[Slice]) -> float:
-    """Median over the turns of what one second of processor time brings."""
-    return statistics.median(part.per_second for part in slices)
-
-
-def median_ratio(ours: Sequence[Slice], theirs: Sequence[Slice]) -> float:
+def median_ratio(ours: Sequence[float], theirs: Sequence[float]) -> float:
     """Median over the turns of our rate over theirs."""
-    return statistics.median(a.per_second / b.per_second for a, b in zip(ours, theirs, strict=True))
+    return statistics.median(a / b for a, b in zip(ours, theirs, strict=True))
 
 
-def _make(factory: Callable[..., Any], *arguments: Any) -> Any:
-    return factory(*arguments)
+def beside(ours: Sequence[float], theirs: Sequence[float], unit: str, other: str) -> Record:
+    """Medians over the turns of both rates, and of their ratio."""
+    rates = {unit: statistics.median(ours), other: statistics.median(theirs)}
+    return {**rates, "ratio": median_ratio(ours, theirs)}
 
 
-class Server(BaseManager):
-    """A process that holds an object."""
-
-
-Server.register("make", _make)
-
-
-@contextmanager
-def remote(factory: Callable[..., Any], *arguments: Any) -> Iterator[Any]:
-    """An object in a spawned process, with its public methods; `factory` makes it there from the arguments."""
-    server: Any = Server(ctx=multiprocessing.get_context("spawn"))
-    server.start(initializer=end_with_parent)
-    try:
-        yield server.make(factory, *arguments)
-    finally:
-        server.shutdown()
-
-
-class Driver:
-    """Drives one environment with random actions, as an exploring agent does: resets count in full."""
-
-    def __init__(self, backend: str, task: str, config: Mapping[str, Any]) -> None:
-        self._env: Any = make_env(backend, task, config)
-        self._env.action_space.seed(0)
-        self._done, self._steps = True, 0
-        self._resets: list[float] = []
-        self.drive(0.0, 2)  # loads the network, compiles, fills caches
-        self._resets, self._steps = [], 0
-
-    def _reset(self) -> None:
-        start = time.process_time()
-        self._env.reset(seed=len(self._resets))
-        self._resets.append(time.process_time() - start)
-
-    def drive(self, seconds: float, least: int = 1, whole: bool = True) -> Slice:
-        """Take steps for some time.
-
-        whole: to the end of the last episode, so that a slice holds its share of resets; not for simulators in which an
-        episode takes too long.
-        """
-        begun, cpu, steps = time.perf_counter(), time.process_time(), 0
-        while steps < least or time.perf_counter() - begun < seconds or (whole and not self._done):
-            if self._done:
-                self._reset()
-            _, _, terminated, truncated, _ = self._env.step(int(self._env.action_space.sample()))
-            self._done = terminated or truncated
-            steps += 1
-        self._steps += steps
-        return Slice(steps, time.process_time() - cpu)
-
-    def bare_engine(self, seconds: float) -> Slice:
-        """SUMO's own steps with the same vehicles on the road and nobody who reads or commands; counts policy steps.
-
-        It takes as many steps of SUMO as the mean episode so far did, a warm-up included.
-        """
-        from sumo_env.sumo.session import libsumo  # the only importer of it
-
-        env, usual = self._env.unwrapped, len(self._resets)
-        episode = max(round(self._steps / usual), 1)
-        frequency = env.config["simulation_frequency"]
-        begun, cpu, count = time.perf_counter(), 0.0, 0
-        while not count or time.perf_counter() - begun < seconds:
-            self._reset()
-            steps = round(env.scenario.warm_up * frequency)
-            steps += episode * frequency // env.config["policy_frequency"]
-            start = time.process_time()
-            for _ in range(steps):
-                libsumo.simulationStep()
-            cpu, count = cpu + time.process_time() - start, count + episode
-        self._reset()
-        self._done = False
-        del self._resets[usual:]  # SUMO's clock has been moved, so that these have loaded the network anew
-        return Slice(count, cpu)
-
-    def reset_ms(self) -> float:
-        """Median processor time of the resets so far [ms]."""
-        return 1e3 * statistics.median(self._resets)
-
-
-class Learners:
-    """Updates of our DQN and of Stable-Baselines3's on the same network and batch size, from full replays."""
-
-    def __init__(self, network: str) -> None:
-        import torch
-
-        from agents.dqn import DQN, DQNConfig
-
-        torch.set_num_threads(1)
-        space, actions = gym.spaces.Box(-1.0, 1.0, (5, 5), np.float32), gym.spaces.Discrete(5)
-        config = DQNConfig(network=network, replay_capacity=STORED)
-        self._batch = config.batch_size
-        self._own = DQN(config, space, actions, 0)
-        self._other = stable_baselines(space, actions, config)
-        rng = np.random.default_rng(0)
-        for _ in range(STORED):
-            before, after = rng.uniform(-1.0, 1.0, (2, *space.shape)).astype(np.float32)
-            action, reward, end = int(rng.integers(actions.n)), rng.random(), rng.random() < 0.1
-            self._own.replay.add(before, action, reward, after, end)
-            self._other.replay_buffer.add(
-                before[None], after[None], np.array([[action]]), np.array([reward]), np.array([end]), [{}]
-            )
-        self._own.standardise()
-
-    def own(self, updates: int) -> Slice:
-        """So many updates of ours."""
-        start = time.process_time()
-        for _ in range(updates):
-            self._own.update()
-        return Slice(updates, time.process_time() - start)
-
-    def other(self, updates: int) -> Slice:
-        """So many gradient steps of Stable-Baselines3, which moves its target network elsewhere."""
-        start = time.process_time()
-        self._other.train(gradient_steps=updates, batch_size=self._batch)
-        return Slice(updates, time.process_time() - start)
-
-
-def stable_baselines(space: gym.spaces.Box, actions: gym.spaces.Discrete, config: Any) -> Any:
-    """Stable-Baselines3's DQN with our network inside and our batch size, on an environment that nobody drives."""
-    import stable_baselines3
-    from stable_baselines3.common.logger import configure
-    from stable_baselines3.dqn.policies import DQNPolicy, QNetwork
-    from torch import nn
-
-    from agents.models import network_class
-
-    class Policy(DQNPolicy):
-        def make_q_net(self) -> QNetwork:
-            network = super().make_q_net()
-            inner = network_class(config.network)(space, int(actions.n))
-            network.q_net = nn.Sequential(nn.Unflatten(1, space.shape), inner)
-            return network
-
-    env: gym.Env[Any, Any] = gym.Env()
-    env.observation_space, env.action_space = space, actions
-    model = stable_baselines3.DQN(
-        Policy, env, learning_rate=config.learning_rate, buffer_size=config.replay_capacity, device="cpu"
-    )
-    model.set_logger(configure(None, []))
-    return model
+def driver(stack: ExitStack, *arguments: Any, python: str = sys.executable) -> Process:
+    """A `timed.Driver` in a process that ends with the stack."""
+    return stack.enter_context(closing(Process("Driver", *arguments, python=python)))
 
 
 def measure_env(task: str, backends: Sequence[str], turns: int, seconds: float) -> Iterator[Record]:
@@ -231,33 +78,24 @@ def measure_env(task: str, backends: Sequence[str], turns: int, seconds: float) 
     levels = TASKS[task].levels
     for name in (next(iter(levels)), next(reversed(levels))):
         with ExitStack() as stack:
-            theirs = stack.enter_context(
-                remote(Driver, REFERENCE, task, {**levels[name], **REFERENCE_CONFIG})
-            )
+            theirs = driver(stack, REFERENCE, task, {**levels[name], **REFERENCE_CONFIG})
+            sides: dict[Any, Callable[[], float]] = {REFERENCE: partial(theirs.ask, "rate", 0.0)}
             drivers = {}
             for backend in backends:
                 for hertz in sorted({15, int(env_config(backend, task, 1)["simulation_frequency"])}):
                     config = {**levels[name], "simulation_frequency": hertz}
-                    drivers[backend, hertz] = stack.enter_context(remote(Driver, backend, task, config))
-            slow: list[Slice] = []
-            fast: dict[tuple[str, int], list[Slice]] = {key: [] for key in drivers}
-            bare: dict[tuple[str, int], list[Slice]] = {key: [] for key in drivers if key[0] == "sumo"}
-            for _ in range(turns):
-                slow.append(theirs.drive(0.0, REFERENCE_STEPS, False))
-                for key, driver in drivers.items():
-                    fast[key].append(driver.drive(seconds))
-                    if key in bare:
-                        bare[key].append(driver.bare_engine(seconds / 2))
-            for (backend, hertz), slices in fast.items():
+                    own = drivers[backend, hertz] = driver(stack, backend, task, config)
+                    sides[backend, hertz] = partial(own.ask, "rate", seconds)
+                    if backend == "sumo":
+                        sides["bare", hertz] = partial(own.ask, "bare_engine", seconds / 2)
+            rates = in_turns(sides, turns)
+            for (backend, hertz), own in drivers.items():
+                bare = rates.get(("bare", hertz)) if backend == "sumo" else None
                 yield {
                     "of": f"{backend} {hertz} Hz, {task} {name}",
-                    "steps_per_second": median_rate(slices),
-                    "highway_env": median_rate(slow),
-                    "ratio": median_ratio(slices, slow),
-                    "reset_ms": drivers[backend, hertz].reset_ms(),
-                    "of_bare_engine": median_ratio(slices, bare[backend, hertz])
-                    if backend == "sumo"
-                    else None,
+                    **beside(rates[backend, hertz], rates[REFERENCE], "steps_per_second", "highway_env"),
+                    "reset_ms": own.ask("reset_ms"),
+                    "of_bare_engine": bare and median_ratio(rates[backend, hertz], bare),
                 }
 
 
@@ -277,24 +115,38 @@ def measure_start(task: str, backends: Sequence[str], turns: int, seconds: float
 def measure_learner(task: str, backends: Sequence[str], turns: int, seconds: float) -> Iterator[Record]:
     """Updates per second of ours and of Stable-Baselines3 on the same networks."""
     for network in ("attention", "dueling"):
-        slices: dict[str, list[Slice]] = {"own": [], "other": []}
-        with remote(Learners, network) as learners:
-            for turn in range(turns + 1):
-                for side, found in slices.items():
-                    part = getattr(learners, side)(round(200 * seconds) if turn else 10)
-                    found += [part] if turn else []  # the first turn warms up
+        with closing(Process("Learners", network)) as learners:
+            sides = {side: partial(learners.ask, side, round(200 * seconds)) for side in ("own", "other")}
+            rates = in_turns(sides, turns)
         yield {
             "of": network,
-            "updates_per_second": median_rate(slices["own"]),
-            "stable_baselines3": median_rate(slices["other"]),
-            "ratio": median_ratio(slices["own"], slices["other"]),
+            **beside(rates["own"], rates["other"], "updates_per_second", "stable_baselines3"),
         }
 
 
 def measure_peers(task: str, backends: Sequence[str], turns: int, seconds: float) -> Iterator[Record]:
-    """highway-env, EnvPool's copy of it, the replica and SUMO; a peer that is not installed is skipped."""
-    python = Path(os.environ.get("ENVPOOL_PYTHON", sys.executable))
-    return peers.measure(task, python, turns, seconds, 100, round(100 * seconds))
+    """highway-env, EnvPool's copy of it, the replica and SUMO as they come; EnvPool is left out if it is missing.
+
+    `distinct` is the number of different first observations of SEEDS seeds, `crash_rates` are those of the constant
+    policies.
+    """
+    python = os.environ.get("ENVPOOL_PYTHON", sys.executable)
+    pythons = {name: python if name == "envpool" else sys.executable for name in PEERS}
+    if subprocess.run([python, "-c", "import envpool"], capture_output=True).returncode:
+        print(f"EnvPool is left out: {python} has none (ENVPOOL_PYTHON names a Python)", file=sys.stderr)
+        del pythons["envpool"]
+    with ExitStack() as stack:
+        peers = {name: driver(stack, name, task, python=path) for name, path in pythons.items()}
+        rates = in_turns({name: partial(peer.ask, "rate", seconds) for name, peer in peers.items()}, turns)
+        for name, peer in peers.items():
+            yield {
+                "of": f"{name}, {task}",
+                **beside(rates[name], rates[REFERENCE], "steps_per_second", "highway_env"),
+                "distinct": peer.ask("distinct", SEEDS),
+                "crash_rates": {
+                    policy: peer.ask("crash_rate", policy, round(100 * seconds)) for policy in WITH_LANES
+                },
+            }
 
 
 # Name of a part -> what measures it, from a task, the backends, turns and seconds of a slice.

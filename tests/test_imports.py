@@ -95,7 +95,7 @@ FLOORS = {
     """,
     "experiments": """
         support < backends < study < analysis < reporting < validation
-        < peers report < sweep
+        < timed report < sweep
     """,
 }
 
@@ -219,5 +219,5 @@ def test_steering_vector_environments_loads_no_sumo() -> None:
 
 
 def test_the_benchmark_loads_what_is_slow_only_where_it_is_used() -> None:
-    """Each of its measuring processes imports the command's file."""
+    """Each of its measuring processes runs `timed.py`."""
     assert loaded_by("import experiments.benchmark").isdisjoint({"torch", "matplotlib", "stable_baselines3"})

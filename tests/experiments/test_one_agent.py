@@ -9,8 +9,11 @@ import pandas as pd
 import pytest
 from PIL import Image
 
+import agents
 from experiments import report, test, train, watch
-from experiments.study import store
+from experiments.backends import make_env
+from experiments.study import publish, store
+from experiments.study.evaluate import evaluate
 from experiments.study.presets import PRESETS
 from experiments.support.errors import UserError
 
@@ -91,3 +94,24 @@ def test_what_does_not_exist_is_said(trained: Path, tmp_path: Path) -> None:
         test.test(test.Options(tmp_path))
     with pytest.raises(UserError, match="no trained agent"):
         watch.watch(watch.Options(tmp_path))
+
+
+def test_an_agent_can_be_published_and_loaded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """With its card, and driving as it did; an agent that observes the time is left out."""
+    monkeypatch.setitem(PRESETS, "quick", replace(PRESETS["smoke"], name="quick"))
+    monkeypatch.setattr(publish, "HALF", 2)
+    for task in ("intersection", "u-turn"):
+        train.train(train.Options(task=task, out=tmp_path, risk="0", updates=60), ["--risk", "0"])
+    publish.main(tmp_path, tmp_path / "agents.npz")
+    card = agents.cards(tmp_path / "agents.npz")
+    assert list(card) == ["intersection-10/control"]
+    tested = store.tables_of(tmp_path, card["intersection-10/control"]["cell"])[store.EPISODES]
+    regular = tested[tested["traffic"] == "regular"]
+    value, low, high = card["intersection-10/control"]["regular"]["crash_rate"]
+    assert value == pytest.approx(regular["crashed"].mean())
+    assert 0 <= low <= value <= high <= 1
+    policy = agents.load("intersection-10", "control", tmp_path / "agents.npz")
+    env = make_env("sumo", "intersection", card["intersection-10/control"]["config"])
+    again = evaluate(env, policy, "intersection", 1, 2, traffics=("regular",))
+    env.close()
+    assert list(again["return"]) == list(regular["return"][:2])

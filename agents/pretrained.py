@@ -1,0 +1,92 @@
+"""Agents to use without training: the first training seed of each arm and setting of the study, in one file.
+
+    policy = agents.load("u-turn-3", "mixed")
+    env = gymnasium.make("sumo_env:sumo/u-turn-v0", config=agents.card("u-turn-3", "mixed")["config"])
+
+`python -m experiments.study.publish` writes the file.
+"""
+
+from __future__ import annotations
+
+import difflib
+import json
+from collections.abc import Mapping
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from agents.greedy import Greedy
+
+FILE = Path(__file__).resolve().parents[1] / "results" / "agents.npz"
+CARDS = "cards"  # the entry with the cards as JSON; an agent's weights are the entries "SETTING/ARM/NAME"
+
+
+def cards(file: str | Path = FILE) -> dict[str, dict[str, Any]]:
+    """What there is: a card for each agent, by "SETTING/ARM".
+
+    A card says how the agent drives in its test, per traffic ("regular", "risky"): `crash_rate`, `return` and `speed`
+    [m/s], each with the ends of its 95 % interval over `episodes` scenarios; the `config` of its environment; its
+    `cell`, with the `command` and `commit` that trained it; and the `precision` of the stored weights.
+
+    Raises FileNotFoundError when the file is not there, CheckpointError when it is damaged.
+    """
+    return json.loads(str(_arrays(Path(file))[CARDS]))
+
+
+def card(setting: str, arm: str, file: str | Path = FILE) -> dict[str, Any]:
+    """The card of one agent, see :func:`cards`. Raises ValueError when there is no such agent."""
+    known, wanted = cards(file), f"{setting}/{arm}"
+    if wanted not in known:
+        near = difflib.get_close_matches(wanted, known, n=1, cutoff=0.3)
+        meant = f" Did you mean {near[0]}?" if near else ""
+        raise ValueError(f"There is no agent {wanted}.{meant} There are: {', '.join(known)}.")
+    return known[wanted]
+
+
+def load(setting: str, arm: str, file: str | Path = FILE) -> Greedy:
+    """The greedy policy of an agent, for example of the setting "u-turn-3" and the arm "mixed".
+
+    Raises ValueError when there is no such agent, FileNotFoundError or CheckpointError when the file is not in order.
+    """
+    import gymnasium as gym
+    import torch
+
+    from agents.greedy import Greedy
+    from agents.models import Standardised, network_class
+
+    about = card(setting, arm, file)
+    space = gym.spaces.Box(-np.inf, np.inf, about["observations"], np.float32)
+    network = Standardised(network_class(about["network"])(space, about["actions"]), space)
+    prefix = f"{setting}/{arm}/"
+    weights = {
+        name.removeprefix(prefix): torch.from_numpy(array.astype(np.float32))
+        for name, array in _arrays(Path(file)).items()
+        if name.startswith(prefix)
+    }
+    network.load_state_dict(weights)
+    return Greedy(network)
+
+
+def save(agents: Mapping[str, tuple[Mapping[str, Any], Greedy]], file: str | Path = FILE) -> None:
+    """Write agents with their cards, by "SETTING/ARM". A card's `precision` is that of its weights in the file."""
+    from agents.checkpoint import save_arrays
+
+    arrays = {CARDS: np.array(json.dumps({name: about for name, (about, _) in agents.items()}))}
+    for name, (about, policy) in agents.items():
+        for part, value in policy.network.state_dict().items():
+            arrays[f"{name}/{part}"] = value.numpy().astype(about["precision"])
+    save_arrays(file, arrays)
+
+
+@lru_cache(2)
+def _read(file: Path, changed: int) -> dict[str, np.ndarray]:
+    from agents.checkpoint import load_arrays
+
+    return load_arrays(file)
+
+
+def _arrays(file: Path) -> dict[str, np.ndarray]:
+    return _read(file, file.stat().st_mtime_ns)

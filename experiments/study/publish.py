@@ -1,0 +1,119 @@
+"""Write results/agents.npz: of each arm and setting of a study the agent with the first training seed.
+
+    python -m experiments.study.publish results/sumo-second
+
+Agents of other settings that are in the file stay. Weights are stored at half precision where the first HALF test
+scenarios of both traffics end with the same return. Agents that observe more than their environment shows are left out.
+"""
+
+from __future__ import annotations
+
+from copy import deepcopy
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import numpy as np
+import tyro
+
+from agents import pretrained
+from agents.greedy import Greedy
+from experiments.backends import make_env
+from experiments.study import store
+from experiments.study.arms import TRAFFICS
+from experiments.study.evaluate import evaluate
+from experiments.study.policies import load_agent
+from sumo_env.tasks import TASKS
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+HALF = 25
+
+
+def driving(episodes: pd.DataFrame) -> dict[str, Any]:
+    """How an agent drives in its test, per traffic: values with the ends of their 95 % intervals over scenarios."""
+    from statsmodels.stats.proportion import proportion_confint
+    from statsmodels.stats.weightstats import DescrStatsW
+
+    found: dict[str, Any] = {}
+    for traffic in TRAFFICS:
+        rows = episodes[episodes["traffic"] == traffic]
+        crashes = int(rows["crashed"].sum())
+        rate = [crashes / len(rows), *proportion_confint(crashes, len(rows), method="wilson")]
+        found[traffic] = {"episodes": len(rows), "crash_rate": [round(float(value), 4) for value in rate]}
+        for name, column in (("return", "return"), ("speed", "mean_speed")):
+            mean = [float(rows[column].mean()), *DescrStatsW(rows[column]).tconfint_mean()]
+            found[traffic][name] = [round(float(value), 4) for value in mean]
+    return found
+
+
+def halved(policy: Greedy) -> Greedy:
+    """The policy with weights of half precision."""
+    network = deepcopy(policy.network)
+    network.load_state_dict({name: value.half().float() for name, value in network.state_dict().items()})
+    return Greedy(network)
+
+
+def published(directory: Path, name: str, command: str) -> tuple[dict[str, Any], Greedy] | None:
+    """Card and policy of a stored agent; None if it observes more than its environment shows."""
+    record, weights = store.read_stored(directory, name), store.weights_file(directory, name)
+    assert weights is not None
+    key = record["key"]
+    env = make_env(key["backend"], key["task"], key["env_config"])
+    try:
+        seen, policy = load_agent(key, record["source"], weights, env)
+        if seen is not env or not isinstance(policy, Greedy):
+            return None
+        first = int(key["eval"].get("first_scenario", 0))
+        returns = [
+            evaluate(env, driver, key["task"], key["level"], HALF, first=first)["return"]
+            for driver in (policy, halved(policy))
+        ]
+        space: Any = env.observation_space
+        actions: Any = env.action_space
+    finally:
+        env.close()
+    about = {
+        "cell": name,
+        "command": f"{command} --cell {name}",
+        "commit": record["provenance"]["git"],
+        "task": key["task"],
+        "config": TASKS[key["task"]].levels[key["level_name"]],
+        "network": key["profile"]["network"],
+        "observations": list(space.shape),
+        "actions": int(actions.n),
+        "precision": "float16" if np.array_equal(*returns) else "float32",
+        **driving(store.tables_of(directory, name)[store.EPISODES]),
+    }
+    return about, policy
+
+
+def main(directory: Annotated[Path, tyro.conf.Positional], out: Path = pretrained.FILE) -> None:
+    """Write the file of agents.
+
+    Args:
+        directory: a study's results on SUMO.
+        out: the file.
+    """
+    agents: dict[str, tuple[dict[str, Any], Greedy]] = {}
+    if out.exists():
+        for label, about in pretrained.cards(out).items():
+            setting, arm = label.split("/")
+            agents[label] = about, pretrained.load(setting, arm, out)
+    commands = {name: sweep["command"] for sweep in store.read_sweeps(directory) for name in sweep["cells"]}
+    first: dict[str, tuple[int, str]] = {}
+    for name in store.finished(directory):
+        key = store.read_stored(directory, name)["key"]
+        if key["kind"] == "agent" and key["backend"] == "sumo" and store.weights_file(directory, name):
+            label = f"{key['task']}-{key['level_name']}/{key['arm']}"
+            first[label] = min(first.get(label, (key["seed"], name)), (key["seed"], name))
+    for label, (_, name) in sorted(first.items()):
+        if (agent := published(directory, name, commands[name])) is not None:
+            agents[label] = agent
+            print(label, agent[0]["precision"], agent[0]["risky"]["crash_rate"])
+    pretrained.save(dict(sorted(agents.items())), out)
+    print(f"written: {out} ({len(agents)} agents, {out.stat().st_size / 1e6:.1f} MB)")
+
+
+if __name__ == "__main__":
+    tyro.cli(main)

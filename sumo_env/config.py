@@ -16,7 +16,6 @@ Config = dict[str, Any]
 COMMON: Config = {
     "simulation_frequency": 10,  # [Hz] SUMO's step is its inverse (highway-env: 15)
     "policy_frequency": 1,  # [Hz]
-    "traffic_model": "sumo",  # accepted for older code; SUMO's own drivers are the only ones
     "risk": 0.0,  # dose of risky traffic, 0 (regular) to 1
     "screen_width": 600,  # [px]
     "screen_height": 150,  # [px]
@@ -26,56 +25,42 @@ COMMON: Config = {
 }
 
 DISCRETE_META_ACTION: Config = {"type": "DiscreteMetaAction", "longitudinal": True, "lateral": True}
-ACTION_KEYS = {"type", "longitudinal", "lateral", "target_speeds"}
-OBSERVATION_KEYS: dict[str, set[str]] = {
-    "Kinematics": {
-        "type",
-        "features",
-        "vehicles_count",
-        "features_range",
-        "absolute",
-        "order",
-        "normalize",
-        "clip",
-        "see_behind",
-        "observe_intentions",
-        "include_obstacles",
-        "flatten",
-    },
-    "TimeToCollision": {"type", "horizon"},
+# The types of observation and action, with the defaults of their keys (None: see `observation`, `interface`).
+KINEMATICS: Config = {
+    "type": "Kinematics",
+    "features": None,
+    "vehicles_count": 5,
+    "features_range": None,
+    "absolute": False,
+    "order": "sorted",
+    "normalize": True,
+    "clip": True,
+    "see_behind": False,
+    "observe_intentions": False,
+    "include_obstacles": True,
+    "flatten": False,
 }
-NOT_PORTED = (
-    "AttributesObservation",
-    "ExitObservation",
-    "GrayscaleObservation",
-    "KinematicsGoal",
-    "LidarObservation",
-    "MultiAgentObservation",
-    "OccupancyGrid",
-    "TupleObservation",
-)
-# What takes all memory or all time beyond; frequencies: SUMO's clock counts milliseconds.
+TIME_TO_COLLISION: Config = {"type": "TimeToCollision", "horizon": 10}
+TYPES: dict[str, tuple[Config, ...]] = {
+    "observation": (KINEMATICS, TIME_TO_COLLISION),
+    "action": ({**DISCRETE_META_ACTION, "target_speeds": None},),
+}
+# Largest values. More vehicles, metres or seconds take all memory or all time, and SUMO's clock counts milliseconds.
+MOST_VEHICLES = 10_000
 LARGEST = {
     "policy_frequency": 1000,
     "simulation_frequency": 1000,
     "lanes_count": 50,
     "road_length": 100_000.0,
     "duration": 100_000.0,
+    "vehicles_density": math.inf,
     "screen_width": 10_000,
     "screen_height": 10_000,
+    "scaling": math.inf,
+    "risk": 1.0,
+    "spawn_probability": 1.0,
 }
-MOST_VEHICLES = 10_000
-POSITIVE = (
-    "lanes_count",
-    "road_length",
-    "duration",
-    "policy_frequency",
-    "simulation_frequency",
-    "vehicles_density",
-    "screen_width",
-    "screen_height",
-    "scaling",
-)
+MAY_BE_ZERO = ("risk", "spawn_probability")  # of those
 # Keys of highway-env and rl-agents that the tasks on SUMO do not have. A whole configuration of theirs is accepted if
 # it describes the same task and kept: keys that only concern the display or the file have no effect (with a warning,
 # unless they have one of these values), the others may only have these values.
@@ -167,7 +152,7 @@ def resolve(task: str, defaults: Config, *overrides: Mapping[str, Any] | None) -
             config[key] = value
     if ignored:
         logger.warn(f"config keys without effect on SUMO's pictures are ignored: {', '.join(ignored)}")
-    _check(task, config, known)
+    _check(config, known)
     return config
 
 
@@ -190,83 +175,58 @@ def _plain(value: Any) -> Any:
     return copy.deepcopy(value)
 
 
-def _check(task: str, config: Config, defaults: Config) -> None:
+def _check(config: Config, defaults: Config) -> None:
     for key in defaults:
-        value = config[key]
-        wanted = _wanted(defaults[key], value)
-        if wanted:
-            raise ConfigError(f"config key {key!r} must be {wanted}, not {value!r}")
-        if key.endswith("_count") and (value != int(value) or not 0 <= value <= MOST_VEHICLES):
-            raise ConfigError(
-                f"config key {key!r} must be a whole number from 0 to {MOST_VEHICLES}, not {value!r}"
-            )
-    if config["traffic_model"] == "matched":
-        raise ConfigError(
-            "traffic_model 'matched' is gone: SUMO's own drivers drive now. highway-env's physics is the backend "
-            "'replica' of the experiments, which is equal to highway-env and faster"
-        )
-    if config["traffic_model"] != "sumo":
-        raise ConfigError(f"config key 'traffic_model' can only be 'sumo', not {config['traffic_model']!r}")
-    for key in ("risk", "spawn_probability"):
-        if not 0.0 <= config.get(key, 0.0) <= 1.0:
-            raise ConfigError(f"config key {key!r} must lie in [0, 1], not {config[key]!r}")
-    for key in POSITIVE:
-        if key in config and config[key] <= 0:
-            raise ConfigError(f"config key {key!r} must be positive, not {config[key]!r}")
-    for key, most in LARGEST.items():
-        if key in config and config[key] > most:
-            raise ConfigError(f"config key {key!r} must be at most {most:g}, not {config[key]!r}")
-    for key in ("policy_frequency", "simulation_frequency"):
-        if config[key] != int(config[key]):
-            raise ConfigError(f"config key {key!r} must be a whole number, not {config[key]!r}")
-    limits = config.get("reward_speed_range")
-    if limits is not None and limits[0] == limits[1]:
-        raise ConfigError(f"config key 'reward_speed_range' must be two different speeds, not {limits!r}")
+        _check_kind(f"config key {key!r}", defaults[key], config[key])
+    for key, value in config.items():
+        most = LARGEST.get(key, MOST_VEHICLES if key.endswith("_count") else None)
+        if most is None:
+            continue
+        if key.endswith(("_count", "_frequency")) and value != int(value):
+            raise ConfigError(f"config key {key!r} must be a whole number, not {value!r}")
+        positive = key in LARGEST and key not in MAY_BE_ZERO
+        if not 0 <= value <= most or (positive and value == 0):
+            least = "(0" if positive else "[0"
+            raise ConfigError(f"config key {key!r} must lie in {least}, {most:g}], not {value!r}")
+    speeds = config.get("reward_speed_range")
+    if speeds is not None and speeds[0] == speeds[1]:
+        raise ConfigError(f"config key 'reward_speed_range' must be two different speeds, not {speeds!r}")
     if config["simulation_frequency"] % config["policy_frequency"]:
         raise ConfigError(
             f"'simulation_frequency' ({config['simulation_frequency']}) must be a multiple of 'policy_frequency' "
             f"({config['policy_frequency']})"
         )
-    _check_types(config)
+    for group, types in TYPES.items():
+        _check_type(group, config[group], {known["type"]: known for known in types})
 
 
-def _check_types(config: Config) -> None:
-    """The types of observation and action, then their options."""
-    kind = config["observation"].get("type")
-    if kind not in OBSERVATION_KEYS:
-        wrong = (
-            "config['observation'] needs a 'type'" if kind is None else f"unknown observation type {kind!r}"
-        )
-        hint = nearest(str(kind), set(OBSERVATION_KEYS))
-        if kind is None or kind in NOT_PORTED:
-            ported = "highway-env has it, here it is not ported; " if kind else ""
-            hint = f"{ported}known: {', '.join(OBSERVATION_KEYS)}"
-        raise ConfigError(f"{wrong}: {hint} (for pictures use gymnasium.wrappers.AddRenderObservation)")
-    if config["action"].get("type") != "DiscreteMetaAction":
-        raise ConfigError(
-            f"unknown action type {config['action'].get('type')!r}: the ego is driven by 'DiscreteMetaAction'"
-        )
-    for group, known in (("observation", OBSERVATION_KEYS[kind]), ("action", ACTION_KEYS)):
-        for key in config[group]:
-            if key not in known:
-                raise ConfigError(f"unknown key {key!r} in config[{group!r}]: {nearest(key, known)}")
+def _check_type(group: str, given: Config, types: Mapping[str, Config]) -> None:
+    """That the entry for the observation or the action has a known type, and keys and values of that type."""
+    if "type" not in given:
+        raise ConfigError(f"config[{group!r}] needs a 'type': {', '.join(types)}")
+    defaults = types[one_of(f"{group} type", given["type"], tuple(types))]
+    for key, value in given.items():
+        if key not in defaults:
+            raise ConfigError(f"unknown key {key!r} in config[{group!r}]: {nearest(key, defaults)}")
+        _check_kind(f"{group} {key!r}", defaults[key], value)
 
 
 def _is_number(value: Any) -> bool:
     return isinstance(value, int | float) and not isinstance(value, bool) and math.isfinite(value)
 
 
-def _wanted(default: Any, value: Any) -> str | None:
-    """The kind of value that the default asks for; None if `value` is of that kind."""
+def _check_kind(name: str, default: Any, value: Any) -> None:
+    """That a value is of the kind of its default; where that is None, or a word, it is checked where it is used."""
+    wanted = None
     if isinstance(default, bool):
-        return None if isinstance(value, bool | int) else "True or False"
-    if isinstance(default, int | float):
-        return None if _is_number(value) else "a number"
-    if isinstance(default, dict):
-        return None if isinstance(value, dict) else 'a dict such as {"type": ...}'
-    if isinstance(default, list):
-        numbers = (
-            isinstance(value, list | tuple) and len(value) == len(default) and all(map(_is_number, value))
-        )
-        return None if numbers else f"a list of {len(default)} numbers"
-    return None
+        wanted = None if isinstance(value, bool | int) else "True or False"
+    elif isinstance(default, int | float):
+        wanted = None if _is_number(value) else "a number"
+    elif isinstance(default, dict):
+        wanted = None if isinstance(value, dict) else 'a dict such as {"type": ...}'
+    elif isinstance(default, list) and not (
+        isinstance(value, list) and len(value) == len(default) and all(map(_is_number, value))
+    ):
+        wanted = f"a list of {len(default)} numbers"
+    if wanted:
+        raise ConfigError(f"{name} must be {wanted}, not {value!r}")

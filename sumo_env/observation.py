@@ -11,7 +11,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import NDArray
 
-from sumo_env.config import MOST_VEHICLES, ConfigError, nearest
+from sumo_env.config import KINEMATICS, MOST_VEHICLES, ConfigError, one_of
 from sumo_env.networks.lanes import wrap_to_pi
 from sumo_env.networks.roads import LaneIndex, Road
 from sumo_env.scene import PERCEPTION_DISTANCE, VEHICLE_LENGTH, Scene
@@ -42,47 +42,30 @@ class Kinematics:
         Raises:
             ConfigError: unknown feature, order or malformed range.
         """
-        features = config.get("features") or ("presence", "x", "y", "vx", "vy")
-        if not isinstance(features, list | tuple) or not all(isinstance(name, str) for name in features):
+        given = {**KINEMATICS, **config}
+        features = given["features"] or ("presence", "x", "y", "vx", "vy")
+        if not isinstance(features, list | tuple):
             raise ConfigError(f"observation 'features' must be a list of names, not {features!r}")
-        self.features: tuple[str, ...] = tuple(features)
-        for feature in self.features:
-            if feature not in FEATURES:
-                raise ConfigError(
-                    f"unknown observation feature {feature!r}: {nearest(feature, list(FEATURES))}"
-                )
-        count = config.get("vehicles_count", 5)
-        if not isinstance(count, int) or not 1 <= count <= MOST_VEHICLES:
+        self.features = tuple(one_of("observation feature", feature, FEATURES) for feature in features)
+        self.vehicles_count = given["vehicles_count"]
+        if not isinstance(self.vehicles_count, int) or not 1 <= self.vehicles_count <= MOST_VEHICLES:
             raise ConfigError(
-                f"observation 'vehicles_count' must be a whole number from 1 to {MOST_VEHICLES}, not {count!r}"
+                f"observation 'vehicles_count' must be a whole number from 1 to {MOST_VEHICLES}, not "
+                f"{self.vehicles_count!r}"
             )
-        self.vehicles_count = count
-        default = {
-            "x": (-5.0 * MAX_SPEED, 5.0 * MAX_SPEED),
-            "y": (-4.0 * side_lanes, 4.0 * side_lanes),
-            "vx": (-2.0 * MAX_SPEED, 2.0 * MAX_SPEED),
-            "vy": (-2.0 * MAX_SPEED, 2.0 * MAX_SPEED),
-        }
-        ranges = config.get("features_range") or default
-        try:
-            self.ranges = {name: (float(low), float(high)) for name, (low, high) in ranges.items()}
-        except (AttributeError, TypeError, ValueError) as error:
-            raise ConfigError(
-                f"observation 'features_range' must map features to [low, high]: {ranges!r}"
-            ) from error
-        for name, (low, high) in self.ranges.items():
-            if not abs(high - low) > 0.0:
-                raise ConfigError(
-                    f"'features_range' of {name!r} must be two different numbers, not [{low:g}, {high:g}]"
-                )
-        self.absolute = bool(config.get("absolute", False))
-        self.order = config.get("order", "sorted")
-        if self.order not in ("sorted", "shuffled"):
-            raise ConfigError(f"observation 'order' must be 'sorted' or 'shuffled', not {self.order!r}")
-        self.normalize = bool(config.get("normalize", True))
-        self.clip = bool(config.get("clip", True))
-        self.see_behind = bool(config.get("see_behind", False))
-        self.observe_intentions = bool(config.get("observe_intentions", False))
+        self.ranges = _ranges(
+            given["features_range"]
+            or {
+                "x": (-5.0 * MAX_SPEED, 5.0 * MAX_SPEED),
+                "y": (-4.0 * side_lanes, 4.0 * side_lanes),
+                "vx": (-2.0 * MAX_SPEED, 2.0 * MAX_SPEED),
+                "vy": (-2.0 * MAX_SPEED, 2.0 * MAX_SPEED),
+            }
+        )
+        self.absolute, self.see_behind = bool(given["absolute"]), bool(given["see_behind"])
+        self.normalize, self.clip = bool(given["normalize"]), bool(given["clip"])
+        self.observe_intentions = bool(given["observe_intentions"])
+        self.order = one_of("order", given["order"], ("sorted", "shuffled"))
         shape = (self.vehicles_count, len(self.features))
         self.space = spaces.Box(-np.inf, np.inf, shape, np.float32)
         # One affine map for the whole table: columns without a range keep their values.
@@ -188,6 +171,19 @@ class Kinematics:
         lane = road.lane(road.closest_lane(x, y, heading))
         s, lateral = lane.local_coordinates(x, y)
         return s, lateral, wrap_to_pi(heading - lane.heading_at(s))
+
+
+def _ranges(given: Any) -> dict[str, tuple[float, float]]:
+    """Ranges of features that can be mapped to [-1, 1]."""
+    try:
+        ranges = {name: (float(low), float(high)) for name, (low, high) in given.items()}
+        if all(abs(high - low) > 0.0 for low, high in ranges.values()):
+            return ranges
+    except (AttributeError, TypeError, ValueError):
+        pass
+    raise ConfigError(
+        f"observation 'features_range' must map features to [low, high], two numbers: {given!r}"
+    )
 
 
 def _direction(scene: Scene, road: Road, row: int, spec: VehicleSpec | None) -> tuple[float, float]:

@@ -1,16 +1,15 @@
 """The scene under highway-env's names: ``env.unwrapped.vehicle``, ``.road`` and ``.action_type``, to be read only.
 
 Rewards and scripts written for highway-env read the ego's position, speed or lane from these. They are pictures of the
-present scene: SUMO drives, so nothing can be changed through them.
+present scene: a simulator drives the vehicles, so nothing can be changed through them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
 from functools import cached_property
 from math import cos, sin
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
 
 import gymnasium as gym
 import numpy as np
@@ -19,14 +18,12 @@ from numpy.typing import NDArray
 from sumo_env.actions import available_actions
 from sumo_env.networks.lanes import Lane
 from sumo_env.networks.roads import LaneIndex, Road
-from sumo_env.scene import VEHICLE_LENGTH, VEHICLE_WIDTH, Floats, Scene
+from sumo_env.scene import Floats, Scene
 from sumo_env.tasks.base import EgoState
 
-# What takes the place of attributes of highway-env's environments that do not exist on SUMO.
+# What takes the place of attributes of highway-env's environments that do not exist here.
 INSTEAD = {
-    "vehicle": "call reset() first",
-    "road": "call reset() first",
-    "scene": "call reset() first",
+    **dict.fromkeys(("vehicle", "road", "scene"), "call reset() first"),
     "controlled_vehicles": "there is one ego, 'vehicle'",
     "viewer": "pictures are drawn by render(), films by gymnasium.wrappers.RecordVideo",
     "done": "step() returns terminated and truncated",
@@ -43,7 +40,7 @@ INSTEAD = {
             "set_preferred_lane",
             "set_route_at_intersection",
         ),
-        "SUMO drives the other vehicles; use 'risk' or drivers of your own (docs/own-parts.md)",
+        "the simulator drives the other vehicles; use 'risk' or drivers of your own (docs/own-parts.md)",
     ),
 }
 
@@ -60,9 +57,7 @@ NEVER_CALLED = {
         ),
         "the road and the vehicles are a task's: subclass sumo_env.tasks.base.Task",
     ),
-    **dict.fromkeys(
-        ("_reset", "_simulate"), "SUMO simulates: override reset() or step(), or bring a Simulator"
-    ),
+    **dict.fromkeys(("_reset", "_simulate"), "override reset() or step(), or bring a Simulator"),
     "define_spaces": "override configure()",
     "has_arrived": "the goal is a task's: override Task.arrived",
     "_agent_reward": "there is one ego: override _reward()",
@@ -70,15 +65,26 @@ NEVER_CALLED = {
 }
 
 
-def _read_only(view: object, name: str, value: object) -> NoReturn:
-    raise AttributeError(
-        f"{name!r} can only be read: SUMO drives the vehicles. To change traffic use a task or drivers of your own, or "
-        "reset(options={'scenario': ...}) (docs/own-parts.md)"
-    )
+class _View:
+    """Values that can only be read; an error about another one says which there are."""
+
+    def __init__(self, **values: Any) -> None:
+        vars(self).update(values)
+
+    def __setattr__(self, name: str, value: object) -> NoReturn:
+        raise AttributeError(
+            f"{name!r} can only be read: the simulator drives the vehicles. To change traffic use a task or drivers "
+            "of your own, or reset(options={'scenario': ...}) (docs/own-parts.md)"
+        )
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> NoReturn:
+            known = ", ".join(known for known in dir(self) if not known.startswith("_"))
+            raise AttributeError(f"{type(self).__name__} has no attribute {name!r} here; it has {known}")
 
 
-@dataclass(frozen=True, eq=False)
-class Vehicle:
+class Vehicle(_View):
     """A vehicle of the scene, as ``highway_env.vehicle.kinematics.Vehicle`` is read.
 
     Attributes:
@@ -95,9 +101,9 @@ class Vehicle:
     speed: float
     heading: float
     crashed: bool
-    _road: Road = field(repr=False)
-    LENGTH: float = field(default=VEHICLE_LENGTH, kw_only=True)
-    WIDTH: float = field(default=VEHICLE_WIDTH, kw_only=True)
+    LENGTH: float
+    WIDTH: float
+    _road: Road
 
     @cached_property
     def lane_index(self) -> LaneIndex:
@@ -125,50 +131,27 @@ class Vehicle:
         """[m/s]."""
         return self.speed * self.direction
 
-    if not TYPE_CHECKING:
 
-        def __getattr__(self, name: str) -> NoReturn:
-            raise AttributeError(
-                f"vehicles have no attribute {name!r} on SUMO, which drives them; they have id, position, speed, "
-                "heading, crashed, lane_index, lane, on_road, direction and velocity, the ego also target_lane_index, "
-                "target_speed, target_speeds and speed_index"
-            )
-
-
-@dataclass(frozen=True, eq=False)
 class Ego(Vehicle):
     """The ego, as ``highway_env.vehicle.controller.MDPVehicle`` is read.
 
     Attributes:
         target_lane_index: lane that it steers for.
         speed_index: of its target speed.
+        target_speed: that it approaches [m/s].
         target_speeds: that it can be commanded [m/s].
     """
 
     target_lane_index: LaneIndex
     speed_index: int
+    target_speed: float
     target_speeds: NDArray[np.float64]
 
-    def index_to_speed(self, index: int) -> float:
-        """The target speed of an index [m/s]."""
-        return float(self.target_speeds[index])
 
-    @property
-    def target_speed(self) -> float:
-        """That the ego approaches [m/s]."""
-        return float(self.target_speeds[self.speed_index])
-
-
-for _view in (Vehicle, Ego):
-    # in place of the dataclass's own, which names no remedy
-    _view.__setattr__ = _read_only  # type: ignore[method-assign]
-
-
-class RoadNetwork:
+class RoadNetwork(_View):
     """The lanes, as ``highway_env.road.road.RoadNetwork`` is asked for them; `road` has the rest."""
 
-    def __init__(self, road: Road) -> None:
-        self.road = road
+    road: Road
 
     def get_lane(self, index: LaneIndex) -> Lane:
         """The lane of an index."""
@@ -186,72 +169,59 @@ class RoadNetwork:
         """Index of the lane closest to (x, y) [m]."""
         return self.road.closest_lane(float(position[0]), float(position[1]), heading)
 
-    if not TYPE_CHECKING:
 
-        def __getattr__(self, name: str) -> NoReturn:
-            raise AttributeError(
-                f"the road network has no attribute {name!r} on SUMO; it has get_lane, side_lanes, all_side_lanes, "
-                "get_closest_lane_index, and road.lanes, road.route and road.successors for the rest"
-            )
-
-
-class RoadView:
+class RoadView(_View):
     """Road and traffic of a scene, as ``highway_env.road.road.Road`` is read.
 
     Attributes:
         network: the lanes.
         vehicles: all vehicles of the scene, the ego first; a tuple.
+        scene: places and speeds of all vehicles as arrays.
     """
 
-    def __init__(self, scene: Scene, road: Road, **ego: Any) -> None:
-        self.scene, self.network = scene, RoadNetwork(road)
-        positions = np.column_stack((scene.x, scene.y))
-        positions.flags.writeable = False
-        rows = zip(
-            scene.ids,
-            positions,
-            scene.speed.tolist(),
-            scene.heading.tolist(),
-            scene.crashed.tolist(),
-            strict=True,
-        )
-        first, *others = rows
-        self.vehicles = (
-            Ego(*first, road, **ego),
-            *(
-                Vehicle(*row, road, LENGTH=length, WIDTH=width)
-                for row in others
-                for length, width in [scene.size(row[0])]
-            ),
-        )
+    network: RoadNetwork
+    vehicles: tuple[Vehicle, ...]
+    scene: Scene
 
-    if not TYPE_CHECKING:
 
-        def __getattr__(self, name: str) -> NoReturn:
-            raise AttributeError(
-                f"the road has no attribute {name!r} on SUMO; it has network and vehicles, and the environment's "
-                "'scene' has places and speeds of all vehicles as arrays"
+def road_view(scene: Scene, road: Road, **ego: Any) -> RoadView:
+    """A scene as highway-env's road; `ego`: the further attributes of the ego."""
+    positions = np.column_stack((scene.x, scene.y))
+    positions.flags.writeable = False
+    vehicles = []
+    for row, name in enumerate(scene.ids):
+        length, width = scene.size(name)
+        make, further = (Vehicle, {}) if row else (Ego, ego)
+        vehicles.append(
+            make(
+                id=name,
+                position=positions[row],
+                speed=scene.speed.item(row),
+                heading=scene.heading.item(row),
+                crashed=scene.crashed.item(row),
+                LENGTH=length,
+                WIDTH=width,
+                _road=road,
+                **further,
             )
+        )
+    return RoadView(network=RoadNetwork(road=road), vehicles=tuple(vehicles), scene=scene)
 
 
-@dataclass(frozen=True)
-class ActionType:
+class ActionType(NamedTuple):
     """The meta-actions, as ``highway_env.envs.common.action.DiscreteMetaAction`` is read.
 
     Attributes:
         actions: names by index.
+        actions_indexes: indices by name.
         target_speeds: [m/s].
         get_available_actions: indices of the actions that would change something now, and of IDLE.
     """
 
     actions: dict[int, str]
+    actions_indexes: dict[str, int]
     target_speeds: NDArray[np.float64]
     get_available_actions: Callable[[], list[int]]
-
-    @property
-    def actions_indexes(self) -> dict[str, int]:
-        """Indices by name."""
-        return {name: index for index, name in self.actions.items()}
 
 
 class ReadAsHighwayEnv(gym.Env[NDArray[np.float32], Any]):
@@ -269,7 +239,7 @@ class ReadAsHighwayEnv(gym.Env[NDArray[np.float32], Any]):
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
         for name in sorted(NEVER_CALLED.keys() & vars(cls).keys()):
-            raise TypeError(f"{cls.__name__}.{name} would never be called on SUMO: {NEVER_CALLED[name]}")
+            raise TypeError(f"{cls.__name__}.{name} would never be called: {NEVER_CALLED[name]}")
 
     if not TYPE_CHECKING:
 
@@ -281,11 +251,12 @@ class ReadAsHighwayEnv(gym.Env[NDArray[np.float32], Any]):
     def road(self) -> RoadView:
         """The lanes (`road.network`) and the vehicles (`road.vehicles`) of the present scene."""
         if self._view is None or self._view.scene is not self.scene:
-            self._view = RoadView(
+            self._view = road_view(
                 self.scene,
                 self._road,
                 target_lane_index=self._target_lane,
                 speed_index=self._speed_index,
+                target_speed=self.target_speeds[self._speed_index],
                 target_speeds=np.array(self.target_speeds),
             )
         return self._view
@@ -298,7 +269,8 @@ class ReadAsHighwayEnv(gym.Env[NDArray[np.float32], Any]):
     @property
     def action_type(self) -> ActionType:
         """The meta-actions: actions, actions_indexes, target_speeds, get_available_actions()."""
-        return ActionType(self.actions, np.array(self.target_speeds), self.get_available_actions)
+        indexes = {name: index for index, name in self.actions.items()}
+        return ActionType(self.actions, indexes, np.array(self.target_speeds), self.get_available_actions)
 
     def get_available_actions(self) -> list[int]:
         """Indices of the actions that would change something now, and of IDLE."""

@@ -12,8 +12,6 @@ roads have no joins):
     "v0"         not at all (roundabout-v0, intersection-v0, u-turn-v0);
     "connected"  onto the next lanes, distances projected (roundabout-v1, intersection-v2, u-turn-v1);
     "path"       onto the next lanes, distances along the path (the default).
-
-``traffic_model`` is accepted and means nothing here.
 """
 
 from __future__ import annotations

@@ -300,7 +300,7 @@ def test_vehicles_arrive_at_the_intersection_after_the_observation() -> None:
 
 
 def test_configuration() -> None:
-    env = make("roundabout", traffic_model="sumo")
+    env = make("roundabout")
     assert env.config["simulation_frequency"] == 15
     assert make("roundabout", simulation_frequency=10).config["simulation_frequency"] == 10
     env.reset(seed=0, options={"config": {"risk": 1.0, "vehicles_count": 7}})

@@ -74,7 +74,7 @@ def test_agents_meet_the_same_scenarios(task: str) -> None:
     for config in (
         {},
         {"observation": {"type": "Kinematics", "order": "shuffled", "vehicles_count": 3}},
-        {"simulation_frequency": 15, "traffic_model": "sumo"},
+        {"simulation_frequency": 15, "scaling": 5.0},
     ):
         env = DrivingEnv(task, {"risk": 1.0, **config})
         action = 0

@@ -131,7 +131,7 @@ def test_a_ladder_that_is_not_given_is_the_tasks(task: str) -> None:
 def test_unknown_features_and_orders_are_refused() -> None:
     with pytest.raises(ConfigError, match="did you mean 'presence'"):
         Kinematics({"features": ["presense"]}, 4)
-    with pytest.raises(ConfigError, match="'sorted' or 'shuffled'"):
+    with pytest.raises(ConfigError, match="known: shuffled, sorted"):
         Kinematics({"order": "random"}, 4)
     with pytest.raises(ConfigError, match=r"\[low, high\]"):
         Kinematics({"features_range": {"x": 100}}, 4)

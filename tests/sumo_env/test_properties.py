@@ -12,7 +12,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from sumo_env.config import COMMON, OBSERVATION_KEYS, ConfigError
+from sumo_env.config import COMMON, KINEMATICS, TIME_TO_COLLISION, ConfigError
 from sumo_env.env import DrivingEnv
 from sumo_env.tasks import TASKS
 
@@ -27,7 +27,7 @@ LISTS = st.lists(NUMBERS | JUNK, max_size=4)
 FEATURES = st.sampled_from(["presence", "x", "y", "vx", "vy", "heading", "cos_h", "lat_off", "none", 3, None])
 DETAILS: dict[str, st.SearchStrategy[Any]] = {
     "type": st.sampled_from(
-        [*OBSERVATION_KEYS, "OccupancyGrid", "DiscreteMetaAction", "ContinuousAction", None, 1]
+        ["Kinematics", "TimeToCollision", "OccupancyGrid", "DiscreteMetaAction", "ContinuousAction", None, 1]
     ),
     "features": st.lists(FEATURES, max_size=6) | JUNK,
     "features_range": st.dictionaries(FEATURES, LISTS | st.just([-10, 10]), max_size=2) | JUNK,
@@ -44,9 +44,7 @@ PROPERTY = settings(
 def like(key: str, default: Any) -> st.SearchStrategy[Any]:
     """Values that are of the kind of a default more often than not."""
     if isinstance(default, dict):
-        names = st.sampled_from(
-            [*sorted(set().union(*OBSERVATION_KEYS.values())), "longitudinal", "target_speeds"]
-        )
+        names = st.sampled_from(sorted({*KINEMATICS, *TIME_TO_COLLISION, "longitudinal", "target_speeds"}))
         other = names.flatmap(lambda name: st.tuples(st.just(name), DETAILS.get(name, NUMBERS | JUNK)))
         kind = {"type": "DiscreteMetaAction" if key == "action" else "Kinematics"}
         return st.lists(other, max_size=3).map(lambda pairs: {**kind, **dict(pairs)}) | JUNK

@@ -186,7 +186,11 @@ def test_a_tree_of_states_as_rl_agents_planners_keep_it() -> None:
 
 @pytest.mark.parametrize(
     ("method", "reason"),
-    [("simplify", "leave it out"), ("change_vehicles", "SUMO drives"), ("to_finite_mdp", "TimeToCollision")],
+    [
+        ("simplify", "leave it out"),
+        ("change_vehicles", "simulator drives"),
+        ("to_finite_mdp", "TimeToCollision"),
+    ],
 )
 def test_preprocessors_of_rl_agents_are_refused_with_the_reason(method: str, reason: str) -> None:
     """It calls them by name, and goes on without those that are an AttributeError."""

@@ -18,7 +18,7 @@ from experiments.analysis.claims import CLAIMS, claims
 from experiments.analysis.effects import adjusted, contrasts, mean_over, slopes
 from experiments.analysis.estimate import interval, linear
 from experiments.analysis.gates import learnt
-from experiments.analysis.plan import DEFAULT, FIRST, OUTCOMES, TERMS, TWO_BATCHES, Plan, as_data, plan_of
+from experiments.analysis.plan import DEFAULT, OUTCOMES, TERMS, TWO_BATCHES, Plan, as_data
 from experiments.analysis.scores import CRASH_KINDS, Arm, Arms, Place, arms_of, kind_of_crash, with_outcomes
 from experiments.study.grid import BASELINES
 from experiments.study.results import Results, load
@@ -90,15 +90,6 @@ class TestPlan:
     def test_is_in_the_analysis_with_its_digest(self, analysis: Analysis) -> None:
         assert analysis.plan["version"] == 2 and len(analysis.plan_hash) == 64
 
-    def test_the_first_plan_can_still_be_asked_for(self) -> None:
-        first, second = plan_of(["standard"], version=1), plan_of(["standard"])
-        assert first.family("two-way", "crash_free_time", "risky") is not None
-        assert first.family("two-way", "crashed", "regular") is None
-        assert second.family("two-way", "crashed", "risky") is not None
-        assert second.family("two-way", "crashed", "regular") is not None
-        assert first.looks == second.looks == TWO_BATCHES.looks
-        assert as_data(first, {}) != as_data(second, {})
-
     @pytest.mark.parametrize("plan", [DEFAULT, TWO_BATCHES])
     def test_what_a_family_tests_is_not_called_exploratory(self, plan: Plan) -> None:
         named = as_data(plan, {})["exploratory"]
@@ -106,13 +97,6 @@ class TestPlan:
         tested = [(o, t) for o in OUTCOMES for t in TERMS if any(plan.family(task, o, t) for task in TASKS)]
         assert tested
         assert [f"{o} {t}" for o, t in tested if f"{o} {t}" in named] == []
-
-    def test_in_the_first_plan_the_time_to_crash_is_primary_on_the_two_way_road(self) -> None:
-        random = np.random.default_rng(0)
-        for task, outcome in (("highway", "crashed"), ("two-way", "crash_free_time")):
-            found = effects(agents(1, 3, random, task=task), FIRST)
-            safety = found[found["family"] == "safety"]
-            assert list(zip(safety["outcome"], safety["term"], strict=True)) == [(outcome, "risky")]
 
 
 class TestEffects:

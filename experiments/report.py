@@ -29,7 +29,7 @@ import tyro
 
 from agents.plugins import load_object
 from experiments.analysis.analysis import Analysis, analyse, as_json, stored
-from experiments.analysis.plan import DEFAULT, OUTCOMES, VERSIONS, Outcome
+from experiments.analysis.plan import OUTCOMES, Outcome
 from experiments.backends import make_env
 from experiments.reporting.page import page, render
 from experiments.reporting.showcase import showcase
@@ -58,16 +58,13 @@ class Options:
     """Instead pack the cells of finished settings into a few tables; nothing is deleted."""
     placebo: bool = False
     """Instead print what the controls find: control against control, a rule against itself, a doubled penalty."""
-    plan: int = DEFAULT.version
-    """Version of the analysis plan; 1 is the one that the published folders were first analysed by."""
 
 
-def write_report(directory: Path, *others: Path, plan: int = DEFAULT.version) -> Path:
+def write_report(directory: Path, *others: Path) -> Path:
     """Analyse the stored cells of a directory and write the files of the report into it.
 
     Args:
         others: directories to show beside it; by default the published study, beside which its variants are shown.
-        plan: version of the analysis plan.
 
     Returns:
         The path of report.html.
@@ -77,8 +74,8 @@ def write_report(directory: Path, *others: Path, plan: int = DEFAULT.version) ->
     """
     directory = Path(directory)
     results = load(directory, skip_damaged=True)
-    analysis = analyse(results, plan)
-    named = [(_title(other, str(other)), analyse(load(other, skip_damaged=True), plan)) for other in others]
+    analysis = analyse(results)
+    named = [(_title(other, str(other)), analyse(load(other, skip_damaged=True))) for other in others]
     try:
         films = showcase(results, set(analysis.notes["left_out"]), make_env)
         variables = page(results, analysis, films, named or _published(directory, analysis))
@@ -152,9 +149,9 @@ def answer(directory: Path) -> str:
     return text.partition("\n|")[0].partition("\n\n")[2].strip()
 
 
-def print_report(directory: Path, *others: Path, plan: int = DEFAULT.version) -> None:
+def print_report(directory: Path, *others: Path) -> None:
     """Write the report, and print the answer and where it is. Raises UserError as `write_report` does."""
-    path = write_report(directory, *others, plan=plan)
+    path = write_report(directory, *others)
     print(answer(path.parent))
     print(f"report: {path}", flush=True)
 
@@ -194,14 +191,12 @@ def main() -> int:
     options = tyro.cli(Options, description=__doc__)
     for name in options.outcome:
         add_outcome(name)
-    if options.plan not in VERSIONS:
-        raise UserError(f"--plan: there are versions {', '.join(map(str, VERSIONS))}, not {options.plan}")
     if options.pack:
         pack_cells(options.directory)
     elif options.placebo:
         report_placebo(options.directory)
     else:
-        print_report(options.directory, *options.others, plan=options.plan)
+        print_report(options.directory, *options.others)
     return 0
 
 

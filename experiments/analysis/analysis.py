@@ -16,20 +16,20 @@ from experiments.analysis import plan as plans
 from experiments.analysis.cells import comparable, duplicates, is_main
 from experiments.analysis.claims import claims
 from experiments.analysis.controls import negative_control, placebo
-from experiments.analysis.effects import adjusted, contrasts, means, slopes, variants
+from experiments.analysis.effects import adjusted, contrasts, least_seeds, means, slopes, variants
 from experiments.analysis.estimate import Mean
 from experiments.analysis.gates import GATES, gates, learnt
 from experiments.analysis.plan import OUTCOMES, TERMS, Plan
 from experiments.analysis.scores import (
     CRASH_KINDS,
     PLACE,
-    TASK_ORDER,
     Arms,
     Place,
     arms_of,
+    in_order,
     with_outcomes,
 )
-from experiments.study.arms import ALL_TRAFFICS, ARMS, EXTRA_ARMS
+from experiments.study.arms import ARMS, EXTRA_ARMS
 from experiments.study.grid import BASELINES, LEARNER
 from experiments.study.results import Results
 from experiments.support.files import canonical_json, sha256_bytes
@@ -67,20 +67,19 @@ class Analysis:
     provenance: dict[str, Any]
 
 
-def analyse(results: Results, version: int = plans.DEFAULT.version) -> Analysis:
-    """Analyse the stored cells of a directory by a version of the plan."""
+def analyse(results: Results) -> Analysis:
+    """Analyse the stored cells of a directory by the plan that its presets ask for."""
     chosen = comparable(results)
     cells = chosen.results.cells
-    plan = plans.plan_of(
-        (str(c["key"]["profile"].get("preset")) for c in cells.values() if is_main(c)), version
-    )
+    plan = plans.plan_of(str(c["key"]["profile"].get("preset")) for c in cells.values() if is_main(c))
     episodes = with_outcomes(chosen.results)
+    agents = own_agents(episodes)
     passed = gates(cells, chosen.results.gate_episodes)
 
-    home = arms_of(own_agents(episodes), [*OUTCOMES, *CRASH_KINDS])
-    planned = adjusted(contrasts(home, BOTH, [(o, t) for o in OUTCOMES for t in TERMS], plan), plan)
-    trends = slopes(home, plan)
-    beside = list(exploratory(episodes, home, passed, replace(plan, looks=())))
+    arms = arms_of(agents, [*OUTCOMES, *CRASH_KINDS])
+    planned = adjusted(contrasts(arms, BOTH, [(o, t) for o in OUTCOMES for t in TERMS], plan), plan)
+    trends = slopes(arms, plan)
+    beside = list(exploratory(episodes, arms, passed, replace(plan, looks=())))
     plan_data = plans.as_data(plan, GATES)
     return Analysis(
         effects=pd.concat([planned, *(frame for frame, _ in beside)], ignore_index=True),
@@ -89,7 +88,7 @@ def analyse(results: Results, version: int = plans.DEFAULT.version) -> Analysis:
         claims=claims(planned, trends, plan),
         gates=passed,
         policies=policies(episodes),
-        placebo=placebo(own_agents(episodes), plan),
+        placebo=placebo(agents, plan),
         negative_control=negative_control(episodes),
         plan=plan_data,
         plan_hash=sha256_bytes(canonical_json(plan_data).encode()),
@@ -114,60 +113,40 @@ Frames = tuple[pd.DataFrame, pd.DataFrame]  # effects, and their means
 
 
 def exploratory(
-    episodes: pd.DataFrame, home: Mapping[Place, Arms], passed: pd.DataFrame, plain: Plan
+    episodes: pd.DataFrame, arms: Mapping[Place, Arms], passed: pd.DataFrame, plain: Plan
 ) -> Iterable[Frames]:
     """Comparisons beside the plan's; none of them decides a claim, and no p-value is adjusted.
 
     Kinds of crashes, further arms, the rule drivers as the mark to beat, the agents that pass the gates, and the same
     agents tested on another simulator.
     """
+    agents, crashes = own_agents(episodes), [("crashed", term) for term in ONE_TRAFFIC]
     questions = [(outcome, term) for outcome in SHOWN for term in ONE_TRAFFIC]
-    kinds = contrasts(home, BOTH, [(kind, term) for kind in CRASH_KINDS for term in ONE_TRAFFIC], plain)
+    kinds = contrasts(arms, BOTH, [(kind, term) for kind in CRASH_KINDS for term in ONE_TRAFFIC], plain)
     yield kinds, means(kinds, plain)
-    further = contrasts(home, FURTHER, questions, plain)
-    crashes = further[further["outcome"] == "crashed"]
-    yield further, pd.concat([means(further, plain), variants(crashes, plain)])
+    further = contrasts(arms, FURTHER, questions, plain)
+    scopes = means(further[further["outcome"] == "crashed"], plain, variants())
+    yield further, pd.concat([means(further, plain), scopes])
     rules = episodes[episodes["kind"] == "baseline"]
     rules = rules.assign(arm=rules["policy"], seed=0)
-    drivers = arms_of(pd.concat([own_agents(episodes), rules]), SHOWN)
+    drivers = arms_of(pd.concat([agents, rules]), SHOWN)
     mark = contrasts(drivers, [(arm, "careful") for arm in ARMS], questions, plain)
     yield mark, means(mark, plain)
-    yield sensitivity(episodes, home, passed, plain)
-    for other in sorted({*elsewhere(episodes)["tested_on"]}):
-        yield from transfer(episodes, str(other), plain)
 
-
-def sensitivity(
-    episodes: pd.DataFrame, home: Mapping[Place, Arms], passed: pd.DataFrame, plain: Plan
-) -> Frames:
-    """The crash rate in other ways: without each task, settings alike, what was learnt, agents that pass the gates."""
-    questions = [("crashed", term) for term in ONE_TRAFFIC]
-    scopes = variants(contrasts(home, BOTH, questions, plain), plain, learnt(passed, plain.learnt))
+    both = contrasts(arms, BOTH, crashes, plain)
     bad = passed.loc[passed["passed"].astype(object) == False, "cell"]  # noqa: E712
-    agents = own_agents(episodes)
-    sound = contrasts(arms_of(agents[~agents["cell"].isin(bad)], ["crashed"]), BOTH, questions, plain)
-    sound = sound[sound[["seeds_arm", "seeds_against"]].min(axis=1) > 1]
-    passing = means(sound, plain)
-    passing = passing[passing["scope"] == "all tasks"].assign(scope="agents that pass the gates")
-    return sound.iloc[:0], pd.concat([scopes, passing])
+    sound = contrasts(arms_of(agents[~agents["cell"].isin(bad)], ["crashed"]), BOTH, crashes, plain)
+    passing = means(sound[least_seeds(sound) > 1], plain, lambda rows: {"agents that pass the gates": rows})
+    other_ways = variants(learnt(passed, plain.learnt))
+    yield both.iloc[:0], pd.concat([means(both, plain, other_ways), passing])
 
-
-def elsewhere(episodes: pd.DataFrame) -> pd.DataFrame:
-    """The episodes of agents on another simulator than that of their training."""
-    return episodes[(episodes["kind"] == "test") & (episodes["tested_on"] != episodes["backend"])]
-
-
-def transfer(episodes: pd.DataFrame, other: str, plain: Plan) -> Iterable[Frames]:
-    """The effect on the crash rate on another simulator, and of the same agents on the same scenarios at home."""
-    tests = elsewhere(episodes)
-    tests = tests[tests["tested_on"] == other]
-    agents = own_agents(episodes)
-    away = tests.merge(agents[AGENT].drop_duplicates())
-    home = agents.merge(away[[*AGENT, "traffic", "scenario"]])
-    questions = [("crashed", term) for term in ONE_TRAFFIC]
-    for rows, labels in ((away, {"tested_on": other, "scenarios": other}), (home, {"scenarios": other})):
-        effects = contrasts(arms_of(rows, ["crashed"]), BOTH, questions, plain, **labels)
-        yield effects, means(effects, plain)
+    tests = episodes[(episodes["kind"] == "test") & (episodes["tested_on"] != episodes["backend"])]
+    for other in sorted({*tests["tested_on"]}):
+        away = tests[tests["tested_on"] == other].merge(agents[AGENT].drop_duplicates())
+        home = agents.merge(away[[*AGENT, "traffic", "scenario"]])  # the same agents on the same scenarios
+        for rows, labels in ((away, {"tested_on": other, "scenarios": other}), (home, {"scenarios": other})):
+            effects = contrasts(arms_of(rows, ["crashed"]), BOTH, crashes, plain, **labels)
+            yield effects, means(effects, plain)
 
 
 def policies(episodes: pd.DataFrame) -> pd.DataFrame:
@@ -195,15 +174,13 @@ def policies(episodes: pd.DataFrame) -> pd.DataFrame:
     frame.insert(len(group), "n", grouped.size().to_numpy())
     frame.insert(len(group) + 1, "unit", np.where(frame["arm"] != "", "training seed", "test episode"))
     own = sorted({*frame["policy"]} - {LEARNER, *BASELINES})
-    rank = {(LEARNER, arm): n for n, arm in enumerate((*ARMS, *EXTRA_ARMS))}
-    rank |= {(policy, ""): len(rank) + n for n, policy in enumerate((*BASELINES, *own))}
-    order = frame.assign(
-        task=frame["task"].map(TASK_ORDER),
-        policy=[rank[key] for key in zip(frame["policy"], frame["arm"], strict=True)],
-        traffic=frame["traffic"].map(ALL_TRAFFICS),
+    ranks = {name: rank for rank, name in enumerate((*ARMS, *EXTRA_ARMS, *BASELINES, *own))}
+    frame["rank"] = frame["arm"].where(frame["arm"] != "", frame["policy"]).map(ranks)
+    return (
+        in_order(frame, "backend", "task", "level", "rank", "traffic")
+        .drop(columns="rank")
+        .reset_index(drop=True)
     )
-    order = order.sort_values(["backend", "task", "level", "policy", "traffic"])
-    return frame.loc[order.index].reset_index(drop=True)
 
 
 def provenance(results: Results) -> dict[str, Any]:
@@ -276,6 +253,6 @@ def stored(path: Path) -> Analysis | None:
     }
     effects = frames["effects"]
     variances = (effects["se"] ** 2).fillna(0.0), effects["df"].fillna(1.0)
-    seeds = effects[["seeds_arm", "seeds_against"]].min(axis=1)
-    effects["looks"] = [(Mean(*row),) for row in zip(effects["estimate"], *variances, seeds, strict=True)]
+    looks = zip(effects["estimate"], *variances, least_seeds(effects), strict=True)
+    effects["looks"] = [(Mean(*look),) for look in looks]
     return Analysis(**frames)

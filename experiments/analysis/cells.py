@@ -19,6 +19,13 @@ from experiments.study.results import Results
 from experiments.support.files import canonical_json
 
 Cell = Mapping[str, Any]
+ENVIRONMENT = (
+    "env_config ",
+    "eval ",
+    "version of ",
+    "dynamics",
+)  # settings of cells without a trained agent too
+ALONE = "no agents of both arms with its settings to compare with"
 NUMBERS = ("return", "length", "mean_speed", "distance", "near_misses", "crashed")
 
 
@@ -62,30 +69,29 @@ def is_main(cell: Cell) -> bool:
 def _strangers(cells: Mapping[str, Cell], expected: Sequence[str]) -> dict[str, str]:
     """The cells of a place that do not belong to its setting, with the reason."""
     latest = {name: number for number, name in enumerate(expected)}  # the last sweep stands last
-    main = {name: _settings(cell) for name, cell in cells.items() if is_main(cell)}
+    settings = {name: _settings(cell) for name, cell in cells.items()}
+    main = [name for name, cell in cells.items() if is_main(cell)]
     agents = [name for name in main if cells[name]["key"]["kind"] == "agent"]
     groups: dict[str, list[str]] = {}
     for name in agents or main:
-        groups.setdefault(canonical_json(main[name]), []).append(name)
+        groups.setdefault(canonical_json(settings[name]), []).append(name)
     if not groups:
-        return dict.fromkeys(cells, "no agents of both arms with its settings to compare with")
-    asked = {group: max(latest.get(name, -1) for name in groups[group]) for group in groups}
+        return dict.fromkeys(cells, ALONE)
+    asked = {group: max(latest.get(name, -1) for name in names) for group, names in groups.items()}
     best = max(groups, key=lambda group: (asked[group], len(groups[group]), group))
-    reference = main[groups[best][0]]
-    environment = _environment(reference)
-    strangers = {}
-    for name, cell in cells.items():
-        own = _settings(cell)
-        if name not in main:
-            fits = bool(agents) and all(own.get(key) == value for key, value in reference.items())
-            found = "" if fits else "no agents of both arms with its settings to compare with"
-        elif cell["key"]["kind"] == "agent":
-            found = _difference(own, reference)
-        else:
-            found = _difference(_environment(own), environment)
-        if found:
-            strangers[name] = found
-    return strangers
+    reference = settings[groups[best][0]]
+    environment = {name: value for name, value in reference.items() if name.startswith(ENVIRONMENT)}
+    found = {}
+    for name, own in settings.items():
+        if name in agents:
+            found[name] = _difference(own, reference)
+        elif name in main:
+            found[name] = _difference(
+                {k: v for k, v in own.items() if k.startswith(ENVIRONMENT)}, environment
+            )
+        elif not agents or not reference.items() <= own.items():
+            found[name] = ALONE
+    return {name: reason for name, reason in found.items() if reason}
 
 
 def _settings(cell: Cell) -> dict[str, Any]:
@@ -95,12 +101,6 @@ def _settings(cell: Cell) -> dict[str, Any]:
     flat |= {f"version of {name}": value for name, value in versions.items()}
     flat["dynamics"] = key.get("dynamics")
     return flat | {name: value for name, value in key["profile"].items() if name != "preset"}
-
-
-def _environment(settings: Mapping[str, Any]) -> dict[str, Any]:
-    """The settings that cells without a trained agent have too."""
-    parts = ("env_config ", "eval ", "version of ", "dynamics")
-    return {name: value for name, value in settings.items() if name.startswith(parts)}
 
 
 def _difference(settings: Mapping[str, Any], reference: Mapping[str, Any]) -> str:
@@ -133,10 +133,8 @@ def _incomplete(results: Results) -> dict[str, str]:
                 found = seen.get((name, traffic), [])
                 if found != list(wanted):
                     twice = ", some twice" if len(found) > len(set(found)) else ""
-                    words = (
-                        f"{len(set(found))} of {len(wanted)} {purpose} scenarios in {traffic} traffic{twice}"
-                    )
-                    faults.setdefault(name, []).append(words)
+                    there = f"{len(set(found))} of {len(wanted)} {purpose} scenarios"
+                    faults.setdefault(name, []).append(f"{there} in {traffic} traffic{twice}")
         for column in table.columns.intersection(NUMBERS):
             for name in table.loc[~np.isfinite(table[column].astype(float)), "cell"].unique():
                 faults.setdefault(name, []).append(f"{column} of the {purpose} is not a number")

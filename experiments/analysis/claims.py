@@ -75,8 +75,7 @@ def _counts(claim: Claim, effects: pd.DataFrame, slopes: pd.DataFrame, plan: Pla
         known = rows[(rows["status"] == OK) & rows["complete"]]
     else:
         term = "regular" if claim.quantity == EQUIVALENT else claim.quantity
-        wanted = effects["task"].map(plan.outcome) if claim.name == "fewer crashes" else claim.outcome
-        rows = effects[(effects["outcome"] == wanted) & (effects["term"] == term)]
+        rows = effects[(effects["outcome"] == claim.outcome) & (effects["term"] == term)]
         known = rows[rows["status"] == OK]
     if claim.quantity == EQUIVALENT:
         margin = OUTCOMES[claim.outcome].margin or 0.0
@@ -85,8 +84,7 @@ def _counts(claim: Claim, effects: pd.DataFrame, slopes: pd.DataFrame, plan: Pla
         wrong = estimate.adjusted(estimate.stats.t.sf(beyond, known["df"])) < plan.alpha / 2
         alone = known["equivalent_p"] < plan.alpha
     else:
-        signs = claim.sign if is_slope else [OUTCOMES[name].better for name in known["outcome"]]
-        better = known["estimate"] * signs > 0
+        better = known["estimate"] * claim.sign > 0
         decided = known["p_adjusted"] < plan.alpha
         right, wrong, alone = better & decided, ~better & decided, better & (known["p"] < plan.alpha)
     expected = len(GRID) if is_slope else sum(GRID.values())

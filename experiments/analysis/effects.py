@@ -12,7 +12,7 @@ all looks that were held) and status ("ok", or why there is no interval, see `es
 from __future__ import annotations
 
 from collections.abc import Callable, Container, Iterable, Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -44,15 +44,10 @@ def decided(looks: Sequence[Mean], seeds: int, plan: Plan) -> Estimate:
     Args:
         looks: the mean at each planned look. seeds: in the smaller arm; says which looks were held.
     """
-    if not plan.looks:
-        return estimate.interval(looks[-1])
-    shares = plan.held(seeds)
-    found = [estimate.interval(mean) for mean in looks[: len(shares)]]
-    last = found[-1]
-    if last.status != OK:
-        return last
-    spent = [one.p / share for one, share in zip(found, shares, strict=True) if one.status == OK]
-    return Estimate(**{**asdict(last), "p": min(1.0, *spent)})
+    held = plan.held(seeds)
+    found = [estimate.interval(mean) for mean in looks[: len(held)]]
+    spent = [one.p / look.share for one, look in zip(found, held, strict=True) if one.status == OK]
+    return replace(found[-1], p=min(1.0, *spent)) if found[-1].status == OK else found[-1]
 
 
 def at_looks(
@@ -60,8 +55,8 @@ def at_looks(
 ) -> tuple[Mean, ...]:
     """The sum of sign x mean over arms at every planned look; one, of all agents, where no look was planned."""
     means = []
-    for limit in plan.limits:
-        arms = [arm.below(limit) for arm in pair]
+    for look in plan.schedule:
+        arms = [arm.below(look.seeds) for arm in pair]
         floor = sum(sign**2 * arm.floor(outcome, term) for arm, sign in zip(arms, signs, strict=True))
         scores = [(arm.scores(outcome, term), sign) for arm, sign in zip(arms, signs, strict=True)]
         means.append(estimate.linear(scores, floor))
@@ -90,42 +85,34 @@ def contrasts(
         where = {**dict(zip(PLACE, place, strict=True)), "tested_on": place[0], "scenarios": "own", **labels}
         for arm, against in pairs:
             if arm in by_name and against in by_name:
-                pair = by_name[arm], by_name[against]
-                compare = _between_arms if against in DOSES else _against_policy
+                pair, trained = (by_name[arm], by_name[against]), against in DOSES
                 rows += [
                     {**where, "arm": arm, "against": against, "outcome": outcome, "term": term}
-                    | compare(pair, outcome, term, plan)
+                    | _contrast(pair, trained, outcome, term, plan)
                     for outcome, term in questions
                 ]
     return pd.DataFrame(rows, columns=[*KEY, *ESTIMATE, *MEANS, "looks"])
 
 
-def _between_arms(pair: tuple[Arm, Arm], outcome: str, term: str, plan: Plan) -> dict[str, Any]:
-    looks = at_looks(pair, (1.0, -1.0), outcome, term, plan)
-    found = decided(looks, min(len(arm.seeds) for arm in pair), plan)
-    if plan.version > 1 and _saturated(pair, outcome, term):
+def _contrast(pair: tuple[Arm, Arm], trained: bool, outcome: str, term: str, plan: Plan) -> dict[str, Any]:
+    """ESTIMATE, MEANS and looks of an arm minus another, or scenario by scenario minus a policy that is not trained."""
+    scores = [arm.scores(outcome, term) for arm in pair]
+    if trained:
+        looks = at_looks(pair, (1.0, -1.0), outcome, term, plan)
+    else:
+        looks = (estimate.linear([(scores[0] - scores[1], 1.0)]),)
+    seeds = [len(arm.seeds) for arm in pair]
+    found = decided(looks, min(seeds), plan)
+    tables = [table for arm in pair for table in arm.tested(outcome, term)]
+    if trained and outcome == "crashed" and all((table == 1).all() for table in tables):
         found = Estimate(found.estimate, SATURATED)
-    return {**asdict(found), **_means_of(pair, outcome, term), "looks": looks}
+    means = [float(table.mean()) for table in scores]
+    return {**asdict(found), **dict(zip(MEANS, [*means, *seeds], strict=True)), "looks": looks}
 
 
-def _against_policy(pair: tuple[Arm, Arm], outcome: str, term: str, plan: Plan) -> dict[str, Any]:
-    """Agents minus a policy scenario by scenario."""
-    agents, policy = (arm.scores(outcome, term) for arm in pair)
-    looks = (estimate.linear([(agents - policy, 1.0)]),)
-    return {**asdict(decided(looks, len(agents), plan)), **_means_of(pair, outcome, term), "looks": looks}
-
-
-def _means_of(pair: Sequence[Arm], outcome: str, term: str) -> dict[str, float]:
-    """MEANS of two arms."""
-    means = [float(arm.scores(outcome, term).mean()) for arm in pair]
-    return dict(zip(MEANS, [*means, *(len(arm.seeds) for arm in pair)], strict=True))
-
-
-def _saturated(pair: Iterable[Arm], outcome: str, term: str) -> bool:
-    """Whether every agent of both arms crashes in every episode that a term is about: none of them can be safer."""
-    return outcome == "crashed" and all(
-        (table == 1).all() for arm in pair for table in arm.tested(outcome, term)
-    )
+def least_seeds(effects: pd.DataFrame) -> pd.Series:
+    """Training seeds in the smaller arm of each effect."""
+    return effects[["seeds_arm", "seeds_against"]].min(axis=1)
 
 
 def adjusted(effects: pd.DataFrame, plan: Plan = DEFAULT) -> pd.DataFrame:
@@ -136,18 +123,15 @@ def adjusted(effects: pd.DataFrame, plan: Plan = DEFAULT) -> pd.DataFrame:
     detectable (true effect that is found at that level with the plan's power); and where the outcome has a margin, in
     one traffic, equivalent_p and equivalent_p_adjusted ("the arms differ by the margin or more", Holm over settings).
     """
-    names = [
-        family.name if (family := plan.family(task, outcome, term)) else ""
-        for task, outcome, term in effects[["task", "outcome", "term"]].itertuples(index=False)
-    ]
-    effects = effects.assign(family=names)
+    names = [plan.family(*question) for question in zip(effects["outcome"], effects["term"], strict=True)]
     nothing = dict.fromkeys(("p_adjusted", "low_family", "high_family", "detectable"), np.nan)
-    effects = effects.assign(**nothing, equivalent_p=np.nan, equivalent_p_adjusted=np.nan)
+    effects = effects.assign(family=names, **nothing, equivalent_p=np.nan, equivalent_p_adjusted=np.nan)
     for (_, family), rows in effects.groupby(["backend", "family"]):
-        effects.loc[rows.index, "p_adjusted"] = estimate.adjusted(rows["p"], "holm" if family else "fdr_bh")
+        effects.loc[rows.index, "p_adjusted"] = estimate.adjusted(rows["p"], "holm" if family else "bh")
         tested = rows[rows["status"] == OK]
         for index, row in tested.iterrows() if family else ():
-            level = plan.alpha / len(tested) * plan.share(min(row["seeds_arm"], row["seeds_against"]))
+            share = plan.held(min(row["seeds_arm"], row["seeds_against"]))[-1].share
+            level = plan.alpha / len(tested) * share
             half = float(estimate.stats.t.isf(level / 2, row["df"])) * row["se"]
             found = estimate.detectable(row["se"], row["df"], level, plan.power)
             bounds = [row["estimate"] - half, row["estimate"] + half, found]
@@ -173,44 +157,14 @@ def mean_over(rows: pd.DataFrame, plan: Plan, tasks_alike: bool = True) -> dict[
     levels = rows.groupby("task")["task"].transform("size")
     weights = (1 / rows["task"].nunique() / levels) if tasks_alike else pd.Series(1 / len(rows), rows.index)
     looks = [estimate.combine(means, list(weights)) for means in zip(*rows["looks"], strict=True)]
-    seeds = rows[["seeds_arm", "seeds_against"]].min(axis=1)
+    seeds, first = least_seeds(rows), plan.schedule[0].seeds
     most = int(seeds.max())
-    if plan.looks and (seeds < plan.looks[0].seeds).any():
-        most = min(most, plan.looks[0].seeds)  # the first batch is not complete: there is no second look yet
+    if (seeds < first).any():
+        most = min(most, first)  # the first batch is not complete: there is no second look yet
     means = [float((weights * rows[name]).sum()) for name in MEANS[:2]]
     agents = [int(rows[name].sum()) for name in MEANS[2:]]
     found = asdict(decided(looks, most, plan))
     return found | dict(zip(MEANS, [*means, *agents], strict=True)) | {"settings": len(rows)}
-
-
-def means(effects: pd.DataFrame, plan: Plan = DEFAULT) -> pd.DataFrame:
-    """Means of effects over the levels of each task, and over all tasks if the outcome means the same on every task.
-
-    Args:
-        effects: from `contrasts`.
-
-    Returns:
-        A row a mean: COMPARISON, scope (a task or "all tasks"), QUESTION, ESTIMATE, MEANS and settings.
-    """
-    return _means(effects, plan, lambda rows: _by_task(rows) | _over_all(rows))
-
-
-def variants(
-    effects: pd.DataFrame, plan: Plan = DEFAULT, learnt: Container[tuple[str, str, int]] = ()
-) -> pd.DataFrame:
-    """The same means over other settings: without each task, settings alike, the settings that were learnt.
-
-    Args:
-        effects: from `contrasts`. learnt: the settings (backend, task, level) that were.
-    """
-
-    def scopes(rows: pd.DataFrame) -> Scopes:
-        tasks = list(_by_task(rows))
-        without = {f"without {task}": rows[rows["task"] != task] for task in tasks if len(tasks) > 1}
-        known = [place in learnt for place in zip(rows["backend"], rows["task"], rows["level"], strict=True)]
-        return without | {SETTINGS_ALIKE: rows, "settings that were learnt": rows[known]}
-
-    return _means(effects, plan, scopes)
 
 
 Scopes = dict[
@@ -218,16 +172,36 @@ Scopes = dict[
 ]  # effects of one comparison, outcome and term, by what they are averaged over
 
 
-def _by_task(rows: pd.DataFrame) -> Scopes:
-    return {task: rows[rows["task"] == task] for task in TASK_ORDER if (rows["task"] == task).any()}
-
-
-def _over_all(rows: pd.DataFrame) -> Scopes:
+def by_task(rows: pd.DataFrame) -> Scopes:
+    """Over the levels of each task, and over all tasks if the outcome means the same on every task."""
+    own = {task: rows[rows["task"] == task] for task in TASK_ORDER if (rows["task"] == task).any()}
     outcome = OUTCOMES.get(rows["outcome"].iloc[0])
-    return {ALL_TASKS: rows} if outcome is None or outcome.poolable else {}
+    return own | ({ALL_TASKS: rows} if outcome is None or outcome.poolable else {})
 
 
-def _means(effects: pd.DataFrame, plan: Plan, scopes: Callable[[pd.DataFrame], Scopes]) -> pd.DataFrame:
+def variants(learnt: Container[tuple[str, str, int]] = ()) -> Callable[[pd.DataFrame], Scopes]:
+    """Over other settings: without each task, settings alike, the settings (backend, task, level) that were learnt."""
+
+    def scopes(rows: pd.DataFrame) -> Scopes:
+        tasks = [task for task in TASK_ORDER if (rows["task"] == task).any()]
+        without = {f"without {task}": rows[rows["task"] != task] for task in tasks if len(tasks) > 1}
+        known = [place in learnt for place in zip(rows["backend"], rows["task"], rows["level"], strict=True)]
+        return without | {SETTINGS_ALIKE: rows, "settings that were learnt": rows[known]}
+
+    return scopes
+
+
+def means(
+    effects: pd.DataFrame, plan: Plan = DEFAULT, scopes: Callable[[pd.DataFrame], Scopes] = by_task
+) -> pd.DataFrame:
+    """Means of effects over settings.
+
+    Args:
+        effects: from `contrasts`. scopes: over which settings, `by_task` or `variants`.
+
+    Returns:
+        A row a mean: COMPARISON, scope (a task, "all tasks", ...), QUESTION, ESTIMATE, MEANS and settings.
+    """
     rows = []
     for key, group in effects.groupby([*COMPARISON, *QUESTION], sort=False):
         labels = dict(zip([*COMPARISON, *QUESTION], key, strict=True))

@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 
 from agents.training import Q_SLACK
-from experiments.analysis.scores import PLACE, TASK_ORDER
+from experiments.analysis.scores import PLACE, in_order
 from experiments.study.arms import gate_traffics
 
 CONSTANT = 0.98  # share of the steps with the most common action from which a policy counts as constant
@@ -143,10 +143,7 @@ def gates(cells: Mapping[str, Mapping[str, Any]], episodes: pd.DataFrame) -> pd.
         rows.append([name, *(key[column] for column in (*PLACE, "arm", "seed")), sound, failed, *numbers])
     parts = [f"{gate}{part}" for gate in GATES for part in ("", " value", " limit")]
     frame = pd.DataFrame(rows, columns=["cell", *PLACE, "arm", "seed", "passed", "failed", *parts])
-    order = frame.assign(task=frame["task"].map(TASK_ORDER))
-    return frame.loc[order.sort_values(["backend", "task", "level", "arm", "seed"]).index].reset_index(
-        drop=True
-    )
+    return in_order(frame, "backend", "task", "level", "arm", "seed").reset_index(drop=True)
 
 
 def learnt(gates: pd.DataFrame, share: float) -> set[tuple[str, str, int]]:

@@ -7,11 +7,10 @@ one were made by the same plan. Whatever is not named confirmatory is explorator
 from __future__ import annotations
 
 import json
+import sys
 from collections.abc import Callable, Iterable
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from typing import Any
-
-from sumo_env.tasks import TASKS
 
 ALPHA = 0.05
 POWER = 0.8
@@ -72,6 +71,9 @@ class Look:
     share: float
 
 
+ONLY_LOOK = Look(sys.maxsize, 1.0)
+
+
 @dataclass(frozen=True)
 class Family:
     """Hypotheses that are tested together, with Holm's adjustment over all settings: an outcome in a term."""
@@ -86,13 +88,13 @@ class Family:
 class Plan:
     """All choices of an analysis.
 
-    version: 1: what the published folders were first analysed by. Its primary outcome on the two-way road was the time
-    to crash, and it counted harms by equivalence alone. 2: one primary outcome on all tasks; harms in regular traffic
-    are counted as benefits in risky traffic are; nothing is concluded from a setting where every agent always crashes.
-    primary: outcome and term of the one primary question, over all agents, with every task weighted alike.
-    outcome_of_task: tasks on which another outcome is the primary one. looks: planned looks; none: the number of seeds
-    was fixed beforehand. learnt: share of the control agents that has to pass the gates for a setting to count as
-    learnt.
+    Version 1, of which no code is left, took the time to crash for the two-way road's primary outcome and counted harms
+    by equivalence alone. 2: one primary outcome on all tasks; harms in regular traffic are counted as benefits in risky
+    traffic are; nothing is concluded from a setting where every agent always crashes.
+
+    primary_outcome, primary_term: of the one primary question, over all agents, with every task weighted alike.
+    outcome_of_task: none since version 1; it stays part of the digest. looks: planned looks; none: the number of seeds
+    was fixed beforehand. learnt: share of the control agents that must pass the gates for a setting to count as learnt.
     """
 
     version: int = 2
@@ -110,58 +112,45 @@ class Plan:
     power: float = POWER
     learnt: float = 0.5
 
-    def outcome(self, task: str) -> str:
-        """The primary outcome of a task."""
-        return self.outcome_of_task.get(task, self.primary_outcome)
+    def outcome(self, family: Family) -> str:
+        """The outcome of a family."""
+        return self.primary_outcome if family.outcome == "primary" else family.outcome
 
-    def resolve(self, family: Family, task: str) -> str:
-        """The outcome of a family on a task."""
-        return self.outcome(task) if family.outcome == "primary" else family.outcome
-
-    def family(self, task: str, outcome: str, term: str) -> Family | None:
-        """The family that an effect of a setting is tested in; None if it is exploratory."""
+    def family(self, outcome: str, term: str) -> str:
+        """Name of the family that an effect of a setting is tested in; empty if it is exploratory."""
         for family in self.families:
-            if not family.equivalence and (outcome, term) == (self.resolve(family, task), family.term):
-                return family
-        return None
+            if not family.equivalence and (outcome, term) == (self.outcome(family), family.term):
+                return family.name
+        return ""
 
     @property
-    def limits(self) -> list[int | None]:
-        """Training seeds below this number are in each planned look; None, all of them, where no look was planned."""
-        return [look.seeds for look in self.looks] or [None]
+    def schedule(self) -> tuple[Look, ...]:
+        """The planned looks; where none was planned, the only one, at all seeds."""
+        return self.looks or (ONLY_LOOK,)
 
-    def held(self, seeds: int) -> list[float]:
-        """The shares of the error rate of the looks that so many seeds in an arm allow."""
-        return [look.share for look in self.looks if seeds >= look.seeds] or [self.looks[0].share]
-
-    def share(self, seeds: int) -> float:
-        """The share of the error rate of the last look that was held."""
-        return self.held(seeds)[-1] if self.looks else 1.0
+    def held(self, seeds: int) -> tuple[Look, ...]:
+        """The looks that so many seeds in an arm allow."""
+        return tuple(look for look in self.schedule if seeds >= look.seeds) or self.schedule[:1]
 
 
 # Five seeds everywhere first, then five more where the first look leaves it open and ten can decide it.
 LOOKS = (Look(5, 0.2), Look(10, 0.8))
-DEFAULT: Plan = Plan()
+DEFAULT = Plan()
 TWO_BATCHES = Plan(looks=LOOKS)
-FIRST = Plan(
-    version=1,
-    outcome_of_task={"two-way": "crash_free_time"},
-    families=tuple(family for family in DEFAULT.families if family.name != "harm"),
-)
-VERSIONS = {1: FIRST, 2: DEFAULT}
 
 
-def plan_of(presets: Iterable[str], version: int = DEFAULT.version) -> Plan:
-    """The plan of this version for results that these presets asked for."""
-    return replace(VERSIONS[version], looks=LOOKS if "standard" in set(presets) else ())
+def plan_of(presets: Iterable[str]) -> Plan:
+    """The plan for results that these presets asked for."""
+    return TWO_BATCHES if "standard" in set(presets) else DEFAULT
 
 
 def as_data(plan: Plan, gates: dict[str, str]) -> dict[str, Any]:
     """The plan as plain values, with the outcomes, terms and gates that it refers to."""
-    confirmatory = {(plan.resolve(f, task), f.term) for f in plan.families for task in TASKS}
+    confirmatory = {(plan.outcome(family), family.term) for family in plan.families}
+    described = {name: {k: v for k, v in vars(o).items() if k != "of"} for name, o in OUTCOMES.items()}
     data = {
         **asdict(plan),
-        "outcomes": {name: _described(outcome) for name, outcome in OUTCOMES.items()},
+        "outcomes": described,
         "terms": TERMS,
         "unit": "training seed",
         "adjustment": "Holm within a family, Benjamini-Hochberg over everything exploratory",
@@ -173,10 +162,3 @@ def as_data(plan: Plan, gates: dict[str, str]) -> dict[str, Any]:
     }
     plain: dict[str, Any] = json.loads(json.dumps(data))  # as it is read back from analysis.json
     return plain
-
-
-def _described(outcome: Outcome) -> dict[str, Any]:
-    """An outcome as plain values."""
-    values = asdict(outcome)
-    del values["of"]
-    return values

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -31,6 +31,14 @@ CRASH_KINDS = (
 )
 FRONT = 2.5  # [m] from the ego's centre to its front
 CONVERGING = 0.05  # [rad]
+
+
+def in_order(rows: pd.DataFrame, *columns: str) -> pd.DataFrame:
+    """The rows sorted by columns, tasks and traffics in the grid's order."""
+    order = {"task": TASK_ORDER, "traffic": ALL_TRAFFICS}
+    return rows.sort_values(
+        list(columns), key=lambda column: column.map(order[column.name]) if column.name in order else column
+    )
 
 
 def with_outcomes(results: Results) -> pd.DataFrame:
@@ -111,15 +119,11 @@ class Arm:
             return 0.0
         return binomial_floor(self.tested(outcome, term))
 
-    def only(self, keep: Iterable[bool]) -> Arm:
-        """Some of the agents."""
-        mask = np.fromiter(keep, dtype=bool)
-        seeds = tuple(seed for seed, kept in zip(self.seeds, mask, strict=True) if kept)
-        return Arm(seeds, {name: values[:, mask] for name, values in self.values.items()})
-
-    def below(self, seed: int | None) -> Arm:
-        """The agents of the first batches of seeds; all if no limit is given."""
-        return self if seed is None else self.only(own < seed for own in self.seeds)
+    def below(self, seed: int) -> Arm:
+        """The agents of the first batches of training seeds."""
+        kept = np.array([own < seed for own in self.seeds])
+        values = {name: table[:, kept] for name, table in self.values.items()}
+        return self if kept.all() else Arm(tuple(np.array(self.seeds)[kept].tolist()), values)
 
 
 Place = tuple[str, str, int, str]  # backend, task, level, level_name
@@ -133,9 +137,7 @@ def arms_of(episodes: pd.DataFrame, outcomes: Sequence[str]) -> dict[Place, dict
         episodes: as from `with_outcomes`, of agents that all met the same scenarios; the arm's name is in "arm".
     """
     rows = episodes[episodes["traffic"].isin(list(TRAFFICS))]
-    traffic, task = rows["traffic"].map(ALL_TRAFFICS), rows["task"].map(TASK_ORDER)
-    order = ["backend", "_task", "level", "arm", "_traffic", "seed", "scenario"]
-    rows = rows.assign(_traffic=traffic, _task=task).sort_values(order)
+    rows = in_order(rows, "backend", "task", "level", "arm", "traffic", "seed", "scenario")
     result: dict[Place, dict[str, Arm]] = {}
     for (*place, arm), group in rows.groupby([*PLACE, "arm"], sort=False):
         seeds = tuple(int(seed) for seed in group["seed"].unique())

@@ -21,7 +21,6 @@ import pytest
 
 from sumo_env.env import DrivingEnv
 from sumo_env.simulator import SimulatorError
-from sumo_env.sumo import process
 from sumo_env.sumo.process import SimulatorDied, SumoProcess, open_simulator
 from sumo_env.tasks import TASKS
 from tests.sumo_env.sumo.fake import COMMAND, FAKE, HANGS, ends, scenario
@@ -115,11 +114,6 @@ def test_a_copy_goes_on_as_the_original(task: str, risk: float) -> None:
 @pytest.mark.parametrize("task", TASKS)
 def test_a_copy_goes_on_as_the_original_everywhere(task: str, level: int, risk: float, seed: int) -> None:
     check_copies(task, level, risk, seed, at=seed)
-
-
-def test_without_fork_a_copy_is_driven_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(process, "CAN_FORK", False)
-    check_copies("intersection", 0, 1.0, seed=1)
 
 
 def test_an_environment_is_copied_before_its_first_reset() -> None:

@@ -6,15 +6,13 @@ sumo_env.sumo.worker``, not a process of multiprocessing, which would import the
 answers are pickles on a socket of their own, so that nothing that SUMO prints gets between them. A worker ends when the
 socket is closed, by this process or by its death.
 
-An episode is copied by forking its worker. One of this process is first driven again in a worker, to the same bits;
-without fork, every copy is.
+An episode is copied by forking its worker. One of this process is first driven again in a worker, to the same bits.
 """
 
 from __future__ import annotations
 
 import os
 import pickle
-import select
 import shutil
 import signal
 import socket
@@ -39,8 +37,6 @@ TIMEOUT = 300.0  # [s] for an answer; a step takes milliseconds, the start of a 
 ATTEMPTS = 3  # to begin an episode in new workers, before giving up
 GRACE = 5.0  # [s] for a worker to end by itself
 SINGLE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
-# A copy is not a child of this process, which can wait for it by a file descriptor alone.
-CAN_FORK = hasattr(os, "pidfd_open")
 T = TypeVar("T")
 
 
@@ -79,7 +75,7 @@ class SumoProcess:
     @property
     def pid(self) -> int | None:
         """Process id of the worker, None without one."""
-        return self._host.process.pid if isinstance(self._host, _Worker) else None
+        return self._host.pid if isinstance(self._host, _Worker) else None
 
     def reset(self, scenario: Scenario) -> Scene:
         """Place a scenario, in a new worker if there is none or if it has died.
@@ -134,11 +130,8 @@ class SumoProcess:
         if self._episode:
             if isinstance(self._talk(lambda host: host), _Here):
                 self._move_out()
-            if CAN_FORK:
-                twin._adopt(self._talk(lambda host: host.fork(self.timeout)))
-                twin._episode, twin._calls, twin._scene = self._episode, self._calls.copy(), self._scene
-            else:
-                twin._drive_again(self._calls)
+            twin._adopt(self._talk(lambda host: host.fork(self.timeout)))
+            twin._episode, twin._calls, twin._scene = self._episode, self._calls.copy(), self._scene
         twin._may_be_here = self._may_be_here
         return twin
 
@@ -163,16 +156,12 @@ class SumoProcess:
             self._host.end(grace)
             self._host = None
 
-    def _drive_again(self, calls: list[tuple[str, tuple[Any, ...]]]) -> None:
-        """Drive an episode once more, from its reset on."""
-        for command, arguments in calls:
-            getattr(self, command)(*arguments)
-
     def _move_out(self) -> None:
         """Go on in a worker, where the episode is driven again up to here."""
         there = SumoProcess(self._name, self.timeout, self._options)
         try:
-            there._drive_again(self._calls)
+            for command, arguments in self._calls:
+                getattr(there, command)(*arguments)
             if not _equal(there._scene, self._scene):
                 raise SimulatorError(
                     "this simulation cannot be copied: driven again from its scenario, the episode is another one. "
@@ -270,11 +259,14 @@ class _Here:
 
 
 class _Worker:
-    """A process, and the socket to talk with it."""
+    """A process, and the socket to talk with it. The process has the only other end, so both end together."""
 
-    def __init__(self, process: subprocess.Popen[bytes] | _Copy, link: socket.socket, folder: str) -> None:
-        self._owner, self.process, self._folder = os.getpid(), process, folder
-        self._socket, self._stream = link, link.makefile("rwb")
+    def __init__(
+        self, pid: int, link: socket.socket, folder: str, child: subprocess.Popen[bytes] | None = None
+    ) -> None:
+        self.pid, self._child = pid, child  # a copy is a child of the worker that has made it
+        self._owner, self._folder = os.getpid(), folder
+        self._socket, self._stream = link, link.makefile("rb")
         _workers.add(self)
 
     @classmethod
@@ -286,14 +278,14 @@ class _Worker:
             worker = [sys.executable, "-P", "-m", "sumo_env.sumo.worker", str(theirs.fileno())]
             # -P, and the search path of this process: the worker imports what this process would import
             path = os.pathsep.join(entry or os.getcwd() for entry in sys.path)
-            process = subprocess.Popen(
+            child = subprocess.Popen(
                 [*worker, simulator, folder, *options],
                 env={**os.environ, **SINGLE_THREAD, "PYTHONPATH": path},
                 stdin=subprocess.DEVNULL,
                 pass_fds=(theirs.fileno(),),
                 start_new_session=True,  # Ctrl-C in the terminal is for this process alone
             )
-        return cls(process, ours, folder)
+        return cls(child.pid, ours, folder, child)
 
     def fork(self, timeout: float) -> _Worker:
         """A copy of the process, which serves a socket of its own; SimulatorError if the system has no process left."""
@@ -306,7 +298,7 @@ class _Worker:
             error, pid = pickle.loads(answer)
             if error is not None:
                 raise SimulatorError(f"the worker process of SUMO cannot be copied now: {error}")
-            return _Worker(_Copy(pid), socket.socket(fileno=descriptors[0]), folder)
+            return _Worker(pid, socket.socket(fileno=descriptors[0]), folder)
         except BaseException:
             shutil.rmtree(folder, ignore_errors=True)
             raise
@@ -317,10 +309,8 @@ class _Worker:
         return pickle.load(self._stream)
 
     def _send(self, command: str, arguments: tuple[Any, ...], timeout: float) -> None:
-        request = pickle.dumps((command, arguments), 5)
         self._socket.settimeout(timeout)
-        self._stream.write(request)
-        self._stream.flush()
+        self._socket.sendall(pickle.dumps((command, arguments), 5))
 
     def death(self, error: Exception) -> str:
         """How the worker has ended, given the error that `exchange` has met."""
@@ -328,10 +318,10 @@ class _Worker:
             return "belongs to the process that this one was forked from"
         if isinstance(error, TimeoutError):
             return f"gave no answer for {self._socket.gettimeout():g} s"
-        if isinstance(self.process, _Copy):
+        if self._child is None:
             return "is gone (it was a copy: how it ended is not known)"
         with suppress(subprocess.TimeoutExpired):
-            code = self.process.wait(GRACE)
+            code = self._child.wait(GRACE)
             return (
                 f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
             )
@@ -339,46 +329,35 @@ class _Worker:
 
     def end(self, grace: float = GRACE) -> None:
         """See to it that the worker is gone, after `grace` [s] to end by itself, and what it has left."""
+        if self._owner == os.getpid():
+            with suppress(OSError):
+                self._socket.shutdown(socket.SHUT_WR)  # tells the worker to end
+            if not self._is_gone(grace):
+                os.kill(self.pid, signal.SIGKILL)
+                self._is_gone(None)
+            if self._child is not None:
+                self._child.wait()
+            shutil.rmtree(self._folder, ignore_errors=True)
         self.disconnect()
-        if self._owner != os.getpid():
-            return
-        try:
-            self.process.wait(grace)
-        except subprocess.TimeoutExpired:
-            self.process.kill()
-            self.process.wait()
-        shutil.rmtree(self._folder, ignore_errors=True)
 
     forget = end
 
+    def _is_gone(self, within: float | None) -> bool:
+        """Whether the worker closes its end of the socket, as at its death, in this time [s]."""
+        self._socket.settimeout(within)
+        try:
+            while self._socket.recv(65536):
+                pass
+        except (TimeoutError, BlockingIOError):
+            return False
+        except OSError:
+            pass
+        return True
+
     def disconnect(self) -> None:
-        """Close the socket, which tells the worker to end."""
-        descriptor = self._socket.detach()  # unlike close(), does not flush half a request
-        if descriptor >= 0:
-            os.close(descriptor)
-
-
-class _Copy:
-    """A process that a worker has forked: the part of `subprocess.Popen` that is needed here."""
-
-    def __init__(self, pid: int) -> None:
-        self.pid, self._handle = pid, -1
-        with suppress(ProcessLookupError):
-            self._handle = os.pidfd_open(pid)  # a process id alone may be another process's by now
-
-    def wait(self, timeout: float | None = None) -> int:
-        """Wait for its end; how it ended is known to nobody."""
-        if self._handle >= 0:
-            if not select.select([self._handle], [], [], timeout)[0]:
-                raise subprocess.TimeoutExpired("a copy of a worker", timeout or 0.0)
-            os.close(self._handle)
-            self._handle = -1
-        return 0
-
-    def kill(self) -> None:
-        """Kill it."""
-        with suppress(ProcessLookupError):
-            signal.pidfd_send_signal(self._handle, signal.SIGKILL)
+        """Close the socket."""
+        self._stream.close()
+        self._socket.close()
 
 
 _workers: weakref.WeakSet[_Worker] = weakref.WeakSet()

@@ -261,24 +261,10 @@ def make_on_lane(
     if not 0.0 <= s <= geometry.length:  # it is on another lane, as in highway-env
         lane = road.closest_lane(x, y, heading)
         s = road.lane(lane).local_coordinates(x, y)[0]
-    if target_speed is None:
-        target_speed = speed
+    wanted = speed if target_speed is None else target_speed
     timer = ((x + y) * math.pi) % 1.0  # IDMVehicle.timer: spreads MOBIL's decisions over time
-    return VehicleSpec(
-        id,
-        lane,
-        s,
-        x,
-        y,
-        heading,
-        speed,
-        target_speed,
-        destination,
-        driver,
-        changes_lanes,
-        timer,
-        concerns_ego,
-    )
+    pose = lane, s, x, y, heading
+    return VehicleSpec(id, *pose, speed, wanted, destination, driver, changes_lanes, timer, concerns_ego)
 
 
 def nearest_index(speed: float, ladder: Iterable[float]) -> int:

@@ -26,13 +26,12 @@ _T = TypeVar("_T")
 LONGEST = 3600.0  # [s] that flows without an end go on
 Element = ElementTree.Element
 Edges = tuple[str, ...]
-Router = Callable[
-    [str, str, Sequence[str], str], Edges
-]  # from edge, to edge, via edges, vehicle class -> route
+# from edge, to edge, via edges, vehicle class -> route
+Router = Callable[[str, str, Sequence[str], str], Edges]
 
 WHEN = {"depart", "begin", "end", "number", "period", "vehsPerHour", "perHour", "probability"}
 WHERE = {"route", "from", "to", "via", "departLane", "departPos", "departSpeed"}
-HERE = WHEN | WHERE | {"id", "type", "speedFactor"}
+KNOWN = WHEN | WHERE | {"id", "type", "speedFactor"}
 LOAD = {"personNumber", "containerNumber"}
 WITHOUT_MEANING = LOAD | {"color", "line", "insertionChecks", "parkingBadges", "reroute"}
 REFUSED = {
@@ -177,25 +176,23 @@ class _Reader:
         self.ignored: set[str] = set()
         self._file, self._router = file, router
         self._names = {EGO}
-        self._kinds: dict[str, tuple[tuple[Kind | None, float], ...]] = {}
-        self._choices: dict[str, Choice] = {}  # of routes
+        self._choices: dict[tuple[str, str], tuple[tuple[Any, float], ...]] = {}  # of types, and of routes
 
     def take(self, item: Element) -> None:
         """Read an element of the file."""
-        name = item.get("id", "")
-        if item.tag == "vType":
-            self._kinds[name] = ((self._kind(item), 1.0),)
-        elif item.tag == "vTypeDistribution":
-            self._kinds[name] = tuple(self._distribution(item, "vType", self._type_of))
-        elif item.tag == "route":
-            self._choices[name] = ((self._route(name, item), 1.0),)
-        elif item.tag == "routeDistribution":
-            self._choices[name] = tuple(self._distribution(item, "route", self._route_of))
-        elif item.tag in ("vehicle", "trip", "flow"):
+        tag, name = item.tag, item.get("id", "")
+        if next(item.iter("stop"), None) is not None:
+            raise self._wrong(item, "stops are not driven here; take <stop> out")
+        if tag == "vType":
+            self._choices[tag, name] = ((self._kind(item), 1.0),)
+        elif tag == "route":
+            self._choices[tag, name] = ((self._route(name, item), 1.0),)
+        elif tag in ("vTypeDistribution", "routeDistribution"):
+            self._choices[tag.removesuffix("Distribution"), name] = self._distribution(item)
+        elif tag in ("vehicle", "trip", "flow"):
             self.entries.append(self._entry(item))
         else:
-            reason = REFUSED.get(item.tag, "it cannot be driven")
-            raise self._wrong(item, reason)
+            raise self._wrong(item, REFUSED.get(tag, "it cannot be driven"))
 
     def _wrong(self, item: Element, reason: str) -> ConfigError:
         return ConfigError(f"{self._file}: {item.tag} {item.get('id', '')!r}: {reason}")
@@ -239,34 +236,27 @@ class _Reader:
             return Kind(name, attributes, *values)
         return Kind(name, attributes, values[0], deviation)
 
-    def _distribution(
-        self, item: Element, tag: str, member: Callable[[Element, str], Iterator[tuple[_T, float]]]
-    ) -> Iterator[tuple[_T, float]]:
+    def _distribution(self, item: Element) -> tuple[tuple[Any, float], ...]:
         """Members by their weights: elements inside, or names in an attribute."""
+        tag = item.tag.removesuffix("Distribution")
+        members = []
         for inner in item.findall(tag):
             if inner.get("id") is not None:
                 self.take(inner)
-            for found, _ in member(item, inner.get("id") or inner.get("refId") or ""):
-                yield found, self._number(inner, "probability", 1.0)
+            name = inner.get("id") or inner.get("refId") or ""
+            members.append((name, self._number(inner, "probability", 1.0)))
         names = item.get(f"{tag}s", "").split()
-        weights = item.get("probabilities", "").split() or ["1"] * len(names)
-        for name, weight in zip(names, weights, strict=True):
-            for found, _ in member(item, name):
-                yield found, float(weight)
+        weights = map(float, item.get("probabilities", "").split() or ["1"] * len(names))
+        members += zip(names, weights, strict=True)
+        return tuple((one, weight) for name, weight in members for one, _ in self._named(item, tag, name))
 
-    def _type_of(self, item: Element, name: str) -> Iterator[tuple[Kind | None, float]]:
-        if name not in self._kinds:
-            raise self._wrong(item, f"unknown type {name!r}")
-        yield from self._kinds[name]
-
-    def _route_of(self, item: Element, name: str) -> Iterator[tuple[str, float]]:
-        if name not in self._choices:
-            raise self._wrong(item, f"unknown route {name!r}")
-        yield from self._choices[name]
+    def _named(self, item: Element, tag: str, name: str) -> tuple[tuple[Any, float], ...]:
+        """The types or routes of a name that an element gives."""
+        if (tag, name) not in self._choices:
+            raise self._wrong(item, f"unknown {tag} {name!r}")
+        return self._choices[tag, name]
 
     def _route(self, name: str, item: Element) -> str:
-        if item.find("stop") is not None:
-            raise self._wrong(item, "stops are not driven here")
         self.routes[name] = tuple(item.get("edges", "").split())
         if not self.routes[name]:
             raise self._wrong(item, "a route needs edges")
@@ -283,9 +273,9 @@ class _Reader:
         if (among := item.find("routeDistribution")) is not None:
             for number, route in enumerate(among.findall("route")):
                 route.set("id", f"{name} {number}")
-            return tuple(self._distribution(among, "route", self._route_of))
+            return self._distribution(among)
         if item.get("route") is not None:
-            return tuple(self._route_of(item, item.get("route", "")))
+            return self._named(item, "route", item.get("route", ""))
         if item.get("from") is None or item.get("to") is None:
             raise self._wrong(item, "it has no route, and no edges in from and to")
         via = item.get("via", "").split()
@@ -297,12 +287,10 @@ class _Reader:
         return ((name, 1.0),)
 
     def _entry(self, item: Element) -> Entry:
-        if item.find("stop") is not None:
-            raise self._wrong(item, "stops are not driven here; take <stop> out")
         self.ignored |= {
             f"<{inner.tag}> of a {item.tag}" for inner in item if not inner.tag.startswith("route")
         }
-        self.ignored |= {f"{key} of a {item.tag}" for key in set(item.keys()) - HERE - WITHOUT_MEANING}
+        self.ignored |= {f"{key} of a {item.tag}" for key in set(item.keys()) - KNOWN - WITHOUT_MEANING}
         name = item.get("id", "")
         if name in self._names:
             raise self._wrong(item, "there is another vehicle of this id")
@@ -315,7 +303,7 @@ class _Reader:
         if speed < 0.0:
             raise self._wrong(item, f"departSpeed={speed:g} is negative")
         kind = item.get("type")
-        kinds = ((None, 1.0),) if kind is None else tuple(self._type_of(item, kind))
+        kinds = ((None, 1.0),) if kind is None else self._named(item, "vType", kind)
         classes = {CAR if one is None else one.vehicles for one, _ in kinds}
         common: dict[str, Any] = {
             "id": name,

@@ -35,9 +35,9 @@ class Ego:
         crashed: since contact it only coasts to a stop.
     """
 
-    def __init__(self, scenario: Scenario, network: Network) -> None:
+    def __init__(self, session: Session, scenario: Scenario, network: Network) -> None:
         spec = scenario.ego
-        self._network, self._road = network, scenario.road
+        self._session, self._network, self._road = session, network, scenario.road
         self._route = ego_route(self._road, spec)
         self.speed, self.target_speed, self.target_lane = spec.speed, spec.target_speed, spec.lane
         self.crashed = False
@@ -48,8 +48,9 @@ class Ego:
         """Take over the command of a policy step."""
         self.target_speed, self.target_lane = command
 
-    def drive(self, session: Session, x: float, y: float, dt: float) -> float:
+    def drive(self, x: float, y: float, dt: float) -> float:
         """Command the next `dt` [s] from the centre (x, y) [m]; returns the distance that will be covered [m]."""
+        session = self._session
         self.target_lane = follow_road(self._road, self.target_lane, self._route, x, y)
         if self.crashed:
             self.speed, distance = coast(self.speed, dt)
@@ -67,7 +68,7 @@ class Ego:
         # lanes of one edge share one length in SUMO, so a metre in a bend is not a metre on the road
         session.set_speed(EGO, distance / session.step_length * self._stretch)
         if not self.crashed:
-            self._change_lane(session, lane)
+            self._change_lane(lane)
         return distance
 
     def _follow_fork(self, before: str, lane: str) -> None:
@@ -77,19 +78,19 @@ class Ego:
         if self.target_lane in onward and indices[lane] in onward:
             self.target_lane = indices[lane]
 
-    def _change_lane(self, session: Session, lane: str) -> None:
+    def _change_lane(self, lane: str) -> None:
         """Begin a lane change where the ego is on another lane than it steers for, and no change is running."""
         if lane.startswith(":"):
             return
         start, end, place = self._network.indices[lane]
         target = self.target_lane[2]
-        if place == target or session.lateral_offset(EGO) >= CENTRED:
+        if place == target or self._session.lateral_offset(EGO) >= CENTRED:
             return
         count = self._road.count(start, end)
         if self._road.oncoming:  # the lane of oncoming traffic is SUMO's opposite lane
-            session.change_lane_relative(EGO, 1 if target == 0 else -1)
+            self._session.change_lane_relative(EGO, 1 if target == 0 else -1)
         elif count == self._road.count(*self.target_lane[:2]):
-            session.change_lane(EGO, self._network.sumo_index((start, end, target)))
+            self._session.change_lane(EGO, self._network.sumo_index((start, end, target)))
 
 
 @lru_cache(maxsize=32)

@@ -50,43 +50,44 @@ class Push:
 
 
 class Events:
-    """The risk events of one episode."""
+    """The risk events of one episode.
 
-    def __init__(self, scenario: Scenario, network: Network, calibration: Calibration) -> None:
-        self._coming, self._count = list(reversed(scenario.events)), len(scenario.events)
-        self._network, self._calibration = network, calibration
-        self._cut_ins: dict[str, float] = {}  # vehicle -> end of its forced lane change [s]
-        self._pushes: dict[str, Push] = {}
+    `specs` are those of the vehicles on the road, `crashed` the vehicles for which all events are over; both change.
+    """
 
-    def act(
+    def __init__(
         self,
         session: Session,
-        time: float,
-        dt: float,
+        scenario: Scenario,
+        network: Network,
         specs: Mapping[str, VehicleSpec],
         crashed: Container[str],
     ) -> None:
-        """Begin, continue and end events before the sub-step from `time` to `time` + `dt` [s].
+        self._coming, self._count = list(reversed(scenario.events)), len(scenario.events)
+        self._session, self._network, self._calibration = session, network, scenario.calibration
+        self._specs, self._crashed = specs, crashed
+        self._cut_ins: dict[str, float] = {}  # vehicle -> end of its forced lane change [s]
+        self._pushes: dict[str, Push] = {}
 
-        specs: of the vehicles on the road; crashed: those for whom all events are over.
-        """
+    def act(self, time: float, dt: float) -> None:
+        """Begin, continue and end events before the sub-step from `time` to `time` + `dt` [s]."""
         if not (self._cut_ins or self._pushes or (self._coming and self._coming[-1].time <= time + EARLY)):
             return
         while self._coming and self._coming[-1].time <= time + EARLY:
             event = self._coming.pop()
-            if event.vehicle in specs and event.vehicle not in crashed:
+            if event.vehicle in self._specs and event.vehicle not in self._crashed:
                 if event.kind == "cut-in":
-                    self._cut_in(session, event, time, specs)
+                    self._cut_in(event, time)
                 else:
                     self._pushes[event.vehicle] = Push(event, time + event.duration)
         for running in (self._cut_ins, self._pushes):
-            for name in [name for name in running if name not in specs or name in crashed]:
+            for name in [name for name in running if name not in self._specs or name in self._crashed]:
                 del running[name]
         for name in [name for name, end in self._cut_ins.items() if time >= end - EARLY]:
             del self._cut_ins[name]
-            self._end_cut_in(session, name, specs[name])
+            self._end_cut_in(name)
         for name, push in list(self._pushes.items()):
-            self._push(session, name, push, time, dt, specs)
+            self._push(name, push, time, dt)
 
     def imagine(self, events: Sequence[RiskEvent]) -> None:
         """Go on with these events; those that have begun are the same."""
@@ -100,11 +101,9 @@ class Events:
 
     # -- cut-ins -------------------------------------------------------------------------------------------
 
-    def _cut_in(
-        self, session: Session, event: RiskEvent, time: float, specs: Mapping[str, VehicleSpec]
-    ) -> None:
+    def _cut_in(self, event: RiskEvent, time: float) -> None:
         """Change to a neighbouring lane at once, where there is one with room."""
-        name = event.vehicle
+        name, session = event.vehicle, self._session
         lane = session.lane_of(name)
         if lane.startswith(":") or session.lateral_offset(name) > CENTRED:
             return
@@ -113,52 +112,40 @@ class Events:
         oncoming = self._network.road.oncoming  # then the only lane beside is that of oncoming traffic
         targets = (0,) if oncoming else (place + event.direction, place - event.direction)
         for target in targets:
-            if (
-                target == place
-                or not 0 <= target < count
-                or not self._has_room(session, name, (start, end, target), specs)
-            ):
+            beside = start, end, target
+            if target == place or not 0 <= target < count or not self._has_room(name, beside):
                 continue
             session.set_modes(name, lane_change_mode=COMMANDED_LANE_CHANGES)
             if oncoming:
                 session.change_lane_relative(name, 1)
             else:
-                session.change_lane(name, self._network.sumo_index((start, end, target)))
+                session.change_lane(name, self._network.sumo_index(beside))
             self._cut_ins[name] = time + (SWERVE_TIME if oncoming else CUT_IN_TIME)
             return
 
-    def _has_room(
-        self, session: Session, name: str, lane: LaneIndex, specs: Mapping[str, VehicleSpec]
-    ) -> bool:
-        states = session.read(specs)
+    def _has_room(self, name: str, lane: LaneIndex) -> bool:
+        states = self._session.read(self._specs)
         x, y, speed, _ = states.pop(name)
         geometry = self._network.road.lane(lane)
         s, _ = geometry.local_coordinates(x, y)
         return has_room((*geometry.position(s, 0.0), speed, geometry.heading_at(s)), list(states.values()))
 
-    def _end_cut_in(self, session: Session, name: str, spec: VehicleSpec) -> None:
+    def _end_cut_in(self, name: str) -> None:
         if self._network.road.oncoming:
-            session.change_lane_relative(name, -1)
+            self._session.change_lane_relative(name, -1)
         else:
-            session.set_modes(name, lane_change_mode=modes(spec, self._calibration)[1])
+            self._session.set_modes(name, lane_change_mode=modes(self._specs[name], self._calibration)[1])
 
     # -- braking and surges --------------------------------------------------------------------------------
 
-    def _push(
-        self,
-        session: Session,
-        name: str,
-        push: Push,
-        time: float,
-        dt: float,
-        specs: Mapping[str, VehicleSpec],
-    ) -> None:
+    def _push(self, name: str, push: Push, time: float, dt: float) -> None:
         """Command the speed of a braking or surging vehicle for one sub-step, or give it back to SUMO."""
+        session = self._session
         event = push.event
         ended = time >= push.end - EARLY
-        if ended or not self._may_push(session, event, specs):
+        if ended or not self._may_push(event):
             if push.commanded:
-                session.set_modes(name, speed_mode=modes(specs[name], self._calibration)[0])
+                session.set_modes(name, speed_mode=modes(self._specs[name], self._calibration)[0])
                 session.set_speed(name, -1.0)
                 push.commanded = False
             if ended:
@@ -169,10 +156,10 @@ class Events:
             push.commanded = True
         session.set_speed(name, max(session.speed_of(name) + event.accel * dt, 0.0))
 
-    def _may_push(self, session: Session, event: RiskEvent, specs: Mapping[str, VehicleSpec]) -> bool:
+    def _may_push(self, event: RiskEvent) -> bool:
         """A surge pauses while somebody is near straight ahead; a brake never does."""
         if event.kind == "brake":
             return True
-        states = session.read(specs)
+        states = self._session.read(self._specs)
         vehicle = states.pop(event.vehicle)
         return free_way(vehicle, list(states.values()), event.way)

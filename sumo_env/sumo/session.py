@@ -159,13 +159,12 @@ class Session:
         position: float,
         speed: float,
         desired_speed: float,
-        speed_mode: int = REGULAR,
-        lane_change_mode: int = OWN_LANE_CHANGES,
+        modes: tuple[int, int] = (REGULAR, OWN_LANE_CHANGES),
         size: tuple[float, float] = CAR_SIZE,
     ) -> None:
         """Place a vehicle with its front bumper at `position` [m] of a lane, driving at `speed` [m/s].
 
-        desired_speed: that it follows on a free road [m/s].
+        desired_speed: that it follows on a free road [m/s]; modes: speed mode and lane-change mode.
         """
         self._known.add(name)
         if size == CAR_SIZE:
@@ -176,10 +175,10 @@ class Session:
         _vehicle.moveTo(name, lane, position)
         _vehicle.setPreviousSpeed(name, speed)
         # SUMO asks every vehicle whose mode was ever set for commands at every step, so the defaults are not set
-        if speed_mode != REGULAR:
-            _vehicle.setSpeedMode(name, speed_mode)
-        if lane_change_mode != OWN_LANE_CHANGES:
-            _vehicle.setLaneChangeMode(name, lane_change_mode)
+        if modes[0] != REGULAR:
+            _vehicle.setSpeedMode(name, modes[0])
+        if modes[1] != OWN_LANE_CHANGES:
+            _vehicle.setLaneChangeMode(name, modes[1])
         limit = self._limits.get(lane)
         if limit is None:
             limit = self._limits[lane] = libsumo.lane.getMaxSpeed(lane)

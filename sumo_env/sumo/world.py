@@ -114,11 +114,11 @@ class SumoSimulator:
         self._session.load(self._settings(scenario))
         self._specs: dict[str, VehicleSpec] = {}  # vehicles on the road
         self._crashed: dict[str, float] = {}  # crashed vehicles but the ego -> speed [m/s]
-        self._events = Events(scenario, self._network, self._set_up)
+        self._events = Events(self._session, scenario, self._network, self._specs, self._crashed)
         self._detector = CrashDetector()
         self._steps_done = 0
         self._drive_warm_up()
-        self._ego = Ego(scenario, self._network)
+        self._ego = Ego(self._session, scenario, self._network)
         self._place(scenario.ego)
         self._around = Surroundings(self._session, scenario.ego.speed)
         return self._read()
@@ -160,22 +160,10 @@ class SumoSimulator:
         size = spec.driver.size
         route, lane, position = self._network.place(spec.lane, spec.s, spec.destination, size[0] / 2.0)
         limit = self._network.road.lane(spec.lane).speed_limit
-        speed_mode, lane_change_mode, desired = ALL_CHECKS_OFF, COMMANDED_LANE_CHANGES, limit
+        own, desired = (ALL_CHECKS_OFF, COMMANDED_LANE_CHANGES), limit
         if spec.id != EGO:
-            speed_mode, lane_change_mode = modes(spec, self._set_up)
-            desired = min(spec.target_speed, limit)
-        self._session.add(
-            spec.id,
-            route,
-            spec.driver.type,
-            lane,
-            position,
-            spec.speed,
-            desired,
-            speed_mode,
-            lane_change_mode,
-            size,
-        )
+            own, desired = modes(spec, self._set_up), min(spec.target_speed, limit)
+        self._session.add(spec.id, route, spec.driver.type, lane, position, spec.speed, desired, own, size)
         self._specs[spec.id] = spec
 
     def _drive_warm_up(self) -> None:
@@ -208,9 +196,9 @@ class SumoSimulator:
         around.take_stock()
         least_ttc, distance, scenes = inf, 0.0, []
         for _ in range(self._substeps):
-            self._events.act(self._session, self._time, self._dt, self._specs, self._crashed)
+            self._events.act(self._time, self._dt)
             x, y, _, _ = around.ego
-            distance += ego.drive(self._session, x, y, self._dt)
+            distance += ego.drive(x, y, self._dt)
             self._look(self._advance())
             if not ego.crashed and around.near:
                 least_ttc = min(least_ttc, around.time_to_collision(min(least_ttc, HORIZON)))

@@ -43,9 +43,8 @@ def cross(shape: str | None) -> list[tuple[float, bool]]:
             speed = rng.uniform(5.0, 9.0)
             lane = (f"o{arm}", f"ir{arm}", 0)
             place = net.place(lane, net.road.lane(lane).length - 2.0 * speed + rng.uniform(-3, 3), f"o{goal}")
-            session.add(
-                name, place[0], "car", *place[1:], speed, 10.0, ALL_CHECKS_OFF, COMMANDED_LANE_CHANGES
-            )
+            modes = ALL_CHECKS_OFF, COMMANDED_LANE_CHANGES
+            session.add(name, place[0], "car", *place[1:], speed, 10.0, modes)
             session.set_speed(name, speed)
         overlap, reported = -np.inf, False
         for _ in range(LONGEST):

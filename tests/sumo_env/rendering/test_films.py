@@ -41,7 +41,7 @@ def sumo_env_highway(render_mode: str | None, **config: Any) -> gym.Env[Any, Any
 
 def test_watching_changes_nothing() -> None:
     plain = sumo_env_highway(None)
-    watched = sumo_env_highway("rgb_array", show_trajectories=True)
+    watched = sumo_env_highway("rgb_array")
     episodes = []
     for env in (plain, watched):
         observations = [env.reset(seed=4)[0]]

@@ -123,16 +123,3 @@ def test_gaps_between_lanes_are_bridged() -> None:
     x, y = (x0 + x1) / 2, (y0 + y1) / 2
     picture = Renderer().draw(scene((x - 8, y, 0)), road, VIEW)
     assert pixel(picture, x, y, ego=(x - 8, y)) == ASPHALT
-
-
-def test_trajectories_on_demand() -> None:
-    road = highway(4)
-    with_them, without = Renderer(), Renderer()
-    for step in range(5):
-        here = scene((100 + 4 * step, 8, 0), (130 + 2 * step, 0, 0), time=0.3 * step)
-        plain = without.draw(here, road, VIEW)
-        traced = with_them.draw(here, road, {**VIEW, "show_trajectories": True})
-    assert pixel(plain, 108, 8, ego=(116, 8)) == ASPHALT
-    assert pixel(traced, 108, 8, ego=(116, 8)) != ASPHALT
-    fresh = with_them.draw(scene((116, 8, 0), time=0.0), road, {**VIEW, "show_trajectories": True})
-    assert pixel(fresh, 108, 8, ego=(116, 8)) == ASPHALT  # a new episode has no past

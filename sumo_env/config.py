@@ -21,7 +21,6 @@ COMMON: Config = {
     "screen_height": 150,  # [px]
     "scaling": 5.5,  # [px/m]
     "centering_position": [0.3, 0.5],
-    "show_trajectories": False,
 }
 
 DISCRETE_META_ACTION: Config = {"type": "DiscreteMetaAction", "longitudinal": True, "lateral": True}
@@ -69,6 +68,7 @@ LEFT_OUT: dict[str, tuple[Any, ...]] = {
     "real_time_rendering": (False,),
     "render_agent": (True,),
     "show_history": (False,),
+    "show_trajectories": (False,),
     "neighbour_vehicles_connected_lanes": (False, True),  # SUMO's drivers always see across lane joins
 }
 FILE_KEYS = ("id", "import_module")  # rl-agents hands its whole JSON file to `configure`

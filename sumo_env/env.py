@@ -188,10 +188,12 @@ class DrivingEnv(ReadAsHighwayEnv):
             target_lane(name, self._road, self._target_lane, self._route, x, y),
         )
         self._commands.append(command)
-        films = self._video is not None and self._video.recording
-        self._last = step = self._simulator.step(command, trace=films or self._shows_trajectories())
-        for scene in step.trace[:-1]:
-            self._on_substep(scene)
+        film = self._video if self._video is not None and self._video.recording else None
+        self._last = step = self._simulator.step(command, trace=film is not None)
+        if film is not None:
+            for scene in step.trace[:-1]:
+                self.scene = scene
+                film._capture_frame()
         self.scene, self._target_lane = step.scene, step.target_lane
         self.steps += 1
         action = int(action)
@@ -208,7 +210,11 @@ class DrivingEnv(ReadAsHighwayEnv):
             return None
         if self.scenario is None:
             raise gym.error.ResetNeeded("call reset() before render()")
-        return self._camera().draw(self.scene, self.task.road(self.config), self.config)
+        if self._renderer is None:
+            from sumo_env.rendering import Renderer  # Pillow is imported when the first picture is drawn
+
+            self._renderer = Renderer()
+        return self._renderer.draw(self.scene, self.task.road(self.config), self.config)
 
     def export(self, folder: str | Path) -> list[Path]:
         """Write the present episode, as far as it was driven, for ``sumo`` and ``sumo-gui``; returns the files.
@@ -246,24 +252,6 @@ class DrivingEnv(ReadAsHighwayEnv):
             frequency = simulated_frequency(self.config)
             self.metadata = {**self.metadata, "render_fps": frequency}
             self._video.frames_per_sec = frequency
-
-    def _on_substep(self, scene: Scene) -> None:
-        """Between two policy steps: add a frame to the film and points to the trajectories."""
-        if self._shows_trajectories():
-            self._camera().remember(scene)
-        if self._video is not None and self._video.recording:
-            self.scene = scene
-            self._video._capture_frame()
-
-    def _shows_trajectories(self) -> bool:
-        return self.render_mode is not None and bool(self.config["show_trajectories"])
-
-    def _camera(self) -> Renderer:
-        if self._renderer is None:
-            from sumo_env.rendering import Renderer  # Pillow is imported when the first picture is drawn
-
-            self._renderer = Renderer()
-        return self._renderer
 
     def imagine(self, seed: int) -> DrivingEnv:
         """A copy of this environment in which new risk events replace those that have not begun.
@@ -378,7 +366,7 @@ class SumoDrivingEnv(DrivingEnv):
         routes: where the others drive: SUMO's demand (.rou.xml), or routes by name or in a row, each as edges. From a
             file they depart as it says; on routes they are drawn (``vehicles_count``, ``spawn_probability``).
         ego_route: edges that the ego drives along, one after the other.
-        config, render_mode, sumo_options: as of `DrivingEnv`.
+        config, keywords: as of `DrivingEnv`.
 
     Raises:
         ConfigError: a file that cannot be read or that has what cannot be driven, edges that are not connected.
@@ -390,10 +378,6 @@ class SumoDrivingEnv(DrivingEnv):
         routes: str | Path | Mapping[str, Sequence[str]] | Sequence[Sequence[str]],
         ego_route: Sequence[str],
         config: Mapping[str, Any] | None = None,
-        render_mode: str | None = None,
-        sumo_options: Sequence[str] = (),
         **keywords: Any,
     ) -> None:
-        refuse_keywords(keywords)
-        task = NetworkTask(network, routes, ego_route)
-        super().__init__(task, config, render_mode, sumo_options=sumo_options)
+        super().__init__(NetworkTask(network, routes, ego_route), config, **keywords)

@@ -55,11 +55,14 @@ def write(folder: Path, scenario: Scenario, scenes: Sequence[Scene]) -> list[Pat
     warm_up = round(scenario.warm_up / step) * step
     specs = {spec.id: spec for spec in (*scenario.specs, *(spawn.vehicle for spawn in scenario.spawns))}
     sizes = {size for scene in scenes for size in scene.sizes.values()}
-    shown = [
+    types = ElementTree.Element("additional")
+    types.extend(
         ElementTree.Element("vType", {"id": _type(name, size), "color": colour, **REPLAYED, **_extent(size)})
         for name, colour in COLOURS.items()
         for size in (None, *sorted(sizes))
-    ]
+    )
+    routes = ElementTree.Element("routes")
+    routes.extend(_departures(road, scenario, scenes, warm_up))
     inputs = {"net-file": "network.net.xml", "additional-files": "types.add.xml"}
     driven = {**inputs, "route-files": "traffic.rou.xml"}
     # sumo-gui stops after the first step, when the vehicles are there, and with the last scene, before SUMO's own end
@@ -67,9 +70,9 @@ def write(folder: Path, scenario: Scenario, scenes: Sequence[Scene]) -> list[Pat
     stops, later_stops = (step, last), (warm_up + step, warm_up + last)
     contents = {
         "recorded.fcd.xml": _floating_car_data(road, specs, scenes, step, 0.0),
-        "types.add.xml": _element("additional", *shown),
+        "types.add.xml": types,
         "ego.fcd.xml": _floating_car_data(road, {EGO: scenario.ego}, scenes, step, warm_up),
-        "traffic.rou.xml": _element("routes", *_departures(road, scenario, scenes, warm_up)),
+        "traffic.rou.xml": routes,
         VIEW: _view(road, scenes),
         "episode.sumocfg": _configuration(inputs, "recorded.fcd.xml", step, length, stops),
         "traffic.sumocfg": _configuration(driven, "ego.fcd.xml", step, warm_up + length, later_stops),
@@ -133,7 +136,7 @@ class _Way:
     """A vehicle's route as SUMO's lanes, on which its places are looked up in driving order."""
 
     def __init__(self, road: Network, spec: VehicleSpec, by_edge: Mapping[str, list[SumoLane]]) -> None:
-        self._lanes = [by_edge[edge] for edge in road.routes[_route(road, spec)]]
+        self._lanes = [by_edge[edge] for edge in road.routes[road.sumo_route(spec.lane, spec.destination)]]
         self._edge = 0
 
     def locate(self, x: float, y: float) -> tuple[str, float]:
@@ -194,10 +197,6 @@ def _attributes(spec: VehicleSpec, calibration: Calibration) -> dict[str, str]:
     }
 
 
-def _route(road: Network, spec: VehicleSpec) -> str:
-    return road.sumo_route(spec.lane, spec.destination)
-
-
 def _view(road: Network, scenes: Sequence[Scene]) -> ElementTree.Element:
     """Settings of sumo-gui: the whole way of the ego in the window, 0.1 s between two steps."""
     places = np.array([point for lane in road.sumo_lanes.values() for point in lane.shape])
@@ -244,10 +243,4 @@ def _configuration(
         group = ElementTree.SubElement(root, section)
         for name, value in values.items():
             ElementTree.SubElement(group, name, value=value)
-    return root
-
-
-def _element(tag: str, *children: ElementTree.Element) -> ElementTree.Element:
-    root = ElementTree.Element(tag)
-    root.extend(children)
     return root

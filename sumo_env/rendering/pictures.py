@@ -7,7 +7,7 @@ cars are white, crashed ones red, and a car is yellow with a ring while a risk e
 from __future__ import annotations
 
 import math
-from collections import OrderedDict, deque
+from collections import OrderedDict
 from collections.abc import Mapping
 from typing import Any
 
@@ -36,7 +36,6 @@ SUPERSAMPLING = 2  # drawn this much larger, then averaged
 TILE = 256  # [drawn px] edge of a piece of the road's picture
 TILES = 160  # pieces that are kept, 30 MB
 RING = 4.0  # [m] radius of the ring around a car in a risk event, and around a crashed ego
-TRAJECTORY = 2.0  # [s] of the past that trajectories show, VehicleGraphics.display_history
 
 _HALF = VEHICLE_LENGTH / 2, VEHICLE_WIDTH / 2
 # Parts of a car in its own frame (x ahead, y right) [m].
@@ -53,7 +52,7 @@ class Renderer:
     """Draws scenes; keeps the road's picture between calls, so use one per environment.
 
     Size, zoom and camera are highway-env's config keys: ``screen_width``, ``screen_height`` [px], ``scaling``
-    [px/m], ``centering_position`` (the ego's place as a share of the picture), ``show_trajectories``.
+    [px/m], ``centering_position`` (the ego's place as a share of the picture).
     """
 
     def __init__(self) -> None:
@@ -61,19 +60,13 @@ class Renderer:
         self._scale = 0.0
         self._layers: tuple[_Layer, ...] = ()
         self._tiles: OrderedDict[tuple[int, int], Image.Image] = OrderedDict()
-        self._past: dict[str, deque[tuple[float, float, float]]] = {}
-        self._time = math.inf
         self._font = ImageFont.load_default(size=13)
 
     def draw(self, scene: Scene, road: Road, config: Mapping[str, Any]) -> NDArray[np.uint8]:
-        """The picture of a scene, shape (screen_height, screen_width, 3).
-
-        Trajectories run through the scenes of the last 2 s that were drawn or noted by `remember`.
-        """
+        """The picture of a scene, shape (screen_height, screen_width, 3)."""
         width, height = int(config["screen_width"]), int(config["screen_height"])
         scale = float(config["scaling"]) * SUPERSAMPLING
         self._prepare(road, scale)
-        self.remember(scene)
         # The camera moves by whole drawn pixels, so that the road's picture can be pasted.
         across, down = config["centering_position"]
         left = round(float(scene.x[0]) * scale - across * width * SUPERSAMPLING)
@@ -81,8 +74,6 @@ class Renderer:
         size = width * SUPERSAMPLING, height * SUPERSAMPLING
         canvas = self._ground(left, top, *size)
         pen = ImageDraw.Draw(canvas)
-        if config["show_trajectories"]:
-            self._draw_trajectories(pen, scene, scale, left, top)
         reach = max([VEHICLE_LENGTH, *(length for length, _ in scene.sizes.values())]) * scale
         for row in range(len(scene) - 1, -1, -1):  # the ego last, on top of the others
             x, y = float(scene.x[row]) * scale - left, float(scene.y[row]) * scale - top
@@ -136,29 +127,6 @@ class Renderer:
             for polygon in layer.within(corner / self._scale, (corner + TILE) / self._scale):
                 pen.polygon(_pixels(polygon * self._scale - corner), fill=layer.colour)
         return tile
-
-    # -- what moves ----------------------------------------------------------------------------------------
-
-    def remember(self, scene: Scene) -> None:
-        """Note where the vehicles are, for their trajectories."""
-        if scene.time < self._time:  # a new episode
-            self._past.clear()
-        self._time = scene.time
-        for name, x, y in zip(scene.ids, scene.x.tolist(), scene.y.tolist(), strict=True):
-            past = self._past.setdefault(name, deque())
-            past.append((scene.time, x, y))
-            while past[0][0] < scene.time - TRAJECTORY:
-                past.popleft()
-
-    def _draw_trajectories(
-        self, pen: ImageDraw.ImageDraw, scene: Scene, scale: float, left: int, top: int
-    ) -> None:
-        for row, name in enumerate(scene.ids):
-            past = self._past[name]
-            if len(past) > 1:
-                points = [(round(x * scale - left), round(y * scale - top)) for _, x, y in past]
-                colour = _blend(_colour(scene, row), ASPHALT)
-                pen.line(points, fill=colour, width=max(round(0.4 * scale), 1), joint="curve")
 
     def _write(self, picture: Image.Image, scene: Scene) -> None:
         text = f"{scene.time:.1f} s    {float(scene.speed[0]):.1f} m/s"

@@ -23,6 +23,14 @@ SAFE_BRAKING = 2.0  # [m/s2] IDMVehicle.LANE_CHANGE_MAX_BRAKING_IMPOSED
 MIN_GAIN = 0.2  # [m/s2] IDMVehicle.LANE_CHANGE_MIN_ACC_GAIN
 LARGEST = 30.0  # [m] length and width of a vehicle
 MAX_SPEED = 60.0  # [m/s] more than anybody drives
+# Attributes of a vehicle type that a driver of one's own cannot have.
+UNCHANGED = {
+    **dict.fromkeys(("id", "guiShape"), "vehicles are boxes with names of their own"),
+    **dict.fromkeys(
+        ("speedFactor", "speedDev"),
+        "the target_speed of a VehicleSpec is the speed that a vehicle wants to drive, and 'maxSpeed' limits it",
+    ),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,20 +122,13 @@ class Driver:
             ValueError: attributes that SUMO does not know, or that would have no effect here.
         """
         check_attributes(name, attributes)
-        fixed = sorted({"id", "guiShape"} & attributes.keys())
-        if fixed:
-            raise ValueError(f"{', '.join(fixed)} of {name!r} cannot be changed: vehicles are boxes")
+        for key in sorted(UNCHANGED.keys() & attributes.keys()):
+            raise ValueError(f"{key} of {name!r} would have no effect: {UNCHANGED[key]}")
         for key in {"length", "width"} & attributes.keys():
             if not 0.1 <= float(str(attributes[key])) <= LARGEST:
                 raise ValueError(
                     f"{key} of {name!r} must be from 0.1 to {LARGEST:g} m, not {attributes[key]}"
                 )
-        factors = sorted({"speedFactor", "speedDev"} & attributes.keys())
-        if factors:
-            raise ValueError(
-                f"{', '.join(factors)} of {name!r} would have no effect: the target_speed of a VehicleSpec is the "
-                "speed that a vehicle wants to drive, and 'maxSpeed' limits it"
-            )
         own = tuple((key, str(value)) for key, value in attributes.items())
         type = f"{name}.{self.type}"
         return replace(

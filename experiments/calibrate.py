@@ -21,7 +21,7 @@ if __package__ in (None, ""):  # run as a file: import from the project, not fro
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, replace
 from typing import Any
 
 import optuna
@@ -45,7 +45,6 @@ from experiments.validation.egos import CORE
 from experiments.validation.parts import Engine
 from sumo_env.tasks import TASKS
 from sumo_env.tasks.base import Task
-from sumo_env.traffic.risk import RiskRates
 
 PARTS = ("drivers", "risk", "doses")
 FITTED = 1000  # number of the first scenario used for fitting; validation's begin at 0
@@ -134,22 +133,18 @@ class Options:
 
 def present_risk(task: Task) -> dict[str, Any]:
     """Rates of events and ranges of parameters that are in force; of a range, its lower end."""
-    ranges = asdict(task.risk_ranges)
-    lower = {name: value[0] if isinstance(value, tuple) else value for name, value in ranges.items()}
-    return {**asdict(task.risk_rates), **lower}
+    both = asdict(task.risk_rates) | asdict(task.risk_ranges)
+    return {name: value[0] if isinstance(value, tuple) else value for name, value in both.items()}
 
 
 def risk_options(task: Task, settings: Mapping[str, Any]) -> dict[str, Any]:
     """Settings of a search as `reset` takes them: a lower end becomes a range up to the present upper end."""
-    events = {field.name for field in fields(RiskRates)}
-    present = asdict(task.risk_ranges)
-    ranges = {
-        name: (value, present[name][1]) if isinstance(present[name], tuple) else value
-        for name, value in settings.items()
-        if name not in events
-    }
-    rates = {name: value for name, value in settings.items() if name in events}
-    return {"risk_rates": rates, "risk_ranges": ranges}
+    options: dict[str, dict[str, Any]] = {"risk_rates": {}, "risk_ranges": {}}
+    for name, value in settings.items():
+        present = getattr(task.risk_ranges, name, None)  # None: it is a rate
+        kind = "risk_rates" if present is None else "risk_ranges"
+        options[kind][name] = (value, present[1]) if isinstance(present, tuple) else value
+    return options
 
 
 def drivers_distance(table: pd.DataFrame, task: str) -> float:
@@ -172,16 +167,12 @@ def drivers_distance(table: pd.DataFrame, task: str) -> float:
 
 def responses(table: pd.DataFrame) -> pd.DataFrame:
     """Crash rate, time to crash and length of the episodes by engine, task, traffic and ego."""
-    return (
-        table.groupby(["engine", "task", "traffic", "ego"], sort=False)
-        .agg(
-            crash_rate=("crashed", "mean"),
-            time_to_crash=("crash_time", "mean"),
-            length=("length", "mean"),
-            episode_return=("return", "mean"),
-            episodes=("crashed", "size"),
-        )
-        .reset_index()
+    return table.groupby(["engine", "task", "traffic", "ego"], sort=False, as_index=False).agg(
+        crash_rate=("crashed", "mean"),
+        time_to_crash=("crash_time", "mean"),
+        length=("length", "mean"),
+        episode_return=("return", "mean"),
+        episodes=("crashed", "size"),
     )
 
 
@@ -243,71 +234,74 @@ def complete(study: optuna.Study) -> list[optuna.trial.FrozenTrial]:
     return study.get_trials(states=(TrialState.COMPLETE,))
 
 
-class Fit:
-    """What is done for one task."""
+def drive(
+    options: Options,
+    task: str,
+    engines: Sequence[Engine],
+    levels: Sequence[int],
+    traffics: Sequence[str],
+    scenarios: range,
+) -> pd.DataFrame:
+    """The episodes of some engines; those of the reference are driven once."""
+    work = parts.plan(engines, {task: levels}, traffics, scenarios)
+    return parts.run(work, options.out / "parts", options.workers)
 
-    def __init__(self, options: Options, task: str) -> None:
-        self.options, self.task = options, task
-        self.levels = list(range(1, len(grid.level_names(task)) + 1))
 
-    def drive(
-        self, engines: Sequence[Engine], levels: Sequence[int], traffics: Sequence[str], scenarios: range
-    ) -> pd.DataFrame:
-        """The episodes of some engines; those of the reference are driven once."""
-        work = parts.plan(engines, {self.task: levels}, traffics, scenarios)
-        return parts.run(work, self.options.out / "parts", self.options.workers)
+def distance(
+    options: Options, part: str, task: str, settings: dict[str, Any], levels: Sequence[int], scenarios: range
+) -> float:
+    """How far SUMO with these settings, of the drivers or of risk, is from what it shall be."""
+    if part == "drivers":
+        sumo = replace(SUMO, options={"calibration": settings}, egos=CORE)
+        engines = [sumo, replace(HIGHWAY_ENV, egos=CORE)]
+        return drivers_distance(drive(options, task, engines, levels, ("regular",), scenarios), task)
+    risk = risk_options(TASKS[task], settings)
+    engines = [replace(engine, options=risk, egos=EGOS) for engine in (SUMO, HIGHWAY_ENV)]
+    return dose_distance(drive(options, task, engines, levels, SEARCHED, scenarios), task)
 
-    def distance(self, part: str, settings: dict[str, Any], levels: Sequence[int], scenarios: range) -> float:
-        """How far SUMO with these settings is from what it shall be."""
-        if part == "drivers":
-            sumo = replace(SUMO, options={"calibration": settings}, egos=CORE)
-            engines = [sumo, replace(HIGHWAY_ENV, egos=CORE)]
-            return drivers_distance(self.drive(engines, levels, ("regular",), scenarios), self.task)
-        options = risk_options(TASKS[self.task], settings)
-        engines = [replace(engine, options=options, egos=EGOS) for engine in (SUMO, HIGHWAY_ENV)]
-        return dose_distance(self.drive(engines, levels, SEARCHED, scenarios), self.task)
 
-    def search(self, part: str) -> dict[str, Any] | None:
-        """Search the settings of SUMO's drivers, or of risk; what is in force and what was found, judged alike.
+def search(options: Options, part: str, task: str) -> dict[str, Any] | None:
+    """Search the settings of SUMO's drivers, or of risk; what is in force and what was found, judged alike.
 
-        Drivers are fitted at the lowest and the highest level and judged at all; risk at the lowest level.
-        """
-        task = TASKS[self.task]
-        fitted, judged = [1], [1]
-        space, present = RISK[self.task], present_risk(task)
-        if part == "drivers":
-            fitted, judged = [self.levels[0], self.levels[-1]], self.levels
-            space, present = DRIVERS[self.task], asdict(task.calibration)
-        if not space:
-            return None
-        start = {name: present[name] for name in space}
-        training = range(FITTED, FITTED + self.options.scenarios)
-        # what makes evaluations comparable: both simulators, the scenarios and the space
-        marks = [dynamics(engine.backend, self.task) for engine in (SUMO, HIGHWAY_ENV)]
-        searched = sha256_bytes(repr(sorted(space.items())).encode())[:8]
-        name = "-".join([part, self.task, *marks, str(self.options.scenarios), searched])
-        study = minimise(
-            space,
-            lambda settings: self.distance(part, settings, fitted, training),
-            start,
-            self.options.trials,
-            self.options.out / f"{name}.journal",
-        )
-        both = {"present": start, "found": study.best_params}
-        judging = range(self.options.test)
-        return {
-            **both,
-            "training": {"present": complete(study)[0].value, "found": study.best_value},
-            "judged": {name: self.distance(part, own, judged, judging) for name, own in both.items()},
-            "trials": [{"settings": trial.params, "distance": trial.value} for trial in complete(study)],
-        }
+    Drivers are fitted at the lowest and the highest level and judged at all; risk at the lowest level.
+    """
+    if part == "drivers":
+        space, present = DRIVERS[task], asdict(TASKS[task].calibration)
+        judged = range(1, len(grid.level_names(task)) + 1)
+    else:
+        space, present, judged = RISK[task], present_risk(TASKS[task]), range(1, 2)
+    if not space:
+        return None
+    start = {name: present[name] for name in space}
+    training = range(FITTED, FITTED + options.scenarios)
+    # what makes evaluations comparable: both simulators, the scenarios and the space
+    fingerprints = [dynamics(engine.backend, task) for engine in (SUMO, HIGHWAY_ENV)]
+    searched = sha256_bytes(repr(sorted(space.items())).encode())[:8]
+    name = "-".join([part, task, *fingerprints, str(options.scenarios), searched])
+    fitted = sorted({judged[0], judged[-1]})
+    study = minimise(
+        space,
+        lambda settings: distance(options, part, task, settings, fitted, training),
+        start,
+        options.trials,
+        options.out / f"{name}.journal",
+    )
+    both = {"present": start, "found": study.best_params}
+    test = range(options.test)
+    return {
+        **both,
+        "training": {"present": complete(study)[0].value, "found": study.best_value},
+        "judged": {name: distance(options, part, task, own, judged, test) for name, own in both.items()},
+        "trials": [{"settings": trial.params, "distance": trial.value} for trial in complete(study)],
+    }
 
-    def doses(self) -> pd.DataFrame:
-        """Responses to every dose at the lowest level, in both simulators and without events."""
-        none = {"risk_rates": dict.fromkeys(("cut_in", "brake", "surge"), 0.0)}
-        silent = replace(SUMO, name=WITHOUT_EVENTS, options=none)
-        engines = [replace(engine, egos=EGOS) for engine in (SUMO, silent, HIGHWAY_ENV)]
-        return responses(self.drive(engines, (1,), DOSES, range(self.options.test)))
+
+def doses(options: Options, task: str) -> pd.DataFrame:
+    """Responses to every dose at the lowest level, in both simulators and without events."""
+    none = {"risk_rates": dict.fromkeys(("cut_in", "brake", "surge"), 0.0)}
+    silent = replace(SUMO, name=WITHOUT_EVENTS, options=none)
+    engines = [replace(engine, egos=EGOS) for engine in (SUMO, silent, HIGHWAY_ENV)]
+    return responses(drive(options, task, engines, (1,), DOSES, range(options.test)))
 
 
 def calibrate(options: Options, console: Console) -> dict[str, Any]:
@@ -317,12 +311,12 @@ def calibrate(options: Options, console: Console) -> dict[str, Any]:
     result: dict[str, Any] = {"scenarios": options.scenarios, "test": options.test}
     tables = []
     for task in tasks:
-        fit, result[task] = Fit(options, task), {}
+        result[task] = {}
         for part in options.parts:
             console.print(f"{task}: {part}")
             if part == "doses":
-                tables.append(fit.doses())
-            elif found := fit.search(part):
+                tables.append(doses(options, task))
+            elif found := search(options, part, task):
                 result[task][part] = found
                 console.print({name: found[name] for name in ("present", "found", "training", "judged")})
         write_json(options.out / "calibration.json", result)

@@ -210,8 +210,9 @@ class Learners:
         config = DQNConfig(network=network, replay_capacity=STORED)
         self._batch = config.batch_size
         self._own = DQN(config, env.observation_space, env.action_space, 0)
-        sizes: dict[str, Any] = {"learning_rate": config.learning_rate, "buffer_size": STORED}
-        self._other: Any = stable_baselines3.DQN(Policy, env, device="cpu", **sizes)
+        make: Any = stable_baselines3.DQN
+        sizes = {"learning_rate": config.learning_rate, "buffer_size": STORED}
+        self._other = make(Policy, env, device="cpu", **sizes)
         self._other.set_logger(configure(None, []))
         rng = np.random.default_rng(0)
         for _ in range(STORED):

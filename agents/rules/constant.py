@@ -1,4 +1,4 @@
-"""Policies that do not look: the same action always, or any action."""
+"""Policies that do not look: the same actions always, or any action."""
 
 from __future__ import annotations
 
@@ -8,17 +8,19 @@ from agents.streams import stream
 
 
 class Constant:
-    """The same action at every step."""
+    """The same action at every step, or the same few over and over."""
 
-    def __init__(self, action: int) -> None:
-        self.action = action
+    def __init__(self, *actions: int) -> None:
+        self._actions, self._step = actions, 0
 
     def act(self, observation: np.ndarray) -> int:
-        """The action, whatever is observed."""
-        return self.action
+        """The next action, whatever is observed."""
+        self._step += 1
+        return self._actions[(self._step - 1) % len(self._actions)]
 
     def reset(self, seed: int | None = None) -> None:
-        """Nothing to do."""
+        """Begin with the first action."""
+        self._step = 0
 
 
 class Random:

@@ -11,15 +11,15 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal
+from typing import Any, Literal
+
+import pandas as pd
 
 from experiments.study.verdict import summary
 from experiments.validation import compare
 from experiments.validation.compare import Difference
 from experiments.validation.egos import CORE, egos
-
-if TYPE_CHECKING:
-    import pandas as pd
+from experiments.validation.episodes import PAIR
 
 Check = dict[str, Any]
 LEAST_SCENARIOS = 3  # with fewer there is no verdict
@@ -188,9 +188,7 @@ def replica_checks(table: pd.DataFrame) -> dict[str, Any] | None:
             "episodes": len(part),
             "differing": len(others),
             "verdict": "within" if len(others) / len(part) <= REPLICA else "missed",
-            "exceptions": others[["level", "traffic", "ego", "scenario", *sides]]
-            .astype(object)
-            .to_dict("records"),
+            "exceptions": others[[*PAIR[1:], *sides]].astype(object).to_dict("records"),
         }
     return {"margin": REPLICA, "tasks": tasks} if tasks else None
 

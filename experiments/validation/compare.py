@@ -50,10 +50,8 @@ def interval(values: Floats, confidence: float = 0.90) -> tuple[float, float]:
     """t-interval of the mean; NaN with fewer than two values."""
     if len(values) < 2:
         return np.nan, np.nan
-    spread = values.std(ddof=1) / np.sqrt(len(values))
-    half = float(stats.t.ppf(0.5 + confidence / 2, len(values) - 1) * spread)
-    centre = float(values.mean())
-    return centre - half, centre + half
+    half = float(stats.t.ppf(0.5 + confidence / 2, len(values) - 1) * stats.sem(values))
+    return float(values.mean()) - half, float(values.mean()) + half
 
 
 def mean_difference(both: pd.DataFrame, measure: str) -> Difference:

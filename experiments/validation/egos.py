@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 from agents.rules import Policy, make_policy
+from agents.rules.constant import Constant
 
 # Averaged over in the checks "over egos"; the two-way road and the intersection start the ego at its top speed, so
 # that "faster" would be "idle" again.
@@ -13,25 +13,6 @@ CORE = ("idle", "faster", "random", "careful", "idm")
 MORE = ("slower", "pulsing", "weaving")
 ALREADY_FASTEST = ("two-way", "intersection")
 WITHOUT_LANE_CHANGES = ("intersection",)
-
-
-class Cycle:
-    """The same few actions over and over."""
-
-    def __init__(self, actions: Sequence[int]) -> None:
-        self._actions = tuple(actions)
-        self._step = 0
-
-    def reset(self, seed: int | None = None) -> None:
-        """Begin an episode with the first action."""
-        self._step = 0
-
-    def act(self, observation: Any) -> int:
-        """The next action, whatever is observed."""
-        self._step += 1
-        return self._actions[(self._step - 1) % len(self._actions)]
-
-
 CYCLES: dict[str, tuple[str, ...]] = {
     "pulsing": ("SLOWER", "IDLE", "FASTER", "FASTER", "IDLE", "SLOWER"),
     "weaving": ("LANE_LEFT", "IDLE", "LANE_RIGHT", "IDLE"),
@@ -50,4 +31,4 @@ def make_ego(name: str, env: Any) -> Policy:
     if name not in CYCLES:
         return make_policy(name, env)
     numbers = {action: number for number, action in env.unwrapped.actions.items()}
-    return Cycle([numbers[action] for action in CYCLES[name]])
+    return Constant(*(numbers[action] for action in CYCLES[name]))

@@ -1,7 +1,7 @@
 """Whole episodes in any simulator, one row of measures each. The same code measures all of them.
 
-Everything is seen through the environment: its ``info`` and, for the other vehicles, ``env.unwrapped.scene`` at the
-start and after every policy step.
+The ego is measured as the study measures it (`play`), the other vehicles in ``env.unwrapped.scene`` at the start and
+after every policy step.
 """
 
 from __future__ import annotations
@@ -11,12 +11,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
 from experiments.study.arms import TRAFFICS
+from experiments.study.evaluate import play
 from experiments.study.fingerprint import checksum
-from experiments.study.seeds import scenario_seed, stream_seed
 from experiments.validation.egos import make_ego
 from sumo_env.contacts.measures import DENSITY_RADIUS, headways
 from sumo_env.networks.roads import LaneIndex, Road
@@ -102,9 +103,9 @@ class Recorder:
         counts, _ = np.histogram(np.clip(self.times, 0, BIN * BINS - 1e-9), BINS, (0, BIN * BINS))
         minutes = self.followed * self.interval / 60.0
         return {
-            "traffic_speed": mean(self.speeds),
+            "traffic_speed": float(np.mean(self.speeds)) if self.speeds else math.nan,
             "lane_changes": self.changes / minutes if minutes else math.nan,
-            "density": mean(self.density),
+            "density": float(np.mean(self.density)),
             **dict(zip(HEADWAYS, counts.tolist(), strict=True)),
         }
 
@@ -114,9 +115,17 @@ def mean(values: Any) -> float:
     return float(np.mean(values)) if len(values) else math.nan
 
 
-def dose(traffic: str) -> float:
-    """The dose of risk of a traffic: "regular", "risky", or the dose itself as a word."""
-    return TRAFFICS[traffic] if traffic in TRAFFICS else float(traffic)
+class Varied(gym.Wrapper[Any, Any, Any, Any]):
+    """Begins every episode with a dose of risk ("regular", "risky", or a number as a word) and other options."""
+
+    def __init__(self, env: gym.Env[Any, Any], traffic: str, options: Mapping[str, Any]) -> None:
+        super().__init__(env)
+        dose = TRAFFICS[traffic] if traffic in TRAFFICS else float(traffic)
+        self._options = {"config": {"risk": dose}, **options}
+
+    def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[Any, dict[str, Any]]:
+        """Begin an episode, with these options in place of others."""
+        return self.env.reset(seed=seed, options=self._options)
 
 
 def drive(
@@ -133,42 +142,20 @@ def drive(
     Args:
         options: of `reset`, beside the dose of risk.
     """
-    inner = env.unwrapped
-    policy = make_ego(ego, env)
-    policy.reset(stream_seed("policy", task, level, traffic, scenario))
-    seed = scenario_seed(task, level, scenario)
-    observation, info = env.reset(seed=seed, options={"config": {"risk": dose(traffic)}, **options})
+    inner, policy = env.unwrapped, make_ego(ego, env)
     recorder = Recorder(task, get_task(task).road(inner.config), 1.0 / inner.config["policy_frequency"])
-    recorder.see(inner.scene)
-    drawn = checksum(inner.scenario)
-    rewards, speeds = [], []
-    terminated = truncated = False
-    while not (terminated or truncated):
-        observation, reward, terminated, truncated, info = env.step(policy.act(observation))
-        rewards.append(float(reward))
-        speeds.append(float(info["speed"]))
-        recorder.see(inner.scene)
+    varied = Varied(env, traffic, options)
+    row = play(varied, policy, task, level, traffic, scenario, lambda: recorder.see(inner.scene))
     return {
+        **{name: row[name] for name in ("traffic", "scenario", "return", "length", "crashed")},
         "task": task,
         "level": level,
-        "traffic": traffic,
         "ego": ego,
-        "scenario": scenario,
-        "drawn": drawn,
-        "return": math.fsum(rewards),
-        "length": len(rewards),
-        "crashed": bool(info["crashed"]),
-        "outcome": outcome(info, terminated),
-        "crash_time": float(info["crash"]["time"]) if info["crashed"] else math.nan,
-        "ego_speed": mean(speeds),
+        "drawn": checksum(inner.scenario),
+        "outcome": next(
+            (name for name in ("crashed", "arrived") if row[name]), "time" if row["truncated"] else "left"
+        ),
+        "crash_time": math.nan if row["crash_time"] is None else row["crash_time"],
+        "ego_speed": row["mean_speed"],
         **recorder.row(),
     }
-
-
-def outcome(info: dict[str, Any], terminated: bool) -> str:
-    """How an episode ended."""
-    if info["crashed"]:
-        return "crashed"
-    if info["arrived"]:
-        return "arrived"
-    return "left" if terminated else "time"

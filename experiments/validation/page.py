@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,17 +21,13 @@ FARTHEST = 2.2  # margins; what lies beyond is drawn at the edge
 ROWS = [metric for metric in MARGINS if metric != "order"]
 
 
-def number(value: float | None) -> str:
-    """Three significant digits, nothing for None."""
+def number(value: float | None, sign: str = "") -> str:
+    """Three significant digits and a true minus, nothing for None; sign: "+" for differences."""
     if value is None:
         return ""
     size = abs(value)
-    return f"{value:.0f}" if size >= 1000 else f"{value:.3g}" if size >= 0.01 or not value else f"{value:.3f}"
-
-
-def signed(value: float | None) -> str:
-    """`number` with its sign, a true minus."""
-    return "" if value is None else ("+" if value >= 0 else "\N{MINUS SIGN}") + number(abs(value))
+    form = ".0f" if size >= 1000 else ".3g" if size >= 0.01 or not value else ".3f"
+    return f"{value:{sign}{form}}".replace("-", "\N{MINUS SIGN}")
 
 
 def missed(record: Mapping[str, Any]) -> list[dict[str, Any]]:
@@ -52,7 +49,7 @@ def render(record: Mapping[str, Any]) -> str:
         autoescape=select_autoescape(("html", "j2")),
         undefined=StrictUndefined,
     )
-    environment.filters.update(number=number, signed=signed)
+    environment.filters.update(number=number, signed=partial(number, sign="+"))
     return environment.get_template("validation.html.j2").render(
         record=record,
         overviews={traffic: overview(tasks, traffic) for traffic in traffics},

@@ -2,34 +2,27 @@
 
 from __future__ import annotations
 
-import multiprocessing
 from collections.abc import Iterable, Mapping, Sequence
-from concurrent.futures import Future, as_completed
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from pebble import ProcessPool
+import pandas as pd
 from rich.console import Console
-from rich.progress import track
 
 from experiments.backends import make_env
 from experiments.study.fingerprint import dynamics
 from experiments.study.grid import level_names
 from experiments.study.seeds import stream_seed
-from experiments.support.errors import UserError
 from experiments.support.files import canonical_json, sha256_bytes, write_file
-from experiments.support.processes import end_with_parent
+from experiments.support.processes import call_all
 from experiments.validation.egos import egos
 from experiments.validation.episodes import COLUMNS, drive
 from sumo_env.tasks import TASKS
 
-if TYPE_CHECKING:
-    import pandas as pd
-
 STRAIGHT = ("highway", "two-way")  # roads without joins: the variants of highway-env are the same there
 SIZE = 25  # scenarios in a part
-PARTS_PER_PROCESS = 25  # then a fresh process takes over
 
 
 @dataclass(frozen=True)
@@ -96,8 +89,6 @@ class Part:
 
     def drive(self) -> pd.DataFrame:
         """Drive all episodes in this process."""
-        import pandas as pd
-
         env = self.engine.open_env(self.task, self.level)
         rows = [
             drive(env, self.task, self.level, self.traffic, ego, scenario, self.engine.options)
@@ -147,20 +138,7 @@ def run(parts: Sequence[Part], folder: Path, workers: int, console: Console | No
     Raises:
         UserError: a part failed. What is finished stays, and the same call goes on from there.
     """
-    import pandas as pd
-
-    context = multiprocessing.get_context("spawn")
-    pool = ProcessPool(workers, PARTS_PER_PROCESS, end_with_parent, context=context)
-    left = [part for part in parts if not (folder / part.file).exists()]
-    try:
-        running: dict[Future[None], Part] = {pool.schedule(part.write, args=(folder,)): part for part in left}
-        finished = as_completed(running)
-        for future in track(finished, "driving", len(left), console=console, disable=console is None):
-            if error := future.exception():
-                file = running[future].file
-                raise UserError(f"{file} failed ({error}): run the same command again to go on")
-    finally:
-        pool.stop()  # on an error or Ctrl-C, whatever is running is given up
-        pool.join()
+    work = {part.file: partial(part.write, folder) for part in parts if not (folder / part.file).exists()}
+    call_all(work, workers, "driving", console)
     tables = [pd.read_parquet(folder / part.file).assign(engine=part.engine.name) for part in parts]
     return pd.concat(tables, ignore_index=True)

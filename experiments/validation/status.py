@@ -40,33 +40,33 @@ def before_training(
     """
     if backend != VALIDATED:
         return None
-    marks = {task: dynamics(backend, task) for task in tasks}
+    fingerprints = {task: dynamics(backend, task) for task in tasks}
     known = of_results(out)
-    if known is not None and covers(known, marks):
+    if known is not None and covers(known, fingerprints):
         return known
-    known = stored_verdict(marks)
+    known = stored_verdict(fingerprints)
     if known is None:
         note("driving SUMO through highway-env's stored scenarios")
-        known = quick_verdict(marks, out / "validation", workers)
+        known = quick_verdict(fingerprints, out / "validation", workers)
     if known is not None:
         write_json(out / "verdict.json", known)
     return known
 
 
-def stored_verdict(marks: Mapping[str, str]) -> dict[str, Any] | None:
+def stored_verdict(fingerprints: Mapping[str, str]) -> dict[str, Any] | None:
     """The verdict of the last full validation on these tasks; None unless it is of the same versions and dynamics.
 
     Args:
-        marks: task -> fingerprint of its dynamics now.
+        fingerprints: of the dynamics of each task now.
     """
     record = read(VERDICT)
-    if record is None or not covers(record, marks):
+    if record is None or not covers(record, fingerprints):
         return None
-    tasks = {task: record["tasks"][task] for task in marks}
-    return {**record, "fingerprints": dict(marks), "tasks": tasks}
+    tasks = {task: record["tasks"][task] for task in fingerprints}
+    return {**record, "fingerprints": dict(fingerprints), "tasks": tasks}
 
 
-def quick_verdict(marks: Mapping[str, str], folder: Path, workers: int) -> dict[str, Any] | None:
+def quick_verdict(fingerprints: Mapping[str, str], folder: Path, workers: int) -> dict[str, Any] | None:
     """Drive SUMO through the stored scenarios of these tasks and compare; None where nothing is stored.
 
     So few scenarios cannot show that a margin is kept; a check counts as missed only where its whole 90 % interval
@@ -80,28 +80,28 @@ def quick_verdict(marks: Mapping[str, str], folder: Path, workers: int) -> dict[
     if not STORED_REFERENCE.exists():
         return None
     stored = pd.read_parquet(STORED_REFERENCE)
-    stored = stored[stored["task"].isin(list(marks))]
-    if set(stored["task"]) != set(marks):
+    stored = stored[stored["task"].isin(list(fingerprints))]
+    if set(stored["task"]) != set(fingerprints):
         return None
     number = int(stored["scenario"].max()) + 1
-    levels = {task: sorted(set(stored.loc[stored["task"] == task, "level"])) for task in marks}
+    levels = {str(task): sorted(set(rows)) for task, rows in stored.groupby("task")["level"]}
     engine = parts.Engine(VALIDATED, VALIDATED, egos=tuple(sorted(set(stored["ego"]))))
     work = parts.plan([engine], levels, tuple(dict.fromkeys(stored["traffic"])), range(number))
     driven = parts.run(work, folder, workers)
     table = pd.concat([driven, stored.assign(engine=REFERENCE)], ignore_index=True)
-    tasks = scorecard(table, VALIDATED, {task: level_names(task) for task in marks})
+    tasks = scorecard(table, VALIDATED, {task: level_names(task) for task in fingerprints})
     for found in tasks.values():
         for _, _, item in every_check(found):
             if item["verdict"] == "missed" and not _surely(item):
                 item["verdict"] = None
-    return verdict(VALIDATED, f"{number} stored scenarios", summary(tasks), marks)
+    return verdict(VALIDATED, f"{number} stored scenarios", summary(tasks), fingerprints)
 
 
 def _surely(item: Mapping[str, Any]) -> bool:
     """Whether the whole interval of a check lies beyond its margin."""
     if (
         item["low"] is None or item["metric"] == "headway"
-    ):  # a distance is never negative and grows with noise
+    ):  # a distance grows with noise and is never negative
         return False
     return bool(item["low"] > item["margin"] or item["high"] < -item["margin"])
 

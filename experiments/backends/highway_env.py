@@ -57,6 +57,7 @@ FIXED: Config = {
     "offscreen_rendering": True,
     "real_time_rendering": False,
     "render_agent": True,
+    "show_trajectories": False,
 }
 
 

@@ -30,7 +30,8 @@ import tyro
 from rich.console import Console
 from rich.table import Table
 
-from experiments.study.grid import BACKENDS, choose_tasks, env_config
+from experiments.backends import BACKENDS
+from experiments.study.grid import choose_tasks, env_config
 from experiments.support.errors import disk_error, run_command, unknown
 from experiments.support.files import write_json
 from experiments.support.provenance import provenance

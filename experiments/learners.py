@@ -29,7 +29,7 @@ from agents.policies import StableBaselines
 from experiments.backends import make_env
 from experiments.study.evaluate import Policy, evaluate
 from experiments.study.grid import choose_tasks, env_config
-from experiments.study.presets import get_preset
+from experiments.study.presets import PRESETS
 from experiments.study.results import load
 from experiments.study.seeds import training_seed
 from experiments.support.errors import run_command, unknown
@@ -145,7 +145,7 @@ def trainings(options: Options) -> list[Training]:
             raise unknown("learner", learner, LEARNERS)
     found = []
     for task in choose_tasks(options.tasks):
-        config = get_preset("standard").profiles()[task]
+        config = PRESETS["standard"].profile(task)
         steps = options.steps or config["warm_up"] + config["steps_per_update"] * config["updates"]
         found += [
             Training(learner, task, seed, steps, options.episodes, options.out)

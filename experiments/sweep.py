@@ -22,101 +22,49 @@ from pathlib import Path
 if __package__ in (None, ""):  # run as a file: import from the project, not from this folder
     sys.path[0] = str(Path(__file__).resolve().parents[1])
 
-import json
 import shlex
 from collections import Counter
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated
 
 import tyro
 
 from experiments.backends import make_env
-from experiments.study import grid
-from experiments.study.arms import ARMS
 from experiments.study.cell import SILENCE, CellTask, MakeEnv
 from experiments.study.estimate import START, Rates, duration, rates_of
 from experiments.study.executors import EXECUTORS, cores, open_executor
+from experiments.study.experiment import Experiment, Flag, argument, shard
 from experiments.study.fingerprint import check_dynamics
 from experiments.study.grid import Cell
-from experiments.study.policies import foreign
-from experiments.study.presets import get_preset
+from experiments.study.presets import cells_of, complete
 from experiments.study.progress import Progress
 from experiments.study.run import LOG, compute_here, run
 from experiments.study.store import Store, finished, weights_file
 from experiments.support.errors import UserError, disk_error, run_command, unknown
 from experiments.validation.status import before_training
 
-PLACEBO_SEEDS = 4  # control agents at least, to be dealt into two arms
 TASKS_PER_PROCESS = 25  # of highway-env 1: its tasks change class attributes of each other
 
 # backend, tasks, directory of the results, processes, what to call with what is being done
 Validate = Callable[[str, Sequence[str], Path, int, Callable[[str], None]], object]
 
 
-def _argument(metavar: str, default: str = "the preset's") -> Any:
-    """How an argument is shown in the help text."""
-    return tyro.conf.arg(metavar=metavar, help_behavior_hint=f"(default: {default})")
-
-
-Flag = Annotated[bool, tyro.conf.arg(help_behavior_hint="")]
-
-
 @dataclass(frozen=True)
-class Options:
+class Options(Experiment):
     """Train and test the agents of both arms and the baselines, then write the report."""
 
-    backend: Annotated[str, _argument("NAME", "sumo")] = "sumo"
-    """Simulator: sumo, replica (highway-env's physics, compiled) or highway-env."""
-    preset: Annotated[str, _argument("NAME", "quick")] = "quick"
-    """Size of the experiment: smoke (a minute), quick (20 minutes on two cores), standard or paper (many hours)."""
-    out: Annotated[Path | None, _argument("DIR", "results/BACKEND-PRESET")] = None
+    out: Annotated[Path | None, argument("DIR", "results/BACKEND-PRESET")] = None
     """Directory for the results."""
-    tasks: Annotated[tuple[str, ...], _argument("TASK ...", "all")] = ()
-    """Some of highway, two-way, roundabout, intersection, u-turn."""
-    levels: Annotated[tuple[str, ...], _argument("LEVEL ...")] = ()
-    """Traffic levels by number; 1 is the lightest."""
-    seeds: Annotated[int | None, _argument("N")] = None
-    """Training seeds in each arm."""
-    episodes: Annotated[int | None, _argument("N")] = None
-    """Test episodes in each of the two traffics."""
-    updates: Annotated[int | None, _argument("N")] = None
-    """Training budget of an agent in updates, the same for all tasks."""
-    arms: Annotated[tuple[str, ...], _argument("ARM ...", "control treatment")] = ()
-    """Arms: control, treatment, dose25, dose50, dose75 (then tested at these too), dense, penalty, mixed, mixed-seen,
-    drawn."""
-    placebo: Flag = False
-    """Train control agents alone, twice as many, and compare them with each other: no effect should be found."""
-    test_on: Annotated[tuple[str, ...], _argument("NAME ...", "none")] = ()
-    """Other simulators on which the trained agents are tested as well."""
-    unseen: Flag = False
-    """Test the trained agents in risky traffic that nobody was trained in as well: each kind of event alone, risky
-    drivers without events, and SUMO's car-following models Krauss and EIDM."""
-    early_tests: Flag = False
-    """Also test every agent as it was after a third and two thirds of its budget."""
-    frontier: Flag = False
-    """Test the careful driver at five cautions: with the constant policies, the crashes of a speed without learning."""
-    config: Annotated[tuple[str, ...], _argument("KEY=VALUE ...", "none")] = ()
-    """Keys of the environments' configuration to set, for training and test (values as in JSON, or plain words)."""
-    gamma: Annotated[float | None, _argument("X")] = None
-    """Discount factor."""
-    crash_reward: Annotated[float | None, _argument("X", "none")] = None
-    """Added to the reward of a crash in training, in all arms (the two-way road's own has no term for crashes)."""
-    network: Annotated[str | None, _argument("NAME")] = None
-    """Network of the agents: attention, dueling, or FILE:CLASS for a class of your own."""
-    policy: Annotated[tuple[str, ...], _argument("FILE:MAKE ...", "none")] = ()
-    """Policies of your own to test as well: FILE:MAKE, or a model.zip of Stable-Baselines3."""
-    device: Annotated[str | None, _argument("NAME", "cpu")] = None
-    """Where agents learn: cpu or cuda."""
-    executor: Annotated[str, _argument("NAME", "local")] = "local"
+    executor: Annotated[str, argument("NAME", "local")] = "local"
     """Where cells are computed: local (processes of this machine), ray or slurm (docs/clusters.md)."""
-    workers: Annotated[int | None, _argument("N", "the number of cores; on Slurm 100")] = None
+    workers: Annotated[int | None, argument("N", "the number of cores; on Slurm 100")] = None
     """Cells that are computed at a time."""
-    shard: Annotated[str, _argument("I/N", "1/1")] = "1/1"
+    shard: Annotated[str, argument("I/N", "1/1")] = "1/1"
     """Compute only this part of the cells, for job arrays."""
-    cell: Annotated[str | None, _argument("NAME", "all")] = None
+    cell: Annotated[str | None, argument("NAME", "all")] = None
     """Compute this cell alone and in this process, to see why it fails."""
-    hang_after: Annotated[float, _argument("SECONDS", "900")] = SILENCE
+    hang_after: Annotated[float, argument("SECONDS", "900")] = SILENCE
     """A cell that makes no progress for so long hangs, and is begun again."""
     dry_run: Flag = False
     """Print the cells and an estimate of the time, and compute nothing."""
@@ -125,64 +73,6 @@ class Options:
     def directory(self) -> Path:
         """Where the results go."""
         return self.out or Path("results") / f"{self.backend}-{self.preset}"
-
-
-def cells_of(options: Options) -> list[Cell]:
-    """All cells that the options ask for.
-
-    Raises:
-        UserError: something in the options does not exist or makes no sense.
-    """
-    if options.placebo and options.arms:
-        raise UserError("--placebo trains control agents alone: leave out --arms")
-    for level in options.levels:
-        if not level.isdecimal():
-            raise UserError(f"--levels takes numbers, 1 is the lightest traffic, not {level!r}")
-    preset = get_preset(options.preset)
-    tasks = grid.choose_tasks(options.tasks or tuple(grid.TASKS))
-    own = options.network if ":" in (options.network or "") else None
-    label, fingerprint = foreign(own) if own else (options.network, None)
-    profiles = preset.profiles(
-        updates=options.updates,
-        gamma=options.gamma,
-        network=label,
-        device=options.device,
-        crash_reward=options.crash_reward,
-    )
-    if fingerprint:
-        profiles = {task: {**profile, "network_sha256": fingerprint} for task, profile in profiles.items()}
-    seeds = preset.seeds if options.seeds is None else options.seeds
-    ask = grid.Ask(
-        backend=options.backend,
-        levels=grid.choose_levels(tasks, tuple(map(int, options.levels)) or preset.levels),
-        seeds=max(2 * seeds, PLACEBO_SEEDS) if options.placebo else seeds,
-        episodes=preset.episodes if options.episodes is None else options.episodes,
-        profiles=profiles,
-        preset=preset.name,
-        gate_episodes=preset.gate_episodes,
-        network=own,
-        policies={label: (name, sha) for name in options.policy for label, sha in [foreign(name)]},
-        arms=("control",) if options.placebo else options.arms or tuple(ARMS),
-        test_on=options.test_on,
-        unseen=options.unseen,
-        frontier=options.frontier,
-        first_seed=preset.first_seed,
-        first_scenario=preset.first_scenario,
-        changes=dict(map(_key_and_value, options.config)),
-        early_tests=options.early_tests,
-    )
-    return grid.build(ask)
-
-
-def _key_and_value(text: str) -> tuple[str, Any]:
-    """Of "collision_reward=-2" or "risk_law=linear"."""
-    key, equals, value = text.partition("=")
-    if not (key and equals):
-        raise UserError(f"--config takes KEY=VALUE, for example collision_reward=-2, not {text!r}")
-    try:
-        return key, json.loads(value)
-    except ValueError:
-        return key, value
 
 
 def sweep(
@@ -210,7 +100,7 @@ def sweep(
     # Processes of this machine, which validates whoever computes the cells.
     here = options.workers if options.workers and options.executor == "local" else cores()
     cells = cells_of(options)
-    mine = grid.shard(cells, options.shard)
+    mine = shard(cells, options.shard)
     rates = rates_of(options.directory)
     if options.dry_run:
         describe(options, mine, rates, here)
@@ -299,7 +189,7 @@ def conclude(options: Options, tasks: Mapping[str, CellTask], failures: Mapping[
 def describe(options: Options, cells: Sequence[Cell], rates: Rates, workers: int) -> None:
     """Print what would be computed and how long it would take."""
     there = set(finished(options.directory))
-    print(f"preset {options.preset}: {get_preset(options.preset).about}")
+    print(f"preset {options.preset}: {complete(options).about}")
     print(f"results go to {options.directory}")
     layout = "{:<14}{:>8}{:>8}{:>9}{:>11}{:>10}{:>13}"
     print(layout.format("task", "level", "agents", "updates", "baselines", "finished", "core time"))

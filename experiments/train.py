@@ -22,12 +22,13 @@ from typing import Annotated, Any
 import gymnasium as gym
 import tyro
 
-from experiments import sweep
 from experiments.backends import make_env
 from experiments.study.cell import CellTask
 from experiments.study.curve import Live, Watched, draw
+from experiments.study.experiment import Experiment
 from experiments.study.fingerprint import check_dynamics
 from experiments.study.grid import Cell
+from experiments.study.presets import cells_of
 from experiments.study.run import compute_here
 from experiments.study.store import Store
 from experiments.support.errors import UserError, disk_error, run_command, unknown
@@ -59,7 +60,7 @@ class Options:
     """Simulator: sumo, replica or highway-env."""
 
 
-def cells_of(options: Options) -> tuple[Cell, list[Cell]]:
+def agent_and_others(options: Options) -> tuple[Cell, list[Cell]]:
     """The agent's cell, and those of the policies that it is compared with.
 
     Raises:
@@ -69,19 +70,20 @@ def cells_of(options: Options) -> tuple[Cell, list[Cell]]:
         raise unknown("risk", options.risk, ARMS)
     if options.seed < 0:
         raise UserError(f"--seed takes 0 or more, not {options.seed}")
-    arm = ARMS[options.risk]
-    asked = sweep.Options(
-        backend=options.backend,
-        tasks=(options.task,),
-        levels=(str(options.level),),
-        seeds=options.seed + 1,
-        arms=(arm,),
-        updates=options.updates,
-        network=options.network,
+    cells = cells_of(
+        Experiment(
+            backend=options.backend,
+            tasks=(options.task,),
+            levels=(options.level,),
+            seeds=1,
+            first_seed=options.seed,
+            arms=(ARMS[options.risk],),
+            updates=options.updates,
+            network=options.network,
+        )
     )
-    cells = sweep.cells_of(asked)
-    [agent] = [cell for cell in cells if (cell.kind, cell.seed) == ("agent", options.seed)]
-    return agent, [cell for cell in cells if cell.kind == "baseline"]
+    agent, *others = (cell for cell in cells if cell.kind in ("agent", "baseline"))
+    return agent, others
 
 
 def train(options: Options, arguments: list[str]) -> int:
@@ -90,7 +92,7 @@ def train(options: Options, arguments: list[str]) -> int:
     Raises:
         UserError: something has to be put right first, or the directory cannot be written.
     """
-    agent, others = cells_of(options)
+    agent, others = agent_and_others(options)
     check_dynamics([(agent.backend, agent.task)])
     live = Live(agent)
 

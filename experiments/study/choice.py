@@ -14,16 +14,16 @@ import os
 import shutil
 import time
 from collections.abc import Iterable, Iterator
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import tyro
 
 from experiments.backends import make_env
-from experiments.study import grid
 from experiments.study.arms import ARMS
 from experiments.study.evaluate import evaluate
+from experiments.study.experiment import Experiment
 from experiments.study.grid import Cell
 from experiments.study.presets import PRESETS, second_version
 from experiments.study.run import locked
@@ -64,27 +64,36 @@ VARIANTS["u-turn"]["half-128-longer"] = second_version(
 
 def cells() -> Iterator[tuple[str, Cell]]:
     """Every variant's name and training, in the order of computation: by seed, task, variant and arm."""
-    from agents.dqn import DQNConfig
-
     for seed in SEEDS:
         for task in TASKS:
             for name, variant in VARIANTS[task].items():
-                config = DQNConfig(
-                    **{key: value for key, value in variant.items() if key != "training_clock"}
+                asked = Experiment(
+                    preset=name,
+                    tasks=(task,),
+                    levels=(1,),
+                    seeds=1,
+                    episodes=EPISODES,
+                    learners={task: variant},
+                    first_seed=seed,
                 )
-                profile = {**asdict(config), "finite_horizon": False, **variant}
-                built = grid.build(grid.Ask("sumo", {task: [1]}, 1, EPISODES, {task: profile}, name))
-                yield from ((name, replace(cell, seed=seed)) for cell in built if cell.kind == "agent")
+                yield from ((name, cell) for cell in asked.cells() if cell.kind == "agent")
 
 
 def chosen() -> Iterator[tuple[str, Cell]]:
     """The chosen learner's name and training in both arms of all five tasks, the longest first."""
     preset = PRESETS["second"]
-    for task in sorted(RANGE, key=lambda task: -preset.updates[task]):
-        ask = grid.Ask(
-            "sumo", {task: [1]}, 1, EPISODES, preset.profiles(), preset.name, first_seed=CHECK_SEED
-        )
-        yield from ((preset.name, cell) for cell in grid.build(ask) if cell.kind == "agent")
+    check = replace(
+        preset,
+        levels=(1,),
+        seeds=1,
+        episodes=EPISODES,
+        gate_episodes=None,
+        first_seed=CHECK_SEED,
+        first_scenario=0,
+    )
+    for task in sorted(RANGE, key=lambda task: -preset.profile(task)["updates"]):
+        agents = (cell for cell in replace(check, tasks=(task,)).cells() if cell.kind == "agent")
+        yield from ((preset.preset, cell) for cell in agents)
 
 
 def compute(name: str, cell: Cell, folder: Path) -> pd.DataFrame:

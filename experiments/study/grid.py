@@ -1,4 +1,4 @@
-"""The grid of the experiment as data: cells, their names, and what their names are made of.
+"""The cells of experiments as data, their names, and what their names are made of.
 
 A cell is named by what it computes: a readable slug and a hash of its complete key, the fingerprint of the simulator's
 behaviour included, and of the versions that can change a result. Results of other dynamics therefore never mix, and
@@ -8,32 +8,19 @@ adding tasks, levels or seeds to the grid never renames a cell that is there alr
 from __future__ import annotations
 
 import importlib.metadata
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
 from functools import cache
 from typing import Any
 
-from agents.rules import CAUTIONS
-from experiments.backends import BACKENDS, SIMULATORS
-from experiments.study.arms import (
-    ARM_PROFILES,
-    ARMS,
-    DOSE_ARMS,
-    DOSE_TRAFFICS,
-    DOSES,
-    TRAFFICS,
-    gate_traffics,
-    trained_with,
-)
-from experiments.study.fingerprint import dynamics
-from experiments.study.unseen import unseen_traffics
+from experiments.backends import SIMULATORS
+from experiments.study.arms import DOSE_TRAFFICS, DOSES, gate_traffics
 from experiments.support.errors import UserError, unknown
 from experiments.support.files import canonical_json, sha256_bytes
 from sumo_env.config import ConfigError, resolve
 from sumo_env.tasks import TASKS
 
 RESULT_SCHEMA = 4  # raise it with every change that makes stored results mean, or be, something else
-TRANSFER_EPISODES = {"highway-env": 20}  # in each traffic on another simulator at most: it is slow
 BASELINES = ("idle", "random", "faster", "slower", "idm", "careful")
 LEARNER = "dqn"
 # highway-env's own time step, and drivers that see along their path (see `backends.highway_env`).
@@ -282,142 +269,3 @@ def choose_levels(tasks: Sequence[str], wanted: Sequence[int] | None) -> dict[st
             nearest = min(known[most], key=lambda n: abs(n - level))
             raise UserError(f"unknown level {level}: did you mean {nearest}? {most} has the levels {names}")
     return {task: numbers for task, numbers in chosen.items() if numbers}
-
-
-@dataclass(frozen=True)
-class Ask:
-    """What an experiment consists of.
-
-    backend: of BACKENDS. levels: level numbers of each task, see `choose_levels`. seeds: training seeds per arm, from
-        first_seed on.
-    episodes: test episodes in each traffic, of the scenarios from number first_scenario on.
-    profiles: hyper-parameters and budget of each task. preset: label that the cells carry.
-    gate_episodes: episodes for the gates in each traffic; by default as many as test episodes.
-    network: FILE:CLASS of a network of the user's own. policies: policies of the user's own to test:
-        label -> (FILE:MAKE or zip file, fingerprint of the file).
-    arms: of DOSES. test_on: other simulators on which the trained agents are tested too.
-    unseen: whether they are tested in the traffics of `unseen.unseen_traffics` too.
-    frontier: whether the careful driver is tested at all its cautions, and not at the usual one alone.
-    changes: keys of the environments' configuration that are set for training and test.
-    early_tests: agents are also tested after the shares MARKS of their budget.
-
-    Raises:
-        UserError: unknown backend or arm, or no seed or episode at all.
-    """
-
-    backend: str
-    levels: Mapping[str, Sequence[int]]
-    seeds: int
-    episodes: int
-    profiles: Mapping[str, Mapping[str, Any]]
-    preset: str
-    gate_episodes: int | None = None
-    network: str | None = None
-    policies: Mapping[str, tuple[str, str]] = field(default_factory=dict)
-    arms: Sequence[str] = tuple(ARMS)
-    test_on: Sequence[str] = ()
-    unseen: bool = False
-    frontier: bool = False
-    changes: Mapping[str, Any] | None = None
-    early_tests: bool = False
-    first_seed: int = 0
-    first_scenario: int = 0
-
-    def __post_init__(self) -> None:
-        for name in (self.backend, *self.test_on):
-            if name not in BACKENDS:
-                raise unknown("backend", name, BACKENDS)
-        for arm in self.arms:
-            if arm not in DOSES:
-                raise unknown("arm", arm, DOSES)
-        if self.seeds < 1 or self.episodes < 1:
-            raise UserError(
-                f"at least one seed and one test episode are needed, not {self.seeds} and {self.episodes}"
-            )
-
-    def cell(self, task: str, level: int) -> Cell:
-        """What the cells of a task and level have in common, as a baseline without a policy."""
-        gates = self.episodes if self.gate_episodes is None else self.gate_episodes
-        # Not in the names of cells that begin at 0, which are older than the choice.
-        first = {"first_scenario": self.first_scenario} if self.first_scenario else {}
-        return Cell(
-            kind="baseline",
-            backend=self.backend,
-            task=task,
-            level=level,
-            level_name=level_names(task)[level - 1],
-            arm=None,
-            seed=None,
-            policy="",
-            profile={"preset": self.preset},
-            env_config=env_config(self.backend, task, level, self.changes),
-            eval={"episodes": self.episodes, "gate_episodes": gates, **first},
-            dynamics=dynamics(self.backend, task),
-        )
-
-    def further_tests(self, agent: Cell) -> Iterator[Cell]:
-        """Further tests of an agent: at doses between 0 and 1, in unseen risk, on other simulators."""
-        here = {"backend": self.backend, "episodes": self.episodes, "env_config": agent.env_config}
-        if set(self.arms) & set(DOSE_TRAFFICS) and agent.arm in DOSE_ARMS:
-            yield replace(agent, kind="test", test_on={**here, "traffics": list(DOSE_TRAFFICS)})
-        if self.unseen:
-            traffics = list(unseen_traffics(agent.task, self.backend))
-            yield replace(agent, kind="test", test_on={**here, "traffics": traffics})
-        for other in dict.fromkeys(self.test_on):
-            if other != self.backend:
-                elsewhere = {
-                    "backend": other,
-                    "traffics": list(TRAFFICS),
-                    "episodes": min(self.episodes, TRANSFER_EPISODES.get(other, self.episodes)),
-                    "env_config": env_config(other, agent.task, agent.level, self.changes),
-                    "dynamics": dynamics(other, agent.task),
-                }
-                yield replace(agent, kind="test", test_on=elsewhere)
-
-
-def build(ask: Ask) -> list[Cell]:
-    """The cells of an experiment: on each task and level the arms of every training seed, and the baselines."""
-    cells: list[Cell] = []
-    drivers = dict.fromkeys((*BASELINES, *(CAUTIONS if ask.frontier else ())))
-    for task, level in ((task, level) for task, levels in ask.levels.items() for level in levels):
-        common = ask.cell(task, level)
-        agents = [
-            replace(
-                common,
-                kind="agent",
-                arm=arm,
-                seed=seed,
-                policy=LEARNER,
-                profile={**common.profile, **ask.profiles[task], **ARM_PROFILES.get(arm, {})},
-                source=ask.network,
-                trained_with=different,
-                early_tests=ask.early_tests,
-            )
-            for seed in range(ask.first_seed, ask.first_seed + ask.seeds)
-            for arm in dict.fromkeys(ask.arms)
-            if (different := trained_with(arm, task, level)) is not None
-        ]
-        cells += agents
-        cells += [test for agent in agents for test in ask.further_tests(agent)]
-        cells += [replace(common, policy=policy) for policy in drivers]
-        cells += [
-            replace(common, policy=label, source=source, profile={**common.profile, "policy_sha256": digits})
-            for label, (source, digits) in ask.policies.items()
-        ]
-    return cells
-
-
-def shard(cells: Sequence[Cell], text: str) -> list[Cell]:
-    """The part "i/n" of the cells (i from 1 to n), dealt out by task and level so that cohorts stay together.
-
-    Raises:
-        UserError: not of that form.
-    """
-    index, slash, count = text.partition("/")
-    if not (slash and index.isdecimal() and count.isdecimal() and 1 <= int(index) <= int(count)):
-        raise UserError(f"--shard takes i/n with 1 <= i <= n, for example 1/4, not {text!r}")
-    units = [(cell.task, cell.level, cell.seed) for cell in cells]
-    order = {unit: number for number, unit in enumerate(dict.fromkeys(units))}
-    return [
-        cell for cell, unit in zip(cells, units, strict=True) if order[unit] % int(count) == int(index) - 1
-    ]

@@ -45,6 +45,12 @@ class Trained:
     marks: tuple[Path, ...] = ()
 
 
+def learner_config(profile: Mapping[str, Any]) -> DQNConfig:
+    """The settings of the learner among those of a profile. ValueError: one makes no sense."""
+    names = {field.name for field in fields(DQNConfig)}
+    return DQNConfig(**{name: value for name, value in profile.items() if name in names})
+
+
 def train_cell(
     cell: Cell,
     env: gym.Env[Any, Any],
@@ -65,8 +71,7 @@ def train_cell(
         UserError: the network does not fit.
         OSError: the checkpoint cannot be written.
     """
-    names = {field.name for field in fields(DQNConfig)}
-    config = DQNConfig(**{name: value for name, value in cell.profile.items() if name in names})
+    config = learner_config(cell.profile)
     if cell.source is not None:
         check(cell.source, cell.profile["network_sha256"])
     seed = training_seed(cell.task, cell.level, cell.seed or 0)

@@ -17,6 +17,7 @@ import pandas as pd
 from experiments.study import grid
 from experiments.study.arms import ALL_TRAFFICS, ARMS, TRAFFICS
 from experiments.study.evaluate import COLUMNS
+from experiments.study.experiment import Experiment
 from experiments.study.store import EPISODES, GATES, MARKS, TRAINING, WEIGHTS, Store
 from experiments.study.train import learning_curve
 
@@ -171,12 +172,28 @@ def write(
     levels: numbers by task. further: arms beside the two. marks: with tests at parts of the budget.
     faults: a fault by slug, for example {"sumo-highway-50-control-s0": "diverged"}.
     """
-    profiles = {task: {"updates": updates, "gamma": 0.95} for task in grid.TASKS}
-    every = (*ARMS, *further)
-    ask = grid.Ask(
-        backend, levels, seeds, tests, profiles, preset, gate_episodes=100, arms=every, test_on=test_on
-    )
-    cells = grid.build(ask)
+    cells = [
+        cell
+        for task, numbers in levels.items()
+        for cell in Experiment(
+            backend=backend,
+            preset=preset,
+            tasks=(task,),
+            levels=tuple(numbers),
+            seeds=seeds,
+            episodes=tests,
+            gate_episodes=100,
+            learners={task: {"updates": updates, "gamma": 0.95}},
+            arms=(*ARMS, *further),
+            test_on=tuple(test_on),
+        ).cells()
+    ]
+    # Without a network, no report tries to replay agents that never were.
+    known = ("preset", "updates", "gamma")
+    cells = [
+        replace(cell, profile={name: cell.profile[name] for name in known if name in cell.profile})
+        for cell in cells
+    ]
     wanted = [cell for cell in cells if cell.arm in (*arms, *further) or cell.policy in baselines]
     store = Store(directory)
     weights = directory / "weights.npz"

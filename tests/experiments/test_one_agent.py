@@ -25,7 +25,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A directory with an agent that was hardly trained."""
     directory = tmp_path_factory.mktemp("mine")
     patch = pytest.MonkeyPatch()
-    patch.setitem(PRESETS, "quick", replace(PRESETS["smoke"], name="quick"))
+    patch.setitem(PRESETS, "quick", replace(PRESETS["smoke"], preset="quick"))
     assert train.train(train.Options(out=directory, risk="mixed", updates=60), ["--risk", "mixed"]) == 0
     patch.undo()
     return directory
@@ -42,7 +42,7 @@ def test_the_agent_is_an_ordinary_cell(trained: Path) -> None:
 def test_the_curve_is_printed_while_it_learns(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
 ) -> None:
-    monkeypatch.setitem(PRESETS, "quick", replace(PRESETS["smoke"], name="quick"))
+    monkeypatch.setitem(PRESETS, "quick", replace(PRESETS["smoke"], preset="quick"))
     options = train.Options(out=tmp_path, risk="0", updates=200)
     train.train(options, [])
     said = capsys.readouterr().out
@@ -87,7 +87,7 @@ def test_it_is_filmed_at_both_risks(trained: Path, capsys) -> None:
 
 def test_what_does_not_exist_is_said(trained: Path, tmp_path: Path) -> None:
     with pytest.raises(UserError, match="did you mean 'mixed'"):
-        train.cells_of(train.Options(out=tmp_path, risk="mixd"))
+        train.agent_and_others(train.Options(out=tmp_path, risk="mixd"))
     with pytest.raises(UserError, match="there are: sumo-u-turn-3-mixed-s0"):
         watch.watch(watch.Options(trained, agent="treatment"))
     with pytest.raises(UserError, match="no trained agent"):
@@ -98,7 +98,7 @@ def test_what_does_not_exist_is_said(trained: Path, tmp_path: Path) -> None:
 
 def test_an_agent_can_be_published_and_loaded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """With its card, and driving as it did; an agent that observes the time is left out."""
-    monkeypatch.setitem(PRESETS, "quick", replace(PRESETS["smoke"], name="quick"))
+    monkeypatch.setitem(PRESETS, "quick", replace(PRESETS["smoke"], preset="quick"))
     monkeypatch.setattr(publish, "HALF", 2)
     for task in ("intersection", "u-turn"):
         train.train(train.Options(task=task, out=tmp_path, risk="0", updates=60), ["--risk", "0"])

@@ -20,11 +20,13 @@ from experiments.analysis.analysis import analyse
 from experiments.analysis.cells import comparable
 from experiments.study import grid, store
 from experiments.study.cell import CellTask
+from experiments.study.experiment import Experiment, shard
 from experiments.study.presets import PRESETS
 from experiments.study.results import load
 from experiments.study.run import Ended, attempt, locked
 from experiments.support.errors import UserError
 from experiments.sweep import Options, cells_of, sweep
+from sumo_env.tasks import TASKS
 from tests.experiments.fake_env import make_env
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -260,7 +262,7 @@ def test_a_stopped_sweep_says_how_to_go_on(tmp_path, number):
 
 def test_neither_shards_nor_order_nor_company_change_anything(reference, tmp_path):
     """Every cell in this process, in another order."""
-    parts = [task for i in (2, 1) for task in tasks_of(tmp_path, shard=f"{i}/2")]
+    parts = [task for i in (2, 1) for task in tasks_of(tmp_path, f"{i}/2")]
     for task in reversed(parts):
         assert attempt(task) == Ended("done")
     assert fingerprint(tmp_path) == fingerprint(reference)
@@ -291,8 +293,8 @@ def test_slurm_is_named_where_there_is_none(tmp_path, monkeypatch):
         run(tmp_path, executor="slurm")
 
 
-def tasks_of(directory: Path, shard: str = "1/1") -> list[CellTask]:
-    cells = grid.shard(cells_of(Options(out=directory, **TINY)), shard)
+def tasks_of(directory: Path, part: str = "1/1") -> list[CellTask]:
+    cells = shard(cells_of(Options(out=directory, **TINY)), part)
     return [CellTask(cell, directory, make_env) for cell in cells]
 
 
@@ -374,25 +376,28 @@ def test_the_estimate_uses_the_stored_cells_of_this_machine(reference, capsys):
     assert "4 agents and 6 baselines" in output
 
 
+def profiles_of(preset: Experiment) -> dict[str, dict]:
+    return {task: preset.profile(task) for task in TASKS}
+
+
 def test_presets_name_every_task_and_keep_the_arms_comparable():
     for preset in PRESETS.values():
-        profiles = preset.profiles()
-        assert set(profiles) == set(grid.TASKS)
+        profiles = profiles_of(preset)
         assert json.loads(json.dumps(profiles)) == profiles
     assert PRESETS["paper"].seeds == 10
-    assert PRESETS["paper"].profiles()["highway"]["gamma"] == 0.99
-    paper = PRESETS["paper"].profiles()["roundabout"]
+    assert PRESETS["paper"].profile("highway")["gamma"] == 0.99
+    paper = PRESETS["paper"].profile("roundabout")
     assert (paper["network"], paper["steps_per_update"], paper["finite_horizon"]) == ("dueling", 1, False)
     for name in ("quick", "standard"):
-        tuned = PRESETS[name].profiles()
+        tuned = profiles_of(PRESETS[name])
         assert {task: profile["finite_horizon"] for task, profile in tuned.items()} == {
-            task: task in ("roundabout", "u-turn") for task in grid.TASKS
+            task: task in ("roundabout", "u-turn") for task in TASKS
         }
         assert {profile["network"] for profile in tuned.values()} == {"attention"}
 
 
 def test_in_the_second_study_nobody_knows_when_a_test_ends():
-    profiles = PRESETS["second"].profiles()
+    profiles = profiles_of(PRESETS["second"])
     clocks = {task: profile.get("training_clock") for task, profile in profiles.items()}
     assert {task: clock for task, clock in clocks.items() if clock} == {"roundabout": [15, 15], "u-turn": [13, 13]}
     assert not any(profile["finite_horizon"] for profile in profiles.values())

@@ -1,4 +1,4 @@
-"""The grid as data: names that do not shift, levels, shards, seeds."""
+"""Experiments as data: names that do not shift, levels, shards, seeds."""
 
 from __future__ import annotations
 
@@ -7,24 +7,23 @@ from dataclasses import replace
 
 import pytest
 
-from experiments.study import grid
-from experiments.study.arms import ARMS, DOSE_ARMS, DOSES
+from experiments.study import experiment, grid
+from experiments.study.arms import DOSE_ARMS, DOSES
+from experiments.study.experiment import Experiment
 from experiments.study.seeds import TEST, scenario_seed, training_seed
 from experiments.study.unseen import unseen_traffics
 from experiments.support.errors import UserError
 from sumo_env.tasks import TASKS
 
-PROFILE = {"updates": 100, "gamma": 0.95, "hidden": [8]}
 
-
-def cells(levels: dict | None = None, seeds: int = 2, preset: str = "smoke", **profile) -> list[grid.Cell]:
-    profiles = {task: {**PROFILE, **profile} for task in TASKS}
-    return grid.build(grid.Ask("sumo", levels or {"highway": (1,)}, seeds, 5, profiles, preset))
-
-
-def cells_of(levels: dict | None = None, **options) -> list[grid.Cell]:
-    profiles = dict.fromkeys(TASKS, PROFILE)
-    return grid.build(grid.Ask("sumo", levels or {"highway": (1,)}, 2, 5, profiles, "smoke", **options))
+def cells(levels: dict | None = None, **options) -> list[grid.Cell]:
+    learners = {task: {"updates": 100} for task in TASKS}
+    asked = {"seeds": 2, "episodes": 5, "learners": learners, **options}
+    return [
+        cell
+        for task, numbers in (levels or {"highway": (1,)}).items()
+        for cell in Experiment(tasks=(task,), levels=numbers, **asked).cells()
+    ]
 
 
 def test_the_paper_has_18_traffic_cells():
@@ -53,7 +52,7 @@ def test_every_seed_has_both_arms_and_every_level_every_baseline():
 
 def test_further_arms_and_tests_rename_nothing():
     both = {c.name for c in cells()}
-    more = cells_of(arms=DOSES, test_on=("replica", "highway-env"))
+    more = cells(arms=DOSES, test_on=("replica", "highway-env"))
     assert both <= {c.name for c in more}
     assert len({c.name for c in more}) == len(more)
     agents = [c for c in more if c.kind == "agent"]
@@ -72,7 +71,7 @@ def test_further_arms_and_tests_rename_nothing():
 
 
 def test_unseen_risk_is_a_further_test_of_every_agent_and_renames_nothing():
-    both, more = cells_of(arms=tuple(ARMS)), cells_of(arms=tuple(ARMS), unseen=True)
+    both, more = cells(), cells(unseen=True)
     assert {c.name for c in both} <= {c.name for c in more}
     tests = [c for c in more if c.kind == "test"]
     assert {c.parent.name for c in tests} == {c.name for c in both if c.kind == "agent"}
@@ -81,14 +80,14 @@ def test_unseen_risk_is_a_further_test_of_every_agent_and_renames_nothing():
 
 
 def test_another_study_has_other_seeds_and_scenarios():
-    first, second = cells_of(), cells_of(first_seed=100, first_scenario=1000)
+    first, second = cells(), cells(first_seed=100, first_scenario=1000)
     assert {c.seed for c in second if c.arm} == {100, 101}
     assert {c.first_scenario for c in first} == {0} and {c.first_scenario for c in second} == {1000}
     assert not {c.name for c in first} & {c.name for c in second}
 
 
 def test_a_frontier_is_more_baselines_and_renames_nothing():
-    usual, frontier = ({c.name: c.policy for c in cells_of(frontier=more)} for more in (False, True))
+    usual, frontier = ({c.name: c.policy for c in cells(frontier=more)} for more in (False, True))
     assert usual.items() <= frontier.items()
     assert set(frontier.values()) - set(usual.values()) == {
         "careful-0.1",
@@ -99,12 +98,12 @@ def test_a_frontier_is_more_baselines_and_renames_nothing():
 
 
 def test_an_arm_is_left_out_where_it_has_no_meaning():
-    highest = cells_of({"highway": (3,), "two-way": (1,)}, arms=("dense", "penalty"))
+    highest = cells({"highway": (3,), "two-way": (1,)}, arms=("dense", "penalty"))
     assert {(c.task, c.arm) for c in highest if c.arm} == {("highway", "penalty"), ("two-way", "dense")}
 
 
 def test_the_configuration_can_be_changed():
-    changed = cells_of(changes={"collision_reward": -2})
+    changed = cells(config=("collision_reward=-2",))
     assert {c.env_config["collision_reward"] for c in changed} == {-2}
     assert not {c.name for c in changed} & {c.name for c in cells()}
     assert grid.env_config("replica", "u-turn", 1, {"risk_law": "linear"})["risk_law"] == "linear"
@@ -134,7 +133,7 @@ def test_versions_are_part_of_the_name(monkeypatch):
 
 def test_results_of_other_dynamics_have_other_names(monkeypatch):
     before = cells()[0]
-    monkeypatch.setattr(grid, "dynamics", lambda backend, task: "01234567")
+    monkeypatch.setattr(experiment, "dynamics", lambda backend, task: "01234567")
     assert cells()[0].dynamics == "01234567" != before.dynamics
     assert cells()[0].name != before.name
 
@@ -164,15 +163,15 @@ def test_levels_carry_the_papers_settings():
     [
         (lambda: grid.choose_tasks(["higway"]), "did you mean 'highway'"),
         (lambda: grid.choose_levels(["highway"], [4]), "did you mean 3?"),
-        (lambda: grid.Ask("summo", {}, 1, 1, {}, ""), "did you mean 'sumo'"),
+        (lambda: cells(backend="summo"), "did you mean 'sumo'"),
         (lambda: cells(seeds=0), "at least one seed"),
-        (lambda: cells_of(arms=("treatmen",)), "did you mean 'treatment'"),
-        (lambda: cells_of(test_on=("replca",)), "did you mean 'replica'"),
-        (lambda: cells_of(changes={"vehicle_count": 3}), "did you mean 'vehicles_count'"),
-        (lambda: cells_of(changes={"risk_law": "linear"}), "of the backends replica and highway-env"),
-        (lambda: cells_of(changes={"risk": 1}), "risk cannot be set"),
-        (lambda: grid.shard([], "3/2"), "1 <= i <= n"),
-        (lambda: grid.shard([], "half"), "--shard"),
+        (lambda: cells(arms=("treatmen",)), "did you mean 'treatment'"),
+        (lambda: cells(test_on=("replca",)), "did you mean 'replica'"),
+        (lambda: cells(config=("vehicle_count=3",)), "did you mean 'vehicles_count'"),
+        (lambda: cells(config=("risk_law=linear",)), "of the backends replica and highway-env"),
+        (lambda: cells(config=("risk=1",)), "risk cannot be set"),
+        (lambda: experiment.shard([], "3/2"), "1 <= i <= n"),
+        (lambda: experiment.shard([], "half"), "--shard"),
     ],
 )
 def test_what_does_not_exist_is_named_with_the_nearest(call, message):
@@ -188,7 +187,7 @@ def test_a_level_that_only_some_tasks_have_is_taken_where_it_exists():
 @pytest.mark.parametrize("count", [1, 2, 3, 7])
 def test_shards_are_a_partition_that_keeps_the_arms_of_a_seed_together(count):
     everything = cells({"highway": (1, 2), "u-turn": (1,)}, seeds=3)
-    parts = [grid.shard(everything, f"{i}/{count}") for i in range(1, count + 1)]
+    parts = [experiment.shard(everything, f"{i}/{count}") for i in range(1, count + 1)]
     assert sorted(c.name for part in parts for c in part) == sorted(c.name for c in everything)
     home = {(c.task, c.level, c.seed): i for i, part in enumerate(parts) for c in part}
     assert all(home[c.task, c.level, c.seed] == i for i, part in enumerate(parts) for c in part)

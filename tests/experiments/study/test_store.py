@@ -15,6 +15,7 @@ from torch import nn
 from agents.greedy import Greedy
 from experiments.study import grid, store
 from experiments.study.evaluate import evaluate
+from experiments.study.experiment import Experiment
 from experiments.study.results import KEY_COLUMNS, load
 from experiments.support.errors import UserError
 from sumo_env.tasks import TASKS
@@ -45,8 +46,9 @@ TRAINING_TABLE = pd.DataFrame(
 
 @pytest.fixture(scope="module")
 def cells() -> list[grid.Cell]:
-    profiles = {task: {"updates": 10, "gamma": 0.95} for task in TASKS}
-    return grid.build(grid.Ask("sumo", {"highway": (1,), "u-turn": (1,)}, 1, 3, profiles, "smoke"))
+    learners = {task: {"updates": 10, "gamma": 0.95} for task in TASKS}
+    tasks = ("highway", "u-turn")
+    return Experiment(tasks=tasks, levels=(1,), seeds=1, episodes=3, learners=learners).cells()
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,255 @@
+"""What an experiment consists of, and the cells that it asks for."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Annotated, Any
+
+import tyro
+
+from agents.rules import CAUTIONS
+from experiments.backends import BACKENDS
+from experiments.study.arms import ARM_PROFILES, ARMS, DOSE_ARMS, DOSE_TRAFFICS, DOSES, TRAFFICS, trained_with
+from experiments.study.fingerprint import dynamics
+from experiments.study.grid import (
+    BASELINES,
+    LEARNER,
+    Cell,
+    choose_levels,
+    choose_tasks,
+    env_config,
+    level_names,
+)
+from experiments.study.policies import foreign
+from experiments.study.unseen import unseen_traffics
+from experiments.support.errors import UserError, unknown
+from sumo_env.tasks import TASKS
+
+TRANSFER_EPISODES = {"highway-env": 20}  # in each traffic on another simulator at most: it is slow
+PLACEBO_SEEDS = 4  # control agents at least, to be dealt into two arms
+
+
+def argument(metavar: str, default: str = "the preset's") -> Any:
+    """How an option is shown in the help text."""
+    return tyro.conf.arg(metavar=metavar, help_behavior_hint=f"(default: {default})")
+
+
+Flag = Annotated[bool, tyro.conf.arg(help_behavior_hint="")]
+PRESETS_ALONE = (tyro.conf.Suppress, tyro.conf.Fixed)  # no option of a command
+
+
+@dataclass(frozen=True)
+class Experiment:
+    """What an experiment consists of; what has its default is left to the preset (`presets.complete`).
+
+    The sweep's options are one, so that the text below a field is the help of an option. Presets alone set about;
+    learners: by task what differs from the defaults of `agents.dqn.DQNConfig`, and what `wrappers` read;
+    gate_episodes: episodes in each traffic for the gates, by default as many as test episodes;
+    first_seed, first_scenario: where training seeds and test scenarios begin, so that studies share none.
+    """
+
+    backend: Annotated[str, argument("NAME", "sumo")] = "sumo"
+    """Simulator: sumo, replica (highway-env's physics, compiled) or highway-env."""
+    preset: Annotated[str, argument("NAME", "quick")] = "quick"
+    """Size of the experiment: smoke (a minute), quick (20 minutes on two cores), standard or paper (many hours), or
+    second (the second study: days)."""
+    tasks: Annotated[tuple[str, ...], argument("TASK ...", "all")] = ()
+    """Some of highway, two-way, roundabout, intersection, u-turn."""
+    levels: Annotated[tuple[int, ...], argument("LEVEL ...")] = ()
+    """Traffic levels by number; 1 is the lightest."""
+    seeds: Annotated[int | None, argument("N")] = None
+    """Training seeds in each arm."""
+    episodes: Annotated[int | None, argument("N")] = None
+    """Test episodes in each of the two traffics."""
+    updates: Annotated[int | None, argument("N")] = None
+    """Training budget of an agent in updates, the same for all tasks."""
+    arms: Annotated[tuple[str, ...], argument("ARM ...", "control treatment")] = ()
+    """Arms: control, treatment, dose25, dose50, dose75 (then tested at these too), dense, penalty, mixed, mixed-seen,
+    drawn."""
+    placebo: Flag = False
+    """Train control agents alone, twice as many, and compare them with each other: no effect should be found."""
+    test_on: Annotated[tuple[str, ...], argument("NAME ...", "none")] = ()
+    """Other simulators on which the trained agents are tested as well."""
+    unseen: Flag = False
+    """Test the trained agents in risky traffic that nobody was trained in as well: each kind of event alone, risky
+    drivers without events, and SUMO's car-following models Krauss and EIDM."""
+    early_tests: Flag = False
+    """Also test every agent as it was after a third and two thirds of its budget."""
+    frontier: Flag = False
+    """Test the careful driver at five cautions: with the constant policies, the crashes of a speed without learning."""
+    config: Annotated[tuple[str, ...], argument("KEY=VALUE ...", "none")] = ()
+    """Keys of the environments' configuration to set, for training and test (values as in JSON, or plain words)."""
+    gamma: Annotated[float | None, argument("X")] = None
+    """Discount factor."""
+    crash_reward: Annotated[float | None, argument("X", "none")] = None
+    """Added to the reward of a crash in training, in all arms (the two-way road's own has no term for crashes)."""
+    network: Annotated[str | None, argument("NAME")] = None
+    """Network of the agents: attention, dueling, or FILE:CLASS for a class of your own."""
+    policy: Annotated[tuple[str, ...], argument("FILE:MAKE ...", "none")] = ()
+    """Policies of your own to test as well: FILE:MAKE, or a model.zip of Stable-Baselines3."""
+    device: Annotated[str | None, argument("NAME", "cpu")] = None
+    """Where agents learn: cpu or cuda."""
+    about: Annotated[str, *PRESETS_ALONE] = ""
+    learners: Annotated[Mapping[str, Mapping[str, Any]] | None, *PRESETS_ALONE] = None
+    gate_episodes: Annotated[int | None, *PRESETS_ALONE] = None
+    first_seed: Annotated[int, *PRESETS_ALONE] = 0
+    first_scenario: Annotated[int, *PRESETS_ALONE] = 0
+
+    def cells(self) -> list[Cell]:
+        """All of its cells: on each task and level the agents, their further tests, and the baselines.
+
+        Raises:
+            UserError: something does not exist or makes no sense.
+        """
+        for name in (self.backend, *self.test_on):
+            if name not in BACKENDS:
+                raise unknown("backend", name, BACKENDS)
+        tasks = choose_tasks(self.tasks or tuple(TASKS))
+        levels = choose_levels(tasks, self.levels or None)
+        policies = {label: (source, digits) for source in self.policy for label, digits in [foreign(source)]}
+        drivers = dict.fromkeys((*BASELINES, *(CAUTIONS if self.frontier else ())))
+        cells: list[Cell] = []
+        for task, level in ((task, level) for task, numbers in levels.items() for level in numbers):
+            common = self._common(task, level)
+            agents = list(self._agents(common))
+            cells += agents
+            cells += [test for agent in agents for test in self._further_tests(agent)]
+            cells += [replace(common, policy=name) for name in drivers]
+            for label, (source, digits) in policies.items():
+                profile = {**common.profile, "policy_sha256": digits}
+                cells.append(replace(common, policy=label, source=source, profile=profile))
+        return cells
+
+    def _common(self, task: str, level: int) -> Cell:
+        """What the cells of a task and level have in common, as a baseline without a policy."""
+        episodes = self.episodes or 0
+        if episodes < 1:
+            raise UserError(f"at least one test episode is needed, not {episodes}")
+        gates = episodes if self.gate_episodes is None else self.gate_episodes
+        # Not in the names of cells that begin at 0, which are older than the choice.
+        first = {"first_scenario": self.first_scenario} if self.first_scenario else {}
+        return Cell(
+            kind="baseline",
+            backend=self.backend,
+            task=task,
+            level=level,
+            level_name=level_names(task)[level - 1],
+            arm=None,
+            seed=None,
+            policy="",
+            profile={"preset": self.preset},
+            env_config=env_config(self.backend, task, level, self._changes),
+            eval={"episodes": episodes, "gate_episodes": gates, **first},
+            dynamics=dynamics(self.backend, task),
+        )
+
+    def _agents(self, common: Cell) -> Iterator[Cell]:
+        """The agents of a task and level: every arm of each training seed."""
+        seeds, arms = self.seeds or 0, dict.fromkeys(self.arms or ARMS)
+        if seeds < 1:
+            raise UserError(f"at least one seed is needed, not {seeds}")
+        if self.placebo:
+            if self.arms:
+                raise UserError("--placebo trains control agents alone: leave out --arms")
+            seeds, arms = max(2 * seeds, PLACEBO_SEEDS), {"control": None}
+        for arm in arms:
+            if arm not in DOSES:
+                raise unknown("arm", arm, DOSES)
+        profile = self.profile(common.task)
+        for seed in range(self.first_seed, self.first_seed + seeds):
+            for arm in arms:
+                if (different := trained_with(arm, common.task, common.level)) is not None:
+                    yield replace(
+                        common,
+                        kind="agent",
+                        arm=arm,
+                        seed=seed,
+                        policy=LEARNER,
+                        profile={**common.profile, **profile, **ARM_PROFILES.get(arm, {})},
+                        source=self._own_network,
+                        trained_with=different,
+                        early_tests=self.early_tests,
+                    )
+
+    def _further_tests(self, agent: Cell) -> Iterator[Cell]:
+        """Further tests of an agent: at doses between 0 and 1, in unseen risk, on other simulators."""
+        here = {"backend": self.backend, "episodes": self.episodes, "env_config": agent.env_config}
+        if set(self.arms) & set(DOSE_TRAFFICS) and agent.arm in DOSE_ARMS:
+            yield replace(agent, kind="test", test_on={**here, "traffics": list(DOSE_TRAFFICS)})
+        if self.unseen:
+            traffics = list(unseen_traffics(agent.task, self.backend))
+            yield replace(agent, kind="test", test_on={**here, "traffics": traffics})
+        for other in dict.fromkeys(self.test_on):
+            if other != self.backend:
+                elsewhere = {
+                    "backend": other,
+                    "traffics": list(TRAFFICS),
+                    "episodes": min(agent.episodes, TRANSFER_EPISODES.get(other, agent.episodes)),
+                    "env_config": env_config(other, agent.task, agent.level, self._changes),
+                    "dynamics": dynamics(other, agent.task),
+                }
+                yield replace(agent, kind="test", test_on=elsewhere)
+
+    def profile(self, task: str) -> dict[str, Any]:
+        """Every hyper-parameter of the learner on a task, as plain values.
+
+        Raises:
+            UserError: one makes no sense.
+        """
+        from agents.models import network_class  # here: not every command needs the learner
+        from experiments.study.train import learner_config
+
+        asked = {"updates": self.updates, "gamma": self.gamma, "network": self.network, "device": self.device}
+        wanted: dict[str, Any] = {"finite_horizon": False, **(self.learners or {})[task]}
+        wanted |= {name: value for name, value in asked.items() if value is not None}
+        if self._own_network:
+            wanted["network"], wanted["network_sha256"] = foreign(self._own_network)
+        if self.crash_reward is not None:
+            if not math.isfinite(self.crash_reward):
+                raise UserError(f"the reward of a crash has to be a finite number, not {self.crash_reward}")
+            wanted["crash_reward"] = self.crash_reward
+        try:
+            config = learner_config(wanted)
+            if not self._own_network:
+                network_class(config.network)
+        except ValueError as error:
+            raise UserError(str(error)) from None
+        return {**asdict(config), **wanted}
+
+    @property
+    def _own_network(self) -> str | None:
+        """FILE:CLASS of a network of the user's own."""
+        return self.network if ":" in (self.network or "") else None
+
+    @property
+    def _changes(self) -> dict[str, Any]:
+        """Of config=("collision_reward=-2", "risk_law=linear")."""
+        changes = {}
+        for text in self.config:
+            key, equals, value = text.partition("=")
+            if not (key and equals):
+                raise UserError(f"--config takes KEY=VALUE, for example collision_reward=-2, not {text!r}")
+            try:
+                changes[key] = json.loads(value)
+            except ValueError:
+                changes[key] = value
+        return changes
+
+
+def shard(cells: Sequence[Cell], text: str) -> list[Cell]:
+    """The part "i/n" of the cells (i from 1 to n), dealt out by task and level so that cohorts stay together.
+
+    Raises:
+        UserError: not of that form.
+    """
+    index, slash, count = text.partition("/")
+    if not (slash and index.isdecimal() and count.isdecimal() and 1 <= int(index) <= int(count)):
+        raise UserError(f"--shard takes i/n with 1 <= i <= n, for example 1/4, not {text!r}")
+    units = [(cell.task, cell.level, cell.seed) for cell in cells]
+    order = {unit: number for number, unit in enumerate(dict.fromkeys(units))}
+    return [
+        cell for cell, unit in zip(cells, units, strict=True) if order[unit] % int(count) == int(index) - 1
+    ]

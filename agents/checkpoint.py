@@ -1,12 +1,14 @@
-"""Files that are whole or absent: arrays in an npz, written atomically; damage is detected when read."""
+"""Files that are whole or absent, whatever is killed; arrays in an npz, of which damage is detected when read."""
 
 from __future__ import annotations
 
 import os
 import zipfile
 import zlib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
+from typing import BinaryIO
 
 import numpy as np
 
@@ -15,24 +17,42 @@ class CheckpointError(RuntimeError):
     """A checkpoint is damaged, or belongs to another training."""
 
 
+def sync(path: Path) -> None:
+    """Bring a file, or the entries of a directory, to the disk (fsync)."""
+    descriptor = os.open(path, os.O_RDONLY)
+    try:
+        os.fsync(descriptor)
+    finally:
+        os.close(descriptor)
+
+
+@contextmanager
+def atomic(path: Path) -> Iterator[BinaryIO]:
+    """A file to be written in the place of ``path``: readers see the old content or all of the new one.
+
+    Raises OSError when the directory cannot be written or the disk is full; the old content stays.
+    """
+    temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        with temporary.open("wb") as file:
+            yield file
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(temporary, path)
+    except BaseException:
+        temporary.unlink(missing_ok=True)
+        raise
+    sync(path.parent)  # makes the new name durable, too
+
+
 def save_arrays(path: str | Path, arrays: Mapping[str, np.ndarray]) -> None:
     """Write named arrays to ``path``; a process killed at any moment leaves the old file or the new one.
 
     Not compressed: that would take twenty times as long and save little. An npz keeps a CRC-32 of every
     array.
     """
-    path = Path(path)
-    temporary = path.with_name(f".{path.name}.tmp")  # always this name, so that leftovers do not pile up
-    with open(temporary, "wb") as file:
+    with atomic(Path(path)) as file:
         np.savez(file, allow_pickle=False, **arrays)
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(temporary, path)
-    directory = os.open(path.parent, os.O_RDONLY)
-    try:
-        os.fsync(directory)  # makes the new name durable, too
-    finally:
-        os.close(directory)
 
 
 def load_arrays(path: str | Path) -> dict[str, np.ndarray]:

@@ -147,9 +147,7 @@ def add(directory: Path, records: Records, tables: Mapping[str, Tables], weights
 
 def as_parquet(table: pd.DataFrame) -> bytes:
     """The bytes of a stored table: the same for the same content."""
-    buffer = io.BytesIO()
-    table.to_parquet(buffer, index=False, **COMPACT)
-    return buffer.getvalue()
+    return table.to_parquet(index=False, **COMPACT)
 
 
 def _index(records: Records) -> pd.DataFrame:

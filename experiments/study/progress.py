@@ -15,10 +15,9 @@ from rich.console import Console
 from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeElapsedColumn
 from rich.progress import Progress as Bars
 
-from experiments.study.cell import CellTask
 from experiments.study.estimate import Rates, duration
 from experiments.study.grid import Cell
-from experiments.study.run import RETRIES, Observer, Sign
+from experiments.study.run import RETRIES, Observer, Sign, Task
 from experiments.study.store import Store, read_stored
 
 SHOW_EVERY = 2.0  # [s] between looks at all cells
@@ -27,7 +26,7 @@ TRUST_AFTER = 60.0  # [s] from when on the speed of this run counts, and not its
 LOG = "sweep.log"
 
 
-class Progress(Observer[CellTask]):
+class Progress(Observer):
     """Follows the cells of a sweep, and notes those that fail.
 
     Args:
@@ -53,7 +52,7 @@ class Progress(Observer[CellTask]):
         self._bars.start()
         self._log(f"{len(cells)} cells, {len(finished)} of them finished before")
 
-    def tell(self, task: CellTask, state: str, words: str = "") -> None:
+    def tell(self, task: Task, state: str, words: str = "") -> None:
         """A cell is in another state now."""
         self._state[task.name] = state
         self._fractions.pop(task.name, None)
@@ -62,7 +61,7 @@ class Progress(Observer[CellTask]):
         elif state == "finished":
             with suppress(Exception):  # one that is damaged by now is found by whoever reads it
                 self._rates.learn(read_stored(self._store.directory, task.name))
-            self._done_here += self._rates.seconds(task.cell)
+            self._done_here += self._rates.seconds(self._cells[task.name])
             self._log(f"{task.name} finished")
         elif state == "failed":
             with suppress(OSError):  # on a full disk the report says that the cell is missing

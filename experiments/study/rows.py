@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -48,7 +47,5 @@ def fill(
         added = compute(row)
         if added is not None:
             table = pd.concat([table, pd.DataFrame([{**row, **added}])], ignore_index=True)
-            buffer = io.BytesIO()
-            table.to_parquet(buffer, index=False, compression="zstd")
-            write_file(file, buffer.getvalue())
+            write_file(file, table.to_parquet(index=False, compression="zstd"))
     return table.merge(pd.DataFrame(wanted), on=keys) if len(table) else table

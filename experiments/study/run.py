@@ -29,7 +29,7 @@ from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Generic, Literal, Protocol, TypeVar
+from typing import Literal, Protocol
 
 from experiments.support.errors import UserError, disk_error
 
@@ -72,9 +72,6 @@ class Task(Protocol):
         """Compute and write the result, calling `beat` with the share that is done; returns a remark, or nothing."""
 
 
-T = TypeVar("T", bound=Task)
-
-
 @dataclass(frozen=True)
 class Ended:
     """How a try ended.
@@ -97,10 +94,10 @@ class Sign:
     written: int
 
 
-class Observer(Generic[T]):
+class Observer:
     """Is told what happens to the tasks; this one does not listen."""
 
-    def tell(self, task: T, state: str, words: str = "") -> None:
+    def tell(self, task: Task, state: str, words: str = "") -> None:
         """A task is now "running", "finished" (words: its remark), "waiting" for another try or "failed" (words: why).
 
         "in another run": that one computes it.
@@ -242,7 +239,7 @@ def last_words(folder: Path) -> str:
 
 
 def run(
-    tasks: Sequence[T], executor: Executor, limit: int, observer: Observer[T] | None = None
+    tasks: Sequence[Task], executor: Executor, limit: int, observer: Observer | None = None
 ) -> dict[str, str]:
     """Compute the tasks whose results are not there yet, the most costly first; shuts the executor down.
 
@@ -268,15 +265,15 @@ def run(
     return runner.failures
 
 
-class _Run(Generic[T]):
+class _Run:
     """The state of a run."""
 
-    def __init__(self, tasks: Sequence[T], executor: Executor, limit: int, observer: Observer[T]) -> None:
+    def __init__(self, tasks: Sequence[Task], executor: Executor, limit: int, observer: Observer) -> None:
         self.failures: dict[str, str] = {}
         self._executor, self._limit, self._observer = executor, limit, observer
         self._waiting = deque(sorted(tasks, key=lambda task: -task.cost))
-        self._later: deque[tuple[float, T]] = deque()  # computed by another run: when to look again
-        self._running: dict[Future[Ended], T] = {}
+        self._later: deque[tuple[float, Task]] = deque()  # computed by another run: when to look again
+        self._running: dict[Future[Ended], Task] = {}
         self._heard: dict[str, tuple[int, float]] = {}  # the last sign of life, and when it was seen here
         self._next_look = 0.0
         self._tries: Counter[str] = Counter()
@@ -322,7 +319,7 @@ class _Run(Generic[T]):
             else:
                 self._failed(task, ended.reason)
 
-    def _ending(self, task: T, future: Future[Ended]) -> Ended:
+    def _ending(self, task: Task, future: Future[Ended]) -> Ended:
         """How a task ended, also if its process was lost."""
         error = future.exception()
         _, heard = self._heard.pop(task.name, (0, time.monotonic()))
@@ -338,7 +335,7 @@ class _Run(Generic[T]):
             log(task.folder, reason)
         return Ended("failed", reason)
 
-    def _failed(self, task: T, reason: str) -> None:
+    def _failed(self, task: Task, reason: str) -> None:
         tries = self._tries[task.name]
         if tries <= RETRIES:
             self._waiting.appendleft(task)

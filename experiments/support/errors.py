@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import errno
 import os
 import shlex
@@ -10,6 +9,8 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterable
+
+from sumo_env.config import did_you_mean
 
 USAGE = 2  # exit status: the call or the directory has to be put right first
 INTERRUPTED = 130  # exit status after Ctrl-C, as a shell has it
@@ -29,9 +30,8 @@ def unknown(kind: str, word: object, known: Iterable[object]) -> UserError:
         known: all that could have been meant.
     """
     names = [str(name) for name in known]
-    match = difflib.get_close_matches(str(word).lower(), names, n=1, cutoff=0.4)
-    hint = f"did you mean {match[0]!r}? " if match else ""
-    return UserError(f"unknown {kind} {str(word)!r}: {hint}known are {', '.join(names)}")
+    hint = did_you_mean(str(word).lower(), names)
+    return UserError(f"unknown {kind} {str(word)!r}: {hint}{' ' if hint else ''}known are {', '.join(names)}")
 
 
 def disk_error(error: OSError, directory: object) -> UserError:

@@ -73,6 +73,7 @@ LEFT_OUT: dict[str, tuple[Any, ...]] = {
 }
 FILE_KEYS = ("id", "import_module")  # rl-agents hands its whole JSON file to `configure`
 FIXED: dict[str, tuple[Any, str]] = {
+    "traffic_model": ("sumo", "SUMO's own drivers are the only ones"),  # stored configurations have it
     "controlled_vehicles": (1, "there is one ego"),
     "manual_control": (False, "the agent drives the ego"),
     "obey_traffic_lights": (False, "this road has no traffic lights"),

@@ -25,10 +25,11 @@ BASELINES = ("idle", "random", "faster", "slower", "idm", "careful")
 LEARNER = "dqn"
 # highway-env's own time step, and drivers that see along their path (see `backends.highway_env`).
 HIGHWAY_ENV = {"simulation_frequency": 15, "variant": "path"}
+IN_NAMES = {"traffic_model": "sumo"}  # a key of earlier versions, which the names of all cells contain
 BACKEND_KEYS = ("variant", "risk_law")  # keys that only the replica and highway-env have
 MARKS = (1 / 3, 2 / 3)  # shares of the budget after which an agent can be tested as well
 # Keys of the environments that say how an episode is drawn or which arm is meant, not what is simulated.
-PICTURES = {"screen_width", "screen_height", "scaling", "centering_position", "show_trajectories"}
+PICTURES = {"screen_width", "screen_height", "scaling", "centering_position"}
 FREE = {"risk", *PICTURES}
 NOT_IN_KEY = {"source", "early_tests"}  # fields of a cell
 
@@ -239,7 +240,7 @@ def env_config(
             f"{', '.join(sorted(free))} cannot be set for an experiment: it is drawn or has no meaning there"
         )
     try:
-        config = resolve(task, TASKS[task].defaults, TASKS[task].levels[names[level - 1]], common)
+        config = resolve(task, TASKS[task].defaults, TASKS[task].levels[names[level - 1]], IN_NAMES, common)
     except ConfigError as error:
         raise UserError(str(error)) from None
     config = {name: value for name, value in config.items() if name not in FREE}

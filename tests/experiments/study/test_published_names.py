@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import subprocess
 from functools import cache
 from pathlib import Path
@@ -10,10 +11,14 @@ from typing import Any
 
 import pytest
 
+from experiments.study.experiment import Experiment
 from experiments.study.fingerprint import check_dynamics, dynamics, fingerprint
-from experiments.study.grid import cell_name
+from experiments.study.grid import BACKEND_KEYS, cell_name, slug
+from experiments.study.presets import cells_of
 from experiments.study.results import load
 from experiments.support.errors import UserError
+from experiments.support.files import canonical_json
+from sumo_env.config import resolve
 from sumo_env.tasks import TASKS
 
 RESULTS = Path(__file__).resolve().parents[3] / "results"
@@ -61,6 +66,23 @@ def test_a_published_cell_is_named_by_its_key(folder: str) -> None:
     assert [name for name, cell in found.items() if cell_name(cell["key"], cell["versions"]) != name] == []
     digest = hashlib.sha256("".join(f"{name}\n" for name in sorted(found)).encode()).hexdigest()
     assert (len(found), digest) == PUBLISHED[folder]
+
+
+def test_a_study_asks_for_its_published_cells_today() -> None:
+    """A default, or a key that goes, would give the same computation another name, and make it anew."""
+    asked = {cell.slug: cell for cell in cells_of(Experiment(preset="standard"))}
+    found = cells("standard")
+    compared = [name for name, cell in found.items() if slug(cell["key"]) in asked]
+    assert len(compared) > 250
+    for name in compared:
+        assert cell_name(asked[slug(found[name]["key"])].key(), found[name]["versions"]) == name
+
+
+@pytest.mark.parametrize("folder", PUBLISHED)
+def test_the_configuration_of_published_cells_is_accepted(folder: str) -> None:
+    stored = {canonical_json([c["key"]["task"], c["key"]["env_config"]]) for c in cells(folder).values()}
+    for task, config in map(json.loads, stored):
+        resolve(task, TASKS[task].defaults, {k: v for k, v in config.items() if k not in BACKEND_KEYS})
 
 
 @pytest.mark.parametrize("folder", PUBLISHED)

@@ -35,11 +35,11 @@ import gymnasium as gym
 import numpy as np
 import pandas as pd
 import tyro
-from numpy.typing import NDArray
 from PIL import Image
 from rich.progress import Progress
 
 from experiments.backends import make_env
+from experiments.reporting.showcase import ending
 from experiments.study import grid, store
 from experiments.study.arms import TRAFFICS
 from experiments.study.avoid import HORIZON, SAFE, Moment, Rewound, Search
@@ -51,7 +51,7 @@ from experiments.study.results import load
 from experiments.support.errors import UserError, disk_error, run_command
 from experiments.support.films import Film, Pictures, save_gif, side_by_side
 
-PICTURES = 12  # on a sheet, spread over the episode
+PICTURES, GAP = 12, 4  # on a sheet, spread over the episode; [px] between them
 SUGGESTED = 5  # names in an error
 
 
@@ -178,49 +178,31 @@ def replay(options: Options, make_env: MakeEnv = make_env) -> int:
         raise disk_error(error, options.out or Path.cwd()) from None
     finally:
         env.close()
-    print(f"{case.name}: return {row['return']:.3f} in {row['length']} steps, " + _ending(row))
-    print("crashes in the stored test: " + _crashes(table))
+    print(f"{case.name}: return {row['return']:.3f} in {row['length']} steps, {ending(row)}{_hit(row)}")
+    for traffic in TRAFFICS:
+        crashes = table.loc[(table["traffic"] == traffic) & table["crashed"], "scenario"].astype(str)
+        print(f"stored crashes in {traffic} traffic, scenarios: {' '.join(crashes) or 'none'}")
     print(f"written: {written}")
-    wrong = differences(rows.iloc[0].to_dict(), row)
-    if wrong:
-        print(f"error: not reproduced: {'; '.join(wrong)}{_changed(record)}", file=sys.stderr)
+    if wrong := differences(rows.iloc[0].to_dict(), row):
+        changed = ", ".join(changed_versions(record)) or "no version"
+        print(f"error: not reproduced: {'; '.join(wrong)}; since then changed: {changed}", file=sys.stderr)
         return 1
     print("reproduced: every stored number came out the same")
     return 0
 
 
-def _ending(row: dict[str, Any]) -> str:
-    if row["crashed"]:
-        return f"{row['crash_type']} crash with {row['crash_other']} after {row['crash_time']:.1f} s"
-    return "arrived" if row["arrived"] else "time was up"
+def _hit(row: dict[str, Any]) -> str:
+    return f", with {row['crash_other']}" if row["crashed"] else ""
 
 
-def _crashes(table: Any) -> str:
-    """Scenarios with a crash, for the next call."""
-    parts = []
-    for traffic in TRAFFICS:
-        numbers = table[(table["traffic"] == traffic) & table["crashed"]]["scenario"].tolist()
-        shown = " ".join(map(str, numbers[:12])) + (" ..." if len(numbers) > 12 else "")
-        parts.append(f"{traffic} {shown or 'none'}")
-    return "; ".join(parts)
-
-
-def _changed(record: dict[str, Any]) -> str:
-    """Versions that differ from those of the stored cell, in words."""
-    changed = changed_versions(record)
-    return f"; since then changed: {', '.join(changed)}" if changed else "; the versions are the same"
-
-
-def sheet(frames: list[NDArray[np.uint8]]) -> NDArray[np.uint8]:
+def sheet(pictures: Pictures) -> Image.Image:
     """Pictures of one size on one sheet, row by row from the left, in as many columns as make it about square."""
-    height, width, _ = frames[0].shape
-    columns = max(1, round(math.sqrt(len(frames) * height / width)))
-    rows = -(-len(frames) // columns)
-    gap = 4  # [px]
-    paper = np.full((rows * (height + gap) - gap, columns * (width + gap) - gap, 3), 255, np.uint8)
-    for number, frame in enumerate(frames):
-        top, left = number // columns * (height + gap), number % columns * (width + gap)
-        paper[top : top + height, left : left + width] = frame
+    width, height = pictures[0].size
+    columns = max(1, round(math.sqrt(len(pictures) * height / width)))
+    width, height = width + GAP, height + GAP
+    paper = Image.new("RGB", (columns * width - GAP, -(-len(pictures) // columns) * height - GAP), "white")
+    for number, picture in enumerate(pictures):
+        paper.paste(picture, (number % columns * width, number // columns * height))
     return paper
 
 
@@ -240,7 +222,7 @@ def _avoid(
         closing(make_env(key["backend"], key["task"], key["env_config"], "rgb_array")) as env,
         closing(Rewound(case.path, record, row, env)) as crash,
     ):
-        print(f"{case.name}: " + _ending(row))
+        print(f"{case.name}: {ending(row)}{_hit(row)}")
         bar.add_task("sequences of the present moment", total=1.0)
         with bar:
             for moment in crash.moments(search):
@@ -326,7 +308,7 @@ def _write(options: Options, case: Case, env: gym.Env[Any, Any], pictures: Pictu
         save_gif(pictures, path)
     else:
         chosen = np.unique(np.linspace(0, len(pictures) - 1, PICTURES).round().astype(int))
-        Image.fromarray(sheet([np.asarray(pictures[number]) for number in chosen])).save(path)
+        sheet([pictures[number] for number in chosen]).save(path)
     return path
 
 

@@ -29,10 +29,12 @@ import tyro
 
 from agents.plugins import load_object
 from experiments.analysis.analysis import Analysis, analyse, as_json, stored
+from experiments.analysis.effects import ALL_TASKS
 from experiments.analysis.plan import OUTCOMES, Outcome
 from experiments.backends import make_env
 from experiments.reporting.page import page, render
 from experiments.reporting.showcase import showcase
+from experiments.reporting.tables import chosen
 from experiments.study import store
 from experiments.study.evaluate import COLUMNS
 from experiments.study.results import load
@@ -82,12 +84,8 @@ def write_report(directory: Path, *others: Path) -> Path:
         write_file(directory / ANALYSIS, (json.dumps(as_json(analysis), allow_nan=False) + "\n").encode())
         for name, table in ((SUMMARY, analysis.policies), (EFFECTS, analysis.effects.drop(columns="looks"))):
             write_file(directory / name, table.to_csv(index=False, float_format="%.10g").encode())
-        for name, template in (
-            (TEXT, "report.md.j2"),
-            (APPENDIX, "appendix.html.j2"),
-            (REPORT, "report.html.j2"),
-        ):
-            write_file(directory / name, render(variables, template).encode())
+        for name in (TEXT, APPENDIX, REPORT):
+            write_file(directory / name, render(variables, f"{name}.j2").encode())
     except OSError as error:
         raise disk_error(error, directory) from None
     return directory / REPORT
@@ -95,10 +93,9 @@ def write_report(directory: Path, *others: Path) -> Path:
 
 def _published(directory: Path, analysis: Analysis) -> list[tuple[str, Analysis]]:
     """What is shown beside a directory by itself: beside the published study its variants, beside others the study."""
+    folders = [PUBLISHED]
     if directory.resolve() == PUBLISHED:
         folders = sorted(file.parent for file in PUBLISHED.parent.glob(f"*/{store.PUBLISHED}"))
-    else:
-        folders = [PUBLISHED]
     found = [(_title(folder, folder.name), _stored(folder / ANALYSIS)) for folder in folders]
     own = analysis.provenance["hash"]
     return [(title, other) for title, other in found if other and other.provenance["hash"] != own]
@@ -106,15 +103,11 @@ def _published(directory: Path, analysis: Analysis) -> list[tuple[str, Analysis]
 
 def _stored(path: Path) -> Analysis | None:
     """An analysis that is stored; None if it is not there, of another version, or damaged, which is said."""
-    if not path.is_file():
-        return None
     try:
-        return stored(path)
+        return stored(path) if path.is_file() else None
     except (ValueError, KeyError, TypeError):
-        print(
-            f"{path} is damaged and not shown: python experiments/report.py {path.parent} writes it again",
-            file=sys.stderr,
-        )
+        again = f"python experiments/report.py {path.parent} writes it again"
+        print(f"{path} is damaged and not shown: {again}", file=sys.stderr)
         return None
 
 
@@ -174,15 +167,10 @@ def report_placebo(directory: Path) -> None:
     else:
         print(analysis.placebo.to_string(index=False))
     print(f"negative control (the careful driver as both arms), largest effect: {analysis.negative_control}")
-    means = analysis.means
-    rows = means[
-        (means["arm"] == "penalty") & (means["against"] == "control") & (means["scope"] == "all tasks")
-    ]
-    rows = rows[(rows["outcome"] == "crashed") & (rows["term"] == "regular")]
+    wanted = {"arm": "penalty", "against": "control", "scope": ALL_TASKS, "outcome": "crashed"}
+    rows = chosen(analysis.means, term="regular", **wanted)
     if len(rows):
-        print(
-            "positive control (twice the penalty for a crash against control, crash rate in regular traffic):"
-        )
+        print("positive control (twice the penalty for a crash), crash rate in regular traffic:")
         print(rows[["backend", "estimate", "low", "high", "p"]].to_string(index=False))
 
 

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 from scipy import stats
@@ -65,34 +66,44 @@ def _legend(figure: Any, policies: list[str], **more: Any) -> None:
     )
 
 
+def _panels(tasks: list[str]) -> tuple[Figure, dict[tuple[str, str], Axes]]:
+    """A figure of crash rates with a column for each task and a row for each traffic of the test: (task, traffic)."""
+    figure, axes = new_figure(2, len(tasks), 3.5, sharex="col", sharey=True)
+    panels = {}
+    for row, traffic in enumerate(reversed(TRAFFICS)):
+        axes[row, 0].set_ylabel(f"crash rate,\n{traffic} traffic")
+        for column, task in enumerate(tasks):
+            panels[task, traffic] = axes[row, column]
+            axes[0, column].set_title(task)
+            _share(axes[row, column])
+    return figure, panels
+
+
+def _shown(policies: pd.DataFrame) -> list[str]:
+    """The policies without training, in the order in which they are drawn."""
+    return [name for name in ("careful", *CONSTANT) if (policies["policy"] == name).any()]
+
+
 @styled
 def against_traffic(policies: pd.DataFrame, backend: str) -> str:
     """Crash rate against the traffic level: a column for each task, a row for each traffic of the test.
 
     policies: `analysis.policies` of one backend.
     """
-    tasks = _tasks(policies)
-    figure, axes = new_figure(2, len(tasks), 3.5, sharex="col", sharey=True)
-    shown = [name for name in ("careful", *CONSTANT) if (policies["policy"] == name).any()]
-    bars = {"marker": "o", "ms": 4, "capsize": 2, "lw": 1.5, "elinewidth": 1.0}
-    for column, task in enumerate(tasks):
+    shown, bars = _shown(policies), {"marker": "o", "ms": 4, "capsize": 2, "lw": 1.5, "elinewidth": 1.0}
+    figure, panels = _panels(_tasks(policies))
+    for (task, traffic), panel in panels.items():
         rows = policies[policies["task"] == task].sort_values("level")
-        levels = rows.drop_duplicates("level")
-        for row, traffic in enumerate(reversed(TRAFFICS)):
-            panel, tested = axes[row, column], rows[rows["traffic"] == traffic]
-            for arm, shift in (("control", -0.08), ("treatment", 0.08)):
-                own = tested[tested["arm"] == arm]
-                error = [_half_width(record, "crashed") for record in own.to_dict("records")]
-                panel.errorbar(own["level"] + shift, own["crashed"], error, color=COLOURS[arm], **bars)
-            for number, policy in enumerate(shown):  # beside each other, so that none hides another
-                own = tested[tested["policy"] == policy]
-                panel.plot(own["level"] + 0.2 + 0.07 * number, own["crashed"], ls="", **_mark(policy))
-            _share(panel)
-            panel.set_xlim(levels["level"].min() - 0.4, levels["level"].max() + 0.75)
-        axes[0, column].set_title(task)
-        axes[1, column].set_xticks(levels["level"], levels["level_name"])
-    for row, traffic in enumerate(reversed(TRAFFICS)):
-        axes[row, 0].set_ylabel(f"crash rate,\n{traffic} traffic")
+        levels, tested = rows.drop_duplicates("level"), rows[rows["traffic"] == traffic]
+        for arm, shift in (("control", -0.08), ("treatment", 0.08)):
+            own = tested[tested["arm"] == arm]
+            error = [_half_width(record, "crashed") for record in own.to_dict("records")]
+            panel.errorbar(own["level"] + shift, own["crashed"], error, color=COLOURS[arm], **bars)
+        for number, policy in enumerate(shown):  # beside each other, so that none hides another
+            own = tested[tested["policy"] == policy]
+            panel.plot(own["level"] + 0.2 + 0.07 * number, own["crashed"], ls="", **_mark(policy))
+        panel.set_xlim(levels["level"].min() - 0.4, levels["level"].max() + 0.75)
+        panel.set_xticks(levels["level"], levels["level_name"])
     figure.supxlabel("traffic level", fontsize=8.5)
     _legend(figure, shown)
     return to_svg(figure, f"{backend}-traffic", "Crash rate against traffic level, by task and policy")
@@ -111,33 +122,24 @@ def crashes_against_progress(policies: pd.DataFrame, backend: str) -> str:
 
     The line is the frontier of the policies without training. Means over the levels of a task.
     """
-    tasks = _tasks(policies)
-    figure, axes = new_figure(2, len(tasks), 3.5, sharex="col", sharey=True)
+    shown = _shown(policies)
     of_task = policies.groupby(["task", "traffic", "policy", "arm"], sort=False, as_index=False)
     mean = of_task[["crashed", "progress"]].mean()
-    shown = [name for name in ("careful", *CONSTANT) if (policies["policy"] == name).any()]
-    for column, task in enumerate(tasks):
-        for row, traffic in enumerate(reversed(TRAFFICS)):
-            panel = axes[row, column]
-            own = mean[(mean["task"] == task) & (mean["traffic"] == traffic)]
-            rules = own[own["arm"] == ""]
-            best = frontier(rules)
-            panel.plot(best["progress"], best["crashed"], color=MUTED, lw=1.0, zorder=1)
-            for point in rules.itertuples():
-                panel.plot(point.progress, point.crashed, ls="", **_mark(str(point.policy)))
-            agents = [own[own["arm"] == arm] for arm in ARMS]
-            if all(len(agent) for agent in agents):
-                (x0, y0), (x1, y1) = ((a["progress"].iloc[0], a["crashed"].iloc[0]) for a in agents)
-                panel.annotate(
-                    "", (x1, y1), (x0, y0), arrowprops={"arrowstyle": "->", "color": INK, "lw": 0.8}
-                )
-            for arm, agent in zip(ARMS, agents, strict=True):
-                panel.plot(agent["progress"], agent["crashed"], "o", color=COLOURS[arm], ms=6, zorder=3)
-            _share(panel)
-            panel.xaxis.set_major_locator(MaxNLocator(3))
-        axes[0, column].set_title(task)
-    for row, traffic in enumerate(reversed(TRAFFICS)):
-        axes[row, 0].set_ylabel(f"crash rate,\n{traffic} traffic")
+    figure, panels = _panels(_tasks(policies))
+    for (task, traffic), panel in panels.items():
+        own = mean[(mean["task"] == task) & (mean["traffic"] == traffic)]
+        rules = own[own["arm"] == ""]
+        best = frontier(rules)
+        panel.plot(best["progress"], best["crashed"], color=MUTED, lw=1.0, zorder=1)
+        for point in rules.itertuples():
+            panel.plot(point.progress, point.crashed, ls="", **_mark(str(point.policy)))
+        agents = [own[own["arm"] == arm] for arm in ARMS]
+        if all(len(agent) for agent in agents):
+            start, end = (agent[["progress", "crashed"]].iloc[0] for agent in agents)
+            panel.annotate("", end, start, arrowprops={"arrowstyle": "->", "color": INK, "lw": 0.8})
+        for arm, agent in zip(ARMS, agents, strict=True):
+            panel.plot(agent["progress"], agent["crashed"], "o", color=COLOURS[arm], ms=6, zorder=3)
+        panel.xaxis.set_major_locator(MaxNLocator(3))
     figure.supxlabel("progress: distance covered, over the time limit of the episode [m/s]", fontsize=8.5)
     _legend(figure, shown, ls="")
     return to_svg(figure, f"{backend}-progress", "Crash rate against progress, by task and policy")
@@ -180,10 +182,10 @@ def dose_response(policies: pd.DataFrame, backend: str) -> str:
     doses = policies[policies["arm"].isin(DOSE_ARMS) & policies["traffic"].isin(list(TRAFFICS))]
     between = doses[~doses["arm"].isin(list(ARMS))][["task", "level"]].drop_duplicates()
     doses = doses.merge(between).assign(dose=lambda frame: frame["arm"].map(DOSES))
-    tasks = _tasks(doses)
+    tasks, styles = _tasks(doses), {"risky": "-", "regular": "--"}
     figure, axes = new_figure(1, len(tasks), 2.1, sharey=True)
     for panel, task in zip(axes[0], tasks, strict=True):
-        for traffic, style in (("risky", "-"), ("regular", "--")):
+        for traffic, style in styles.items():
             own = doses[(doses["task"] == task) & (doses["traffic"] == traffic)]
             mean = own.groupby("dose")["crashed"].mean()
             panel.plot(mean.index, mean, style, color=INK, marker="o", ms=4)
@@ -192,10 +194,7 @@ def dose_response(policies: pd.DataFrame, backend: str) -> str:
         panel.set_xticks([0, 0.5, 1], ["0", ".5", "1"])
     axes[0, 0].set_ylabel("crash rate")
     figure.supxlabel("dose of risk in training", fontsize=8.5)
-    handles = [
-        Line2D([], [], color=INK, ls=style, label=f"{name} traffic")
-        for name, style in (("risky", "-"), ("regular", "--"))
-    ]
+    handles = [Line2D([], [], color=INK, ls=ls, label=f"{name} traffic") for name, ls in styles.items()]
     figure.legend(handles=handles, loc="outside upper center", ncols=2)
     return to_svg(figure, f"{backend}-doses", "Crash rate against the dose of risk in training, by task")
 
@@ -206,32 +205,25 @@ def learning_curves(cells: Mapping[str, Mapping[str, Any]], backend: str) -> str
 
     cells: cell.json of the trained agents of both arms on one backend, by name.
     """
-    keys = [cell["key"] for cell in cells.values()]
-    lightest = {
-        task: min(k["level"] for k in keys if k["task"] == task) for task in {k["task"] for k in keys}
-    }
-    tasks = sorted(lightest, key=TASK_ORDER.__getitem__)
+    curves = pd.DataFrame([{**cell["key"], "curve": cell["learner"]["curve"]} for cell in cells.values()])
+    curves = curves[curves["level"] == curves.groupby("task")["level"].transform("min")]
+    tasks = _tasks(curves)
     figure, axes = new_figure(2, len(tasks), 3.2, sharex="col", sharey="row")
     for column, task in enumerate(tasks):
         axes[0, column].set_title(task)
-        for row, outcome in enumerate(("return", "crashed")):
+        for panel, outcome in zip(axes[:, column], ("return", "crashed"), strict=True):
             for arm, colour in COLOURS.items():
-                wanted = (task, lightest[task], arm)
-                own = [c["learner"]["curve"] for c in cells.values() if _is(c["key"], wanted)]
-                if not own:
+                own = curves.loc[(curves["task"] == task) & (curves["arm"] == arm), "curve"]
+                if own.empty:
                     continue
                 values = pd.DataFrame([curve[outcome] for curve in own], dtype=float)
                 ends = np.array([curve["step"] for curve in own], dtype=float).mean(axis=0)
                 x, mean, spread = (ends - ends[0] / 2) / 1000, values.mean(), values.std(ddof=1).fillna(0)
-                axes[row, column].plot(x, mean, color=colour)
-                axes[row, column].fill_between(x, mean - spread, mean + spread, color=colour, alpha=0.2, lw=0)
+                panel.plot(x, mean, color=colour)
+                panel.fill_between(x, mean - spread, mean + spread, color=colour, alpha=0.2, lw=0)
         _share(axes[1, column])
     axes[0, 0].set_ylabel("return")
     axes[1, 0].set_ylabel("crash rate")
     figure.supxlabel("environment steps (thousands)", fontsize=8.5)
     _legend(figure, [], ls="-")
     return to_svg(figure, f"{backend}-learning", "Return and crash rate of training episodes, by arm")
-
-
-def _is(key: Mapping[str, Any], wanted: tuple[str, int, str]) -> bool:
-    return (key["task"], key["level"], key["arm"]) == wanted

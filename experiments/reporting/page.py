@@ -67,19 +67,10 @@ def backend(name: str, results: Results, analysis: Analysis) -> dict[str, Any]:
     return {
         "name": BACKENDS.get(name, name),
         **answer(name, analysis),
-        "tasks": tables.first_page(analysis, name),
         "claims": chosen(analysis.claims, backend=name).to_dict("records"),
         "figures": drawn(name, results, analysis),
         "paces": paces(chosen(analysis.policies, backend=name)),
-        "crashes": tables.by_setting(analysis, name, "crashed"),
-        "returns": tables.by_setting(analysis, name, "return"),
-        "variants": tables.variants(analysis, name),
-        "further": tables.further(analysis, name),
-        "kinds": tables.crash_kinds(analysis, name),
-        **{
-            part: getattr(tables, part)(analysis, name)
-            for part in ("slopes", "transfer", "policies", "gates")
-        },
+        **{part: make(analysis, name) for part, make in tables.TABLES.items()},
         "placebo": chosen(analysis.placebo, backend=name).to_dict("records"),
         "penalty": chosen(
             main(analysis.means, name, "penalty"), scope=ALL_TASKS, outcome="crashed", term="regular"
@@ -149,49 +140,43 @@ def drawn(name: str, results: Results, analysis: Analysis) -> dict[str, Markup |
     """The figures of one simulator; None where its results do not allow one."""
     policies = chosen(analysis.policies, backend=name, traffic=list(TRAFFICS))
     effects = main(analysis.effects, name)
+    keys = {cell: record["key"] for cell, record in results.cells.items()}
     agents = {
-        name_: cell
-        for name_, cell in results.cells.items()
-        if cell["key"]["kind"] == "agent" and cell["key"]["arm"] in ARMS and cell["key"]["backend"] == name
+        cell: results.cells[cell]
+        for cell, key in keys.items()
+        if (key["kind"], key["backend"]) == ("agent", name) and key["arm"] in ARMS
     }
-    found = {
-        "traffic": figures.against_traffic(policies, name),
-        "progress": figures.crashes_against_progress(policies, name),
-    }
+    episodes = results.episodes[results.episodes["cell"].isin(agents)]
+    found: dict[str, str | None] = dict.fromkeys(FIGURES)
+    found["traffic"] = figures.against_traffic(policies, name)
+    found["progress"] = figures.crashes_against_progress(policies, name)
     if len(effects):
         found["effects"] = figures.effects_by_setting(effects, name)
     if policies["arm"].isin(set(DOSE_ARMS) - set(ARMS)).any():
         found["doses"] = figures.dose_response(policies, name)
     if agents:
         found["learning"] = figures.learning_curves(agents, name)
-        episodes = results.episodes[results.episodes["cell"].isin(agents)]
-        if episodes["crashed"].any():
-            found["collisions"] = collisions(episodes)
-    return {**dict.fromkeys(FIGURES), **{key: Markup(svg) for key, svg in found.items()}}
+    if episodes["crashed"].any():
+        found["collisions"] = collisions(episodes)
+    return {key: Markup(svg) if svg else None for key, svg in found.items()}
 
 
 def player(films: Mapping[str, Any], directory: Path) -> dict[str, Any]:
     """What the player and the appendix show of the films."""
     titles = {kind: title for kind, title, _ in KINDS.values()}
     shown = [place for place in films["places"] if place["films"]]
-    places: list[dict[str, Any]] = []
-    rows: list[dict[str, Any]] = []
-    listed: list[dict[str, str]] = []
-    counts: list[dict[str, Any]] = []
+    places, rows, listed, counts = [], [], [], []
     for number, place in enumerate(shown):
-        name = f"{place['task']} {place['level_name']}"
-        places.append(
-            {"name": f"{name} on {BACKENDS.get(place['backend'], place['backend'])}", "first": len(rows)}
-        )
+        name, simulator = f"{place['task']} {place['level_name']}", place["backend"]
+        places.append({"name": f"{name} on {BACKENDS.get(simulator, simulator)}", "first": len(rows)})
+        counts.append({"task": name, **{titles[kind]: n for kind, n in place["counts"].items()}})
         for film in place["films"]:
             at = f"{film['traffic']} traffic, scenario {film['scenario']}"
-            arm = film["kind"] if film["kind"] in ARMS else "control"
-            case = f"{directory / 'cells' / place['cells'][arm]}:{film['traffic']}:{film['scenario']}"
             rows.append({"place": number, "title": f"{titles[film['kind']]} ({at})"})
             endings = {f"{arm} agent": film[arm]["ending"] for arm in ARMS}
-            replay = f"python experiments/replay.py {case}"
-            listed.append({"episode": f"{name}, {at}", **endings, "as pictures": replay})
-        counts.append({"task": name, **{titles[kind]: n for kind, n in place["counts"].items()}})
+            cell = directory / "cells" / place["cells"][film["kind"] if film["kind"] in ARMS else "control"]
+            case = f"python experiments/replay.py {cell}:{film['traffic']}:{film['scenario']}"
+            listed.append({"episode": f"{name}, {at}", **endings, "as pictures": case})
     hidden = ("made_of", "counts", "failed", "cells")
     data = [{key: value for key, value in place.items() if key not in hidden} for place in shown]
     return {

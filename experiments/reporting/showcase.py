@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from experiments.analysis.scores import PLACE, TASK_ORDER
+from experiments.analysis.scores import PLACE, in_order
 from experiments.study.arms import ARMS
 from experiments.study.cell import MakeEnv
 from experiments.study.rerun import Recorder, differences
@@ -124,19 +124,13 @@ def _known(results: Results, cell: str, table: pd.DataFrame) -> bool:
 
 def duos(results: Results, left_out: set[str]) -> Iterator[Duo]:
     """The agents that are shown: of each simulator and task at the lowest level, of the lowest seed in both arms."""
-    agents: dict[tuple[str, str], dict[tuple[int, int], dict[str, str]]] = {}
-    for name, cell in results.cells.items():
-        key = cell["key"]
-        if key["kind"] == "agent" and key["arm"] in ARMS and name not in left_out:
-            of_task = agents.setdefault((key["backend"], key["task"]), {})
-            of_task.setdefault((key["level"], key["seed"]), {})[key["arm"]] = name
-    for backend, task in sorted(agents, key=lambda place: (place[0], TASK_ORDER[place[1]])):
-        whole = {at: cells for at, cells in agents[backend, task].items() if set(cells) == set(ARMS)}
-        if whole:
-            level, seed = min(whole)
-            cells = {arm: whole[level, seed][arm] for arm in ARMS}
-            key = results.cells[cells["control"]]["key"]
-            yield Duo(tuple(key[column] for column in PLACE), seed, cells)
+    agents = results.agents
+    mine = (agents["kind"] == "agent") & agents["arm"].isin(list(ARMS)) & ~agents["cell"].isin(list(left_out))
+    setting = [*PLACE, "seed"]
+    whole = agents[mine].groupby(setting).filter(lambda pair: set(pair["arm"]) == set(ARMS))
+    lowest = in_order(whole, "backend", "task", "level", "seed", "arm").groupby(["backend", "task"])
+    for (*place, seed), pair in lowest.head(len(ARMS)).groupby(setting, sort=False):
+        yield Duo(tuple(place), int(seed), dict(zip(pair["arm"], pair["cell"], strict=True)))
 
 
 def choose(tables: Mapping[str, pd.DataFrame]) -> tuple[dict[str, int], list[Scenario]]:
@@ -149,8 +143,9 @@ def choose(tables: Mapping[str, pd.DataFrame]) -> tuple[dict[str, int], list[Sce
     columns = [*keys, "crashed", "crash_closing_speed"]
     both = tables["control"][columns].merge(tables["treatment"][columns], on=keys, suffixes=("_c", "_t"))
     speed = both[["crash_closing_speed_c", "crash_closing_speed_t"]].astype(float).max(axis=1).fillna(0.0)
-    both = both.assign(speed=speed, calm=both["traffic"] != "risky")
-    both = both.sort_values(["calm", "speed", "scenario"], ascending=[True, False, True])
+    both = both.assign(speed=speed).sort_values(
+        ["traffic", "speed"], ascending=False, kind="stable"
+    )  # risky first
     counts, chosen = {}, []
     for (control, treated), (kind, _, most) in KINDS.items():
         rows = both[(both["crashed_c"].astype(bool) == control) & (both["crashed_t"].astype(bool) == treated)]

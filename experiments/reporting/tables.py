@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import pandas as pd
@@ -199,3 +200,17 @@ def cells(results: Any, analysis: Analysis) -> pd.DataFrame:
         for name, checksums in files.items()
     ]
     return pd.DataFrame(rows)
+
+
+TABLES: dict[str, Callable[[Analysis, str], pd.DataFrame]] = {  # of one simulator, by the templates' names
+    "tasks": first_page,
+    "crashes": partial(by_setting, outcome="crashed"),
+    "returns": partial(by_setting, outcome="return"),
+    "slopes": slopes,
+    "variants": variants,
+    "kinds": crash_kinds,
+    "further": further,
+    "transfer": transfer,
+    "policies": policies,
+    "gates": gates,
+}

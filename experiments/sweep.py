@@ -110,7 +110,7 @@ def sweep(
             dict.fromkeys((name, cell.task) for cell in mine for name in (cell.backend, cell.runs_on))
         )
     tasks = {
-        cell.name: CellTask(cell, options.directory, make_env, rates.seconds(cell), options.hang_after)
+        cell.name: CellTask(cell, options.directory, make_env, options.hang_after)
         for cell in mine
     }
     again = shlex.join(["python", "experiments/sweep.py", *arguments])

@@ -48,13 +48,11 @@ class CellTask:
     """A cell to compute in a result directory (a `run.Task`).
 
     make_env: makes an environment from (backend, task, config); must be importable in another process.
-    cost: expected time on one core [s].
     """
 
     cell: Cell
     directory: Path
     make_env: MakeEnv
-    cost: float = 1.0
     silence: float = SILENCE
 
     @property

@@ -52,14 +52,12 @@ Beat = Callable[[float], None]
 class Task(Protocol):
     """Plain data that can be pickled, and a function of it that writes one result atomically.
 
-    name: of the result. cost: expected time, in a unit that all tasks of a run share. folder: working folder of this
-    task alone; removed when it is done. silence: time without a sign of life after which it hangs [s].
+    name: of the result. folder: working folder of this task alone; removed when it is done. silence: time without a
+    sign of life after which it hangs [s].
     """
 
     @property
     def name(self) -> str: ...  # noqa: D102
-    @property
-    def cost(self) -> float: ...  # noqa: D102
     @property
     def folder(self) -> Path: ...  # noqa: D102
     @property
@@ -241,7 +239,7 @@ def last_words(folder: Path) -> str:
 def run(
     tasks: Sequence[Task], executor: Executor, limit: int, observer: Observer | None = None
 ) -> dict[str, str]:
-    """Compute the tasks whose results are not there yet, the most costly first; shuts the executor down.
+    """Compute the tasks whose results are not there yet, in this order; shuts the executor down.
 
     Args:
         limit: how many tasks are handed to the executor at a time.
@@ -271,7 +269,7 @@ class _Run:
     def __init__(self, tasks: Sequence[Task], executor: Executor, limit: int, observer: Observer) -> None:
         self.failures: dict[str, str] = {}
         self._executor, self._limit, self._observer = executor, limit, observer
-        self._waiting = deque(sorted(tasks, key=lambda task: -task.cost))
+        self._waiting = deque(tasks)
         self._later: deque[tuple[float, Task]] = deque()  # computed by another run: when to look again
         self._running: dict[Future[Ended], Task] = {}
         self._heard: dict[str, tuple[int, float]] = {}  # the last sign of life, and when it was seen here

@@ -29,7 +29,6 @@ class Sum:
     fault: str = ""
     times: int = 0
     pause: float = 0.0
-    cost: float = 1.0
     silence: float = 60.0
 
     @property

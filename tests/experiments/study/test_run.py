@@ -53,11 +53,12 @@ def results(tasks: list[Sum]) -> list[str | None]:
     return [task.result.read_text() if task.done() else None for task in tasks]
 
 
-def test_every_task_is_computed_once_the_longest_first(tmp_path):
-    tasks = [Sum(f"t{number}", tmp_path, cost=number) for number in range(5)]
+def test_every_task_is_computed_once_in_the_order_asked_for(tmp_path):
+    """A study that is stopped early has the first of its settings and seeds whole."""
+    tasks = [Sum(f"t{number}", tmp_path) for number in (3, 1, 4, 0, 2)]
     failures, witness = compute(tasks, workers=1)
     assert failures == {}
-    assert witness.order == ["t4", "t3", "t2", "t1", "t0"]
+    assert witness.order == ["t3", "t1", "t4", "t0", "t2"]
     assert results(tasks) == [TOTAL] * 5
     assert [len(task.tries()) for task in tasks] == [1] * 5
     assert not list((tmp_path / "work").iterdir())
@@ -135,7 +136,7 @@ def test_what_always_goes_wrong_is_given_up_and_the_others_are_computed(tmp_path
 
 
 def test_what_concerns_every_task_ends_the_run(tmp_path):
-    tasks = [Sum("bad", tmp_path, fault="refuse", times=99, cost=2), Sum("good", tmp_path)]
+    tasks = [Sum("bad", tmp_path, fault="refuse", times=99), Sum("good", tmp_path)]
     with pytest.raises(UserError, match="put this right first"):
         compute(tasks, workers=1)
 

@@ -1,9 +1,10 @@
-"""Learners from elsewhere in the control arm's traffic, as a mark outside.
+"""Learners from elsewhere beside our arms, on highway-env's own physics (the replica) and the same test scenarios.
 
-    python experiments/learners.py --out results/other-learners --beside results/standard
+    python experiments/learners.py --out results/other-learners
 
-Each learner gets as many environment steps as the agents of the preset `standard` and is tested on the same scenarios.
-The same command goes on where it was stopped.
+Stable-Baselines3's DQN and PPO with the settings of highway-env's examples, and our DQN with rl-agents' settings, learn
+in regular traffic for as many environment steps as our agents. Agents that a sweep has left in the directory are not
+trained again. The same command goes on where it was stopped.
 """
 
 from __future__ import annotations
@@ -14,171 +15,201 @@ from pathlib import Path
 if __package__ in (None, ""):  # run as a file: import from the project, not from this folder
     sys.path[0] = str(Path(__file__).resolve().parents[1])
 
-import multiprocessing
 import os
-from concurrent.futures import ProcessPoolExecutor
+import shlex
+from collections.abc import Callable, Iterable
+from contextlib import closing
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
-import gymnasium as gym
 import pandas as pd
 import tyro
+from rich.console import Console
 
-from agents.dqn import DQNConfig
-from agents.policies import StableBaselines
+from experiments import sweep
 from experiments.backends import make_env
-from experiments.study.evaluate import Policy, evaluate
-from experiments.study.grid import choose_tasks, env_config
-from experiments.study.presets import PRESETS
-from experiments.study.results import load
+from experiments.study.cell import CellTask
+from experiments.study.estimate import rates_of
+from experiments.study.executors import cores
+from experiments.study.experiment import Experiment
+from experiments.study.fingerprint import check_dynamics
+from experiments.study.grid import Cell, choose_tasks, env_config
+from experiments.study.presets import complete
 from experiments.study.seeds import training_seed
-from experiments.support.errors import run_command, unknown
-from experiments.support.files import write_file
-from experiments.support.processes import end_with_parent
+from experiments.study.store import EPISODES, Store, tables_of
+from experiments.support.errors import disk_error, run_command, unknown
+from experiments.support.processes import call_all
 
-# highway-env's own example for Stable-Baselines3 (scripts/sb3_highway_dqn.py)
-STABLE_BASELINES: dict[str, Any] = {
-    "policy_kwargs": {"net_arch": [256, 256]},
-    "learning_rate": 5e-4,
-    "buffer_size": 15_000,
-    "learning_starts": 200,
-    "batch_size": 32,
-    "gamma": 0.8,
-    "train_freq": 1,
-    "target_update_interval": 50,
+OURS = ("control", "treatment", "mixed")
+# highway-env's own examples, scripts/sb3_highway_dqn.py and sb3_highway_ppo.py (there in six environments at once).
+NETWORK = {"policy_kwargs": {"net_arch": [256, 256]}, "learning_rate": 5e-4, "gamma": 0.8}
+REPLAY = {"buffer_size": 15_000, "learning_starts": 200, "batch_size": 32}
+STABLE_BASELINES: dict[str, dict[str, Any]] = {
+    "sb3-dqn": {**NETWORK, **REPLAY, "train_freq": 1, "target_update_interval": 50},
+    "sb3-ppo": {**NETWORK, "n_steps": 768, "batch_size": 64, "n_epochs": 10},
 }
 # Settings of rl-agents' files on networks of this project, the paper's dueling network and ego attention:
 # HighwayEnv/agents/DQNAgent/dueling_ddqn.json and IntersectionEnv/agents/DQNAgent/ego_attention_2h.json. The clip of
 # the gradient's norm and the random steps before the first update are this project's.
-WARM_UP = 200
-RL_AGENTS = DQNConfig(
-    steps_per_update=1,
-    learning_rate_final=5e-4,
-    tau=1.0,
-    replay_capacity=15_000,
-    warm_up=WARM_UP,
-    standardise=False,
-    epsilon_final=0.05,
-)
-OF_NETWORK: dict[str, dict[str, Any]] = {
-    "dueling": {"gamma": 0.8, "batch_size": 32, "target_interval": 50},
-    "attention": {"gamma": 0.95, "batch_size": 64, "target_interval": 512},
+RL_AGENTS: dict[str, dict[str, Any]] = {
+    "rl-agents-dueling": {"network": "dueling", "gamma": 0.8, "batch_size": 32, "target_interval": 50},
+    "rl-agents-attention": {"network": "attention", "gamma": 0.95, "batch_size": 64, "target_interval": 512},
 }
-EXPLORATION = {"dueling": 6000, "attention": 15_000}  # time constant [steps]
-LEARNERS = ("sb3", "rl-agents-dueling", "rl-agents-attention")
+EXPLORATION = {"rl-agents-dueling": 6000, "rl-agents-attention": 15_000}  # time constant [steps]
+WARM_UP = 200
+SHARED = {
+    "steps_per_update": 1,
+    "learning_rate_final": 5e-4,
+    "tau": 1.0,
+    "replay_capacity": 15_000,
+    "warm_up": WARM_UP,
+    "standardise": False,
+    "epsilon_final": 0.05,
+}
+LEARNERS = (*OURS, *STABLE_BASELINES, *RL_AGENTS)
+MEASURES = {"crashed": "crash rate", "stopped": "standing", "mean_speed": "speed [m/s]", "return": "return"}
 
 
 @dataclass(frozen=True)
 class Options:
-    """Train them where their results are missing, and print the table."""
+    """Train what is missing, and print the table."""
 
     out: Path = Path("results/other-learners")
     """Directory for the results."""
-    beside: Path | None = None
-    """Results of a sweep whose control agents and policies stand in the table too."""
+    backend: str = "replica"
+    """Simulator: replica, sumo or highway-env."""
+    preset: str = "second"
+    """Preset of our agents, whose environment steps, seeds and scenarios are those of all."""
     tasks: tuple[str, ...] = ("highway", "two-way", "roundabout", "intersection", "u-turn")
     """Tasks, in their lightest traffic."""
     learners: tuple[str, ...] = LEARNERS
-    """Of sb3, rl-agents-dueling, rl-agents-attention."""
+    """Of control, treatment, mixed (our arms), sb3-dqn, sb3-ppo, rl-agents-dueling, rl-agents-attention."""
     seeds: int = 3
     """Trainings of each."""
-    steps: int | None = None
-    """Environment steps; by default the preset's."""
-    episodes: int = 100
-    """Test scenarios in each traffic."""
-    workers: int = os.cpu_count() or 1
-    """Processes."""
+    episodes: int | None = None
+    """Test scenarios in each traffic; by default the preset's."""
+    workers: int | None = None
+    """Processes; by default one for each core."""
+    cell: str | None = None
+    """Compute this cell alone and in this process, to see why it fails."""
 
 
-@dataclass(frozen=True)
-class Training:
-    """One training with its test, whose result is a table of test episodes."""
-
-    learner: str
-    task: str
-    seed: int
-    steps: int
-    episodes: int
-    out: Path
-
-    @property
-    def file(self) -> Path:
-        """The table of test episodes."""
-        settings = f"{self.task}-{self.learner}-{self.steps}-{self.episodes}"
-        return self.out / f"{settings}-s{self.seed}.parquet"
-
-    def compute(self) -> None:
-        """Train, test and write the table, unless it is there."""
-        if self.file.exists():
-            return
-        env = make_env("sumo", self.task, env_config("sumo", self.task, 1))
-        try:
-            policy = self.train(env, training_seed(self.task, 1, self.seed))
-            table = evaluate(env, policy, self.task, 1, self.episodes)
-        finally:
-            env.close()
-        table = table.assign(task=self.task, learner=self.learner, seed=self.seed)
-        write_file(self.file, table.to_parquet(index=False))
-
-    def train(self, env: gym.Env[Any, Any], seed: int) -> Policy:
-        """The policy that the learner finds."""
-        if self.learner == "sb3":
-            from stable_baselines3 import DQN
-
-            model = DQN("MlpPolicy", env, seed=seed, device="cpu", **STABLE_BASELINES)
-            model.learn(self.steps)
-            model.save(self.file.with_suffix(".zip"))
-            return StableBaselines(self.file.with_suffix(".zip"), env)
-        from agents.training import train
-
-        network = self.learner.removeprefix("rl-agents-")
-        updates = self.steps - WARM_UP
-        decay = EXPLORATION[network] / updates
-        own = {"network": network, "updates": updates, "epsilon_decay": decay, **OF_NETWORK[network]}
-        return train(env, replace(RL_AGENTS, **own), seed).policy
+def ours(options: Options, task: str, policies: Iterable[Path] = ()) -> Experiment:
+    """Our arms, and policies of files."""
+    asked = Experiment(
+        backend=options.backend,
+        preset=options.preset,
+        tasks=(task,),
+        levels=(1,),
+        seeds=options.seeds,
+        episodes=options.episodes,
+        arms=OURS,
+        policy=tuple(map(str, policies)),
+    )
+    return complete(asked)
 
 
-def trainings(options: Options) -> list[Training]:
-    """What the options ask for. Raises UserError: a task or learner that does not exist."""
+def environment_steps(options: Options, task: str) -> int:
+    """Of one training."""
+    profile = ours(options, task).profile(task)
+    return int(profile["warm_up"] + profile["steps_per_update"] * profile["updates"])
+
+
+def models(options: Options, task: str) -> dict[Path, Callable[[], None]]:
+    """Files of the models of Stable-Baselines3, and what trains each."""
+    first, steps = ours(options, task).first_seed, environment_steps(options, task)
+    return {
+        file: partial(train_model, file, learner, options.backend, task, seed, steps)
+        for learner in STABLE_BASELINES
+        if learner in options.learners
+        for seed in range(first, first + options.seeds)
+        for file in [options.out / "models" / f"{learner}-{task}-{options.backend}-{steps}-s{seed}.zip"]
+    }
+
+
+def train_model(file: Path, learner: str, backend: str, task: str, seed: int, steps: int) -> None:
+    """Train a model of Stable-Baselines3 and write its file."""
+    import stable_baselines3
+
+    algorithm = getattr(stable_baselines3, learner.removeprefix("sb3-").upper())
+    with closing(make_env(backend, task, env_config(backend, task, 1))) as env:
+        settings = {**STABLE_BASELINES[learner], "seed": training_seed(task, 1, seed), "device": "cpu"}
+        model = algorithm("MlpPolicy", env, **settings).learn(steps)
+    model.save(part := file.with_suffix(".part.zip"))
+    os.replace(part, file)
+
+
+def cells(options: Options, task: str) -> list[Cell]:
+    """All tests with the other trainings; policies that do not learn stand beside."""
+    experiment = ours(options, task, models(options, task))
+    found, updates = experiment.cells(), environment_steps(options, task) - WARM_UP
+    for name, settings in RL_AGENTS.items():
+        learner = {**SHARED, **settings, "updates": updates, "epsilon_decay": EXPLORATION[name] / updates}
+        other = replace(experiment, preset=name, arms=("control",), policy=(), learners={task: learner})
+        found += [cell for cell in other.cells() if cell.kind == "agent"]
+    return [cell for cell in found if cell.kind == "baseline" or learner_of(cell) in options.learners]
+
+
+def learner_of(cell: Cell) -> str:
+    """Who drives in a cell."""
+    label = cell.profile["preset"]
+    return label if label in RL_AGENTS else cell.arm or cell.policy.partition(f"-{cell.task}-")[0]
+
+
+def table(directory: Path, tested: Iterable[Cell]) -> pd.DataFrame:
+    """MEASURES as text by task, driver and traffic: means over the trainings, and their standard error."""
+    episodes = pd.concat(
+        tables_of(directory, cell.name)[EPISODES].assign(
+            task=cell.task, learner=learner_of(cell), training=cell.name
+        )
+        for cell in tested
+    )
+    by = ["task", "learner", "traffic"]
+    trainings = episodes.groupby([*by, "training"], sort=False)[list(MEASURES)].mean()
+    groups = trainings.rename(columns=MEASURES).groupby(by, sort=False)
+    errors = groups.sem().map(lambda error: "" if pd.isna(error) else f" ± {error:.2f}")
+    return (groups.mean().map("{:.2f}".format) + errors).unstack("traffic")
+
+
+def compare(options: Options, arguments: list[str]) -> int:
+    """Do what the options ask for; returns the exit status.
+
+    Raises:
+        UserError: something in the options does not exist, or a training by Stable-Baselines3 failed.
+    """
     for learner in options.learners:
         if learner not in LEARNERS:
             raise unknown("learner", learner, LEARNERS)
-    found = []
-    for task in choose_tasks(options.tasks):
-        config = PRESETS["standard"].profile(task)
-        steps = options.steps or config["warm_up"] + config["steps_per_update"] * config["updates"]
-        found += [
-            Training(learner, task, seed, steps, options.episodes, options.out)
-            for seed in range(options.seeds)
-            for learner in options.learners
-        ]
-    return found
-
-
-def table(trained: list[Training], beside: Path | None) -> pd.DataFrame:
-    """Return and crash rate of every learner, agent and policy: means over the trainings, and their standard error."""
-    parts = [pd.read_parquet(training.file) for training in trained]
-    if beside is not None:
-        known = load(beside).episodes
-        known = known[(known["level"] == 1) & known["task"].isin({training.task for training in trained})]
-        control, policies = known[known["arm"] == "control"], known[known["kind"] == "baseline"]
-        parts += [control.assign(learner="tuned"), policies.assign(learner=policies["policy"], seed=0)]
-    episodes = pd.concat(parts, ignore_index=True)
-    means = episodes.groupby(["task", "learner", "seed", "traffic"])[["return", "crashed"]].mean()
-    return means.groupby(["task", "learner", "traffic"]).agg(["mean", "sem"]).unstack("traffic")
+    tasks = choose_tasks(options.tasks)
+    check_dynamics((options.backend, task) for task in tasks)
+    (options.out / "models").mkdir(parents=True, exist_ok=True)
+    every = {file: train for task in tasks for file, train in models(options, task).items()}
+    missing = {file.name: train for file, train in every.items() if not file.exists()}
+    call_all(missing, options.workers or cores(), "Stable-Baselines3", Console())
+    wanted = {cell.name: cell for task in tasks for cell in cells(options, task)}
+    work = {name: CellTask(cell, options.out, make_env) for name, cell in wanted.items()}
+    if options.cell:
+        return sweep.compute_one(options.cell, work)
+    again = shlex.join(["python", "experiments/learners.py", *arguments])
+    how = sweep.Options(backend=options.backend, workers=options.workers)
+    failures = sweep.compute(how, Store(options.out), work, rates_of(options.out), again)
+    for name, reason in failures.items():
+        print(f"{name} failed: {reason}\n  to see it fail: {again} --cell {name}", file=sys.stderr)
+    found = table(options.out, [cell for name, cell in wanted.items() if name not in failures])
+    for task, rows in found.groupby("task", sort=False):
+        print(f"\n{task}\n{rows.droplevel('task').to_string()}")
+    return 1 if failures else 0
 
 
 def main() -> int:
-    """Command line."""
+    """The command line."""
     options = tyro.cli(Options, description=__doc__)
-    wanted = trainings(options)
-    options.out.mkdir(parents=True, exist_ok=True)
-    spawn = multiprocessing.get_context("spawn")
-    with ProcessPoolExecutor(options.workers, spawn, initializer=end_with_parent) as pool:
-        list(pool.map(Training.compute, wanted))
-    print(table(wanted, options.beside).round(2).to_string())
-    return 0
+    try:
+        return compare(options, sys.argv[1:])
+    except OSError as error:
+        raise disk_error(error, options.out) from None
 
 
 if __name__ == "__main__":
-    run_command(main)
+    run_command(main, resumes=True)

@@ -9,6 +9,7 @@ date and paths of the machine, is dropped, so that building twice gives the same
 from __future__ import annotations
 
 import argparse
+import filecmp
 import re
 import subprocess
 import sys
@@ -50,27 +51,20 @@ def build(plan: plans.Plan, folder: Path) -> Path:
     if done.returncode or "Warning" in done.stderr:
         raise RuntimeError(f"netconvert on {plan.name}: {done.stderr.strip() or done.stdout.strip()}")
     text = re.sub(r"<!--.*?-->\s*", "", net.read_text(encoding="utf-8"), count=1, flags=re.DOTALL)
-    net.write_text(_with_speed_limit(text, plan), encoding="utf-8")
+    limit = f"{plan.edges[0]['speed']:.4f}"  # on every lane, internal ones included
+    net.write_text(re.sub(r'(<lane [^>]*\bspeed=")[^"]*', rf"\g<1>{limit}", text), encoding="utf-8")
     return net
-
-
-def _with_speed_limit(net: str, plan: plans.Plan) -> str:
-    """The network with the plan's speed limit on every lane, internal ones included."""
-    return re.sub(r'(<lane [^>]*\bspeed=")[^"]*', rf"\g<1>{plan.edges[0]['speed']:.4f}", net)
 
 
 def stale(folder: Path = HERE) -> list[str]:
     """Names of files below `folder` that differ from what their plan gives now, or are missing."""
-    differing = []
+    every = plans.all_plans()
+    names = [plan.name + suffix for plan in every for suffix in SUFFIXES]
     with tempfile.TemporaryDirectory() as scratch:
-        for plan in plans.all_plans():
+        for plan in every:
             build(plan, Path(scratch))
-            for suffix in SUFFIXES:
-                name = plan.name + suffix
-                stored = folder / name
-                if not stored.exists() or stored.read_bytes() != (Path(scratch) / name).read_bytes():
-                    differing.append(name)
-    return differing
+        _, differing, missing = filecmp.cmpfiles(folder, scratch, names, shallow=False)
+    return sorted(differing + missing, key=names.index)
 
 
 def main(arguments: list[str] | None = None) -> int:

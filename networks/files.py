@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from sumo_env.networks.lanes import Lane, Point, PolyLane
-from sumo_env.networks.mapping import Network, SumoLane, sumo_lanes_of
+from sumo_env.networks.mapping import Network, SumoLane, read_net, sumo_lanes_of
 from sumo_env.networks.roads import LaneIndex, Road
 
 Routes = tuple[tuple[str, tuple[str, ...]], ...]  # (name, SUMO's edges)
@@ -99,10 +99,8 @@ def check_route(network: Network, name: str, way: Sequence[str], vehicles: str =
 @lru_cache(maxsize=4)
 def _read(path: Path, changed: int) -> Network:
     """The network of a file without routes."""
-    from sumolib.net import readNet
-
     try:
-        net = readNet(str(path), withInternal=True)
+        net = read_net(path)
         sumo_lanes = {name: _to_scale(found) for name, found in sumo_lanes_of(net).items()}
     except Exception as error:  # of the XML parser, or whatever sumolib stumbles over
         raise ValueError(f"{path} cannot be read as a SUMO network: {error}") from error
@@ -189,10 +187,8 @@ def _distinct(points: Sequence[Point]) -> list[Point]:
 
 def _stub(point: Point, before: Shape, after: Shape) -> list[Point]:
     """A lane without a length (junctions without a gap): a short line with the direction of the lane beside it."""
-    pieces = [
-        piece for piece in (*reversed([*pairwise(before)]), *pairwise(after)) if math.dist(*piece) >= CLOSE
-    ]
-    (x0, y0), (x1, y1) = pieces[0] if pieces else ((0.0, 0.0), (1.0, 0.0))
+    pieces = (*reversed([*pairwise(before)]), *pairwise(after), ((0.0, 0.0), (1.0, 0.0)))
+    (x0, y0), (x1, y1) = next(piece for piece in pieces if math.dist(*piece) >= CLOSE)
     scale = CLOSE / math.hypot(x1 - x0, y1 - y0)
     return [point, (point[0] + scale * (x1 - x0), point[1] + scale * (y1 - y0))]
 

@@ -14,7 +14,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_right
 from dataclasses import dataclass, field
-from itertools import pairwise
+from itertools import accumulate, pairwise
 
 WIDTH = 4.0  # [m], every lane of every task
 VEHICLE_LENGTH = 5.0  # [m], the margin highway-env allows before and behind a lane
@@ -30,7 +30,7 @@ def wrap_to_pi(angle: float) -> float:
 
 @dataclass(frozen=True, slots=True)
 class Lane:
-    """What all lanes share. Use one of the three subclasses, which add the curve."""
+    """What all lanes share; the subclasses add the curve."""
 
     width: float = field(default=WIDTH, kw_only=True)  # [m]
     speed_limit: float = field(default=DEFAULT_SPEED_LIMIT, kw_only=True)  # [m/s]
@@ -58,8 +58,7 @@ class Lane:
 
     def on_lane(self, x: float, y: float, margin: float = 0.0) -> bool:
         """Is the world position on the lane, widened by `margin` [m] on both sides?"""
-        s, lat = self.local_coordinates(x, y)
-        return self.covers(s, lat, margin)
+        return self.covers(*self.local_coordinates(x, y), margin)
 
     def is_reachable_from(self, x: float, y: float) -> bool:
         """Whether a vehicle at this position may steer for the lane: within two widths, not before its start."""
@@ -70,23 +69,14 @@ class Lane:
         """Whether a vehicle at this position is to take its next lane (half a vehicle before the end of this one)."""
         return self.local_coordinates(x, y)[0] > self.length - VEHICLE_LENGTH / 2
 
-    def distance(self, x: float, y: float) -> float:
-        """L1 distance [m] of a world position to the lane, in the lane's frame."""
-        s, lat = self.local_coordinates(x, y)
-        return abs(lat) + max(s - self.length, 0.0) + max(-s, 0.0)
+    def distance(self, x: float, y: float, heading: float | None = None) -> float:
+        """L1 distance [m] of a world position to the lane, in the lane's frame.
 
-    def distance_with_heading(
-        self, x: float, y: float, heading: float | None, heading_weight: float = 1.0
-    ) -> float:
-        """`distance` plus `heading_weight` metres for each radian between `heading` and the lane's direction.
-
-        With `heading` None it is `distance`.
+        With a heading, 1 m is added for each radian between it and the lane's direction.
         """
-        if heading is None:
-            return self.distance(x, y)
         s, lat = self.local_coordinates(x, y)
-        angle = abs(wrap_to_pi(heading - self.heading_at(s)))
-        return abs(lat) + max(s - self.length, 0.0) + max(-s, 0.0) + heading_weight * angle
+        angle = 0.0 if heading is None else abs(wrap_to_pi(heading - self.heading_at(s)))
+        return abs(lat) + max(s - self.length, 0.0) + max(-s, 0.0) + angle
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,11 +96,6 @@ class StraightLane(Lane):
         object.__setattr__(self, "heading", math.atan2(dy, dx))
         object.__setattr__(self, "_dx", dx / length)
         object.__setattr__(self, "_dy", dy / length)
-
-    @property
-    def direction(self) -> Point:
-        """Unit vector along the axis."""
-        return self._dx, self._dy
 
     def position(self, s: float, lat: float) -> Point:
         return (self.start[0] + s * self._dx - lat * self._dy, self.start[1] + s * self._dy + lat * self._dx)
@@ -136,19 +121,18 @@ class SineLane(StraightLane):
     phase: float
 
     def position(self, s: float, lat: float) -> Point:
-        lat += self.amplitude * math.sin(self.pulsation * s + self.phase)
-        return (self.start[0] + s * self._dx - lat * self._dy, self.start[1] + s * self._dy + lat * self._dx)
+        return StraightLane.position(self, s, lat + self._offset(s))
 
     def heading_at(self, s: float) -> float:
         slope = self.amplitude * self.pulsation * math.cos(self.pulsation * s + self.phase)
         return self.heading + math.atan(slope)
 
     def local_coordinates(self, x: float, y: float) -> Point:
-        x -= self.start[0]
-        y -= self.start[1]
-        s = x * self._dx + y * self._dy
-        lat = y * self._dx - x * self._dy
-        return s, lat - self.amplitude * math.sin(self.pulsation * s + self.phase)
+        s, lat = StraightLane.local_coordinates(self, x, y)
+        return s, lat - self._offset(s)
+
+    def _offset(self, s: float) -> float:
+        return self.amplitude * math.sin(self.pulsation * s + self.phase)
 
 
 @dataclass(frozen=True, slots=True)
@@ -196,9 +180,7 @@ class PolyLane(Lane):
 
     def __post_init__(self) -> None:
         pieces = tuple(StraightLane(a, b) for a, b in pairwise(self.points))
-        starts = [0.0]
-        for piece in pieces:
-            starts.append(starts[-1] + piece.length)
+        starts = [0.0, *accumulate(piece.length for piece in pieces)]
         object.__setattr__(self, "length", starts.pop())
         object.__setattr__(self, "_pieces", pieces)
         object.__setattr__(self, "_starts", tuple(starts))

@@ -191,19 +191,14 @@ def network(task: str, lanes_count: int = 4, road_length: float = 800.0) -> Netw
     """
     if task not in TASKS:
         raise ValueError(f"unknown task {task!r}; choose from {', '.join(TASKS)}")
-    road = roads.ROADS[task]()
-    name = task.replace("-", "_")
-    stem = name
-    if task == "highway":
-        if lanes_count not in plans.LANES_COUNTS:
-            raise ValueError(f"lanes_count must be one of {plans.LANES_COUNTS}, got {lanes_count}")
-        road, stem = roads.highway(lanes_count=lanes_count), f"highway-{lanes_count}"
-    elif task == "two-way":
-        if not ROAD_LENGTHS[0] <= road_length <= ROAD_LENGTHS[1]:
-            raise ValueError(f"road_length must be within {ROAD_LENGTHS} m, got {road_length}")
-        road = roads.two_way(road_length=road_length)
-    net_file = FOLDER / name / f"{stem}.net.xml"
-    sumo_lanes = _read(net_file)
+    if task == "highway" and lanes_count not in plans.LANES_COUNTS:
+        raise ValueError(f"lanes_count must be one of {plans.LANES_COUNTS}, got {lanes_count}")
+    if task == "two-way" and not ROAD_LENGTHS[0] <= road_length <= ROAD_LENGTHS[1]:
+        raise ValueError(f"road_length must be within {ROAD_LENGTHS} m, got {road_length}")
+    sizes: dict[str, Any] = {"highway": {"lanes_count": lanes_count}, "two-way": {"road_length": road_length}}
+    road, name = roads.road(task, **sizes.get(task, {})), task.replace("-", "_")
+    net_file = FOLDER / name / (f"highway-{lanes_count}.net.xml" if task == "highway" else f"{name}.net.xml")
+    sumo_lanes = sumo_lanes_of(read_net(net_file))
     lanes = {index: sumo_lanes[_sumo_lane_id(road, index, sumo_lanes)] for index in road.lanes}
     indices = {lane.id: index for index, lane in lanes.items()}
     if task == "two-way":
@@ -214,12 +209,12 @@ def network(task: str, lanes_count: int = 4, road_length: float = 800.0) -> Netw
     return Network(task, road, net_file, _routes(road, sumo_lanes), lanes, indices, sumo_lanes, ENDS[task])
 
 
-def _read(net_file: Path) -> dict[str, SumoLane]:
-    """All lanes of a built network by their ids."""
+def read_net(net_file: Path) -> Any:
+    """A network as sumolib has it, lanes inside junctions included."""
     # sumolib takes 0.1 s to load, which only processes that run SUMO have to wait for
     from sumolib.net import readNet
 
-    return sumo_lanes_of(readNet(str(net_file), withInternal=True))
+    return readNet(str(net_file), withInternal=True)
 
 
 def sumo_lanes_of(net: Any) -> dict[str, SumoLane]:

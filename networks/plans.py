@@ -42,20 +42,16 @@ class Plan:
 
     def write(self, folder: Path) -> list[Path]:
         """Write <name>.nod.xml, .edg.xml and .con.xml below `folder`; returns their paths in this order."""
-        sheets = (
-            ("nod", "node", self.nodes),
-            ("edg", "edge", self.edges),
-            ("con", "connection", self.connections),
-        )
+        sheets = {"node": self.nodes, "edge": self.edges, "connection": self.connections}
         paths = []
-        for suffix, tag, items in sheets:
+        for tag, items in sheets.items():
             tree = ElementTree.Element(f"{tag}s")
             for item in items:
                 _add(tree, tag, item)
             if tag == "edge" and self.roundabout:
                 ring = [edge.split("-")[0] for edge in self.roundabout]
                 _add(tree, "roundabout", {"nodes": " ".join(ring), "edges": " ".join(self.roundabout)})
-            path = folder / f"{self.name}.{suffix}.xml"
+            path = folder / f"{self.name}.{tag[:3]}.xml"
             path.parent.mkdir(parents=True, exist_ok=True)
             ElementTree.indent(tree)
             path.write_bytes(ElementTree.tostring(tree) + b"\n")
@@ -137,15 +133,10 @@ def _bow(start: Point, direction: float, end: Point, end_direction: float) -> Li
     p1 = (start[0] + reach * math.cos(direction), start[1] + reach * math.sin(direction))
     p2 = (end[0] - reach * math.cos(end_direction), end[1] - reach * math.sin(end_direction))
     points = []
-    for k in range(17):
-        t = k / 16
+    for t in (k / 16 for k in range(17)):
         a, b, c, d = (1 - t) ** 3, 3 * t * (1 - t) ** 2, 3 * t * t * (1 - t), t**3
-        points.append(
-            (
-                a * start[0] + b * p1[0] + c * p2[0] + d * end[0],
-                a * start[1] + b * p1[1] + c * p2[1] + d * end[1],
-            )
-        )
+        x, y = (a * start[i] + b * p1[i] + c * p2[i] + d * end[i] for i in (0, 1))
+        points.append((x, y))
     return tuple(points)
 
 

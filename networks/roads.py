@@ -11,6 +11,7 @@ import math
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from functools import lru_cache
+from operator import itemgetter
 from typing import Any
 
 import numpy as np
@@ -66,9 +67,7 @@ class Road:
             self._counts[start, end] = self._counts.get((start, end), 0) + 1
             if end not in successors.setdefault(start, []):
                 successors[start].append(end)
-        self.successors: Mapping[str, tuple[str, ...]] = {
-            node: tuple(ends) for node, ends in successors.items()
-        }
+        self.successors = {node: tuple(ends) for node, ends in successors.items()}
 
     def __repr__(self) -> str:
         return f"Road({self.name!r}, {len(self.lanes)} lanes)"
@@ -140,19 +139,19 @@ class Road:
                 candidates = [(node, end, i)]
             elif not candidates:
                 candidates = [(node, end, j) for j in range(self._counts[node, end])]
-            return min(((self.lanes[c].distance(*projected), c) for c in candidates), key=_first)
+            return min(((self.lanes[c].distance(*projected), c) for c in candidates), key=itemgetter(0))
 
         if node in route[:-1]:
             return onto(route[route.index(node) + 1])[1]
         ends = self.successors.get(node, ())
-        return min(map(onto, ends), key=_first)[1] if ends else index
+        return min(map(onto, ends), key=itemgetter(0))[1] if ends else index
 
     def goal(self, destination: str) -> str:
         """The node that a destination stands for."""
         return self.ways[destination][-1] if destination in self.ways else destination
 
     def closest_lane(self, x: float, y: float, heading: float | None = None) -> LaneIndex:
-        """Index of the lane with the least `distance_with_heading` (1 m a radian), first of equals.
+        """Index of the lane with the least `distance`, that of the heading included; the first of equals.
 
         highway-env's ``RoadNetwork.get_closest_lane_index``.
         """
@@ -164,11 +163,11 @@ class Road:
         for least, rank, index, lane in candidates:
             if least > best_distance:
                 break
-            distance = lane.distance_with_heading(x, y, heading)
+            distance = lane.distance(x, y, heading)
             if distance < best_distance or (distance == best_distance and rank < best_rank):
                 best, best_rank, best_distance = index, rank, distance
         if best_distance > _bound(AROUND) and len(candidates) < len(self._items):  # far from the road
-            return min(self.lanes, key=lambda index: self.lanes[index].distance_with_heading(x, y, heading))
+            return min(self.lanes, key=lambda index: self.lanes[index].distance(x, y, heading))
         return best
 
     def _by_distance(self, cell: tuple[float, float]) -> tuple[_Candidate, ...]:
@@ -205,10 +204,6 @@ def _points(lane: Lane) -> NDArray[np.float64]:
     """Points along a lane, ends included, shape (n, 2) [m]."""
     places = np.linspace(0.0, lane.length, math.ceil(lane.length / SAMPLE) + 1)
     return np.array([lane.position(s, 0.0) for s in places.tolist()])
-
-
-def _first(pair: tuple[float, LaneIndex]) -> float:
-    return pair[0]
 
 
 def _graph_order(lanes: Mapping[LaneIndex, Lane]) -> list[tuple[LaneIndex, Lane]]:

@@ -90,7 +90,7 @@ def test_same_local_coordinates_and_lane_membership(pair):
             assert mine.is_reachable_from(x, y) == lane.is_reachable_from(position)
             assert mine.after_end(x, y) == lane.after_end(position)
             assert mine.distance(x, y) == pytest.approx(lane.distance(position), abs=1e-9)
-            assert mine.distance_with_heading(x, y, heading) == pytest.approx(
+            assert mine.distance(x, y, heading) == pytest.approx(
                 lane.distance_with_heading(position, heading), abs=1e-9
             )
 
@@ -112,9 +112,7 @@ def test_the_closest_lane_is_the_first_of_all_with_the_least_distance(task):
     ties = rng.integers((-90, -15, -4), (90, 15, 4), (1500, 3)) * (1.0, 2.0, np.pi / 2)
     for x, y, heading in [*anywhere.tolist(), *ties.tolist()]:
         for direction in (heading, None):
-            expected = min(
-                road.lanes, key=lambda index: road.lane(index).distance_with_heading(x, y, direction)
-            )
+            expected = min(road.lanes, key=lambda index: road.lane(index).distance(x, y, direction))
             assert road.closest_lane(x, y, direction) == expected
 
 

@@ -116,9 +116,9 @@ def test_the_closest_of_many_lanes_is_the_first_with_the_least_distance(town: Pa
     road = files.network(town).road
     assert len(road.lanes) > 256
     for x, y, heading in np.random.default_rng(0).uniform((-90, -390, -4), (390, 90, 4), (100, 3)).tolist():
-        expected = min(road.lanes, key=lambda index: road.lane(index).distance_with_heading(x, y, heading))
+        expected = min(road.lanes, key=lambda index: road.lane(index).distance(x, y, heading))
         assert road.closest_lane(x, y, heading) == expected
-    far = min(road.lanes, key=lambda index: road.lane(index).distance_with_heading(5e3, 1e3, 0.0))
+    far = min(road.lanes, key=lambda index: road.lane(index).distance(5e3, 1e3, 0.0))
     assert road.closest_lane(5e3, 1e3, 0.0) == far
 
 

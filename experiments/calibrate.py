@@ -187,7 +187,7 @@ def dose_distance(table: pd.DataFrame, task: str) -> float:
     """
     rates = responses(table).pivot(index=["traffic", "ego"], columns="engine", values="crash_rate")
     rates = rates.reindex(pd.MultiIndex.from_product([SEARCHED, EGOS], names=rates.index.names))
-    total = float((rates["sumo"] - rates[REFERENCE]).abs().mean()) / MARGINS["crashed"].value
+    total = float((rates["sumo"] - rates[REFERENCE]).abs().mean()) / MARGINS["crashed"][0]
     if task in WITHOUT_RISE:
         return total
     careful = rates.xs("careful", level="ego")
@@ -234,30 +234,19 @@ def complete(study: optuna.Study) -> list[optuna.trial.FrozenTrial]:
     return study.get_trials(states=(TrialState.COMPLETE,))
 
 
-def drive(
-    options: Options,
-    task: str,
-    engines: Sequence[Engine],
-    levels: Sequence[int],
-    traffics: Sequence[str],
-    scenarios: range,
-) -> pd.DataFrame:
-    """The episodes of some engines; those of the reference are driven once."""
-    work = parts.plan(engines, {task: levels}, traffics, scenarios)
-    return parts.run(work, options.out / "parts", options.workers)
-
-
 def distance(
     options: Options, part: str, task: str, settings: dict[str, Any], levels: Sequence[int], scenarios: range
 ) -> float:
     """How far SUMO with these settings, of the drivers or of risk, is from what it shall be."""
     if part == "drivers":
         sumo = replace(SUMO, options={"calibration": settings}, egos=CORE)
-        engines = [sumo, replace(HIGHWAY_ENV, egos=CORE)]
-        return drivers_distance(drive(options, task, engines, levels, ("regular",), scenarios), task)
-    risk = risk_options(TASKS[task], settings)
-    engines = [replace(engine, options=risk, egos=EGOS) for engine in (SUMO, HIGHWAY_ENV)]
-    return dose_distance(drive(options, task, engines, levels, SEARCHED, scenarios), task)
+        work = parts.plan([sumo, replace(HIGHWAY_ENV, egos=CORE)], {task: levels}, ("regular",), scenarios)
+    else:
+        risk = risk_options(TASKS[task], settings)
+        engines = [replace(engine, options=risk, egos=EGOS) for engine in (SUMO, HIGHWAY_ENV)]
+        work = parts.plan(engines, {task: levels}, SEARCHED, scenarios)
+    measured = drivers_distance if part == "drivers" else dose_distance
+    return measured(parts.run(work, options.out / "parts", options.workers), task)
 
 
 def search(options: Options, part: str, task: str) -> dict[str, Any] | None:
@@ -301,7 +290,8 @@ def doses(options: Options, task: str) -> pd.DataFrame:
     none = {"risk_rates": dict.fromkeys(("cut_in", "brake", "surge"), 0.0)}
     silent = replace(SUMO, name=WITHOUT_EVENTS, options=none)
     engines = [replace(engine, egos=EGOS) for engine in (SUMO, silent, HIGHWAY_ENV)]
-    return responses(drive(options, task, engines, (1,), DOSES, range(options.test)))
+    work = parts.plan(engines, {task: (1,)}, DOSES, range(options.test))
+    return responses(parts.run(work, options.out / "parts", options.workers))
 
 
 def calibrate(options: Options, console: Console) -> dict[str, Any]:

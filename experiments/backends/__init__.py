@@ -17,6 +17,12 @@ from sumo_env.tasks import TASKS
 # The package that computes the traffic of each backend.
 SIMULATORS = {"sumo": "libsumo", "highway-env": "highway-env", "replica": "numba"}
 BACKENDS = tuple(SIMULATORS)
+IDS = {
+    "sumo": "sumo_env:sumo/{}-v0",
+    "replica": "sumo_env:replica/{}-v0",
+    "highway-env": "experiments.backends.highway_env:highway-env/{}",
+}
+REPLICA = {"scenarios": "seeded", "variant": "path", "risk_law": "standard"}
 
 
 def make_env(
@@ -37,27 +43,15 @@ def make_env(
         raise unknown("backend", backend, BACKENDS)
     if task not in TASKS:
         raise unknown("task", task, TASKS)
+    settings, fixed = dict(config or {}), {}
+    if backend == "replica":  # what is fixed for an environment's life is in the study's configuration
+        fixed = {name: settings.pop(name, default) for name, default in REPLICA.items()}
     try:
-        if backend == "sumo":
-            import sumo_env  # noqa: F401  (registers the ids)
-
-            return gym.make(f"sumo/{task}-v0", config=dict(config or {}), render_mode=render_mode)
-        if backend == "replica":
-            return _replica(task, dict(config or {}), render_mode)
-        from experiments.backends import highway_env
-
-        return highway_env.make(task, config, render_mode)
+        return gym.make(IDS[backend].format(task), config=settings, render_mode=render_mode, **fixed)
     except ModuleNotFoundError as error:
-        if error.name in ("libsumo", "highway_env", "numba"):
+        name = getattr(error.__cause__ or error, "name", None)  # gymnasium's own error has none
+        if name in ("libsumo", "highway_env", "numba"):
             raise UserError(
-                f"{backend} needs the package {error.name}, which is not installed: run make setup"
+                f"{backend} needs the package {name}, which is not installed: run make setup"
             ) from None
         raise
-
-
-def _replica(task: str, config: dict[str, Any], render_mode: str | None) -> gym.Env[Any, Any]:
-    """The replica on the study's scenarios; what is fixed for an environment's life is in the study's configuration."""
-    import sumo_env  # noqa: F401  (registers the ids)
-
-    fixed = {"variant": config.pop("variant", "path"), "risk_law": config.pop("risk_law", "standard")}
-    return gym.make(f"replica/{task}-v0", config=config, render_mode=render_mode, scenarios="seeded", **fixed)

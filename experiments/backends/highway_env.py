@@ -378,14 +378,3 @@ ENVIRONMENTS: dict[str, type[ScenarioEnv]] = {
 }
 for _name, _env in ENVIRONMENTS.items():
     gym.register(f"highway-env/{_name}", entry_point=f"{__name__}:{_env.__name__}")
-
-
-def make(
-    task: str, config: Mapping[str, Any] | None = None, render_mode: str | None = None
-) -> gym.Env[np.ndarray, int]:
-    """highway-env's environment of a task, driven by scenarios.
-
-    Raises:
-        ConfigError: unknown key, wrong value.
-    """
-    return gym.make(f"highway-env/{task}", config=dict(config or {}), render_mode=render_mode)

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from typing import Any, Literal
 
 import pandas as pd
@@ -54,43 +53,32 @@ RETURN_RANGE: dict[str, float] = {
 }
 
 
-@dataclass(frozen=True, slots=True)
-class Margin:
-    """The largest acceptable |SUMO - highway-env|.
-
-    Attributes:
-        value: of the margin.
-        relative_to: what `value` is a share of: nothing ("unit"), highway-env's own value ("reference"), or the range
-            of the task's return ("range").
-    """
-
-    value: float
-    relative_to: Literal["unit", "reference", "range"]
-
-    def bound(self, task: str, reference: float) -> float:
-        """The margin in the unit of the measure, where highway-env's value is `reference`."""
-        scale = {"unit": 1.0, "reference": abs(reference), "range": RETURN_RANGE[task]}
-        return self.value * scale[self.relative_to]
-
-
-MARGINS: dict[str, Margin] = {
-    "traffic_speed": Margin(0.05, "reference"),  # desired speeds of drivers spread by 7 %
-    "headway": Margin(0.15, "reference"),  # traffic that brakes half or twice as hard is further away
-    "return": Margin(0.05, "range"),  # effects of training worth reporting are larger
-    "crashed": Margin(0.10, "unit"),  # a dose of 1 is calibrated to raise the rate by 0.10 to 0.30
-    "crashed_ego": Margin(0.15, "unit"),  # one ego meets one kind of conflict, all of them the mixture
-    "lane_changes": Margin(0.25, "reference"),  # highway-env at 10 and at 15 Hz differs by as much
-    "order": Margin(0.0, "unit"),  # which of two egos is better must not depend on the simulator
+# The largest acceptable |SUMO - highway-env|, and what it is a share of: nothing ("unit"), highway-env's own value
+# ("reference"), or the range of the task's return ("range").
+MARGINS: dict[str, tuple[float, Literal["unit", "reference", "range"]]] = {
+    "traffic_speed": (0.05, "reference"),  # desired speeds of drivers spread by 7 %
+    "headway": (0.15, "reference"),  # traffic that brakes half or twice as hard is further away
+    "return": (0.05, "range"),  # effects of training worth reporting are larger
+    "crashed": (0.10, "unit"),  # a dose of 1 is calibrated to raise the rate by 0.10 to 0.30
+    "crashed_ego": (0.15, "unit"),  # one ego meets one kind of conflict, all of them the mixture
+    "lane_changes": (0.25, "reference"),  # highway-env at 10 and at 15 Hz differs by as much
+    "order": (0.0, "unit"),  # which of two egos is better must not depend on the simulator
 }
 # Share of the recomputed episodes that may end differently: where rounding decides who crosses first.
 REPLICA = 0.01
 
 
-def margin_of(metric: str, task: str, traffic: str) -> Margin | None:
-    """The margin of a measure, None where it is reported without a verdict."""
-    if metric == "lane_changes" and (task != "highway" or traffic != "regular"):
+def margin(metric: str, task: str, traffic: str, reference: float) -> float | None:
+    """The margin in the unit of the measure; None where it is reported without a verdict.
+
+    Args:
+        reference: highway-env's value.
+    """
+    judged = metric in MARGINS and (metric != "lane_changes" or (task, traffic) == ("highway", "regular"))
+    if not judged:
         return None
-    return MARGINS.get(metric)
+    value, kind = MARGINS[metric]
+    return value * {"unit": 1.0, "reference": abs(reference), "range": RETURN_RANGE[task]}[kind]
 
 
 def difference(metric: str, both: pd.DataFrame) -> Difference:
@@ -150,21 +138,20 @@ def level_checks(rows: pd.DataFrame, engine: str, task: str, traffic: str) -> li
     found = []
     for metric, (name, unit) in MEASURES.items():
         own = difference(metric, both)
-        margin = margin_of(metric, task, traffic)
         variants = {other: finite(difference(metric, table).difference) for other, table in beside.items()}
-        bound = None if margin is None else margin.bound(task, own.second)
+        bound = margin(metric, task, traffic, own.second)
         found.append(check(metric, own, bound, name=name, unit=unit, variants=variants))
-    found += ego_checks(every, task)
+    found += ego_checks(every, task, traffic)
     return sorted((item for item in found if item["n"]), key=lambda item: item["verdict"] is None)
 
 
-def ego_checks(every: pd.DataFrame, task: str) -> list[Check]:
+def ego_checks(every: pd.DataFrame, task: str, traffic: str) -> list[Check]:
     """Each ego's crash rate and return, and the order of all egos."""
     found = []
     for ego in egos(task):
         part = every[every["ego"] == ego]
         crashes, returns = (compare.mean_difference(part, metric) for metric in ("crashed", "return"))
-        bound = MARGINS["crashed_ego"].bound(task, crashes.second)
+        bound = margin("crashed_ego", task, traffic, crashes.second)
         found.append(check("crashed_ego", crashes, bound, name="crash rate", ego=ego))
         found.append(check("return_ego", returns, name="return", ego=ego))
     scenarios = every["scenario"].nunique()
@@ -173,7 +160,7 @@ def ego_checks(every: pd.DataFrame, task: str) -> list[Check]:
         order = Difference(decided - len(turned), decided, -len(turned), n=scenarios)
         labels = {"name": f"pairs of egos in the same order, by {name}", "unit": f"of {decided} decided"}
         note = f"reversed: {', '.join(turned)}" if turned else ""
-        found.append(check("order", order, MARGINS["order"].value, note=note, **labels))
+        found.append(check("order", order, MARGINS["order"][0], note=note, **labels))
     return found
 
 

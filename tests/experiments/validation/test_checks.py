@@ -14,6 +14,7 @@ from experiments.validation.checks import (
     TRUTH,
     check,
     level_checks,
+    margin,
     replica_checks,
     scorecard,
 )
@@ -51,18 +52,21 @@ def test_no_verdict_without_margin_or_with_too_few_scenarios() -> None:
 
 def test_margins_are_those_of_the_design() -> None:
     assert set(RETURN_RANGE) == set(TASKS)
-    assert {name: margin.value for name, margin in MARGINS.items()} == {
-        "traffic_speed": 0.05,
-        "headway": 0.15,
-        "return": 0.05,
-        "crashed": 0.10,
+    expected = {
+        "traffic_speed": 0.1,
+        "headway": 0.3,
+        "return": 1.0,
+        "crashed": 0.1,
         "crashed_ego": 0.15,
-        "lane_changes": 0.25,
         "order": 0.0,
     }
-    assert MARGINS["return"].bound("highway", 3.0) == 1.0  # of the range of 20
-    assert MARGINS["headway"].bound("highway", 2.0) == pytest.approx(0.3)
-    assert MARGINS["crashed"].bound("highway", 0.5) == 0.10
+    regular = {metric: margin(metric, "highway", "regular", 2.0) for metric in MARGINS}
+    assert regular == pytest.approx({**expected, "lane_changes": 0.5})  # return: of the range of 20
+    assert {metric: margin(metric, "highway", "risky", 2.0) for metric in expected} == pytest.approx(expected)
+    assert (
+        margin("lane_changes", "highway", "risky", 2.0) is None
+        and margin("length", "highway", "regular", 2.0) is None
+    )
 
 
 def test_a_simulator_that_does_the_same_is_equivalent_everywhere() -> None:

@@ -90,7 +90,8 @@ def against_traffic(policies: pd.DataFrame, backend: str) -> str:
 
     policies: `analysis.policies` of one backend.
     """
-    shown, bars = _shown(policies), {"marker": "o", "ms": 4, "capsize": 2, "lw": 1.5, "elinewidth": 1.0}
+    shown = _shown(policies)
+    bars: dict[str, Any] = {"marker": "o", "ms": 4, "capsize": 2, "lw": 1.5, "elinewidth": 1.0}
     figure, panels = _panels(_tasks(policies))
     for (task, traffic), panel in panels.items():
         rows = policies[policies["task"] == task].sort_values("level")

@@ -165,7 +165,10 @@ def player(films: Mapping[str, Any], directory: Path) -> dict[str, Any]:
     """What the player and the appendix show of the films."""
     titles = {kind: title for kind, title, _ in KINDS.values()}
     shown = [place for place in films["places"] if place["films"]]
-    places, rows, listed, counts = [], [], [], []
+    places: list[dict[str, Any]] = []
+    rows: list[dict[str, Any]] = []
+    listed: list[dict[str, Any]] = []
+    counts: list[dict[str, Any]] = []
     for number, place in enumerate(shown):
         name, simulator = f"{place['task']} {place['level_name']}", place["backend"]
         places.append({"name": f"{name} on {BACKENDS.get(simulator, simulator)}", "first": len(rows)})

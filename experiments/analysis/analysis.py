@@ -13,12 +13,21 @@ import numpy as np
 import pandas as pd
 
 from experiments.analysis import plan as plans
-from experiments.analysis.cells import comparable, duplicates, is_main
-from experiments.analysis.claims import claims
+from experiments.analysis.cells import comparable, duplicates, is_main, unfinished, without
+from experiments.analysis.claims import claims, price
 from experiments.analysis.controls import negative_control, placebo
-from experiments.analysis.effects import adjusted, contrasts, least_seeds, means, slopes, variants
+from experiments.analysis.effects import (
+    KEY,
+    adjusted,
+    contrasts,
+    least_seeds,
+    means,
+    slopes,
+    variants,
+)
 from experiments.analysis.estimate import Mean
 from experiments.analysis.gates import GATES, gates, learnt
+from experiments.analysis.learner import learner_checks
 from experiments.analysis.plan import OUTCOMES, TERMS, Plan
 from experiments.analysis.scores import (
     CRASH_KINDS,
@@ -38,6 +47,7 @@ SCHEMA = 3
 BOTH = [("treatment", "control")]
 FURTHER = [(arm, against) for arm in EXTRA_ARMS for against in ("control", "treatment")]
 ONE_TRAFFIC = ("risky", "regular")
+CRASHES = [("crashed", term) for term in ONE_TRAFFIC]
 SHOWN = ("crashed", "return", "mean_speed")  # outcomes of comparisons beside the plan's
 DESCRIPTIVE = ("length", "distance", "arrived", "density", "stopped", "progress")
 AGENT = [*PLACE, "arm", "seed"]
@@ -50,7 +60,8 @@ class Analysis:
     effects, means: `effects.contrasts` and `effects.means`, of all comparisons (arm, against; tested_on; scenarios).
     slopes, gates, claims, placebo: see the functions of these names. policies: see `policies`.
     plan, plan_hash: see `plan.as_data`. negative_control: see `controls`. notes: missing, failed, damaged, incomplete,
-    duplicates and left_out cells, with their reasons. provenance: see `provenance`.
+    duplicates and left_out cells, with their reasons, and by plan 3 unfinished settings. provenance: see `provenance`.
+    price, learner: see `claims.price` and `learner.learner_checks`; None where the plan does not ask for them.
     """
 
     effects: pd.DataFrame
@@ -65,27 +76,38 @@ class Analysis:
     plan_hash: str
     notes: dict[str, Any]
     provenance: dict[str, Any]
+    price: pd.DataFrame | None = None
+    learner: pd.DataFrame | None = None
 
 
 def analyse(results: Results) -> Analysis:
     """Analyse the stored cells of a directory by the plan that its presets ask for."""
     chosen = comparable(results)
-    cells = chosen.results.cells
-    plan = plans.plan_of(str(c["key"]["profile"].get("preset")) for c in cells.values() if is_main(c))
-    episodes = with_outcomes(chosen.results)
+    main = [cell["key"] for cell in chosen.results.cells.values() if is_main(cell)]
+    plan = plans.plan_of(str(key["profile"].get("preset")) for key in main)
+    early = unfinished(results, chosen.results, plan.arms) if plan.version > 2 else {}
+    known = without(chosen.results, settings=early)
+    episodes = with_outcomes(known)
     agents = own_agents(episodes)
-    passed = gates(cells, chosen.results.gate_episodes)
+    passed = gates(known.cells, known.gate_episodes)
 
     arms = arms_of(agents, [*OUTCOMES, *CRASH_KINDS])
-    planned = adjusted(contrasts(arms, BOTH, [(o, t) for o in OUTCOMES for t in TERMS], plan), plan)
+    tested = [contrasts(arms, BOTH, [(o, t) for o in OUTCOMES for t in TERMS], plan)]
+    tested += [contrasts(arms, [(arm, "control")], CRASHES, plan) for arm in plan.arms[2:]]
+    planned = adjusted(pd.concat(tested, ignore_index=True), plan)
+    both = planned[planned["arm"] == "treatment"]
     trends = slopes(arms, plan)
     beside = list(exploratory(episodes, arms, passed, replace(plan, looks=())))
+    effects = pd.concat([planned, *(frame for frame, _ in beside)], ignore_index=True)
+    effects = effects.drop_duplicates(
+        KEY, ignore_index=True
+    )  # what the plan tests of further arms stands first
     plan_data = plans.as_data(plan, GATES)
     return Analysis(
-        effects=pd.concat([planned, *(frame for frame, _ in beside)], ignore_index=True),
-        means=pd.concat([means(planned, plan), *(frame for _, frame in beside)], ignore_index=True),
+        effects=effects,
+        means=pd.concat([means(both, plan), *(frame for _, frame in beside)], ignore_index=True),
         slopes=trends,
-        claims=claims(planned, trends, plan),
+        claims=claims(both, trends, plan),
         gates=passed,
         policies=policies(episodes),
         placebo=placebo(agents, plan),
@@ -97,10 +119,15 @@ def analyse(results: Results) -> Analysis:
             "failed": dict(results.failed),
             "damaged": dict(results.damaged),
             "incomplete": chosen.incomplete,
-            "duplicates": duplicates(chosen.results),
+            "duplicates": duplicates(known),
             "left_out": chosen.left_out,
+            **({"unfinished": early} if plan.version > 2 else {}),
         },
-        provenance=provenance(chosen.results),
+        provenance=provenance(known),
+        price=price(effects, plan) if plan.price else None,
+        learner=learner_checks(known.cells, passed, agents, plan.learner, plan.arms)
+        if plan.learner
+        else None,
     )
 
 
@@ -120,7 +147,7 @@ def exploratory(
     Kinds of crashes, further arms, the rule drivers as the mark to beat, the agents that pass the gates, and the same
     agents tested on another simulator.
     """
-    agents, crashes = own_agents(episodes), [("crashed", term) for term in ONE_TRAFFIC]
+    agents = own_agents(episodes)
     questions = [(outcome, term) for outcome in SHOWN for term in ONE_TRAFFIC]
     kinds = contrasts(arms, BOTH, [(kind, term) for kind in CRASH_KINDS for term in ONE_TRAFFIC], plain)
     yield kinds, means(kinds, plain)
@@ -133,9 +160,9 @@ def exploratory(
     mark = contrasts(drivers, [(arm, "careful") for arm in ARMS], questions, plain)
     yield mark, means(mark, plain)
 
-    both = contrasts(arms, BOTH, crashes, plain)
+    both = contrasts(arms, BOTH, CRASHES, plain)
     bad = passed.loc[passed["passed"].astype(object) == False, "cell"]  # noqa: E712
-    sound = contrasts(arms_of(agents[~agents["cell"].isin(bad)], ["crashed"]), BOTH, crashes, plain)
+    sound = contrasts(arms_of(agents[~agents["cell"].isin(bad)], ["crashed"]), BOTH, CRASHES, plain)
     passing = means(sound[least_seeds(sound) > 1], plain, lambda rows: {"agents that pass the gates": rows})
     other_ways = variants(learnt(passed, plain.learnt))
     yield both.iloc[:0], pd.concat([means(both, plain, other_ways), passing])
@@ -145,7 +172,7 @@ def exploratory(
         away = tests[tests["tested_on"] == other].merge(agents[AGENT].drop_duplicates())
         home = agents.merge(away[[*AGENT, "traffic", "scenario"]])  # the same agents on the same scenarios
         for rows, labels in ((away, {"tested_on": other, "scenarios": other}), (home, {"scenarios": other})):
-            effects = contrasts(arms_of(rows, ["crashed"]), BOTH, crashes, plain, **labels)
+            effects = contrasts(arms_of(rows, ["crashed"]), BOTH, CRASHES, plain, **labels)
             yield effects, means(effects, plain)
 
 
@@ -221,6 +248,8 @@ def as_json(analysis: Analysis) -> dict[str, Any]:
     value: dict[str, Any] = {"schema": SCHEMA}
     for field in fields(analysis):
         part = getattr(analysis, field.name)
+        if part is None and field.name in ("price", "learner"):
+            continue
         if isinstance(part, pd.DataFrame):
             table = part.drop(columns="looks", errors="ignore")
             part = {"columns": list(table.columns), "rows": table.to_numpy(dtype=object).tolist()}

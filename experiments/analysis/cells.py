@@ -7,7 +7,8 @@ complete.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+import re
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -15,6 +16,7 @@ import numpy as np
 
 from experiments.analysis.scores import PLACE
 from experiments.study.arms import ARMS, TRAFFICS, gate_traffics
+from experiments.study.grid import setting
 from experiments.study.results import Results
 from experiments.support.files import canonical_json
 
@@ -110,8 +112,22 @@ def _difference(settings: Mapping[str, Any], reference: Mapping[str, Any]) -> st
     return ", ".join(words[:3]) + more
 
 
-def without(results: Results, gone: set[str]) -> Results:
-    """The results without some cells."""
+def unfinished(results: Results, chosen: Results, arms: Sequence[str]) -> dict[str, str]:
+    """What is missing of settings: agents of these arms that a sweep has asked for, and that are not chosen.
+
+    Settings are named as in `grid.setting`; those that no sweep has asked for are not named.
+    """
+    asked: dict[str, list[str]] = {}
+    for name in dict.fromkeys((*results.expected, *results.cells)):
+        if found := re.fullmatch(rf"(.+)-({'|'.join(arms)})-s\d+-[0-9a-f]+", name):
+            asked.setdefault(found[1], []).append(name)
+    lacking = {place: sum(name not in chosen.cells for name in names) for place, names in asked.items()}
+    return {p: f"{n} of {len(asked[p])} agents are missing" for p, n in lacking.items() if n}
+
+
+def without(results: Results, gone: Container[str] = (), settings: Container[str] = ()) -> Results:
+    """The results without some cells, and without those of some settings, named as in `grid.setting`."""
+    gone = {name for name, cell in results.cells.items() if name in gone or setting(cell["key"]) in settings}
     if not gone:
         return results
     tables = {

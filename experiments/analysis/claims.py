@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass, fields
+from collections.abc import Collection, Mapping
+from dataclasses import asdict, dataclass, fields
 
 import pandas as pd
 
 from experiments.analysis import estimate
-from experiments.analysis.effects import GRID
+from experiments.analysis.effects import GRID, means
 from experiments.analysis.estimate import OK
-from experiments.analysis.plan import DEFAULT, OUTCOMES, Plan
+from experiments.analysis.plan import DEFAULT, OUTCOMES, Bound, Plan
 
 HOLDS, CONTRADICTED, NOT_DECIDED = "holds", "contradicted", "not decided"
 EQUIVALENT = "equivalent"
@@ -66,6 +66,42 @@ def claims(effects: pd.DataFrame, slopes: pd.DataFrame, plan: Plan = DEFAULT) ->
             )
             rows.append({"backend": backend, **vars(claim), **counts})
     return pd.DataFrame(rows, columns=["backend", *(field.name for field in fields(Claim)), *COUNTS])
+
+
+def price(effects: pd.DataFrame, plan: Plan) -> pd.DataFrame:
+    """Gain without price: every bound of the plan's, in the settings that can be survived.
+
+    Args:
+        effects: from `effects.contrasts`.
+
+    Returns:
+        A row a backend, bound and scope (a task, "all tasks"): arm, against, term, margin, settings, estimate, low and
+        high (the limits of one-sided tests at alpha each), verdict (contradicted: the whole interval is beyond the
+        margin) and detectable: the margin that would be kept to with the plan's power if there were no difference.
+    """
+    places = zip(effects["task"], effects["level_name"], strict=True)
+    survived = pd.Series([name not in plan.hopeless.get(task, ()) for task, name in places], effects.index)
+    crashes = effects[survived & (effects["outcome"] == "crashed") & (effects["scenarios"] == "own")]
+    rows = []
+    for bound in plan.price:
+        pair = (crashes["arm"] == bound.arm) & (crashes["against"] == bound.against)
+        for row in means(crashes[pair & (crashes["term"] == bound.term)], plan).to_dict("records"):
+            level = 2 * plan.alpha  # one-sided
+            half = float(estimate.stats.t.isf(level / 2, row["df"])) * row["se"]
+            low, high = row["estimate"] - half, row["estimate"] + half
+            verdict = HOLDS if high < bound.margin else CONTRADICTED if low > bound.margin else NOT_DECIDED
+            enough = estimate.detectable(row["se"], row["df"], level, plan.power) if half == half else half
+            own = [row[name] for name in ("backend", "scope", "settings", "estimate")]
+            rows.append([*own, *asdict(bound).values(), low, high, verdict, enough])
+    columns = ["backend", "scope", "settings", "estimate", *(f.name for f in fields(Bound))]
+    return pd.DataFrame(rows, columns=[*columns, "low", "high", "verdict", "detectable"])
+
+
+def all_hold(verdicts: Collection[str]) -> str:
+    """The verdict on something that is true where all of its parts are."""
+    if CONTRADICTED in verdicts:
+        return CONTRADICTED
+    return HOLDS if verdicts and set(verdicts) == {HOLDS} else NOT_DECIDED
 
 
 def _counts(claim: Claim, effects: pd.DataFrame, slopes: pd.DataFrame, plan: Plan) -> Mapping[str, object]:

@@ -123,7 +123,8 @@ def adjusted(effects: pd.DataFrame, plan: Plan = DEFAULT) -> pd.DataFrame:
     detectable (true effect that is found at that level with the plan's power); and where the outcome has a margin, in
     one traffic, equivalent_p and equivalent_p_adjusted ("the arms differ by the margin or more", Holm over settings).
     """
-    names = [plan.family(*question) for question in zip(effects["outcome"], effects["term"], strict=True)]
+    questions = zip(effects["arm"], effects["outcome"], effects["term"], strict=True)
+    names = [plan.family(*question) for question in questions]
     nothing = dict.fromkeys(("p_adjusted", "low_family", "high_family", "detectable"), np.nan)
     effects = effects.assign(family=names, **nothing, equivalent_p=np.nan, equivalent_p_adjusted=np.nan)
     for (_, family), rows in effects.groupby(["backend", "family"]):
@@ -137,7 +138,7 @@ def adjusted(effects: pd.DataFrame, plan: Plan = DEFAULT) -> pd.DataFrame:
             bounds = [row["estimate"] - half, row["estimate"] + half, found]
             effects.loc[index, ["low_family", "high_family", "detectable"]] = bounds
     one_traffic = effects[(effects["status"] == OK) & effects["term"].isin(["risky", "regular"])]
-    for (_, outcome, _), rows in one_traffic.groupby(["backend", "outcome", "term"]):
+    for (_, _, outcome, _), rows in one_traffic.groupby(["backend", "arm", "outcome", "term"]):
         if outcome in OUTCOMES and (margin := OUTCOMES[outcome].margin) is not None:
             p = estimate.equivalence(rows, margin)
             effects.loc[rows.index, "equivalent_p"] = p

@@ -12,6 +12,8 @@ from collections.abc import Callable, Iterable
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
+from sumo_env.tasks import TASKS
+
 ALPHA = 0.05
 POWER = 0.8
 
@@ -76,12 +78,44 @@ ONLY_LOOK = Look(sys.maxsize, 1.0)
 
 @dataclass(frozen=True)
 class Family:
-    """Hypotheses that are tested together, with Holm's adjustment over all settings: an outcome in a term."""
+    """Hypotheses that are tested together, with Holm's adjustment over all settings: an outcome in a term.
+
+    arm: is compared with control.
+    """
 
     name: str
     outcome: str
     term: str
     equivalence: bool = False
+    arm: str = "treatment"
+
+
+@dataclass(frozen=True)
+class Bound:
+    """A difference in the crash rate in one traffic, arm minus against, that has to be below a margin."""
+
+    arm: str
+    against: str
+    term: str
+    margin: float
+
+
+@dataclass(frozen=True)
+class Learner:
+    """What is asked of the learner before anything is compared, see `learner`.
+
+    change: of the return over the last quarter of the budget at most, in units of its range. passing: share of the
+    agents that pass the gates at least. clocked: tasks whose last second is compared with the `before` seconds before
+    it. ranges: of the return, one a second.
+    """
+
+    change: float = 0.02
+    passing: float = 0.97
+    clocked: tuple[str, ...] = ("roundabout", "u-turn")
+    before: float = 4.0
+    ranges: dict[str, float] = field(
+        default_factory=lambda: dict(zip(TASKS, (20.0, 15.0, 11.0, 13.0, 10.0), strict=True))
+    )
 
 
 @dataclass(frozen=True)
@@ -90,11 +124,14 @@ class Plan:
 
     Version 1, of which no code is left, took the time to crash for the two-way road's primary outcome and counted harms
     by equivalence alone. 2: one primary outcome on all tasks; harms in regular traffic are counted as benefits in risky
-    traffic are; nothing is concluded from a setting where every agent always crashes.
+    traffic are; nothing is concluded from a setting where every agent always crashes. 3, of the second study
+    (docs/developers/plan_v3.md): families for mixed training too, its gain without price, checks of the learner; only
+    settings of which every agent is there.
 
     primary_outcome, primary_term: of the one primary question, over all agents, with every task weighted alike.
     outcome_of_task: none since version 1; it stays part of the digest. looks: planned looks; none: the number of seeds
     was fixed beforehand. learnt: share of the control agents that must pass the gates for a setting to count as learnt.
+    price: all that has to hold for a gain without price, in all settings but hopeless ones (level names by task).
     """
 
     version: int = 2
@@ -111,15 +148,24 @@ class Plan:
     alpha: float = ALPHA
     power: float = POWER
     learnt: float = 0.5
+    price: tuple[Bound, ...] = ()
+    hopeless: dict[str, tuple[str, ...]] = field(default_factory=dict)
+    learner: Learner | None = None
+
+    @property
+    def arms(self) -> tuple[str, ...]:
+        """The arms that the families compare."""
+        return ("control", *dict.fromkeys(family.arm for family in self.families))
 
     def outcome(self, family: Family) -> str:
         """The outcome of a family."""
         return self.primary_outcome if family.outcome == "primary" else family.outcome
 
-    def family(self, outcome: str, term: str) -> str:
+    def family(self, arm: str, outcome: str, term: str) -> str:
         """Name of the family that an effect of a setting is tested in; empty if it is exploratory."""
         for family in self.families:
-            if not family.equivalence and (outcome, term) == (self.outcome(family), family.term):
+            tested = family.arm, self.outcome(family), family.term
+            if not family.equivalence and (arm, outcome, term) == tested:
                 return family.name
         return ""
 
@@ -137,19 +183,38 @@ class Plan:
 LOOKS = (Look(5, 0.2), Look(10, 0.8))
 DEFAULT = Plan()
 TWO_BATCHES = Plan(looks=LOOKS)
+SECOND = Plan(
+    version=3,
+    families=(
+        Family("benefits", "primary", "risky"),
+        Family("harms", "primary", "regular"),
+        Family("benefits of mixed training", "primary", "risky", arm="mixed"),
+        Family("harms of mixed training", "primary", "regular", arm="mixed"),
+        Family("paper", "return", "sum"),
+    ),
+    price=(Bound("mixed", "treatment", "risky", 0.05), Bound("mixed", "control", "regular", 0.025)),
+    hopeless={"two-way": ("10+4", "15+6")},
+    learner=Learner(),
+)
+PLANS = {"second": SECOND, "standard": TWO_BATCHES}  # by preset
 
 
 def plan_of(presets: Iterable[str]) -> Plan:
     """The plan for results that these presets asked for."""
-    return TWO_BATCHES if "standard" in set(presets) else DEFAULT
+    asked = set(presets)
+    return next((plan for preset, plan in PLANS.items() if preset in asked), DEFAULT)
 
 
 def as_data(plan: Plan, gates: dict[str, str]) -> dict[str, Any]:
     """The plan as plain values, with the outcomes, terms and gates that it refers to."""
     confirmatory = {(plan.outcome(family), family.term) for family in plan.families}
+    values = asdict(plan)
+    if plan.version < 3:  # as its digest has always been
+        values = {k: v for k, v in values.items() if k not in ("price", "hopeless", "learner")}
+        values["families"] = [{k: v for k, v in f.items() if k != "arm"} for f in values["families"]]
     described = {name: {k: v for k, v in vars(o).items() if k != "of"} for name, o in OUTCOMES.items()}
     data = {
-        **asdict(plan),
+        **values,
         "outcomes": described,
         "terms": TERMS,
         "unit": "training seed",

@@ -12,6 +12,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
 from experiments.analysis.analysis import Analysis
+from experiments.analysis.claims import all_hold
 from experiments.analysis.effects import ALL_TASKS
 from experiments.analysis.estimate import OK, SATURATED
 from experiments.analysis.gates import GATES
@@ -27,6 +28,7 @@ from experiments.study.results import Results
 from experiments.study.store import read_sweeps
 from experiments.study.verdict import of_results
 from experiments.support.files import canonical_json
+from sumo_env.tasks import TASKS
 
 TEMPLATES = Path(__file__).resolve().parents[1] / "templates"
 
@@ -86,11 +88,6 @@ def answer(name: str, analysis: Analysis) -> dict[str, Any]:
     risky = over_all["risky"]
     by_task = chosen(crashes, scope=list(TASK_ORDER), term="risky").sort_values("estimate")
     single = chosen(main(analysis.effects, name), outcome="crashed", term=list(TRAFFICS))
-    decided = single[single["p_adjusted"] < analysis.plan["alpha"]] if len(single) else single
-    sides = {
-        side: {term: int((sign * chosen(decided, term=term)["estimate"] > 0).sum()) for term in TRAFFICS}
-        for side, sign in (("fewer", -1), ("more", 1))
-    }
     strongest = by_task["scope"].iloc[by_task["estimate"].abs().argmax()] if len(by_task) > 2 else None
     agents = chosen(analysis.gates, backend=name, arm=list(ARMS))
     return {
@@ -102,11 +99,40 @@ def answer(name: str, analysis: Analysis) -> dict[str, Any]:
         "failing": int((agents["passed"].astype(object) == False).sum()),  # noqa: E712
         "by_task": by_task.to_dict("records"),
         "saturated": single.loc[single["status"] == SATURATED, ["task", "level"]].drop_duplicates().shape[0],
-        **sides,
+        **sides(single, analysis.plan["alpha"]),
         "without": {term: _one(chosen(crashes, scope=f"without {strongest}", term=term)) for term in TRAFFICS}
         if strongest
         else None,
         "careful": _careful(name, analysis),
+        "mixed": mixed(name, analysis),
+    }
+
+
+def sides(single: pd.DataFrame, alpha: float) -> dict[str, dict[str, int]]:
+    """In how many settings the plan decides that there are fewer or more crashes, by traffic."""
+    decided = single[single["p_adjusted"] < alpha] if len(single) else single
+    return {
+        side: {term: int((sign * chosen(decided, term=term)["estimate"] > 0).sum()) for term in TRAFFICS}
+        for side, sign in (("fewer", -1), ("more", 1))
+    }
+
+
+def mixed(name: str, analysis: Analysis) -> dict[str, Any] | None:
+    """What the plan of the second study asks beside the effect of the treatment; None under another plan."""
+    if analysis.price is None:
+        return None
+    bounds = chosen(analysis.price, backend=name)
+    single = chosen(main(analysis.effects, name, "mixed"), outcome="crashed", term=list(TRAFFICS))
+    places = set(zip(single["task"], single["level_name"], strict=True))
+    grid = [(task, level) for task, definition in TASKS.items() for level in definition.levels]
+    return {
+        "verdict": all_hold(list(chosen(bounds, scope=ALL_TASKS)["verdict"])),
+        "bounds": chosen(bounds, scope=ALL_TASKS).to_dict("records"),
+        "limits": {task: rows.to_dict("records") for task, rows in bounds.groupby("scope", sort=False)},
+        "settings": len(places),
+        "others": [f"{task} {level}" for task, level in grid if (task, level) not in places],
+        **sides(single, analysis.plan["alpha"]),
+        "tasks": tables.first_page(analysis, name, "mixed"),
     }
 
 

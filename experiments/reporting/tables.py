@@ -13,6 +13,8 @@ from experiments.analysis.effects import ALL_TASKS, mean_over
 from experiments.analysis.gates import FAILURES
 from experiments.analysis.plan import OUTCOMES, Plan
 from experiments.analysis.scores import CRASH_KINDS, PLACE, TASK_ORDER
+from experiments.reporting.style import NONE
+from experiments.reporting.style import number as plain
 from experiments.reporting.words import BACKENDS, difference, effect, number, p_value
 from experiments.study.arms import ARMS, TRAFFICS
 
@@ -31,9 +33,9 @@ def main(frame: pd.DataFrame, backend: str, arm: str = "treatment", against: str
     return chosen(frame, backend=backend, tested_on=backend, scenarios="own", arm=arm, against=against)
 
 
-def first_page(analysis: Analysis, backend: str) -> pd.DataFrame:
-    """The answer task by task: control -> treatment in both traffics, and the difference in the crash rate."""
-    means = main(analysis.means, backend)
+def first_page(analysis: Analysis, backend: str, arm: str = "treatment") -> pd.DataFrame:
+    """The answer task by task: control -> the arm in both traffics, and the difference in the crash rate."""
+    means = main(analysis.means, backend, arm)
     rows = []
     for scope in [*(task for task in TASK_ORDER if (means["scope"] == task).any()), ALL_TASKS]:
         line = {"task": "all tasks alike" if scope == ALL_TASKS else scope}
@@ -147,6 +149,32 @@ def slopes(analysis: Analysis, backend: str) -> pd.DataFrame:
     return _indexed(lines, "task")
 
 
+LEARNER = {
+    "change": "change of the training return over the last quarter of the budget, in its range",
+    "diverged": "agents whose values diverge",
+    "gates": "share of the agents that pass all gates",
+    "last second": "crashes per second in the last second, over those in the seconds before",
+}
+PASSED = {True: "as asked", False: "not as asked", None: "open"}
+
+
+def learner(analysis: Analysis, backend: str) -> pd.DataFrame:
+    """What is asked of the learner before anything is compared; empty where the plan asks nothing."""
+    rows = [] if analysis.learner is None else chosen(analysis.learner, backend=backend).to_dict("records")
+    lines = []
+    for row in rows:
+        digits = {"change": 3, "diverged": 0}.get(row["check"], 2)
+        found, low, high, least, most = (
+            plain(row[name], digits) for name in ("estimate", "low", "high", "least", "most")
+        )
+        whose = filter(None, [str(row["agents"]), row["task"], row["arm"]])
+        line = {"check": LEARNER[row["check"]], "agents": " ".join(whose)}
+        line["found"] = found if low == NONE else f"{found} [{low}, {high}]"
+        line["asked"] = least if least == most else f"{least} to {most}"
+        lines.append({**line, "outcome": PASSED[row["passed"]]})
+    return pd.DataFrame(lines)
+
+
 def side_by_side(named: Sequence[tuple[str, Analysis]]) -> pd.DataFrame:
     """This folder beside others: effects on the crash rate over the settings that each shares with the first.
 
@@ -213,4 +241,5 @@ TABLES: dict[str, Callable[[Analysis, str], pd.DataFrame]] = {  # of one simulat
     "transfer": transfer,
     "policies": policies,
     "gates": gates,
+    "learner": learner,
 }

@@ -65,4 +65,4 @@ def count(n: int, word: str) -> str:
     return f"{n} {word}{'' if n == 1 else 's'}"
 
 
-FILTERS = {f.__name__: f for f in (number, difference, p_value, listing, count)}
+FILTERS = {f.__name__: f for f in (number, points, difference, p_value, listing, count)}

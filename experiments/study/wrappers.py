@@ -56,7 +56,9 @@ class TimeObserved(_Observed, gym.utils.RecordConstructorArgs):
         super().__init__(env)
         self._steps, self._time = steps, 0
 
-    def reset(self, **kwargs: Any) -> tuple[Any, dict[str, Any]]:  # the name that gymnasium's checker looks for
+    def reset(
+        self, **kwargs: Any
+    ) -> tuple[Any, dict[str, Any]]:  # the name that gymnasium's checker looks for
         """Begin an episode at time 0."""
         self._time = 0
         return super().reset(**kwargs)

@@ -94,7 +94,7 @@ class TestPlan:
     def test_what_a_family_tests_is_not_called_exploratory(self, plan: Plan) -> None:
         named = as_data(plan, {})["exploratory"]
         assert f"{plan.primary_outcome} {plan.primary_term}" not in named
-        tested = [(o, t) for o in OUTCOMES for t in TERMS if plan.family(o, t)]
+        tested = [(o, t) for o in OUTCOMES for t in TERMS if plan.family("treatment", o, t)]
         assert tested
         assert [f"{o} {t}" for o, t in tested if f"{o} {t}" in named] == []
 

@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-from experiments.analysis.estimate import Estimate, Mean, combine, interval, linear, slope_weights
+from experiments.analysis.estimate import Estimate, Mean, combine, interval, linear
 from experiments.analysis.plan import ALPHA, Learner
 
 COLUMNS = ["backend", "check", "task", "arm", "agents", "estimate", "low", "high", "least", "most", "passed"]
@@ -70,7 +70,7 @@ def _limits(found: Estimate) -> list[float]:
 def change(trained: Sequence[Mapping[str, Any]], rules: Learner) -> Estimate:
     """Change of the training return over the last quarter of the budget, in units of its range, tasks alike.
 
-    Of each agent the least-squares line through the parts of its learning curve that lie in that quarter.
+    Of each agent the mean over the last tenth of its learning curve, minus that over the tenth before three quarters.
 
     Args:
         trained: cell.json of the agents of an arm.
@@ -78,11 +78,11 @@ def change(trained: Sequence[Mapping[str, Any]], rules: Learner) -> Estimate:
     settings: dict[str, dict[int, list[list[float]]]] = {}
     for cell in trained:
         key, curve = cell["key"], cell["learner"]["curve"]["return"]
-        last = pd.Series(curve[-(len(curve) // 4) :], dtype=float)
-        known = last.dropna()  # a part in which no episode ended has no return
-        slope = float(np.dot(slope_weights(list(known.index)), known))
+        tenth, quarter = len(curve) // 10, 3 * len(curve) // 4
+        late, early = (np.array(part, dtype=float) for part in (curve[-tenth:], curve[quarter - tenth : quarter]))
+        difference = float(np.nanmean(late) - np.nanmean(early))  # a part in which no episode ended has no return
         by_level = settings.setdefault(key["task"], {})
-        by_level.setdefault(key["level"], []).append([slope * len(last) / rules.ranges[key["task"]]])
+        by_level.setdefault(key["level"], []).append([difference / rules.ranges[key["task"]]])
     tasks = [
         _alike([linear([(np.array(scores), 1.0)]) for scores in by_level.values()])
         for by_level in settings.values()

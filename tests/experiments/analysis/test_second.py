@@ -136,18 +136,18 @@ def trained(task: str, level: int, returns: Any) -> dict[str, Any]:
 
 
 class TestLearner:
-    def test_the_last_quarter_is_the_slope_of_its_line(self) -> None:
-        """Agents that gain a tenth of the range in the last quarter, after any three quarters; one task on average."""
+    def test_the_last_tenth_is_held_against_the_one_before_three_quarters(self) -> None:
+        """Agents that gain a tenth or three of the range between the two, whatever the other parts are."""
         random, agents = np.random.default_rng(1), []
         for task, change_ in (("highway", 0.1), ("u-turn", 0.3)):
             size = Learner().ranges[task]
             for level in (1, 2):
                 for _ in range(5):
-                    last = np.linspace(0, 0.8 * change_ * size, 5) + random.normal(
-                        0, 0.001 * size, 5
-                    )  # middles
-                    agents.append(trained(task, level, [*random.normal(0, 5, 15), *last]))
-        agents.append(trained("u-turn", 2, [*[None] * 16, 0, 0.6, None, 1.8]))
+                    curve = random.normal(0, 5, 20)
+                    curve[13:15] = random.normal(0, 0.001 * size, 2)
+                    curve[18:] = change_ * size + random.normal(0, 0.001 * size, 2)
+                    agents.append(trained(task, level, curve))
+        agents.append(trained("u-turn", 2, [*[None] * 13, 1.0, None, *[None] * 3, 4.0, None]))
         found = change(agents, Learner())
         assert found.estimate == pytest.approx(0.2, abs=0.002)
         assert found.low < 0.2 < found.high < 0.21

@@ -16,13 +16,9 @@ from torch.nn import functional
 from agents.dqn import DQN, DQNConfig
 from agents.models import Dueling
 from tests.agents.decision_process import exact_q, experience, risky_road
+from tests.agents.road import Small
 
 INPUTS, ACTIONS = 6, 3
-
-
-class Small(Dueling):
-    def __init__(self, space: gym.spaces.Box, actions: int) -> None:
-        super().__init__(int(np.prod(space.shape)), actions, (24, 16), (12,))
 
 
 class Medium(Dueling):
@@ -30,14 +26,8 @@ class Medium(Dueling):
         super().__init__(int(np.prod(space.shape)), actions, (64, 48), (32,))
 
 
-SMALL = DQNConfig(
-    batch_size=16,
-    target_interval=7,
-    tau=1.0,
-    replay_capacity=200,
-    learning_rate_final=5e-4,
-    standardise=False,
-)
+SIZES: dict[str, Any] = {"batch_size": 16, "replay_capacity": 200, "target_interval": 7}
+SMALL = DQNConfig(**SIZES, tau=1.0, learning_rate_final=5e-4, standardise=False)
 
 
 def make(config: DQNConfig = SMALL, seed: int = 0, network: Any = Small, inputs: int = INPUTS) -> DQN:
@@ -111,18 +101,10 @@ def test_the_first_update_is_that_of_stable_baselines3() -> None:
     generator = np.random.default_rng(0)
     for _ in range(100):
         s, after = generator.normal(size=(2, INPUTS))
-        agent.replay.add(
-            s, int(generator.integers(3)), 0.3 * generator.random(), after, generator.random() < 0.2
-        )
-    model = stable_baselines3.DQN(
-        "MlpPolicy",
-        Spaces(),
-        learning_rate=5e-4,
-        gamma=config.gamma,
-        batch_size=64,
-        max_grad_norm=1e9,
-        device="cpu",
-    )
+        action, reward = int(generator.integers(3)), 0.3 * generator.random()
+        agent.replay.add(s, action, reward, after, generator.random() < 0.2)
+    settings = {"learning_rate": 5e-4, "gamma": config.gamma, "batch_size": 64, "max_grad_norm": 1e9}
+    model = stable_baselines3.DQN("MlpPolicy", Spaces(), **settings, device="cpu")
     model.set_logger(configure(None, []))
     for net in (model.q_net, model.q_net_target):
         net.q_net = Small(Spaces.observation_space, ACTIONS)

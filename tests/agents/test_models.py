@@ -32,16 +32,11 @@ def attention() -> EgoAttention:
 
 def test_the_dueling_network_is_the_papers() -> None:
     network = DuelingMLP(gym.spaces.Box(-1, 1, (5, 5)), ACTIONS)
-    assert [tuple(p.shape) for p in network.base.parameters() if p.ndim == 2] == [
-        (256, 25),
-        (192, 256),
-        (128, 192),
-    ]
+    shapes = [tuple(p.shape) for p in network.base.parameters() if p.ndim == 2]
+    assert shapes == [(256, 25), (192, 256), (128, 192)]
     assert sum(p.numel() for p in network.parameters()) == 147_526
-    advantage, value = (
-        network.advantage(network.base(torch.ones(1, 25))),
-        network.value(network.base(torch.ones(1, 25))),
-    )
+    inner = network.base(torch.ones(1, 25))
+    advantage, value = network.advantage(inner), network.value(inner)
     q = network(torch.ones(1, 5, 5))
     torch.testing.assert_close(q.mean(), value[0, 0])  # the advantage has no mean
     torch.testing.assert_close(q - q.mean(), advantage - advantage.mean())

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from agents.rules import CAUTIONS, POLICIES, make_policy
-from tests.agents.stock import Stock, drive
+from experiments.backends import make_env
+from experiments.study.evaluate import evaluate
 
 FIVE = {0: "LANE_LEFT", 1: "IDLE", 2: "LANE_RIGHT", 3: "FASTER", 4: "SLOWER"}
 THREE = {0: "SLOWER", 1: "IDLE", 2: "FASTER"}
@@ -165,21 +166,13 @@ def test_idm_follows_a_leader_round_a_bend() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    ("task", "episodes", "most_crashes", "better_than_idle"),
-    [
-        ("u-turn", 6, 1, True),
-        ("roundabout", 6, 2, True),
-        pytest.param("highway", 4, 0, True, marks=pytest.mark.long),
-        pytest.param("intersection", 8, 2, False, marks=pytest.mark.long),
-    ],
-)
-def test_careful_on_highway_env(task: str, episodes: int, most_crashes: int, better_than_idle: bool) -> None:
-    """Few episodes, since highway-env is slow. At the intersection the return pays for crossing blindly."""
-    env = Stock(task)
-    total, crashes = drive(env, make_policy("careful", env), episodes)
-    idle_total, _ = drive(env, make_policy("idle", env), episodes)
-    env.close()
-    assert round(crashes * episodes) <= most_crashes
-    if better_than_idle:
-        assert total > idle_total
+@pytest.mark.parametrize("task", ["highway", "roundabout", "intersection", "u-turn"])
+def test_careful_on_highway_env(task: str) -> None:
+    """On its physics, by the replica. At the intersection the return pays for crossing blindly."""
+    env = make_env("replica", task)
+    careful, idle = (
+        evaluate(env, make_policy(name, env), task, 1, 30, traffics=("regular",))
+        for name in ("careful", "idle")
+    )
+    assert careful["crashed"].mean() <= 0.1 < 0.3 <= idle["crashed"].mean()
+    assert task == "intersection" or careful["return"].mean() > idle["return"].mean()

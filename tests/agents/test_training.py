@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import os
 from dataclasses import replace
 from functools import partial
@@ -12,24 +11,15 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
-import torch
 
 from agents import training
 from agents.checkpoint import CheckpointError
 from agents.dqn import DQNConfig
-from agents.models import Dueling, EgoAttention
+from agents.models import EgoAttention
 from agents.training import Progress, TrainedAgent
-from tests.agents.road import Road
+from tests.agents.road import Road, Small
 
 SMALL = DQNConfig(updates=300, steps_per_update=1, batch_size=16, warm_up=30, probe_interval=90)
-
-
-class Small(Dueling):
-    def __init__(self, space: gym.spaces.Box, actions: int) -> None:
-        super().__init__(math.prod(space.shape), actions, (24, 16), (12,))
-
-    def forward(self, x: torch.Tensor) -> torch.Tensor:
-        return super().forward(x.flatten(1))
 
 
 train = partial(training.train, network=Small)
@@ -112,14 +102,8 @@ def test_an_interrupted_training_goes_on_bit_for_bit(tmp_path: Path, moments: tu
         with pytest.raises(Interrupted):
             train(Road(), SMALL, 0, checkpoint=file, checkpoint_interval=60, progress=stop)
     seen: list[int] = []
-    actual = train(
-        Road(),
-        SMALL,
-        0,
-        checkpoint=file,
-        checkpoint_interval=60,
-        progress=lambda p: seen.append(p.updates),
-    )
+    going_on = {"checkpoint": file, "checkpoint_interval": 60}
+    actual = train(Road(), SMALL, 0, **going_on, progress=lambda p: seen.append(p.updates))
     first = moments[-1] // 60 * 60 + 20
     assert seen == list(range(first, 301, 20))  # it went on, it did not begin again
     assert_equal(expected, actual)

@@ -12,18 +12,7 @@ from optuna.distributions import CategoricalDistribution, FloatDistribution
 from rich.console import Console
 
 from experiments import calibrate
-from experiments.calibrate import (
-    DRIVERS,
-    RISK,
-    SEARCHED,
-    WITHOUT_EVENTS,
-    Options,
-    dose_distance,
-    drivers_distance,
-    minimise,
-    present_risk,
-    risk_options,
-)
+from experiments.calibrate import Options
 from experiments.validation.checks import REFERENCE
 from experiments.validation.parts import Engine
 from sumo_env.tasks import TASKS
@@ -34,19 +23,18 @@ SPACE = {"x": FloatDistribution(0.0, 10.0), "on": CategoricalDistribution((False
 START = {"x": 9.0, "on": False}
 
 
-def test_traffic_that_is_the_same_has_no_distance() -> None:
-    assert drivers_distance(compared(), "u-turn") == pytest.approx(0.0)
-
-
 def test_distance_grows_with_the_difference() -> None:
-    near, far = (drivers_distance(compared(traffic_speed=speed), "u-turn") for speed in (10.3, 12.0))
+    assert calibrate.drivers_distance(compared(), "u-turn") == pytest.approx(0.0)
+    near, far = (
+        calibrate.drivers_distance(compared(traffic_speed=speed), "u-turn") for speed in (10.3, 12.0)
+    )
     assert 0.0 < near < far
 
 
 def responses(engine: str, careful: tuple[float, float, float]) -> pd.DataFrame:
     """Episodes in which the careful ego crashes at these rates at the three doses, the others always."""
     parts = []
-    for traffic, rate in zip(SEARCHED, careful, strict=True):
+    for traffic, rate in zip(calibrate.SEARCHED, careful, strict=True):
 
         def crashed(ego: str, scenario: int, rate: float = rate) -> bool:
             return scenario < 40 * rate if ego == "careful" else True
@@ -67,7 +55,7 @@ def responses(engine: str, careful: tuple[float, float, float]) -> pd.DataFrame:
 )
 def test_a_dose_does_what_it_shall(sumo, reference, good) -> None:
     table = pd.concat([responses("sumo", sumo), responses(REFERENCE, reference)])
-    assert (dose_distance(table, "u-turn") < 0.01) is good
+    assert (calibrate.dose_distance(table, "u-turn") < 0.01) is good
 
 
 def test_responses_are_by_simulator_dose_and_ego() -> None:
@@ -83,7 +71,7 @@ def objective(settings: dict) -> float:
 
 
 def test_finds_better_settings_than_those_it_starts_from(tmp_path: Path) -> None:
-    study = minimise(SPACE, objective, START, 40, tmp_path / "a.journal")
+    study = calibrate.minimise(SPACE, objective, START, 40, tmp_path / "a.journal")
     assert study.trials[0].params == START
     assert study.best_value < 1.0
     assert study.best_params["on"] is True
@@ -100,19 +88,21 @@ def test_goes_on_where_it_was_stopped(tmp_path: Path) -> None:
         return objective(settings)
 
     with pytest.raises(KeyboardInterrupt):
-        minimise(SPACE, counted, START, 12, tmp_path / "a.journal")
+        calibrate.minimise(SPACE, counted, START, 12, tmp_path / "a.journal")
     more: list[dict] = []
-    study = minimise(SPACE, lambda s: more.append(s) or objective(s), START, 12, tmp_path / "a.journal")
+    study = calibrate.minimise(
+        SPACE, lambda s: more.append(s) or objective(s), START, 12, tmp_path / "a.journal"
+    )
     assert len(more) == 12 - len(asked)
     values = [trial.value for trial in study.trials if trial.value is not None]
     assert len(values) == 12
 
 
 def test_what_is_searched_exists_for_every_task() -> None:
-    assert set(DRIVERS) == set(RISK) == set(TASKS)
+    assert set(calibrate.DRIVERS) == set(calibrate.RISK) == set(TASKS)
     for name, task in TASKS.items():
-        assert set(DRIVERS[name]) <= set(asdict(task.calibration))
-        assert set(RISK[name]) <= set(present_risk(task))
+        assert set(calibrate.DRIVERS[name]) <= set(asdict(task.calibration))
+        assert set(calibrate.RISK[name]) <= set(calibrate.present_risk(task))
 
 
 def test_ranges_of_a_tasks_own_are_searched() -> None:
@@ -122,13 +112,13 @@ def test_ranges_of_a_tasks_own_are_searched() -> None:
             for field in fields(RiskRanges)
             if getattr(task.risk_ranges, field.name) != getattr(RISK_RANGES, field.name)
         }
-        assert own <= set(RISK[name])
+        assert own <= set(calibrate.RISK[name])
 
 
 def test_the_lower_end_of_a_range_is_searched_and_its_upper_end_kept() -> None:
     task = TASKS["u-turn"]
-    assert present_risk(task)["tau"] == task.risk_ranges.tau[0]
-    assert risk_options(task, {"tau": 0.7, "cut_in": 0.3}) == {
+    assert calibrate.present_risk(task)["tau"] == task.risk_ranges.tau[0]
+    assert calibrate.risk_options(task, {"tau": 0.7, "cut_in": 0.3}) == {
         "risk_rates": {"cut_in": 0.3},
         "risk_ranges": {"tau": (0.7, task.risk_ranges.tau[1])},
     }
@@ -148,4 +138,8 @@ def test_the_present_settings_are_best_where_sumo_is_its_own_reference(
         assert found["training"]["found"] <= found["training"]["present"]
         assert set(found["found"]) == set(found["present"])
     assert result["u-turn"]["drivers"]["training"]["present"] == 0.0
-    assert set(pd.read_csv(tmp_path / "doses.csv")["engine"]) == {"sumo", WITHOUT_EVENTS, "reference"}
+    assert set(pd.read_csv(tmp_path / "doses.csv")["engine"]) == {
+        "sumo",
+        calibrate.WITHOUT_EVENTS,
+        "reference",
+    }

@@ -7,17 +7,7 @@ import pandas as pd
 import pytest
 
 from experiments.validation import checks
-from experiments.validation.checks import (
-    MARGINS,
-    REFERENCE,
-    RETURN_RANGE,
-    TRUTH,
-    check,
-    level_checks,
-    margin,
-    replica_checks,
-    scorecard,
-)
+from experiments.validation.checks import REFERENCE, check, margin, scorecard
 from experiments.validation.compare import Difference
 from sumo_env.tasks import TASKS
 from tests.experiments.validation.tables import compared, episodes
@@ -26,7 +16,7 @@ MARGIN = 1.0
 
 
 def by_metric(table: pd.DataFrame, task: str = "u-turn", traffic: str = "regular"):
-    found = level_checks(table, "sumo", task, traffic)
+    found = checks.level_checks(table, "sumo", task, traffic)
     return {(item["metric"], item["ego"]): item for item in found}
 
 
@@ -51,7 +41,7 @@ def test_no_verdict_without_margin_or_with_too_few_scenarios() -> None:
 
 
 def test_margins_are_those_of_the_design() -> None:
-    assert set(RETURN_RANGE) == set(TASKS)
+    assert set(checks.RETURN_RANGE) == set(TASKS)
     expected = {
         "traffic_speed": 0.1,
         "headway": 0.3,
@@ -60,7 +50,7 @@ def test_margins_are_those_of_the_design() -> None:
         "crashed_ego": 0.15,
         "order": 0.0,
     }
-    regular = {metric: margin(metric, "highway", "regular", 2.0) for metric in MARGINS}
+    regular = {metric: margin(metric, "highway", "regular", 2.0) for metric in checks.MARGINS}
     assert regular == pytest.approx({**expected, "lane_changes": 0.5})  # return: of the range of 20
     assert {metric: margin(metric, "highway", "risky", 2.0) for metric in expected} == pytest.approx(expected)
     assert (
@@ -72,7 +62,7 @@ def test_margins_are_those_of_the_design() -> None:
 def test_a_simulator_that_does_the_same_is_equivalent_everywhere() -> None:
     found = [item for item in by_metric(compared()).values() if item["verdict"]]
     assert {item["verdict"] for item in found if item["metric"] != "order"} == {"equivalent"}
-    assert {item["metric"] for item in found} == set(MARGINS) - {"lane_changes"}
+    assert {item["metric"] for item in found} == set(checks.MARGINS) - {"lane_changes"}
 
 
 def test_lane_changes_have_a_margin_on_the_regular_highway_only() -> None:
@@ -94,7 +84,9 @@ def test_a_reversed_order_of_egos_is_named() -> None:
     for engine, sign in ((REFERENCE, 1.0), ("sumo", -1.0)):
         chosen = (table["engine"] == engine) & (table["ego"] == "careful")
         table.loc[chosen, "return"] += 3.0 * sign
-    found = [item for item in level_checks(table, "sumo", "u-turn", "regular") if item["metric"] == "order"]
+    found = [
+        item for item in checks.level_checks(table, "sumo", "u-turn", "regular") if item["metric"] == "order"
+    ]
     by_return = next(item for item in found if "return" in item["name"])
     assert by_return["verdict"] == "missed"
     assert "careful" in by_return["note"]
@@ -116,14 +108,14 @@ def test_a_task_passes_if_no_check_is_missed() -> None:
 
 
 def test_recomputed_episodes_are_counted_and_the_exceptions_listed() -> None:
-    truth = episodes(TRUTH).assign(length=lambda t: t["length"].where(t["scenario"] != 7, 9))
-    found = replica_checks(pd.concat([episodes(REFERENCE), truth[truth["ego"] == "idle"]]))
+    truth = episodes(checks.TRUTH).assign(length=lambda t: t["length"].where(t["scenario"] != 7, 9))
+    found = checks.replica_checks(pd.concat([episodes(REFERENCE), truth[truth["ego"] == "idle"]]))
     assert found is not None
     assert found["tasks"]["u-turn"]["episodes"] == 40
     assert found["tasks"]["u-turn"]["differing"] == 1
     assert found["tasks"]["u-turn"]["verdict"] == "missed"  # 1 in 40 is more than 1 %
     assert found["tasks"]["u-turn"]["exceptions"][0]["scenario"] == 7
-    assert replica_checks(episodes(REFERENCE)) is None
+    assert checks.replica_checks(episodes(REFERENCE)) is None
 
 
 def test_with_few_scenarios_there_is_no_verdict() -> None:

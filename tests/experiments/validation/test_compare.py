@@ -13,26 +13,16 @@ from experiments.validation.episodes import BIN, BINS, HEADWAYS
 
 
 def row(engine: str, scenario: int, ego: str = "idle", drawn: int = 1, **values: Any) -> dict[str, Any]:
-    return {
-        "engine": engine,
-        "task": "highway",
-        "level": 1,
-        "traffic": "regular",
-        "ego": ego,
-        "scenario": scenario,
-        "drawn": drawn,
-        **values,
-    }
+    place = {"task": "highway", "level": 1, "traffic": "regular", "ego": ego, "scenario": scenario}
+    return {"engine": engine, **place, "drawn": drawn, **values}
 
 
 def both(values: dict[str, list[tuple[float, float]]], measure: str = "return") -> pd.DataFrame:
     rows = []
     for ego, cases in values.items():
         for scenario, (first, second) in enumerate(cases):
-            rows += [
-                row("a", scenario, ego, **{measure: first}),
-                row("b", scenario, ego, **{measure: second}),
-            ]
+            for engine, value in (("a", first), ("b", second)):
+                rows.append(row(engine, scenario, ego, **{measure: value}))
     return compare.pairs(pd.DataFrame(rows), "a", "b")
 
 

@@ -16,20 +16,13 @@ from experiments.validation.parts import Engine, Part
 from sumo_env.tasks import TASKS
 from tests.experiments.validation.tables import compared
 
-MARKS = {"u-turn": "abc"}
+KNOWN = {"u-turn": "abc"}
 
 
 def full_record(table):
     tasks = scorecard(table, "sumo", {"u-turn": ["3", "6", "9", "12"]})
-    return {
-        "schema": verdict.SCHEMA,
-        "backend": "sumo",
-        "scenarios": 40,
-        "command": "validate",
-        "fingerprints": MARKS,
-        "versions": verdict.versions(),
-        "tasks": tasks,
-    }
+    about = {"schema": verdict.SCHEMA, "backend": "sumo", "scenarios": 40, "command": "validate"}
+    return {**about, "fingerprints": KNOWN, "versions": verdict.versions(), "tasks": tasks}
 
 
 @pytest.fixture
@@ -43,29 +36,21 @@ def stored(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_a_stored_verdict_holds_for_the_same_dynamics(stored: Path) -> None:
-    known = status.stored_verdict(MARKS)
+    known = status.stored_verdict(KNOWN)
     assert known is not None
     assert known["tasks"]["u-turn"]["passed"] is False
     assert "crash rate" in {item["name"] for item in known["tasks"]["u-turn"]["missed"]}
 
 
-@pytest.mark.parametrize("marks", [{"u-turn": "other"}, {**MARKS, "highway": "abc"}])
-def test_it_does_not_hold_for_others(stored: Path, marks: dict[str, str]) -> None:
-    assert status.stored_verdict(marks) is None
+@pytest.mark.parametrize("others", [{"u-turn": "other"}, {**KNOWN, "highway": "abc"}])
+def test_it_does_not_hold_for_others(stored: Path, others: dict[str, str]) -> None:
+    assert status.stored_verdict(others) is None
 
 
 def test_it_does_not_hold_for_another_version_of_sumo(stored: Path) -> None:
     record = json.loads(stored.read_text())
     stored.write_text(json.dumps({**record, "versions": {"libsumo": "0.0"}}))
-    assert status.stored_verdict(MARKS) is None
-
-
-def test_a_full_validation_can_be_read_as_a_verdict(tmp_path: Path) -> None:
-    (tmp_path / "validation.json").write_text(json.dumps(full_record(compared())))
-    known = verdict.read(tmp_path / "validation.json")
-    assert known is not None
-    assert known["tasks"]["u-turn"]["passed"] is True
-    assert known["tasks"]["u-turn"]["counts"]["missed"] == 0
+    assert status.stored_verdict(KNOWN) is None
 
 
 def test_fingerprints_change_with_the_dynamics(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -78,11 +63,12 @@ def test_fingerprints_change_with_the_dynamics(monkeypatch: pytest.MonkeyPatch) 
 
 
 def test_a_validation_beside_the_results_is_used(tmp_path: Path) -> None:
-    marks = {"u-turn": fingerprint("sumo", "u-turn")}
-    (tmp_path / "validation.json").write_text(json.dumps({**full_record(compared()), "fingerprints": marks}))
+    now = {"u-turn": fingerprint("sumo", "u-turn")}
+    (tmp_path / "validation.json").write_text(json.dumps({**full_record(compared()), "fingerprints": now}))
     known = status.before_training("sumo", ["u-turn"], tmp_path)
     assert known is not None
     assert known["source"].startswith("40 scenarios")
+    assert known["tasks"]["u-turn"]["passed"] is True and known["tasks"]["u-turn"]["counts"]["missed"] == 0
     assert not (tmp_path / "verdict.json").exists()
 
 

@@ -40,7 +40,7 @@ from rich.progress import Progress
 
 from experiments.backends import make_env
 from experiments.reporting.showcase import ending
-from experiments.study import grid, store
+from experiments.study import grid
 from experiments.study.arms import TRAFFICS
 from experiments.study.avoid import HORIZON, SAFE, Moment, Rewound, Search
 from experiments.study.avoidable import judge_all, sample, shares
@@ -48,6 +48,7 @@ from experiments.study.cell import MakeEnv
 from experiments.study.packed import MANIFEST
 from experiments.study.rerun import changed_versions, differences, play_again
 from experiments.study.results import load
+from experiments.study.store import EPISODES, Store
 from experiments.support.errors import UserError, disk_error, run_command
 from experiments.support.films import Film, Pictures, save_gif, side_by_side
 
@@ -93,7 +94,7 @@ class Case:
     @property
     def table(self) -> pd.DataFrame:
         """The stored test of its cell."""
-        return store.tables_of(self.path.parents[1], self.path.name)[store.EPISODES]
+        return Store(self.path.parents[1]).tables(self.path.name)[EPISODES]
 
 
 def parse_case(text: str) -> Case:
@@ -109,7 +110,7 @@ def parse_case(text: str) -> Case:
     if match["traffic"] and match["traffic"] not in TRAFFICS:
         raise grid.unknown("traffic", match["traffic"], TRAFFICS)
     home = path.parents[1] if len(path.parents) > 1 else Path()
-    names = store.finished(home) if path.parent.name == "cells" else []
+    names = Store(home).finished() if path.parent.name == "cells" else []
     if not names:
         raise UserError(f"there is no cell {path}")
     case = Case(
@@ -159,7 +160,7 @@ def replay(options: Options, make_env: MakeEnv = make_env) -> int:
     if options.avoid and is_results(Path(options.case)):
         return _avoid_all(options, make_env)
     case = parse_case(options.case)
-    record, table = store.read_stored(case.path.parents[1], case.path.name), case.table
+    record, table = Store(case.path.parents[1]).record(case.path.name), case.table
     key = record["key"]
     rows = table[(table["traffic"] == case.traffic) & (table["scenario"] == case.scenario)]
     if rows.empty:

@@ -151,7 +151,7 @@ def print_report(directory: Path, *others: Path) -> None:
 
 def pack_cells(directory: Path) -> None:
     """Pack the finished settings of a directory and say what was done."""
-    names, unfinished = store.pack(directory)
+    names, unfinished = store.Store(directory).pack()
     print(f"{len(names)} cells packed into the tables of {directory}, and read back equal")
     for setting, missing in unfinished.items():
         print(f"{setting} is not packed: {missing} of its cells are missing")

@@ -40,7 +40,7 @@ from experiments.study.grid import Cell
 from experiments.study.presets import cells_of, complete
 from experiments.study.progress import Progress
 from experiments.study.run import LOG, compute_here, run
-from experiments.study.store import Store, finished, weights_file
+from experiments.study.store import Store
 from experiments.support.errors import UserError, disk_error, run_command, unknown
 from experiments.validation.status import before_training
 
@@ -144,7 +144,7 @@ def compute(
         for kinds in (("agent", "baseline"), ("test",)):  # agents are tested elsewhere once all are trained
             batch = [task for name, task in tasks.items() if name not in there and task.cell.kind in kinds]
             if kinds == ("test",):
-                batch = [task for task in batch if weights_file(store.directory, task.cell.parent.name)]
+                batch = [task for task in batch if store.weights(task.cell.parent.name)]
             if batch:
                 executor, progress.workers = open_executor(
                     options.executor, options.workers, store.directory, per_process
@@ -188,7 +188,7 @@ def conclude(options: Options, tasks: Mapping[str, CellTask], failures: Mapping[
 
 def describe(options: Options, cells: Sequence[Cell], rates: Rates, workers: int) -> None:
     """Print what would be computed and how long it would take."""
-    there = set(finished(options.directory))
+    there = set(Store(options.directory).finished())
     print(f"preset {options.preset}: {complete(options).about}")
     print(f"results go to {options.directory}")
     layout = "{:<14}{:>8}{:>8}{:>9}{:>11}{:>10}{:>13}"

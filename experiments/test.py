@@ -25,9 +25,10 @@ import pandas as pd
 import tyro
 
 from experiments.backends import make_env
-from experiments.study import grid, store
+from experiments.study import grid
 from experiments.study.arms import TRAFFICS
 from experiments.study.cell import CellTask
+from experiments.study.store import EPISODES, Store
 from experiments.support.errors import UserError, run_command
 
 Z = 1.96  # normal quantile of a 95 % interval
@@ -63,8 +64,8 @@ def test(options: Options) -> int:
         UserError: there is no agent.
     """
     directory = options.directory
-    records = {name: store.read_stored(directory, name) for name in store.finished(directory)}
-    agents = {name: r["key"] for name, r in records.items() if r["key"]["kind"] == "agent"}
+    keys = {name: record["key"] for name, record in Store(directory).records().items()}
+    agents = {name: key for name, key in keys.items() if key["kind"] == "agent"}
     if not agents:
         raise UserError(
             f"there is no trained agent in {directory}: python experiments/train.py --out {directory}"
@@ -90,7 +91,7 @@ def missing(directory: Path, agents: Mapping[str, Mapping[str, Any]]) -> list[Ce
         profile = {"preset": agent.profile["preset"]}
         rule = replace(agent, kind="baseline", arm=None, seed=None, profile=profile, trained_with=None)
         wanted |= {cell.name: cell for policy in grid.BASELINES for cell in [replace(rule, policy=policy)]}
-    there = set(store.finished(directory))
+    there = set(Store(directory).finished())
     return [CellTask(cell, directory, make_env) for name, cell in wanted.items() if name not in there]
 
 
@@ -99,23 +100,23 @@ Rows = list[tuple[str, pd.DataFrame]]  # name of an agent or policy, and its tes
 
 def groups_of(directory: Path, setting: str) -> dict[str, Rows]:
     """What is compared in a setting, in the scenarios that all have driven."""
-    agents: Rows = []
-    published: Rows = []
-    others: Rows = []
-    for name in store.finished(directory):
-        key = store.read_stored(directory, name)["key"]
-        if grid.setting(key) == setting and key["kind"] in ("agent", "baseline"):
-            (agents if key["kind"] == "agent" else others).append(row_of(directory, name))
-            traffic = [key["dynamics"], key["env_config"]]
-    for name in store.finished(PUBLISHED):
-        key = store.read_stored(PUBLISHED, name)["key"]
-        same = grid.setting(key) == setting and [key["dynamics"], key["env_config"]] == traffic
-        if same and key["kind"] == "agent" and store.weights_file(PUBLISHED, name):
-            published.append(row_of(PUBLISHED, name))
+    here, published = Store(directory), Store(PUBLISHED)
+    keys = {name: record["key"] for name, record in here.records().items()}
+    keys = {name: key for name, key in keys.items() if grid.setting(key) == setting}
+    traffics = [[key["dynamics"], key["env_config"]] for key in keys.values()]
+    theirs = {name: record["key"] for name, record in published.records().items()}
     groups = {
-        "agents in this directory": agents,
-        "agents of results/standard": published,
-        "policies that do not learn": others,
+        "agents in this directory": [row_of(here, name) for name in keys if keys[name]["kind"] == "agent"],
+        "agents of results/standard": [
+            row_of(published, name)
+            for name, key in theirs.items()
+            if (key["kind"], grid.setting(key)) == ("agent", setting)
+            and [key["dynamics"], key["env_config"]] in traffics
+            and published.weights(name)
+        ],
+        "policies that do not learn": [
+            row_of(here, name) for name in keys if keys[name]["kind"] == "baseline"
+        ],
     }
     common = set.intersection(*(set(table["scenario"]) for rows in groups.values() for _, table in rows))
     return {
@@ -126,11 +127,11 @@ def groups_of(directory: Path, setting: str) -> dict[str, Rows]:
     }
 
 
-def row_of(directory: Path, name: str) -> tuple[str, pd.DataFrame]:
+def row_of(store: Store, name: str) -> tuple[str, pd.DataFrame]:
     """The name of a cell within its setting, and its test episodes."""
-    key = store.read_stored(directory, name)["key"]
+    key = store.record(name)["key"]
     label = grid.slug(key).removeprefix(f"{grid.setting(key)}-")
-    return label, store.tables_of(directory, name)[store.EPISODES]
+    return label, store.tables(name)[EPISODES]
 
 
 def table_of(setting: str, groups: Mapping[str, Rows]) -> str:

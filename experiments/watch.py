@@ -19,10 +19,10 @@ import pandas as pd
 import tyro
 
 from experiments.backends import make_env
-from experiments.study import store
 from experiments.study.arms import TRAFFICS
 from experiments.study.cell import MakeEnv
 from experiments.study.rerun import play_again
+from experiments.study.store import EPISODES, Store
 from experiments.support.errors import UserError, run_command
 from experiments.support.films import Film, save_gif, side_by_side
 
@@ -49,8 +49,8 @@ def chosen(directory: Path, part: str) -> str:
     Raises:
         UserError: there is none.
     """
-    records = {name: store.read_stored(directory, name) for name in store.finished(directory)}
-    agents = {name: record for name, record in records.items() if record["key"]["kind"] == "agent"}
+    store = Store(directory)
+    agents = {name: found for name, found in store.records().items() if found["key"]["kind"] == "agent"}
     if not agents:
         raise UserError(
             f"there is no trained agent in {directory}: python experiments/train.py --out {directory}"
@@ -59,15 +59,16 @@ def chosen(directory: Path, part: str) -> str:
     if not fitting:
         names = ", ".join(sorted(agents)[:5])
         raise UserError(f"no agent in {directory} has {part!r} in its name; there are: {names}")
-    fitting = [name for name in fitting if store.weights_file(directory, name)] or fitting
+    fitting = [name for name in fitting if store.weights(name)] or fitting
     return max(fitting, key=lambda name: str(agents[name]["timing"]["finished"]))
 
 
 def watch(options: Options, make_env: MakeEnv = make_env) -> int:
     """Do what the options ask for; returns the exit status."""
     name = chosen(options.directory, options.agent)
-    record = store.read_stored(options.directory, name)
-    key, table = record["key"], store.tables_of(options.directory, name)[store.EPISODES]
+    store = Store(options.directory)
+    record, table = store.record(name), store.tables(name)[EPISODES]
+    key = record["key"]
     scenario = options.scenario
     if scenario is None:
         crashes = table[(table["traffic"] == "risky") & table["crashed"]]["scenario"]

@@ -25,7 +25,7 @@ from experiments.reporting.words import BACKENDS, FILTERS
 from experiments.study.arms import ARMS, DOSE_ARMS, TRAFFICS
 from experiments.study.estimate import duration
 from experiments.study.results import Results
-from experiments.study.store import read_sweeps
+from experiments.study.store import Store
 from experiments.study.verdict import of_results
 from experiments.support.files import canonical_json
 from sumo_env.tasks import TASKS
@@ -54,7 +54,7 @@ def page(
         "beside": tables.side_by_side([("here", analysis), *others]),
         "card": card(results, analysis),
         "cells": tables.cells(results, analysis),
-        "commands": [sweep["command"] for sweep in read_sweeps(results.directory)],
+        "commands": [sweep["command"] for sweep in Store(results.directory).sweeps()],
         "gate_texts": GATES,
         "seconds": duration(analysis.provenance["seconds"]),
         **{

@@ -1,8 +1,9 @@
-"""The experiment itself, from the grid to stored cells.
+"""The experiment itself, from its description to stored cells.
 
 arms         the traffic that agents are trained and tested in
-grid         the cells, their names, and what the names are made of
-presets      named sizes
+experiment   what an experiment consists of, and its cells
+presets      named experiments, which options change
+grid         a cell, its name, and what the name is made of
 fingerprint  what a simulator does, as eight digits
 seeds        which scenarios are met
 wrappers     what a task's training changes about its environment
@@ -12,7 +13,7 @@ evaluate     a policy on the test scenarios
 cell         what is computed for a cell: train, test, store
 run          hands tasks to an executor, tries again what dies; what a process does with a task
 executors/   processes of this machine, Ray, Slurm
-store        finished cells on disk: one folder each, or packed
+store        the directory of results: finished cells, one folder each or packed
 packed       finished cells in a few tables
 results      all of them as frames
 rerun        a stored episode again

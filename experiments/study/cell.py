@@ -27,7 +27,6 @@ from experiments.study.store import (
     WEIGHTS,
     DamagedCell,
     Store,
-    weights_file,
 )
 from experiments.study.wrappers import observed
 from experiments.support.errors import UserError
@@ -69,11 +68,14 @@ class CellTask:
         """Whether it is stored; damaged results are named and put aside."""
         store = Store(self.directory)
         try:
-            return store.is_finished(self.cell)
+            store.record(self.name)
+        except KeyError:
+            return False
         except DamagedCell as error:
             aside = store.put_aside(store.cells / self.name)
             print(f"{error.file} is damaged ({error.reason}): put aside in {aside}, to be computed again")
             return False
+        return True
 
     def compute(self, beat: Beat) -> str:
         """Train, test and store it; returns a remark for the user, or nothing."""
@@ -165,7 +167,7 @@ def _driver(
         return observed(env, cell.profile), trained.policy
     if cell.test_on is None:
         return env, untrained_policy(cell.key(), cell.source, env)
-    weights = weights_file(store.directory, cell.parent.name)
+    weights = store.weights(cell.parent.name)
     if weights is None:
         raise UserError(
             f"the weights of {cell.parent.name} are not here: train it first, by the same command without --cell"

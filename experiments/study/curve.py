@@ -9,7 +9,7 @@ from typing import Any
 import gymnasium as gym
 
 from experiments.study.grid import Cell
-from experiments.study.store import TRAINING, tables_of
+from experiments.study.store import TRAINING, Store
 
 LINES = 20  # of a whole training in the terminal
 BLOCKS = "▁▂▃▄▅▆▇█"
@@ -83,7 +83,7 @@ def draw(directory: Path, cell: Cell) -> Path:
     matplotlib.use("agg")
     from matplotlib import pyplot as plt
 
-    episodes = tables_of(directory, cell.name)[TRAINING]
+    episodes = Store(directory).tables(cell.name)[TRAINING]
     smooth = episodes[["return", "crashed"]].astype(float).rolling(SMOOTH, min_periods=1).mean()
     figure, panels = plt.subplots(1, 2, figsize=(9, 3.2), layout="constrained")
     for panel, column, label in zip(

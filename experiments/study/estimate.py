@@ -9,7 +9,7 @@ from statistics import median
 from typing import Any
 
 from experiments.study.grid import Cell
-from experiments.study.store import DamagedCell, finished, read_stored
+from experiments.study.store import DamagedCell, Store
 from experiments.support.provenance import cpu
 
 # Processor seconds of a common server for (a training step, a test episode) in the lightest traffic;
@@ -79,10 +79,10 @@ class Rates:
 
 def rates_of(directory: Path) -> Rates:
     """The rates measured on this kind of processor in a result directory, which need not exist."""
-    rates = Rates()
-    for name in finished(directory):
+    rates, store = Rates(), Store(directory)
+    for name in store.finished():
         with suppress(DamagedCell):
-            rates.learn(read_stored(directory, name))
+            rates.learn(store.record(name))
     return rates
 
 

@@ -1,4 +1,4 @@
-"""The cells of experiments as data, their names, and what their names are made of.
+"""The cell of an experiment as data, its name, and what the name is made of.
 
 A cell is named by what it computes: a readable slug and a hash of its complete key, the fingerprint of the simulator's
 behaviour included, and of the versions that can change a result. Results of other dynamics therefore never mix, and

@@ -18,7 +18,7 @@ from rich.progress import Progress as Bars
 from experiments.study.estimate import Rates, duration
 from experiments.study.grid import Cell
 from experiments.study.run import RETRIES, Observer, Sign, Task
-from experiments.study.store import Store, read_stored
+from experiments.study.store import Store
 
 SHOW_EVERY = 2.0  # [s] between looks at all cells
 LINE_EVERY, LOG_EVERY = 15.0, 300.0  # [s] between lines where nobody watches, and in the log
@@ -60,7 +60,7 @@ class Progress(Observer):
             self._log(f"{task.name} started")
         elif state == "finished":
             with suppress(Exception):  # one that is damaged by now is found by whoever reads it
-                self._rates.learn(read_stored(self._store.directory, task.name))
+                self._rates.learn(self._store.record(task.name))
             self._done_here += self._rates.seconds(self._cells[task.name])
             self._log(f"{task.name} finished")
         elif state == "failed":

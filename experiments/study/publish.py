@@ -18,10 +18,10 @@ import tyro
 from agents import pretrained
 from agents.greedy import Greedy
 from experiments.backends import make_env
-from experiments.study import store
 from experiments.study.arms import TRAFFICS
 from experiments.study.evaluate import evaluate
 from experiments.study.policies import load_agent
+from experiments.study.store import EPISODES, Store
 from sumo_env.tasks import TASKS
 
 if TYPE_CHECKING:
@@ -56,7 +56,8 @@ def halved(policy: Greedy) -> Greedy:
 
 def published(directory: Path, name: str, command: str) -> tuple[dict[str, Any], Greedy] | None:
     """Card and policy of a stored agent; None if it observes more than its environment shows."""
-    record, weights = store.read_stored(directory, name), store.weights_file(directory, name)
+    store = Store(directory)
+    record, weights = store.record(name), store.weights(name)
     assert weights is not None
     key = record["key"]
     env = make_env(key["backend"], key["task"], key["env_config"])
@@ -83,7 +84,7 @@ def published(directory: Path, name: str, command: str) -> tuple[dict[str, Any],
         "observations": list(space.shape),
         "actions": int(actions.n),
         "precision": "float16" if np.array_equal(*returns) else "float32",
-        **driving(store.tables_of(directory, name)[store.EPISODES]),
+        **driving(store.tables(name)[EPISODES]),
     }
     return about, policy
 
@@ -100,11 +101,12 @@ def main(directory: Annotated[Path, tyro.conf.Positional], out: Path = pretraine
         for label, about in pretrained.cards(out).items():
             setting, arm = label.split("/")
             agents[label] = about, pretrained.load(setting, arm, out)
-    commands = {name: sweep["command"] for sweep in store.read_sweeps(directory) for name in sweep["cells"]}
+    store = Store(directory)
+    commands = {name: sweep["command"] for sweep in store.sweeps() for name in sweep["cells"]}
     first: dict[str, tuple[int, str]] = {}
-    for name in store.finished(directory):
-        key = store.read_stored(directory, name)["key"]
-        if key["kind"] == "agent" and key["backend"] == "sumo" and store.weights_file(directory, name):
+    for name, record in store.records().items():
+        key = record["key"]
+        if key["kind"] == "agent" and key["backend"] == "sumo" and store.weights(name):
             label = f"{key['task']}-{key['level_name']}/{key['arm']}"
             first[label] = min(first.get(label, (key["seed"], name)), (key["seed"], name))
     for label, (_, name) in sorted(first.items()):

@@ -10,10 +10,11 @@ from typing import Any
 import gymnasium as gym
 
 from agents.policies import Policy
-from experiments.study import grid, store
+from experiments.study import grid
 from experiments.study.evaluate import play
 from experiments.study.fingerprint import dynamics
 from experiments.study.policies import load_agent, untrained_policy
+from experiments.study.store import Store
 from experiments.support.errors import UserError
 
 IDLE = 1  # of the actions
@@ -52,7 +53,7 @@ def stored_policy(
     if key["kind"] == "test":
         raise UserError(f"{path.name} is a further test of an agent: replay the agent's own cell")
     if key["kind"] == "agent":
-        weights = store.weights_file(path.parents[1], path.name)
+        weights = Store(path.parents[1]).weights(path.name)
         if weights is None:
             raise UserError(
                 f"the weights of {path.name} are not here: train it again with the command in sweep.json, "

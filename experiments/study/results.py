@@ -14,13 +14,7 @@ from experiments.study.store import (
     MARKS,
     TRAINING,
     DamagedCell,
-    check_results,
-    finished,
-    read_failures,
-    read_stored,
-    read_sweeps,
-    tables_of,
-    weights_file,
+    Store,
 )
 from experiments.support.errors import UserError
 
@@ -44,7 +38,7 @@ class Results:
         mean_speed, epsilon.
     marks: the same with MARK_COLUMNS, of the policies that agents had at the parts `grid.MARKS` of their budget (1, 2).
     cells: cell.json of each cell by name. failed: name and reason of the cells that were given up.
-    expected: names of all cells that sweeps have asked for, finished or not (`read_sweeps`).
+    expected: names of all cells that sweeps have asked for, finished or not (`Store.sweeps`).
     damaged: name and reason of the cells that cannot be read, if they were to be passed over.
     """
 
@@ -61,7 +55,7 @@ class Results:
 
     def weights(self, cell: str) -> Path | None:
         """The file of an agent's weights; None if they are not here."""
-        return weights_file(self.directory, cell)
+        return Store(self.directory).weights(cell)
 
 
 def load(directory: Path, skip_damaged: bool = False) -> Results:
@@ -76,14 +70,14 @@ def load(directory: Path, skip_damaged: bool = False) -> Results:
     """
     import pandas as pd
 
-    directory = Path(directory)
-    check_results(directory)
+    store = Store(Path(directory))
+    store.check()
     cells: dict[str, dict[str, Any]] = {}
     tables: dict[str, dict[str, pd.DataFrame]] = {}
     damaged: dict[str, str] = {}
-    for name in finished(directory):
+    for name in store.finished():
         try:
-            cells[name], tables[name] = read_stored(directory, name), tables_of(directory, name)
+            cells[name], tables[name] = store.record(name), store.tables(name)
         except DamagedCell as error:
             if not skip_damaged:
                 raise
@@ -99,15 +93,15 @@ def load(directory: Path, skip_damaged: bool = False) -> Results:
         for file in (EPISODES, GATES, TRAINING, MARKS)
     )
     return Results(
-        directory=directory,
+        directory=store.directory,
         agents=agents,
         episodes=episodes,
         gate_episodes=gates,
         training=training,
         marks=marks,
         cells=cells,
-        failed=read_failures(directory),
-        expected=tuple(name for sweep in read_sweeps(directory) for name in sweep["cells"]),
+        failed=store.failures(),
+        expected=tuple(name for sweep in store.sweeps() for name in sweep["cells"]),
         damaged=damaged,
     )
 

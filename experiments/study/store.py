@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from experiments.study.grid import RESULT_SCHEMA, Cell, cell_name, setting
-from experiments.study.packed import MANIFEST, add, as_parquet, read_packed
+from experiments.study.packed import MANIFEST, Packed, add, as_parquet, read_packed
 from experiments.support.errors import UserError
 from experiments.support.files import alone, publish, sha256_bytes, sha256_file, write_file, write_json
 
@@ -53,30 +53,56 @@ class DamagedCell(UserError):
 
 
 class Store:
-    """The result directory of an experiment, to be written.
+    """The result directory of an experiment, which need not exist to be asked what it holds.
 
-    Raises:
-        OSError: it cannot be made or written.
+    A finished cell has a folder of its own, or is packed with others; here the two are read alike.
     """
 
     def __init__(self, directory: Path) -> None:
         self.directory = directory
         self.cells = directory / "cells"
         self.work = directory / "work"
-        for path in (self.cells, self.work):
-            path.mkdir(parents=True, exist_ok=True)
 
-    def is_finished(self, cell: Cell) -> bool:
-        """Whether the cell is stored, after checking that it is undamaged.
+    def check(self) -> None:
+        """Raise UserError if this is no directory of results."""
+        if not self.cells.is_dir() and not (self.directory / MANIFEST).exists():
+            raise UserError(
+                f"{self.directory} holds no results (neither {self.cells} nor {MANIFEST}): "
+                "name the --out directory of a sweep"
+            )
 
-        Raises:
-            DamagedCell: a file is missing, unreadable or changed.
-        """
-        path = self.cells / cell.name
-        if path.is_dir():
-            read_cell(path)
-            return True
-        return cell.name in read_packed(self.directory).records
+    @property
+    def _packed(self) -> Packed:
+        return read_packed(self.directory)
+
+    def finished(self) -> list[str]:
+        """Names of all finished cells in alphabetical order."""
+        folders = self.cells.iterdir() if self.cells.is_dir() else ()
+        return sorted({*(path.name for path in folders if path.is_dir()), *self._packed.records})
+
+    def record(self, name: str) -> dict[str, Any]:
+        """cell.json of a finished cell, after checking all its files. Raises DamagedCell, or KeyError without one."""
+        path = self.cells / name
+        return read_cell(path) if path.is_dir() else self._packed.records[name]
+
+    def records(self) -> dict[str, dict[str, Any]]:
+        """cell.json of all finished cells by name. Raises DamagedCell."""
+        return {name: self.record(name) for name in self.finished()}
+
+    def tables(self, name: str) -> dict[str, pd.DataFrame]:
+        """The tables of a finished cell that are here, by the names of their files. Raises DamagedCell."""
+        import pandas as pd
+
+        path = self.cells / name
+        if not path.is_dir():
+            return self._packed.tables(name)
+        files = read_cell(path)["files"]
+        return {file: pd.read_parquet(path / file) for file in TABLES if file in files}
+
+    def weights(self, name: str) -> Path | None:
+        """The file of an agent's weights; None if it is not here."""
+        own, packed = self.cells / name / WEIGHTS, self._packed.weights(name)
+        return own if own.exists() else packed if packed.exists() else None
 
     def write(self, cell: Cell, record: Mapping[str, Any], files: Mapping[str, Any]) -> None:
         """Store a finished cell in one step.
@@ -105,7 +131,26 @@ class Store:
             "files": {name: sha256_file(staged / name) for name in sorted(files)},
         }
         write_file(staged / CELL, seal(value))
+        self.cells.mkdir(exist_ok=True)
         publish(staged, self.cells / cell.name)
+
+    def sweeps(self) -> list[dict[str, Any]]:
+        """The sweeps that have asked for cells, with `command` and the names of the `cells`, oldest first.
+
+        Raises:
+            UserError: the note cannot be read.
+        """
+        path = self.directory / SWEEPS
+        try:
+            sweeps = json.loads(path.read_text())["sweeps"]
+            return [{"command": sweep["command"], "cells": list(sweep["cells"])} for sweep in sweeps]
+        except FileNotFoundError:
+            return []
+        except (ValueError, KeyError, TypeError) as error:
+            reason = str(error).partition("\n")[0]
+            raise UserError(
+                f"{path} is damaged ({reason}): delete this file and run the sweep again"
+            ) from None
 
     def write_sweep(self, command: str, cells: Sequence[Cell]) -> None:
         """Note what a sweep asks for.
@@ -114,26 +159,39 @@ class Store:
 
         Raises:
             UserError: the note of earlier sweeps cannot be read.
+            OSError: the directory cannot be made or written.
         """
+        for path in (self.cells, self.work):
+            path.mkdir(parents=True, exist_ok=True)
         wanted = dict.fromkeys(cell.name for cell in cells)
         settings = tuple({f"{cell.setting}-" for cell in cells})
         with alone(self.directory):
-            there = set(finished(self.directory))
+            there = set(self.finished())
 
             def stays(name: str) -> bool:
                 return name not in wanted and (name in there or not name.startswith(settings))
 
             before = [
                 {**sweep, "cells": [name for name in sweep["cells"] if stays(name)]}
-                for sweep in read_sweeps(self.directory)
+                for sweep in self.sweeps()
             ]
             sweeps = [sweep for sweep in before if sweep["cells"]]
             sweeps.append({"command": command, "cells": list(wanted)})
             write_json(self.directory / SWEEPS, {"sweeps": sweeps})
 
+    def failures(self) -> dict[str, str]:
+        """Name and reason of the cells that were given up and are not finished since."""
+        failures = {}
+        there = set(self.finished())
+        for path in sorted(self.work.glob(f"*/{FAILED}")):
+            if path.parent.name not in there:
+                with suppress(ValueError, KeyError, TypeError):  # cut off: the cell counts as missing
+                    failures[path.parent.name] = str(json.loads(path.read_text())["reason"])
+        return failures
+
     def write_failure(self, name: str, reason: str, command: str) -> None:
         """Note that a cell was given up, and the command that tries it alone."""
-        (self.work / name).mkdir(exist_ok=True)
+        (self.work / name).mkdir(parents=True, exist_ok=True)
         write_json(self.work / name / FAILED, {"reason": reason, "command": command})
 
     def forget(self, name: str, finished: bool) -> None:
@@ -153,6 +211,41 @@ class Store:
         with suppress(FileNotFoundError):  # another sweep was faster
             path.rename(target)
         return target
+
+    def pack(self) -> tuple[list[str], dict[str, int]]:
+        """Pack the cells of all finished settings that are not packed yet; see `packed.add`.
+
+        Returns:
+            Names of the cells that were packed now, and the number of missing cells of each setting that is not
+            finished.
+
+        Raises:
+            UserError: no result directory, or a damaged cell or table.
+        """
+        self.check()
+        with alone(self.directory):
+            there = self.records()
+            settings = {setting(record["key"]) for record in there.values()}
+            wanted = {name for sweep in self.sweeps() for name in sweep["cells"]}
+            # The longest setting with which a name begins: that of a cell may be the beginning of another's.
+            of = {
+                name: max((known for known in settings if name.startswith(f"{known}-")), key=len, default="")
+                for name in wanted - there.keys()
+            }
+            missing = dict(Counter(filter(None, of.values())))
+            packed = self._packed.records
+            new = [
+                name for name in there if name not in packed and setting(there[name]["key"]) not in missing
+            ]
+            files = {name: self.cells / name / WEIGHTS for name in new}
+            if new:
+                add(
+                    self.directory,
+                    {name: there[name] for name in new},
+                    {name: self.tables(name) for name in new},
+                    {name: path for name, path in files.items() if path.exists()},
+                )
+        return new, missing
 
 
 def seal(record: Mapping[str, Any]) -> bytes:
@@ -184,109 +277,3 @@ def read_cell(path: Path) -> dict[str, Any]:
     except OSError as error:
         raise DamagedCell(file, error.strerror or "unreadable") from None
     return record
-
-
-def cell_directories(directory: Path) -> list[Path]:
-    """The directories of the finished cells that have one, in order of their names."""
-    cells = directory / "cells"
-    return sorted(path for path in cells.iterdir() if path.is_dir()) if cells.is_dir() else []
-
-
-def finished(directory: Path) -> list[str]:
-    """Names of all finished cells, packed or not, in alphabetical order; none if there are no results."""
-    return sorted({*(path.name for path in cell_directories(directory)), *read_packed(directory).records})
-
-
-def check_results(directory: Path) -> None:
-    """Raise UserError if a directory is not one of results."""
-    if not (directory / "cells").is_dir() and not (directory / MANIFEST).exists():
-        raise UserError(
-            f"{directory} holds no results (neither {directory / 'cells'} nor {MANIFEST}): "
-            "name the --out directory of a sweep"
-        )
-
-
-def read_stored(directory: Path, name: str) -> dict[str, Any]:
-    """cell.json of a finished cell, packed or not, checked. Raises DamagedCell, or KeyError if there is none."""
-    path = directory / "cells" / name
-    return read_cell(path) if path.is_dir() else read_packed(directory).records[name]
-
-
-def tables_of(directory: Path, name: str) -> dict[str, pd.DataFrame]:
-    """The tables of a finished cell that are here, by the names of their files. Raises DamagedCell."""
-    import pandas as pd
-
-    path = directory / "cells" / name
-    if not path.is_dir():
-        return read_packed(directory).tables(name)
-    files = read_cell(path)["files"]
-    return {file: pd.read_parquet(path / file) for file in TABLES if file in files}
-
-
-def weights_file(directory: Path, name: str) -> Path | None:
-    """The file of an agent's weights, packed or not; None if they are not here."""
-    own, packed = directory / "cells" / name / WEIGHTS, read_packed(directory).weights(name)
-    return own if own.exists() else packed if packed.exists() else None
-
-
-def read_sweeps(directory: Path) -> list[dict[str, Any]]:
-    """The sweeps that have asked for cells of a directory, with `command` and the names of the `cells`, oldest first.
-
-    Raises:
-        UserError: the note cannot be read.
-    """
-    path = directory / SWEEPS
-    try:
-        sweeps = json.loads(path.read_text())["sweeps"]
-        return [{"command": sweep["command"], "cells": list(sweep["cells"])} for sweep in sweeps]
-    except FileNotFoundError:
-        return []
-    except (ValueError, KeyError, TypeError) as error:
-        reason = str(error).partition("\n")[0]
-        raise UserError(f"{path} is damaged ({reason}): delete this file and run the sweep again") from None
-
-
-def read_failures(directory: Path) -> dict[str, str]:
-    """Name and reason of the cells that were given up and are not finished since."""
-    failures = {}
-    there = set(finished(directory))
-    for path in sorted(directory.glob(f"work/*/{FAILED}")):
-        if path.parent.name not in there:
-            with suppress(
-                ValueError, KeyError, TypeError
-            ):  # a note that was cut off: the cell counts as missing
-                failures[path.parent.name] = str(json.loads(path.read_text())["reason"])
-    return failures
-
-
-def pack(directory: Path) -> tuple[list[str], dict[str, int]]:
-    """Pack the cells of all finished settings that are not packed yet; see `packed.add`.
-
-    Returns:
-        Names of the cells that were packed now, and the number of missing cells of each setting that is not finished.
-
-    Raises:
-        UserError: no result directory, or a damaged cell or table.
-    """
-    check_results(directory)
-    with alone(directory):
-        there = {name: read_stored(directory, name) for name in finished(directory)}
-        settings = {setting(record["key"]) for record in there.values()}
-        wanted = {name for sweep in read_sweeps(directory) for name in sweep["cells"]}
-        # The longest setting with which a name begins: that of a cell may be the beginning of another's.
-        of = {
-            name: max((known for known in settings if name.startswith(f"{known}-")), key=len, default="")
-            for name in wanted - there.keys()
-        }
-        missing = dict(Counter(filter(None, of.values())))
-        packed = read_packed(directory).records
-        new = [name for name in there if name not in packed and setting(there[name]["key"]) not in missing]
-        files = {name: directory / "cells" / name / WEIGHTS for name in new}
-        if new:
-            add(
-                directory,
-                {name: there[name] for name in new},
-                {name: tables_of(directory, name) for name in new},
-                {name: path for name, path in files.items() if path.exists()},
-            )
-    return new, missing

@@ -197,6 +197,7 @@ def write(
     wanted = [cell for cell in cells if cell.arm in (*arms, *further) or cell.policy in baselines]
     store = Store(directory)
     weights = directory / "weights.npz"
+    directory.mkdir(parents=True, exist_ok=True)
     weights.write_bytes(b"no weights")
     for cell in wanted:
         fault = (faults or {}).get(cell.slug)

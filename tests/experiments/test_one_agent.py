@@ -32,8 +32,8 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_agent_is_an_ordinary_cell(trained: Path) -> None:
-    [name] = store.finished(trained)
-    key = store.read_stored(trained, name)["key"]
+    [name] = store.Store(trained).finished()
+    key = store.Store(trained).record(name)["key"]
     assert (key["kind"], key["arm"], key["seed"], key["profile"]["updates"]) == ("agent", "mixed", 0, 60)
     picture = Image.open(trained / "sumo-u-turn-3-mixed-s0.png")
     assert min(picture.size) > 200
@@ -62,8 +62,8 @@ def test_other_policies_are_tested_beside_it(trained: Path, capsys) -> None:
     published = {"control-s0", "treatment-s0"}  # the agents of results/standard whose weights are kept
     assert set(rows) == {"mixed-s0", *published, "idle", "random", "faster", "slower", "idm", "careful"}
     assert "4 scenarios at each risk, the same in every row" in said
-    [slower] = [n for n in store.finished(trained) if "slower" in n]
-    table = store.tables_of(trained, slower)[store.EPISODES]
+    [slower] = [n for n in store.Store(trained).finished() if "slower" in n]
+    table = store.Store(trained).tables(slower)[store.EPISODES]
     regular = table[table["traffic"] == "regular"]
     assert f"{regular['crashed'].mean():.0%}" in rows["slower"]
     assert f"{regular['mean_speed'].mean():.2f} ±" in rows["slower"]
@@ -105,7 +105,7 @@ def test_an_agent_can_be_published_and_loaded(tmp_path: Path, monkeypatch: pytes
     publish.main(tmp_path, tmp_path / "agents.npz")
     card = agents.cards(tmp_path / "agents.npz")
     assert list(card) == ["intersection-10/control"]
-    tested = store.tables_of(tmp_path, card["intersection-10/control"]["cell"])[store.EPISODES]
+    tested = store.Store(tmp_path).tables(card["intersection-10/control"]["cell"])[store.EPISODES]
     regular = tested[tested["traffic"] == "regular"]
     value, low, high = card["intersection-10/control"]["regular"]["crash_rate"]
     assert value == pytest.approx(regular["crashed"].mean())

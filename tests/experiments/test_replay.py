@@ -34,7 +34,7 @@ def cells(tmp_path_factory):
 
 
 def episodes(cell):
-    return store.tables_of(cell.parents[1], cell.name)[store.EPISODES]
+    return store.Store(cell.parents[1]).tables(cell.name)[store.EPISODES]
 
 
 @pytest.mark.parametrize("case", ["", ":regular:2", ":risky:1"])
@@ -128,12 +128,12 @@ def test_a_case_that_does_not_exist_is_named(cells, text, message, tmp_path):
 def test_an_episode_replays_without_weights_and_weights_that_are_needed_are_told(cells, tmp_path):
     home = tmp_path / "results"
     shutil.copytree(cells[0].parents[1], home)
-    store.pack(home)
+    store.Store(home).pack()
     for folder in ("cells", "weights"):
         shutil.rmtree(home / folder)
     case = home / "cells" / cells[0].name
     assert replay(Options(str(case), out=tmp_path / "x.png"), make_env) == 0  # from its actions
-    record = store.read_stored(home, case.name)
+    record = store.Store(home).record(case.name)
     with pytest.raises(UserError, match=r"weights of .* are not here: train it again"):
         stored_policy(case, record, make_env("sumo", "highway"))
 

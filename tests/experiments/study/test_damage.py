@@ -142,7 +142,7 @@ def test_a_damaged_working_file_costs_at_most_the_cell(finished, interrupted, tm
     if not path.exists():
         path.write_text('{"reason": "none", "fraction": 0.5, "host": "here", "pid": 1}')
     harm(path, damage)
-    store.read_failures(directory)
+    store.Store(directory).failures()
     ended = attempt(task)
     assert ended.state == "done", ended
     assert files_of(directory)[task.name] == files_of(finished)[task.name]

@@ -17,7 +17,6 @@ from experiments.study.cell import CellTask
 from experiments.study.packed import CELLS, MANIFEST
 from experiments.study.results import Results, load
 from experiments.study.run import Ended, attempt
-from experiments.study.store import pack
 from experiments.support.errors import UserError
 from experiments.sweep import Options, cells_of, sweep
 from tests.experiments.fake_env import make_env
@@ -52,7 +51,7 @@ def grown(computed: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Packed cells, and those of another seed that are not packed yet."""
     directory = tmp_path_factory.mktemp("grown") / "results"
     shutil.copytree(computed, directory)
-    pack(directory)
+    store.Store(directory).pack()
     shutil.rmtree(directory / "cells")
     compute(directory, seeds=2)
     return directory
@@ -75,7 +74,7 @@ def assert_same(one: Results, other: Results) -> None:
 
 def test_packed_cells_are_read_as_they_were_and_nothing_is_deleted(results: Path) -> None:
     before, files = load(results), {path for path in results.rglob("*") if path.is_file()}
-    names, unfinished = pack(results)
+    names, unfinished = store.Store(results).pack()
     assert (names, unfinished) == (sorted(before.cells), {})
     assert files < {path for path in results.rglob("*") if path.is_file()}
     assert_same(load(results), before)
@@ -83,12 +82,12 @@ def test_packed_cells_are_read_as_they_were_and_nothing_is_deleted(results: Path
     assert_same(load(results), before)
     agents = [name for name, cell in before.cells.items() if cell["key"]["kind"] == "agent"]
     assert all(before.weights(name) is not None for name in agents)
-    assert pack(results) == ([], {})
+    assert store.Store(results).pack() == ([], {})
 
 
 def test_a_sweep_goes_on_from_packed_cells(results: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Another seed is computed, tested elsewhere with weights that are packed, and packed with the others."""
-    pack(results)
+    store.Store(results).pack()
     shutil.rmtree(results / "cells")
     before = set(load(results).cells)
     options = Options(out=results, **{**TINY, "dry_run": True, "seeds": 2})
@@ -106,7 +105,7 @@ def test_a_sweep_goes_on_from_packed_cells(results: Path, capsys: pytest.Capture
         "test",
     ]
     assert len(list((results / "cells").iterdir())) == len(new)
-    assert set(pack(results)[0]) == new
+    assert set(store.Store(results).pack()[0]) == new
     shutil.rmtree(results / "cells")
     assert_same(load(results), found)
 
@@ -114,13 +113,13 @@ def test_a_sweep_goes_on_from_packed_cells(results: Path, capsys: pytest.Capture
 def test_a_setting_that_is_not_finished_is_not_packed(results: Path) -> None:
     lost = next(results.glob("cells/*-careful-*"))
     shutil.rmtree(lost)
-    assert pack(results) == ([], {"sumo-u-turn-3": 1})
+    assert store.Store(results).pack() == ([], {"sumo-u-turn-3": 1})
     assert not (results / MANIFEST).exists()
 
 
 @pytest.mark.parametrize("file", [CELLS, store.EPISODES, store.GATES])
 def test_a_damaged_table_is_named(results: Path, file: str) -> None:
-    pack(results)
+    store.Store(results).pack()
     shutil.rmtree(results / "cells")
     content = bytearray((results / file).read_bytes())
     content[len(content) // 2] ^= 1
@@ -138,7 +137,7 @@ def test_a_damaged_table_is_named(results: Path, file: str) -> None:
     ],
 )
 def test_an_unknown_or_damaged_manifest_is_named(results: Path, manifest: str, message: str) -> None:
-    pack(results)
+    store.Store(results).pack()
     (results / MANIFEST).write_text(manifest)
     with pytest.raises(UserError, match=message):
         load(results)
@@ -161,10 +160,10 @@ def test_what_was_packed_before_survives_a_kill_while_packing(
 
     monkeypatch.setattr(packed, "write_file", killed)
     with pytest.raises(KeyboardInterrupt):
-        pack(results)
+        store.Store(results).pack()
     assert_same(load(results), before)
     monkeypatch.undo()
-    assert len(pack(results)[0]) == 2
+    assert len(store.Store(results).pack()[0]) == 2
     shutil.rmtree(results / "cells")
     assert_same(load(results), before)
 
@@ -177,14 +176,14 @@ def test_what_does_not_read_back_equal_is_not_believed(
         packed, "as_parquet", lambda table: to_parquet(table.assign(length=1) if "length" in table else table)
     )
     with pytest.raises(UserError, match="does not read back as it was: nothing was packed"):
-        pack(results)
+        store.Store(results).pack()
     assert not (results / MANIFEST).exists()
 
 
 def test_a_packed_episode_replays_from_its_actions_without_weights(
     results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    pack(results)
+    store.Store(results).pack()
     for folder in ("cells", "weights"):
         shutil.rmtree(results / folder)
     for name in load(results).cells:
@@ -206,7 +205,7 @@ def test_cells_of_earlier_versions_have_no_actions_and_pack_with_others(results:
     (old / store.CELL).write_bytes(store.seal(record))
     before = load(results)
     assert before.episodes["actions"].isna().sum() == 4
-    pack(results)
+    store.Store(results).pack()
     shutil.rmtree(results / "cells")
     assert_same(load(results), before)
 
@@ -226,6 +225,6 @@ def test_the_report_of_packed_cells_is_the_same(tmp_path: Path) -> None:
                 if "parquet" not in path.name and path.name != MANIFEST
             }
         )
-        pack(tmp_path / "results")
+        store.Store(tmp_path / "results").pack()
         shutil.rmtree(tmp_path / "results" / "cells", ignore_errors=True)
     assert written[0] == written[1]

@@ -84,8 +84,9 @@ def directory(finished, tmp_path):
 
 def test_a_stored_cell_is_finished_and_comes_back(directory, cells):
     home = store.Store(directory)
-    assert all(home.is_finished(cell) for cell in cells)
-    assert not home.is_finished(replace(cells[0], seed=77))
+    assert home.finished() == sorted(cell.name for cell in cells)
+    with pytest.raises(KeyError):
+        home.record(replace(cells[0], seed=77).name)
     record = store.read_cell(directory / "cells" / cells[0].name)
     assert record["key"] == json.loads(json.dumps(cells[0].key()))
     assert set(record["files"]) == {store.EPISODES, store.GATES, store.TRAINING, store.WEIGHTS}
@@ -138,9 +139,9 @@ def test_damage_is_told_in_one_line_that_names_file_and_remedy(directory, cells,
         path.write_bytes(content.replace(content[-30:-20], b"0123456789"))
     else:
         path.write_bytes(content[: len(content) // 2] if damage == "cut" else b"")
-    for read in (store.Store(directory).is_finished, lambda cell: load(directory)):
+    for read in (lambda: store.Store(directory).record(cells[0].name), lambda: load(directory)):
         with pytest.raises(store.DamagedCell) as error:
-            read(cells[0])
+            read()
         message = str(error.value)
         assert "\n" not in message
         assert str(path.parent) in message
@@ -164,28 +165,28 @@ def test_sweeps_add_up_but_for_what_was_never_finished_and_is_not_asked_for_agai
     home = store.Store(tmp_path)
     first, _, third, *rest = (cell for cell in cells if cell.task == "u-turn")
     highway = [cell for cell in cells if cell.task == "highway"]
-    (home.cells / first.name).mkdir()
+    (home.cells / first.name).mkdir(parents=True)
     home.write_sweep("all", cells)
     home.write_sweep("third", [third])
     home.write_sweep("rest", rest)
-    assert store.read_sweeps(tmp_path) == [
+    assert store.Store(tmp_path).sweeps() == [
         {"command": "all", "cells": [cell.name for cell in (*highway, first)]},
         {"command": "rest", "cells": [cell.name for cell in rest]},
     ]
     home.write_sweep("all again", cells)
-    assert store.read_sweeps(tmp_path) == [{"command": "all again", "cells": [cell.name for cell in cells]}]
+    assert store.Store(tmp_path).sweeps() == [{"command": "all again", "cells": [cell.name for cell in cells]}]
 
 
 def test_sweeps_that_start_at_once_lose_no_note(tmp_path, cells, monkeypatch):
-    read, both = store.read_sweeps, threading.Barrier(2)
+    read, both = store.Store.sweeps, threading.Barrier(2)
 
-    def slowly(directory):
-        found = read(directory)
+    def slowly(home):
+        found = read(home)
         with contextlib.suppress(threading.BrokenBarrierError):
             both.wait(0.5)  # for the other, which must not be here
         return found
 
-    monkeypatch.setattr(store, "read_sweeps", slowly)
+    monkeypatch.setattr(store.Store, "sweeps", slowly)
     home = store.Store(tmp_path)
     halves = [[cell for cell in cells if cell.task == task] for task in ("highway", "u-turn")]
     threads = [threading.Thread(target=home.write_sweep, args=(half[0].task, half)) for half in halves]
@@ -193,7 +194,7 @@ def test_sweeps_that_start_at_once_lose_no_note(tmp_path, cells, monkeypatch):
         thread.start()
     for thread in threads:
         thread.join()
-    assert {sweep["command"] for sweep in read(tmp_path)} == {"highway", "u-turn"}
+    assert {sweep["command"] for sweep in read(home)} == {"highway", "u-turn"}
 
 
 def test_results_know_all_cells_that_sweeps_asked_for(directory, cells):
@@ -206,7 +207,7 @@ def test_results_know_all_cells_that_sweeps_asked_for(directory, cells):
 def test_a_directory_without_results_is_told_from_an_empty_one(tmp_path):
     with pytest.raises(UserError, match="no results"):
         load(tmp_path / "nowhere")
-    store.Store(tmp_path / "new")
+    store.Store(tmp_path / "new").write_sweep("none", [])
     with pytest.raises(UserError, match="no finished cell"):
         load(tmp_path / "new")
 

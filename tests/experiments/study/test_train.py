@@ -12,7 +12,7 @@ from experiments.study.arms import ARM_PROFILES, drawn_dose
 from experiments.study.cell import CellTask
 from experiments.study.grid import Cell
 from experiments.study.seeds import training_seed
-from experiments.study.store import EPISODES, GATES, TRAINING, WEIGHTS, Store, tables_of
+from experiments.study.store import EPISODES, GATES, TRAINING, WEIGHTS, Store
 from experiments.study.train import train_cell
 from tests.experiments.fake_env import FakeEnv, make_env
 
@@ -90,7 +90,7 @@ def test_tests_keep_their_own_clock_and_doses(tmp_path: Path) -> None:
     task = CellTask(cell("mixed", training_clock=[13, 13], finite_horizon=False), tmp_path, make_env)
     assert task.cell.training_config == {"duration": 13}
     task.compute(lambda _: None)
-    stored = tables_of(tmp_path, task.name)
+    stored = Store(tmp_path).tables(task.name)
     assert stored[EPISODES]["length"].max() <= 10
     assert set(stored[EPISODES]["scenario"]) == {50, 51, 52}
     assert set(stored[GATES]["scenario"]) == {50, 51, 52}

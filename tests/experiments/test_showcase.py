@@ -25,7 +25,7 @@ from tests.experiments.fake_env import make_env
 def directory(tmp_path_factory):
     """The agents of a tiny sweep in the fake environment."""
     home = tmp_path_factory.mktemp("results")
-    options = Options(preset="quick", tasks=("highway",), levels=("1",), seeds=1, updates=100, episodes=6)
+    options = Options(preset="quick", tasks=("highway",), levels=(1,), seeds=1, updates=100, episodes=6)
     cells = cells_of(options)
     for cell in cells:
         if cell.kind == "agent" or cell.policy == "slower":

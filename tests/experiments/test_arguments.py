@@ -88,14 +88,6 @@ def test_a_repeated_option_adds_values():
     assert words_of(words) == ["--policy", "a:make", "b.zip", "c", "--seeds", "2", "--placebo"]
 
 
-@given(count=st.integers(1, 12))
-@settings(max_examples=12, deadline=None, derandomize=True)
-def test_shards_are_a_partition(count):
-    cells = cells_of(Options(preset="quick"))
-    parts = [shard(cells, f"{index}/{count}") for index in range(1, count + 1)]
-    assert sorted(cell.name for part in parts for cell in part) == sorted(cell.name for cell in cells)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "arguments", [["--seeds", "1.5"], ["--preset", "quik"], ["--out", "/proc/none/results"]], ids=" ".join

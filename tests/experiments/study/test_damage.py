@@ -109,24 +109,6 @@ def harm(path: Path, damage) -> bool:
 
 
 @PROPERTY
-@given(number=st.integers(0, 10**6), damage=damages())
-def test_a_damaged_result_is_never_analysed_and_computed_again(finished, tmp_path_factory, number, damage):
-    directory = tmp_path_factory.mktemp("copy") / "results"
-    shutil.copytree(finished, directory)
-    files = sorted(directory.glob("cells/*/*"))
-    path = files[number % len(files)]
-    if harm(path, damage):
-        with pytest.raises(store.DamagedCell) as error:
-            load(directory)
-        assert str(path) in str(error.value)
-        assert "\n" not in str(error.value)
-    [task] = [task for task in tasks_of(directory) if task.name == path.parent.name]
-    assert attempt(task) == Ended("done")
-    assert files_of(directory) == files_of(finished)
-    shutil.rmtree(directory)
-
-
-@PROPERTY
 @given(
     name=st.sampled_from(
         ["checkpoint.npz", "progress.json", "lock", "log.txt", "failed.json", "finished-x-1/cell.json"]
@@ -146,19 +128,6 @@ def test_a_damaged_working_file_costs_at_most_the_cell(finished, interrupted, tm
     ended = attempt(task)
     assert ended.state == "done", ended
     assert files_of(directory)[task.name] == files_of(finished)[task.name]
-    shutil.rmtree(directory)
-
-
-@PROPERTY
-@given(damage=damages())
-def test_a_damaged_note_of_the_sweep_is_named(finished, tmp_path_factory, damage):
-    directory = tmp_path_factory.mktemp("copy") / "results"
-    shutil.copytree(finished, directory)
-    harm(directory / "sweep.json", damage)
-    try:
-        assert files_of(directory) == files_of(finished)
-    except UserError as error:
-        assert str(directory / "sweep.json") in str(error)
     shutil.rmtree(directory)
 
 

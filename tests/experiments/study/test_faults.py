@@ -20,45 +20,20 @@ from tests.processes import children
 
 pytestmark = pytest.mark.slow  # whole sweeps in processes of their own, several times
 
-ROOT = Path(__file__).resolve().parents[3]
-# A sweep of a fake task in a process of its own.
-SWEEP = """
-import sys
-from pathlib import Path
-from types import ModuleType
-sys.path.insert(0, {root!r})
-if __name__ == "__main__":
-    module = ModuleType("experiments.report")
-    module.print_report = print
-    sys.modules["experiments.report"] = module
-    from experiments.support.errors import run_command
-    from experiments.sweep import Options, sweep
-    from tests.experiments.fake_env import make_env
-    options = Options(
-        out=Path(sys.argv[1]), preset="smoke", tasks=("u-turn",), seeds=2, updates=400, episodes=10, workers=2,
-        executor=sys.argv[2],
-    )
-    run_command(lambda: sweep(options, make_env=make_env))
-"""
+TWO_SEEDS = {"preset": "smoke", "tasks": ["u-turn"], "seeds": 2, "updates": 400, "episodes": 10, "workers": 2}
+SWEEP = [sys.executable, str(Path(__file__).with_name("fake_sweep.py"))]
+
+
+def command(directory: Path) -> list[str]:
+    return [*SWEEP, str(directory), json.dumps(TWO_SEEDS)]
 
 
 @pytest.fixture(scope="module")
-def script(tmp_path_factory) -> Path:
-    path = tmp_path_factory.mktemp("script") / "driver.py"
-    path.write_text(SWEEP.format(root=str(ROOT)))
-    return path
-
-
-def command(script: Path, directory: Path, executor: str = "local") -> list[str]:
-    return [sys.executable, str(script), str(directory), executor]
-
-
-@pytest.fixture(scope="module")
-def undisturbed(script, tmp_path_factory) -> tuple[Path, float]:
+def undisturbed(tmp_path_factory) -> tuple[Path, float]:
     """A sweep to compare with, and the time that it took [s]."""
     directory = tmp_path_factory.mktemp("reference")
     start = time.monotonic()
-    subprocess.run(command(script, directory), check=True, capture_output=True, timeout=600)
+    subprocess.run(command(directory), check=True, capture_output=True, timeout=600)
     return directory, time.monotonic() - start
 
 
@@ -83,18 +58,16 @@ set -e
 mount -t tmpfs -o size=20m none "$1"
 head -c $((20 * 1024 * 1024 - $2 * 1024)) /dev/zero > "$1/filler"
 set +e
-"$3" "$4" "$1/results" local; echo "status $?"
+"$4" "$5" "$1/results" "$6"; echo "status $?"
 rm "$1/filler"
-"$3" "$4" "$1/results" local; echo "status $?"
-cp -r "$1/results" "$5"
+"$4" "$5" "$1/results" "$6"; echo "status $?"
+cp -r "$1/results" "$3"
 """
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("headroom", [0, 40, 300, 1200], ids=lambda kib: f"{kib}KiB")
-def test_a_disk_that_fills_up_stops_the_sweep_in_one_line_and_loses_nothing(
-    script, reference, tmp_path, headroom
-):
+def test_a_disk_that_fills_up_stops_the_sweep_in_one_line_and_loses_nothing(reference, tmp_path, headroom):
     namespace = ["unshare", "--map-root-user", "--mount"]
     if (
         shutil.which("unshare") is None
@@ -103,7 +76,7 @@ def test_a_disk_that_fills_up_stops_the_sweep_in_one_line_and_loses_nothing(
         pytest.skip("no mount namespaces here")
     disk = tmp_path / "disk"
     disk.mkdir()
-    arguments = [str(disk), str(headroom), sys.executable, str(script), str(tmp_path / "copy")]
+    arguments = [str(disk), str(headroom), str(tmp_path / "copy"), *SWEEP, json.dumps(TWO_SEEDS)]
     result = subprocess.run(
         [*namespace, "sh", "-c", FULL, "sh", *arguments], capture_output=True, text=True, timeout=600
     )
@@ -122,7 +95,7 @@ def test_a_disk_that_fills_up_stops_the_sweep_in_one_line_and_loses_nothing(
 
 @pytest.mark.long
 @pytest.mark.timeout(3600)
-def test_twenty_random_kills_lose_nothing_and_change_nothing(script, undisturbed, tmp_path):
+def test_twenty_random_kills_lose_nothing_and_change_nothing(undisturbed, tmp_path):
     """kill -9 at random times of workers and of the sweep itself, which is then begun again.
 
     Every day, tests/experiments/test_sweep.py kills a worker, and a sweep twice.
@@ -141,7 +114,7 @@ def test_twenty_random_kills_lose_nothing_and_change_nothing(script, undisturbed
         again = True
         while again:
             process = subprocess.Popen(
-                command(script, directory), stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+                command(directory), stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
             )
             again = False
             while process.poll() is None and sum(kills.values()) < wanted:

@@ -106,7 +106,8 @@ def test_the_configuration_can_be_changed():
     changed = cells(config=("collision_reward=-2",))
     assert {c.env_config["collision_reward"] for c in changed} == {-2}
     assert not {c.name for c in changed} & {c.name for c in cells()}
-    assert grid.env_config("replica", "u-turn", 1, {"risk_law": "linear"})["risk_law"] == "linear"
+    changed = cells(backend="replica", config=("risk_law=linear", "duration=7"))
+    assert {(c.env_config["risk_law"], c.env_config["duration"]) for c in changed} == {("linear", 7)}
 
 
 def test_names_are_readable_unique_and_independent_of_the_rest_of_the_grid():
@@ -170,6 +171,7 @@ def test_levels_carry_the_papers_settings():
         (lambda: cells(config=("vehicle_count=3",)), "did you mean 'vehicles_count'"),
         (lambda: cells(config=("risk_law=linear",)), "of the backends replica and highway-env"),
         (lambda: cells(config=("risk=1",)), "risk cannot be set"),
+        (lambda: cells(config=("duration",)), "KEY=VALUE"),
         (lambda: experiment.shard([], "3/2"), "1 <= i <= n"),
         (lambda: experiment.shard([], "half"), "--shard"),
     ],

@@ -37,7 +37,7 @@ from experiments.study.fingerprint import check_dynamics
 from experiments.study.grid import Cell, choose_tasks, env_config
 from experiments.study.presets import complete
 from experiments.study.seeds import training_seed
-from experiments.study.store import EPISODES, Store, tables_of
+from experiments.study.store import EPISODES, Store
 from experiments.support.errors import disk_error, run_command, unknown
 from experiments.support.processes import call_all
 
@@ -160,7 +160,7 @@ def learner_of(cell: Cell) -> str:
 def table(directory: Path, tested: Iterable[Cell]) -> pd.DataFrame:
     """MEASURES as text by task, driver and traffic: means over the trainings, and their standard error."""
     episodes = pd.concat(
-        tables_of(directory, cell.name)[EPISODES].assign(
+        Store(directory).tables(cell.name)[EPISODES].assign(
             task=cell.task, learner=learner_of(cell), training=cell.name
         )
         for cell in tested

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -26,6 +27,18 @@ def is_alive(pid: int) -> bool:
         return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] not in "ZX"
     except OSError:
         return False
+
+
+def ends(pid: int | None) -> bool:
+    """Whether a process ends soon."""
+    assert pid is not None
+    wait_for(lambda: not is_alive(pid), 30.0)
+    return True
+
+
+def descriptors(pid: int | None = None) -> int:
+    """Number of open file descriptors of a process, this one by default."""
+    return len(os.listdir(f"/proc/{pid or 'self'}/fd"))
 
 
 def wait_for(condition: Callable[[], object], seconds: float = 60.0) -> None:

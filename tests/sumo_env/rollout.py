@@ -5,11 +5,24 @@ from __future__ import annotations
 import hashlib
 import json
 import sys
+from collections.abc import Iterable, Iterator
+from itertools import repeat
 from typing import Any
 
 import numpy as np
 
 from sumo_env.env import DrivingEnv
+
+
+def drive(env: Any, actions: int | Iterable[int] = 1, seed: int | None = None) -> Iterator[tuple[Any, ...]]:
+    """What `step` returns until an episode or the actions end; with a seed, the episode begins here."""
+    if seed is not None:
+        env.reset(seed=seed)
+    for action in repeat(actions) if isinstance(actions, int) else actions:
+        result = env.step(action)
+        yield result
+        if result[2] or result[3]:
+            return
 
 
 def rollout(task: str, seed: int, config: dict[str, Any] | None = None) -> np.ndarray:
@@ -22,17 +35,15 @@ def rollout(task: str, seed: int, config: dict[str, Any] | None = None) -> np.nd
 
 def record(env: DrivingEnv, seed: int) -> np.ndarray:
     """As `rollout`, in a given environment."""
-    actions = np.random.default_rng(seed + 1).integers(len(env.actions), size=100)
+    actions = np.random.default_rng(seed + 1).integers(len(env.actions), size=100).tolist()
     observation, info = env.reset(seed=seed)
-    rows, over, step = [], False, 0
-    reward: float = 0.0
-    while True:
-        rows.append([*observation.ravel(), reward, info["speed"], info["density"], min(info["min_ttc"], 1e9)])
-        if over:
-            return np.array(rows)
-        observation, reward, terminated, truncated, info = env.step(int(actions[step]))
-        over = terminated or truncated
-        step += 1
+    results = [(observation, 0.0, False, False, info), *drive(env, actions)]
+    return np.array(
+        [
+            [*seen.ravel(), reward, info["speed"], info["density"], min(info["min_ttc"], 1e9)]
+            for seen, reward, _, _, info in results
+        ]
+    )
 
 
 def digest(rows: np.ndarray) -> str:

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from sumo_env.env import DrivingEnv
-from tests.processes import children
+from tests.processes import children, descriptors
 from tests.sumo_env.rollout import digest, record
 
 ENVIRONMENTS = 3  # one in this process and two in workers
@@ -25,10 +25,6 @@ def episode(env: DrivingEnv, risk: int, seed: int) -> str:
 def resident(pid: int) -> float:
     """Resident memory of a process [MiB]."""
     return int(Path(f"/proc/{pid}/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE") / 2**20
-
-
-def descriptors() -> int:
-    return len(os.listdir("/proc/self/fd"))
 
 
 @pytest.mark.long

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -14,13 +13,10 @@ import pytest
 
 from experiments.backends import make_env
 from sumo_env.env import DrivingEnv
+from tests.sumo_env.plans import SUMO, needs_sumo
+from tests.sumo_env.rollout import drive
 
-SUMO = Path(sys.executable).with_name("sumo")  # of the eclipse-sumo wheel
-
-pytestmark = [
-    pytest.mark.slow,
-    pytest.mark.skipif(not SUMO.exists(), reason="needs eclipse-sumo: pip install '.[networks]'"),
-]
+pytestmark = [pytest.mark.slow, needs_sumo]
 
 Rows = dict[float, dict[str, dict[str, str]]]
 
@@ -35,11 +31,8 @@ CASES: dict[str, tuple[int, dict[str, Any]]] = {
 
 def driven(env: gym.Env[Any, Any], action: int) -> DrivingEnv:
     """The environment at the end of an episode."""
-    env.reset(seed=1)
-    over = False
-    while not over:
-        _, _, terminated, truncated, _ = env.step(action)
-        over = terminated or truncated
+    for _ in drive(env, action, seed=1):
+        pass
     return env.unwrapped  # type: ignore[return-value]
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -24,14 +23,11 @@ from sumo_env.tasks.base import ego_driver, make_on_lane, weighted
 from sumo_env.tasks.highway import Highway
 from sumo_env.tasks.network import NetworkTask
 from sumo_env.testing import check_task
+from tests.sumo_env.plans import QUIET, SUMO, build, endings, grid, needs_sumo
+from tests.sumo_env.rollout import drive
 from tests.sumo_env.scenarios import drivers
 
-NETGENERATE = Path(sys.executable).with_name("netgenerate")  # of the eclipse-sumo wheel
-NETCONVERT = NETGENERATE.with_name("netconvert")
-
-pytestmark = pytest.mark.skipif(
-    not NETCONVERT.exists(), reason="needs eclipse-sumo: pip install '.[networks]'"
-)
+pytestmark = needs_sumo
 
 ROUTES = [["A0A1", "A1B1", "B1C1"], ["C2C1", "C1B1", "B1A1"], ["B0B1", "B1B2"]]
 EGO = ["A0A1", "A1A2", "A2B2"]
@@ -57,34 +53,26 @@ DEMAND = """<routes>
 
 
 @pytest.fixture(scope="module")
-def grid(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def blocks(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A network of netgenerate."""
-    net = tmp_path_factory.mktemp("grid") / "grid.net.xml"
-    options = ["--grid", "--grid.number=3", "--grid.length=150", "-L=2", "--no-turnarounds"]
-    subprocess.run([NETGENERATE, *options, "-o", net], check=True, capture_output=True)
-    return net
+    options = ["--grid.number=3", "--grid.length=150", "-L=2", "--no-turnarounds"]
+    return grid(tmp_path_factory.mktemp("grid"), *options)
 
 
 @pytest.fixture(scope="module")
 def merge(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A network written by hand, and its demand beside it."""
     folder = tmp_path_factory.mktemp("merge")
-    for name, text in (("m.nod.xml", NODES), ("m.edg.xml", EDGES), ("m.rou.xml", DEMAND)):
-        (folder / name).write_text(text)
-    net = folder / "merge.net.xml"
-    plain = ["-n", folder / "m.nod.xml", "-e", folder / "m.edg.xml"]
-    subprocess.run([NETCONVERT, *plain, "-o", net], check=True, capture_output=True)
-    return net
+    (folder / "m.rou.xml").write_text(DEMAND)
+    return build(folder, {"nod": NODES, "edg": EDGES})
 
 
 def episode(env: gym.Env[Any, Any], action: int = 1, seed: int = 0) -> list[np.ndarray]:
     """The observations of an episode."""
-    seen, over = [env.reset(seed=seed)[0]], False
-    while not over:
-        observation, reward, terminated, truncated, _ = env.step(action)
+    seen = [env.reset(seed=seed)[0]]
+    for observation, reward, *_ in drive(env, action):
         assert env.observation_space.contains(observation) and np.isfinite(reward)
         seen.append(observation)
-        over = terminated or truncated
     return seen
 
 
@@ -165,18 +153,6 @@ def test_a_reward_may_ask_for_the_traffic_and_is_checked() -> None:
         check_task(Unweighted(), seeds=1)
 
 
-def test_an_error_inside_a_task_names_its_method() -> None:
-    class Empty(Polite):
-        def vehicles(self, *arguments: Any) -> Any:
-            return None
-
-    env = DrivingEnv(Empty())
-    with pytest.raises(TypeError) as raised:
-        env.reset(seed=0)
-    assert raised.value.__notes__ == ["in Empty.vehicles of the task 'polite'"]
-    env.close()
-
-
 def test_keys_of_a_task_are_checked() -> None:
     with pytest.raises(ConfigError, match="did you mean 'gap'"):
         DrivingEnv(Slalom(), {"gapp": 3})
@@ -188,20 +164,12 @@ def test_a_task_on_a_road_of_the_five_runs_on_the_replica() -> None:
     assert len(episode(env)) > 2
 
 
-def test_what_only_sumo_can_drive_says_so_elsewhere(grid: Path) -> None:
-    env = DrivingEnv(NetworkTask(grid, ROUTES, EGO), simulator=Replica())
+def test_what_only_sumo_can_drive_says_so_elsewhere(blocks: Path) -> None:
+    env = DrivingEnv(NetworkTask(blocks, ROUTES, EGO), simulator=Replica())
     with pytest.raises(TypeError, match="other networks need SUMO"):
         env.reset(seed=0)
     with pytest.raises(ValueError, match="leave out `simulator`"):
         DrivingEnv("highway", simulator=Replica(), sumo_options=["--tripinfo-output=trips.xml"])
-
-
-def test_sizes_out_of_all_bounds_are_refused() -> None:
-    driver = drivers("highway", 0.0)[0]
-    assert driver.size == (5.0, 2.0)
-    assert driver.like("bus", {"length": 12.0, "width": 2.5}).size == (12.0, 2.5)
-    with pytest.raises(ValueError, match="length of 'train' must be"):
-        driver.like("train", {"length": 200.0})
 
 
 def test_lorries_of_their_own_size(tmp_path: Path) -> None:
@@ -219,12 +187,11 @@ def test_lorries_of_their_own_size(tmp_path: Path) -> None:
             return [spec._replace(**place, speed=5.0, target_speed=5.0, driver=driver)]
 
     env = DrivingEnv(Lorry(), render_mode="rgb_array")
-    _, info = env.reset(seed=0)
+    env.reset(seed=0)
     assert env.scene.size("v0") == (12.0, 2.5)
     assert env.scene.x[1] - env.scene.x[0] == pytest.approx(60.0, abs=0.01)
     assert env.road.vehicles[1].LENGTH == 12.0
-    while not info["crashed"]:
-        *_, info = env.step(1)
+    *_, (*_, info) = drive(env)
     assert info["crash"]["relative_x"] == pytest.approx(8.5, abs=0.1)  # half of the ego and half of the lorry
     assert info["crash"]["type"] == "rear-end" and env.scene.crashed.all()
     wide = env.render()
@@ -240,24 +207,22 @@ def test_lorries_of_their_own_size(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("attribute", "message"),
-    [("acell", "'accel'"), ("maxspeed", "'maxSpeed'"), ("zzz", "see https"), ("speedFactor", "no effect")],
-)
-def test_attributes_that_sumo_would_ignore_are_refused(attribute: str, message: str) -> None:
-    with pytest.raises(ValueError, match=message):
-        drivers("highway", 0.0)[0].like("bus", {attribute: 2.0})
-
-
-@pytest.mark.parametrize(
     ("attributes", "message"),
     [
+        ({"acell": 2.0}, "'accel'"),
+        ({"maxspeed": 2.0}, "'maxSpeed'"),
+        ({"zzz": 2.0}, "see https"),
+        ({"speedFactor": 2.0}, "no effect"),
         ({"carFollowModel": "Kraus"}, "did you mean 'Krauss'"),
         ({"accel": "fast"}, "accel of 'odd' must be a number above 0, not 'fast'"),
         ({"length": "long"}, "length of 'odd' must be a number"),
+        ({"length": 200.0}, "length of 'odd' must be from"),
         ({"tau": -1.0}, "tau of 'odd' must be a number at least 0, not -1"),
     ],
 )
-def test_values_that_sumo_would_refuse_are_named(attributes: dict[str, Any], message: str) -> None:
+def test_attributes_that_sumo_would_ignore_or_refuse_are_named(
+    attributes: dict[str, Any], message: str
+) -> None:
     with pytest.raises(ValueError, match=message):
         drivers("highway", 0.0)[0].like("odd", attributes)
 
@@ -315,14 +280,14 @@ def test_sumo_s_words_are_passed_on_when_it_refuses_a_driver() -> None:
 # -- networks ----------------------------------------------------------------------------------------------
 
 
-def test_lanes_limits_and_junctions_are_read(grid: Path, merge: Path) -> None:
+def test_lanes_limits_and_junctions_are_read(blocks: Path, merge: Path) -> None:
     road = files.network(merge).road
     assert road.count("main:from", "main:to") == 2 and road.count("slip:from", "slip:to") == 1
     assert road.lane(files.lane("main")).speed_limit == 25.0
     left, right = (road.lane(files.lane("out", k)) for k in (0, 1))
     assert left.length < right.length  # it bends to the left
     assert ("slip:to", "out:from", 0) in road.lanes
-    for net in (grid, merge):
+    for net in (blocks, merge):
         for index, lane in files.network(net).road.lanes.items():
             for s in np.linspace(0.5, lane.length - 0.5, 7).tolist():
                 assert lane.local_coordinates(*lane.position(s, 0.0)) == pytest.approx((s, 0.0), abs=0.3), (
@@ -333,14 +298,14 @@ def test_lanes_limits_and_junctions_are_read(grid: Path, merge: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("risk", [0.0, 1.0])
-def test_a_generated_network_is_driven(grid: Path, risk: float) -> None:
+def test_a_generated_network_is_driven(blocks: Path, risk: float) -> None:
     config = {"vehicles_count": 15, "risk": risk, "duration": 20}
-    env = SumoDrivingEnv(grid, ROUTES, EGO, config, render_mode="rgb_array")
+    env = SumoDrivingEnv(blocks, ROUTES, EGO, config, render_mode="rgb_array")
     check_env(env, skip_render_check=True)
     first = episode(env, 1, seed=3)
     np.testing.assert_array_equal(episode(env, 1, seed=3), first)
     assert env.scenario is not None and (len(env.scenario.events) > 0) == (risk > 0)
-    other = SumoDrivingEnv(grid, ROUTES, EGO, config)  # in a worker
+    other = SumoDrivingEnv(blocks, ROUTES, EGO, config)  # in a worker
     env.reset(seed=0)
     np.testing.assert_array_equal(episode(other, 1, seed=3), first)
     picture = env.render()
@@ -349,38 +314,21 @@ def test_a_generated_network_is_driven(grid: Path, risk: float) -> None:
     env.close()
 
 
-def endings(env: SumoDrivingEnv, action: int, seeds: int = 6) -> set[str]:
-    """How episodes end in which the ego first changes lane, then keeps it."""
-    found = set()
-    for seed in range(seeds):
-        env.reset(seed=seed)
-        over, steps = False, 0
-        while not over:
-            *_, terminated, truncated, info = env.step(action if steps < 2 else 1)
-            over, steps = terminated or truncated, steps + 1
-        terms = ("collision_reward", "arrived_reward", "missed_turn_reward")
-        found |= {name for name in terms if info["rewards"][name]} or {"time"}
-    return found
-
-
-def test_the_ego_arrives_in_the_lane_that_leads_on_and_misses_its_turn_in_the_other(grid: Path) -> None:
-    env = SumoDrivingEnv(grid, ROUTES, ["A0A1", "A1B1"], {"vehicles_count": 0, "spawn_probability": 0.0})
-    assert endings(env, action=2, seeds=2) == {"arrived_reward"}  # a right turn, from the right lane
-    assert endings(env, action=0, seeds=2) == {"missed_turn_reward"}
+def test_the_ego_arrives_in_the_lane_that_leads_on_and_misses_its_turn_in_the_other(blocks: Path) -> None:
+    env = SumoDrivingEnv(blocks, ROUTES, ["A0A1", "A1B1"], QUIET)
+    keeps = 60 * [1]
+    assert endings(env, range(2), [2, 2, *keeps]) == {"arrived_reward"}  # a right turn, from the right lane
+    assert endings(env, range(2), [0, 0, *keeps]) == {"missed_turn_reward"}
     env.close()
 
 
 def test_a_network_written_by_hand_with_its_demand(merge: Path) -> None:
     env = SumoDrivingEnv(merge, merge.with_name("m.rou.xml"), ["main", "out"], {"duration": 20})
     assert env.target_speeds == (0.0, 12.5, 25.0)
-    env.reset(seed=0)
     seen: dict[str, float] = {}
-    over = False
-    while not over:
-        *_, terminated, truncated, _ = env.step(1)
+    for _ in drive(env, seed=0):
         for vehicle in env.road.vehicles:
             seen.setdefault(vehicle.id, env.scene.time)
-        over = terminated or truncated
     assert {"ego", "first", "late", "stream.0"} <= set(seen)
     assert 3.0 <= seen["late"] <= 4.0  # at the first policy step after 2.5 s
     assert env.scenario is not None
@@ -392,8 +340,8 @@ def test_a_network_written_by_hand_with_its_demand(merge: Path) -> None:
 
 
 @pytest.mark.slow
-def test_a_crash_on_a_network_is_recorded_and_exported(grid: Path, tmp_path: Path) -> None:
-    env = SumoDrivingEnv(grid, ROUTES, EGO, {"vehicles_count": 40, "spawn_probability": 1.0, "risk": 1.0})
+def test_a_crash_on_a_network_is_recorded_and_exported(blocks: Path, tmp_path: Path) -> None:
+    env = SumoDrivingEnv(blocks, ROUTES, EGO, {"vehicles_count": 40, "spawn_probability": 1.0, "risk": 1.0})
     for seed in range(30):
         episode(env, 3, seed)
         if env.vehicle.crashed:
@@ -401,7 +349,7 @@ def test_a_crash_on_a_network_is_recorded_and_exported(grid: Path, tmp_path: Pat
     assert env._last.crash is not None and env._last.crash.other in env.scene.ids
     env.export(tmp_path)
     done = subprocess.run(
-        [NETGENERATE.with_name("sumo"), "-c", tmp_path / "episode.sumocfg", "--fcd-output", tmp_path / "out.xml"],
+        [SUMO, "-c", tmp_path / "episode.sumocfg", "--fcd-output", tmp_path / "out.xml"],
         capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert (done.returncode, done.stderr) == (0, "")
@@ -421,8 +369,8 @@ def test_a_crash_on_a_network_is_recorded_and_exported(grid: Path, tmp_path: Pat
         ({"config": {"action": {"type": "DiscreteMetaAction", "target_speeds": [0, 90]}}}, "target_speeds"),
     ],
 )
-def test_what_cannot_be_driven_is_named(grid: Path, change: dict[str, Any], message: str) -> None:
-    parts: dict[str, Any] = {"network": grid, "routes": ROUTES, "ego_route": EGO, **change}
+def test_what_cannot_be_driven_is_named(blocks: Path, change: dict[str, Any], message: str) -> None:
+    parts: dict[str, Any] = {"network": blocks, "routes": ROUTES, "ego_route": EGO, **change}
     with pytest.raises(ConfigError, match=message):
         SumoDrivingEnv(**parts).reset(seed=0)
 
@@ -488,9 +436,7 @@ def test_vehicles_depart_in_the_lane_that_is_named(merge: Path, tmp_path: Path) 
 
 
 def test_a_network_without_lanes_inside_its_junctions_is_refused(tmp_path: Path) -> None:
-    net = tmp_path / "bare.net.xml"
-    options = ["--grid", "--grid.number=2", "--no-internal-links"]
-    subprocess.run([NETGENERATE, *options, "-o", net], check=True, capture_output=True)
+    net = grid(tmp_path, "--grid.number=2", "--no-internal-links")
     with pytest.raises(ConfigError, match="no-internal-links"):
         SumoDrivingEnv(net, [], ["A0A1"])
 

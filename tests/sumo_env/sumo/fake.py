@@ -6,7 +6,6 @@ import os
 import signal
 import tempfile
 import time
-from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
 import numpy as np
@@ -89,19 +88,3 @@ def scenario(seed: int = 0, others: int = 3) -> Scenario:
         VehicleSpec(name, COMMAND.target_lane, 0.0, 0.0, 0.0, 0.0, 25.0, 25.0, None, driver) for name in names
     ]
     return Scenario("highway", seed, 0.5, ego, tuple(vehicles))
-
-
-def is_running(pid: int) -> bool:
-    try:
-        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
-    except OSError:
-        return False
-
-
-def ends(pid: int | None, within: float = 30.0) -> bool:
-    """Whether a process ends soon."""
-    assert pid is not None
-    deadline = time.monotonic() + within
-    while is_running(pid) and time.monotonic() < deadline:
-        time.sleep(0.02)
-    return not is_running(pid)

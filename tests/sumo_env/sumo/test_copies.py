@@ -23,7 +23,9 @@ from sumo_env.env import DrivingEnv
 from sumo_env.simulator import SimulatorError
 from sumo_env.sumo.process import SimulatorDied, SumoProcess, open_simulator
 from sumo_env.tasks import TASKS
-from tests.sumo_env.sumo.fake import COMMAND, FAKE, HANGS, ends, scenario
+from tests.processes import children, descriptors, ends
+from tests.sumo_env.rollout import drive
+from tests.sumo_env.sumo.fake import COMMAND, FAKE, HANGS, scenario
 
 Result = tuple[Any, ...]
 
@@ -36,18 +38,14 @@ def assert_equal(one: Result, other: Result) -> None:
 
 def to_the_end(*envs: Any, seed: int = 0) -> int:
     """Drive environments that are in one state by the same random actions; returns the number of steps."""
-    rng = np.random.default_rng(seed)
-    steps, over = 0, False
-    while not over:
-        steps += 1
-        action = int(rng.integers(envs[0].action_space.n))
-        first, *others = [env.step(action) for env in envs]
+    actions = np.random.default_rng(seed).integers(envs[0].action_space.n, size=100).tolist()
+    results = list(zip(*(drive(env, actions) for env in envs), strict=True))
+    for first, *others in results:
         for result in others:
             assert_equal(first, result)
-        over = first[2] or first[3]
     first, *others = [env.unwrapped.np_random.bit_generator.state for env in envs]
     assert all(state == first for state in others)
-    return steps
+    return len(results)
 
 
 @pytest.fixture(autouse=True)
@@ -303,11 +301,8 @@ def test_ctrl_c_while_a_copy_is_made(begun: SumoProcess, monkeypatch: pytest.Mon
 
 
 def leaves_nothing(simulator: SumoProcess, count: int) -> None:
-    def descriptors(pid: int | None) -> int:
-        return len(os.listdir(f"/proc/{pid}/fd"))
-
     simulator.clone().close()
-    before = descriptors(os.getpid()), descriptors(simulator.pid)
+    before = descriptors(), descriptors(simulator.pid)
     pids = []
     for number in range(count):
         twin = simulator.clone()
@@ -316,9 +311,8 @@ def leaves_nothing(simulator: SumoProcess, count: int) -> None:
             twin.step(COMMAND)
         twin.close()
     assert all(ends(pid) for pid in pids)
-    assert before == (descriptors(os.getpid()), descriptors(simulator.pid))
-    children = Path(f"/proc/{simulator.pid}/task/{simulator.pid}/children").read_text()
-    assert children == ""
+    assert before == (descriptors(), descriptors(simulator.pid))
+    assert simulator.pid is not None and children(simulator.pid) == []
 
 
 def test_copies_leave_no_process_no_descriptor_no_folder(begun: SumoProcess) -> None:

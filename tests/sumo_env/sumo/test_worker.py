@@ -19,6 +19,7 @@ import pytest
 from sumo_env.config import ConfigError
 from sumo_env.simulator import Simulator, SimulatorError
 from sumo_env.sumo.process import SimulatorDied, SumoProcess, open_simulator
+from tests.processes import descriptors, ends, is_alive, wait_for
 from tests.sumo_env.sumo.fake import (
     COMMAND,
     CONFIG_ERROR,
@@ -29,8 +30,6 @@ from tests.sumo_env.sumo.fake import (
     HANGS,
     PRINTS,
     FakeSimulator,
-    ends,
-    is_running,
     scenario,
 )
 
@@ -64,10 +63,6 @@ def nothing_is_left(
     yield
     gc.collect()
     assert (descriptors(), temporary(tmp_path)) == before
-
-
-def descriptors() -> int:
-    return len(os.listdir("/proc/self/fd"))
 
 
 def temporary(folder: Path) -> list[str]:
@@ -211,7 +206,7 @@ def test_a_silent_worker_is_killed() -> None:
     simulator.timeout = 0.2  # [s]
     with pytest.raises(SimulatorDied, match=r"gave no answer for 0\.2 s in step 1"):
         simulator.step(COMMAND)
-    assert not is_running(pid)
+    assert not is_alive(pid)
 
 
 def test_an_interrupted_step_ends_the_episode() -> None:
@@ -239,7 +234,7 @@ def test_closing_ends_the_worker_and_may_be_repeated() -> None:
     pid = pid_of(simulator)
     simulator.close()
     simulator.close()
-    assert not is_running(pid)
+    assert not is_alive(pid)
     simulator.reset(scenario())  # as a simulator in this process could be
     simulator.close()
 
@@ -250,7 +245,7 @@ def test_a_forgotten_simulator_ends_its_worker() -> None:
     pid = pid_of(simulator)
     del simulator
     gc.collect()
-    assert not is_running(pid)
+    assert not is_alive(pid)
 
 
 def run(tmp_path: Path, script: str) -> subprocess.Popen[str]:
@@ -300,37 +295,21 @@ def test_workers_end_with_their_parent(tmp_path: Path, end: str) -> None:
     script.communicate(timeout=60)
     assert len(workers) == 2
     assert all(ends(pid) for pid in workers)
-    deadline = time.monotonic() + 30
-    while temporary(tmp_path):
-        assert time.monotonic() < deadline
-        time.sleep(0.02)
+    wait_for(lambda: not temporary(tmp_path))
 
 
-def test_ctrl_c_in_the_terminal_ends_the_script_alone(tmp_path: Path) -> None:
+STARTS = "more = [open_simulator(FAKE) for _ in range(60)]\n    for one in more: one.reset(scenario())"
+
+
+@pytest.mark.parametrize("body", ["time.sleep(60)", STARTS], ids=["waits", "starts workers"])
+def test_ctrl_c_in_the_terminal_ends_the_script_alone(tmp_path: Path, body: str) -> None:
     """It is sent to the whole foreground process group; workers neither print anything nor stay."""
     script = run(
         tmp_path,
-        "try:\n    print('in try', flush=True)\n    time.sleep(60)\n"
-        "except KeyboardInterrupt:\n    print('stopped')\n",
+        f"try:\n    print('in try', flush=True)\n    {body}\nexcept KeyboardInterrupt:\n    print('stopped')\n",
     )
     workers = pids(script)
     line(script)  # only now is the script where it catches the interrupt
-    os.killpg(script.pid, signal.SIGINT)
-    out, errors = script.communicate(timeout=60)
-    assert (out, errors, script.returncode) == ("stopped\n", "", 0)
-    assert all(ends(pid) for pid in workers)
-
-
-def test_ctrl_c_while_a_worker_starts_prints_no_traceback_of_it(tmp_path: Path) -> None:
-    script = run(
-        tmp_path,
-        "try:\n    print('more', flush=True)\n"
-        "    more = [open_simulator(FAKE) for _ in range(60)]\n"
-        "    for one in more: one.reset(scenario())\n"
-        "except KeyboardInterrupt:\n    print('stopped')\n",
-    )
-    workers = pids(script)
-    line(script)
     time.sleep(0.3)
     os.killpg(script.pid, signal.SIGINT)
     out, errors = script.communicate(timeout=60)
@@ -440,5 +419,5 @@ def test_twenty_leave_nothing_behind() -> None:
     del simulators, simulator
     gc.collect()
     assert len(set(workers)) == 20
-    assert not any(is_running(pid) for pid in workers)
+    assert not any(is_alive(pid) for pid in workers)
     assert descriptors() == before

@@ -18,6 +18,7 @@ from sumo_env.sumo.session import Session
 from sumo_env.sumo.world import SumoSimulator
 from sumo_env.tasks import TASKS
 from sumo_env.traffic.scenario import EGO_DISTANCE, Scenario, Spawn
+from tests.sumo_env.rollout import drive
 from tests.sumo_env.scenarios import alone, draw, with_leader
 
 Start = Callable[..., DrivingEnv]
@@ -120,24 +121,17 @@ def test_the_ego_is_not_slowed_by_bends_or_junctions(
 
 def test_empty_intersection_takes_nine_steps(start: Start) -> None:
     env = start("intersection", alone)
-    rewards: list[float] = []
-    terminated = False
-    while not terminated:
-        _, reward, terminated, _, info = env.step(IDLE)
-        rewards.append(reward)
+    results = list(drive(env, IDLE))
+    rewards, info = [result[1] for result in results], results[-1][4]
     assert info["arrived"] and not info["crashed"]
     assert len(rewards) in (8, 9, 10) and sum(rewards) == pytest.approx(len(rewards))
 
 
 def test_empty_two_way_road_pays_15_for_driving_left(start: Start) -> None:
     env = start("two-way", alone)
-    total = env.step(LEFT)[1]
-    truncated = False
-    while not truncated:
-        _, reward, terminated, truncated, _ = env.step(IDLE)
-        assert not terminated
-        total += reward
-    assert total == pytest.approx(15.0)
+    results = [env.step(LEFT), *drive(env, IDLE)]
+    assert not any(terminated for _, _, terminated, _, _ in results)
+    assert sum(reward for _, reward, *_ in results) == pytest.approx(15.0)
     assert env.scene.y[0] == pytest.approx(0.0, abs=0.01)
     assert env.scene.x[0] == pytest.approx(480.0, abs=1.0)
 
@@ -165,11 +159,11 @@ def test_the_target_lane_goes_on_to_the_next_road_within_a_step(simulator: SumoS
 
 def test_rear_end_crash_is_recorded_and_ends_the_episode(start: Start) -> None:
     env = start("highway", with_leader(20.0, 15.0))
-    terminated = False
-    while not terminated:
-        _, _, terminated, _, info = env.step(IDLE)
+    *_, (_, _, terminated, _, info) = drive(env, IDLE)
     crash = info["crash"]
-    assert info["crashed"] and crash["type"] == "rear-end" and crash["other"] == env.scene.ids[1]
+    assert (
+        terminated and info["crashed"] and crash["type"] == "rear-end" and crash["other"] == env.scene.ids[1]
+    )
     assert crash["closing_speed"] == pytest.approx(10.0, abs=1.5)
     # the pose at the contact, not at the end of its sub-step, when the ego is up to 1 m further
     assert crash["relative_x"] == pytest.approx(5.0, abs=0.001) and abs(crash["relative_y"]) < 0.001
@@ -183,12 +177,9 @@ def test_frontal_crash_on_the_two_way_road(start: Start) -> None:
         return replace(scenario, vehicles=tuple(v for v in scenario.vehicles if v.lane == ("b", "a", 0)))
 
     env = start("two-way", only_oncoming)
-    action, terminated = LEFT, False
-    while not terminated:
-        _, _, terminated, truncated, info = env.step(action)
-        action = IDLE
-        assert not truncated
-    assert info["crash"]["type"] == "frontal"
+    env.step(LEFT)
+    *_, (_, _, terminated, _, info) = drive(env, IDLE)
+    assert terminated and info["crash"]["type"] == "frontal"
     assert info["crash"]["closing_speed"] > 30.0
 
 
@@ -284,11 +275,8 @@ def test_swerves_into_oncoming_traffic_do_not_end_the_process(start: Start) -> N
     env = start("two-way", risk=1.0, **next(iter(TASKS["two-way"].levels.values())))
     rng = np.random.default_rng(0)
     for seed in range(150):
-        env.reset(seed=seed)
-        over = False
-        while not over:
-            _, _, terminated, truncated, _ = env.step(int(rng.integers(5)))
-            over = terminated or truncated
+        for _ in drive(env, rng.integers(5, size=100).tolist(), seed=seed):
+            pass
 
 
 # -- vehicles that come, go or do not matter ---------------------------------------------------------------
@@ -384,13 +372,8 @@ def test_vehicles_out_of_reach_make_no_difference(start: Start) -> None:
         runs, counts = [], []
         for change in (lambda scenario: scenario, all_of_them):
             env = start("highway", change, seed=seed, **config)
-            rng = np.random.default_rng(seed)
-            rows, over = [], False
-            while not over:
-                observation, _, terminated, truncated, _ = env.step(int(rng.integers(5)))
-                rows.append(observation)
-                over = terminated or truncated
-            runs.append(np.array(rows))
+            actions = np.random.default_rng(seed).integers(5, size=100).tolist()
+            runs.append(np.array([result[0] for result in drive(env, actions)]))
             counts.append(len(env.scene))
         assert counts[0] < counts[1] == 81
         assert runs[0].shape == runs[1].shape

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import subprocess
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +11,10 @@ import pytest
 from sumo_env.config import ConfigError
 from sumo_env.env import SumoDrivingEnv
 from sumo_env.networks import files
+from tests.sumo_env.plans import QUIET, SUMO, build, needs_sumo
+from tests.sumo_env.rollout import drive
 
-pytest.importorskip("sumo", reason="needs eclipse-sumo: pip install '.[networks]'")
-NETCONVERT = Path(sys.executable).with_name("netconvert")
-QUIET: dict[str, Any] = {"vehicles_count": 0, "spawn_probability": 0.0}
+pytestmark = needs_sumo
 
 # A lane that forks inside the junction b; of the two behind it, one ends at c after 17 m.
 FORK = {
@@ -69,28 +68,13 @@ TYPES = '<vType id="bus" vClass="bus"/> <vType id="bike" vClass="bicycle"/> <vTy
 FAR = ["ab", "bn", "nc", "cd"]
 
 
-def build(folder: Path, plan: dict[str, str], *values: Any) -> Path:
-    options: list[Any] = [NETCONVERT, "-o", folder / "plan.net.xml"]
-    for (suffix, text), option in zip(plan.items(), ("-n", "-e", "-x"), strict=False):
-        (folder / f"plan.{suffix}.xml").write_text(text.format(*values))
-        options += [option, folder / f"plan.{suffix}.xml"]
-    subprocess.run(options, check=True, capture_output=True)
-    return folder / "plan.net.xml"
-
-
 @pytest.mark.parametrize("lane", [0, 1])
 def test_where_a_lane_forks_the_ego_takes_the_way_that_leads_on(tmp_path: Path, lane: int) -> None:
-    env = SumoDrivingEnv(
-        build(tmp_path, FORK, lane), [], ["ab", "bc", "cd"], {**QUIET, "policy_frequency": 10}
-    )
-    env.reset(seed=0)
-    over, seen = False, set()
-    while not over:
-        *_, terminated, truncated, info = env.step(1)
-        over = terminated or truncated
-        seen.add(env.vehicle.target_lane_index)
-    assert info["arrived"]
-    assert {index for index in seen if index[0] == "bc:from"} == {files.lane("bc", 1 - lane)}
+    plan = {**FORK, "con": FORK["con"].format(lane)}
+    env = SumoDrivingEnv(build(tmp_path, plan), [], ["ab", "bc", "cd"], {**QUIET, "policy_frequency": 10})
+    results = [(env.vehicle.target_lane_index, info["arrived"]) for *_, info in drive(env, seed=0)]
+    assert results[-1][1]
+    assert {index for index, _ in results if index[0] == "bc:from"} == {files.lane("bc", 1 - lane)}
     env.close()
 
 
@@ -103,11 +87,8 @@ def test_connections_decide_which_lane_follows(tmp_path: Path, lane: int, ends: 
     env = SumoDrivingEnv(net, [], ["ab", "bc"], {**QUIET, "policy_frequency": 10, "initial_speed": 14})
     env.reset(seed=next(seed for seed in range(20) if starts(env, seed) == lane))
     driven = set()
-    for _ in range(250):
-        *_, terminated, _, _ = env.step(1)
+    for _ in drive(env, 250 * [1]):
         driven |= {env.vehicle.lane_index[2]} if env.vehicle.lane_index[0] == "bc:from" else set()
-        if terminated:
-            break
     assert len(driven) == 1 and driven <= ends  # no lane change that nobody has asked for
     env.close()
 
@@ -129,14 +110,10 @@ def test_vehicles_drive_where_their_class_may(tmp_path: Path) -> None:
         </routes>"""
     )
     env = SumoDrivingEnv(net, demand, FAR, {**QUIET, "duration": 20})
-    env.reset(seed=0)
     lanes: dict[str, set[Any]] = {}
-    for _ in range(12):
-        *_, terminated, truncated, _ = env.step(4)
+    for _ in drive(env, 12 * [4], seed=0):
         for vehicle in env.road.vehicles:
             lanes.setdefault(vehicle.id, set()).add(vehicle.lane_index)
-        if terminated or truncated:
-            break
     closed = files.lane("ab/closed", 0)
     assert lanes.keys() == {"ego", "b", "t", "k", "x"}
     assert (
@@ -151,7 +128,7 @@ def test_vehicles_drive_where_their_class_may(tmp_path: Path) -> None:
     env.export(tmp_path / "episode")
     env.close()
     for name in ("episode.sumocfg", "traffic.sumocfg"):
-        subprocess.run([NETCONVERT.with_name("sumo"), "-c", tmp_path / "episode" / name], check=True)
+        subprocess.run([SUMO, "-c", tmp_path / "episode" / name], check=True)
 
 
 @pytest.mark.parametrize(

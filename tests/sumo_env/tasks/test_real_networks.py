@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import gzip
 import random
-import subprocess
-import sys
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
@@ -17,10 +14,9 @@ from sumo_env.env import SumoDrivingEnv
 from sumo_env.networks import files
 from sumo_env.networks.mapping import Network
 from sumo_env.tasks.network import NetworkTask
+from tests.sumo_env.plans import QUIET, build, endings, grid
 
 sumo = pytest.importorskip("sumo", reason="needs eclipse-sumo: pip install '.[networks]'")
-NETGENERATE = Path(sys.executable).with_name("netgenerate")
-NETCONVERT = NETGENERATE.with_name("netconvert")
 SHIPPED = Path(sumo.SUMO_HOME) / "tools"
 
 # A road that gets from two lanes to one by edges of a metre; the right lane goes on.
@@ -43,41 +39,17 @@ WAY = ["ab", "bc", "cd", "de", "ef"]
 @pytest.fixture(scope="module")
 def pieces(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A road of which three edges are a metre long; the lanes that join them have no length."""
-    folder = tmp_path_factory.mktemp("pieces")
-    for name, text in (("p.nod.xml", NODES), ("p.edg.xml", EDGES), ("p.con.xml", JOINED)):
-        (folder / name).write_text(text)
-    plain = ["-n", folder / "p.nod.xml", "-e", folder / "p.edg.xml", "-x", folder / "p.con.xml"]
-    options = [*plain, "--default.junctions.radius=0", "-o", folder / "pieces.net.xml"]
-    subprocess.run([NETCONVERT, *options], check=True, capture_output=True)
-    return folder / "pieces.net.xml"
+    plan = {"nod": NODES, "edg": EDGES, "con": JOINED}
+    return build(tmp_path_factory.mktemp("pieces"), plan, "--default.junctions.radius=0")
 
 
 @pytest.fixture(scope="module")
 def town(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A network of hundreds of lanes, compressed."""
-    net = tmp_path_factory.mktemp("town") / "grid.net.xml"
-    options = ["--grid", "--grid.number=6", "--grid.length=60", "-L=2"]
-    subprocess.run([NETGENERATE, *options, "-o", net], check=True, capture_output=True)
+    net = grid(tmp_path_factory.mktemp("town"), "--grid.number=6", "--grid.length=60", "-L=2")
     packed = net.with_name("grid.net.xml.gz")
     packed.write_bytes(gzip.compress(net.read_bytes()))
     return packed
-
-
-def endings(env: SumoDrivingEnv, seeds: range, action: int | None = None) -> set[str]:
-    """How episodes end; every observation is finite."""
-    found = set()
-    for seed in seeds:
-        env.reset(seed=seed)
-        env.action_space.seed(seed)
-        over = False
-        while not over:
-            chosen = env.action_space.sample() if action is None else action
-            seen, reward, terminated, truncated, info = env.step(int(chosen))
-            assert np.isfinite(seen).all() and np.isfinite(reward)
-            over = terminated or truncated
-        terms = ("collision_reward", "arrived_reward", "missed_turn_reward")
-        found |= {name for name in terms if info["rewards"][name]} or {"time"}
-    return found
 
 
 def walk(network: Network, rng: random.Random, count: int) -> list[str]:
@@ -124,10 +96,9 @@ def test_the_closest_of_many_lanes_is_the_first_with_the_least_distance(town: Pa
 
 def test_edges_of_a_metre_are_driven_and_turns_missed_beyond_them(pieces: Path) -> None:
     """The left lane ends behind the first of them, within one policy step."""
-    quiet: dict[str, Any] = {"vehicles_count": 0, "spawn_probability": 0.0}
-    env = SumoDrivingEnv(pieces, [WAY], WAY, quiet)
-    assert endings(env, range(2), action=2) == {"arrived_reward"}  # keeps to the right
-    assert endings(env, range(2), action=0) == {"missed_turn_reward"}
+    env = SumoDrivingEnv(pieces, [WAY], WAY, QUIET)
+    assert endings(env, range(2), 60 * [2]) == {"arrived_reward"}  # keeps to the right
+    assert endings(env, range(2), 60 * [0]) == {"missed_turn_reward"}
     env.close()
 
 

@@ -1,0 +1,51 @@
+"""SUMO networks for tests, made by the tools of eclipse-sumo, and how episodes on them end."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sumo_env.env import SumoDrivingEnv
+from tests.sumo_env.rollout import drive
+
+SUMO = Path(sys.executable).with_name("sumo")  # of the eclipse-sumo wheel
+needs_sumo = pytest.mark.skipif(not SUMO.exists(), reason="needs eclipse-sumo: pip install '.[networks]'")
+QUIET: dict[str, Any] = {"vehicles_count": 0, "spawn_probability": 0.0}
+KINDS = {"nod": "-n", "edg": "-e", "con": "-x"}
+
+
+def build(folder: Path, plan: dict[str, str], *options: str) -> Path:
+    """The network of a plan: XML of its nodes (nod), edges (edg) and connections (con)."""
+    net = folder / "plan.net.xml"
+    for kind, text in plan.items():
+        (folder / f"plan.{kind}.xml").write_text(text)
+        options += (KINDS[kind], str(folder / f"plan.{kind}.xml"))
+    subprocess.run([SUMO.with_name("netconvert"), *options, "-o", net], check=True, capture_output=True)
+    return net
+
+
+def grid(folder: Path, *options: str) -> Path:
+    """A network of netgenerate."""
+    net = folder / "grid.net.xml"
+    command = [SUMO.with_name("netgenerate"), "--grid", *options, "-o", net]
+    subprocess.run(command, check=True, capture_output=True)
+    return net
+
+
+def endings(env: SumoDrivingEnv, seeds: Iterable[int], actions: Iterable[int] | None = None) -> set[str]:
+    """How episodes end, under these actions or random ones; all that is seen is finite."""
+    found = set()
+    for seed in seeds:
+        chosen = np.random.default_rng(seed).integers(len(env.actions), size=1000).tolist()
+        results = list(drive(env, chosen if actions is None else actions, seed))
+        assert all(np.isfinite(seen).all() and np.isfinite(reward) for seen, reward, *_ in results)
+        rewards = results[-1][4]["rewards"]
+        terms = ("collision_reward", "arrived_reward", "missed_turn_reward")
+        found |= {name for name in terms if rewards[name]} or {"time"}
+    return found

@@ -45,29 +45,6 @@ def test_target_speeds_and_lanes_equal_highway_env_s() -> None:
     assert changed > 50
 
 
-def test_a_target_speed_is_relative_to_the_measured_speed() -> None:
-    speeds = (0.0, 4.5, 9.0)
-    assert target_speed_index("SLOWER", 2, 10.0, speeds) == 1
-    assert target_speed_index("SLOWER", 2, 5.0, speeds) == 0
-    assert target_speed_index("FASTER", 0, 8.0, speeds) == 2
-    assert target_speed_index("IDLE", 0, 8.0, speeds) == 0
-
-
-def test_lanes_are_relative_to_the_target_lane_and_clipped() -> None:
-    road, route = highway(4), ("0", "1")
-
-    def act(name: str, place: int, y: float = 4.0) -> int:
-        return target_lane(name, road, ("0", "1", place), route, 100.0, y)[2]
-
-    assert act("LANE_LEFT", 1) == 0
-    assert act("LANE_LEFT", 0) == 0
-    assert act("LANE_RIGHT", 3, y=12.0) == 3
-    assert act("LANE_RIGHT", 1) == 2
-    assert act("LANE_RIGHT", 2, y=4.0) == 3  # two lanes from where the ego is
-    assert act("LANE_RIGHT", 2, y=0.0) == 2  # three are too many
-    assert act("FASTER", 2) == 2
-
-
 def test_the_target_lane_follows_the_road() -> None:
     road, route = u_turn(), ("a", "b", "c", "d")
     assert follow_road(road, ("a", "b", 1), route, 100.0, 48.0) == ("a", "b", 1)

@@ -91,12 +91,4 @@ def test_agents_meet_the_same_scenarios(task: str) -> None:
     scenarios[2] = [replace(scenario, simulation_frequency=10) for scenario in scenarios[2]]
     assert scenarios[0][0] == scenarios[1][0] == scenarios[2][0]
     assert scenarios[0] == scenarios[2]
-
-
-def test_without_a_seed_episodes_differ() -> None:
-    env = DrivingEnv("highway")
-    env.reset(seed=0)
-    first = env.scenario
-    env.reset()
-    assert env.scenario != first
-    env.close()
+    assert len(set(scenarios[0])) == 4  # without a seed, episodes differ

@@ -15,6 +15,7 @@ import gymnasium as gym
 import libsumo
 import numpy as np
 import pytest
+import stable_baselines3.common.env_checker
 from gymnasium.utils.env_checker import check_env
 
 import sumo_env
@@ -26,8 +27,8 @@ from sumo_env.tasks import TASKS
 from sumo_env.traffic.scenario import Scenario
 from tests.sumo_env.rollout import drive
 
-# highway-env's observation boxes are unbounded as well
-EXPECTED_WARNINGS = ("minimum value is -infinity", "maximum value is infinity")
+# highway-env's observation boxes are unbounded tables as well
+EXPECTED_WARNINGS = ("minimum value is -infinity", "maximum value is infinity", "unconventional shape")
 
 
 @pytest.fixture
@@ -39,11 +40,12 @@ def highway() -> Iterator[gym.Env[Any, Any]]:
 
 @pytest.mark.parametrize("risk", [0.0, 1.0])
 @pytest.mark.parametrize("id", sumo_env.IDS)
-def test_gymnasium_has_nothing_to_object_to(id: str, risk: float) -> None:
+def test_gymnasium_and_stable_baselines_have_nothing_to_object_to(id: str, risk: float) -> None:
     env = gym.make(id, config={"risk": risk}, disable_env_checker=True)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         check_env(env.unwrapped)
+        stable_baselines3.common.env_checker.check_env(env)
     messages = [str(warning.message) for warning in caught]
     assert [text for text in messages if not any(known in text for known in EXPECTED_WARNINGS)] == []
 

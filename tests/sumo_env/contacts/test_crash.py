@@ -62,10 +62,6 @@ def look(detector: CrashDetector, before, after, reported=(), time: float = 2.0)
     return detector.look(time, 0.1, IDS, [ego[0], *before], [ego[1], *after], reported)
 
 
-def test_nothing_happens_where_nobody_is_near() -> None:
-    assert look(CrashDetector(), [FAR, FAR], [FAR, FAR]) is None
-
-
 def test_the_geometry_alone_makes_a_crash_of_the_moment_of_the_touch() -> None:
     standing = [FAR, state(6.0, 0.0)]
     crash = look(CrashDetector(), standing, standing)
@@ -88,7 +84,8 @@ def test_a_report_of_sumo_alone_counts_within_a_tenth_of_a_metre(gap: float, cou
         assert (crash.other, crash.detected_by, crash.type, crash.time) == ("v1", "sumo", "side", 2.0)
 
 
-def test_a_report_of_a_vehicle_that_is_not_near_does_not_count() -> None:
+def test_who_is_not_near_does_not_count_reported_or_not() -> None:
+    assert look(CrashDetector(), [FAR, FAR], [FAR, FAR]) is None
     beside = [state(2.0, 2.05), FAR]
     assert look(CrashDetector(), beside, beside, reported={"v7", "v1"}) is None
 

@@ -128,15 +128,6 @@ def test_touches_on_the_way_equal_shapely_with_a_recall_of_999(ways) -> None:
     assert np.abs(ours[both] - (gaps[:, both] == 0.0).argmax(axis=0) / looks).max() <= FINEST + 1e-4
 
 
-def test_a_contact_between_two_looks_is_found() -> None:
-    # the ego stands, the other's corner passes by the ego's within the sub-step
-    ego, before, after = state(0.0, 0.0), state(2.4, -4.2, -math.pi / 4), state(6.0, -0.6, -math.pi / 4)
-    assert separation(ego, before) > 0.0 and separation(ego, after) > 0.0
-    moment = touch_moment(ego, ego, before, after)
-    assert 0.0 < moment < 1.0
-    assert separation(ego, state_between(before, after, moment)) <= 1e-9
-
-
 def test_vehicles_that_exchange_their_places_within_a_sub_step_meet() -> None:
     near, far = state(0.0, 0.0), state(8.0, 0.0, math.pi)
     moment = touch_moment(near, state(8.0, 0.0), far, state(0.0, 0.0, math.pi))

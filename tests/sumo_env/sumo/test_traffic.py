@@ -194,15 +194,18 @@ def test_every_parameter_of_a_driver_arrives_in_sumo(
             """The lane-change model answers for a vehicle only, in two digits."""
             return float(libsumo.vehicle.getParameter(name, f"laneChangeModel.{key}"))
 
-        assert sumo.getTau(name) == pytest.approx(setting.tau * driver.tau, abs=1e-6)
-        assert sumo.getAccel(name) == pytest.approx(driver.accel, abs=1e-6)
-        assert sumo.getDecel(name) == pytest.approx(driver.decel, abs=1e-6)
-        assert sumo.getApparentDecel(name) == pytest.approx(driver.decel, abs=1e-6)
-        emergency = max(driver.emergency_decel, driver.decel)
-        assert sumo.getEmergencyDecel(name) == pytest.approx(emergency, abs=1e-6)
-        assert sumo.getMinGap(name) == pytest.approx(driver.min_gap, abs=1e-6)
+        for there, here in (
+            (sumo.getTau, setting.tau * driver.tau),
+            (sumo.getAccel, driver.accel),
+            (sumo.getDecel, driver.decel),
+            (sumo.getApparentDecel, driver.decel),
+            (sumo.getEmergencyDecel, max(driver.emergency_decel, driver.decel)),
+            (sumo.getMinGap, driver.min_gap),
+        ):
+            assert there(name) == pytest.approx(here, abs=1e-6)
         assert (sumo.getLength(name), sumo.getWidth(name)) == (5.0, 2.0)
-        assert (sumo.getSpeedFactor(name), sumo.getSpeedDeviation(name)) == (1.0, 0.0)
+        chance = sumo.getSpeedDeviation(name), sumo.getImperfection(name)
+        assert (sumo.getSpeedFactor(name), *chance) == (1.0, 0.0, 0.0)
         ignored = [sumo.getParameter(name, f"junctionModel.{key}") for key in JUNCTION]
         assert ignored == [
             str(int(not driver.gives_way or driver.attention < share))

@@ -403,21 +403,3 @@ def test_a_forked_process_has_its_own_workers(tmp_path: Path) -> None:
     assert (values, kind) == ("40.0 50.0", "in a worker")
     assert (status, times) == ("0", "[2.0, 2.0, 2.0]")
     assert all(ends(pid) for pid in workers)
-
-
-@pytest.mark.slow
-def test_twenty_leave_nothing_behind() -> None:
-    before = descriptors()
-    workers = []
-    for start in (0, 10):
-        simulators = [SumoProcess(FAKE) for _ in range(10)]
-        for seed, simulator in enumerate(simulators, start):
-            simulator.reset(scenario(seed))
-            workers.append(pid_of(simulator))
-        for simulator in simulators[::2]:
-            simulator.close()
-    del simulators, simulator
-    gc.collect()
-    assert len(set(workers)) == 20
-    assert not any(is_alive(pid) for pid in workers)
-    assert descriptors() == before

@@ -90,23 +90,6 @@ def test_the_counterparts_in_highway_env_are_mobil_s_two_thresholds() -> None:
 # -- the vehicle type --------------------------------------------------------------------------------------
 
 
-def test_a_vehicle_type_has_the_driver_s_numbers() -> None:
-    for driver in driver_pool(BASE, 1.0):
-        attributes = vehicle_type(driver, Calibration(speed_gain=3.0, assertive=0.5))
-        for attribute, value in (
-            ("accel", driver.accel),
-            ("decel", driver.decel),
-            ("tau", driver.tau),
-            ("minGap", driver.min_gap),
-            ("delta", driver.delta),
-            ("lcSpeedGain", 3.0 * driver.speed_gain),
-            ("lcAssertive", 0.5 * driver.assertive),
-        ):
-            assert float(attributes[attribute]) == pytest.approx(value, abs=1e-6), attribute
-        assert float(attributes["emergencyDecel"]) >= float(attributes["decel"])
-        assert (attributes["sigma"], attributes["speedDev"]) == ("0", "0")  # nothing is left to SUMO's chance
-
-
 @pytest.mark.parametrize("share", [0.0, 0.3, 1.0])
 def test_the_share_that_ignores_others_at_junctions_is_drawn_beforehand(share: float) -> None:
     """Probabilities are 0 or 1: SUMO would redraw fractional ones."""

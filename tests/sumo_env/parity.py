@@ -11,6 +11,7 @@ from highway_env.vehicle.controller import ControlledVehicle
 from experiments.backends.highway_env import ENVIRONMENTS, ScenarioEnv
 from sumo_env.scene import Scene
 from sumo_env.tasks.base import EgoState
+from tests.sumo_env.rollout import drive
 
 SMALL: dict[str, dict[str, Any]] = {"highway": {"vehicles_count": 12, "vehicles_density": 2, "duration": 12}}
 
@@ -72,12 +73,9 @@ def episodes(env: ScenarioEnv, seeds: range) -> Iterator[Step]:
         rng = np.random.default_rng(seed)
         observation, info = env.reset(seed=seed)
         yield Step(env, None, observation, 0.0, False, False, info)
-        over = False
-        while not over:
-            action = int(rng.integers(env.action_space.n))
-            observation, reward, terminated, truncated, info = env.step(action)
-            yield Step(env, action, observation, reward, terminated, truncated, info)
-            over = terminated or truncated
+        actions = rng.integers(env.action_space.n, size=1000).tolist()
+        for action, result in zip(actions, drive(env, actions), strict=False):
+            yield Step(env, action, *result)
 
 
 def scatter(env: ScenarioEnv, rng: np.random.Generator) -> None:

@@ -399,8 +399,6 @@ def test_what_cannot_be_driven_is_named(blocks: Path, change: dict[str, Any], me
         ('<vType id="x" length="-3"/>', "length of 'x' must be a number above 0, not '-3'"),
         ('<vType id="x" vClass="buss"/>', "did you mean 'bus'"),
         ('<route id="r" edges="main"><stop lane="main_0" duration="9"/></route>', "stops"),
-        ('<trip id="t" from="main" to="out" depart="0"><stop lane="main_0" duration="9"/></trip>', "stops"),
-        ('<flow id="f" begin="0" period="9" from="main" to="out"><stop lane="main_0"/></flow>', "stops"),
     ],
 )
 def test_what_a_route_file_cannot_say_is_named(

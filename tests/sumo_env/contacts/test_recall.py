@@ -78,10 +78,8 @@ def episodes(task: str, number: int) -> Iterator[tuple[Truth, DrivingEnv, list[S
     for seed in range(number):
         env.reset(seed=seed, options={"config": {"risk": float(seed % 2)}})
         trace[:] = [env.scene]
-        ended = False
-        while not ended:
-            *_, terminated, truncated, _ = env.step(int(rng.integers(env.action_space.n)))
-            ended = terminated or truncated
+        for _ in drive(env, rng.integers(env.action_space.n, size=100).tolist()):
+            pass
         truth = Truth()
         for before, after in pairwise(trace):
             truth.see(before, after)

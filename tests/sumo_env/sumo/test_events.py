@@ -22,9 +22,8 @@ IDLE = 1
 
 
 @pytest.mark.parametrize("task", ["highway", "two-way"])
-def test_a_brake_event_brakes_and_ends_and_scenes_name_its_vehicle(
-    simulator: SumoSimulator, task: str
-) -> None:
+def test_a_brake_event_brakes_and_ends(simulator: SumoSimulator, task: str) -> None:
+    """While it acts, scenes name its vehicle."""
     scenario = draw(task, duration=8)
     other = scenario.vehicles[0]
     event = RiskEvent(1.0, other.id, "brake", accel=-5.0, duration=1.0)

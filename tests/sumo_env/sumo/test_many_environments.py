@@ -13,6 +13,7 @@ import pytest
 
 from sumo_env.env import DrivingEnv
 from sumo_env.sumo.process import SumoProcess
+from tests.sumo_env.rollout import drive
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -51,34 +52,16 @@ def test_the_same_episodes_in_this_process_and_in_a_worker(task: str) -> None:
     here = DrivingEnv(task, {"risk": 1.0})
     there = DrivingEnv(task, {"risk": 1.0}, simulator=SumoProcess())
     for seed in range(3):
-        first, _ = here.reset(seed=seed)
-        np.testing.assert_array_equal(first, there.reset(seed=seed)[0])
-        over, steps = False, 0
-        while not over:
-            action = (seed + steps) % len(here.actions)
-            mine, theirs = here.step(action), there.step(action)
+        np.testing.assert_array_equal(here.reset(seed=seed)[0], there.reset(seed=seed)[0])
+        actions = [(seed + step) % len(here.actions) for step in range(100)]
+        for mine, theirs in zip(drive(here, actions), drive(there, actions), strict=True):
             np.testing.assert_array_equal(mine[0], theirs[0])
             assert mine[1:] == theirs[1:]
-            over, steps = mine[2] or mine[3], steps + 1
     here.close()
     there.close()
 
 
 # -- scripts -----------------------------------------------------------------------------------------------
-
-
-def test_environments_side_by_side(tmp_path: Path) -> None:
-    assert run(
-        tmp_path,
-        """
-        import gymnasium as gym, sumo_env
-        envs = [gym.make(id) for id in sumo_env.IDS]
-        for env in envs:
-            env.reset(seed=0)
-        times = {env.step(1)[4]["distance"] > 0 for env in envs}
-        print(len(envs), times)
-        """,
-    ) == ["5", "{True}"]
 
 
 @pytest.mark.slow

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from itertools import chain, repeat
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from sumo_env.config import ConfigError
 from sumo_env.env import SumoDrivingEnv
 from sumo_env.scene import GREEN, NO_LIGHT, RED, UNLIT, YELLOW, Light
 from sumo_env.sumo.ego import speed_before
+from tests.sumo_env.rollout import drive
 
 sumo = pytest.importorskip("sumo", reason="needs eclipse-sumo: pip install '.[networks]'")
 SCENARIOS = Path(sumo.SUMO_HOME) / "tools/sumolib/scenario/scenarios/RealWorld"
@@ -26,11 +27,7 @@ def infos(seed: int = 1, **config: Any) -> Iterator[dict[str, Any]]:
     env = SumoDrivingEnv(CROSSING, [["em", "mw"]], ["sm", "mn"], {**QUIET, **config})
     try:
         yield env.reset(seed=seed)[1]
-        over, action = False, FASTER
-        while not over:
-            *_, terminated, truncated, info = env.step(action)
-            yield info
-            over, action = terminated or truncated, IDLE
+        yield from (result[4] for result in drive(env, chain([FASTER], repeat(IDLE))))
     finally:
         env.close()
 
@@ -98,8 +95,3 @@ def test_who_cannot_stop_drives_on() -> None:
     assert speed_before(Light(YELLOW, 19.0), 14.0, 0.1) == np.inf
     assert speed_before(Light(RED, 10.0), 14.0, 0.1) == np.inf
     assert speed_before(Light(GREEN, 5.0), 14.0, 0.1) == speed_before(NO_LIGHT, 14.0, 0.1) == np.inf
-
-
-def test_the_key_takes_true_or_false() -> None:
-    with pytest.raises(ConfigError, match="'obey_traffic_lights' must be True or False"):
-        SumoDrivingEnv(CROSSING, [], ["sm", "mn"], {"obey_traffic_lights": "yes"})

@@ -8,7 +8,7 @@ another process; neither side modifies the other's state.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple, NoReturn, Protocol
+from typing import NamedTuple, Protocol
 
 from sumo_env.contacts.crash import CrashRecord
 from sumo_env.networks.roads import LaneIndex
@@ -83,11 +83,3 @@ class Simulator(Protocol):
     def close(self) -> None:
         """Release what the simulator holds; `reset` acquires it again."""
         ...
-
-
-def refuse_to_pickle() -> NoReturn:
-    """What simulators that are SUMO answer to pickle."""
-    raise TypeError(
-        "SUMO's environments cannot be pickled: the state of a simulation lives in a process. copy.deepcopy(env) makes "
-        "a copy in the same state"
-    )

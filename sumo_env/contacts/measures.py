@@ -120,8 +120,3 @@ def density(x: Floats, y: Floats, ego: int = 0, radius: float = DENSITY_RADIUS) 
     """Number of other vehicles whose centre is within `radius` [m] of that of vehicle `ego`; x, y [m]: shape (n,)."""
     dx, dy = x - x[ego], y - y[ego]
     return int(np.count_nonzero(dx * dx + dy * dy <= radius * radius)) - 1
-
-
-def time_to_collision(first: State, second: State, horizon: float = HORIZON) -> float:
-    """Time [s] until two vehicles touch: 0 in contact, inf if not within `horizon` [s]."""
-    return ego_ttc(first, (second,), horizon)

@@ -27,7 +27,7 @@ from typing import Any, ClassVar, NoReturn, TypeVar
 import numpy as np
 
 from sumo_env.scene import Scene
-from sumo_env.simulator import EgoCommand, Simulator, SimulatorError, Step, refuse_to_pickle
+from sumo_env.simulator import EgoCommand, Simulator, SimulatorError, Step
 from sumo_env.sumo.options import check_copyable
 from sumo_env.sumo.worker import make
 from sumo_env.traffic.scenario import Scenario
@@ -144,7 +144,10 @@ class SumoProcess:
         self._end()
 
     def __reduce__(self) -> NoReturn:
-        refuse_to_pickle()
+        raise TypeError(
+            "SUMO's environments cannot be pickled: the state of a simulation lives in a process. copy.deepcopy(env) "
+            "makes a copy in the same state"
+        )
 
     def _adopt(self, host: _Here | _Worker) -> None:
         self._host = host

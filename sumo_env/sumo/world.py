@@ -17,7 +17,7 @@ import numpy as np
 from sumo_env.contacts.crash import CrashDetector, is_confirmed
 from sumo_env.contacts.measures import HORIZON
 from sumo_env.scene import Scene
-from sumo_env.simulator import EgoCommand, SimulatorError, Step, refuse_to_pickle
+from sumo_env.simulator import EgoCommand, SimulatorError, Step
 from sumo_env.sumo.ego import Ego, coast
 from sumo_env.sumo.events import Events, modes
 from sumo_env.sumo.options import check_options
@@ -56,19 +56,16 @@ class SumoSimulator:
 
     def reset(self, scenario: Scenario) -> Scene:
         """Place a scenario, drive its warm-up, and return the first scene."""
-        try:
-            return self._begin(scenario)
-        except SumoErrors:
-            # SUMO was closed, or loaded with something else, behind our back
-            self._session.forget()
-        try:
-            return self._begin(scenario)
-        except SumoErrors as error:
-            self._session.forget()
-            raise SimulatorError(
-                f"SUMO cannot begin this episode ({scenario.task}, seed {scenario.seed}): {_words(error)} What it says "
-                f"is above; was it given wrong options ({' '.join(self._options) or 'none'}) or vehicle types?"
-            ) from error
+        for _ in range(2):  # SUMO may have been closed, or loaded with something else, behind our back
+            try:
+                return self._begin(scenario)
+            except SumoErrors as error:
+                self._session.forget()
+                refusal = error
+        raise SimulatorError(
+            f"SUMO cannot begin this episode ({scenario.task}, seed {scenario.seed}): {_words(refusal)} What it says "
+            f"is above; was it given wrong options ({' '.join(self._options) or 'none'}) or vehicle types?"
+        ) from refusal
 
     def step(self, command: EgoCommand, trace: bool = False) -> Step:
         """Drive one policy step."""
@@ -93,16 +90,12 @@ class SumoSimulator:
             "a SumoSimulator by itself cannot be copied: leave `simulator` out, or use open_simulator()"
         )
 
-    def __deepcopy__(self, memo: dict[int, object]) -> NoReturn:
-        self.clone()
+    __reduce__ = clone  # neither by pickle nor by copy.deepcopy
 
     def close(self) -> None:
         """End the simulation."""
         self._loaded = None
         self._session.close()
-
-    def __reduce__(self) -> NoReturn:
-        refuse_to_pickle()
 
     # -- start of an episode -------------------------------------------------------------------------------
 

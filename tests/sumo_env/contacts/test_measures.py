@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import shapely
 
-from sumo_env.contacts.measures import density, ego_ttc, headways, time_to_collision
+from sumo_env.contacts.measures import density, ego_ttc, headways
 from sumo_env.contacts.rectangles import State
 
 from .shapes import polygons, state
@@ -43,7 +43,7 @@ def states_of(traffic: np.ndarray) -> list[State]:
 def ttc(traffic: np.ndarray, horizon: float = HORIZON) -> np.ndarray:
     """Of the first row with each of the others."""
     ego, *others = states_of(traffic)
-    return np.array([time_to_collision(ego, other, horizon) for other in others])
+    return np.array([ego_ttc(ego, [other], horizon) for other in others])
 
 
 def moved(traffic: np.ndarray, times: np.ndarray) -> np.ndarray:

@@ -204,8 +204,7 @@ def test_every_parameter_of_a_driver_arrives_in_sumo(
         ):
             assert there(name) == pytest.approx(here, abs=1e-6)
         assert (sumo.getLength(name), sumo.getWidth(name)) == (5.0, 2.0)
-        chance = sumo.getSpeedDeviation(name), sumo.getImperfection(name)
-        assert (sumo.getSpeedFactor(name), *chance) == (1.0, 0.0, 0.0)
+        assert (sumo.getSpeedFactor(name), sumo.getSpeedDeviation(name)) == (1.0, 0.0)
         ignored = [sumo.getParameter(name, f"junctionModel.{key}") for key in JUNCTION]
         assert ignored == [
             str(int(not driver.gives_way or driver.attention < share))

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from math import inf
+from pathlib import Path
 from typing import NoReturn
 
 import numpy as np
@@ -29,7 +30,7 @@ from sumo_env.sumo.session import (
     SumoErrors,
 )
 from sumo_env.sumo.surroundings import Surroundings
-from sumo_env.traffic.drivers import UNCALIBRATED, Driver, DriverPool, vehicle_type
+from sumo_env.traffic.drivers import Calibration, Driver, DriverPool, vehicle_type
 from sumo_env.traffic.scenario import EGO, EGO_DISTANCE, Scenario, VehicleSpec, fits
 
 # [s] The ego's centre then crosses the line between two lanes when highway-env's does, after 0.45 to 0.5 s.
@@ -50,7 +51,7 @@ class SumoSimulator:
         self._drivers: dict[str, Driver] = {}  # whose vehicle types are loaded
         self._pools: tuple[DriverPool, ...] = ()  # of which all drivers are surely among them
         self._loaded: Settings | None = None
-        self._set_up = UNCALIBRATED
+        self._base: tuple[Path, float, Calibration]  # of what is loaded: network, step length, calibration
 
     # -- Simulator -----------------------------------------------------------------------------------------
 
@@ -118,24 +119,18 @@ class SumoSimulator:
 
     def _settings(self, scenario: Scenario) -> Settings:
         """What has to be loaded: the network, and every driver that may come; those loaded before are kept."""
-        loaded, before, self._set_up = self._loaded, self._set_up, scenario.calibration
-        if (
-            loaded is None
-            or (loaded.net_file, loaded.step_length) != (self._network.net_file, self._dt)
-            or before != self._set_up
-        ):
-            loaded, self._drivers, self._pools = None, {}, ()
+        base = self._network.net_file, self._dt, scenario.calibration
+        if self._loaded is None or base != self._base:
+            self._loaded, self._base, self._drivers, self._pools = None, base, {}, ()
         wanted: dict[str, Driver] = {}
         if scenario.pools != self._pools:
             wanted = {driver.type: driver for pool in scenario.pools for driver in pool.drivers}
         # a scenario may hold drivers of its own
         wanted.update((spec.driver.type, spec.driver) for spec in scenario.specs)
         wanted.update((spawn.vehicle.driver.type, spawn.vehicle.driver) for spawn in scenario.spawns)
-        if loaded is not None and all(
-            (known := self._drivers.get(name)) is driver or known == driver for name, driver in wanted.items()
-        ):
+        if self._loaded is not None and wanted.items() <= self._drivers.items():
             self._pools = scenario.pools
-            return loaded
+            return self._loaded
         self._drivers.update(wanted)
         self._pools = ()
         self._loaded = Settings(
@@ -143,7 +138,9 @@ class SumoSimulator:
             tuple(self._network.routes.items()),
             self._dt,
             LANE_CHANGE_DURATION,
-            tuple((name, vehicle_type(driver, self._set_up)) for name, driver in self._drivers.items()),
+            tuple(
+                (name, vehicle_type(driver, scenario.calibration)) for name, driver in self._drivers.items()
+            ),
             self._options,
         )
         return self._loaded
@@ -155,7 +152,7 @@ class SumoSimulator:
         limit = self._network.road.lane(spec.lane).speed_limit
         own, desired = (ALL_CHECKS_OFF, COMMANDED_LANE_CHANGES), limit
         if spec.id != EGO:
-            own, desired = modes(spec, self._set_up), min(spec.target_speed, limit)
+            own, desired = modes(spec, self._scenario.calibration), min(spec.target_speed, limit)
         self._session.add(spec.id, route, spec.driver.type, lane, position, spec.speed, desired, own, size)
         self._specs[spec.id] = spec
 
@@ -242,7 +239,7 @@ class SumoSimulator:
     def _note_crashes(self, reported: Sequence[tuple[str, str]]) -> None:
         """Crashes of the other traffic are those that SUMO reports; the ego's first one is the detector's."""
         for pair in reported:
-            if EGO in pair and not self._ego_has_crashed():
+            if EGO in pair and self._detector.crash is None:
                 continue
             if all(name == EGO or name in self._crashed for name in pair):
                 continue
@@ -251,9 +248,6 @@ class SumoSimulator:
                 for name in pair:
                     if name != EGO:
                         self._crash(name)
-
-    def _ego_has_crashed(self) -> bool:
-        return self._detector.crash is not None
 
     def _crash(self, name: str) -> None:
         """From now on a vehicle coasts to a stop and stays where it is, as in highway-env."""

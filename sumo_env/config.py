@@ -152,7 +152,7 @@ def resolve(task: str, defaults: Config, *overrides: Mapping[str, Any] | None) -
                 raise ConfigError(f"unknown config key {key!r} for task {task!r}: {nearest(key, known)}")
             config[key] = value
     if ignored:
-        logger.warn(f"config keys without effect on SUMO's pictures are ignored: {', '.join(ignored)}")
+        logger.warn(f"config keys without effect on the pictures are ignored: {', '.join(ignored)}")
     _check(config, known)
     return config
 

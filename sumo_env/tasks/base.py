@@ -114,8 +114,8 @@ class Task:
         raise NotImplementedError
 
     def reward(self, rewards: dict[str, float], config: Config) -> float:
-        """The scalar reward of a step from its terms."""
-        raise NotImplementedError
+        """The scalar reward of a step: its weighted terms, normalized if asked for, and nothing off the road."""
+        return self.normalized(weighted(rewards, config), config) * rewards.get("on_road_reward", 1.0)
 
     def reward_limits(self, config: Config) -> tuple[float, float] | None:
         """Rewards that ``normalize_reward`` maps to 0 and 1, which must differ; None where there is no such key."""

@@ -15,7 +15,7 @@ from sumo_env.networks import files
 from sumo_env.networks.lanes import VEHICLE_LENGTH
 from sumo_env.networks.roads import LaneIndex, Road
 from sumo_env.streams import stream
-from sumo_env.tasks.base import Drivers, EgoState, Task, ego_driver, make_on_lane, speed_term, weighted
+from sumo_env.tasks.base import Drivers, EgoState, Task, ego_driver, make_on_lane, speed_term
 from sumo_env.tasks.demand import RIGHTMOST, Departure, Entry, read
 from sumo_env.tasks.way import Way
 from sumo_env.traffic.drivers import Driver
@@ -212,9 +212,6 @@ class NetworkTask(Task):
             "missed_turn_reward": float(self._missed_turn(ego)),
             "on_road_reward": float(ego.on_road),
         }
-
-    def reward(self, rewards: dict[str, float], config: Config) -> float:
-        return weighted(rewards, config) * rewards["on_road_reward"]
 
     def arrived(self, ego: EgoState) -> bool:
         return self._way.remaining(ego) < self._way.zone

@@ -8,7 +8,7 @@ import numpy as np
 
 from sumo_env.config import DISCRETE_META_ACTION, Config, ConfigError
 from sumo_env.networks.roads import LaneIndex, Road, roundabout
-from sumo_env.tasks.base import Drivers, EgoState, Task, ego_driver, make_on_lane, weighted
+from sumo_env.tasks.base import Drivers, EgoState, Task, ego_driver, make_on_lane
 from sumo_env.traffic.drivers import Calibration, RiskRanges
 from sumo_env.traffic.risk import RiskRates
 from sumo_env.traffic.scenario import EGO, VehicleSpec
@@ -105,9 +105,6 @@ class Roundabout(Task):
             "lane_change_reward": float(ego.action in (0, 2)),
             "on_road_reward": float(ego.on_road),
         }
-
-    def reward(self, rewards: dict[str, float], config: Config) -> float:
-        return self.normalized(weighted(rewards, config), config) * rewards["on_road_reward"]
 
     def reward_limits(self, config: Config) -> tuple[float, float]:
         return config["collision_reward"], config["high_speed_reward"]

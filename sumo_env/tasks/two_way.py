@@ -12,7 +12,7 @@ import numpy as np
 
 from sumo_env.config import DISCRETE_META_ACTION, Config, ConfigError
 from sumo_env.networks.roads import Road, two_way
-from sumo_env.tasks.base import Drivers, EgoState, Task, ego_driver, make_on_lane, weighted
+from sumo_env.tasks.base import Drivers, EgoState, Task, ego_driver, make_on_lane
 from sumo_env.traffic.drivers import Calibration
 from sumo_env.traffic.risk import RiskRates
 from sumo_env.traffic.scenario import EGO, VehicleSpec
@@ -79,9 +79,6 @@ class TwoWay(Task):
             "high_speed_reward": ego.speed_index / (ego.speed_count - 1),
             "left_lane_reward": float(1 - ego.target_lane[2]),
         }
-
-    def reward(self, rewards: dict[str, float], config: Config) -> float:
-        return weighted(rewards, config)
 
 
 def _column(

@@ -6,7 +6,7 @@ import numpy as np
 
 from sumo_env.config import DISCRETE_META_ACTION, Config, ConfigError
 from sumo_env.networks.roads import LaneIndex, Road, u_turn
-from sumo_env.tasks.base import Drivers, EgoState, Task, ego_driver, make_on_lane, speed_term, weighted
+from sumo_env.tasks.base import Drivers, EgoState, Task, ego_driver, make_on_lane, speed_term
 from sumo_env.traffic.drivers import Calibration, RiskRanges
 from sumo_env.traffic.risk import RiskRates
 from sumo_env.traffic.scenario import EGO, VehicleSpec
@@ -94,9 +94,6 @@ class UTurn(Task):
             "high_speed_reward": speed_term(ego.speed, config),
             "on_road_reward": float(ego.on_road),
         }
-
-    def reward(self, rewards: dict[str, float], config: Config) -> float:
-        return self.normalized(weighted(rewards, config), config) * rewards["on_road_reward"]
 
     def reward_limits(self, config: Config) -> tuple[float, float]:
         return config["collision_reward"], config["high_speed_reward"] + config["left_lane_reward"]

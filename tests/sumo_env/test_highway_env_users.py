@@ -268,9 +268,15 @@ def test_available_actions_are_those_that_change_something(highway: DrivingEnv) 
 
 @pytest.mark.parametrize(
     ("name", "message"),
-    [("viewer", "render"), ("simplify", "env_preprocessors"), ("nonsense", "no attribute 'nonsense'$")],
+    [
+        ("viewer", "render"),
+        ("simplify", "env_preprocessors"),
+        ("change_vehicles", "the simulator drives"),
+        ("nonsense", "no attribute 'nonsense'$"),
+    ],
 )
 def test_what_does_not_exist_says_what_replaces_it(highway: DrivingEnv, name: str, message: str) -> None:
+    """rl-agents calls preprocessors by name, and goes on without those that are an AttributeError."""
     assert not hasattr(highway, name)
     with pytest.raises(AttributeError, match=message):
         getattr(highway, name)

@@ -153,11 +153,6 @@ def test_a_reward_may_ask_for_the_traffic_and_is_checked() -> None:
         check_task(Unweighted(), seeds=1)
 
 
-def test_keys_of_a_task_are_checked() -> None:
-    with pytest.raises(ConfigError, match="did you mean 'gap'"):
-        DrivingEnv(Slalom(), {"gapp": 3})
-
-
 @pytest.mark.slow
 def test_a_task_on_a_road_of_the_five_runs_on_the_replica() -> None:
     env = DrivingEnv(Slalom(), {"simulation_frequency": 15}, simulator=Replica())

@@ -176,21 +176,6 @@ def test_a_tree_of_states_as_rl_agents_planners_keep_it() -> None:
     env.close()
 
 
-@pytest.mark.parametrize(
-    ("method", "reason"),
-    [
-        ("simplify", "leave it out"),
-        ("change_vehicles", "simulator drives"),
-        ("to_finite_mdp", "TimeToCollision"),
-    ],
-)
-def test_preprocessors_of_rl_agents_are_refused_with_the_reason(method: str, reason: str) -> None:
-    """It calls them by name, and goes on without those that are an AttributeError."""
-    env = gym.make("sumo/highway-v0")
-    with pytest.raises(AttributeError, match=reason):
-        getattr(env.unwrapped, method)
-
-
 def test_an_imagined_copy_has_the_past_and_another_future() -> None:
     env = DrivingEnv("u-turn", {"risk": 1.0, **TASKS["u-turn"].levels["12"]})
     env.reset(seed=8)

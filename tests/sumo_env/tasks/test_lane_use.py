@@ -154,8 +154,3 @@ def test_a_route_that_a_class_may_not_drive_is_named(tmp_path: Path, demand: str
     file.write_text(f"<routes>{TYPES}{demand}</routes>")
     with pytest.raises(ConfigError, match=message):
         SumoDrivingEnv(build(tmp_path, LANES), file, FAR).reset(seed=0)
-
-
-def test_the_ego_does_not_drive_where_cars_may_not(tmp_path: Path) -> None:
-    with pytest.raises(ConfigError, match=r"edge 'bc', which .* does not have for passenger cars"):
-        SumoDrivingEnv(build(tmp_path, LANES), [], ["ab", "bc", "cd"])

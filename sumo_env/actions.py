@@ -57,26 +57,6 @@ def target_lane(
     return lane
 
 
-def available_actions(
-    actions: dict[int, str], road: Road, lane: LaneIndex, x: float, y: float, speed_index: int, speeds: int
-) -> list[int]:
-    """Indices of IDLE and of the actions that change the target of the ego at (x, y) [m] on `lane`.
-
-    highway-env's ``DiscreteMetaAction.get_available_actions``; `speeds` is the number of target speeds.
-    """
-    beside = {
-        index[2] - lane[2] for index in road.side_lanes(lane) if road.lane(index).is_reachable_from(x, y)
-    }
-    possible = {
-        "IDLE": True,
-        "LANE_LEFT": -1 in beside,
-        "LANE_RIGHT": 1 in beside,
-        "FASTER": speed_index < speeds - 1,
-        "SLOWER": speed_index > 0,
-    }
-    return [index for index, name in actions.items() if possible[name]]
-
-
 def follow_road(road: Road, lane: LaneIndex, route: tuple[str, ...], x: float, y: float) -> LaneIndex:
     """The lane to steer for at (x, y) [m]: `lane`, or at its end the next one of the route."""
     return road.next_lane(lane, route, x, y) if road.lane(lane).after_end(x, y) else lane

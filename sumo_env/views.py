@@ -15,7 +15,6 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from sumo_env.actions import available_actions
 from sumo_env.networks.lanes import Lane
 from sumo_env.networks.roads import LaneIndex, Road
 from sumo_env.scene import Floats, Scene
@@ -274,6 +273,15 @@ class ReadAsHighwayEnv(gym.Env[NDArray[np.float32], Any]):
 
     def get_available_actions(self) -> list[int]:
         """Indices of the actions that would change something now, and of IDLE."""
-        x, y, lane = self.scene.x.item(0), self.scene.y.item(0), self.ego_state.lane
-        speeds = len(self.target_speeds)
-        return available_actions(self.actions, self._road, lane, x, y, self._speed_index, speeds)
+        x, y, lane, road = self.scene.x.item(0), self.scene.y.item(0), self.ego_state.lane, self._road
+        beside = {
+            other[2] - lane[2] for other in road.side_lanes(lane) if road.lane(other).is_reachable_from(x, y)
+        }
+        possible = {
+            "IDLE": True,
+            "LANE_LEFT": -1 in beside,
+            "LANE_RIGHT": 1 in beside,
+            "FASTER": self._speed_index < len(self.target_speeds) - 1,
+            "SLOWER": self._speed_index > 0,
+        }
+        return [index for index, name in self.actions.items() if possible[name]]

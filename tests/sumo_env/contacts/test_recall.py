@@ -66,10 +66,10 @@ class Truth:
 def episodes(task: str, number: int) -> Iterator[tuple[Truth, DrivingEnv, list[Scene]]]:
     """Episodes of an ego that acts at random, half of them risky; the truth, the environment, and every sub-step."""
     env = DrivingEnv(task, simulator=SumoSimulator())
-    drive, trace = env._simulator.step, []
+    simulate, trace = env._simulator.step, []
 
     def recorded(command, trace_wanted=False, **_):
-        step = drive(command, True)
+        step = simulate(command, True)
         trace.extend(step.trace)
         return step
 

@@ -3,9 +3,24 @@
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def python(*arguments: object, **environment: str) -> str:
+    """What a Python of its own prints, with these arguments and variables; it must end well."""
+    options: dict[str, Any] = {"capture_output": True, "text": True, "cwd": ROOT, "timeout": 300}
+    done = subprocess.run(
+        [sys.executable, *map(str, arguments)], env={**os.environ, **environment}, **options
+    )
+    assert done.returncode == 0, f"{done.returncode}: {done.stdout[-2000:]}{done.stderr[-2000:]}"
+    return str(done.stdout)
 
 
 def children(parent: int, word: str = "") -> list[int]:

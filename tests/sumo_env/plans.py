@@ -7,6 +7,7 @@ import sys
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -36,6 +37,25 @@ def grid(folder: Path, *options: str) -> Path:
     command = [SUMO.with_name("netgenerate"), "--grid", *options, "-o", net]
     subprocess.run(command, check=True, capture_output=True)
     return net
+
+
+Rows = dict[float, dict[str, dict[str, str]]]  # time [s] -> vehicle -> attributes
+
+
+def floating_car_data(path: Path) -> Rows:
+    root = ElementTree.parse(path).getroot()
+    return {
+        round(float(now.get("time", "")), 2): {car.get("id", ""): car.attrib for car in now} for now in root
+    }
+
+
+def opened(configuration: Path) -> Rows:
+    """What SUMO shows of a configuration, without a word."""
+    out = configuration.with_suffix(".out.xml")
+    command = [SUMO, "-c", configuration, "--fcd-output", out]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    return floating_car_data(out)
 
 
 def endings(env: SumoDrivingEnv, seeds: Iterable[int], actions: Iterable[int] | None = None) -> set[str]:

@@ -3,11 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
 from dataclasses import replace
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,9 +11,8 @@ import pytest
 
 from sumo_env.env import DrivingEnv
 from sumo_env.tasks import TASKS
+from tests.processes import python
 from tests.sumo_env.rollout import digest, record, rollout
-
-ROOT = Path(__file__).resolve().parents[2]
 
 CROWDED: dict[str, dict[str, Any]] = {name: list(task.levels.values())[1] for name, task in TASKS.items()}
 CASES = [(task, 5, {**CROWDED[task], "risk": risk}) for task in TASKS for risk in (0.0, 1.0)]
@@ -44,15 +39,9 @@ def test_twice_in_one_process(task: str, risk: float) -> None:
 def test_in_another_process_and_another_order(here: dict[int, str]) -> None:
     """No state of SUMO, of numpy's global generator or of hash seeds leaks into an episode."""
     order = list(reversed(range(len(CASES))))
-    done = subprocess.run(
-        [sys.executable, "-m", "tests.sumo_env.rollout", json.dumps([CASES[case] for case in order])],
-        capture_output=True,
-        text=True,
-        check=True,
-        cwd=ROOT,
-        env={**os.environ, "PYTHONHASHSEED": "7"},
-    )
-    assert dict(zip(order, done.stdout.split(), strict=True)) == here
+    cases = json.dumps([CASES[case] for case in order])
+    digests = python("-m", "tests.sumo_env.rollout", cases, PYTHONHASHSEED="7").split()
+    assert dict(zip(order, digests, strict=True)) == here
 
 
 @pytest.mark.parametrize("task", TASKS)

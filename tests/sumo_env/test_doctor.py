@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import subprocess
 import sys
 from typing import Any
 
@@ -11,18 +10,16 @@ import pytest
 
 import sumo_env
 from sumo_env import doctor
+from tests.processes import python
 
 
 @pytest.mark.slow
 def test_a_sound_installation_passes() -> None:
-    done = subprocess.run(
-        [sys.executable, "-m", "sumo_env.doctor"], capture_output=True, text=True, check=False
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
-    assert "all is well" in done.stdout
-    assert "FAIL" not in done.stdout
+    said = python("-m", "sumo_env.doctor")
+    assert "all is well" in said
+    assert "FAIL" not in said
     for id in sumo_env.IDS:
-        (line,) = [line for line in done.stdout.splitlines() if f" {sumo_env.task_of(id)} " in line]
+        (line,) = [line for line in said.splitlines() if f" {sumo_env.task_of(id)} " in line]
         assert "steps/s" in line
 
 

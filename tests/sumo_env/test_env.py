@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import copy
-import subprocess
-import sys
 import warnings
 from collections.abc import Iterator
 from dataclasses import replace
@@ -25,6 +23,7 @@ from sumo_env.scene import Scene
 from sumo_env.simulator import EgoCommand, Step
 from sumo_env.tasks import TASKS
 from sumo_env.traffic.scenario import Scenario
+from tests.processes import python
 from tests.sumo_env.rollout import drive
 
 # highway-env's observation boxes are unbounded tables as well
@@ -61,8 +60,7 @@ def test_time_to_collision_grids(task: str) -> None:
 
 def test_ids_can_be_made_without_an_import() -> None:
     code = "import gymnasium as gym; print(gym.make('sumo_env:sumo/u-turn-v0').reset(seed=0)[0].shape)"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
-    assert done.stdout.strip() == "(5, 5)"
+    assert python("-c", code).strip() == "(5, 5)"
 
 
 def test_spec_makes_the_same_environment_again(highway: gym.Env[Any, Any]) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import subprocess
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -13,12 +12,10 @@ import pytest
 
 from experiments.backends import make_env
 from sumo_env.env import DrivingEnv
-from tests.sumo_env.plans import SUMO, needs_sumo
+from tests.sumo_env.plans import Rows, floating_car_data, needs_sumo, opened
 from tests.sumo_env.rollout import drive
 
 pytestmark = [pytest.mark.slow, needs_sumo]
-
-Rows = dict[float, dict[str, dict[str, str]]]
 
 CASES: dict[str, tuple[int, dict[str, Any]]] = {
     "highway": (3, {"vehicles_count": 20, "risk": 1.0}),
@@ -34,23 +31,6 @@ def driven(env: gym.Env[Any, Any], action: int) -> DrivingEnv:
     for _ in drive(env, action, seed=1):
         pass
     return env.unwrapped  # type: ignore[return-value]
-
-
-def floating_car_data(path: Path) -> Rows:
-    root = ElementTree.parse(path).getroot()
-    return {
-        round(float(now.get("time", "")), 2): {car.get("id", ""): car.attrib for car in now} for now in root
-    }
-
-
-def opened(configuration: Path) -> Rows:
-    """What SUMO shows of a configuration."""
-    out = configuration.with_suffix(".out.xml")
-    done = subprocess.run(
-        [SUMO, "-c", configuration, "--fcd-output", out], capture_output=True, text=True, check=False
-    )
-    assert (done.returncode, done.stderr) == (0, "")
-    return floating_car_data(out)
 
 
 def distances(recorded: Rows, shown: Rows, later: float = 0.0) -> dict[str, float]:

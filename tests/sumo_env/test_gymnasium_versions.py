@@ -9,7 +9,8 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[2]
+from tests.processes import ROOT, python
+
 SCRIPT = """
 import sys
 import gymnasium as gym
@@ -37,7 +38,5 @@ def test_environments_work_on_an_older_gymnasium(version: str, tmp_path: Path) -
     """Alone, checked by gymnasium, and as vector environments."""
     pip = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check", "install", "--no-deps"]
     subprocess.run([*pip, "--target", tmp_path / "older", f"gymnasium=={version}"], check=True)
-    environment = {**os.environ, "PYTHONPATH": os.pathsep.join((str(tmp_path / "older"), str(ROOT)))}
-    command = [sys.executable, "-W", "ignore", "-c", SCRIPT, version]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
+    path = os.pathsep.join((str(tmp_path / "older"), str(ROOT)))
+    python("-W", "ignore", "-c", SCRIPT, version, PYTHONPATH=path)

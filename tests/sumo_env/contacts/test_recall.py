@@ -19,6 +19,7 @@ from sumo_env.env import DrivingEnv
 from sumo_env.scene import Scene
 from sumo_env.sumo.world import SumoSimulator
 from sumo_env.tasks import TASKS
+from tests.sumo_env.rollout import drive
 
 from .shapes import polygons
 

@@ -5,13 +5,11 @@ Each case runs in a process of its own, because the wrong outcome is the end of 
 
 from __future__ import annotations
 
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[3]
+from tests.processes import python
 
 SCRIPT = """
 import sys
@@ -90,13 +88,6 @@ MISUSES = {
 def test_the_next_reset_works_whatever_was_done_to_libsumo(misuse: str, tmp_path: Path) -> None:
     """Reset at once, and after the error or the steps that follow."""
     code, allowed = MISUSES[misuse]
-    done = subprocess.run(
-        [sys.executable, "-c", SCRIPT.replace("MISUSE", code), str(tmp_path / "state.xml")],
-        capture_output=True,
-        text=True,
-        cwd=ROOT,
-        timeout=120,
-    )
-    assert done.returncode == 0, f"{done.returncode}: {done.stderr[-2000:]}"
-    outcome, after = done.stdout.splitlines()[-2:]
+    said = python("-c", SCRIPT.replace("MISUSE", code), tmp_path / "state.xml")
+    outcome, after = said.splitlines()[-2:]
     assert outcome in allowed and after == "as before"

@@ -19,7 +19,7 @@ import pytest
 from sumo_env.config import ConfigError
 from sumo_env.simulator import Simulator, SimulatorError
 from sumo_env.sumo.process import SimulatorDied, SumoProcess, open_simulator
-from tests.processes import descriptors, ends, is_alive, wait_for
+from tests.processes import ROOT, descriptors, ends, is_alive, python, wait_for
 from tests.sumo_env.sumo.fake import (
     COMMAND,
     CONFIG_ERROR,
@@ -32,8 +32,6 @@ from tests.sumo_env.sumo.fake import (
     FakeSimulator,
     scenario,
 )
-
-ROOT = Path(__file__).resolve().parents[3]
 
 
 @pytest.fixture(scope="module")
@@ -120,8 +118,7 @@ def test_what_the_simulator_prints_does_not_disturb(capfd: pytest.CaptureFixture
 
 def test_a_worker_loads_only_what_it_needs() -> None:
     code = "import sys, sumo_env.sumo.worker\nprint(*sorted({name.split('.')[0] for name in sys.modules}), sep='\\n')"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=ROOT)
-    loaded = set(done.stdout.split())
+    loaded = set(python("-c", code).split())
     assert "numpy" in loaded
     assert loaded.isdisjoint({"torch", "pandas", "matplotlib", "PIL", "libsumo"})
 

@@ -9,7 +9,6 @@ import numpy as np
 from highway_env.vehicle.controller import ControlledVehicle
 
 from experiments.backends.highway_env import ENVIRONMENTS, ScenarioEnv
-from sumo_env.scene import Scene
 from sumo_env.tasks.base import EgoState
 from tests.sumo_env.rollout import drive
 
@@ -34,7 +33,7 @@ def make(task: str, **config: Any) -> ScenarioEnv:
 
 def ego_state(env: ScenarioEnv, action: int | None) -> EgoState:
     """As `DrivingEnv` derives it, on our own road; the lane has to be the one that highway-env found."""
-    ego, scene = env.vehicle, scene_of(env)
+    ego, scene = env.vehicle, env._scene()
     road = env.task.road(env.config)
     x, y, heading = float(scene.x[0]), float(scene.y[0]), float(scene.heading[0])
     index = road.closest_lane(x, y, heading)
@@ -53,18 +52,6 @@ def ego_state(env: ScenarioEnv, action: int | None) -> EgoState:
         crashed=bool(ego.crashed),
         on_road=road.lane(index).covers(s, lateral),
     )
-
-
-def scene_of(env: ScenarioEnv) -> Scene:
-    return env._scene()
-
-
-def route_of(env: ScenarioEnv) -> tuple[str, ...]:
-    """Nodes of the ego's whole route."""
-    spec = env.scenario.ego
-    if spec.destination is None:
-        return (spec.lane[0], spec.lane[1])
-    return (spec.lane[0], *env.task.road(env.config).route(spec.lane[1], spec.destination))
 
 
 def episodes(env: ScenarioEnv, seeds: range) -> Iterator[Step]:

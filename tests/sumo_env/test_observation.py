@@ -12,12 +12,13 @@ import pytest
 from highway_env.envs.common.observation import ObservationType, observation_factory
 
 from experiments.backends.highway_env import ENVIRONMENTS, ScenarioEnv
+from sumo_env.actions import ego_route
 from sumo_env.config import ConfigError, resolve
 from sumo_env.interface import interface
 from sumo_env.observation import Kinematics, TimeToCollision
 from sumo_env.tasks import TASKS
 
-from .parity import ego_state, episodes, make, route_of, scatter, scene_of
+from .parity import ego_state, episodes, make, scatter
 
 STOCK = {
     "highway": "highway-v0",
@@ -49,9 +50,9 @@ GRIDS: list[dict[str, Any]] = [
 def ours(env: ScenarioEnv, observation: dict[str, Any], rng: np.random.Generator) -> np.ndarray:
     config = resolve(env.task.name, env.default_config(), {"observation": observation})
     kind = interface(env.task, config).observation_type
-    road, ego, scene = env.task.road(env.config), ego_state(env, None), scene_of(env)
+    road, ego, scene = env.task.road(env.config), ego_state(env, None), env._scene()
     if isinstance(kind, TimeToCollision):
-        return kind.observe(scene, road, ego, env.target_speeds, route_of(env))
+        return kind.observe(scene, road, ego, env.target_speeds, ego_route(road, env.scenario.ego))
     specs = (*env.scenario.specs, *(spawn.vehicle for spawn in env.scenario.spawns))
     return kind.observe(scene, road, ego, {spec.id: spec for spec in specs}, rng)
 

@@ -61,6 +61,14 @@ SUMO, HIGHWAY_ENV = Engine("sumo", "sumo"), Engine(REFERENCE, "replica", {"varia
 # changes of highway-env's own numbers for IDM on other scenarios.
 Space = Mapping[str, Range | Choice]
 SWITCH, SHARE, FACTOR = Choice((False, True)), Range(0.0, 1.0), Range(0.1, 1.0)
+CLOSER = {"tau": FACTOR, "min_gap": FACTOR}
+
+
+def up_to(**rates: float) -> dict[str, Range]:
+    """Rates of events, each from 0 to its highest."""
+    return {name: Range(0.0, highest) for name, highest in rates.items()}
+
+
 DRIVERS: dict[str, Space] = {
     "highway": {
         "speed_gain": Range(2.0, 150.0, log=True),
@@ -83,31 +91,11 @@ DRIVERS: dict[str, Space] = {
     "u-turn": {"lane_changes": SWITCH, "assertive": Range(0.5, 1.3)},
 }
 RISK: dict[str, Space] = {
-    "highway": {"cut_in": Range(0.0, 0.1), "brake": Range(0.0, 0.1)},
-    "two-way": {"cut_in": Range(0.0, 0.03), "brake": Range(0.0, 0.4)},
-    "roundabout": {
-        "brake": Range(0.0, 0.3),
-        "surge": Range(0.0, 0.6),
-        "cut_in": Range(0.0, 0.3),
-        "tau": FACTOR,
-        "min_gap": FACTOR,
-        "not_giving_way": SHARE,
-    },
-    "intersection": {
-        "surge": Range(0.0, 0.5),
-        "brake": Range(0.0, 0.3),
-        "tau": FACTOR,
-        "min_gap": FACTOR,
-        "decel": FACTOR,
-        "not_giving_way": SHARE,
-    },
-    "u-turn": {
-        "cut_in": Range(0.0, 0.6),
-        "brake": Range(0.0, 0.3),
-        "tau": FACTOR,
-        "min_gap": FACTOR,
-        "decel": FACTOR,
-    },
+    "highway": up_to(cut_in=0.1, brake=0.1),
+    "two-way": up_to(cut_in=0.03, brake=0.4),
+    "roundabout": {**up_to(brake=0.3, surge=0.6, cut_in=0.3), **CLOSER, "not_giving_way": SHARE},
+    "intersection": {**up_to(surge=0.5, brake=0.3), **CLOSER, "decel": FACTOR, "not_giving_way": SHARE},
+    "u-turn": {**up_to(cut_in=0.6, brake=0.3), **CLOSER, "decel": FACTOR},
 }
 
 

@@ -14,15 +14,31 @@ SPEED = {"highway": 30.0, "two-way": 30.0, "roundabout": 20.0, "intersection": 9
 STEP = 0.1  # [s]
 
 
-def _drive(task: str) -> list[dict]:
-    """Drive each route from each lane; runs in a process of its own, because libsumo holds one simulation."""
+def _start(task: str, *options: str):
+    """libsumo with the task's network and its routes; it supports one simulation per process."""
     import libsumo
 
     net = network(task)
-    options = ["--step-length", str(STEP), "--no-step-log", "--collision.check-junctions"]
-    libsumo.start(["sumo", "-n", str(net.net_file), *options])
+    libsumo.start(["sumo", "-n", str(net.net_file), "--step-length", str(STEP), "--no-step-log", *options])
     for key, edges in net.routes.items():
         libsumo.route.add(key, list(edges))
+    return libsumo, net
+
+
+def _enter(libsumo, net, car: str, place: tuple, speed: float, start_speed: str) -> str:
+    """Add a car that nothing holds up, at a place of highway-env; returns the key of its route."""
+    route, lane, position = net.place(*place)
+    libsumo.vehicle.add(car, route, departSpeed=start_speed)
+    libsumo.vehicle.setSpeedMode(car, 32)
+    libsumo.vehicle.setLaneChangeMode(car, 0)
+    libsumo.vehicle.moveTo(car, lane, position)
+    libsumo.vehicle.setSpeed(car, speed)
+    return route
+
+
+def _drive(task: str) -> list[dict]:
+    """Drive each route from each lane."""
+    libsumo, net = _start(task, "--collision.check-junctions")
 
     def centre(car: str) -> tuple[float, float]:
         x, y = libsumo.vehicle.getPosition(car)
@@ -35,19 +51,9 @@ def _drive(task: str) -> list[dict]:
             continue
         for key in [key for key in net.routes if key.startswith(f"{index[0]}-{index[1]}>")]:
             car, destination, s = f"{index} {key}", key.split(">")[1], min(lane.length / 2, 60.0)
-            route, sumo_lane, position = net.place(index, s, destination)
-            libsumo.vehicle.add(car, route, departSpeed="5")
-            libsumo.vehicle.setSpeedMode(car, 32)
-            libsumo.vehicle.setLaneChangeMode(car, 0)
-            libsumo.vehicle.moveTo(car, sumo_lane, position)
-            libsumo.vehicle.setSpeed(car, SPEED[task])
-            record = {
-                "car": car,
-                "misplaced": math.dist(centre(car), lane.position(s, 0.0)),
-                "slowest": math.inf,
-                "aside": 0.0,
-                "last": net.routes[route][-1],
-            }
+            route = _enter(libsumo, net, car, (index, s, destination), SPEED[task], "5")
+            record = {"car": car, "slowest": math.inf, "aside": 0.0, "last": net.routes[route][-1]}
+            record["misplaced"] = math.dist(centre(car), lane.position(s, 0.0))
             for _ in range(150):  # 15 s, the longest episode but the highway's
                 libsumo.simulationStep()
                 if car not in libsumo.vehicle.getIDList():
@@ -103,20 +109,9 @@ def test_placed_where_highway_env_has_it(drives, task):
 
 def _overtake() -> tuple[list[float], list[str]]:
     """y [m, down] of a car that pulls out at 0 s, in at 3 s, out at 6 s; how it meets the oncoming one."""
-    import libsumo
-
-    net = network("two-way")
-    options = ["--step-length", str(STEP), "--no-step-log", "--lanechange.duration", "1"]
-    libsumo.start(["sumo", "-n", str(net.net_file), *options, "--collision.action", "warn"])
-    for key, edges in net.routes.items():
-        libsumo.route.add(key, list(edges))
+    libsumo, net = _start("two-way", "--lanechange.duration", "1", "--collision.action", "warn")
     for car, index, s in (("ego", ("a", "b", 1), 30.0), ("oncoming", ("b", "a", 0), 100.0)):
-        route, lane, position = net.place(index, s)
-        libsumo.vehicle.add(car, route, departSpeed="20")
-        libsumo.vehicle.setSpeedMode(car, 32)
-        libsumo.vehicle.setLaneChangeMode(car, 0)
-        libsumo.vehicle.moveTo(car, lane, position)
-        libsumo.vehicle.setSpeed(car, 20)
+        _enter(libsumo, net, car, (index, s), 20.0, "20")
     lateral: list[float] = []
     for k in range(250):
         if k in (0, 30, 60):

@@ -24,7 +24,7 @@ from sumo_env.scene import VEHICLE_LENGTH
 
 LANE_CHANGE_DELAY = 1.0  # [s] a decision of MOBIL is due when the timer exceeds it
 MIN_SPEED = 1.0  # [m/s] below which nobody decides to change lane
-REACHABLE = 8.0  # [m] from the centre line (``AbstractLane.is_reachable_from``)
+REACHABLE = 8.0  # [m] from the centre line
 
 
 # -- the route ----------------------------------------------------------------------------------------------------
@@ -69,9 +69,11 @@ def next_lane(lanes: Any, car: Any, s: float) -> int:
 
 
 @borrowing
-def follow_road(lanes: Any, places: Any, car: Any, i: int) -> None:
-    """``ControlledVehicle.follow_road``: on the last half vehicle length of a lane, steer for the next one."""
-    s = places.s[car.target, i]
+def follow_road(lanes: Any, car: Any, s: float) -> None:
+    """``ControlledVehicle.follow_road``: on the last half vehicle length of a lane, steer for the next one.
+
+    s: where the car is on the lane that it steers for [m].
+    """
     if s > lanes[car.target].length - VEHICLE_LENGTH / 2.0:
         car.target = next_lane(lanes, car, s)
 
@@ -149,6 +151,12 @@ def acceleration(lanes: Any, cars: Any, places: Any, rules: Any, driver: Any, i:
 
 
 @borrowing
+def is_reachable(lane: Any, s: float, lat: float) -> bool:
+    """``AbstractLane.is_reachable_from`` of the point (s, lat) [m]."""
+    return abs(lat) <= REACHABLE and 0.0 <= s < lane.length + VEHICLE_LENGTH
+
+
+@borrowing
 def is_taken(cars: Any, places: Any, i: int) -> bool:
     """Is a car ahead of `i`, closer than `i` likes and not there yet, changing to the lane that `i` is changing to?"""
     car = cars[i]
@@ -193,9 +201,8 @@ def change_lane(lanes: Any, cars: Any, places: Any, rules: Any, i: int) -> None:
     for new in (car.lane - 1, car.lane + 1):
         if not lane.road <= new < lane.road + lane.abreast:
             continue
-        within = 0.0 <= places.s[new, i] < lanes[new].length + VEHICLE_LENGTH
-        is_reachable = within and abs(places.lat[new, i]) <= REACHABLE
-        if is_reachable and abs(car.speed) >= MIN_SPEED and mobil(lanes, cars, places, rules, i, new):
+        reachable = is_reachable(lanes[new], places.s[new, i], places.lat[new, i])
+        if reachable and abs(car.speed) >= MIN_SPEED and mobil(lanes, cars, places, rules, i, new):
             car.target = new
 
 
@@ -206,7 +213,7 @@ def change_lane(lanes: Any, cars: Any, places: Any, rules: Any, i: int) -> None:
 def drive(lanes: Any, cars: Any, places: Any, rules: Any, i: int) -> None:
     """``IDMVehicle.act`` but for the steering: writes the car's target lane and acceleration."""
     car = cars[i]
-    follow_road(lanes, places, car, i)
+    follow_road(lanes, car, places.s[car.target, i])
     if car.changes_lanes:
         car.is_forced = car.is_forced and car.lane != car.target
         if not car.is_forced:

@@ -67,8 +67,8 @@ def feature(car: Any, k: int) -> float:
 
 
 @compiled
-def table(lanes: Any, cars: Any, eyes: Any) -> Any:
-    """The Kinematics table of the ego, the first car: float32 of shape (rows, features), zero beyond the last car."""
+def look(lanes: Any, cars: Any, eyes: Any, result: Any) -> None:
+    """Write the Kinematics table of the ego, the first car: float32 of shape (rows, features), zero beyond the last."""
     ego, lane = cars[0], lanes[cars[0].lane]
     here = local_coordinates(lane, ego.x, ego.y)[0]
     rows, distances, seen = np.empty(eyes.rows, np.int64), np.empty(eyes.rows), 0
@@ -87,7 +87,7 @@ def table(lanes: Any, cars: Any, eyes: Any) -> Any:
         for k in range(seen - 1, place, -1):
             rows[k], distances[k] = rows[k - 1], distances[k - 1]
         rows[place], distances[place] = j, abs(ahead)
-    result = np.zeros((eyes.rows, len(eyes.features)), np.float32)
+    result[:] = 0.0
     for row in range(seen + 1):
         car = ego if row == 0 else cars[rows[row - 1]]
         for k in range(len(eyes.features)):
@@ -96,7 +96,6 @@ def table(lanes: Any, cars: Any, eyes: Any) -> Any:
                 value -= feature(ego, eyes.features[k])
             value = value * eyes.scale[k] + eyes.shift[k]
             result[row, k] = min(max(value, eyes.low[k]), eyes.high[k])
-    return result
 
 
 @borrowing

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
 from itertools import compress
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -32,6 +32,30 @@ NOBODY: frozenset[str] = frozenset()
 JOINED = ("roundabout", "intersection", "u-turn")  # tasks with lanes that continue others
 
 FRAME = ("x", "y", "speed", "heading", "crashed", "in_event")  # the rows of a frame of a trace
+
+
+class Start(NamedTuple):
+    """An episode before its first step, for the kernels.
+
+    Attributes:
+        lanes, seen_lanes: records of LANE, for the traffic and for the ego's eyes.
+        rules: of the task.
+        warmed_up: sub-steps that were driven before.
+        cars: records of CAR, the ego first.
+        arrivals, arrival_steps: cars that come later, and the policy steps after which they do, rising.
+        events: records of EVENT.
+        first_arrival: see `step.policy_step`.
+    """
+
+    lanes: tables.Records
+    seen_lanes: tables.Records
+    rules: Rules
+    warmed_up: int
+    cars: tables.Records
+    arrivals: tables.Records
+    arrival_steps: np.ndarray
+    events: tables.Records
+    first_arrival: int
 
 
 class Replica:
@@ -64,6 +88,12 @@ class Replica:
 
     def reset(self, scenario: Scenario) -> Scene:
         """See `Simulator.reset`."""
+        self.load(scenario)
+        self._name_cars()
+        return self._scene(np.array([self._cars[name] for name in FRAME], float))
+
+    def load(self, scenario: Scenario) -> Start:
+        """Place a scenario and drive its warm-up."""
         self._prepare(scenario.road, scenario.simulation_frequency)
         self._read(scenario)
         self._spawns: dict[int, tuple[int, ...]] = {}  # policy step -> numbers
@@ -74,9 +104,21 @@ class Replica:
         self._warmed_up = round(scenario.warm_up * scenario.simulation_frequency)
         placed = self._everybody[: len(scenario.specs)]
         self._cars = self._with_ego(placed) if self._warmed_up else tables.chosen(placed, slice(None))
-        self._first_arrival = len(placed) + len(self._spawns.get(0, ()))
-        self._name_cars()
-        return self._scene(np.array([self._cars[name] for name in FRAME], float))
+        present = len(placed) + len(self._spawns.get(0, ()))
+        self._first_arrival = present if self.variant == "stock" and self._warmed_up else 0
+        steps = np.array([step for step, numbers in self._spawns.items() for _ in numbers if step], np.int64)
+        self.start = Start(
+            self._lanes.table,
+            self._seen_lanes,
+            self._rules,
+            self._warmed_up,
+            self._cars,
+            self._everybody[present:],
+            steps,
+            self._events,
+            self._first_arrival,
+        )
+        return self.start
 
     def step(self, command: EgoCommand, trace: bool = False) -> Step:
         """See `Simulator.step`."""
@@ -85,9 +127,6 @@ class Replica:
             raise RuntimeError("call reset() before step()")
         if self._policy_steps > 0 and scenario.road.name == "intersection":
             self._let_out_and_in()
-        if self.variant == "stock" and scenario.warm_up:
-            before = int(np.count_nonzero(self._cars["number"][1:] < self._first_arrival))
-            self._rules = self._rules._replace(before_ego=before)
         ego = self._cars[0]
         ego["target_speed"] = command.target_speed
         self._steer_ego_for(command.target_lane)
@@ -95,7 +134,7 @@ class Replica:
         frames = np.empty((substeps, len(FRAME), len(self._cars)))
         self._next_event, crash, min_ttc, distance = kernels.policy_step(
             self._lanes.table, self._cars, self._events, self._next_event, self._rules, self._steps,
-            self._warmed_up, frames,
+            substeps, self._warmed_up, self._first_arrival, frames,
         )  # fmt: skip
         start, self._steps = self._steps, self._steps + len(frames)
         self._policy_steps += 1
@@ -118,7 +157,9 @@ class Replica:
 
     def table(self, eyes: sight.Eyes) -> np.ndarray:
         """The Kinematics observation."""
-        return sight.table(self._seen_lanes, self._cars, eyes)
+        table = np.empty((eyes.rows, len(eyes.features)), np.float32)
+        sight.look(self._seen_lanes, self._cars, eyes, table)
+        return table
 
     def warm_up(self, road: Road, vehicles: tuple[VehicleSpec, ...], time: float, frequency: int) -> Centres:
         """Centres of vehicles after they have driven for a time [s] without an ego.
@@ -278,9 +319,9 @@ def _load() -> None:
         kernels.warm_up(lanes, cars, rules, 0)
         kernels.staying(lanes, cars)
         kernels.is_free(cars, 0.0, 0.0, 0.0)
-        kernels.policy_step(lanes, cars, events, 0, rules, 0, 0, frames)
+        kernels.policy_step(lanes, cars, events, 0, rules, 0, 0, 0, 0, frames)
         sight.ego_place(lanes, cars)
-        sight.table(lanes, cars, sight.eyes_of(Kinematics({}, 1)))
+        sight.look(lanes, cars, sight.eyes_of(Kinematics({}, 1)), np.empty((5, 5), np.float32))
 
 
 def _centres(cars: tables.Records) -> Centres:

@@ -49,7 +49,7 @@ def act(lanes: Any, cars: Any, places: Any, rules: Any) -> None:
     for i in range(len(cars)):
         car = cars[i]
         if car.is_ego:  # ``MDPVehicle.act``
-            follow_road(lanes, places, car, i)
+            follow_road(lanes, car, places.s[car.target, i])
             car.acceleration = KP_ACCELERATION * (car.target_speed - car.speed)
         elif not car.crashed:
             drive(lanes, cars, places, rules, i)
@@ -100,28 +100,50 @@ def warm_up(lanes: Any, cars: Any, rules: Any, frames: int) -> None:
         step(lanes, cars, places, rules, frame + 1)
 
 
+@borrowing
+def in_order(rules: Any, cars: Any, first_arrival: int) -> Rules:
+    """The rules with the number of cars that highway-env has in its list before the ego, see `policy_step`."""
+    before_ego = 0
+    for i in range(1, len(cars)):
+        before_ego += cars[i].number < first_arrival
+    path, two_way, interval = rules.along_path, rules.is_two_way, rules.regulation_interval
+    return Rules(path, two_way, interval, rules.dt, rules.ego_contacts, before_ego, rules.loops)
+
+
 @compiled
 def policy_step(
-    lanes: Any, cars: Any, events: Any, next_event: int, rules: Any, steps: int, warmed_up: int, trace: Any
+    lanes: Any,
+    cars: Any,
+    events: Any,
+    next_event: int,
+    rules: Any,
+    steps: int,
+    frames: int,
+    warmed_up: int,
+    first_arrival: int,
+    trace: Any,
 ) -> tuple[int, int, float, float]:
-    """Drive the sub-steps that `trace` has frames for, and write them down in it.
+    """Drive some sub-steps.
 
     Args:
         lanes, cars, events: records; the cars are changed, the ego is the first.
         next_event: number of the first event that has not been due.
         rules: of the task.
         steps: sub-steps since the start of the episode.
-        warmed_up: sub-steps of the warm-up before it.
-        trace: shape (frames, 6, cars).
+        frames: sub-steps to drive.
+        warmed_up: sub-steps of the warm-up before the episode.
+        first_arrival: cars of smaller numbers come before the ego in highway-env's list; 0: the ego is its first.
+        trace: where the sub-steps are written down, shape (frames, 6, cars), or nowhere (0, 6, 0).
 
     Returns:
         the next event, the frame in which the ego crashed (-1: none), the least time to collision [s], and the distance
         covered by the ego [m].
     """
     crash, least, distance = -1, math.inf, 0.0
+    rules = in_order(rules, cars, first_arrival)
     places = no_places(lanes, cars)
     locate(lanes, cars, places, rules.loops)
-    for frame in range(len(trace)):
+    for frame in range(frames):
         time = steps * rules.dt
         next_event = start_events(lanes, cars, places, rules, events, next_event, time)
         distance += max(cars[0].speed, 0.0) * rules.dt
@@ -129,7 +151,7 @@ def policy_step(
         push(cars, time, rules.dt)
         steps += 1
         step(lanes, cars, places, rules, warmed_up + steps)
-        for i in range(len(cars)):
+        for i in range(trace.shape[2]):
             car = cars[i]
             trace[frame, X, i], trace[frame, Y, i] = car.x, car.y
             trace[frame, SPEED, i], trace[frame, HEADING, i] = car.speed, car.heading

@@ -6,6 +6,7 @@ the number of the left one is also the number of their road.
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -120,6 +121,13 @@ CAR = np.dtype(
     ],
     align=True,
 )
+
+
+def _letters(field: str) -> str:
+    """The type of a field of CAR in a format of `struct`."""
+    base, shape = CAR[field].base, CAR[field].shape
+    return f"{shape[0] if shape else 1}{'q' if base == np.int64 else base.char}"
+
 
 EVENT = np.dtype(
     [
@@ -266,17 +274,19 @@ def cars_of(road: Road, specs: Iterable[VehicleSpec]) -> Records:
             number, spec.id == EGO, spec.x, spec.y, spec.heading,
             cos(spec.heading), sin(spec.heading), spec.speed, numbers[spec.lane], numbers[spec.lane],
             spec.target_speed, spec.timer, spec.changes_lanes, False,
-            _route(road, spec.lane, spec.destination), 0, NONE if spec.destination is None else spec.lane[2],
+            *_route(road, spec.lane, spec.destination), 0, NONE if spec.destination is None else spec.lane[2],
             False, 0.0, 0.0, 0.0, 0.0, False, 0.0, 0.0, False, False, 0.0, 0.0,
             *_driver(spec.driver), *[0] * len(LINEAR),
         )
         for number, spec in enumerate(specs)
     ]  # fmt: skip
-    return np.array(rows, CAR)
+    return np.frombuffer(bytearray().join(ROW.pack(*row) for row in rows), CAR)
 
 
 # numpy copies records field by field; as bytes they are copied up to fifty times as fast.
 BYTES = np.dtype((np.void, CAR.itemsize))
+# A record as C has it, which Python packs four times as fast as numpy writes it.
+ROW = struct.Struct("@" + "".join(_letters(name) for name in CAR.names or ()) + "0q")
 
 
 def joined(first: Records, second: Records) -> Records:

@@ -267,13 +267,13 @@ def make_on_lane(
     return VehicleSpec(id, *pose, speed, wanted, destination, driver, changes_lanes, timer, concerns_ego)
 
 
-def nearest_index(speed: float, ladder: Iterable[float]) -> int:
+def nearest_index(speed: float, ladder: Sequence[float]) -> int:
     """Index of the evenly spaced target speed nearest to a speed [m/s] (``MDPVehicle.speed_to_index``)."""
-    rungs = list(ladder)
-    if len(rungs) == 1:
+    last = len(ladder) - 1
+    if last == 0:
         return 0
-    position = (speed - rungs[0]) / (rungs[-1] - rungs[0])
-    return min(max(round(position * (len(rungs) - 1)), 0), len(rungs) - 1)
+    position = (speed - ladder[0]) / (ladder[last] - ladder[0])
+    return min(max(round(position * last), 0), last)
 
 
 def lmap(value: float, source: tuple[float, float] | list[float], target: tuple[float, float]) -> float:
@@ -283,7 +283,10 @@ def lmap(value: float, source: tuple[float, float] | list[float], target: tuple[
 
 def weighted(rewards: dict[str, float], config: Config) -> float:
     """Sum of the terms times their weights in the config; a term without a weight has no effect."""
-    return sum(config.get(name, 0) * value for name, value in rewards.items())
+    total = 0.0
+    for name, value in rewards.items():  # from Python 3.12 on `sum` rounds otherwise
+        total += config.get(name, 0) * value
+    return total
 
 
 def speed_term(speed: float, config: dict[str, Any]) -> float:

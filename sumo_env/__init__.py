@@ -50,7 +50,12 @@ def register_envs() -> None:
             register(id, task_of(id))
     for id in (*REPLICA_IDS, FAST_ID):
         if id not in gym.registry:
-            gym.register(id, entry_point="sumo_env.replica.env:ReplicaEnv", kwargs={"task": task_of(id)})
+            gym.register(
+                id,
+                entry_point="sumo_env.replica.env:ReplicaEnv",
+                vector_entry_point="sumo_env.replica.vector:make",
+                kwargs={"task": task_of(id)},
+            )
 
 
 register_envs()

@@ -4,6 +4,9 @@ It is highway-env's traffic up to rounding and its numbers (positions within 1e-
 endings), hundreds of times faster, behind the environment, the observations and the rewards of `sumo_env`.
 
 env        the environments
+vector     many of them behind gymnasium's vector interface
+batch      many episodes in one compiled call
+pay        rewards and endings, for batches
 simulator  `Replica`: an episode, one compiled call per policy step
 tables     lanes, cars and risk events as record arrays
 step       a sub-step, and the loop over those of a policy step

@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 from sumo_env.contacts import measures, rectangles
+from sumo_env.tasks import base
 
 try:
     import numba
@@ -41,8 +42,13 @@ def borrowing(function: Function) -> Function:
     return _compiled(function, counts=False)
 
 
-def _compiled(function: Function, counts: bool) -> Function:
-    options: dict[str, Any] = {"_nrt": counts}
+def releasing(function: Function) -> Function:
+    """As `compiled`; other threads of Python run meanwhile."""
+    return _compiled(function, counts=True, nogil=True)
+
+
+def _compiled(function: Function, counts: bool, nogil: bool = False) -> Function:
+    options: dict[str, Any] = {"_nrt": counts, "nogil": nogil}
     try:
         return cast(Function, numba.njit(cache=True, **options)(function))
     except RuntimeError as error:
@@ -78,4 +84,4 @@ def drop_outdated(package: Path, *others: Path) -> int:
     return len(outdated)
 
 
-drop_outdated(Path(__file__).parent, Path(measures.__file__), Path(rectangles.__file__))
+drop_outdated(Path(__file__).parent, *(Path(str(module.__file__)) for module in (base, measures, rectangles)))

@@ -13,7 +13,7 @@ from sumo_env.replica import draws
 from sumo_env.replica.linear import LAWS, check_law
 from sumo_env.replica.linear import draw as draw_linear
 from sumo_env.replica.sight import eyes_of
-from sumo_env.replica.simulator import VARIANTS, Replica
+from sumo_env.replica.simulator import VARIANTS, Replica, Start
 from sumo_env.tasks import highway
 from sumo_env.tasks.base import Task
 from sumo_env.traffic.scenario import Scenario
@@ -64,30 +64,30 @@ class ReplicaEnv(DrivingEnv):
         **keywords: Any,
     ) -> None:
         refuse_keywords(keywords)
-        self._is_stock = one_of("scenarios", scenarios, SCENARIOS) == SCENARIOS[0]
+        self.is_stock = one_of("scenarios", scenarios, SCENARIOS) == SCENARIOS[0]
         self._is_linear, self._is_fast = check_law(risk_law) == "linear", task == "highway-fast"
-        self._replica = Replica(
+        self.replica = Replica(
             one_of("variant", variant, VARIANTS), self._is_linear, ego_contacts=self._is_fast
         )
-        super().__init__("highway" if self._is_fast else task, config, render_mode, self._replica)
+        super().__init__("highway" if self._is_fast else task, config, render_mode, self.replica)
 
     # -- configuration -------------------------------------------------------------------------------------
 
     def default_config(self) -> Config:
         """Every key with its default."""
         defaults = {**super().default_config(), "simulation_frequency": SIMULATION_FREQUENCY}
-        if self._is_stock:
+        if self.is_stock:
             defaults["neighbour_vehicles_connected_lanes"] = False
             defaults["observation"] = dict(OBSERVATIONS.get(self.task.name, defaults["observation"]))
         return {**defaults, **highway.FAST} if self._is_fast else defaults
 
     def configure(self, config: Mapping[str, Any] | None) -> None:
         """Change these keys of the configuration; they take effect at the next reset."""
-        if self._is_stock:
+        if self.is_stock:
             self._refuse_ours({**getattr(self, "config", {}), **(config or {})})
         super().configure(config)
         kinematics = self.observation_type
-        self._eyes = eyes_of(kinematics) if isinstance(kinematics, Kinematics) else None
+        self.eyes = eyes_of(kinematics) if isinstance(kinematics, Kinematics) else None
 
     def _refuse_ours(self, config: Config) -> None:
         defaults = self.default_config()
@@ -105,9 +105,9 @@ class ReplicaEnv(DrivingEnv):
     ) -> tuple[Observation, dict[str, Any]]:
         """Start an episode, see `DrivingEnv.reset`."""
         varied = [part for part in VARIED if part in (options or {})]
-        if varied and self._is_stock:
+        if varied and self.is_stock:
             raise ConfigError(f"highway-env has no {', '.join(varied)} that a reset could vary; {INSTEAD}")
-        self._time, self._draws_arrivals = 0.0, False
+        self._time, self.draws_arrivals = 0.0, False
         return super().reset(seed=seed, options=options)
 
     def imagine(self, seed: int) -> DrivingEnv:
@@ -119,10 +119,10 @@ class ReplicaEnv(DrivingEnv):
         return twin
 
     def _draw(self, task: Task) -> Scenario:
-        if self._is_stock:
-            self._draws_arrivals = task.name == "intersection"
-            self._replica.connected = bool(self.config["neighbour_vehicles_connected_lanes"])
-            return draws.draw(task, self.config, self.np_random, self._replica.warm_up)
+        if self.is_stock:
+            self.draws_arrivals = task.name == "intersection"
+            self.replica.connected = bool(self.config["neighbour_vehicles_connected_lanes"])
+            return draws.draw(task, self.config, self.np_random, self.replica.warm_up)
         if self._is_linear:
             return draw_linear(task, self.config, int(self.np_random.integers(2**31)))
         return super()._draw(task)
@@ -130,16 +130,27 @@ class ReplicaEnv(DrivingEnv):
     def step(self, action: int) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Drive one policy step, see `DrivingEnv.step`."""
         result = super().step(action)
-        if self._draws_arrivals:
-            centres = self._replica.staying()
+        if self.draws_arrivals:
+            centres = self.replica.staying()
             spawn = draws.arrival(self.config, self._road, self.np_random, centres, self.steps)
             if spawn is not None:
-                self.scenario = self._replica.expect(spawn)
+                self.scenario = self.replica.expect(spawn)
                 self._spec_of[spawn.vehicle.id] = spawn.vehicle
         return result
 
+    def begin(self) -> Start:
+        """The traffic of the next episode, for a batch: drawn as by `reset`, with `np_random`."""
+        return self.replica.load(self._draw(self.task))
+
+    def time_limit(self) -> int:
+        """Policy steps after which time is up; call `reset` afterwards."""
+        self.steps, self._time = 1, 0.0
+        while not self._is_truncated():
+            self.steps += 1
+        return self.steps
+
     def _is_truncated(self) -> bool:
-        if not self._is_stock:
+        if not self.is_stock:
             return super()._is_truncated()
         if self.task.name == "two-way":
             return self.steps >= TIME_LIMIT
@@ -149,12 +160,12 @@ class ReplicaEnv(DrivingEnv):
     # -- what the ego sees ---------------------------------------------------------------------------------
 
     def _ego_place(self) -> tuple[LaneIndex, float, float, bool]:
-        return self._replica.ego_place()
+        return self.replica.ego_place()
 
     def _observe(self) -> Observation:
-        if self._eyes is None:
+        if self.eyes is None:
             return super()._observe()
-        table = self._replica.table(self._eyes)
-        if not self._eyes.is_sorted:
+        table = self.replica.table(self.eyes)
+        if not self.eyes.is_sorted:
             self.np_random.shuffle(table[1:])
         return table

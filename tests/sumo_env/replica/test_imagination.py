@@ -37,7 +37,7 @@ def test_an_imagined_copy_has_the_past_and_another_future(task: str, choices: di
     known, once, again, otherwise = copy.deepcopy(env), env.imagine(1), env.imagine(1), env.imagine(2)
     for twin in (once, otherwise):
         np.testing.assert_array_equal(twin.scene.x, env.scene.x)
-        np.testing.assert_array_equal(twin._replica._cars["x"], env._replica._cars["x"])
+        np.testing.assert_array_equal(twin.replica._cars["x"], env.replica._cars["x"])
     future = scenes(env)
     assert scenes(known) == future
     first = scenes(once)
@@ -48,7 +48,7 @@ def test_an_imagined_copy_has_the_past_and_another_future(task: str, choices: di
 def test_of_highway_env_s_drivers_the_exponent_is_drawn(task: str) -> None:
     env = started(task)
     twin = env.imagine(3)
-    ours, theirs = env._replica._cars, twin._replica._cars
+    ours, theirs = env.replica._cars, twin.replica._cars
     changed = [name for name in PARAMETERS if not np.array_equal(ours[name], theirs[name])]
     assert changed == ["delta"]
     assert ((theirs["delta"][1:] >= 3.5) & (theirs["delta"][1:] <= 4.5)).all()

@@ -1,0 +1,259 @@
+"""Many episodes in one call: actions, sub-steps, observations, rewards and endings, without Python in between.
+
+An episode here is one row of each table of `Batch`; what happens in it is computed by the kernels that drive a single
+environment too. Rows have room for more cars than there are.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from sumo_env.contacts.measures import DENSITY_RADIUS
+from sumo_env.replica import tables
+from sumo_env.replica.compiled import borrowing, compiled, releasing
+from sumo_env.replica.driving import follow_road, is_reachable
+from sumo_env.replica.geometry import local_coordinates
+from sumo_env.replica.pay import Pay, has_arrived, reward
+from sumo_env.replica.sight import Eyes, ego_place, look
+from sumo_env.replica.simulator import Start
+from sumo_env.replica.step import Rules, is_free, policy_step, staying
+from sumo_env.tasks import base
+from sumo_env.traffic.scenario import SPAWN_DISTANCE
+
+AFRESH, NOTHING = -1, -2  # in place of an action: an episode begins; the episode is left as it is
+SPEEDS = {"FASTER": 1, "SLOWER": -1}  # change of the target speed's index
+SIDES = {"LANE_LEFT": -1, "LANE_RIGHT": 1}
+
+EPISODE = np.dtype(
+    [
+        ("cars", "i8"),  # that are there
+        ("arrivals", "i8"),  # that come later
+        ("next_arrival", "i8"),
+        ("first_arrival", "i8"),  # see `policy_step`
+        ("events", "i8"),
+        ("next_event", "i8"),
+        ("steps", "i8"),  # policy steps
+        ("speed_index", "i8"),  # of the ego's target speed
+    ],
+    align=True,
+)
+
+OUTCOME = np.dtype(  # of a policy step, see `DrivingEnv.step`
+    [
+        ("reward", "f8"),
+        ("terminated", "?"),
+        ("truncated", "?"),
+        ("speed", "f8"),
+        ("crashed", "?"),
+        ("arrived", "?"),
+        ("on_road", "?"),
+        ("density", "i8"),
+        ("min_ttc", "f8"),
+        ("distance", "f8"),
+    ],
+    align=True,
+)
+
+_nearest_index = borrowing(base.nearest_index)
+
+
+class Law(NamedTuple):
+    """What all episodes of a batch have in common.
+
+    Attributes:
+        lanes, seen_lanes: records of LANE, for the traffic and for the ego's eyes.
+        rules, eyes, pay: of the task.
+        speeds: that the ego can be commanded [m/s].
+        speed_changes, sides: what each action changes, +1, 0 or -1.
+        clears_exits: whether cars leave and arrive during an episode.
+        substeps: of a policy step.
+        warmed_up: sub-steps before an episode.
+        time_limit: policy steps of the longest episode.
+    """
+
+    lanes: tables.Records
+    seen_lanes: tables.Records
+    rules: Rules
+    eyes: Eyes
+    pay: Pay
+    speeds: np.ndarray
+    speed_changes: np.ndarray
+    sides: np.ndarray
+    clears_exits: bool
+    substeps: int
+    warmed_up: int
+    time_limit: int
+
+
+class Batch(NamedTuple):
+    """The state of n episodes, and what their last step gave.
+
+    Attributes:
+        episodes, outcomes: records, shape (n,).
+        cars, arrivals, events: records, shape (n, room).
+        arrival_steps: policy steps after which the arrivals come, shape (n, room).
+        observations: float32 of shape (n, rows, features).
+    """
+
+    episodes: tables.Records
+    outcomes: tables.Records
+    cars: tables.Records
+    arrivals: tables.Records
+    arrival_steps: np.ndarray
+    events: tables.Records
+    observations: np.ndarray
+
+
+def no_episodes(count: int, eyes: Eyes) -> Batch:
+    """Room for this many episodes, of which none has begun."""
+    return Batch(
+        np.zeros(count, EPISODE),
+        np.zeros(count, OUTCOME),
+        np.zeros((count, 1), tables.CAR),
+        np.zeros((count, 1), tables.CAR),
+        np.zeros((count, 1), np.int64),
+        np.zeros((count, 1), tables.EVENT),
+        np.zeros((count, eyes.rows, len(eyes.features)), np.float32),
+    )
+
+
+def begun(batch: Batch, row: int, start: Start, speed_index: int) -> Batch:
+    """The batch in which this episode begins; the same one, or a larger one if there is not enough room."""
+    cars, later, events = len(start.cars), len(start.arrivals), len(start.events)
+    for name, rows, size in (
+        ("cars", start.cars, cars + later),
+        ("arrivals", start.arrivals, later),
+        ("arrival_steps", start.arrival_steps, later),
+        ("events", start.events, events),
+    ):
+        if size == 0:
+            continue
+        table = getattr(batch, name)
+        if table.shape[1] < size:
+            table = np.concatenate((table, np.zeros((len(table), size), table.dtype)), axis=1)
+            batch = batch._replace(**{name: table})
+        same = np.dtype((np.void, table.itemsize))  # see `tables.BYTES`
+        table.view(same)[row, : len(rows)] = rows.view(same)
+    batch.episodes[row] = (cars, later, 0, start.first_arrival, events, 0, 0, speed_index)
+    return batch
+
+
+def expecting(batch: Batch, row: int, car: tables.Records) -> Batch:
+    """The batch in which a car arrives in the next step of an episode, and nobody else does; see `begun`."""
+    episode = batch.episodes[row]
+    if batch.cars.shape[1] == episode["cars"]:
+        batch = batch._replace(cars=np.concatenate((batch.cars, np.zeros_like(batch.cars)), axis=1))
+    batch.arrivals[row, 0], batch.arrival_steps[row, 0] = car[0], episode["steps"]
+    episode["arrivals"], episode["next_arrival"] = 1, 0
+    return batch
+
+
+# -- kernels ------------------------------------------------------------------------------------------------------
+
+
+@compiled
+def let_out_and_in(lanes: Any, cars: Any, arrivals: Any, arrival_steps: Any, episode: Any) -> None:
+    """`Replica._let_out_and_in`: cars leave, and those of the arrivals come that have room."""
+    stays, count = staying(lanes, cars[: episode.cars]), 0
+    for i in range(len(stays)):
+        if stays[i]:
+            if count < i:
+                cars[count] = cars[i]
+            count += 1
+    while episode.next_arrival < episode.arrivals and arrival_steps[episode.next_arrival] <= episode.steps:
+        fresh = arrivals[episode.next_arrival]
+        episode.next_arrival += 1
+        if is_free(cars[:count], fresh.x, fresh.y, SPAWN_DISTANCE):
+            cars[count] = fresh
+            count += 1
+    episode.cars = count
+
+
+@borrowing
+def command(law: Any, ego: Any, episode: Any, action: int) -> None:
+    """``MDPVehicle.act``: what a meta-action changes, see `sumo_env.actions`."""
+    if law.speed_changes[action] != 0:
+        wanted = _nearest_index(ego.speed, law.speeds) + law.speed_changes[action]
+        episode.speed_index = min(max(wanted, 0), len(law.speeds) - 1)
+    ego.target_speed = law.speeds[episode.speed_index]
+    follow_road(law.lanes, ego, local_coordinates(law.lanes[ego.target], ego.x, ego.y)[0])
+    if law.sides[action] != 0:
+        road = law.lanes[ego.target].road
+        last = road + law.lanes[ego.target].abreast - 1
+        beside = min(max(ego.target + law.sides[action], road), last)
+        s, lat = local_coordinates(law.lanes[beside], ego.x, ego.y)
+        if is_reachable(law.lanes[beside], s, lat):
+            ego.target = beside
+
+
+@borrowing
+def density(cars: Any) -> int:
+    """`measures.density` around the ego, the first car."""
+    count = 0
+    for j in range(1, len(cars)):
+        dx, dy = cars[j].x - cars[0].x, cars[j].y - cars[0].y
+        count += dx * dx + dy * dy <= DENSITY_RADIUS * DENSITY_RADIUS
+    return count
+
+
+@compiled
+def judge(law: Any, cars: Any, episode: Any, outcome: Any, action: int) -> None:
+    """Write down how the ego is, and what a step pays and ends; `action` AFRESH: before the first step."""
+    ego = cars[0]
+    _, s, _, on_road = ego_place(law.seen_lanes, cars)
+    arrived = has_arrived(law.seen_lanes, ego, s)
+    outcome.speed, outcome.crashed, outcome.on_road, outcome.arrived = (
+        ego.speed,
+        ego.crashed,
+        on_road,
+        arrived,
+    )
+    outcome.density = density(cars)
+    outcome.reward, outcome.terminated, outcome.truncated = 0.0, False, False
+    if action != AFRESH:
+        count = len(law.speeds)
+        outcome.reward = reward(
+            law.pay, law.seen_lanes, ego, action, episode.speed_index, count, on_road, arrived
+        )
+        outcome.terminated = ego.crashed or arrived or (law.pay.offroad_terminal and not on_road)
+        outcome.truncated = episode.steps >= law.time_limit
+
+
+@releasing
+def drive(law: Any, batch: Any, actions: Any, first: int, end: int) -> None:
+    """One policy step of the episodes from row `first` to row `end`.
+
+    Args:
+        actions: of all episodes, shape (n,); AFRESH looks at an episode that begins, NOTHING passes one by.
+    """
+    trace = np.empty((0, 6, 0))
+    for row in range(first, end):
+        action, episode, outcome = actions[row], batch.episodes[row], batch.outcomes[row]
+        if action == NOTHING:
+            continue
+        outcome.min_ttc, outcome.distance = math.inf, 0.0
+        if action != AFRESH:
+            if law.clears_exits and episode.steps > 0:
+                let_out_and_in(
+                    law.lanes, batch.cars[row], batch.arrivals[row], batch.arrival_steps[row], episode
+                )
+            command(law, batch.cars[row, 0], episode, action)
+            episode.next_event, _, outcome.min_ttc, outcome.distance = policy_step(
+                law.lanes,
+                batch.cars[row, : episode.cars],
+                batch.events[row, : episode.events],
+                episode.next_event,
+                law.rules,
+                episode.steps * law.substeps,
+                law.substeps,
+                law.warmed_up,
+                episode.first_arrival,
+                trace,
+            )
+            episode.steps += 1
+        cars = batch.cars[row, : episode.cars]
+        judge(law, cars, episode, outcome, action)
+        look(law.seen_lanes, cars, law.eyes, batch.observations[row])

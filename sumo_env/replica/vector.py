@@ -1,0 +1,304 @@
+"""`ReplicaVectorEnv`: the replica's environments in batches, behind gymnasium's vector interface.
+
+envs = gym.make_vec("sumo_env:replica/u-turn-v0", num_envs=64, scenarios="seeded")
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from concurrent.futures import Future, ThreadPoolExecutor
+from itertools import pairwise
+from typing import TYPE_CHECKING, Any
+
+import gymnasium as gym
+import numpy as np
+from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
+from gymnasium.vector.utils import batch_space
+from numpy.typing import NDArray
+
+from sumo_env.config import ConfigError
+from sumo_env.contacts.measures import NEAR_MISS_TTC
+from sumo_env.information import NO_ACTION
+from sumo_env.replica import batch as kernels
+from sumo_env.replica import draws, tables
+from sumo_env.replica.batch import AFRESH, NOTHING, SIDES, SPEEDS, Law
+from sumo_env.replica.compiled import announced
+from sumo_env.replica.env import ReplicaEnv
+from sumo_env.replica.pay import pay_of
+from sumo_env.replica.simulator import Start
+from sumo_env.replica.step import staying
+from sumo_env.tasks.base import nearest_index
+
+RESULTS = kernels.OUTCOME.names or ()
+CHUNKS = 4  # of episodes for each thread, so that none waits long for the others
+ALONE = 'gym.make_vec(..., vectorization_mode="sync") has environments that can'
+
+# gymnasium's vector environments take type parameters from version 1.4 on
+if TYPE_CHECKING:
+    _Base = VectorEnv[Any, Any, Any]
+else:
+    _Base = VectorEnv
+
+
+def make(
+    num_envs: int,
+    autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
+    threads: int = 1,
+    **keywords: Any,
+) -> gym.vector.VectorEnv[Any, Any, Any]:
+    """What ``gym.make_vec`` makes of the ids ``replica/*``; arguments as of `ReplicaVectorEnv` and `ReplicaEnv`.
+
+    Observations that the compiled batch does not have (TimeToCollision, features of routes, shuffled rows) and pictures
+    are those of single environments in turns, in a `SyncVectorEnv`; a warning says so.
+    """
+    single = ReplicaEnv(**keywords)
+    if is_compiled(single):
+        return ReplicaVectorEnv(single, num_envs, autoreset_mode, threads)
+    gym.logger.warn("no compiled batch has this observation or render mode: single environments take turns")
+    return SyncVectorEnv([lambda: ReplicaEnv(**keywords)] * num_envs, autoreset_mode=autoreset_mode)
+
+
+def is_compiled(env: ReplicaEnv) -> bool:
+    """Whether the kernels compute all that this environment gives."""
+    return env.render_mode is None and env.eyes is not None and env.eyes.is_sorted
+
+
+class ReplicaVectorEnv(_Base):
+    """`num_envs` environments that one compiled call steps.
+
+    Each drives the episodes that the single environment drives with its seed, to the bit. ``infos`` has the entries of
+    its ``info``, as arrays, but for rewards, crash and traffic lights.
+
+    Args:
+        single: an environment, which draws the episodes of all.
+        num_envs: how many.
+        autoreset_mode: gymnasium's; by default the step after the end of an episode is its reset.
+        threads: that drive episodes at the same time; results do not depend on it.
+
+    Raises:
+        ValueError: `num_envs` or `threads` is less than 1.
+    """
+
+    def __init__(
+        self, single: ReplicaEnv, num_envs: int, autoreset_mode: str | AutoresetMode, threads: int
+    ) -> None:
+        if num_envs < 1 or threads < 1:
+            raise ValueError(f"num_envs and threads must be at least 1, not {num_envs} and {threads}")
+        self._single, self.num_envs, self._threads = single, num_envs, threads
+        self.autoreset_mode = AutoresetMode(autoreset_mode)
+        self.metadata = {**single.metadata, "autoreset_mode": self.autoreset_mode}
+        self.single_observation_space, self.single_action_space = (
+            single.observation_space,
+            single.action_space,
+        )
+        self.observation_space = batch_space(single.observation_space, num_envs)
+        self.action_space = batch_space(single.action_space, num_envs)
+        self._generators: list[Any] = [None] * num_envs  # of numpy; None before a reset
+        self._ahead: dict[
+            int, tuple[Start, dict[str, Any]]
+        ] = {}  # with the generator's state before the draw
+        self._over = np.zeros(num_envs, np.bool_)
+        self._law: Any = None  # a `Law`, from the first reset on
+        assert single.eyes is not None
+        self._batch = kernels.no_episodes(num_envs, single.eyes)
+        self._pool = ThreadPoolExecutor(threads, "sumo_env") if threads > 1 else None
+
+    # -- gymnasium -----------------------------------------------------------------------------------------
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[NDArray[np.float32], dict[str, Any]]:
+        """Start an episode in every environment; an integer seed means seed, seed + 1, ...
+
+        Args:
+            seed: of the environments' generators.
+            options: those of `ReplicaEnv.reset` but for ``scenario``, and ``reset_mask``: bool of shape (num_envs,),
+                which environments are reset (then not ``config``, which they share).
+
+        Raises:
+            ConfigError: an unknown option, key or name, a wrong value.
+            ValueError: wrong number of seeds, or a configuration with another observation or action space.
+        """
+        options = dict(options or {})
+        mask = np.asarray(options.pop("reset_mask", np.ones(self.num_envs, np.bool_)))
+        if mask.shape != (self.num_envs,) or mask.dtype != np.bool_ or not mask.any():
+            raise ValueError(f"'reset_mask' must be bool of shape ({self.num_envs},), some of it True")
+        if "scenario" in options or ("config" in options and not mask.all()):
+            raise ConfigError(f"a batch takes no 'scenario', and no 'config' with a 'reset_mask'; {ALONE}")
+        if seed is None or isinstance(seed, int | np.integer):
+            seeds = [None if seed is None else int(seed) + row for row in range(self.num_envs)]
+        else:
+            seeds = list(seed)
+        if len(seeds) != self.num_envs:
+            raise ValueError(f"{self.num_envs} seeds are needed, not a list of length={len(seeds)}")
+        for row in np.flatnonzero(mask).tolist():
+            self._begin(row, self._reset_single(row, seeds[row], options))
+        first, self._law = self._law is None, self._made_law()
+        if first:
+            with announced(kernels.drive):
+                kernels.drive(self._law, self._batch, np.zeros(0, np.int64), 0, 0)
+        self._over &= ~mask
+        self._drive(np.where(mask, AFRESH, NOTHING))
+        return self._batch.observations.copy(), self._infos(np.full(self.num_envs, NO_ACTION), mask)
+
+    def step(
+        self, actions: Any
+    ) -> tuple[
+        NDArray[np.float32], NDArray[np.float64], NDArray[np.bool_], NDArray[np.bool_], dict[str, Any]
+    ]:
+        """One policy step in every environment.
+
+        Raises:
+            ValueError: not one action of the action space for each environment.
+        """
+        actions = np.asarray(actions)
+        if self._law is None:
+            raise gym.error.ResetNeeded("call reset() before step()")
+        if not np.issubdtype(actions.dtype, np.integer) or not self.action_space.contains(actions):
+            raise ValueError(f"actions must be {self.num_envs} of {self.single_action_space}, not {actions}")
+        if self.autoreset_mode is AutoresetMode.DISABLED:
+            assert not self._over.any(), "episodes are over: reset them (options={'reset_mask': ...})"
+        elif self.autoreset_mode is AutoresetMode.NEXT_STEP:
+            for row in np.flatnonzero(self._over).tolist():
+                self._begin(row, self._next(row))
+        driven = np.where(self._over & (self.autoreset_mode is AutoresetMode.NEXT_STEP), AFRESH, actions)
+        self._drive(driven)
+        outcomes = self._batch.outcomes
+        rewards, terminated, truncated = (outcomes[name].copy() for name in RESULTS[:3])
+        self._over = terminated | truncated
+        infos = {}
+        if self.autoreset_mode is AutoresetMode.SAME_STEP and self._over.any():
+            infos, driven = self._restart(driven), np.where(self._over, AFRESH, driven)
+        infos |= self._infos(np.where(driven == AFRESH, NO_ACTION, driven), np.ones(self.num_envs, np.bool_))
+        return self._batch.observations.copy(), rewards, terminated, truncated, infos
+
+    def close_extras(self, **kwargs: Any) -> None:
+        """End the threads."""
+        if self._pool is not None:
+            self._pool.shutdown()
+
+    # -- episodes ------------------------------------------------------------------------------------------
+
+    def _reset_single(self, row: int, seed: int | None, options: dict[str, Any]) -> Start:
+        """The episode that an environment begins at a reset, as a single one does."""
+        single, generator = self._single, self._generators[row]
+        _, before = self._ahead.pop(row, (None, None))
+        if generator is not None and before is not None:
+            generator.bit_generator.state = before
+        single._np_random = generator
+        single.reset(seed=seed, options=options)
+        self._generators[row] = single.np_random
+        spaces = single.observation_space, single.action_space
+        if spaces != (self.single_observation_space, self.single_action_space) or not is_compiled(single):
+            raise ValueError("this configuration needs another batch: make a new vector environment for it")
+        return single.replica.start
+
+    def _next(self, row: int) -> Start:
+        """The episode that an environment begins after the end of another."""
+        if self._single.is_stock:
+            return self._draw(row)
+        if row not in self._ahead:
+            self._draw_ahead()
+        return self._ahead.pop(row)[0]
+
+    def _draw_ahead(self, parts: Sequence[Future[None]] = ()) -> None:
+        """Draw the next seeded episode of every environment that has none, until these parts of a step are done."""
+        for row in range(self.num_envs):
+            if parts and all(part.done() for part in parts):
+                break
+            if row not in self._ahead:
+                before = self._generators[row].bit_generator.state
+                self._ahead[row] = self._draw(row), before
+
+    def _draw(self, row: int) -> Start:
+        self._single._np_random = self._generators[row]
+        return self._single.begin()
+
+    def _made_law(self) -> Law:
+        single, start, scenario = self._single, self._single.replica.start, self._single.scenario
+        assert single.eyes is not None and scenario is not None
+        names = single.actions.values()
+        return Law(
+            start.lanes,
+            start.seen_lanes,
+            start.rules,
+            single.eyes,
+            pay_of(single.task, single.config),
+            np.array(single.target_speeds),
+            np.array([SPEEDS.get(name, 0) for name in names]),
+            np.array([SIDES.get(name, 0) for name in names]),
+            scenario.road.clears_exits,
+            scenario.simulation_frequency // scenario.policy_frequency,
+            start.warmed_up,
+            single.time_limit(),
+        )
+
+    def _begin(self, row: int, start: Start) -> None:
+        speed_index = nearest_index(start.cars["speed"].item(0), self._single.target_speeds)
+        self._batch = kernels.begun(self._batch, row, start, speed_index)
+
+    def _restart(self, driven: NDArray[np.int64]) -> dict[str, Any]:
+        """Begin the next episode where one is over; returns what is said of the last one."""
+        final = np.full(self.num_envs, None, object)
+        for row in np.flatnonzero(self._over).tolist():
+            final[row] = self._batch.observations[row].copy()
+        infos = {"final_obs": final, "final_info": self._infos(driven, self._over)}
+        for row in np.flatnonzero(self._over).tolist():
+            self._begin(row, self._next(row))
+        self._drive(np.where(self._over, AFRESH, NOTHING))
+        return {**infos, **{f"_{name}": self._over.copy() for name in infos}}
+
+    # -- steps ---------------------------------------------------------------------------------------------
+
+    def _drive(self, actions: NDArray[np.int64]) -> None:
+        """`batch.drive` by all threads; meanwhile seeded episodes are drawn ahead."""
+        law, table = self._law, self._batch
+        if self._pool is None:
+            kernels.drive(law, table, actions, 0, self.num_envs)
+        else:
+            ends = np.linspace(0, self.num_envs, CHUNKS * self._threads + 1).astype(int).tolist()
+            parts = [self._pool.submit(kernels.drive, law, table, actions, *part) for part in pairwise(ends)]
+            if not self._single.is_stock:
+                self._draw_ahead(parts)
+            for part in parts:
+                part.result()
+        if self._single.draws_arrivals:
+            for row in np.flatnonzero(actions >= 0).tolist():
+                self._draw_arrival(row)
+
+    def _draw_arrival(self, row: int) -> None:
+        """What `ReplicaEnv.step` draws after a step at highway-env's intersection."""
+        episode = self._batch.episodes[row]
+        cars = self._batch.cars[row, : episode["cars"]]
+        there = cars[staying(self._law.lanes, cars)]
+        centres = list(zip(there["x"].tolist(), there["y"].tolist(), strict=True))
+        config = self._single.config
+        road = self._single.task.road(config)
+        spawn = draws.arrival(config, road, self._generators[row], centres, int(episode["steps"]))
+        if spawn is not None:
+            car = tables.cars_of(road, [spawn.vehicle])
+            car["number"] = episode["first_arrival"] + episode["steps"]
+            self._batch = kernels.expecting(self._batch, row, car)
+
+    def _infos(self, actions: NDArray[np.int64], mask: NDArray[np.bool_]) -> dict[str, Any]:
+        """``infos`` of the environments in `mask`, as `SyncVectorEnv` has them."""
+        outcomes = self._batch.outcomes
+        speed, crashed, arrived, on_road, density, min_ttc, distance = (
+            outcomes[name] for name in RESULTS[3:]
+        )
+        infos = {
+            "speed": speed,
+            "crashed": crashed,
+            "arrived": arrived,
+            "on_road": on_road,
+            "action": actions,
+            "cost": crashed.astype(float),
+            "density": density,
+            "min_ttc": np.where(crashed, 0.0, min_ttc),
+            "min_ttc_before_contact": min_ttc,
+            "near_miss": (min_ttc < NEAR_MISS_TTC) & ~crashed,
+            "distance": distance,
+        }
+        if not mask.all():
+            infos = {name: np.where(mask, values, np.zeros_like(values)) for name, values in infos.items()}
+        return {key: part.copy() for name in infos for key, part in ((name, infos[name]), (f"_{name}", mask))}

@@ -1,0 +1,190 @@
+"""Batches of the replica: every environment drives the episodes of the single one with its seed, to the bit."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.vector import SyncVectorEnv
+
+from sumo_env.config import ConfigError
+from sumo_env.replica.env import OBSERVATIONS
+from sumo_env.replica.vector import ReplicaVectorEnv
+from sumo_env.tasks import TASKS
+
+ENVS = 4
+LEFT_OUT = {"rewards", "crash", "traffic_light", "traffic_light_distance"}  # of the single environment's info
+ENDS = [(task, level) for task in TASKS for level in (0, -1)]  # lightest and densest traffic
+
+
+def level(task: str, index: int) -> dict[str, Any]:
+    return list(TASKS[task].levels.values())[index]
+
+
+def pair(task: str, mode: str = "NextStep", threads: int = 1, **keywords: Any) -> tuple[Any, Any]:
+    """A batch, and gymnasium's loop over single environments."""
+    id = f"replica/{task}-v0"
+    ours = gym.make_vec(id, num_envs=ENVS, autoreset_mode=mode, threads=threads, **keywords)
+    loop = {"autoreset_mode": mode}
+    theirs = gym.make_vec(id, num_envs=ENVS, vectorization_mode="sync", vector_kwargs=loop, **keywords)
+    assert isinstance(ours, ReplicaVectorEnv) and isinstance(theirs, SyncVectorEnv)
+    for space in ("observation_space", "action_space", "single_observation_space", "single_action_space"):
+        assert getattr(ours, space) == getattr(theirs, space)
+    assert ours.metadata["autoreset_mode"] is theirs.metadata["autoreset_mode"]
+    return ours, theirs
+
+
+def assert_equal(ours: Any, theirs: Any) -> None:
+    """The same bits of the same types; of infos, all that the batch has, which is all but LEFT_OUT."""
+    if isinstance(ours, dict):
+        assert ours.keys() == {key for key in theirs if key.removeprefix("_") not in LEFT_OUT}
+        for key, value in ours.items():
+            assert_equal(value, theirs[key])
+    elif isinstance(ours, tuple):
+        for one, other in zip(ours, theirs, strict=True):
+            assert_equal(one, other)
+    elif isinstance(ours, np.ndarray) and ours.dtype == object:  # final_obs
+        assert_equal(tuple(ours), tuple(theirs))
+    else:
+        np.testing.assert_array_equal(ours, theirs)
+        assert getattr(ours, "dtype", None) == getattr(theirs, "dtype", None)
+
+
+def drive_both(envs: tuple[Any, Any], steps: int, seed: int) -> int:
+    """The same random actions for both; returns how many episodes ended."""
+    rng, ended = np.random.default_rng(seed), 0
+    for _ in range(steps):
+        actions = rng.integers(envs[0].single_action_space.n, size=ENVS)
+        ours, theirs = (env.step(actions) for env in envs)
+        assert_equal(ours, theirs)
+        over = ours[2] | ours[3]
+        ended += int(over.sum())
+        if over.any() and envs[0].metadata["autoreset_mode"].value == "Disabled":
+            assert_equal(*(env.reset(options={"reset_mask": over.copy()}) for env in envs))
+    return ended
+
+
+@pytest.mark.parametrize("risk", [0.0, 1.0])
+@pytest.mark.parametrize(("task", "index"), ENDS)
+def test_seeded_episodes_are_those_of_single_environments(task: str, index: int, risk: float) -> None:
+    envs = pair(task, scenarios="seeded", config={**level(task, index), "risk": risk})
+    assert_equal(*(env.reset(seed=7) for env in envs))
+    assert drive_both(envs, 50, seed=7) >= 2 * ENVS
+
+
+@pytest.mark.parametrize("task", [*TASKS, "highway-fast"])
+def test_highway_envs_episodes_are_those_of_single_environments(task: str) -> None:
+    """Arrivals at the intersection included, which highway-env draws during an episode."""
+    kinematics = {"observation": {"type": "Kinematics"}} if task in OBSERVATIONS else {}
+    envs = pair(task, config=kinematics)
+    assert_equal(*(env.reset(seed=3) for env in envs))
+    assert drive_both(envs, 40, seed=3) >= ENVS
+
+
+@pytest.mark.parametrize("mode", ["NextStep", "SameStep", "Disabled"])
+@pytest.mark.parametrize("threads", [1, 2])
+def test_autoreset_and_threads(mode: str, threads: int) -> None:
+    """A reset without a seed goes on with the generators, whatever was drawn ahead."""
+    envs = pair("two-way", mode, threads, scenarios="seeded", config={"risk": 1.0})
+    assert_equal(*(env.reset(seed=[5, 1, 8, 1]) for env in envs))
+    drive_both(envs, 12, seed=0)
+    assert_equal(*(env.reset() for env in envs))
+    drive_both(envs, 12, seed=1)
+    assert_equal(*(env.reset(options={"config": {"risk": 0.0, "duration": 3}}) for env in envs))
+    drive_both(envs, 12, seed=2)
+    assert_equal(*(env.reset(seed=2, options={"risk_rates": {"cut_in": 0.9}}) for env in envs))
+    assert drive_both(envs, 12, seed=3) > ENVS
+
+
+@pytest.mark.parametrize(
+    ("task", "keywords"),
+    [
+        ("highway", {"scenarios": "seeded", "config": {"offroad_terminal": True, "normalize_reward": False}}),
+        (
+            "highway",
+            {
+                "scenarios": "seeded",
+                "config": {"action": {"type": "DiscreteMetaAction", "longitudinal": False}},
+            },
+        ),
+        (
+            "intersection",
+            {"scenarios": "seeded", "config": {"normalize_reward": True, "policy_frequency": 3}},
+        ),
+        ("intersection", {"config": {"neighbour_vehicles_connected_lanes": True, "destination": None}}),
+        ("roundabout", {"scenarios": "seeded", "variant": "path", "config": {"risk": 0.7}}),
+        ("roundabout", {"scenarios": "seeded", "risk_law": "linear", "config": {"risk": 0.7}}),
+        (
+            "u-turn",
+            {
+                "scenarios": "seeded",
+                "variant": "connected",
+                "config": {
+                    "observation": {"type": "Kinematics", "see_behind": True, "features": ["x", "cos_h"]}
+                },
+            },
+        ),
+    ],
+    ids=str,
+)
+def test_options(task: str, keywords: dict[str, Any]) -> None:
+    envs = pair(task, **keywords)
+    assert_equal(*(env.reset(seed=11) for env in envs))
+    drive_both(envs, 25, seed=11)
+
+
+@pytest.mark.parametrize(
+    "keywords",
+    [
+        {},  # highway-env's observation of the u-turn is TimeToCollision
+        {"config": {"observation": {"type": "Kinematics", "order": "shuffled"}}},
+        {"config": {"observation": {"type": "Kinematics", "features": ["x", "cos_d"]}}},
+        {"config": {"observation": {"type": "Kinematics"}}, "render_mode": "rgb_array"},
+    ],
+    ids=str,
+)
+def test_what_the_kernels_do_not_know_is_driven_by_single_environments(keywords: dict[str, Any]) -> None:
+    with pytest.warns(UserWarning, match="take turns"):
+        envs = gym.make_vec("replica/u-turn-v0", num_envs=2, autoreset_mode="SameStep", **keywords)
+    assert type(envs) is SyncVectorEnv and envs.metadata["autoreset_mode"].value == "SameStep"
+    envs.reset(seed=0)
+    envs.step(np.array([1, 1]))
+
+
+def test_errors() -> None:
+    with pytest.raises(ConfigError, match="did you mean 'vehicles_count'"):
+        gym.make_vec("replica/highway-v0", num_envs=2, config={"vehicle_count": 3})
+    with pytest.raises(TypeError, match="unexpected keyword argument 'vehicles_count'"):
+        gym.make_vec("replica/highway-v0", num_envs=2, vehicles_count=3)
+    with pytest.raises(ValueError, match="at least 1"):
+        gym.make_vec("replica/highway-v0", num_envs=2, threads=0)
+    envs = gym.make_vec("replica/highway-v0", num_envs=2, autoreset_mode="Disabled", config={"duration": 1})
+    with pytest.raises(gym.error.ResetNeeded):
+        envs.step([1, 1])
+    with pytest.raises(ValueError, match="length=3"):
+        envs.reset(seed=[1, 2, 3])
+    with pytest.raises(ValueError, match="reset_mask"):
+        envs.reset(options={"reset_mask": np.array([True])})
+    with pytest.raises(ConfigError, match="sync"):
+        envs.reset(options={"config": {"duration": 2}, "reset_mask": np.array([True, False])})
+    with pytest.raises(ValueError, match="another batch"):
+        envs.reset(options={"config": {"observation": {"type": "TimeToCollision"}}})
+    envs.reset(seed=0, options={"config": {"observation": {"type": "Kinematics"}}})
+    for actions in ([1], [1, 5], [1.0, 1.0], [[1, 1]]):
+        with pytest.raises(ValueError, match="actions must be 2 of"):
+            envs.step(actions)
+    envs.step([1, 1])
+    with pytest.raises(AssertionError, match="reset them"):
+        envs.step([1, 1])
+
+
+def test_returned_arrays_stay_as_they_are() -> None:
+    envs = gym.make_vec("replica/highway-v0", num_envs=2)
+    first, infos = envs.reset(seed=1)
+    step = envs.step([1, 3])
+    kept = [first.copy(), infos["speed"].copy(), *(part.copy() for part in step[:4])]
+    envs.step([4, 4])
+    for one, other in zip([first, infos["speed"], *step[:4]], kept, strict=True):
+        np.testing.assert_array_equal(one, other)

@@ -150,12 +150,41 @@ def measure_peers(task: str, backends: Sequence[str], turns: int, seconds: float
             }
 
 
+def measure_batches(task: str, backends: Sequence[str], turns: int, seconds: float) -> Iterator[Record]:
+    """64 environments of the replica in one call, beside 64 of EnvPool if it is there, and on two threads.
+
+    EnvPool drives its default configuration. `two_threads` is their rate over that of one, in wall time.
+    """
+    python, levels = os.environ.get("ENVPOOL_PYTHON", sys.executable), TASKS[task].levels
+    batches = [("replica", 1), ("replica", 2), ("envpool", 1)]
+    if subprocess.run([python, "-c", "import envpool"], capture_output=True).returncode:
+        batches.pop()
+    for name in ("default", next(iter(levels)), next(reversed(levels))):
+        sides: dict[Any, Callable[[], Any]] = {}
+        with ExitStack() as stack:
+            for backend, threads in batches:
+                path = python if backend == "envpool" else sys.executable
+                process = Process("Batch", backend, task, levels.get(name, {}), threads, python=path)
+                sides[backend, threads] = partial(stack.enter_context(closing(process)).ask, "rate", seconds)
+            rates: Any = in_turns(sides, turns)
+        cpu, wall = ({side: [pair[k] for pair in pairs] for side, pairs in rates.items()} for k in (0, 1))
+        own, theirs = cpu["replica", 1], cpu.get(("envpool", 1))
+        yield {
+            "of": f"{task} {name}",
+            "steps_per_second": statistics.median(own),
+            "envpool": theirs and statistics.median(theirs),
+            "ratio": theirs and median_ratio(own, theirs),
+            "two_threads": median_ratio(wall["replica", 2], wall["replica", 1]),
+        }
+
+
 # Name of a part -> what measures it, from a task, the backends, turns and seconds of a slice.
 PARTS: dict[str, Callable[[str, Sequence[str], int, float], Iterator[Record]]] = {
     "env": measure_env,
     "start": measure_start,
     "learner": measure_learner,
     "peers": measure_peers,
+    "batches": measure_batches,
 }
 WITHOUT_TASK = ("learner",)  # measured once
 
@@ -173,7 +202,7 @@ class Options:
     tasks: tuple[str, ...] = ()
     """Some of highway, two-way, roundabout, intersection, u-turn (default: all)."""
     parts: tuple[str, ...] = tuple(PARTS)
-    """What to measure: env, start, learner, peers (EnvPool by the Python in ENVPOOL_PYTHON)."""
+    """What to measure: env, start, learner, peers, batches (EnvPool by the Python in ENVPOOL_PYTHON)."""
 
 
 def run(options: Options, console: Console) -> dict[str, Any]:

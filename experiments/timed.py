@@ -18,6 +18,7 @@ from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
 LEAST = 3  # steps in a slice
+BATCH = 64  # environments
 STORED = 10_000  # random transitions in every replay
 # Meta-actions of the constant policies.
 WITH_LANES = {"idle": 1, "faster": 3, "slower": 4}
@@ -179,6 +180,40 @@ class Driver:
                 over = terminated or truncated
             crashes += bool(info["crashed"])
         return crashes / seeds
+
+
+class Batch:
+    """A batch of environments, which random actions drive: EnvPool's or, with seeded scenarios, the replica's.
+
+    Args:
+        backend: "envpool" or "replica".
+        config: of the replica's environments; EnvPool drives its own default.
+        threads: that drive them.
+    """
+
+    def __init__(self, backend: str, task: str, config: dict[str, Any], threads: int) -> None:
+        import numpy as np
+
+        if backend == "envpool":
+            import envpool
+
+            self._envs: Any = envpool.make_gymnasium(f"{task}-v0", num_envs=BATCH, num_threads=threads)
+        else:
+            import gymnasium as gym
+
+            settings: dict[str, Any] = {"scenarios": "seeded", "config": config, "threads": threads}
+            self._envs = gym.make_vec(f"sumo_env:replica/{task}-v0", num_envs=BATCH, **settings)
+        self._envs.reset()
+        self._rng, self._actions = np.random.default_rng(0), 3 if task == "intersection" else 5
+        self.rate(0.0)
+
+    def rate(self, seconds: float) -> tuple[float, float]:
+        """Policy steps per second of processor time and of wall time; a step that is a reset counts."""
+        begun, cpu, steps = time.perf_counter(), time.process_time(), 0
+        while steps < LEAST * BATCH or time.perf_counter() - begun < seconds:
+            self._envs.step(self._rng.integers(self._actions, size=BATCH).astype("int32"))
+            steps += BATCH
+        return steps / (time.process_time() - cpu), steps / (time.perf_counter() - begun)
 
 
 class Learners:

@@ -61,5 +61,8 @@ def test_the_command_measures_every_part(tmp_path: Path, monkeypatch: pytest.Mon
     ]
     assert stock["ratio"] == 1.0 and stock["distinct"] == 100 and replica["ratio"] > 1.0
     assert (replica["distinct"], replica["crash_rates"]) == (stock["distinct"], stock["crash_rates"])
+    assert [r["of"] for r in results["batches"]] == ["u-turn default", "u-turn 3", "u-turn 12"]
+    assert results["batches"][0]["steps_per_second"] > replica["steps_per_second"]
+    assert all(r["envpool"] is None and r["two_threads"] > 0.0 for r in results["batches"])
     printed = capsys.readouterr()
     assert f"EnvPool is left out: {without}" in printed.err and "stable_baselines3" in printed.out

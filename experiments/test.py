@@ -16,7 +16,7 @@ if __package__ in (None, ""):  # run as a file: import from the project, not fro
     sys.path[0] = str(Path(__file__).resolve().parents[1])
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields, replace
 from operator import itemgetter
 from typing import Annotated, Any
@@ -28,8 +28,9 @@ from experiments.backends import make_env
 from experiments.study import grid
 from experiments.study.arms import TRAFFICS
 from experiments.study.cell import CellTask
+from experiments.study.evaluate import share
 from experiments.study.store import EPISODES, Store
-from experiments.support.errors import UserError, run_command
+from experiments.support.errors import run_command
 
 Z = 1.96  # normal quantile of a 95 % interval
 PUBLISHED = Path(__file__).resolve().parents[1] / "results" / "standard"  # its lightest settings have weights
@@ -41,14 +42,6 @@ class Options:
 
     directory: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
     """Directory of train.py or sweep.py."""
-
-
-def rate(crashed: pd.Series) -> str:
-    """A crash rate in per cent with Wilson's interval."""
-    n, p = len(crashed), float(crashed.mean())
-    middle, half = (p + Z**2 / (2 * n)), Z * math.sqrt(p * (1 - p) / n + Z**2 / (4 * n**2))
-    low, high = ((middle + sign * half) / (1 + Z**2 / n) for sign in (-1, 1))
-    return f"{p:4.0%} [{100 * low:.0f}, {100 * high:.0f}]"
 
 
 def mean(values: pd.Series) -> str:
@@ -64,29 +57,24 @@ def test(options: Options) -> int:
         UserError: there is no agent.
     """
     directory = options.directory
-    keys = {name: record["key"] for name, record in Store(directory).records().items()}
-    agents = {name: key for name, key in keys.items() if key["kind"] == "agent"}
-    if not agents:
-        raise UserError(
-            f"there is no trained agent in {directory}: python experiments/train.py --out {directory}"
-        )
+    agents = [record["key"] for record in Store(directory).agents().values()]
     others = missing(directory, agents)
     for number, task in enumerate(others, start=1):
         print(f"\rtesting {task.cell.policy} ({number} of {len(others)})   ", end="", flush=True)
         task.compute(lambda _: None)
     print("\r" + " " * 40 + "\r", end="")
-    for setting in sorted({grid.setting(key) for key in agents.values()}):
+    for setting in sorted({grid.setting(key) for key in agents}):
         print(table_of(setting, groups_of(directory, setting)))
     print("control: trained at risk 0; treatment: at risk 1. Intervals: 95 %, over scenarios.")
     print("Comparing ways of training needs several seeds: experiments/sweep.py")
     return 0
 
 
-def missing(directory: Path, agents: Mapping[str, Mapping[str, Any]]) -> list[CellTask]:
+def missing(directory: Path, agents: Iterable[Mapping[str, Any]]) -> list[CellTask]:
     """The policies that do not learn, in the agents' settings, that are not tested yet."""
     names = {field.name for field in fields(grid.Cell)}
     wanted: dict[str, grid.Cell] = {}
-    for key in agents.values():
+    for key in agents:
         agent = grid.Cell(**{name: value for name, value in key.items() if name in names})
         profile = {"preset": agent.profile["preset"]}
         rule = replace(agent, kind="baseline", arm=None, seed=None, profile=profile, trained_with=None)
@@ -146,7 +134,7 @@ def table_of(setting: str, groups: Mapping[str, Rows]) -> str:
         lines.append(f"{title}:" if rows else f"{title}: none in this setting and traffic")
         for name, table in rows:
             by = [table[table["traffic"] == traffic] for traffic in TRAFFICS]
-            cells = [f"{rate(part['crashed']):<15}" for part in by]
+            cells = [f"{share(part['crashed']):<15}" for part in by]
             cells += [f"{mean(part[column]):<17}" for column in ("return", "mean_speed") for part in by]
             lines.append(f"  {name:<24}{''.join(cells)}".rstrip())
     return "\n".join(lines) + "\n"

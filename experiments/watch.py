@@ -50,11 +50,7 @@ def chosen(directory: Path, part: str) -> str:
         UserError: there is none.
     """
     store = Store(directory)
-    agents = {name: found for name, found in store.records().items() if found["key"]["kind"] == "agent"}
-    if not agents:
-        raise UserError(
-            f"there is no trained agent in {directory}: python experiments/train.py --out {directory}"
-        )
+    agents = store.agents()
     fitting = [name for name in agents if part in name]
     if not fitting:
         names = ", ".join(sorted(agents)[:5])

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 from experiments.study.arms import TRAFFICS
 from experiments.study.avoid import SAFE, Rewound, Search
 from experiments.study.cell import MakeEnv
-from experiments.study.evaluate import COLUMNS
+from experiments.study.evaluate import COLUMNS, share
 from experiments.study.results import Results
 from experiments.study.rows import fill
 from experiments.support.errors import UserError
@@ -108,14 +108,6 @@ def shares(table: pd.DataFrame) -> pd.DataFrame:
             "agents": crashes["cell"].nunique(),
             "crashes": len(crashes),
         }
-        row |= {f"{before:g} s": _share(margin <= before) for before in BEFORE}
+        row |= {f"{before:g} s": share(margin <= before).strip() for before in BEFORE}
         rows.append({**row, "until_end": int((crashes["clear"] < SAFE).sum())})
     return pd.DataFrame(rows).set_index(GROUP)
-
-
-def _share(avoided: pd.Series) -> str:
-    """A share in per cent, and its interval."""
-    from scipy.stats import binomtest
-
-    interval = binomtest(int(avoided.sum()), len(avoided)).proportion_ci(method="wilson")
-    return f"{avoided.mean():.0%} [{100 * interval.low:.0f}, {100 * interval.high:.0f}]"

@@ -136,3 +136,11 @@ def evaluate(
             if on_episode:
                 on_episode()
     return pd.DataFrame(rows, columns=list(COLUMNS)).astype(COLUMNS)
+
+
+def share(happened: pd.Series) -> str:
+    """A share of some episodes in per cent, with Wilson's 95 % interval over them: " 10% [4, 21]"."""
+    from scipy.stats import binomtest
+
+    interval = binomtest(int(happened.sum()), len(happened)).proportion_ci(method="wilson")
+    return f"{happened.mean():4.0%} [{100 * interval.low:.0f}, {100 * interval.high:.0f}]"

@@ -104,9 +104,9 @@ def main(directory: Annotated[Path, tyro.conf.Positional], out: Path = pretraine
     store = Store(directory)
     commands = {name: sweep["command"] for sweep in store.sweeps() for name in sweep["cells"]}
     first: dict[str, tuple[int, str]] = {}
-    for name, record in store.records().items():
+    for name, record in store.agents().items():
         key = record["key"]
-        if key["kind"] == "agent" and key["backend"] == "sumo" and store.weights(name):
+        if key["backend"] == "sumo" and store.weights(name):
             label = f"{key['task']}-{key['level_name']}/{key['arm']}"
             first[label] = min(first.get(label, (key["seed"], name)), (key["seed"], name))
     for label, (_, name) in sorted(first.items()):

@@ -89,6 +89,15 @@ class Store:
         """cell.json of all finished cells by name. Raises DamagedCell."""
         return {name: self.record(name) for name in self.finished()}
 
+    def agents(self) -> dict[str, dict[str, Any]]:
+        """cell.json of the trained agents by name. Raises DamagedCell, or UserError if there is none."""
+        found = {name: record for name, record in self.records().items() if record["key"]["kind"] == "agent"}
+        if not found:
+            raise UserError(
+                f"there is no trained agent in {self.directory}: python experiments/train.py --out {self.directory}"
+            )
+        return found
+
     def tables(self, name: str) -> dict[str, pd.DataFrame]:
         """The tables of a finished cell that are here, by the names of their files. Raises DamagedCell."""
         import pandas as pd

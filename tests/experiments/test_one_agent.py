@@ -71,7 +71,7 @@ def test_other_policies_are_tested_beside_it(trained: Path, capsys) -> None:
 
 
 def test_intervals() -> None:
-    assert test.rate(pd.Series([True] * 5 + [False] * 45)) == " 10% [4, 21]"  # Wilson
+    assert test.share(pd.Series([True] * 5 + [False] * 45)) == " 10% [4, 21]"  # Wilson
     assert test.mean(pd.Series([1.0, 2.0, 3.0])) == "  2.00 ± 1.13"
 
 

@@ -32,7 +32,7 @@ from rich.table import Table
 
 from experiments.backends import BACKENDS
 from experiments.study.grid import choose_tasks, env_config
-from experiments.support.errors import disk_error, run_command, unknown
+from experiments.support.errors import run_command, unknown, writing
 from experiments.support.files import write_json
 from experiments.support.provenance import provenance
 from experiments.timed import ROOT, WITH_LANES, Process
@@ -236,11 +236,8 @@ def main() -> int:
         for word in words:
             if word not in known:
                 raise unknown(kind, word, known)
-    try:
-        options.out.mkdir(parents=True, exist_ok=True)
+    with writing(options.out):
         run(options, Console())
-    except OSError as error:
-        raise disk_error(error, options.out) from None
     return 0
 
 

@@ -37,7 +37,7 @@ from rich.progress import track
 
 from experiments.study import grid
 from experiments.study.fingerprint import check_dynamics, dynamics
-from experiments.support.errors import disk_error, run_command, unknown
+from experiments.support.errors import run_command, unknown, writing
 from experiments.support.files import sha256_bytes, write_file, write_json
 from experiments.validation import parts
 from experiments.validation.checks import MARGINS, REFERENCE, level_checks
@@ -310,11 +310,8 @@ def main() -> int:
     for part in options.parts:
         if part not in PARTS:
             raise unknown("part", part, PARTS)
-    try:
-        options.out.mkdir(parents=True, exist_ok=True)
+    with writing(options.out):
         calibrate(options, Console())
-    except OSError as error:
-        raise disk_error(error, options.out) from None
     return 0
 
 

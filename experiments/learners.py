@@ -38,7 +38,7 @@ from experiments.study.grid import Cell, choose_tasks, env_config
 from experiments.study.presets import complete
 from experiments.study.seeds import training_seed
 from experiments.study.store import EPISODES, Store
-from experiments.support.errors import disk_error, run_command, unknown
+from experiments.support.errors import run_command, unknown, writing
 from experiments.support.processes import call_all
 
 OURS = ("control", "treatment", "mixed")
@@ -136,6 +136,7 @@ def train_model(file: Path, learner: str, backend: str, task: str, seed: int, st
     with closing(make_env(backend, task, env_config(backend, task, 1))) as env:
         settings = {**STABLE_BASELINES[learner], "seed": training_seed(task, 1, seed), "device": "cpu"}
         model = algorithm("MlpPolicy", env, **settings).learn(steps)
+    file.parent.mkdir(parents=True, exist_ok=True)
     model.save(part := file.with_suffix(".part.zip"))
     os.replace(part, file)
 
@@ -159,10 +160,9 @@ def learner_of(cell: Cell) -> str:
 
 def table(directory: Path, tested: Iterable[Cell]) -> pd.DataFrame:
     """MEASURES as text by task, driver and traffic: means over the trainings, and their standard error."""
+    store = Store(directory)
     episodes = pd.concat(
-        Store(directory).tables(cell.name)[EPISODES].assign(
-            task=cell.task, learner=learner_of(cell), training=cell.name
-        )
+        store.tables(cell.name)[EPISODES].assign(task=cell.task, learner=learner_of(cell), training=cell.name)
         for cell in tested
     )
     by = ["task", "learner", "traffic"]
@@ -183,7 +183,6 @@ def compare(options: Options, arguments: list[str]) -> int:
             raise unknown("learner", learner, LEARNERS)
     tasks = choose_tasks(options.tasks)
     check_dynamics((options.backend, task) for task in tasks)
-    (options.out / "models").mkdir(parents=True, exist_ok=True)
     every = {file: train for task in tasks for file, train in models(options, task).items()}
     missing = {file.name: train for file, train in every.items() if not file.exists()}
     call_all(missing, options.workers or cores(), "Stable-Baselines3", Console())
@@ -205,10 +204,8 @@ def compare(options: Options, arguments: list[str]) -> int:
 def main() -> int:
     """The command line."""
     options = tyro.cli(Options, description=__doc__)
-    try:
+    with writing(options.out):
         return compare(options, sys.argv[1:])
-    except OSError as error:
-        raise disk_error(error, options.out) from None
 
 
 if __name__ == "__main__":

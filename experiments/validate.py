@@ -28,7 +28,7 @@ from experiments.study import grid
 from experiments.study.arms import TRAFFICS
 from experiments.study.fingerprint import check_dynamics, dynamics
 from experiments.study.verdict import SCHEMA
-from experiments.support.errors import UserError, disk_error, run_command
+from experiments.support.errors import UserError, run_command, writing
 from experiments.support.files import write_file, write_json
 from experiments.support.provenance import provenance
 from experiments.validation import checks, page, parts, status
@@ -122,11 +122,8 @@ def main() -> int:
     if min(options.scenarios, options.workers, options.one_in) < 1:
         raise UserError("--scenarios, --workers and --one-in must be at least 1")
     console = Console()
-    try:
-        options.out.mkdir(parents=True, exist_ok=True)
+    with writing(options.out):
         record = validate(options, console, sys.argv[1:])
-    except OSError as error:
-        raise disk_error(error, options.out) from None
     show(record, console)
     console.print(f"report: {options.out / 'validation.html'}")
     return 0 if all(found["passed"] for found in record["tasks"].values()) else 1

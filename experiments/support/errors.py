@@ -8,7 +8,9 @@ import shlex
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
 
 from sumo_env.config import did_you_mean
 
@@ -46,6 +48,16 @@ def disk_error(error: OSError, directory: object) -> UserError:
     return UserError(
         f"cannot write to {place}: {reason}; choose another directory with --out or change its permissions"
     )
+
+
+@contextmanager
+def writing(directory: Path) -> Iterator[None]:
+    """Make a directory for results if it is missing; what cannot be written in it becomes a UserError."""
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+        yield
+    except OSError as error:
+        raise disk_error(error, directory) from None
 
 
 def run_command(main: Callable[[], int], resumes: bool = False) -> None:

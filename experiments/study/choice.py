@@ -61,6 +61,12 @@ VARIANTS["u-turn"]["half-128-longer"] = second_version(
     "u-turn", STEPS["u-turn"], *LEARNERS["half-128"], clock="longer"
 )
 
+# Other clocks for the chosen learner there: 15 s, observed on the same scale in the test; the first version's.
+ROUNDABOUT = {
+    "second-time": {"training_clock": [15, 15], "time_observed": 15},
+    "second-first-clock": {"finite_horizon": True},
+}
+
 
 def cells() -> Iterator[tuple[str, Cell]]:
     """Every variant's name and training, in the order of computation: by seed, task, variant and arm."""
@@ -80,7 +86,7 @@ def cells() -> Iterator[tuple[str, Cell]]:
 
 
 def chosen() -> Iterator[tuple[str, Cell]]:
-    """The chosen learner's name and training in both arms of all five tasks, the longest first."""
+    """The chosen learner's name and training in both arms of all five tasks, the longest first; then ROUNDABOUT."""
     preset = PRESETS["second"]
     check = replace(
         preset,
@@ -91,9 +97,16 @@ def chosen() -> Iterator[tuple[str, Cell]]:
         first_seed=CHECK_SEED,
         first_scenario=0,
     )
-    for task in sorted(RANGE, key=lambda task: -preset.profile(task)["updates"]):
-        agents = (cell for cell in replace(check, tasks=(task,)).cells() if cell.kind == "agent")
-        yield from ((preset.preset, cell) for cell in agents)
+    profiles = {task: preset.profile(task) for task in RANGE}
+    runs = [
+        (preset.preset, task, profiles[task]) for task in sorted(RANGE, key=lambda t: -profiles[t]["updates"])
+    ]
+    for name, clock in ROUNDABOUT.items():
+        without = {key: value for key, value in profiles["roundabout"].items() if key != "training_clock"}
+        runs.append((name, "roundabout", {**without, **clock}))
+    for name, task, profile in runs:
+        asked = replace(check, preset=name, tasks=(task,), learners={task: profile})
+        yield from ((name, cell) for cell in asked.cells() if cell.kind == "agent")
 
 
 def compute(name: str, cell: Cell, folder: Path) -> pd.DataFrame:

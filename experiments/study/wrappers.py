@@ -85,8 +85,8 @@ class TerminalLimit(gym.Wrapper[Any, Any, Any, Any]):
 class TrainingClock(TerminalLimit):
     """Ends an episode after a whole number of seconds that is drawn from its seed, uniformly from first to last.
 
-    The end is terminal and nobody observes the time, so that an agent cannot know when a test ends. The environment's
-    own limit has to be ``last`` [s] or later.
+    The end is terminal, so that an agent cannot know when a test ends, which is shorter or of which it does not observe
+    the time. The environment's own limit has to be ``last`` [s] or later.
     """
 
     def __init__(self, env: Env, first: int, last: int) -> None:
@@ -143,6 +143,8 @@ def observed(env: Env, profile: Mapping[str, Any]) -> Env:
         env = DoseObserved(env)
     if profile.get("finite_horizon"):
         env = TimeObserved(env, _steps(env, env.unwrapped.config["duration"]))  # type: ignore[attr-defined]
+    if seconds := profile.get("time_observed"):  # as a share of so many, in training and test alike
+        env = TimeObserved(env, _steps(env, seconds))
     return env
 
 

@@ -26,9 +26,9 @@ if __package__ in (None, ""):  # run as a file: import from the project, not fro
 import difflib
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import closing
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Annotated, Any
 
 import gymnasium as gym
@@ -40,7 +40,6 @@ from rich.progress import Progress
 
 from experiments.backends import make_env
 from experiments.reporting.showcase import ending
-from experiments.study import grid
 from experiments.study.arms import TRAFFICS
 from experiments.study.avoid import HORIZON, SAFE, Moment, Rewound, Search
 from experiments.study.avoidable import judge_all, sample, shares
@@ -49,7 +48,7 @@ from experiments.study.packed import MANIFEST
 from experiments.study.rerun import changed_versions, differences, play_again
 from experiments.study.results import load
 from experiments.study.store import EPISODES, Store
-from experiments.support.errors import UserError, disk_error, run_command
+from experiments.support.errors import UserError, disk_error, run_command, unknown
 from experiments.support.films import Film, Pictures, save_gif, side_by_side
 
 PICTURES, GAP = 12, 4  # on a sheet, spread over the episode; [px] between them
@@ -80,9 +79,11 @@ class Options:
 
 @dataclass(frozen=True)
 class Case:
-    """A stored test episode."""
+    """A stored test episode. path: DIR/cells/CELL. record, test: cell.json and the episodes of its cell."""
 
     path: Path
+    record: Mapping[str, Any]
+    test: pd.DataFrame
     traffic: str
     scenario: int
 
@@ -92,9 +93,15 @@ class Case:
         return f"{self.path.name}-{self.traffic}-{self.scenario}"
 
     @property
-    def table(self) -> pd.DataFrame:
-        """The stored test of its cell."""
-        return Store(self.path.parents[1]).tables(self.path.name)[EPISODES]
+    def row(self) -> dict[str, Any]:
+        """What is stored of it. Raises UserError if there is no such scenario."""
+        rows = self.test[(self.test["traffic"] == self.traffic) & (self.test["scenario"] == self.scenario)]
+        if rows.empty:
+            number = self.record["key"]["eval"]["episodes"]
+            raise UserError(
+                f"{self.path.name} has {number} scenarios, counted from the first: no {self.scenario}"
+            )
+        return dict(rows.iloc[0])
 
 
 def parse_case(text: str) -> Case:
@@ -108,21 +115,19 @@ def parse_case(text: str) -> Case:
         raise UserError(f"a case is DIR/cells/CELL[:TRAFFIC:SCENARIO], not {text!r}")
     path = Path(match["path"])
     if match["traffic"] and match["traffic"] not in TRAFFICS:
-        raise grid.unknown("traffic", match["traffic"], TRAFFICS)
+        raise unknown("traffic", match["traffic"], TRAFFICS)
     home = path.parents[1] if len(path.parents) > 1 else Path()
     names = Store(home).finished() if path.parent.name == "cells" else []
     if not names:
         raise UserError(f"there is no cell {path}")
-    case = Case(
-        path.with_name(find_cell(path.name, names)),
-        match["traffic"] or "regular",
-        int(match["scenario"] or 0),
+    name = find_cell(path.name, names)
+    test = Store(home).tables(name)[EPISODES]
+    episode = test[test["traffic"].isin(list(TRAFFICS))].sort_values(
+        "crashed", ascending=False, kind="stable"
     )
-    if match["traffic"] is None:
-        crashes = case.table[case.table["traffic"].isin(list(TRAFFICS)) & case.table["crashed"]]
-        for row in crashes.head(1).itertuples():
-            return replace(case, traffic=str(row.traffic), scenario=int(row.scenario))
-    return case
+    traffic = match["traffic"] or str(episode["traffic"].iloc[0])
+    scenario = int(match["scenario"] or episode["scenario"].iloc[0])
+    return Case(path.with_name(name), Store(home).record(name), test, traffic, scenario)
 
 
 def find_cell(word: str, names: Sequence[str]) -> str:
@@ -136,11 +141,7 @@ def find_cell(word: str, names: Sequence[str]) -> str:
     if len(fitting) == 1:
         return fitting[0]
     near = fitting or difflib.get_close_matches(word, names, n=SUGGESTED, cutoff=0.3)
-    what = (
-        f"{len(fitting)} cells begin with {word!r}"
-        if fitting
-        else f"none of {len(names)} cells begins with {word!r}"
-    )
+    what = f"{len(fitting) or f'none of {len(names)}'} cells begin with {word!r}"
     more = ", ..." if len(near) > SUGGESTED else ""
     raise UserError(f"{what}; did you mean {', '.join(near[:SUGGESTED])}{more}?" if near else what)
 
@@ -157,35 +158,38 @@ def replay(options: Options, make_env: MakeEnv = make_env) -> int:
         )
     if options.avoid and (options.gif or options.sumo):
         raise UserError("--avoid writes a film of its own: leave out --gif and --sumo")
-    if options.avoid and is_results(Path(options.case)):
-        return _avoid_all(options, make_env)
-    case = parse_case(options.case)
-    record, table = Store(case.path.parents[1]).record(case.path.name), case.table
-    key = record["key"]
-    rows = table[(table["traffic"] == case.traffic) & (table["scenario"] == case.scenario)]
-    if rows.empty:
-        raise UserError(
-            f"{case.path.name} has {key['eval']['episodes']} scenarios, counted from 0: no {case.scenario}"
-        )
-    if options.avoid:
-        return _avoid(options, case, record, rows.iloc[0].to_dict(), make_env)
-    env = make_env(key["backend"], key["task"], key["env_config"], "rgb_array")
     try:
-        film = Film(env, between=options.gif)
-        actions, on_step = rows.iloc[0].get("actions"), None if options.sumo else film.frame
-        row = play_again(case.path, record, env, case.traffic, case.scenario, actions, on_step)
-        written = _write(options, case, env, film.pictures)
+        if options.avoid and is_results(Path(options.case)):
+            return _avoid_all(options, make_env)
+        case = parse_case(options.case)
+        key, act = case.record["key"], _avoid if options.avoid else _again
+        with closing(make_env(key["backend"], key["task"], key["env_config"], "rgb_array")) as env:
+            return act(options, case, env)
     except OSError as error:
         raise disk_error(error, options.out or Path.cwd()) from None
-    finally:
-        env.close()
+
+
+def _again(options: Options, case: Case, env: gym.Env[Any, Any]) -> int:
+    """Play an episode and write what was asked for; 1 if it came out differently."""
+    stored, film = case.row, Film(env, between=options.gif)
+    on_step = None if options.sumo else film.frame
+    row = play_again(case.path, case.record, env, case.traffic, case.scenario, stored.get("actions"), on_step)
+    path = options.out or Path(case.name + ("" if options.sumo else ".gif" if options.gif else ".png"))
+    if options.sumo:
+        env.unwrapped.export(path)  # type: ignore[attr-defined]
+        path = path / "episode.sumocfg"
+    elif options.gif:
+        save_gif(film.pictures, path)
+    else:
+        chosen = np.unique(np.linspace(0, len(film.pictures) - 1, PICTURES).round().astype(int))
+        sheet([film.pictures[number] for number in chosen]).save(path)
     print(f"{case.name}: return {row['return']:.3f} in {row['length']} steps, {ending(row)}{_hit(row)}")
     for traffic in TRAFFICS:
-        crashes = table.loc[(table["traffic"] == traffic) & table["crashed"], "scenario"].astype(str)
-        print(f"stored crashes in {traffic} traffic, scenarios: {' '.join(crashes) or 'none'}")
-    print(f"written: {written}")
-    if wrong := differences(rows.iloc[0].to_dict(), row):
-        changed = ", ".join(changed_versions(record)) or "no version"
+        crashes = case.test.loc[(case.test["traffic"] == traffic) & case.test["crashed"], "scenario"]
+        print(f"stored crashes in {traffic} traffic, scenarios: {' '.join(map(str, crashes)) or 'none'}")
+    print(f"written: {path}")
+    if wrong := differences(stored, row):
+        changed = ", ".join(changed_versions(case.record)) or "no version"
         print(f"error: not reproduced: {'; '.join(wrong)}; since then changed: {changed}", file=sys.stderr)
         return 1
     print("reproduced: every stored number came out the same")
@@ -212,18 +216,12 @@ def is_results(directory: Path) -> bool:
     return (directory / "cells").is_dir() or (directory / MANIFEST).exists()
 
 
-def _avoid(
-    options: Options, case: Case, record: dict[str, Any], row: dict[str, Any], make_env: MakeEnv
-) -> int:
+def _avoid(options: Options, case: Case, env: gym.Env[Any, Any]) -> int:
     """Search the last moment from which a crash can be avoided; 1 if there is none."""
-    bar = Progress(transient=True)
+    bar, stored = Progress(transient=True), case.row
     search = Search(options.horizon, lambda share: bar.update(bar.task_ids[-1], completed=share))
-    key = record["key"]
-    with (
-        closing(make_env(key["backend"], key["task"], key["env_config"], "rgb_array")) as env,
-        closing(Rewound(case.path, record, row, env)) as crash,
-    ):
-        print(f"{case.name}: {ending(row)}{_hit(row)}")
+    with closing(Rewound(case.path, case.record, stored, env)) as crash:
+        print(f"{case.name}: {ending(stored)}{_hit(stored)}")
         bar.add_task("sequences of the present moment", total=1.0)
         with bar:
             for moment in crash.moments(search):
@@ -237,10 +235,7 @@ def _avoid(
             f"(the ego decides every {1 / crash.frequency:g} s)"
         )
         path = options.out or Path(case.name + "-avoided.gif")
-        try:
-            save_gif(_both(crash, moment), path)
-        except OSError as error:
-            raise disk_error(error, path) from None
+        save_gif(_both(crash, moment), path)
     print(f"written: {path}")
     return 0
 
@@ -285,32 +280,14 @@ def _avoid_all(options: Options, make_env: MakeEnv) -> int:
     """Search a sample of a folder's crashes, and print the shares that can be avoided."""
     results = load(Path(options.case))
     file = options.out or results.directory / "avoidable.parquet"
-    try:
-        table = judge_all(results, sample(results, options.crashes), file, Search(options.horizon), make_env)
-    except OSError as error:
-        raise disk_error(error, file) from None
+    table = judge_all(results, sample(results, options.crashes), file, Search(options.horizon), make_env)
     if table.empty:
         raise UserError("none of the crashes could be driven again")
     print(shares(table).to_string())
-    print(
-        "share of the crashes that can be avoided so long before the contact, by a search that knows the future,"
-    )
+    print("share of the crashes that a search which knows the future avoids so long before the contact,")
     print("with Wilson's 95 % interval over crashes; until_end: only up to the end of the episode")
     print(f"written: {file}")
     return 0
-
-
-def _write(options: Options, case: Case, env: gym.Env[Any, Any], pictures: Pictures) -> Path:
-    path = options.out or Path(case.name + ("" if options.sumo else ".gif" if options.gif else ".png"))
-    if options.sumo:
-        env.unwrapped.export(path)  # type: ignore[attr-defined]
-        return path / "episode.sumocfg"
-    if options.gif:
-        save_gif(pictures, path)
-    else:
-        chosen = np.unique(np.linspace(0, len(pictures) - 1, PICTURES).round().astype(int))
-        sheet([pictures[number] for number in chosen]).save(path)
-    return path
 
 
 if __name__ == "__main__":

@@ -109,10 +109,7 @@ def sweep(
         check_dynamics(
             dict.fromkeys((name, cell.task) for cell in mine for name in (cell.backend, cell.runs_on))
         )
-    tasks = {
-        cell.name: CellTask(cell, options.directory, make_env, options.hang_after)
-        for cell in mine
-    }
+    tasks = {cell.name: CellTask(cell, options.directory, make_env, options.hang_after) for cell in mine}
     again = shlex.join(["python", "experiments/sweep.py", *arguments])
     try:
         if options.cell:

@@ -42,10 +42,11 @@ def decided(looks: Sequence[Mean], seeds: int, plan: Plan) -> Estimate:
     The looks share the error rate (Bonferroni), so that it is kept whatever the first look makes one do.
 
     Args:
-        looks: the mean at each planned look. seeds: in the smaller arm; says which looks were held.
+        looks: the mean at each planned look; of more than are planned the last, of all agents.
+        seeds: in the smaller arm; says which looks were held.
     """
     held = plan.held(seeds)
-    found = [estimate.interval(mean) for mean in looks[: len(held)]]
+    found = [estimate.interval(mean) for mean in looks[-len(plan.schedule) :][: len(held)]]
     spent = [one.p / look.share for one, look in zip(found, held, strict=True) if one.status == OK]
     return replace(found[-1], p=min(1.0, *spent)) if found[-1].status == OK else found[-1]
 

@@ -119,17 +119,17 @@ def gates(cells: Mapping[str, Mapping[str, Any]], episodes: pd.DataFrame) -> pd.
         if key["kind"] != "agent":
             references.setdefault(tuple(key[column] for column in PLACE), {})[key["policy"]] = table
     rows = []
-    for name, cell in cells.items():
-        key = cell["key"]
+    for name, table in tables.items():
+        key = cells[name]["key"]
         traffics = list(gate_traffics(key["arm"]))  # of its training
-        table = tables.get(name)
-        if key["kind"] != "agent" or table is None or not {*traffics} <= {*table.index.unique("traffic")}:
+        if key["kind"] != "agent" or not {*traffics} <= {*table.index.unique("traffic")}:
             continue
-        own = table.loc[traffics]
-        others = {
-            policy: table.loc[traffics]
-            for policy, table in references.get(tuple(key[column] for column in PLACE), {}).items()
-        }
+        cell, own, policies = (
+            cells[name],
+            table.loc[traffics],
+            references.get(tuple(key[c] for c in PLACE), {}),
+        )
+        others = {policy: table.loc[traffics] for policy, table in policies.items()}
         found = {
             "q_bounded": _q_bounded(cell.get("learner") or {}),
             "not_constant": _not_constant(own, others),

@@ -1,6 +1,6 @@
 """From an analysis to report.html and appendix.html (`experiments/report.py` writes them).
 
-style              the palette and number formats, for everything that draws
+style              the palette, for everything that draws
 words              numbers of outcomes as people read them
 tables             frames of text
 figures            each a pure function that returns SVG

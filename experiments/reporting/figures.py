@@ -23,13 +23,13 @@ from experiments.reporting.style import (
     CAREFUL,
     COLOURS,
     INK,
-    MINUS,
     MUTED,
     PAPER,
     new_figure,
     styled,
     to_svg,
 )
+from experiments.reporting.words import MINUS
 from experiments.study.arms import ARMS, DOSE_ARMS, DOSES, TRAFFICS
 
 CONSTANT = {"idle": "o", "slower": "v", "faster": "^", "random": "D", "idm": "s"}  # policies and their marks

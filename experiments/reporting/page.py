@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -65,46 +66,52 @@ def page(
 
 
 def backend(name: str, results: Results, analysis: Analysis) -> dict[str, Any]:
-    """All that is shown of one simulator."""
+    """All that is shown of one simulator; `mean` finds the mean of an effect over settings."""
     return {
         "name": BACKENDS.get(name, name),
+        "mean": partial(mean, analysis, name),
         **answer(name, analysis),
+        "mixed": mixed(name, analysis),
         "claims": chosen(analysis.claims, backend=name).to_dict("records"),
         "figures": drawn(name, results, analysis),
         "paces": paces(chosen(analysis.policies, backend=name)),
         **{part: make(analysis, name) for part, make in tables.TABLES.items()},
         "placebo": chosen(analysis.placebo, backend=name).to_dict("records"),
-        "penalty": chosen(
-            main(analysis.means, name, "penalty"), scope=ALL_TASKS, outcome="crashed", term="regular"
-        ).to_dict("records"),
     }
+
+
+def mean(
+    analysis: Analysis,
+    backend: str,
+    outcome: str,
+    term: str,
+    arm: str = "treatment",
+    against: str = "control",
+    scope: str = ALL_TASKS,
+) -> dict[str, Any]:
+    """A row of the analysis' means, or nothing."""
+    rows = chosen(main(analysis.means, backend, arm, against), outcome=outcome, term=term, scope=scope)
+    return dict(rows.iloc[0]) if len(rows) else {}
 
 
 def answer(name: str, analysis: Analysis) -> dict[str, Any]:
     """The numbers of the answer: means over all settings in both traffics, and how many settings are on which side."""
-    means = main(analysis.means, name)
-    crashes, speed = chosen(means, outcome="crashed"), chosen(means, outcome="mean_speed", scope=ALL_TASKS)
-    over_all = {term: _one(chosen(crashes, scope=ALL_TASKS, term=term)) for term in TRAFFICS}
-    risky = over_all["risky"]
-    by_task = chosen(crashes, scope=list(TASK_ORDER), term="risky").sort_values("estimate")
+    risky, regular = (mean(analysis, name, "crashed", term) for term in ("risky", "regular"))
+    means = chosen(main(analysis.means, name), outcome="crashed", term="risky", scope=list(TASK_ORDER))
+    by_task = means.sort_values("estimate")
     single = chosen(main(analysis.effects, name), outcome="crashed", term=list(TRAFFICS))
-    strongest = by_task["scope"].iloc[by_task["estimate"].abs().argmax()] if len(by_task) > 2 else None
     agents = chosen(analysis.gates, backend=name, arm=list(ARMS))
     return {
         "answered": bool(risky) and risky["status"] == OK,
-        **over_all,
-        **{f"speed_{term}": _one(chosen(speed, term=term)) for term in TRAFFICS},
+        "risky": risky,
+        "regular": regular,
         "settings": risky.get("settings", 0),
         "agents": len(agents),
         "failing": int((agents["passed"].astype(object) == False).sum()),  # noqa: E712
         "by_task": by_task.to_dict("records"),
+        "strongest": by_task["scope"].iloc[by_task["estimate"].abs().argmax()] if len(by_task) > 2 else None,
         "saturated": single.loc[single["status"] == SATURATED, ["task", "level"]].drop_duplicates().shape[0],
         **sides(single, analysis.plan["alpha"]),
-        "without": {term: _one(chosen(crashes, scope=f"without {strongest}", term=term)) for term in TRAFFICS}
-        if strongest
-        else None,
-        "careful": _careful(name, analysis),
-        "mixed": mixed(name, analysis),
     }
 
 
@@ -142,21 +149,6 @@ def paces(policies: pd.DataFrame) -> dict[str, Any]:
     of_tasks = named.groupby(["name", "traffic", "task"])[["crashed", "progress"]].mean()
     means = of_tasks.groupby(["name", "traffic"]).mean()
     return {str(name): rows.droplevel("name").to_dict("index") for name, rows in means.groupby("name")}
-
-
-def _careful(name: str, analysis: Analysis) -> dict[str, Any] | None:
-    """Both arms against the careful driver, over all settings; None where it was not run."""
-    found: dict[str, Any] = {}
-    for arm in ARMS:
-        rows = chosen(main(analysis.means, name, arm, "careful"), scope=ALL_TASKS)
-        found[arm] = {t: _one(chosen(rows, outcome="crashed", term=t)) for t in TRAFFICS}
-        found["speed"] = _one(chosen(rows, outcome="mean_speed", term="risky"))
-    return found if found["speed"] else None
-
-
-def _one(rows: pd.DataFrame) -> dict[str, Any]:
-    """The only row, or nothing."""
-    return rows.to_dict("records")[0] if len(rows) else {}
 
 
 FIGURES = ("traffic", "progress", "effects", "doses", "learning", "collisions")

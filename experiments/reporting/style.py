@@ -1,6 +1,6 @@
-"""How figures and pages look: the palette, numbers as people read them, and a figure as an inlined SVG.
+"""How figures look: the palette, and a figure as an inlined SVG.
 
-Everything that draws or prints uses this module, and it uses nothing of the study. Figures are deterministic (the
+Everything that draws uses this module, and it uses nothing of the study. Figures are deterministic (the
 same data give the same bytes); their colours are CSS variables with a fallback, so that a page can show them in a light
 or a dark scheme, and their ids carry the figure's name.
 """
@@ -18,8 +18,6 @@ import numpy as np
 from matplotlib import rc_context, rcdefaults, rcParams
 from matplotlib.figure import Figure
 
-MINUS = "\N{MINUS SIGN}"
-NONE = "\N{EN DASH}"  # where there is no number
 WIDTH = 7.2  # [inch]
 INK, MUTED, GRID, PAPER = "#1f2328", "#6b7280", "#d9dde3", "#ffffff"
 CONTROL, TREATMENT, CAREFUL = "#0072b2", "#d55e00", "#009e73"  # Okabe and Ito: told apart by all eyes
@@ -77,13 +75,3 @@ def to_svg(figure: Figure, name: str, description: str) -> str:
         text = re.sub(colour, f"var(--{variable}, {colour})", text, flags=re.IGNORECASE)
     label = html.escape(description, quote=True)
     return text.replace("<svg ", f'<svg role="img" aria-label="{label}" ', 1)
-
-
-def number(value: float | None, digits: int, signed: bool = False) -> str:
-    """A number with a true minus ("-3.0"), or a dash where there is none; what rounds to 0 has no sign."""
-    if value is None or not np.isfinite(value):
-        return NONE
-    text = f"{value:{'+' if signed else ''}.{digits}f}"
-    if float(text) == 0:
-        text = text.lstrip("+-")
-    return text.replace("-", MINUS)

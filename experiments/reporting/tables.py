@@ -13,9 +13,7 @@ from experiments.analysis.effects import ALL_TASKS, mean_over
 from experiments.analysis.gates import FAILURES
 from experiments.analysis.plan import OUTCOMES, Plan
 from experiments.analysis.scores import CRASH_KINDS, PLACE, TASK_ORDER
-from experiments.reporting.style import NONE
-from experiments.reporting.style import number as plain
-from experiments.reporting.words import BACKENDS, difference, effect, number, p_value
+from experiments.reporting.words import BACKENDS, NONE, difference, effect, number, p_value, plain
 from experiments.study.arms import ARMS, TRAFFICS
 
 TERMS = {"sum": "both (the paper's ATE)", "interaction": "risky − regular"}

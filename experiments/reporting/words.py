@@ -8,11 +8,21 @@ from typing import Any
 import numpy as np
 
 from experiments.analysis.plan import OUTCOMES
-from experiments.reporting.style import NONE
-from experiments.reporting.style import number as plain
 
+MINUS = "\N{MINUS SIGN}"
+NONE = "\N{EN DASH}"  # where there is no number
 BACKENDS = {"sumo": "SUMO", "replica": "highway-env's physics (replica)", "highway-env": "highway-env"}
 UNITS = {"mean_speed": " m/s", "crash_free_time": " s"}
+
+
+def plain(value: float | None, digits: int, signed: bool = False) -> str:
+    """A number with a true minus ("-3.0"), or a dash where there is none; what rounds to 0 has no sign."""
+    if value is None or not np.isfinite(value):
+        return NONE
+    text = f"{value:{'+' if signed else ''}.{digits}f}"
+    if float(text) == 0:
+        text = text.lstrip("+-")
+    return text.replace("-", MINUS)
 
 
 def number(value: float | None, outcome: str) -> str:

@@ -241,6 +241,14 @@ class TestMeans:
         rows = contrasts(agents(3, 6, np.random.default_rng(5)), PAIR, [("return", "risky")])
         assert mean_over(rows, DEFAULT)["se"] == pytest.approx(np.sqrt((rows["se"] ** 2).sum()) / 3)
 
+    def test_without_looks_it_is_of_all_agents_whatever_looks_its_effects_have(self) -> None:
+        arms = agents(2, 10, np.random.default_rng(5))
+        found = [
+            mean_over(contrasts(arms, PAIR, [("return", "risky")], plan), DEFAULT)
+            for plan in (DEFAULT, TWO_BATCHES)
+        ]
+        assert found[0] == found[1]
+
     def test_returns_of_different_tasks_are_not_averaged(self, analysis: Analysis) -> None:
         assert set(analysis.means.query("outcome == 'return'")["scope"]) == {"highway", "u-turn"}
 

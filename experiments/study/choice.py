@@ -16,7 +16,7 @@ import time
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import tyro
 
@@ -62,7 +62,7 @@ VARIANTS["u-turn"]["half-128-longer"] = second_version(
 )
 
 # Other clocks for the chosen learner there: 15 s, observed on the same scale in the test; the first version's.
-ROUNDABOUT = {
+ROUNDABOUT: dict[str, dict[str, Any]] = {
     "second-time": {"training_clock": [15, 15], "time_observed": 15},
     "second-first-clock": {"finite_horizon": True},
 }

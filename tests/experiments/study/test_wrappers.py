@@ -83,6 +83,18 @@ def test_nobody_observes_a_training_clock_and_the_test_has_none() -> None:
     assert trained_on(plain, profile).observation_space == plain.observation_space
 
 
+def test_a_clock_observed_on_the_trainings_scale_shows_the_same_in_a_shorter_test() -> None:
+    """After five seconds an agent sees 5/13, in a training of 13 s as in a test of 10 s, and never 1 in the test."""
+    profile = {"training_clock": [13, 13], "time_observed": 13}
+    training = trained_on(make_env("sumo", "u-turn", {"duration": 13}), profile)
+    test = observed(make_env("sumo", "u-turn"), profile)
+    assert training.observation_space == test.observation_space
+    for env in (training, test):
+        assert env.reset(seed=0)[0][0, -1] == 0
+        seen = [env.step(SLOWER)[0][0, -1] for _ in range(5)]
+        assert seen == pytest.approx([step / 13 for step in range(1, 6)])
+
+
 def test_a_training_clock_counts_seconds_not_steps() -> None:
     env = make_env("sumo", "u-turn", {"duration": 13, "policy_frequency": 2})
     assert length(TrainingClock(env, 3, 3), 0)[0] == 6

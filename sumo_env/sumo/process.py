@@ -337,7 +337,7 @@ class _Worker:
                 self._socket.shutdown(socket.SHUT_WR)  # tells the worker to end
             if not self._is_gone(grace):
                 os.kill(self.pid, signal.SIGKILL)
-                self._is_gone(None)
+                self._is_gone(GRACE)
             if self._child is not None:
                 self._child.wait()
             shutil.rmtree(self._folder, ignore_errors=True)
@@ -345,7 +345,7 @@ class _Worker:
 
     forget = end
 
-    def _is_gone(self, within: float | None) -> bool:
+    def _is_gone(self, within: float) -> bool:
         """Whether the worker closes its end of the socket, as at its death, in this time [s]."""
         self._socket.settimeout(within)
         try:

@@ -57,7 +57,7 @@ class Options:
     outcome: tuple[Annotated[str, tyro.conf.arg(metavar="FILE:NAME")], ...] = ()
     """Also analyse outcomes of your own: objects of the class experiments.analysis.plan.Outcome with `of`."""
     pack: bool = False
-    """Instead pack the cells of finished settings into a few tables; nothing is deleted."""
+    """Instead pack the finished cells into a few tables; nothing is deleted."""
     placebo: bool = False
     """Instead print what the controls find: control against control, a rule against itself, a doubled penalty."""
 
@@ -150,11 +150,9 @@ def print_report(directory: Path, *others: Path) -> None:
 
 
 def pack_cells(directory: Path) -> None:
-    """Pack the finished settings of a directory and say what was done."""
-    names, unfinished = store.Store(directory).pack()
+    """Pack the finished cells of a directory and say what was done."""
+    names = store.Store(directory).pack()
     print(f"{len(names)} cells packed into the tables of {directory}, and read back equal")
-    for setting, missing in unfinished.items():
-        print(f"{setting} is not packed: {missing} of its cells are missing")
     if names:
         print(f"{directory / 'cells'} may be removed")
 

@@ -17,13 +17,12 @@ import json
 import os
 import shutil
 import socket
-from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from experiments.study.grid import RESULT_SCHEMA, Cell, cell_name, setting
+from experiments.study.grid import RESULT_SCHEMA, Cell, cell_name
 from experiments.study.packed import MANIFEST, Packed, add, as_parquet, read_packed
 from experiments.support.errors import UserError
 from experiments.support.files import alone, publish, sha256_bytes, sha256_file, write_file, write_json
@@ -221,31 +220,16 @@ class Store:
             path.rename(target)
         return target
 
-    def pack(self) -> tuple[list[str], dict[str, int]]:
-        """Pack the cells of all finished settings that are not packed yet; see `packed.add`.
-
-        Returns:
-            Names of the cells that were packed now, and the number of missing cells of each setting that is not
-            finished.
+    def pack(self) -> list[str]:
+        """Pack the finished cells that are not packed yet, see `packed.add`; returns their names.
 
         Raises:
             UserError: no result directory, or a damaged cell or table.
         """
         self.check()
         with alone(self.directory):
-            there = self.records()
-            settings = {setting(record["key"]) for record in there.values()}
-            wanted = {name for sweep in self.sweeps() for name in sweep["cells"]}
-            # The longest setting with which a name begins: that of a cell may be the beginning of another's.
-            of = {
-                name: max((known for known in settings if name.startswith(f"{known}-")), key=len, default="")
-                for name in wanted - there.keys()
-            }
-            missing = dict(Counter(filter(None, of.values())))
-            packed = self._packed.records
-            new = [
-                name for name in there if name not in packed and setting(there[name]["key"]) not in missing
-            ]
+            there, packed = self.records(), self._packed.records
+            new = [name for name in there if name not in packed]
             files = {name: self.cells / name / WEIGHTS for name in new}
             if new:
                 add(
@@ -254,7 +238,7 @@ class Store:
                     {name: self.tables(name) for name in new},
                     {name: path for name, path in files.items() if path.exists()},
                 )
-        return new, missing
+        return new
 
 
 def seal(record: Mapping[str, Any]) -> bytes:

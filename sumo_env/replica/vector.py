@@ -30,7 +30,7 @@ from sumo_env.replica.step import staying
 from sumo_env.tasks.base import nearest_index
 
 RESULTS = kernels.OUTCOME.names or ()
-CHUNKS = 4  # of episodes for each thread, so that none waits long for the others
+CHUNKS = 2  # of episodes for each thread, so that none waits long for the others
 ALONE = 'gym.make_vec(..., vectorization_mode="sync") has environments that can'
 
 # gymnasium's vector environments take type parameters from version 1.4 on
@@ -87,16 +87,13 @@ class ReplicaVectorEnv(_Base):
         self._single, self.num_envs, self._threads = single, num_envs, threads
         self.autoreset_mode = AutoresetMode(autoreset_mode)
         self.metadata = {**single.metadata, "autoreset_mode": self.autoreset_mode}
-        self.single_observation_space, self.single_action_space = (
-            single.observation_space,
-            single.action_space,
-        )
+        self.single_observation_space = single.observation_space
+        self.single_action_space = single.action_space
         self.observation_space = batch_space(single.observation_space, num_envs)
         self.action_space = batch_space(single.action_space, num_envs)
         self._generators: list[Any] = [None] * num_envs  # of numpy; None before a reset
-        self._ahead: dict[
-            int, tuple[Start, dict[str, Any]]
-        ] = {}  # with the generator's state before the draw
+        # episodes drawn ahead, with the state of the generator before
+        self._ahead: dict[int, tuple[Start, Any]] = {}
         self._over = np.zeros(num_envs, np.bool_)
         self._law: Any = None  # a `Law`, from the first reset on
         assert single.eyes is not None
@@ -156,6 +153,7 @@ class ReplicaVectorEnv(_Base):
             raise gym.error.ResetNeeded("call reset() before step()")
         if not np.issubdtype(actions.dtype, np.integer) or not self.action_space.contains(actions):
             raise ValueError(f"actions must be {self.num_envs} of {self.single_action_space}, not {actions}")
+        actions = actions.astype(np.int64)
         if self.autoreset_mode is AutoresetMode.DISABLED:
             assert not self._over.any(), "episodes are over: reset them (options={'reset_mask': ...})"
         elif self.autoreset_mode is AutoresetMode.NEXT_STEP:
@@ -181,7 +179,7 @@ class ReplicaVectorEnv(_Base):
 
     def _reset_single(self, row: int, seed: int | None, options: dict[str, Any]) -> Start:
         """The episode that an environment begins at a reset, as a single one does."""
-        single, generator = self._single, self._generators[row]
+        single, generator, config = self._single, self._generators[row], self._single.config
         _, before = self._ahead.pop(row, (None, None))
         if generator is not None and before is not None:
             generator.bit_generator.state = before
@@ -190,6 +188,7 @@ class ReplicaVectorEnv(_Base):
         self._generators[row] = single.np_random
         spaces = single.observation_space, single.action_space
         if spaces != (self.single_observation_space, self.single_action_space) or not is_compiled(single):
+            single.configure(config)
             raise ValueError("this configuration needs another batch: make a new vector environment for it")
         return single.replica.start
 
@@ -204,7 +203,7 @@ class ReplicaVectorEnv(_Base):
     def _draw_ahead(self, parts: Sequence[Future[None]] = ()) -> None:
         """Draw the next seeded episode of every environment that has none, until these parts of a step are done."""
         for row in range(self.num_envs):
-            if parts and all(part.done() for part in parts):
+            if parts and parts[-1].done():  # the others are about to be
                 break
             if row not in self._ahead:
                 before = self._generators[row].bit_generator.state

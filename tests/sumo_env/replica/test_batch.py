@@ -171,11 +171,11 @@ def test_errors() -> None:
         envs.reset(options={"config": {"duration": 2}, "reset_mask": np.array([True, False])})
     with pytest.raises(ValueError, match="another batch"):
         envs.reset(options={"config": {"observation": {"type": "TimeToCollision"}}})
-    envs.reset(seed=0, options={"config": {"observation": {"type": "Kinematics"}}})
+    envs.reset(seed=0)  # with the configuration from before
     for actions in ([1], [1, 5], [1.0, 1.0], [[1, 1]]):
         with pytest.raises(ValueError, match="actions must be 2 of"):
             envs.step(actions)
-    envs.step([1, 1])
+    envs.step(np.array([1, 1], np.uint8))
     with pytest.raises(AssertionError, match="reset them"):
         envs.step([1, 1])
 

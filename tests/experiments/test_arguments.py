@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from dataclasses import fields
 from pathlib import Path
 
 import pytest
+import tyro
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from experiments.backends import BACKENDS
 from experiments.study.arms import DOSES
+from experiments.study.executors import EXECUTORS
 from experiments.study.experiment import shard
 from experiments.study.presets import PRESETS
 from experiments.support.errors import UserError
@@ -81,6 +84,14 @@ def test_every_argument_that_chooses_cells_is_tried():
     others = {"out", "workers", "executor", "cell", "hang_after", "dry_run"}
     presets_alone = {"about", "learners", "gate_episodes", "first_seed", "first_scenario"}
     assert {field.name for field in fields(Options)} - others - presets_alone == set(ARGUMENTS)
+
+
+def test_the_help_names_all_that_can_be_asked_for(capsys):
+    with pytest.raises(SystemExit):
+        tyro.cli(Options, args=["--help"])
+    said = set(re.findall(r"[\w-]+", capsys.readouterr().out))
+    assert {*PRESETS, *DOSES, *BACKENDS, *TASKS, *EXECUTORS} <= said
+    assert "--learners" not in said  # presets alone
 
 
 def test_a_repeated_option_adds_values():

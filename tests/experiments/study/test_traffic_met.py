@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from experiments.study.cell import CellTask
-from experiments.study.grid import Cell
+from experiments.study.experiment import Experiment
 from experiments.study.seeds import TEST, scenario_seed
 from tests.experiments.fake_env import FakeEnv, make_env
 
@@ -28,20 +29,8 @@ def test_an_arm_differs_by_the_traffic_of_its_training_alone(
         return result
 
     monkeypatch.setattr(FakeEnv, "reset", noting)
-    cell = Cell(
-        kind="agent",
-        backend="sumo",
-        task="u-turn",
-        level=1,
-        level_name="3",
-        arm=arm,
-        seed=0,
-        policy="dqn",
-        profile=PROFILE,
-        env_config={"duration": 10},
-        eval={"episodes": EPISODES, "gate_episodes": EPISODES},
-        dynamics="none",
-    )
+    asked = {"tasks": ("u-turn",), "levels": (1,), "seeds": 1, "episodes": EPISODES, "arms": (arm,)}
+    cell = replace(Experiment(**asked, learners={"u-turn": PROFILE}).cells()[0], env_config={"duration": 10})
     CellTask(cell, tmp_path, make_env).compute(lambda _: None)
 
     tests, gates = (

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from agents.checkpoint import load_arrays
 from agents.streams import episode_seed
-from experiments.study.arms import ARM_PROFILES, drawn_dose
+from experiments.study.arms import drawn_dose
 from experiments.study.cell import CellTask
+from experiments.study.experiment import Experiment
 from experiments.study.grid import Cell
 from experiments.study.seeds import training_seed
 from experiments.study.store import EPISODES, GATES, TRAINING, WEIGHTS, Store
@@ -20,20 +22,17 @@ PROFILE = {"network": "dueling", "updates": 60, "steps_per_update": 2, "warm_up"
 
 
 def cell(arm: str, **profile: object) -> Cell:
-    return Cell(
-        kind="agent",
-        backend="sumo",
-        task="u-turn",
-        level=1,
-        level_name="3",
-        arm=arm,
-        seed=2,
-        policy="dqn",
-        profile={**PROFILE, **profile},
-        env_config={"duration": 10},
-        eval={"episodes": 3, "gate_episodes": 3, "first_scenario": 50},
-        dynamics="none",
+    asked = Experiment(
+        tasks=("u-turn",),
+        levels=(1,),
+        seeds=1,
+        episodes=3,
+        arms=(arm,),
+        learners={"u-turn": {**PROFILE, **profile}},
+        first_seed=2,
+        first_scenario=50,
     )
+    return replace(asked.cells()[0], env_config={"duration": 10})
 
 
 class Interrupted(Exception):
@@ -79,7 +78,7 @@ def test_a_drawn_dose_is_met_logged_and_the_same_after_an_interruption(
 
 
 def test_an_agent_that_observes_the_dose_is_trained_and_tested_with_it(tmp_path: Path) -> None:
-    task = CellTask(cell("mixed-seen", **ARM_PROFILES["mixed-seen"]), tmp_path, make_env)
+    task = CellTask(cell("mixed-seen"), tmp_path, make_env)
     task.compute(lambda _: None)
     weights = load_arrays(Store(tmp_path).cells / task.name / WEIGHTS)
     assert weights["mean"].shape == (2, 6)  # five features and the dose

@@ -41,6 +41,7 @@ from experiments.analysis.scores import (
 from experiments.study.arms import ARMS, EXTRA_ARMS
 from experiments.study.grid import BASELINES, LEARNER
 from experiments.study.results import Results
+from experiments.support.errors import UserError
 from experiments.support.files import canonical_json, sha256_bytes
 
 SCHEMA = 3
@@ -81,12 +82,19 @@ class Analysis:
 
 
 def analyse(results: Results) -> Analysis:
-    """Analyse the stored cells of a directory by the plan that its presets ask for."""
+    """Analyse the stored cells of a directory by the plan that its presets ask for.
+
+    Raises:
+        UserError: by a plan that counts complete settings alone, there is none yet.
+    """
     chosen = comparable(results)
     main = [cell["key"] for cell in chosen.results.cells.values() if is_main(cell)]
     plan = plans.plan_of(str(key["profile"].get("preset")) for key in main)
     early = unfinished(results, chosen.results, plan.arms) if plan.version > 2 else {}
     known = without(chosen.results, settings=early)
+    if early and not known.cells:
+        lacking = "; ".join(f"{setting}: {reason}" for setting, reason in early.items())
+        raise UserError(f"no setting is complete yet ({lacking}): run the sweep again to go on")
     episodes = with_outcomes(known)
     agents = own_agents(episodes)
     passed = gates(known.cells, known.gate_episodes)
@@ -94,7 +102,8 @@ def analyse(results: Results) -> Analysis:
     arms = arms_of(agents, [*OUTCOMES, *CRASH_KINDS])
     tested = [contrasts(arms, BOTH, [(o, t) for o in OUTCOMES for t in TERMS], plan)]
     tested += [contrasts(arms, [(arm, "control")], CRASHES, plan) for arm in plan.arms[2:]]
-    planned = adjusted(pd.concat(tested, ignore_index=True), plan)
+    there = [frame for frame in tested if len(frame)] or tested[:1]
+    planned = adjusted(pd.concat(there, ignore_index=True), plan)
     both = planned[planned["arm"] == "treatment"]
     trends = slopes(arms, plan)
     beside = list(exploratory(episodes, arms, passed, replace(plan, looks=())))

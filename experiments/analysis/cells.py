@@ -126,8 +126,10 @@ def unfinished(results: Results, chosen: Results, arms: Sequence[str]) -> dict[s
 
 
 def without(results: Results, gone: Container[str] = (), settings: Container[str] = ()) -> Results:
-    """The results without some cells, and without those of some settings, named as in `grid.setting`."""
-    gone = {name for name, cell in results.cells.items() if name in gone or setting(cell["key"]) in settings}
+    """The results without some cells, and without the agents of some settings, named as in `grid.setting`."""
+    keys = {name: cell["key"] for name, cell in results.cells.items()}
+    agents = {name for name, key in keys.items() if key["kind"] != "baseline" and setting(key) in settings}
+    gone = agents | {name for name in keys if name in gone}
     if not gone:
         return results
     tables = {

@@ -79,8 +79,12 @@ def change(trained: Sequence[Mapping[str, Any]], rules: Learner) -> Estimate:
     for cell in trained:
         key, curve = cell["key"], cell["learner"]["curve"]["return"]
         tenth, quarter = len(curve) // 10, 3 * len(curve) // 4
-        late, early = (np.array(part, dtype=float) for part in (curve[-tenth:], curve[quarter - tenth : quarter]))
-        difference = float(np.nanmean(late) - np.nanmean(early))  # a part in which no episode ended has no return
+        late, early = (
+            np.array(part, dtype=float) for part in (curve[-tenth:], curve[quarter - tenth : quarter])
+        )
+        difference = float(
+            np.nanmean(late) - np.nanmean(early)
+        )  # a part in which no episode ended has no return
         by_level = settings.setdefault(key["task"], {})
         by_level.setdefault(key["level"], []).append([difference / rules.ranges[key["task"]]])
     tasks = [

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from typing import Any
 
 import numpy as np
@@ -17,6 +18,7 @@ from experiments.analysis.plan import DEFAULT, SECOND, TWO_BATCHES, Learner, pla
 from experiments.analysis.scores import Arm, Arms, Place
 from experiments.study.results import load
 from experiments.study.store import EPISODES
+from experiments.support.errors import UserError
 from sumo_env.tasks import TASKS
 from tests.experiments import synthetic
 
@@ -174,6 +176,43 @@ class TestLearner:
                 found = last_second(table.assign(seconds=10.0, cell=np.repeat(range(15), 100)), 4.0)
                 inside += found.low <= 1 <= found.high
         assert inside >= stats.binom.ppf(1e-4, repeats, 0.95)
+
+
+@pytest.mark.parametrize(
+    ("there", "settings"),
+    [
+        (lambda cell: cell.arm in (None, "control"), set()),  # its first arm is computed
+        (lambda cell: cell.level == 1 or cell.arm in (None, "control"), {"3"}),
+        (lambda cell: cell.kind == "baseline", set()),
+    ],
+)
+def test_a_study_is_reported_while_it_runs(there: Any, settings: set[str], tmp_path: Any) -> None:
+    written = synthetic.write(
+        tmp_path, {"u-turn": (1, 2)}, seeds=2, tests=6, further=("mixed",), preset="second"
+    )
+    for cell in written:
+        if not there(cell):
+            shutil.rmtree(tmp_path / "cells" / cell.name)
+    found = analyse(load(tmp_path))
+    assert set(found.effects["level_name"]) == settings
+    assert set(found.notes["unfinished"]) == {"sumo-u-turn-3", "sumo-u-turn-6"} - {
+        f"sumo-u-turn-{name}" for name in settings
+    }
+    assert set(found.policies.loc[found.policies["arm"] == "", "level_name"]) == {"3", "6"}
+
+
+def test_before_any_setting_is_complete_the_command_says_so(tmp_path: Any) -> None:
+    written = synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=2, tests=6, baselines=(), preset="second")
+    shutil.rmtree(tmp_path / "cells" / written[0].name)
+    with pytest.raises(UserError, match="no setting is complete yet"):
+        analyse(load(tmp_path))
+
+
+def test_without_mixed_training_its_price_is_open(tmp_path: Any) -> None:
+    synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=2, tests=6, preset="second")
+    found = analyse(load(tmp_path))
+    assert found.price is not None and found.price.empty
+    assert set(found.effects["family"].dropna()) == {"benefits", "harms", "paper", ""}
 
 
 class TestStudy:

@@ -41,6 +41,8 @@ CLOCKS = {
     "drawn": {"roundabout": [7, 15], "u-turn": [7, 13]},
     "longer": {"roundabout": [15, 15], "u-turn": [13, 13]},
 }
+# Where the second version observes the time, as a share of the training's longer clock, in the test as well.
+TIME_OBSERVED = {"roundabout": {"time_observed": 15}}
 
 
 def tuned(updates: Mapping[str, int], **settings: Any) -> dict[str, dict[str, Any]]:
@@ -110,9 +112,9 @@ PRESETS = {
             seeds=5,
             episodes=400,
             gate_episodes=100,
-            # one update per step with batch 64, and the clock: docs/developers/learner_choice.md
+            # one update per step with batch 64, and the clocks: docs/developers/learner_choice.md
             learners={
-                task: second_version(task, steps, 1, 64, clock="longer")
+                task: second_version(task, steps, 1, 64, clock="longer") | TIME_OBSERVED.get(task, {})
                 for task, steps in {
                     **dict.fromkeys(TASKS, 40_000),
                     "two-way": 160_000,

@@ -118,7 +118,7 @@ def one_of(name: str, value: Any, choices: tuple[str, ...]) -> str:
         ConfigError: it is none of them.
     """
     if value not in choices:
-        raise ConfigError(f"unknown {name!r} {value!r}: {nearest(str(value), list(choices))}")
+        raise ConfigError(f"unknown {name} {value!r}: {nearest(str(value), list(choices))}")
     return str(value)
 
 

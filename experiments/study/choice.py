@@ -61,11 +61,12 @@ VARIANTS["u-turn"]["half-128-longer"] = second_version(
     "u-turn", STEPS["u-turn"], *LEARNERS["half-128"], clock="longer"
 )
 
-# Other clocks for the chosen learner there: 15 s that nobody observes; the first version's.
-ROUNDABOUT: dict[str, dict[str, Any]] = {
-    "second-no-time": {"training_clock": [15, 15]},
-    "second-first-clock": {"finite_horizon": True},
-}
+# Other clocks for the chosen learner: a time that nobody observes, the first version's, a time observed as a share.
+CLOCKS: list[tuple[str, str, dict[str, Any]]] = [
+    ("second-no-time", "roundabout", {"training_clock": [15, 15]}),
+    ("second-first-clock", "roundabout", {"finite_horizon": True}),
+    ("second-time", "u-turn", {"training_clock": [13, 13], "time_observed": 13}),
+]
 
 
 def cells() -> Iterator[tuple[str, Cell]]:
@@ -86,7 +87,7 @@ def cells() -> Iterator[tuple[str, Cell]]:
 
 
 def chosen() -> Iterator[tuple[str, Cell]]:
-    """The chosen learner's name and training in both arms of all five tasks, the longest first; then ROUNDABOUT."""
+    """The chosen learner's name and training in both arms of all five tasks, the longest first, then with CLOCKS."""
     preset = PRESETS["second"]
     check = replace(
         preset,
@@ -101,10 +102,9 @@ def chosen() -> Iterator[tuple[str, Cell]]:
     runs = [
         (preset.preset, task, profiles[task]) for task in sorted(RANGE, key=lambda t: -profiles[t]["updates"])
     ]
-    for name, clock in ROUNDABOUT.items():
-        own = ("training_clock", "time_observed")
-        without = {key: value for key, value in profiles["roundabout"].items() if key not in own}
-        runs.append((name, "roundabout", {**without, **clock}))
+    for name, task, clock in CLOCKS:
+        others = {k: v for k, v in profiles[task].items() if k not in ("training_clock", "time_observed")}
+        runs.append((name, task, {**others, **clock}))
     for name, task, profile in runs:
         asked = replace(check, preset=name, tasks=(task,), learners={task: profile})
         yield from ((name, cell) for cell in asked.cells() if cell.kind == "agent")

@@ -32,17 +32,17 @@ HALF = 25
 
 def driving(episodes: pd.DataFrame) -> dict[str, Any]:
     """How an agent drives in its test, per traffic: values with the ends of their 95 % intervals over scenarios."""
-    from statsmodels.stats.proportion import proportion_confint
-    from statsmodels.stats.weightstats import DescrStatsW
+    from scipy import stats
 
     found: dict[str, Any] = {}
     for traffic in TRAFFICS:
         rows = episodes[episodes["traffic"] == traffic]
-        crashes = int(rows["crashed"].sum())
-        rate = [crashes / len(rows), *proportion_confint(crashes, len(rows), method="wilson")]
+        crashes = stats.binomtest(int(rows["crashed"].sum()), len(rows))
+        rate = [crashes.statistic, *crashes.proportion_ci(method="wilson")]
         found[traffic] = {"episodes": len(rows), "crash_rate": [round(float(value), 4) for value in rate]}
         for name, column in (("return", "return"), ("speed", "mean_speed")):
-            mean = [float(rows[column].mean()), *DescrStatsW(rows[column]).tconfint_mean()]
+            values = rows[column]
+            mean = [values.mean(), *stats.t.interval(0.95, len(values) - 1, values.mean(), stats.sem(values))]
             found[traffic][name] = [round(float(value), 4) for value in mean]
     return found
 

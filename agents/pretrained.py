@@ -89,4 +89,8 @@ def _read(file: Path, changed: int) -> dict[str, np.ndarray]:
 
 
 def _arrays(file: Path) -> dict[str, np.ndarray]:
+    if not file.exists():
+        raise FileNotFoundError(
+            f"There is no {file}: write it from a study with python -m experiments.study.publish DIR."
+        )
     return _read(file, file.stat().st_mtime_ns)

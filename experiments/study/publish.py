@@ -2,7 +2,7 @@
 
     python -m experiments.study.publish results/sumo-second
 
-Agents of other settings that are in the file stay. Weights are stored at half precision where the first HALF test
+Agents of other settings that are in the file stay. Weights are stored at half precision where the first test
 scenarios of both traffics end with the same return. Agents that observe more than their environment shows are left out.
 """
 
@@ -27,7 +27,7 @@ from sumo_env.tasks import TASKS
 if TYPE_CHECKING:
     import pandas as pd
 
-HALF = 25
+COMPARED = 25  # test scenarios of each traffic
 
 
 def driving(episodes: pd.DataFrame) -> dict[str, Any]:
@@ -67,7 +67,7 @@ def published(directory: Path, name: str, command: str) -> tuple[dict[str, Any],
             return None
         first = int(key["eval"].get("first_scenario", 0))
         returns = [
-            evaluate(env, driver, key["task"], key["level"], HALF, first=first)["return"]
+            evaluate(env, driver, key["task"], key["level"], COMPARED, first=first)["return"]
             for driver in (policy, halved(policy))
         ]
         space: Any = env.observation_space

@@ -60,3 +60,8 @@ def test_a_damaged_file_is_an_error(file: Path) -> None:
     file.write_bytes(data)
     with pytest.raises(CheckpointError):
         agents.load("u-turn-3", "mixed", file)
+
+
+def test_a_file_that_is_not_there_is_named_with_the_command_that_writes_it(tmp_path: Path) -> None:
+    with pytest.raises(FileNotFoundError, match=r"agents\.npz: write it .* experiments\.study\.publish"):
+        agents.load("u-turn-3", "mixed", tmp_path / "agents.npz")

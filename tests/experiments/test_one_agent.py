@@ -99,7 +99,7 @@ def test_what_does_not_exist_is_said(trained: Path, tmp_path: Path) -> None:
 def test_an_agent_can_be_published_and_loaded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """With its card, and driving as it did; an agent that observes the time is left out."""
     monkeypatch.setitem(PRESETS, "quick", replace(PRESETS["smoke"], preset="quick"))
-    monkeypatch.setattr(publish, "HALF", 2)
+    monkeypatch.setattr(publish, "COMPARED", 2)
     for task in ("intersection", "u-turn"):
         train.train(train.Options(task=task, out=tmp_path, risk="0", updates=60), ["--risk", "0"])
     publish.main(tmp_path, tmp_path / "agents.npz")

@@ -61,11 +61,11 @@ VARIANTS["u-turn"]["half-128-longer"] = second_version(
     "u-turn", STEPS["u-turn"], *LEARNERS["half-128"], clock="longer"
 )
 
-# Other clocks for the chosen learner: a time that nobody observes, the first version's, a time observed as a share.
+# Other clocks for the chosen learner: a time that nobody observes, and the first version's.
 CLOCKS: list[tuple[str, str, dict[str, Any]]] = [
     ("second-no-time", "roundabout", {"training_clock": [15, 15]}),
     ("second-first-clock", "roundabout", {"finite_horizon": True}),
-    ("second-time", "u-turn", {"training_clock": [13, 13], "time_observed": 13}),
+    ("second-no-time", "u-turn", {"training_clock": [13, 13]}),
 ]
 
 

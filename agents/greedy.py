@@ -54,3 +54,28 @@ class Greedy:
         except RuntimeError as error:
             raise ValueError(f"{path} holds the weights of another network: {error}") from error
         return cls(network)
+
+
+class Timed(Greedy):
+    """A greedy policy that also observes the time: the share of ``steps`` actions that is over since `reset`."""
+
+    def __init__(self, network: nn.Module, steps: int) -> None:
+        super().__init__(network)
+        self.steps, self._taken = steps, 0
+
+    def reset(self, seed: int | None = None) -> None:
+        """Begin an episode at time 0."""
+        self._taken = 0
+
+    def act(self, observation: np.ndarray) -> int:
+        """The greedy action at this time."""
+        share = min(self._taken / self.steps, 1.0)
+        self._taken += 1
+        return super().act(with_column(observation, share))
+
+
+def with_column(observation: np.ndarray, value: float) -> np.ndarray:
+    """A table (vehicles, features) with a feature more: `value` in the ego's row, the first, 0 in the others."""
+    column = np.zeros(len(observation), observation.dtype)
+    column[0] = value
+    return np.column_stack([observation, column])

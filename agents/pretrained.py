@@ -8,7 +8,6 @@
 
 from __future__ import annotations
 
-import difflib
 import json
 from collections.abc import Mapping
 from functools import lru_cache
@@ -29,7 +28,8 @@ def cards(file: str | Path = FILE) -> dict[str, dict[str, Any]]:
 
     A card says how the agent drives in its test, per traffic ("regular", "risky"): `crash_rate`, `return` and `speed`
     [m/s], each with the ends of its 95 % interval over `episodes` scenarios; the `config` of its environment; its
-    `cell`, with the `command` and `commit` that trained it; and the `precision` of the stored weights.
+    `cell`, with the `command` and `commit` that trained it; `time_observed`, the number of steps of which the agent
+    observes the share that is over (0: it does not observe the time); and the `precision` of the stored weights.
 
     Raises FileNotFoundError when the file is not there, CheckpointError when it is damaged.
     """
@@ -40,21 +40,21 @@ def card(setting: str, arm: str, file: str | Path = FILE) -> dict[str, Any]:
     """The card of one agent, see :func:`cards`. Raises ValueError when there is no such agent."""
     known, wanted = cards(file), f"{setting}/{arm}"
     if wanted not in known:
-        near = difflib.get_close_matches(wanted, known, n=1, cutoff=0.3)
-        meant = f" Did you mean {near[0]}?" if near else ""
-        raise ValueError(f"There is no agent {wanted}.{meant} There are: {', '.join(known)}.")
+        raise ValueError(f"There is no agent {wanted}. There are: {', '.join(known)}.")
     return known[wanted]
 
 
 def load(setting: str, arm: str, file: str | Path = FILE) -> Greedy:
     """The greedy policy of an agent, for example of the setting "u-turn-3" and the arm "mixed".
 
+    Call its ``reset()`` when an episode begins: some agents observe the time, which they count themselves.
+
     Raises ValueError when there is no such agent, FileNotFoundError or CheckpointError when the file is not in order.
     """
     import gymnasium as gym
     import torch
 
-    from agents.greedy import Greedy
+    from agents.greedy import Greedy, Timed
     from agents.models import Standardised, network_class
 
     about = card(setting, arm, file)
@@ -67,7 +67,8 @@ def load(setting: str, arm: str, file: str | Path = FILE) -> Greedy:
         if name.startswith(prefix)
     }
     network.load_state_dict(weights)
-    return Greedy(network)
+    steps = about["time_observed"]
+    return Timed(network, steps) if steps else Greedy(network)
 
 
 def save(agents: Mapping[str, tuple[Mapping[str, Any], Greedy]], file: str | Path = FILE) -> None:

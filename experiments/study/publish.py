@@ -3,7 +3,7 @@
     python -m experiments.study.publish results/sumo-second
 
 Agents of other settings that are in the file stay. Weights are stored at half precision where the first test
-scenarios of both traffics end with the same return. Agents that observe more than their environment shows are left out.
+scenarios of both traffics end with the same return. Agents that observe the dose are left out.
 """
 
 from __future__ import annotations
@@ -16,12 +16,13 @@ import numpy as np
 import tyro
 
 from agents import pretrained
-from agents.greedy import Greedy
+from agents.greedy import Greedy, Timed
 from experiments.backends import make_env
 from experiments.study.arms import TRAFFICS
 from experiments.study.evaluate import evaluate
 from experiments.study.policies import load_agent
 from experiments.study.store import EPISODES, Store
+from experiments.study.wrappers import TimeObserved
 from sumo_env.tasks import TASKS
 
 if TYPE_CHECKING:
@@ -49,13 +50,14 @@ def driving(episodes: pd.DataFrame) -> dict[str, Any]:
 
 def halved(policy: Greedy) -> Greedy:
     """The policy with weights of half precision."""
-    network = deepcopy(policy.network)
-    network.load_state_dict({name: value.half().float() for name, value in network.state_dict().items()})
-    return Greedy(network)
+    policy = deepcopy(policy)
+    weights = policy.network.state_dict()
+    policy.network.load_state_dict({name: value.half().float() for name, value in weights.items()})
+    return policy
 
 
 def published(directory: Path, name: str, command: str) -> tuple[dict[str, Any], Greedy] | None:
-    """Card and policy of a stored agent; None if it observes more than its environment shows."""
+    """Card and policy of a stored agent; None if it observes the dose, which nobody else knows."""
     store = Store(directory)
     record, weights = store.record(name), store.weights(name)
     assert weights is not None
@@ -63,14 +65,17 @@ def published(directory: Path, name: str, command: str) -> tuple[dict[str, Any],
     env = make_env(key["backend"], key["task"], key["env_config"])
     try:
         seen, policy = load_agent(key, record["source"], weights, env)
-        if seen is not env or not isinstance(policy, Greedy):
+        if key["profile"].get("dose_observed") or not isinstance(policy, Greedy):
             return None
+        space: Any = seen.observation_space
+        steps = seen.steps if isinstance(seen, TimeObserved) else 0
+        if steps:
+            policy = Timed(policy.network, steps)
         first = int(key["eval"].get("first_scenario", 0))
         returns = [
             evaluate(env, driver, key["task"], key["level"], COMPARED, first=first)["return"]
             for driver in (policy, halved(policy))
         ]
-        space: Any = env.observation_space
         actions: Any = env.action_space
     finally:
         env.close()
@@ -83,6 +88,7 @@ def published(directory: Path, name: str, command: str) -> tuple[dict[str, Any],
         "network": key["profile"]["network"],
         "observations": list(space.shape),
         "actions": int(actions.n),
+        "time_observed": steps,
         "precision": "float16" if np.array_equal(*returns) else "float32",
         **driving(store.tables(name)[EPISODES]),
     }

@@ -8,6 +8,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
+from agents.greedy import with_column
 from agents.streams import stream
 from experiments.study.arms import drawn_dose
 
@@ -28,9 +29,7 @@ class _Observed(gym.ObservationWrapper[Any, Any, Any]):
 
     def observation(self, observation: np.ndarray) -> np.ndarray:
         """The observation with its column."""
-        column = np.zeros(len(observation), observation.dtype)
-        column[0] = self.share()
-        return np.column_stack([observation, column])
+        return with_column(observation, self.share())
 
     def share(self) -> float:
         """A number from 0 to 1."""
@@ -54,7 +53,7 @@ class TimeObserved(_Observed, gym.utils.RecordConstructorArgs):
     def __init__(self, env: Env, steps: int) -> None:
         gym.utils.RecordConstructorArgs.__init__(self, steps=steps)  # so that its spec makes it again
         super().__init__(env)
-        self._steps, self._time = steps, 0
+        self.steps, self._time = steps, 0
 
     def reset(
         self, **kwargs: Any
@@ -70,7 +69,7 @@ class TimeObserved(_Observed, gym.utils.RecordConstructorArgs):
 
     def share(self) -> float:
         """The share of the steps."""
-        return min(self._time / self._steps, 1.0)
+        return min(self._time / self.steps, 1.0)
 
 
 class TerminalLimit(gym.Wrapper[Any, Any, Any, Any]):

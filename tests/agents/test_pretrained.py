@@ -25,7 +25,7 @@ def policy(seed: int) -> Greedy:
 
 @pytest.fixture
 def file(tmp_path: Path) -> Path:
-    about = {"network": "attention", "observations": [5, 7], "actions": 3}
+    about = {"network": "attention", "observations": [5, 7], "actions": 3, "time_observed": 0}
     stored = {
         "u-turn-3/mixed": ({**about, "precision": "float16"}, policy(0)),
         "u-turn-3/control": ({**about, "precision": "float32"}, policy(1)),
@@ -49,7 +49,7 @@ def test_the_card_is_that_of_the_agent(file: Path) -> None:
     assert set(agents.cards(file)) == {"u-turn-3/mixed", "u-turn-3/control"}
 
 
-def test_an_unknown_agent_is_named_with_the_nearest_one(file: Path) -> None:
+def test_an_unknown_agent_is_named_with_those_that_there_are(file: Path) -> None:
     with pytest.raises(ValueError, match=r"u-turn-3/mixd.*u-turn-3/mixed"):
         agents.load("u-turn-3", "mixd", file)
 

@@ -97,21 +97,24 @@ def test_what_does_not_exist_is_said(trained: Path, tmp_path: Path) -> None:
 
 
 def test_an_agent_can_be_published_and_loaded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """With its card, and driving as it did; an agent that observes the time is left out."""
+    """With its card, and driving as it did, also where it observes the time."""
     monkeypatch.setitem(PRESETS, "quick", replace(PRESETS["smoke"], preset="quick"))
     monkeypatch.setattr(publish, "COMPARED", 2)
-    for task in ("intersection", "u-turn"):
+    file, settings = tmp_path / "agents.npz", {"intersection": "intersection-10", "u-turn": "u-turn-3"}
+    for task in settings:
         train.train(train.Options(task=task, out=tmp_path, risk="0", updates=60), ["--risk", "0"])
-    publish.main(tmp_path, tmp_path / "agents.npz")
-    card = agents.cards(tmp_path / "agents.npz")
-    assert list(card) == ["intersection-10/control"]
-    tested = store.Store(tmp_path).tables(card["intersection-10/control"]["cell"])[store.EPISODES]
-    regular = tested[tested["traffic"] == "regular"]
-    value, low, high = card["intersection-10/control"]["regular"]["crash_rate"]
-    assert value == pytest.approx(regular["crashed"].mean())
-    assert 0 <= low <= value <= high <= 1
-    policy = agents.load("intersection-10", "control", tmp_path / "agents.npz")
-    env = make_env("sumo", "intersection", card["intersection-10/control"]["config"])
-    again = evaluate(env, policy, "intersection", 1, 2, traffics=("regular",))
-    env.close()
-    assert list(again["return"]) == list(regular["return"][:2])
+    publish.main(tmp_path, file)
+    assert list(agents.cards(file)) == [f"{setting}/control" for setting in settings.values()]
+    for task, setting in settings.items():
+        card = agents.card(setting, "control", file)
+        assert card["time_observed"] == (10 if task == "u-turn" else 0)
+        tested = store.Store(tmp_path).tables(card["cell"])[store.EPISODES]
+        regular = tested[tested["traffic"] == "regular"]
+        value, low, high = card["regular"]["crash_rate"]
+        assert value == pytest.approx(regular["crashed"].mean())
+        assert 0 <= low <= value <= high <= 1
+        env = make_env("sumo", task, card["config"])
+        again = evaluate(env, agents.load(setting, "control", file), task, 1, 2, traffics=("regular",))
+        env.close()
+        assert list(again["actions"]) == list(regular["actions"][:2])
+        assert list(again["return"]) == list(regular["return"][:2])

@@ -196,7 +196,7 @@ SECOND = Plan(
     hopeless={"two-way": ("10+4", "15+6")},
     learner=Learner(),
 )
-PLANS = {"second": SECOND, "standard": TWO_BATCHES}  # by preset
+PLANS = {"second": SECOND, "first-clock": SECOND, "standard": TWO_BATCHES}  # by preset
 
 
 def plan_of(presets: Iterable[str]) -> Plan:

@@ -54,8 +54,8 @@ class Experiment:
     backend: Annotated[str, argument("NAME", "sumo")] = "sumo"
     """Simulator: sumo, replica (highway-env's physics, compiled) or highway-env."""
     preset: Annotated[str, argument("NAME", "quick")] = "quick"
-    """Size of the experiment: smoke (a minute), quick (20 minutes on two cores), standard or paper (many hours), or
-    second (the second study: days)."""
+    """Size of the experiment: smoke (a minute), quick (20 minutes on two cores), standard or paper (many hours),
+    second (the second study: days), or first-clock (two of its tasks with the first study's clock: hours)."""
     tasks: Annotated[tuple[str, ...], argument("TASK ...", "all")] = ()
     """Some of highway, two-way, roundabout, intersection, u-turn."""
     levels: Annotated[tuple[int, ...], argument("LEVEL ...")] = ()

@@ -41,6 +41,8 @@ CLOCKS = {
     "drawn": {"roundabout": [7, 15], "u-turn": [7, 13]},
     "longer": {"roundabout": [15, 15], "u-turn": [13, 13]},
 }
+# Environment steps of a training in the second study.
+SECOND_STEPS = {**dict.fromkeys(TASKS, 40_000), "two-way": 160_000, "u-turn": 80_000}
 # Where the second version observes the time, as a share of the training's longer clock, in the test as well.
 TIME_OBSERVED = {"roundabout": {"time_observed": 15}, "u-turn": {"time_observed": 13}}
 
@@ -63,7 +65,7 @@ def second_version(
 
     Args:
         steps: environment steps of a training.
-        clock: of CLOCKS; the time is not observed.
+        clock: of CLOCKS, the time not observed; or "first", the first version's end (see FINITE_HORIZON).
     """
     learner = {
         "updates": steps // steps_per_update,
@@ -71,6 +73,8 @@ def second_version(
         "batch_size": batch_size,
         "tau": 0.005 * steps_per_update / 4,  # the target moves as far in a step as in the first version
     }
+    if clock == "first":
+        return {**learner, "finite_horizon": task in FINITE_HORIZON}
     return {**learner, **({"training_clock": CLOCKS[clock][task]} if task in CLOCKS[clock] else {})}
 
 
@@ -115,11 +119,21 @@ PRESETS = {
             # one update per step with batch 64, and the clocks: docs/developers/learner_choice.md
             learners={
                 task: second_version(task, steps, 1, 64, clock="longer") | TIME_OBSERVED.get(task, {})
-                for task, steps in {
-                    **dict.fromkeys(TASKS, 40_000),
-                    "two-way": 160_000,
-                    "u-turn": 80_000,
-                }.items()
+                for task, steps in SECOND_STEPS.items()
+            },
+            first_seed=100,
+            first_scenario=1000,
+        ),
+        Experiment(
+            preset="first-clock",
+            about="the second study's u-turn and roundabout, where agents see when the test ends: hours",
+            tasks=FINITE_HORIZON,
+            levels=(1,),
+            seeds=5,
+            episodes=400,
+            gate_episodes=100,
+            learners={
+                task: second_version(task, steps, 1, 64, clock="first") for task, steps in SECOND_STEPS.items()
             },
             first_seed=100,
             first_scenario=1000,

@@ -352,6 +352,16 @@ def test_in_the_second_study_nobody_knows_when_a_test_ends():
     assert {(profile["steps_per_update"], profile["batch_size"]) for profile in profiles.values()} == {(1, 64)}
 
 
+def test_the_first_clock_is_all_that_differs_on_its_two_tasks():
+    first, second = (profiles_of(PRESETS[name]) for name in ("first-clock", "second"))
+    clock = {"preset", "finite_horizon", "training_clock", "time_observed"}
+    assert {task for task in TASKS if first[task]["finite_horizon"]} == {"roundabout", "u-turn"}
+    for task, profile in first.items():
+        assert not {"training_clock", "time_observed"} & set(profile)
+        others = {name: value for name, value in second[task].items() if name not in clock}
+        assert {name: value for name, value in profile.items() if name not in clock} == others
+
+
 NETWORK = """
 from torch import nn
 class Mine(nn.Module):

@@ -12,7 +12,7 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-from experiments.analysis.estimate import Estimate, Mean, combine, interval, linear
+from experiments.analysis.estimate import DEGENERATE, OK, Estimate, Mean, combine, interval, linear
 from experiments.analysis.plan import ALPHA, Learner
 
 COLUMNS = ["backend", "check", "task", "arm", "agents", "estimate", "low", "high", "least", "most", "passed"]
@@ -58,7 +58,8 @@ def learner_checks(
         for (task, arm), drives in tests.groupby(["task", "arm"], sort=False):
             if task in rules.clocked:
                 found = last_second(drives, rules.before)
-                number, alike = drives["cell"].nunique(), bool(found.low <= 1 <= found.high)
+                number = drives["cell"].nunique()
+                alike = bool(found.low <= 1 <= found.high) if found.status == OK else None
                 rows.append([backend, "last second", task, arm, number, *_limits(found), 1, 1, alike])
     return pd.DataFrame(rows, columns=COLUMNS)
 
@@ -102,7 +103,7 @@ def last_second(drives: pd.DataFrame, before: float) -> Estimate:
     """Rate of crashes per second driven in the last second of a test, over that in so many seconds before it.
 
     The interval of the ratio's logarithm has the variance between agents, and at least that of so few crashes that
-    happen independently; half a crash is added to both counts.
+    happen independently; half a crash is added to both counts. Degenerate where nobody drives so long.
 
     Args:
         drives: test episodes of one arm. before: [s].
@@ -114,6 +115,8 @@ def last_second(drives: pd.DataFrame, before: float) -> Estimate:
         counts[f"{name} driven"] = (time.clip(upper=until) - begin).clip(lower=0)
     agents = pd.DataFrame(counts).groupby(drives["cell"]).sum().astype(float)
     total = agents.sum()
+    if not (total["last driven"] and total["before driven"]):
+        return Estimate(np.nan, DEGENERATE)
     sides = [(agents[name], agents[f"{name} driven"], total[name] + 0.5) for name in ("last", "before")]
     rates = [crashes / driven.sum() for _, driven, crashes in sides]
     parts = [(own - rate * driven) / n for (own, driven, n), rate in zip(sides, rates, strict=True)]
@@ -122,4 +125,4 @@ def last_second(drives: pd.DataFrame, before: float) -> Estimate:
     least = sum(1 / n for *_, n in sides)
     half = float(stats.t.ppf(1 - ALPHA / 2, max(number - 1, 1)) * np.sqrt(max(between, least)))
     ratio = rates[0] / rates[1]
-    return Estimate(ratio, "ok", low=float(ratio * np.exp(-half)), high=float(ratio * np.exp(half)))
+    return Estimate(ratio, OK, low=float(ratio * np.exp(-half)), high=float(ratio * np.exp(half)))

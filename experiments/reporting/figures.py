@@ -1,7 +1,7 @@
 """The report's figures: each a pure function of frames that returns an SVG text. How they look is in `style`.
 
-One meaning for each colour: blue is the control arm, orange the treatment, green the careful driver, grey every other
-policy without training, and ink what is a difference.
+One meaning for each colour: blue is the control arm, pink mixed training, orange the treatment, green the careful
+driver, grey every other policy without training, and ink what is a difference.
 """
 
 from __future__ import annotations
@@ -52,14 +52,21 @@ def _half_width(record: Mapping[str, Any], outcome: str) -> float:
 
 
 def _mark(policy: str) -> dict[str, Any]:
-    """How a policy without training is drawn: the careful driver as a green star, the others hollow and grey."""
-    if policy == "careful":
-        return {"marker": "*", "color": CAREFUL, "ms": 8}
+    """How a policy without training is drawn: the careful driver as a green star, smaller at other cautions than 1, the
+    others hollow and grey.
+    """
+    if policy.startswith("careful"):
+        return {"marker": "*", "color": CAREFUL, "ms": 8 if policy == "careful" else 4}
     return {"marker": CONSTANT.get(policy, "P"), "color": MUTED, "ms": 4, "mfc": "none"}
 
 
-def _legend(figure: Any, policies: list[str], **more: Any) -> None:
-    handles = [Line2D([], [], color=COLOURS[arm], marker="o", label=arm, **more) for arm in ARMS]
+def _arms(frame: pd.DataFrame) -> list[str]:
+    """The arms that have a colour and are there; the two that are compared are always named."""
+    return [arm for arm in COLOURS if arm in ARMS or (frame["arm"] == arm).any()]
+
+
+def _legend(figure: Any, arms: list[str], policies: list[str], **more: Any) -> None:
+    handles = [Line2D([], [], color=COLOURS[arm], marker="o", label=arm, **more) for arm in arms]
     handles += [Line2D([], [], ls="", label=policy, **_mark(policy)) for policy in policies]
     figure.legend(
         handles=handles, loc="outside upper center", ncols=len(handles), columnspacing=1.0, handletextpad=0.3
@@ -90,13 +97,13 @@ def against_traffic(policies: pd.DataFrame, backend: str) -> str:
 
     policies: `analysis.policies` of one backend.
     """
-    shown = _shown(policies)
+    arms, shown = _arms(policies), _shown(policies)
     bars: dict[str, Any] = {"marker": "o", "ms": 4, "capsize": 2, "lw": 1.5, "elinewidth": 1.0}
     figure, panels = _panels(_tasks(policies))
     for (task, traffic), panel in panels.items():
         rows = policies[policies["task"] == task].sort_values("level")
         levels, tested = rows.drop_duplicates("level"), rows[rows["traffic"] == traffic]
-        for arm, shift in (("control", -0.08), ("treatment", 0.08)):
+        for arm, shift in zip(arms, np.linspace(-0.08, 0.08, len(arms)), strict=True):
             own = tested[tested["arm"] == arm]
             error = [_half_width(record, "crashed") for record in own.to_dict("records")]
             panel.errorbar(own["level"] + shift, own["crashed"], error, color=COLOURS[arm], **bars)
@@ -106,7 +113,7 @@ def against_traffic(policies: pd.DataFrame, backend: str) -> str:
         panel.set_xlim(levels["level"].min() - 0.4, levels["level"].max() + 0.75)
         panel.set_xticks(levels["level"], levels["level_name"])
     figure.supxlabel("traffic level", fontsize=8.5)
-    _legend(figure, shown)
+    _legend(figure, arms, shown)
     return to_svg(figure, f"{backend}-traffic", "Crash rate against traffic level, by task and policy")
 
 
@@ -123,7 +130,7 @@ def crashes_against_progress(policies: pd.DataFrame, backend: str) -> str:
 
     The line is the frontier of the policies without training. Means over the levels of a task.
     """
-    shown = _shown(policies)
+    arms, shown = _arms(policies), _shown(policies)
     of_task = policies.groupby(["task", "traffic", "policy", "arm"], sort=False, as_index=False)
     mean = of_task[["crashed", "progress"]].mean()
     figure, panels = _panels(_tasks(policies))
@@ -134,15 +141,15 @@ def crashes_against_progress(policies: pd.DataFrame, backend: str) -> str:
         panel.plot(best["progress"], best["crashed"], color=MUTED, lw=1.0, zorder=1)
         for point in rules.itertuples():
             panel.plot(point.progress, point.crashed, ls="", **_mark(str(point.policy)))
-        agents = [own[own["arm"] == arm] for arm in ARMS]
-        if all(len(agent) for agent in agents):
-            start, end = (agent[["progress", "crashed"]].iloc[0] for agent in agents)
+        agents = {arm: own[own["arm"] == arm] for arm in arms}
+        if all(len(agents[arm]) for arm in ARMS):
+            start, end = (agents[arm][["progress", "crashed"]].iloc[0] for arm in ARMS)
             panel.annotate("", end, start, arrowprops={"arrowstyle": "->", "color": INK, "lw": 0.8})
-        for arm, agent in zip(ARMS, agents, strict=True):
+        for arm, agent in agents.items():
             panel.plot(agent["progress"], agent["crashed"], "o", color=COLOURS[arm], ms=6, zorder=3)
         panel.xaxis.set_major_locator(MaxNLocator(3))
     figure.supxlabel("progress: distance covered, over the time limit of the episode [m/s]", fontsize=8.5)
-    _legend(figure, shown, ls="")
+    _legend(figure, arms, shown, ls="")
     return to_svg(figure, f"{backend}-progress", "Crash rate against progress, by task and policy")
 
 
@@ -226,5 +233,5 @@ def learning_curves(cells: Mapping[str, Mapping[str, Any]], backend: str) -> str
     axes[0, 0].set_ylabel("return")
     axes[1, 0].set_ylabel("crash rate")
     figure.supxlabel("environment steps (thousands)", fontsize=8.5)
-    _legend(figure, [], ls="-")
+    _legend(figure, _arms(curves), [], ls="-")
     return to_svg(figure, f"{backend}-learning", "Return and crash rate of training episodes, by arm")

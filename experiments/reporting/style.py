@@ -21,8 +21,7 @@ from matplotlib.figure import Figure
 WIDTH = 7.2  # [inch]
 INK, MUTED, GRID, PAPER = "#1f2328", "#6b7280", "#d9dde3", "#ffffff"
 CONTROL, TREATMENT, CAREFUL = "#0072b2", "#d55e00", "#009e73"  # Okabe and Ito: told apart by all eyes
-VIOLET = "#8a63d2"
-COLOURS = {"control": CONTROL, "treatment": TREATMENT}
+COLOURS = {"control": CONTROL, "mixed": "#cc79a7", "treatment": TREATMENT}  # by arm, in the order of the risk
 VARIABLES = {
     INK: "ink", MUTED: "muted", GRID: "grid", PAPER: "paper",
     CONTROL: "control", TREATMENT: "treatment", CAREFUL: "careful",

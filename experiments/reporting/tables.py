@@ -148,10 +148,10 @@ def slopes(analysis: Analysis, backend: str) -> pd.DataFrame:
 
 
 LEARNER = {
-    "change": "change of the training return over the last quarter of the budget, in its range",
+    "change": "return, change over the last quarter",
     "diverged": "agents whose values diverge",
-    "gates": "share of the agents that pass all gates",
-    "last second": "crashes per second in the last second, over those in the seconds before",
+    "gates": "share that passes all gates",
+    "last second": "crash rate, last second over those before",
 }
 PASSED = {True: "as asked", False: "not as asked", None: "open"}
 

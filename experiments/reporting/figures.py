@@ -211,7 +211,7 @@ def dose_response(policies: pd.DataFrame, backend: str) -> str:
 def learning_curves(cells: Mapping[str, Mapping[str, Any]], backend: str) -> str:
     """Return and crash rate of the training episodes against environment steps, at the lightest level of each task.
 
-    cells: cell.json of the trained agents of both arms on one backend, by name.
+    cells: cell.json of trained agents on one backend, by name.
     """
     curves = pd.DataFrame([{**cell["key"], "curve": cell["learner"]["curve"]} for cell in cells.values()])
     curves = curves[curves["level"] == curves.groupby("task")["level"].transform("min")]

@@ -162,9 +162,10 @@ def drawn(name: str, results: Results, analysis: Analysis) -> dict[str, Markup |
     agents = {
         cell: results.cells[cell]
         for cell, key in keys.items()
-        if (key["kind"], key["backend"]) == ("agent", name) and key["arm"] in ARMS
+        if (key["kind"], key["backend"]) == ("agent", name) and key["arm"] in figures.COLOURS
     }
-    episodes = results.episodes[results.episodes["cell"].isin(agents)]
+    compared = [cell for cell in agents if keys[cell]["arm"] in ARMS]
+    episodes = results.episodes[results.episodes["cell"].isin(compared)]
     found: dict[str, str | None] = dict.fromkeys(FIGURES)
     found["traffic"] = figures.against_traffic(policies, name)
     found["progress"] = figures.crashes_against_progress(policies, name)

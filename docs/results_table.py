@@ -1,7 +1,7 @@
-"""The results in README.md: ``python docs/results_table.py`` writes the table, ``--check`` compares it.
+"""The results in README.md and docs/study.md: ``python docs/results_table.py`` writes the tables, ``--check`` compares.
 
-Crash rates and speed of control and treated agents for each task of results/standard, and of agents of mixed training
-where all settings have them; levels weighted alike. The differences from control and their 95 % intervals are those of
+Crash rates and speed of control and treated agents for each task of a study, and of agents of mixed training where all
+settings have them; levels weighted alike. The differences from control and their 95 % intervals are those of
 the analysis. Bold: the interval excludes 0.
 """
 
@@ -15,7 +15,7 @@ from statistics import fmean
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
-README, ANALYSIS = ROOT / "README.md", ROOT / "results" / "standard" / "analysis.json"
+PAGES = {"README.md": "standard", "docs/study.md": "second"}  # and the folder of results that each shows
 START, END = "<!-- written by docs/results_table.py -->\n\n", "<!-- end of the table -->"
 TASKS = ("highway", "two-way", "roundabout", "intersection", "u-turn")
 NAMES = {"two-way": "two-way road", "all tasks": "**mean of the tasks**"}  # where it is not the scope's own
@@ -45,11 +45,17 @@ def records(analysis: dict[str, Any], name: str) -> list[dict[str, Any]]:
     return [dict(zip(analysis[name]["columns"], row, strict=True)) for row in analysis[name]["rows"]]
 
 
+def tasks(analysis: dict[str, Any]) -> list[str]:
+    """The tasks that have agents, in the order of the tables."""
+    found = {row["task"] for row in records(analysis, "policies") if row["arm"]}
+    return [task for task in TASKS if task in found]
+
+
 def means(analysis: dict[str, Any], traffic: str, outcome: str, arm: str) -> dict[str, float]:
     """The mean of an arm's agents for each task, over its levels, and over the tasks."""
     wanted = ("dqn", arm, traffic)
     rows = [r for r in records(analysis, "policies") if (r["policy"], r["arm"], r["traffic"]) == wanted]
-    found = {task: fmean(r[outcome] for r in rows if r["task"] == task) for task in TASKS}
+    found = {task: fmean(r[outcome] for r in rows if r["task"] == task) for task in tasks(analysis)}
     return {**found, "all tasks": fmean(found.values())}
 
 
@@ -76,7 +82,7 @@ def lines(analysis: dict[str, Any], shown: Sequence[str]) -> Iterator[str]:
         for r in records(analysis, "means")
         if (r["against"], r["scenarios"]) == ("control", "own")
     }
-    for scope in (*TASKS, "all tasks"):
+    for scope in (*tasks(analysis), "all tasks"):
         cells = [NAMES.get(scope, scope)]
         for outcome, traffic, scale, digits in COLUMNS:
             rates = [f"{means(analysis, traffic, outcome, arm)[scope] * scale:.{digits}f}" for arm in shown]
@@ -87,15 +93,22 @@ def lines(analysis: dict[str, Any], shown: Sequence[str]) -> Iterator[str]:
         yield f"| {' | '.join(cells)} |\n"
 
 
-def main() -> int:
-    """Write the table, or with --check say whether README.md has it."""
-    before, _, rest = README.read_text(encoding="utf-8").partition(START)
+def written(page: Path, analysis: dict[str, Any]) -> str:
+    """The page with the table of this analysis."""
+    before, _, rest = page.read_text(encoding="utf-8").partition(START)
     _, _, after = rest.partition(END)
-    analysis = json.loads(ANALYSIS.read_text(encoding="utf-8"))
-    text = before + START + "".join(lines(analysis, arms(analysis))) + END + after
-    if "--check" in sys.argv:
-        return int(text != README.read_text(encoding="utf-8"))
-    README.write_text(text, encoding="utf-8")
+    return before + START + "".join(lines(analysis, arms(analysis))) + END + after
+
+
+def main() -> int:
+    """Write the tables, or with --check say whether the pages have them."""
+    for name, folder in PAGES.items():
+        page, source = ROOT / name, ROOT / "results" / folder / "analysis.json"
+        text = written(page, json.loads(source.read_text(encoding="utf-8")))
+        if "--check" not in sys.argv:
+            page.write_text(text, encoding="utf-8")
+        elif text != page.read_text(encoding="utf-8"):
+            return 1
     return 0
 
 

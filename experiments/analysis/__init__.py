@@ -6,6 +6,8 @@ scores    episodes to the outcomes of every agent in every scenario
 estimate  inference with the trained agent as the unit
 effects   the average treatment effect of every setting, and the one mean over settings
 gates     did an agent learn?
+learner   has the learner finished?
+frontier  how much more often agents crash than drivers of fixed rules at their progress
 claims    what the effects say about each claim
 controls  comparisons whose truth is known
 analysis  all of it as one value

@@ -26,6 +26,7 @@ from experiments.analysis.effects import (
     variants,
 )
 from experiments.analysis.estimate import Mean
+from experiments.analysis.frontier import to_frontier
 from experiments.analysis.gates import GATES, gates, learnt
 from experiments.analysis.learner import learner_checks
 from experiments.analysis.plan import OUTCOMES, TERMS, Plan
@@ -62,7 +63,8 @@ class Analysis:
     slopes, gates, claims, placebo: see the functions of these names. policies: see `policies`.
     plan, plan_hash: see `plan.as_data`. negative_control: see `controls`. notes: missing, failed, damaged, incomplete,
     duplicates and left_out cells, with their reasons, and by plan 3 unfinished settings. provenance: see `provenance`.
-    price, learner: see `claims.price` and `learner.learner_checks`; None where the plan does not ask for them.
+    price, learner, frontier: see `claims.price`, `learner.learner_checks` and `frontier.to_frontier`; None where the
+    plan does not ask for them.
     """
 
     effects: pd.DataFrame
@@ -79,6 +81,7 @@ class Analysis:
     provenance: dict[str, Any]
     price: pd.DataFrame | None = None
     learner: pd.DataFrame | None = None
+    frontier: pd.DataFrame | None = None
 
 
 def analyse(results: Results) -> Analysis:
@@ -137,6 +140,7 @@ def analyse(results: Results) -> Analysis:
         learner=learner_checks(known.cells, passed, agents, plan.learner, plan.arms)
         if plan.learner
         else None,
+        frontier=to_frontier(episodes) if plan.version > 2 else None,
     )
 
 
@@ -257,7 +261,7 @@ def as_json(analysis: Analysis) -> dict[str, Any]:
     value: dict[str, Any] = {"schema": SCHEMA}
     for field in fields(analysis):
         part = getattr(analysis, field.name)
-        if part is None and field.name in ("price", "learner"):
+        if part is None and field.name in ("price", "learner", "frontier"):
             continue
         if isinstance(part, pd.DataFrame):
             table = part.drop(columns="looks", errors="ignore")

@@ -173,6 +173,18 @@ def learner(analysis: Analysis, backend: str) -> pd.DataFrame:
     return pd.DataFrame(lines)
 
 
+def frontier(analysis: Analysis, backend: str) -> pd.DataFrame:
+    """Crash rate of each arm's agents above that of drivers of fixed rules at the same progress."""
+    rows = [] if analysis.frontier is None else chosen(analysis.frontier, backend=backend).to_dict("records")
+    lines: dict[tuple[str, str], dict[str, str]] = {}
+    for row in rows:
+        key = (f"{row['task']} {row['level_name']}", row["arm"])
+        line = lines.setdefault(key, dict(zip(("setting", "arm"), key, strict=True)))
+        line[f"{row['traffic']} traffic"] = effect({**row, "status": ""}) if row["inside"] else NONE
+        line[f"agents, {row['traffic']}"] = f"{row['inside']} of {row['agents']}"
+    return pd.DataFrame(list(lines.values()))
+
+
 def side_by_side(named: Sequence[tuple[str, Analysis]]) -> pd.DataFrame:
     """This folder beside others: effects on the crash rate over the settings that each shares with the first.
 
@@ -240,4 +252,5 @@ TABLES: dict[str, Callable[[Analysis, str], pd.DataFrame]] = {  # of one simulat
     "policies": policies,
     "gates": gates,
     "learner": learner,
+    "frontier": frontier,
 }

@@ -17,7 +17,7 @@ from experiments.analysis.claims import all_hold
 from experiments.analysis.effects import ALL_TASKS
 from experiments.analysis.estimate import OK, SATURATED
 from experiments.analysis.gates import GATES
-from experiments.analysis.scores import TASK_ORDER
+from experiments.analysis.scores import TASK_ORDER, with_outcomes
 from experiments.reporting import figures, tables
 from experiments.reporting.collision_figures import collisions
 from experiments.reporting.showcase import KINDS
@@ -151,7 +151,7 @@ def paces(policies: pd.DataFrame) -> dict[str, Any]:
     return {str(name): rows.droplevel("name").to_dict("index") for name, rows in means.groupby("name")}
 
 
-FIGURES = ("traffic", "progress", "effects", "doses", "learning", "collisions")
+FIGURES = ("traffic", "progress", "effects", "doses", "learning", "collisions", "seconds")
 
 
 def drawn(name: str, results: Results, analysis: Analysis) -> dict[str, Markup | None]:
@@ -177,6 +177,9 @@ def drawn(name: str, results: Results, analysis: Analysis) -> dict[str, Markup |
         found["learning"] = figures.learning_curves(agents, name)
     if episodes["crashed"].any():
         found["collisions"] = collisions(episodes)
+    if agents and analysis.learner is not None:
+        drives = with_outcomes(results)
+        found["seconds"] = figures.crashes_by_second(drives[drives["cell"].isin(agents)], name)
     return {key: Markup(svg) if svg else None for key, svg in found.items()}
 
 

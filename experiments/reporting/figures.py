@@ -238,7 +238,7 @@ def learning_curves(cells: Mapping[str, Mapping[str, Any]], backend: str) -> str
 
 
 def hazards(drives: pd.DataFrame) -> pd.DataFrame:
-    """Of each agent's drives (rows: cell) still on the road, the share that crashes in each second (columns: 1, 2, ...).
+    """Of each agent's drives (rows: cell) still on the road, the share that crashes in each second (columns).
 
     drives: test episodes as from `scores.with_outcomes`; NaN where an agent has none left.
     """

@@ -131,16 +131,12 @@ def test_an_episode_replays_without_weights_and_weights_that_are_needed_are_told
     store.Store(home).pack()
     for folder in ("cells", "weights"):
         shutil.rmtree(home / folder)
+    for cell in cells:  # from their actions
+        assert replay(Options(f"{home}/cells/{cell.name}:risky:1", out=tmp_path / "x.png"), make_env) == 0
     case = home / "cells" / cells[0].name
-    assert replay(Options(str(case), out=tmp_path / "x.png"), make_env) == 0  # from its actions
     record = store.Store(home).record(case.name)
     with pytest.raises(UserError, match=r"weights of .* are not here: train it again"):
         stored_policy(case, record, make_env("sumo", "highway"))
-
-
-def test_a_case_is_split_from_the_right(cells):
-    case = parse_case(f"{cells[0]}:risky:1")
-    assert (case.path, case.traffic, case.scenario) == (cells[0], "risky", 1)
 
 
 # -- whether a crash could have been avoided ---------------------------------------------------------------

@@ -79,22 +79,6 @@ class TestInterval:
         with pytest.raises(ValueError, match="finite"):
             difference(np.array([[1.0], [np.nan]]), np.ones((2, 1)))
 
-    def test_pooling_episodes_is_wrong(self, random: np.random.Generator) -> None:
-        """Why seed means: taken as 500 independent episodes an arm, A/A data reject every second time.
-
-        Pairing the episodes by test scenario is worse still: it removes the scenarios' noise from the
-        yardstick and leaves the difference between agents, which is the noise that matters.
-        """
-        repeats, pooled, paired = 400, 0, 0
-        for _ in range(repeats):
-            scenario = random.normal(0, EPISODE_SD / np.sqrt(2), EPISODES)
-            noise = random.normal(0, EPISODE_SD / np.sqrt(2), (2, 5, EPISODES))
-            t, c = scenario + noise + random.normal(0, SEED_SD, (2, 5, 1))
-            pooled += stats.ttest_ind(t.ravel(), c.ravel(), equal_var=False).pvalue < 0.05
-            paired += stats.ttest_rel(t.ravel(), c.ravel()).pvalue < 0.05
-        assert 0.43 < pooled / repeats < 0.67
-        assert paired > pooled
-
 
 class TestFewCrashes:
     def test_no_crash_at_all_has_an_interval(self) -> None:

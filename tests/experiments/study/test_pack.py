@@ -10,8 +10,6 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from experiments.replay import Options as ReplayOptions
-from experiments.replay import replay
 from experiments.study import packed, store
 from experiments.study.cell import CellTask
 from experiments.study.packed import CELLS, MANIFEST
@@ -182,20 +180,6 @@ def test_what_does_not_read_back_equal_is_not_believed(
     with pytest.raises(UserError, match="does not read back as it was: nothing was packed"):
         store.Store(results).pack()
     assert not (results / MANIFEST).exists()
-
-
-def test_a_packed_episode_replays_from_its_actions_without_weights(
-    results: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    store.Store(results).pack()
-    for folder in ("cells", "weights"):
-        shutil.rmtree(results / folder)
-    for name in load(results).cells:
-        case = f"{results}/cells/{name}:risky:1"
-        assert replay(ReplayOptions(case, out=tmp_path / "picture.png"), make_env) == 0
-        assert "reproduced" in capsys.readouterr().out
-    episodes = load(results).episodes
-    assert (episodes["actions"].str.len() == episodes["length"]).all()
 
 
 def test_cells_of_earlier_versions_have_no_actions_and_pack_with_others(results: Path) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from sumo_env.networks.roads import intersection, roundabout
 from sumo_env.replica.geometry import closest_lane, heading_at, local_coordinates, position
 from sumo_env.replica.neighbours import neighbours
 from sumo_env.replica.numpy_loops import LOOPS
@@ -28,21 +27,6 @@ def test_lanes_are_those_of_highway_env(task: str) -> None:
             close(heading_at(ours, s, LOOPS), lane.heading_at(s))
         for x, y in rng.uniform(-150.0, 150.0, (10, 2)):
             close(local_coordinates(ours, x, y), lane.local_coordinates(np.array([x, y])))
-
-
-def test_lanes_beyond_the_end_keep_their_number_where_it_exists() -> None:
-    lanes = lanes_of(roundabout(), connected=True)
-    ring = lanes.table[lanes.numbers["se", "ex", 1]]
-    beyond = {lanes.names[k] for k in ring["joined"][1 : 1 + ring["following"]]}
-    assert beyond == {("ex", "ee", 1), ("ex", "exs", 0)}
-    before = {lanes.names[k] for k in ring["joined"][1 + ring["following"] :] if k != NONE}
-    assert before == {("sx", "se", 1), ("ses", "se", 0)}
-
-
-def test_without_connected_lanes_a_lane_is_on_its_own() -> None:
-    lanes = lanes_of(intersection(), connected=False)
-    assert (lanes.table["joined"][:, 1:] == NONE).all()
-    assert (lanes.table["following"] == 0).all()
 
 
 @pytest.mark.parametrize("task", TASKS)

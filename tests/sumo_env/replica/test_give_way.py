@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from highway_env.road.regulation import RegulatedRoad
 
 from sumo_env.networks.roads import intersection
 from sumo_env.replica.geometry import locate, no_places
@@ -28,17 +27,12 @@ def car(start: int, end: int, s: float = 85.0, speed: float = 9.0) -> np.ndarray
     return cars_of(ROAD, [spec])
 
 
-def regulated(*cars: np.ndarray) -> np.ndarray:
-    """The cars after the right of way was looked at."""
-    together = np.concatenate(cars)
-    places = no_places(LANES.table, together)
-    locate(LANES.table, together, places, LOOPS)
-    regulate(LANES.table, together, places, RULES)
-    return together
-
-
 def who_yields(*cars: np.ndarray) -> list[bool]:
-    after = regulated(*cars)
+    """The cars that stop once the right of way was looked at."""
+    after = np.concatenate(cars)
+    places = no_places(LANES.table, after)
+    locate(LANES.table, after, places, LOOPS)
+    regulate(LANES.table, after, places, RULES)
     np.testing.assert_array_equal(after["target_speed"], np.where(after["yields"], 0.0, 8.0))
     return after["yields"].tolist()
 
@@ -55,23 +49,5 @@ def test_nobody_gives_way_instead_of_a_driver_who_does_not() -> None:
     assert who_yields(car(0, 2), car(1, 3)) == [True, False]
 
 
-def test_the_ego_never_gives_way() -> None:
-    ego = car(0, 2)
-    ego["is_ego"] = True
-    assert who_yields(ego, car(1, 3)) == [False, False]
-
-
-def test_paths_that_do_not_meet_need_no_rule() -> None:
-    assert who_yields(car(0, 2), car(2, 0)) == [False, False]
-
-
 def test_on_one_lane_the_car_behind_gives_way() -> None:
     assert who_yields(car(1, 3, s=30.0, speed=10.0), car(1, 3, s=45.0, speed=5.0)) == [True, False]
-
-
-def test_a_car_that_is_released_wants_the_limit_of_its_lane() -> None:
-    stopped = car(1, 3)
-    stopped["yields"], stopped["target_speed"] = True, 0.0
-    after = regulated(stopped)
-    assert (after["target_speed"][0], after["yields"][0]) == (10.0, False)
-    assert RegulatedRoad.YIELD_DURATION == 0.0  # released whenever the rule is applied

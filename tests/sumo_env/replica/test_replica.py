@@ -81,16 +81,6 @@ def test_a_copy_in_the_middle_of_an_episode_goes_on_as_the_original_does(task: s
         assert ours[1:4] == theirs[1:4]
 
 
-def test_a_copy_shares_what_never_changes() -> None:
-    env: Any = make("highway").unwrapped
-    env.reset(seed=0)
-    simulator = env._simulator
-    copied = copy.deepcopy(simulator)
-    assert copied._scenario is simulator._scenario
-    assert copied._lanes is simulator._lanes
-    assert copied._cars is not simulator._cars
-
-
 def test_wrong_settings_are_refused() -> None:
     with pytest.raises(ConfigError, match="did you mean 'path'"):
         make("u-turn", variant="paths")
@@ -151,35 +141,6 @@ def test_measures_are_those_of_the_trace(task: str) -> None:
     assert step.min_ttc == pytest.approx(least, abs=1e-9)
     speeds = [before.speed[0], *(scene.speed[0] for scene in step.trace[:-1])]
     assert step.distance == pytest.approx(sum(max(speed, 0.0) for speed in speeds) / 15)
-
-
-def test_the_first_contact_is_written_down_and_kept() -> None:
-    env = make("two-way").unwrapped
-    env.reset(seed=0)
-    terminated = False
-    while not terminated:
-        _, _, terminated, _, info = env.step(1)
-    crash = info["crash"]
-    assert (crash["other"], crash["type"], crash["detected_by"]) == ("v0", "rear-end", "highway-env")
-    assert crash["relative_x"] == pytest.approx(5.0, abs=0.1)
-    later = env.step(1)[4]["crash"]
-    assert later == crash
-
-
-def test_vehicles_leave_the_intersection_and_others_come() -> None:
-    env = make("intersection", spawn_probability=1.0, duration=30).unwrapped
-    env.reset(seed=1)
-    present, seen = set(env.scene.ids), set(env.scene.ids)
-    gone = set()
-    for _ in range(25):
-        env.step(0)
-        now = set(env.scene.ids)
-        gone |= present - now
-        seen |= now
-        present = now
-    assert len(gone) > 2 and any(name.startswith("s") for name in seen)
-    assert not gone & present
-    assert env.scene.ids[0] == "ego"
 
 
 def test_a_simulator_that_was_closed_or_never_reset_says_so() -> None:

@@ -137,16 +137,6 @@ def attribute_by_attribute(env: Any) -> Any:
     return twin
 
 
-def test_a_planner_of_rl_agents_kind_copies_attribute_by_attribute() -> None:
-    env = gym.make("sumo/u-turn-v0", config={"risk": 1.0})
-    env.reset(seed=5)
-    twin = attribute_by_attribute(env)
-    again = attribute_by_attribute(twin)
-    assert to_the_end(env, twin, again) > 1
-    for one in (env, twin, again):
-        one.close()
-
-
 def test_a_tree_of_states_as_rl_agents_planners_keep_it() -> None:
     """Its deterministic planner keeps every state that it has reached, closes none, and takes available actions."""
     env: Any = gym.make("sumo/u-turn-v0", config={"risk": 1.0})
@@ -257,15 +247,6 @@ def test_a_copy_that_hangs_is_killed(begun: SumoProcess) -> None:
         twin.step(COMMAND)
     assert ends(pid)
     begun.step(COMMAND)
-
-
-def test_copies_that_are_garbage_end(begun: SumoProcess) -> None:
-    twins = [begun.clone() for _ in range(5)]
-    pids = [twin.pid for twin in twins]
-    assert len(set(pids)) == 5
-    del twins
-    gc.collect()
-    assert all(ends(pid) for pid in pids)
 
 
 def test_ctrl_c_while_a_copy_is_made(begun: SumoProcess, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,0 +1,69 @@
+"""Scores that are made up, their effects, and one row of a table by its values."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from experiments.analysis.analysis import own_agents
+from experiments.analysis.effects import adjusted, contrasts
+from experiments.analysis.plan import DEFAULT, OUTCOMES, TERMS, Plan
+from experiments.analysis.scores import Arm, Arms, Place, arms_of, with_outcomes
+from experiments.study.results import Results
+
+PAIR = [("treatment", "control")]
+
+
+def find(frame: pd.DataFrame, **wanted: Any) -> dict[str, Any]:
+    """The one row with these values, of treatment against control at home where that is a question."""
+    if "scenarios" in frame:
+        wanted = {"arm": "treatment", "against": "control", "scenarios": "own", **wanted}
+    for name, value in wanted.items():
+        frame = frame[frame[name] == value]
+    [row] = frame.to_dict("records")
+    return {str(key): value for key, value in row.items()}
+
+
+def agents(
+    levels: int,
+    seeds: int,
+    random: np.random.Generator,
+    effect: float = 0.0,
+    spread: float = 1.0,
+    task: str = "highway",
+    growth: float = 0.0,
+) -> dict[Place, Arms]:
+    """Settings of one task, each agent with nearly the same score in all scenarios, in every outcome."""
+    result: dict[Place, Arms] = {}
+    for level in range(1, levels + 1):
+        pair = {}
+        for arm in ("control", "treatment"):
+            own = random.normal(0, spread, (1, seeds, 1)) + random.normal(0, 0.3 * spread, (2, seeds, 1))
+            added = (effect + growth * level) * (arm == "treatment")
+            scores = 10 + own + added + random.normal(0, 0.01 * spread, (2, seeds, 5))
+            pair[arm] = Arm(tuple(range(seeds)), {name: scores.copy() for name in OUTCOMES})
+        result["sumo", task, level, str(level)] = pair
+    return result
+
+
+def effects(arms: dict[Place, Arms], plan: Plan = DEFAULT) -> pd.DataFrame:
+    return adjusted(contrasts(arms, PAIR, [(o, t) for o in OUTCOMES for t in TERMS], plan), plan)
+
+
+def arms_in(results: Results) -> dict[Place, dict[str, Arm]]:
+    return arms_of(own_agents(with_outcomes(results)), list(OUTCOMES))
+
+
+def changed(results: Results, **columns: Callable[[pd.DataFrame], Any]) -> Results:
+    """The results with other test episodes: each column a function of the table, for the trained agents."""
+    episodes = results.episodes.copy()
+    own = episodes["kind"] == "agent"
+    for column, value in columns.items():
+        episodes[column] = episodes[column].astype(object)
+        episodes.loc[own, column] = value(results.episodes[own])
+        episodes[column] = episodes[column].astype(results.episodes[column].dtype)
+    return replace(results, episodes=episodes)

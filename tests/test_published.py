@@ -96,31 +96,38 @@ def test_progress_is_told_beside_speed() -> None:
     assert "it is {}, {} and {} m/s".format(*regular) in told("docs/study.md")
 
 
-def test_crashes_in_the_last_second_and_unfinished_learning() -> None:
-    found = load(ROOT / "results" / "standard")
-    treated = [
-        frame[
-            (frame["kind"] == "agent")
-            & (frame["arm"] == "treatment")
-            & (frame["traffic"] == "regular")
-            & (frame["level"] == 1)
-        ]
-        for frame in (found.episodes, found.marks)
-    ]
-    episodes, marks = (
-        frame[frame["task"] == task] for frame, task in zip(treated, ("u-turn", "two-way"), strict=True)
-    )
-    crashes = episodes[episodes["crashed"]]
+def test_crashes_in_the_last_second() -> None:
+    episodes = load(ROOT / "results" / "standard").episodes
+    wanted = "kind == 'agent' and arm == 'treatment' and traffic == 'regular' and level == 1 and task == 'u-turn'"
+    crashes = episodes.query(wanted).query("crashed")
     late = int((crashes["crash_time"] > 9.0).sum())
     assert f"{late} of {len(crashes)} crashes of treated agents come in the last second" in told("README.md")
-    by_mark = [marks[marks["mark"] == mark]["crashed"].mean() for mark in (1, 2)]
-    two_way = treated[0][treated[0]["task"] == "two-way"]["crashed"].mean()
-    assert f"from {100 * by_mark[1]:.0f} to {100 * two_way:.0f} %" in told("README.md")
-    rates = [f"{rate:.2f}".lstrip("0") for rate in (*by_mark, two_way)]
-    assert (
-        f"from {rates[0]} and {rates[1]} after one and two thirds of the training to {rates[2]} at its end"
-        in told("docs/limits.md")
-    )
+
+
+def test_the_second_study_is_told_as_it_was_found() -> None:
+    study = published("second")
+    text = section(TEXTS[ROOT / "docs" / "study.md"], "The second study, so far")
+    text = " ".join(text.split())
+    effects = study.effects.query("arm == 'treatment' and against == 'control' and outcome == 'crashed'")
+    u_turn = difference(effects.query("task == 'u-turn' and term == 'regular'").iloc[0])
+    assert f"+13 is {u_turn.replace(' points', '')}" in text
+    shown = [crashes(study, arm=arm)[term].split()[0] for arm in ("treatment", "mixed") for term in TRAFFICS]
+    assert [number for number in shown if number not in text or number not in told("README.md")] == []
+    lost, harm = study.price.query("scope == 'all tasks'").to_dict("records")
+    assert f"loses {100 * lost['estimate']:.1f} points" in text and f"costs at most {100 * harm['high']:.1f}" in text
+    assert lost["verdict"] == "contradicted"
+    change = study.learner.query("check == 'change'").set_index("arm")["estimate"]
+    told_changes = "{control:.3f} of its range (control), {treatment:.3f} (treatment) and {mixed:.3f} (mixed)"
+    assert told_changes.format(**change).replace("0.", ".") in text
+    gates = study.gates.assign(two_way=study.gates["task"] == "two-way")
+    assert f"the values of {(~gates[gates['two_way']]['q_bounded'].astype(bool)).sum()} of 15 agents" in text
+    elsewhere = gates[~gates["two_way"]]["passed"].astype(bool)
+    assert f"{elsewhere.sum()} of {len(elsewhere)} agents pass every gate" in text
+    above = study.frontier.query("task == 'u-turn' and traffic == 'risky'").set_index("arm")
+    row = 100 * above.loc["treatment", ["estimate", "low", "high"]].astype(float)
+    assert "(+{:.1f} points [{:.1f}, +{:.1f}])".format(*row).replace("-", "−") in text
+    assert f"crash {100 * above.loc['control', 'estimate']:.0f} points more often" in text
+    assert f"mixed ones {-100 * above.loc['mixed', 'estimate']:.0f} less" in text
 
 
 def test_the_studys_page_tells_what_further_arms_do() -> None:

@@ -46,8 +46,7 @@ from experiments.study.avoidable import judge_all, sample, shares
 from experiments.study.cell import MakeEnv
 from experiments.study.packed import MANIFEST
 from experiments.study.rerun import changed_versions, differences, play_again
-from experiments.study.results import load
-from experiments.study.store import EPISODES, Store
+from experiments.study.store import EPISODES, Store, load
 from experiments.support.errors import UserError, disk_error, run_command, unknown
 from experiments.support.films import Film, Pictures, save_gif, side_by_side
 

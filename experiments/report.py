@@ -37,7 +37,7 @@ from experiments.reporting.showcase import showcase
 from experiments.reporting.tables import chosen
 from experiments.study import store
 from experiments.study.evaluate import COLUMNS
-from experiments.study.results import load
+from experiments.study.store import load
 from experiments.support.errors import UserError, disk_error, run_command
 from experiments.support.files import write_file
 

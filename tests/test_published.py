@@ -16,7 +16,7 @@ from experiments.reporting.page import paces
 from experiments.reporting.tables import main
 from experiments.reporting.words import difference
 from experiments.study.arms import EXTRA_ARMS, TRAFFICS
-from experiments.study.results import load
+from experiments.study.store import load
 from sumo_env.tasks import TASKS
 from tests.experiments import synthetic
 from tests.pages import ROOT, TEXTS, section, table

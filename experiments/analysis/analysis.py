@@ -41,7 +41,7 @@ from experiments.analysis.scores import (
 )
 from experiments.study.arms import ARMS, EXTRA_ARMS
 from experiments.study.grid import BASELINES, LEARNER
-from experiments.study.results import Results
+from experiments.study.store import Results
 from experiments.support.errors import UserError
 from experiments.support.files import canonical_json, sha256_bytes
 

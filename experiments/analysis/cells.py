@@ -17,7 +17,7 @@ import numpy as np
 from experiments.analysis.scores import PLACE
 from experiments.study.arms import ARMS, TRAFFICS, gate_traffics
 from experiments.study.grid import setting
-from experiments.study.results import Results
+from experiments.study.store import Results
 from experiments.support.files import canonical_json
 
 Cell = Mapping[str, Any]

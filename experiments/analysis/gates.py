@@ -102,7 +102,7 @@ def gates(cells: Mapping[str, Mapping[str, Any]], episodes: pd.DataFrame) -> pd.
     """The verdict on every trained agent.
 
     Args:
-        cells: cell.json by name. episodes: the gate episodes of all of them, as in `results.Results`.
+        cells: cell.json by name. episodes: the gate episodes of all of them, as in `store.Results`.
 
     Returns:
         A row an agent: cell, PLACE, arm, seed, passed (False if any gate fails, None if one could not be checked, True

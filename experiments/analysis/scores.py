@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from experiments.analysis.estimate import Scores, binomial_floor
 from experiments.analysis.plan import OUTCOMES, PROPORTIONS, TERMS
 from experiments.study.arms import ALL_TRAFFICS, TRAFFICS
-from experiments.study.results import Results
+from experiments.study.store import Results
 from sumo_env.tasks import TASKS
 
 PLACE = ["backend", "task", "level", "level_name"]  # a setting: what a comparison is made within

@@ -25,8 +25,7 @@ from experiments.reporting.tables import chosen, main
 from experiments.reporting.words import BACKENDS, FILTERS
 from experiments.study.arms import ARMS, DOSE_ARMS, TRAFFICS
 from experiments.study.estimate import duration
-from experiments.study.results import Results
-from experiments.study.store import Store
+from experiments.study.store import Results, Store
 from experiments.study.verdict import of_results
 from experiments.support.files import canonical_json
 from sumo_env.tasks import TASKS

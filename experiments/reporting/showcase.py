@@ -19,8 +19,7 @@ from experiments.analysis.scores import PLACE, in_order
 from experiments.study.arms import ARMS
 from experiments.study.cell import MakeEnv
 from experiments.study.rerun import Recorder, differences
-from experiments.study.results import Results
-from experiments.study.store import EPISODES
+from experiments.study.store import EPISODES, Results
 from experiments.support.files import canonical_json, write_file
 from sumo_env.rendering.markings import markings
 from sumo_env.tasks import get_task

@@ -13,9 +13,8 @@ evaluate     a policy on the test scenarios
 cell         what is computed for a cell: train, test, store
 run          hands tasks to an executor, tries again what dies; what a process does with a task
 executors/   processes of this machine, Ray, Slurm
-store        the directory of results: finished cells, one folder each or packed
+store        the directory of results: finished cells, one folder each or packed; all of them as frames
 packed       finished cells in a few tables
-results      all of them as frames
 rerun        a stored episode again
 avoid        whether a stored crash could have been avoided
 avoidable    how many of a folder's crashes could

@@ -12,8 +12,8 @@ from experiments.study.arms import TRAFFICS
 from experiments.study.avoid import SAFE, Rewound, Search
 from experiments.study.cell import MakeEnv
 from experiments.study.evaluate import COLUMNS, share
-from experiments.study.results import Results
 from experiments.study.rows import fill
+from experiments.study.store import Results
 from experiments.support.errors import UserError
 from experiments.support.files import canonical_json
 

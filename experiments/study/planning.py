@@ -72,7 +72,7 @@ def play_all(file: Path, scenarios: int) -> pd.DataFrame:
 
 def study(scenarios: Collection[int]) -> pd.DataFrame:
     """The same scenarios of the published study, by its agents of both arms and the careful driver."""
-    from experiments.study.results import load
+    from experiments.study.store import load
 
     rows = load(STUDY).episodes
     met = rows["scenario"].isin(scenarios) & rows["traffic"].isin(list(TRAFFICS))

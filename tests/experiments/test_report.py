@@ -23,7 +23,7 @@ from experiments.reporting.style import CONTROL
 from experiments.reporting.tables import main, side_by_side
 from experiments.reporting.words import difference
 from experiments.study import store
-from experiments.study.results import load
+from experiments.study.store import load
 from experiments.study.verdict import SCHEMA
 from experiments.support.errors import UserError
 from tests.experiments import synthetic

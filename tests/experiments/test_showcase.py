@@ -15,8 +15,8 @@ from experiments import report
 from experiments.reporting.showcase import FILE, choose, duos, showcase
 from experiments.study.cell import CellTask
 from experiments.study.rerun import Recorder
-from experiments.study.results import load
 from experiments.study.run import Ended, attempt
+from experiments.study.store import load
 from experiments.sweep import Options, cells_of
 from tests.experiments.fake_env import make_env
 

@@ -21,8 +21,8 @@ from experiments.study import grid, store
 from experiments.study.cell import CellTask
 from experiments.study.experiment import Experiment, shard
 from experiments.study.presets import PRESETS
-from experiments.study.results import load
 from experiments.study.run import Ended, attempt
+from experiments.study.store import load
 from experiments.support.errors import UserError
 from experiments.sweep import Options, cells_of, sweep
 from sumo_env.tasks import TASKS

@@ -17,7 +17,7 @@ import pandas as pd
 from experiments.analysis.analysis import Analysis, analyse
 from experiments.analysis.scores import CRASH_KINDS
 from experiments.study.arms import ALL_TRAFFICS, ARMS, DOSE_ARMS, DOSES, EXTRA_ARMS, TRAFFICS
-from experiments.study.results import load
+from experiments.study.store import load
 from sumo_env.tasks import TASKS
 
 ROOT = Path(__file__).resolve().parents[2]

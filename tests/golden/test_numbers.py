@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from experiments.analysis.analysis import analyse
-from experiments.study.results import load
+from experiments.study.store import load
 from tests.golden import numbers
 from tests.golden.test_golden import report
 

@@ -13,7 +13,7 @@ from experiments.analysis.analysis import own_agents
 from experiments.analysis.effects import adjusted, contrasts
 from experiments.analysis.plan import DEFAULT, OUTCOMES, TERMS, Plan
 from experiments.analysis.scores import Arm, Arms, Place, arms_of, with_outcomes
-from experiments.study.results import Results
+from experiments.study.store import Results
 
 PAIR = [("treatment", "control")]
 

@@ -18,7 +18,7 @@ from experiments.analysis.estimate import interval, linear
 from experiments.analysis.gates import learnt
 from experiments.analysis.plan import DEFAULT, OUTCOMES, TERMS, TWO_BATCHES, Plan, as_data
 from experiments.analysis.scores import CRASH_KINDS, Arm, kind_of_crash
-from experiments.study.results import Results, load
+from experiments.study.store import Results, load
 from tests.experiments import synthetic
 from tests.experiments.analysis.made_up import PAIR, agents, arms_in, changed, effects, find
 

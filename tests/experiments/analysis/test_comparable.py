@@ -12,7 +12,7 @@ import pytest
 from experiments.analysis.analysis import analyse
 from experiments.analysis.cells import comparable, duplicates
 from experiments.study.grid import BASELINES
-from experiments.study.results import Results, load
+from experiments.study.store import Results, load
 from tests.experiments import synthetic
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from experiments.analysis.analysis import Analysis, analyse
 from experiments.analysis.scores import CRASH_KINDS
-from experiments.study.results import Results, load
+from experiments.study.store import Results, load
 from tests.experiments import synthetic
 from tests.experiments.analysis.made_up import find
 

@@ -11,7 +11,7 @@ import pytest
 
 from experiments.analysis.controls import negative_control, placebo
 from experiments.analysis.scores import Arm, Arms, Place, arms_of, with_outcomes
-from experiments.study.results import load
+from experiments.study.store import load
 from tests.experiments import synthetic
 from tests.experiments.analysis import instrument
 from tests.experiments.analysis.instrument import WORLDS, World, one

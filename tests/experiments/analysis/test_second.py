@@ -16,8 +16,7 @@ from experiments.analysis.effects import adjusted, contrasts
 from experiments.analysis.learner import change, last_second
 from experiments.analysis.plan import DEFAULT, SECOND, TWO_BATCHES, Learner, plan_of
 from experiments.analysis.scores import Arm, Arms, Place
-from experiments.study.results import load
-from experiments.study.store import EPISODES
+from experiments.study.store import EPISODES, load
 from experiments.support.errors import UserError
 from sumo_env.tasks import TASKS
 from tests.experiments import synthetic

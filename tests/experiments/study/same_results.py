@@ -34,7 +34,7 @@ def main(old: str, *backends: str) -> int:
     """Compute and compare; returns the exit status."""
     sys.path.insert(0, str(HERE))
     from experiments.study.grid import slug
-    from experiments.study.results import load
+    from experiments.study.store import load
 
     different = 0
     for backend in backends or BACKENDS:

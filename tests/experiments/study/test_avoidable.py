@@ -6,7 +6,7 @@ import pandas as pd
 import pytest
 
 from experiments.study.avoidable import sample, shares
-from experiments.study.results import load
+from experiments.study.store import load
 from tests.pages import ROOT, TEXTS, section, table
 
 

@@ -13,8 +13,8 @@ from hypothesis import strategies as st
 
 from experiments.study import store
 from experiments.study.cell import CellTask
-from experiments.study.results import load
 from experiments.study.run import Ended, attempt
+from experiments.study.store import load
 from experiments.support.errors import UserError
 from experiments.sweep import Options, cells_of
 from tests.experiments.fake_env import make_env

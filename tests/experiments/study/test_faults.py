@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from experiments.analysis.analysis import analyse, as_json
-from experiments.study.results import load
+from experiments.study.store import load
 from tests.processes import children
 
 pytestmark = pytest.mark.slow  # whole sweeps in processes of their own, several times

@@ -13,8 +13,8 @@ import pytest
 from experiments.study import packed, store
 from experiments.study.cell import CellTask
 from experiments.study.packed import CELLS, MANIFEST
-from experiments.study.results import Results, load
 from experiments.study.run import Ended, attempt
+from experiments.study.store import Results, load
 from experiments.support.errors import UserError
 from experiments.sweep import Options, cells_of, sweep
 from tests.experiments.fake_env import make_env

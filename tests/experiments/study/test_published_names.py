@@ -15,7 +15,7 @@ from experiments.study.experiment import Experiment
 from experiments.study.fingerprint import check_dynamics, dynamics, fingerprint
 from experiments.study.grid import BACKEND_KEYS, cell_name, slug
 from experiments.study.presets import cells_of
-from experiments.study.results import load
+from experiments.study.store import load
 from experiments.support.errors import UserError
 from experiments.support.files import canonical_json
 from sumo_env.config import resolve

@@ -16,7 +16,7 @@ from agents.greedy import Greedy
 from experiments.study import grid, store
 from experiments.study.evaluate import evaluate
 from experiments.study.experiment import Experiment
-from experiments.study.results import KEY_COLUMNS, load
+from experiments.study.store import KEY_COLUMNS, load
 from experiments.support.errors import UserError
 from sumo_env.tasks import TASKS
 from tests.experiments.fake_env import make_env

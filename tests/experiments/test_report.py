@@ -224,6 +224,13 @@ class TestSideBySide:
         assert beside(own) == []
 
 
+def test_a_damaged_analysis_of_another_directory_is_named(tmp_path, capsys):
+    damaged = tmp_path / report.ANALYSIS
+    damaged.write_text('{"schema": ')
+    assert report._stored(damaged) is None
+    assert f"{damaged} is damaged" in capsys.readouterr().err
+
+
 class TestIncomplete:
     """Results as they are while a sweep runs, or after one with little in it."""
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import pickle
 import shutil
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +23,7 @@ from tests.experiments.fake_env import make_env
 
 pytestmark = pytest.mark.slow
 
+ROOT = Path(__file__).resolve().parents[3]
 TINY = {"preset": "smoke", "tasks": ("u-turn",), "updates": 150, "episodes": 2, "network": "dueling"}
 PROPERTY = settings(
     max_examples=5,
@@ -160,3 +163,28 @@ def test_nothing_is_unpickled_from_a_file(finished, interrupted, tmp_path):
         allow_pickle=True,
     )["settings"]
     assert trace.exists()  # the trap works
+
+
+AUDIT = """
+import sys
+sys.path.insert(0, {root!r})
+from pathlib import Path
+found = []
+sys.addaudithook(lambda event, arguments: found.append(arguments) if event == "pickle.find_class" else None)
+from experiments.report import write_report
+from experiments.replay import Options, replay
+from tests.experiments.fake_env import make_env
+directory = Path(sys.argv[1])
+write_report(directory)
+for cell in sorted(directory.glob("cells/*")):
+    replay(Options(f"{{cell}}:risky:0", out=directory / "picture.png"), make_env)
+print(found)
+"""
+
+
+def test_report_and_replay_unpickle_nothing(finished, tmp_path):
+    shutil.copytree(finished, tmp_path / "results")
+    command = [sys.executable, "-c", AUDIT.format(root=str(ROOT)), str(tmp_path / "results")]
+    result = subprocess.run(command, capture_output=True, text=True, timeout=300)
+    assert result.returncode == 0, result.stderr
+    assert result.stdout.splitlines()[-1] == "[]"

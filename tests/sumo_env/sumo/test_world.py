@@ -333,6 +333,17 @@ def test_a_vehicle_is_let_in_unless_another_is_within_15_metres(simulator: SumoS
     assert seen == [(), (), ("first",), ("first",), ("first", "later"), ("first", "later")]
 
 
+def test_intersection_traffic_comes_and_goes(start: Start) -> None:
+    env = start("intersection", duration=40, spawn_probability=1.0)
+    seen: set[str] = set(env.scene.ids)
+    gone = False
+    for _ in range(25):
+        env.step(0)  # the ego waits
+        gone = gone or not seen <= set(env.scene.ids)
+        seen |= set(env.scene.ids)
+    assert gone and any(name.startswith("s") for name in seen)
+
+
 @pytest.mark.parametrize("task", ["two-way", "roundabout"])
 def test_vehicles_that_reach_the_end_of_the_road_are_gone(start: Start, task: str) -> None:
     """Also in the middle of a policy step."""

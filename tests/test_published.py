@@ -12,6 +12,7 @@ import pandas as pd
 from experiments.analysis.analysis import Analysis, analyse, as_json, stored
 from experiments.analysis.effects import mean_over
 from experiments.analysis.plan import Plan
+from experiments.reporting import tables
 from experiments.reporting.page import paces
 from experiments.reporting.tables import main
 from experiments.reporting.words import difference
@@ -116,6 +117,12 @@ def test_the_second_study_is_told_as_it_was_found() -> None:
     lost, harm = study.price.query("scope == 'all tasks'").to_dict("records")
     assert f"loses {100 * lost['estimate']:.1f} points" in text and f"costs at most {100 * harm['high']:.1f}" in text
     assert lost["verdict"] == "contradicted"
+    away = crashes(study, tested_on="replica", scenarios="replica")
+    assert [words for words in away.values() if words not in text] == []
+    models = study.policies.query("traffic in ('krauss', 'eidm')").pivot_table("crashed", ["task", "traffic"], "arm")
+    assert len(models) == 8 and ((models["treatment"] < models["mixed"]) & (models["mixed"] < models["control"])).all()
+    shown = tables.unseen(study, "sumo").set_index(["setting", "traffic"])["treatment"]
+    assert shown["u-turn 3", "krauss"].startswith(f"{100 * models.loc[('u-turn', 'krauss'), 'treatment']:.1f} % ±")
     change = study.learner.query("check == 'change'").set_index("arm")["estimate"]
     told_changes = "{control:.3f} of its range (control), {treatment:.3f} (treatment) and {mixed:.3f} (mixed)"
     assert told_changes.format(**change).replace("0.", ".") in text

@@ -15,6 +15,7 @@ from experiments.analysis.plan import OUTCOMES, Plan
 from experiments.analysis.scores import CRASH_KINDS, PLACE, TASK_ORDER
 from experiments.reporting.words import BACKENDS, NONE, difference, effect, number, p_value, plain
 from experiments.study.arms import ARMS, TRAFFICS
+from experiments.study.unseen import UNSEEN
 
 TERMS = {"sum": "both (the paper's ATE)", "interaction": "risky − regular"}
 
@@ -93,6 +94,19 @@ def policies(analysis: Analysis, backend: str) -> pd.DataFrame:
             error = row[f"{outcome} se"]
             spread = f" ± {number(error, outcome).replace(' %', '')}" if pd.notna(error) else ""
             line[f"{title}, {row['traffic']}"] = number(row[outcome], outcome) + spread
+    return pd.DataFrame(list(lines.values()))
+
+
+def unseen(analysis: Analysis, backend: str) -> pd.DataFrame:
+    """Crash rates of each arm's agents in risky traffic that nobody was trained in, and in that of the training."""
+    rows = chosen(analysis.policies, backend=backend, traffic=["risky", *UNSEEN])
+    rows = rows[rows["arm"] != ""]
+    lines: dict[tuple[str, str], dict[str, str]] = {}
+    for row in rows[rows["task"].isin(rows.loc[rows["traffic"] != "risky", "task"])].to_dict("records"):
+        key = (f"{row['task']} {row['level_name']}", row["traffic"])
+        line = lines.setdefault(key, dict(zip(("setting", "traffic"), key, strict=True)))
+        error = number(row["crashed se"], "crashed").replace(" %", "")
+        line[row["arm"]] = f"{number(row['crashed'], 'crashed')} ± {error}"
     return pd.DataFrame(list(lines.values()))
 
 
@@ -250,6 +264,7 @@ TABLES: dict[str, Callable[[Analysis, str], pd.DataFrame]] = {  # of one simulat
     "further": further,
     "transfer": transfer,
     "policies": policies,
+    "unseen": unseen,
     "gates": gates,
     "learner": learner,
     "frontier": frontier,

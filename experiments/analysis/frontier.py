@@ -1,4 +1,4 @@
-"""How much more often agents crash than drivers of fixed rules at the same progress: the distance to their frontier."""
+"""How much more often agents crash than careful and constant drivers at their progress: the distance to the frontier."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from experiments.analysis.estimate import Mean, interval
 from experiments.analysis.scores import PLACE
 from experiments.study.grid import BASELINES
 
-RULES = {*BASELINES, *CAUTIONS}
+RULES = {*BASELINES, *CAUTIONS} - {"idm", "random"}  # the careful driver and the constant policies
 COLUMNS = [*PLACE, "arm", "traffic", "agents", "inside", "estimate", "low", "high"]
 
 
@@ -32,7 +32,7 @@ def _turn(first: tuple[float, float], second: tuple[float, float], third: tuple[
 
 
 def to_frontier(episodes: pd.DataFrame) -> pd.DataFrame:
-    """The distance of each arm's agents to the frontier of the drivers of fixed rules, where there are any.
+    """The distance of each arm's agents to the frontier of careful and constant drivers, where there are any.
 
     The frontier is the lower hull of their crash rate over progress, the distance covered over the time limit. An agent
     slower or faster than all of them has no distance.

@@ -7,7 +7,7 @@ estimate  inference with the trained agent as the unit
 effects   the average treatment effect of every setting, and the one mean over settings
 gates     did an agent learn?
 learner   has the learner finished?
-frontier  how much more often agents crash than drivers of fixed rules at their progress
+frontier  how much more often agents crash than careful and constant drivers
 claims    what the effects say about each claim
 controls  comparisons whose truth is known
 analysis  all of it as one value

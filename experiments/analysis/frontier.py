@@ -1,4 +1,4 @@
-"""How much more often agents crash than careful and constant drivers at their progress: the distance to the frontier."""
+"""How much more often agents crash than careful and constant drivers of their progress: distance to the frontier."""
 
 from __future__ import annotations
 

@@ -17,6 +17,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 from scipy import stats
 
+from experiments.analysis.frontier import RULES, lower_hull
 from experiments.analysis.plan import ALPHA
 from experiments.analysis.scores import TASK_ORDER
 from experiments.reporting.style import (
@@ -117,18 +118,11 @@ def against_traffic(policies: pd.DataFrame, backend: str) -> str:
     return to_svg(figure, f"{backend}-traffic", "Crash rate against traffic level, by task and policy")
 
 
-def frontier(points: pd.DataFrame) -> pd.DataFrame:
-    """The policies that no other one beats in both crash rate (`crashed`) and `progress`, from slow to fast."""
-    fast = points.sort_values(["progress", "crashed"], ascending=[False, True])
-    safer_than_faster_ones = fast["crashed"] < fast["crashed"].cummin().shift(fill_value=np.inf)
-    return fast[safer_than_faster_ones].sort_values("progress")
-
-
 @styled
 def crashes_against_progress(policies: pd.DataFrame, backend: str) -> str:
     """Crash rate against progress: who is below and to the right of the line is safer without being slower.
 
-    The line is the frontier of the policies without training. Means over the levels of a task.
+    The line is the frontier of `analysis.frontier`, here of means over the levels of a task.
     """
     arms, shown = _arms(policies), _shown(policies)
     of_task = policies.groupby(["task", "traffic", "policy", "arm"], sort=False, as_index=False)
@@ -137,8 +131,8 @@ def crashes_against_progress(policies: pd.DataFrame, backend: str) -> str:
     for (task, traffic), panel in panels.items():
         own = mean[(mean["task"] == task) & (mean["traffic"] == traffic)]
         rules = own[own["arm"] == ""]
-        best = frontier(rules)
-        panel.plot(best["progress"], best["crashed"], color=MUTED, lw=1.0, zorder=1)
+        line = lower_hull(rules[rules["policy"].isin(RULES)])
+        panel.plot(line["progress"], line["crashed"], color=MUTED, lw=1.0, zorder=1)
         for point in rules.itertuples():
             panel.plot(point.progress, point.crashed, ls="", **_mark(str(point.policy)))
         agents = {arm: own[own["arm"] == arm] for arm in arms}

@@ -29,6 +29,7 @@ from rich.console import Console
 
 from experiments import sweep
 from experiments.backends import make_env
+from experiments.study.arms import training_seed
 from experiments.study.cell import CellTask
 from experiments.study.estimate import rates_of
 from experiments.study.executors import cores
@@ -36,7 +37,6 @@ from experiments.study.experiment import Experiment
 from experiments.study.fingerprint import check_dynamics
 from experiments.study.grid import Cell, choose_tasks, env_config
 from experiments.study.presets import complete
-from experiments.study.seeds import training_seed
 from experiments.study.store import EPISODES, Store
 from experiments.support.errors import run_command, unknown, writing
 from experiments.support.processes import call_all

@@ -99,7 +99,9 @@ def test_progress_is_told_beside_speed() -> None:
 
 def test_crashes_in_the_last_second() -> None:
     episodes = load(ROOT / "results" / "standard").episodes
-    wanted = "kind == 'agent' and arm == 'treatment' and traffic == 'regular' and level == 1 and task == 'u-turn'"
+    wanted = (
+        "kind == 'agent' and arm == 'treatment' and traffic == 'regular' and level == 1 and task == 'u-turn'"
+    )
     crashes = episodes.query(wanted).query("crashed")
     late = int((crashes["crash_time"] > 9.0).sum())
     assert f"{late} of {len(crashes)} crashes of treated agents come in the last second" in told("README.md")
@@ -115,14 +117,24 @@ def test_the_second_study_is_told_as_it_was_found() -> None:
     shown = [crashes(study, arm=arm)[term].split()[0] for arm in ("treatment", "mixed") for term in TRAFFICS]
     assert [number for number in shown if number not in text or number not in told("README.md")] == []
     lost, harm = study.price.query("scope == 'all tasks'").to_dict("records")
-    assert f"loses {100 * lost['estimate']:.1f} points" in text and f"costs at most {100 * harm['high']:.1f}" in text
+    assert (
+        f"loses {100 * lost['estimate']:.1f} points" in text
+        and f"costs at most {100 * harm['high']:.1f}" in text
+    )
     assert lost["verdict"] == "contradicted"
     away = crashes(study, tested_on="replica", scenarios="replica")
     assert [words for words in away.values() if words not in text] == []
-    models = study.policies.query("traffic in ('krauss', 'eidm')").pivot_table("crashed", ["task", "traffic"], "arm")
-    assert len(models) == 8 and ((models["treatment"] < models["mixed"]) & (models["mixed"] < models["control"])).all()
+    models = study.policies.query("traffic in ('krauss', 'eidm')").pivot_table(
+        "crashed", ["task", "traffic"], "arm"
+    )
+    assert (
+        len(models) == 8
+        and ((models["treatment"] < models["mixed"]) & (models["mixed"] < models["control"])).all()
+    )
     shown = tables.unseen(study, "sumo").set_index(["setting", "traffic"])["treatment"]
-    assert shown["u-turn 3", "krauss"].startswith(f"{100 * models.loc[('u-turn', 'krauss'), 'treatment']:.1f} % ±")
+    assert shown["u-turn 3", "krauss"].startswith(
+        f"{100 * models.loc[('u-turn', 'krauss'), 'treatment']:.1f} % ±"
+    )
     change = study.learner.query("check == 'change'").set_index("arm")["estimate"]
     told_changes = "{control:.3f} of its range (control), {treatment:.3f} (treatment) and {mixed:.3f} (mixed)"
     assert told_changes.format(**change).replace("0.", ".") in text

@@ -57,7 +57,9 @@ def to_frontier(episodes: pd.DataFrame) -> pd.DataFrame:
             best = np.interp(agents["progress"], hull["progress"], hull["crashed"], left=np.nan, right=np.nan)
             above = (agents["crashed"] - best).dropna()
             spread = float(above.var(ddof=1)) / len(above) if len(above) > 1 else 0.0
-            found = interval(Mean(float(above.mean()), spread, max(len(above) - 1.0, 1.0), max(len(above), 1)))
+            found = interval(
+                Mean(float(above.mean()), spread, max(len(above) - 1.0, 1.0), max(len(above), 1))
+            )
             limits = found.estimate, found.low, found.high
             lines.append([*place, arm, traffic, len(agents), len(above), *limits])
     return pd.DataFrame(lines, columns=COLUMNS)

@@ -5,7 +5,6 @@ experiment   what an experiment consists of, and its cells
 presets      named experiments, which options change
 grid         a cell, its name, and what the name is made of
 fingerprint  what a simulator does, as eight digits
-seeds        which scenarios are met
 wrappers     what a task's training changes about its environment
 policies     the policy of a cell
 train        one agent in its traffic, resumable

@@ -43,7 +43,7 @@ RANGE = {
 }  # of the return: one a second
 SEEDS = (900, 901, 902)  # no report uses these
 CHECK_SEED = 905  # nor this one
-EPISODES, PURPOSE = 100, "choice"  # scenarios of their own, see `seeds.scenario_seed`
+EPISODES, PURPOSE = 100, "choice"  # scenarios of their own, see `arms.scenario_seed`
 MARK = 3 / 4  # of the budget: what the last quarter changes
 TOLERANCE = 0.02  # of the return's range
 

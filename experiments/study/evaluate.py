@@ -10,8 +10,7 @@ import gymnasium as gym
 import numpy as np
 
 from agents.policies import Policy
-from experiments.study.arms import ALL_TRAFFICS, TRAFFICS
-from experiments.study.seeds import scenario_seed, stream_seed
+from experiments.study.arms import ALL_TRAFFICS, TRAFFICS, scenario_seed, stream_seed
 from experiments.study.unseen import UNSEEN, UnseenRisk
 
 if TYPE_CHECKING:

@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from experiments.backends import make_env
-from experiments.study.seeds import scenario_seed
+from experiments.study.arms import scenario_seed
 from experiments.support.errors import UserError
 from experiments.support.files import canonical_json, sha256_bytes, write_json
 from sumo_env.tasks import TASKS

@@ -133,7 +133,8 @@ PRESETS = {
             episodes=400,
             gate_episodes=100,
             learners={
-                task: second_version(task, steps, 1, 64, clock="first") for task, steps in SECOND_STEPS.items()
+                task: second_version(task, steps, 1, 64, clock="first")
+                for task, steps in SECOND_STEPS.items()
             },
             first_seed=100,
             first_scenario=1000,

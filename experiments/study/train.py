@@ -17,10 +17,9 @@ from agents.greedy import Greedy
 from agents.models import network_class
 from agents.streams import episode_seed
 from agents.training import Progress, TrainedAgent, train
-from experiments.study.arms import DRAWN, drawn_dose
+from experiments.study.arms import DRAWN, drawn_dose, training_seed
 from experiments.study.grid import Cell
 from experiments.study.policies import check
-from experiments.study.seeds import training_seed
 from experiments.study.wrappers import DrawnDose, trained_on
 from experiments.support.errors import UserError
 

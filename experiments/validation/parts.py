@@ -12,9 +12,9 @@ import pandas as pd
 from rich.console import Console
 
 from experiments.backends import make_env
+from experiments.study.arms import stream_seed
 from experiments.study.fingerprint import dynamics
 from experiments.study.grid import level_names
-from experiments.study.seeds import stream_seed
 from experiments.support.files import canonical_json, sha256_bytes, write_file
 from experiments.support.processes import call_all
 from experiments.validation.egos import egos

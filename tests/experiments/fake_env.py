@@ -17,7 +17,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-TEST = 2**32  # seeds of test scenarios begin here (experiments.study.seeds)
+TEST = 2**32  # seeds of test scenarios begin here (experiments.study.arms)
 FEATURES = ("presence", "x", "y", "vx", "vy")
 
 

@@ -11,11 +11,10 @@ from PIL import Image
 
 from experiments.replay import Options, find_cell, parse_case, replay
 from experiments.study import store
-from experiments.study.arms import TRAFFICS
+from experiments.study.arms import TRAFFICS, scenario_seed
 from experiments.study.cell import CellTask
 from experiments.study.rerun import stored_policy
 from experiments.study.run import Ended, attempt
-from experiments.study.seeds import scenario_seed
 from experiments.support.errors import UserError
 from experiments.sweep import Options as SweepOptions
 from experiments.sweep import cells_of

@@ -345,11 +345,16 @@ def test_presets_name_every_task_and_keep_the_arms_comparable():
 def test_in_the_second_study_nobody_knows_when_a_test_ends():
     profiles = profiles_of(PRESETS["second"])
     clocks = {task: profile.get("training_clock") for task, profile in profiles.items()}
-    assert {task: clock for task, clock in clocks.items() if clock} == {"roundabout": [15, 15], "u-turn": [13, 13]}
+    assert {task: clock for task, clock in clocks.items() if clock} == {
+        "roundabout": [15, 15],
+        "u-turn": [13, 13],
+    }
     seen = {task: profile.get("time_observed") for task, profile in profiles.items()}
     assert {task: seconds for task, seconds in seen.items() if seconds} == {"roundabout": 15, "u-turn": 13}
     assert not any(profile["finite_horizon"] for profile in profiles.values())
-    assert {(profile["steps_per_update"], profile["batch_size"]) for profile in profiles.values()} == {(1, 64)}
+    assert {(profile["steps_per_update"], profile["batch_size"]) for profile in profiles.values()} == {
+        (1, 64)
+    }
 
 
 def test_the_first_clock_is_all_that_differs_on_its_two_tasks():

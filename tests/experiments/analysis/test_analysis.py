@@ -24,7 +24,6 @@ from tests.experiments.analysis.made_up import PAIR, agents, arms_in, changed, e
 
 
 class TestPlan:
-
     @pytest.mark.parametrize("plan", [DEFAULT, TWO_BATCHES])
     def test_what_a_family_tests_is_not_called_exploratory(self, plan: Plan) -> None:
         named = as_data(plan, {})["exploratory"]

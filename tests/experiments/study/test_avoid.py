@@ -13,10 +13,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from experiments.backends import make_env
+from experiments.study.arms import scenario_seed
 from experiments.study.avoid import REST, Rewound, Search
 from experiments.study.evaluate import play
 from experiments.study.rerun import Repeated
-from experiments.study.seeds import scenario_seed
 
 NAMES = {0: "LANE_LEFT", 1: "IDLE", 2: "LANE_RIGHT", 3: "FASTER", 4: "SLOWER"}
 MOVES = {0: (1, 0), 1: (0, 0), 2: (-1, 0), 3: (0, 1), 4: (0, -1)}  # of lane and speed

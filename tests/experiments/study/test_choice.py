@@ -6,7 +6,7 @@ import pandas as pd
 import pytest
 
 from experiments.study import choice
-from experiments.study.seeds import scenario_seed
+from experiments.study.arms import scenario_seed
 
 
 def test_variants_differ_as_planned_and_keep_the_target_s_speed() -> None:

@@ -8,9 +8,8 @@ from dataclasses import replace
 import pytest
 
 from experiments.study import experiment, grid
-from experiments.study.arms import DOSE_ARMS, DOSES
+from experiments.study.arms import DOSE_ARMS, DOSES, TEST, scenario_seed, training_seed
 from experiments.study.experiment import Experiment
-from experiments.study.seeds import TEST, scenario_seed, training_seed
 from experiments.study.unseen import unseen_traffics
 from experiments.support.errors import UserError
 from sumo_env.tasks import TASKS

@@ -174,7 +174,9 @@ def test_sweeps_add_up_but_for_what_was_never_finished_and_is_not_asked_for_agai
         {"command": "rest", "cells": [cell.name for cell in rest]},
     ]
     home.write_sweep("all again", cells)
-    assert store.Store(tmp_path).sweeps() == [{"command": "all again", "cells": [cell.name for cell in cells]}]
+    assert store.Store(tmp_path).sweeps() == [
+        {"command": "all again", "cells": [cell.name for cell in cells]}
+    ]
 
 
 def test_sweeps_that_start_at_once_lose_no_note(tmp_path, cells, monkeypatch):

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import pytest
 
+from experiments.study.arms import TEST, scenario_seed
 from experiments.study.cell import CellTask
 from experiments.study.experiment import Experiment
-from experiments.study.seeds import TEST, scenario_seed
 from tests.experiments.fake_env import FakeEnv, make_env
 
 PROFILE = {"network": "dueling", "updates": 20, "steps_per_update": 2, "warm_up": 20, "batch_size": 8}

@@ -9,11 +9,10 @@ import pytest
 
 from agents.checkpoint import load_arrays
 from agents.streams import episode_seed
-from experiments.study.arms import drawn_dose
+from experiments.study.arms import drawn_dose, training_seed
 from experiments.study.cell import CellTask
 from experiments.study.experiment import Experiment
 from experiments.study.grid import Cell
-from experiments.study.seeds import training_seed
 from experiments.study.store import EPISODES, GATES, TRAINING, WEIGHTS, Store
 from experiments.study.train import train_cell
 from tests.experiments.fake_env import FakeEnv, make_env

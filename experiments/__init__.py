@@ -11,6 +11,6 @@ Importing anything of it limits numerical libraries to one thread in this proces
 do the parallel work, and the bits of a sum depend on the number of threads.
 """
 
-from experiments.support.threads import limit_threads
+from experiments.support import limit_threads
 
 limit_threads()

@@ -41,7 +41,7 @@ from experiments.support.errors import run_command, unknown, writing
 from experiments.support.files import sha256_bytes, write_file, write_json
 from experiments.validation import parts
 from experiments.validation.checks import MARGINS, REFERENCE, level_checks
-from experiments.validation.egos import CORE
+from experiments.validation.episodes import CORE
 from experiments.validation.parts import Engine
 from sumo_env.tasks import TASKS
 from sumo_env.tasks.base import Task
@@ -142,7 +142,7 @@ def drivers_distance(table: pd.DataFrame, task: str) -> float:
     it is much less noisy than a difference of crash rates, and guides the search where those cannot.
 
     Args:
-        table: episodes of both, in regular traffic, by the egos of `egos.CORE`.
+        table: episodes of both, in regular traffic, by the egos of `episodes.CORE`.
     """
     total = []
     for _, rows in table.groupby("level"):

@@ -31,12 +31,12 @@ from experiments import sweep
 from experiments.backends import make_env
 from experiments.study.arms import training_seed
 from experiments.study.cell import CellTask
-from experiments.study.estimate import rates_of
 from experiments.study.executors import cores
 from experiments.study.experiment import Experiment
 from experiments.study.fingerprint import check_dynamics
 from experiments.study.grid import Cell, choose_tasks, env_config
 from experiments.study.presets import complete
+from experiments.study.progress import rates_of
 from experiments.study.store import EPISODES, Store
 from experiments.support.errors import run_command, unknown, writing
 from experiments.support.processes import call_all

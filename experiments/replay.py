@@ -41,8 +41,7 @@ from rich.progress import Progress
 from experiments.backends import make_env
 from experiments.reporting.showcase import ending
 from experiments.study.arms import TRAFFICS
-from experiments.study.avoid import HORIZON, SAFE, Moment, Rewound, Search
-from experiments.study.avoidable import judge_all, sample, shares
+from experiments.study.avoid import HORIZON, SAFE, Moment, Rewound, Search, judge_all, sample, shares
 from experiments.study.cell import MakeEnv
 from experiments.study.packed import MANIFEST
 from experiments.study.rerun import changed_versions, differences, play_again

@@ -32,13 +32,12 @@ import tyro
 
 from experiments.backends import make_env
 from experiments.study.cell import SILENCE, CellTask, MakeEnv
-from experiments.study.estimate import START, Rates, duration, rates_of
 from experiments.study.executors import EXECUTORS, cores, open_executor
 from experiments.study.experiment import Experiment, Flag, argument, shard
 from experiments.study.fingerprint import check_dynamics
 from experiments.study.grid import Cell
 from experiments.study.presets import cells_of, complete
-from experiments.study.progress import Progress
+from experiments.study.progress import START, Progress, Rates, duration, rates_of
 from experiments.study.run import LOG, compute_here, run
 from experiments.study.store import Store
 from experiments.support.errors import UserError, disk_error, run_command, unknown

@@ -32,7 +32,7 @@ from experiments.support.errors import UserError, run_command, writing
 from experiments.support.files import write_file, write_json
 from experiments.support.provenance import provenance
 from experiments.validation import checks, page, parts, status
-from experiments.validation.egos import CORE
+from experiments.validation.episodes import CORE
 from experiments.validation.parts import Engine
 
 QUICK_SCENARIOS = 20

@@ -10,7 +10,7 @@ import signal
 import threading
 from collections.abc import Iterator
 
-from experiments.support.threads import limit_threads
+from experiments.support import limit_threads
 
 limit_threads()
 

@@ -14,8 +14,7 @@ from experiments.analysis.effects import mean_over
 from experiments.analysis.plan import Plan
 from experiments.reporting import tables
 from experiments.reporting.page import paces
-from experiments.reporting.tables import main
-from experiments.reporting.words import difference
+from experiments.reporting.tables import difference, main
 from experiments.study.arms import EXTRA_ARMS, TRAFFICS
 from experiments.study.store import load
 from sumo_env.tasks import TASKS

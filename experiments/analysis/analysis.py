@@ -27,8 +27,7 @@ from experiments.analysis.effects import (
 )
 from experiments.analysis.estimate import Mean
 from experiments.analysis.frontier import to_frontier
-from experiments.analysis.gates import GATES, gates, learnt
-from experiments.analysis.learner import learner_checks
+from experiments.analysis.gates import GATES, gates, learner_checks, learnt
 from experiments.analysis.plan import OUTCOMES, TERMS, Plan
 from experiments.analysis.scores import (
     CRASH_KINDS,
@@ -63,7 +62,7 @@ class Analysis:
     slopes, gates, claims, placebo: see the functions of these names. policies: see `policies`.
     plan, plan_hash: see `plan.as_data`. negative_control: see `controls`. notes: missing, failed, damaged, incomplete,
     duplicates and left_out cells, with their reasons, and by plan 3 unfinished settings. provenance: see `provenance`.
-    price, learner, frontier: see `claims.price`, `learner.learner_checks` and `frontier.to_frontier`; None where the
+    price, learner, frontier: see `claims.price`, `gates.learner_checks` and `frontier.to_frontier`; None where the
     plan does not ask for them.
     """
 

@@ -102,7 +102,7 @@ class Bound:
 
 @dataclass(frozen=True)
 class Learner:
-    """What is asked of the learner before anything is compared, see `learner`.
+    """What is asked of the learner before anything is compared, see `gates.learner_checks`.
 
     change: of the return over the last quarter of the budget at most, in units of its range. passing: share of the
     agents that pass the gates at least. clocked: tasks whose last second is compared with the `before` seconds before

@@ -1,8 +1,7 @@
 """From an analysis to report.html and appendix.html (`experiments/report.py` writes them).
 
 style              the palette, for everything that draws
-words              numbers of outcomes as people read them
-tables             frames of text
+tables             frames of text, and numbers of outcomes as people read them
 figures            each a pure function that returns SVG
 collision_figures  the paper's figure 3
 showcase           films of two agents in the same scenario, for templates/player.js

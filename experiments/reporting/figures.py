@@ -30,7 +30,7 @@ from experiments.reporting.style import (
     styled,
     to_svg,
 )
-from experiments.reporting.words import MINUS
+from experiments.reporting.tables import MINUS
 from experiments.study.arms import ARMS, DOSE_ARMS, DOSES, TRAFFICS
 
 CONSTANT = {"idle": "o", "slower": "v", "faster": "^", "random": "D", "idm": "s"}  # policies and their marks

@@ -21,10 +21,9 @@ from experiments.analysis.scores import TASK_ORDER, with_outcomes
 from experiments.reporting import figures, tables
 from experiments.reporting.collision_figures import collisions
 from experiments.reporting.showcase import KINDS
-from experiments.reporting.tables import chosen, main
-from experiments.reporting.words import BACKENDS, FILTERS
+from experiments.reporting.tables import BACKENDS, FILTERS, chosen, main
 from experiments.study.arms import ARMS, DOSE_ARMS, TRAFFICS
-from experiments.study.estimate import duration
+from experiments.study.progress import duration
 from experiments.study.store import Results, Store
 from experiments.study.verdict import of_results
 from experiments.support.files import canonical_json

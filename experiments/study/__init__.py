@@ -15,10 +15,7 @@ executors/   processes of this machine, Ray, Slurm
 store        the directory of results: finished cells, one folder each or packed; all of them as frames
 packed       finished cells in a few tables
 rerun        a stored episode again
-avoid        whether a stored crash could have been avoided
-avoidable    how many of a folder's crashes could
+avoid        whether a stored crash could have been avoided, and how many of a folder's could
 planning     what planners reach that act in copies
-rows         a table that goes on where it was stopped
-estimate     how long it will take
-progress     what a person sees meanwhile
+progress     how long it will take, and what a person sees meanwhile
 """

@@ -19,9 +19,9 @@ from experiments.backends import make_env
 from experiments.study.arms import ARMS, TRAFFICS
 from experiments.study.evaluate import play
 from experiments.study.grid import env_config
-from experiments.study.rows import fill
+from experiments.support import limit_threads
 from experiments.support.errors import run_command
-from experiments.support.threads import limit_threads
+from experiments.support.files import fill
 from sumo_env.tasks import TASKS
 
 if TYPE_CHECKING:

@@ -1,7 +1,7 @@
 """Whole episodes in any simulator, one row of measures each. The same code measures all of them.
 
 The ego is measured as the study measures it (`play`), the other vehicles in ``env.unwrapped.scene`` at the start and
-after every policy step.
+after every policy step. The egos are the rules of `agents`, and two that repeat a few actions.
 """
 
 from __future__ import annotations
@@ -15,15 +15,26 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
+from agents.rules import Policy, make_policy
+from agents.rules.constant import Constant
 from experiments.study.arms import TRAFFICS
 from experiments.study.evaluate import play
 from experiments.study.fingerprint import checksum
-from experiments.validation.egos import make_ego
 from sumo_env.contacts.measures import DENSITY_RADIUS, headways
 from sumo_env.networks.roads import LaneIndex, Road
 from sumo_env.scene import Scene
 from sumo_env.tasks import get_task
 
+# Averaged over in the checks "over egos"; the two-way road and the intersection start the ego at its top speed, so
+# that "faster" would be "idle" again.
+CORE = ("idle", "faster", "random", "careful", "idm")
+MORE = ("slower", "pulsing", "weaving")
+ALREADY_FASTEST = ("two-way", "intersection")
+WITHOUT_WEAVING = ("intersection",)
+CYCLES: dict[str, tuple[str, ...]] = {
+    "pulsing": ("SLOWER", "IDLE", "FASTER", "FASTER", "IDLE", "SLOWER"),
+    "weaving": ("LANE_LEFT", "IDLE", "LANE_RIGHT", "IDLE"),
+}
 PAIR = ["task", "level", "traffic", "ego", "scenario"]  # what names an episode in every simulator
 BIN = 0.25  # [s] of the headway histogram
 BINS = 40  # the last one holds everything beyond 9.75 s
@@ -49,6 +60,21 @@ COLUMNS: dict[str, str] = {
     "density": "float32",  # other vehicles within 200 m, mean over the steps
     **dict.fromkeys(HEADWAYS, "uint16"),
 }
+
+
+def egos(task: str) -> tuple[str, ...]:
+    """Names of the egos of a task, those of CORE first."""
+    without = {"faster"} if task in ALREADY_FASTEST else set()
+    without |= {"weaving"} if task in WITHOUT_WEAVING else set()
+    return tuple(name for name in (*CORE, *MORE) if name not in without)
+
+
+def make_ego(name: str, env: Any) -> Policy:
+    """The ego of this name for an environment."""
+    if name not in CYCLES:
+        return make_policy(name, env)
+    numbers = {action: number for number, action in env.unwrapped.actions.items()}
+    return Constant(*(numbers[action] for action in CYCLES[name]))
 
 
 @dataclass

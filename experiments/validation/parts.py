@@ -17,8 +17,7 @@ from experiments.study.fingerprint import dynamics
 from experiments.study.grid import level_names
 from experiments.support.files import canonical_json, sha256_bytes, write_file
 from experiments.support.processes import call_all
-from experiments.validation.egos import egos
-from experiments.validation.episodes import COLUMNS, drive
+from experiments.validation.episodes import COLUMNS, drive, egos
 from sumo_env.tasks import TASKS
 
 STRAIGHT = ("highway", "two-way")  # roads without joins: the variants of highway-env are the same there

@@ -20,8 +20,7 @@ from experiments.reporting import figures
 from experiments.reporting.collision_figures import LENGTH, WIDTH, contacts
 from experiments.reporting.page import FIGURES, checks
 from experiments.reporting.style import CONTROL
-from experiments.reporting.tables import main, side_by_side
-from experiments.reporting.words import difference
+from experiments.reporting.tables import difference, main, side_by_side
 from experiments.study import store
 from experiments.study.store import load
 from experiments.study.verdict import SCHEMA

@@ -17,7 +17,7 @@ ROOT = Path(__file__).resolve().parents[2]
 if __name__ == "__main__":  # run as a file: import from the project, not from this folder
     sys.path[0] = str(ROOT)
 
-from experiments.support.threads import limit_threads
+from experiments.support import limit_threads
 
 limit_threads()
 

@@ -15,7 +15,7 @@ os.environ.setdefault("RAY_USAGE_STATS_ENABLED", "0")  # read when ray is import
 
 import ray
 
-from experiments.support.threads import VARIABLES
+from experiments.support import VARIABLES
 
 ROOT = Path(__file__).resolve().parents[3]
 

@@ -13,7 +13,7 @@ from scipy import stats
 from experiments.analysis.analysis import Analysis, analyse, as_json, stored
 from experiments.analysis.claims import all_hold, price
 from experiments.analysis.effects import adjusted, contrasts
-from experiments.analysis.learner import change, last_second
+from experiments.analysis.gates import change, last_second
 from experiments.analysis.plan import DEFAULT, SECOND, TWO_BATCHES, Learner, plan_of
 from experiments.analysis.scores import Arm, Arms, Place
 from experiments.study.store import EPISODES, load

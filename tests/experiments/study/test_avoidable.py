@@ -5,7 +5,7 @@ from __future__ import annotations
 import pandas as pd
 import pytest
 
-from experiments.study.avoidable import sample, shares
+from experiments.study.avoid import sample, shares
 from experiments.study.store import load
 from tests.pages import ROOT, TEXTS, section, table
 

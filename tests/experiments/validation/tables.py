@@ -8,8 +8,7 @@ import numpy as np
 import pandas as pd
 
 from experiments.validation.checks import REFERENCE
-from experiments.validation.egos import egos
-from experiments.validation.episodes import HEADWAYS
+from experiments.validation.episodes import HEADWAYS, egos
 
 
 def episodes(

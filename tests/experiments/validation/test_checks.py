@@ -7,8 +7,7 @@ import pandas as pd
 import pytest
 
 from experiments.validation import checks
-from experiments.validation.checks import REFERENCE, check, margin, scorecard
-from experiments.validation.compare import Difference
+from experiments.validation.checks import REFERENCE, Difference, check, margin, scorecard
 from sumo_env.tasks import TASKS
 from tests.experiments.validation.tables import compared, episodes
 

@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from experiments.validation import compare
+from experiments.validation import checks as compare
 from experiments.validation.episodes import BIN, BINS, HEADWAYS
 
 

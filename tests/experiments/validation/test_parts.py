@@ -7,8 +7,7 @@ from pathlib import Path
 import pytest
 
 from experiments.validation import parts
-from experiments.validation.egos import CORE, egos
-from experiments.validation.episodes import COLUMNS, HEADWAYS
+from experiments.validation.episodes import COLUMNS, CORE, HEADWAYS, egos
 from experiments.validation.parts import Engine, Part, plan, run
 
 SUMO = Engine("sumo", "sumo")

@@ -11,7 +11,7 @@ from experiments.study import verdict
 from experiments.study.fingerprint import fingerprint
 from experiments.validation import status
 from experiments.validation.checks import REFERENCE, scorecard
-from experiments.validation.egos import CORE
+from experiments.validation.episodes import CORE
 from experiments.validation.parts import Engine, Part
 from sumo_env.tasks import TASKS
 from tests.experiments.validation.tables import compared

@@ -12,6 +12,5 @@ from tests.golden.test_golden import report
 
 @pytest.mark.parametrize("folder", numbers.FOLDERS)
 def test_the_published_numbers_are_the_golden_ones(folder: str) -> None:
-    rows = numbers.numbers(analyse(load(numbers.ROOT / "results" / folder)))
-    found = numbers.differences(numbers.table(rows, folder))
+    found = numbers.differences(numbers.numbers(analyse(load(numbers.ROOT / "results" / folder)), folder))
     assert not found, report(found)

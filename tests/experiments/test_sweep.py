@@ -19,7 +19,7 @@ from experiments.analysis.analysis import analyse
 from experiments.analysis.cells import comparable
 from experiments.study import grid, store
 from experiments.study.cell import CellTask
-from experiments.study.experiment import Experiment, shard
+from experiments.study.experiment import shard
 from experiments.study.presets import PRESETS
 from experiments.study.run import Ended, attempt
 from experiments.study.store import load
@@ -322,47 +322,15 @@ def test_the_estimate_uses_the_stored_cells_of_this_machine(reference, capsys):
     assert "4 agents and 6 baselines" in output
 
 
-def profiles_of(preset: Experiment) -> dict[str, dict]:
-    return {task: preset.profile(task) for task in TASKS}
-
-
-def test_presets_name_every_task_and_keep_the_arms_comparable():
-    for preset in PRESETS.values():
-        profiles = profiles_of(preset)
-        assert json.loads(json.dumps(profiles)) == profiles
-    assert PRESETS["paper"].seeds == 10
-    assert PRESETS["paper"].profile("highway")["gamma"] == 0.99
-    paper = PRESETS["paper"].profile("roundabout")
-    assert (paper["network"], paper["steps_per_update"], paper["finite_horizon"]) == ("dueling", 1, False)
-    for name in ("quick", "standard"):
-        tuned = profiles_of(PRESETS[name])
-        assert {task: profile["finite_horizon"] for task, profile in tuned.items()} == {
-            task: task in ("roundabout", "u-turn") for task in TASKS
-        }
-        assert {profile["network"] for profile in tuned.values()} == {"attention"}
-
-
-def test_in_the_second_study_nobody_knows_when_a_test_ends():
-    profiles = profiles_of(PRESETS["second"])
-    clocks = {task: profile.get("training_clock") for task, profile in profiles.items()}
-    assert {task: clock for task, clock in clocks.items() if clock} == {
-        "roundabout": [15, 15],
-        "u-turn": [13, 13],
-    }
-    seen = {task: profile.get("time_observed") for task, profile in profiles.items()}
-    assert {task: seconds for task, seconds in seen.items() if seconds} == {"roundabout": 15, "u-turn": 13}
-    assert not any(profile["finite_horizon"] for profile in profiles.values())
-    assert {(profile["steps_per_update"], profile["batch_size"]) for profile in profiles.values()} == {
-        (1, 64)
-    }
-
-
 def test_the_first_clock_is_all_that_differs_on_its_two_tasks():
-    first, second = (profiles_of(PRESETS[name]) for name in ("first-clock", "second"))
+    """Other values of presets are those of published cells: study/test_published_names.py."""
+    first, second = (
+        {task: PRESETS[name].profile(task) for task in TASKS} for name in ("first-clock", "second")
+    )
     clock = {"preset", "finite_horizon", "training_clock", "time_observed"}
     assert {task for task in TASKS if first[task]["finite_horizon"]} == {"roundabout", "u-turn"}
     for task, profile in first.items():
-        assert not {"training_clock", "time_observed"} & set(profile)
+        assert not {"training_clock", "time_observed"} & set(profile) and not second[task]["finite_horizon"]
         others = {name: value for name, value in second[task].items() if name not in clock}
         assert {name: value for name, value in profile.items() if name not in clock} == others
 

@@ -14,7 +14,10 @@ ROOT = Path(__file__).resolve().parents[1]
 EXAMPLES = ROOT / "examples"
 SCRIPTS = {
     "sb3_dqn.py": (["--steps", "120"], "risk 1: return"),
-    "sb3_ppo.py": (["--steps", "128", "--envs", "8", "--rollout", "16"], "128 steps, return of the last"),
+    "sb3_ppo.py": (
+        ["--steps", "128", "--envs", "8", "--rollout", "16", "--scenarios", "2"],
+        "of 2 scenarios",
+    ),
     "ppo.py": (["--steps", "96", "--envs", "2", "--rollout", "24"], "96 steps, return of the last"),
     "rl_agents_config.py": (["--steps", "30"], "observation (15, 7)"),
     "torchrl_rollout.py": (["--steps", "12"], "torch.Size([12, 5, 5])"),

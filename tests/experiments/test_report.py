@@ -318,16 +318,6 @@ class TestFigures:
         assert re.search(r"(?<!, )" + CONTROL, drawn) is None
         assert "<dc:date>" not in drawn
 
-    def test_the_frontier_is_of_those_that_none_beats_in_both(self):
-        points = pd.DataFrame(
-            {
-                "policy": list("abcde"),
-                "crashed": [0.1, 0.3, 0.3, 0.6, 0.5],
-                "progress": [5.0, 9.0, 8.0, 9.0, 12.0],
-            }
-        )
-        assert figures.frontier(points)["policy"].tolist() == ["a", "b", "e"]
-
 
 class TestContacts:
     """Where two vehicles touch, in the ego's frame."""

@@ -34,6 +34,30 @@ def test_bars_over_the_traffic_levels_are_95_percent_intervals(monkeypatch: pyte
     assert [half for _, half in drawn] == pytest.approx([0.2776] * 3, abs=1e-4)
 
 
+def test_the_line_under_the_policies_is_the_frontier_of_the_analysis(monkeypatch: pytest.MonkeyPatch) -> None:
+    lines: list[list[tuple[float, float]]] = []
+
+    def plot(self: Axes, x: Any, y: Any, *_: Any, **style: Any) -> None:
+        if "lw" in style:
+            lines.append(list(zip(x, y, strict=True)))
+
+    monkeypatch.setattr(Axes, "plot", plot)
+    places = {
+        "slower": (5.0, 0.1),
+        "idle": (9.0, 0.3),
+        "faster": (12.0, 0.5),
+        "careful": (8.0, 0.35),  # above the line between the others
+        "idm": (9.0, 0.2),  # below it, but not of the frontier, as a policy of the user's own
+        "mine.py:Mine": (9.0, 0.0),
+    }
+    rows = [
+        {"task": "u-turn", "traffic": "risky", "policy": policy, "arm": "", "progress": x, "crashed": y}
+        for policy, (x, y) in places.items()
+    ]
+    figures.crashes_against_progress(pd.DataFrame(rows), "sumo")
+    assert [line for line in lines if line] == [[(5.0, 0.1), (9.0, 0.3), (12.0, 0.5)]]
+
+
 def test_the_hazard_is_the_share_of_the_drives_still_on_the_road_that_crashes() -> None:
     drives = pd.DataFrame(
         {"cell": "a", "crash_free_time": [0.0, 0.9, 2.0, 3.0, 3.0], "crashed": [1.0, 0.0, 1.0, 1.0, 0.0]}

@@ -18,7 +18,7 @@ from experiments.study import grid
 from experiments.study.arms import ALL_TRAFFICS, ARMS, TRAFFICS
 from experiments.study.evaluate import COLUMNS
 from experiments.study.experiment import Experiment
-from experiments.study.store import EPISODES, GATES, MARKS, TRAINING, WEIGHTS, Store
+from experiments.study.store import EPISODES, GATES, TRAINING, WEIGHTS, Store
 from experiments.study.train import learning_curve
 
 DURATION = {"highway": 20, "two-way": 15, "roundabout": 11, "intersection": 13, "u-turn": 10}
@@ -165,11 +165,10 @@ def write(
     sweep: bool = True,
     further: Sequence[str] = (),
     test_on: Sequence[str] = (),
-    marks: bool = False,
 ) -> list[grid.Cell]:
     """Write a result directory and return its cells.
 
-    levels: numbers by task. further: arms beside the two. marks: with tests at parts of the budget.
+    levels: numbers by task. further: arms beside the two.
     faults: a fault by slug, for example {"sumo-highway-50-control-s0": "diverged"}.
     """
     cells = [
@@ -210,9 +209,6 @@ def write(
             files[GATES] = episodes(
                 cell, 0.0, spread, fault, "gate"
             )  # sound agents pass, whatever the effect
-        if marks and cell.kind == "agent":
-            parts = [episodes(cell, effect * part / 3, spread, fault).assign(mark=part) for part in (1, 2)]
-            files[MARKS] = pd.concat(parts)
         if cell.kind == "agent":
             files |= {TRAINING: training(cell), WEIGHTS: weights}
             record["learner"] = learner(cell, fault)

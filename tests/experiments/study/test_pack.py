@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import shutil
-from dataclasses import fields
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 import pytest
@@ -14,7 +14,7 @@ from experiments.study import packed, store
 from experiments.study.cell import CellTask
 from experiments.study.packed import CELLS, MANIFEST
 from experiments.study.run import Ended, attempt
-from experiments.study.store import Results, load
+from experiments.study.store import load
 from experiments.support.errors import UserError
 from experiments.sweep import Options, cells_of, sweep
 from tests.experiments.fake_env import make_env
@@ -40,7 +40,7 @@ def compute(directory: Path, **options: object) -> None:
 @pytest.fixture(scope="module")
 def computed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     directory = tmp_path_factory.mktemp("computed") / "results"
-    compute(directory, early_tests=True)
+    compute(directory)
     return directory
 
 
@@ -61,24 +61,31 @@ def results(computed: Path, tmp_path: Path) -> Path:
     return tmp_path / "results"
 
 
-def assert_same(one: Results, other: Results) -> None:
-    for field in fields(Results):
-        a, b = getattr(one, field.name), getattr(other, field.name)
-        if isinstance(a, pd.DataFrame):
-            pd.testing.assert_frame_equal(a, b, check_exact=True)
-        elif field.name != "directory":
-            assert a == b, field.name
+def content(directory: Path) -> dict[str, Any]:
+    """All results as one, and the training episodes."""
+    home, results = store.Store(directory), load(directory)
+    training = {name: home.tables(name).get(store.TRAINING) for name in results.cells}
+    rows = [table.assign(cell=name) for name, table in training.items() if table is not None]
+    return {**vars(results), "training": pd.concat(rows, ignore_index=True)}
+
+
+def assert_same(one: dict[str, Any], other: dict[str, Any]) -> None:
+    for name in one:
+        if isinstance(one[name], pd.DataFrame):
+            pd.testing.assert_frame_equal(one[name], other[name], check_exact=True)
+        elif name != "directory":
+            assert one[name] == other[name], name
 
 
 def test_packed_cells_are_read_as_they_were_and_nothing_is_deleted(results: Path) -> None:
-    before, files = load(results), {path for path in results.rglob("*") if path.is_file()}
-    assert store.Store(results).pack() == sorted(before.cells)
+    before, files = content(results), {path for path in results.rglob("*") if path.is_file()}
+    assert store.Store(results).pack() == sorted(before["cells"])
     assert files < {path for path in results.rglob("*") if path.is_file()}
-    assert_same(load(results), before)
+    assert_same(content(results), before)
     shutil.rmtree(results / "cells")
-    assert_same(load(results), before)
-    agents = [name for name, cell in before.cells.items() if cell["key"]["kind"] == "agent"]
-    assert all(before.weights(name) is not None for name in agents)
+    assert_same(content(results), before)
+    agents = [name for name, cell in before["cells"].items() if cell["key"]["kind"] == "agent"]
+    assert all(load(results).weights(name) is not None for name in agents)
     assert store.Store(results).pack() == []
 
 
@@ -91,9 +98,9 @@ def test_a_sweep_goes_on_from_packed_cells(results: Path, capsys: pytest.Capture
     assert sweep(options, make_env=make_env) == 0
     assert f"measured on {len(before)} stored cells" in capsys.readouterr().out
     compute(results, seeds=2, test_on=("replica",))
-    found = load(results)
-    new = set(found.cells) - before
-    assert sorted(cell["key"]["kind"] for name, cell in found.cells.items() if name in new) == [
+    found = content(results)
+    new = set(found["cells"]) - before
+    assert sorted(cell["key"]["kind"] for name, cell in found["cells"].items() if name in new) == [
         "agent",
         "agent",
         "test",
@@ -104,7 +111,7 @@ def test_a_sweep_goes_on_from_packed_cells(results: Path, capsys: pytest.Capture
     assert len(list((results / "cells").iterdir())) == len(new)
     assert set(store.Store(results).pack()) == new
     shutil.rmtree(results / "cells")
-    assert_same(load(results), found)
+    assert_same(content(results), found)
 
 
 def test_a_setting_that_is_not_finished_is_packed_as_far_as_it_is(results: Path, tmp_path: Path) -> None:
@@ -113,10 +120,10 @@ def test_a_setting_that_is_not_finished_is_packed_as_far_as_it_is(results: Path,
     lost.rename(tmp_path / lost.name)
     assert lost.name not in store.Store(results).pack()
     (tmp_path / lost.name).rename(lost)
-    before = load(results)
+    before = content(results)
     assert store.Store(results).pack() == [lost.name]
     shutil.rmtree(results / "cells")
-    assert_same(load(results), before)
+    assert_same(content(results), before)
 
 
 @pytest.mark.parametrize("file", [CELLS, store.EPISODES, store.GATES])
@@ -151,7 +158,7 @@ def test_what_was_packed_before_survives_a_kill_while_packing(
 ) -> None:
     results = tmp_path / "results"
     shutil.copytree(grown, results)
-    before = load(results)
+    before = content(results)
     write_file, done = packed.write_file, []
 
     def killed(path: Path, data: bytes) -> None:
@@ -163,11 +170,11 @@ def test_what_was_packed_before_survives_a_kill_while_packing(
     monkeypatch.setattr(packed, "write_file", killed)
     with pytest.raises(KeyboardInterrupt):
         store.Store(results).pack()
-    assert_same(load(results), before)
+    assert_same(content(results), before)
     monkeypatch.undo()
     assert len(store.Store(results).pack()) == 2
     shutil.rmtree(results / "cells")
-    assert_same(load(results), before)
+    assert_same(content(results), before)
 
 
 def test_what_does_not_read_back_equal_is_not_believed(
@@ -191,11 +198,11 @@ def test_cells_of_earlier_versions_have_no_actions_and_pack_with_others(results:
     record["files"][store.EPISODES] = store.sha256_file(old / store.EPISODES)
     del record["checksum"]
     (old / store.CELL).write_bytes(store.seal(record))
-    before = load(results)
-    assert before.episodes["actions"].isna().sum() == 4
+    before = content(results)
+    assert before["episodes"]["actions"].isna().sum() == 4
     store.Store(results).pack()
     shutil.rmtree(results / "cells")
-    assert_same(load(results), before)
+    assert_same(content(results), before)
 
 
 def test_the_report_of_packed_cells_is_the_same(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from __future__ import annotations
 import io
 import json
 import shutil
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cached_property, lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -68,10 +68,9 @@ class Packed:
             self._rows[file] = {name: rows for name, rows in by_cell.items() if name in self.records}
         return self._rows[file]
 
-    def tables(self, name: str) -> dict[str, pd.DataFrame]:
-        """The tables of one cell, by the names of their files."""
-        files = [file for file in sorted(self.checksums) if file != CELLS]
-        return {file: self.rows(file)[name] for file in files if name in self.rows(file)}
+    def tables(self, name: str, wanted: Sequence[str]) -> dict[str, pd.DataFrame]:
+        """The wanted tables of one cell that there are, by the names of their files."""
+        return {file: self.rows(file)[name] for file in wanted if name in self.rows(file)}
 
     def weights(self, name: str) -> Path:
         """Where the weights of an agent lie, if they are kept."""

@@ -1,7 +1,7 @@
 """Finished cells on disk: written whole or not at all, checked when read, never computed twice; all of them as tables.
 
 DIR/cells/<cell>/     cell.json, episodes.parquet; gates.parquet except in further tests of an agent; for agents also
-                      training.parquet, marks.parquet (tests at parts of the budget), weights.npz
+                      training.parquet, weights.npz
 DIR/packed.json, *.parquet, weights/   finished cells of which the folders may be removed (see `packed`)
 DIR/work/<cell>/      a cell in progress: checkpoint, lock, log (see `run`); failed.json if it was given up
 DIR/damaged/          what was put aside because it was damaged
@@ -33,13 +33,14 @@ if TYPE_CHECKING:
     import pandas as pd
 
 CELL, EPISODES, GATES = "cell.json", "episodes.parquet", "gates.parquet"
-TRAINING, MARKS, WEIGHTS = "training.parquet", "marks.parquet", "weights.npz"
-TABLES = (EPISODES, GATES, TRAINING, MARKS)
+TRAINING, WEIGHTS = "training.parquet", "weights.npz"
+TABLES = (EPISODES, GATES, TRAINING, "marks.parquet")  # the last one of earlier versions
 FAILED, SWEEPS, PUBLISHED = "failed.json", "sweep.json", "PUBLISHED.md"
-# Columns of gates.parquet and marks.parquet, all that is analysed of those episodes.
-_JUDGED = "traffic scenario return length crashed mean_speed distance near_misses"
-GATE_COLUMNS = (*_JUDGED.split(), *(f"action_{number}" for number in range(5)))
-MARK_COLUMNS = ("mark", *_JUDGED.split(), "crash_time")
+# Columns of gates.parquet, all that is analysed of those episodes.
+GATE_COLUMNS = (
+    *("traffic", "scenario", "return", "length", "crashed", "mean_speed", "distance", "near_misses"),
+    *(f"action_{number}" for number in range(5)),
+)
 HEAD = '{\n "checksum": "%s",\n'  # of cell.json
 
 
@@ -99,15 +100,15 @@ class Store:
             )
         return found
 
-    def tables(self, name: str) -> dict[str, pd.DataFrame]:
+    def tables(self, name: str, wanted: Sequence[str] = TABLES) -> dict[str, pd.DataFrame]:
         """The tables of a finished cell that are here, by the names of their files. Raises DamagedCell."""
         import pandas as pd
 
         path = self.cells / name
         if not path.is_dir():
-            return self._packed.tables(name)
+            return self._packed.tables(name, wanted)
         files = read_cell(path)["files"]
-        return {file: pd.read_parquet(path / file) for file in TABLES if file in files}
+        return {file: pd.read_parquet(path / file) for file in wanted if file in files}
 
     def weights(self, name: str) -> Path | None:
         """The file of an agent's weights; None if it is not here."""
@@ -287,9 +288,6 @@ class Results:
         q_bound, max_abs_q (largest on the probe states at any checkpoint), weights_sha256.
     episodes: one row a test episode: KEY_COLUMNS and the columns of `evaluate.COLUMNS`.
     gate_episodes: the same of the scenarios that the gates are judged on, with GATE_COLUMNS alone.
-    training: one row a training episode: KEY_COLUMNS and episode, step, return, length, crashed, arrived,
-        mean_speed, epsilon.
-    marks: the same with MARK_COLUMNS, of the policies that agents had at the parts `grid.MARKS` of their budget (1, 2).
     cells: cell.json of each cell by name. failed: name and reason of the cells that were given up.
     expected: names of all cells that sweeps have asked for, finished or not (`Store.sweeps`).
     damaged: name and reason of the cells that cannot be read, if they were to be passed over.
@@ -299,8 +297,6 @@ class Results:
     agents: pd.DataFrame
     episodes: pd.DataFrame
     gate_episodes: pd.DataFrame
-    training: pd.DataFrame
-    marks: pd.DataFrame
     cells: dict[str, dict[str, Any]]
     failed: dict[str, str] = field(default_factory=dict)
     expected: tuple[str, ...] = ()
@@ -330,7 +326,7 @@ def load(directory: Path, skip_damaged: bool = False) -> Results:
     damaged: dict[str, str] = {}
     for name in store.finished():
         try:
-            cells[name], tables[name] = store.record(name), store.tables(name)
+            cells[name], tables[name] = store.record(name), store.tables(name, (EPISODES, GATES))
         except DamagedCell as error:
             if not skip_damaged:
                 raise
@@ -341,17 +337,15 @@ def load(directory: Path, skip_damaged: bool = False) -> Results:
     # A baseline has neither arm nor seed: types that know missing values keep seeds whole numbers.
     agents = pd.DataFrame([_row(name, record) for name, record in cells.items()])
     agents = agents.astype({"arm": "str", "seed": "Int64"})
-    episodes, gates, training, marks = (
+    episodes, gates = (
         _concatenate({name: own[file] for name, own in tables.items() if file in own}, agents)
-        for file in (EPISODES, GATES, TRAINING, MARKS)
+        for file in (EPISODES, GATES)
     )
     return Results(
         directory=store.directory,
         agents=agents,
         episodes=episodes,
         gate_episodes=gates,
-        training=training,
-        marks=marks,
         cells=cells,
         failed=store.failures(),
         expected=tuple(name for sweep in store.sweeps() for name in sweep["cells"]),

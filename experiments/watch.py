@@ -12,6 +12,7 @@ from pathlib import Path
 if __package__ in (None, ""):  # run as a file: import from the project, not from this folder
     sys.path[0] = str(Path(__file__).resolve().parents[1])
 
+from contextlib import closing
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -71,15 +72,14 @@ def watch(options: Options, make_env: MakeEnv = make_env) -> int:
         scenario = int(crashes.min()) if len(crashes) else 0
     films = []
     for traffic, risk in TRAFFICS.items():
-        env = make_env(key["backend"], key["task"], {**key["env_config"], **VIEW}, "rgb_array")
-        try:
+        with closing(
+            make_env(key["backend"], key["task"], {**key["env_config"], **VIEW}, "rgb_array")
+        ) as env:
             film = Film(env)
             at = (table["traffic"] == traffic) & (table["scenario"] == scenario)
             actions = table[at]["actions"].iloc[0] if at.any() and "actions" in table else None
             path = options.directory / "cells" / name
             row = play_again(path, record, env, traffic, scenario, actions, film.frame)
-        finally:
-            env.close()
         films.append((f"risk {risk:g}: {_ending(row)}", film.pictures))
     file = options.out or options.directory / f"{name.rpartition('-')[0]}-{scenario}.gif"
     save_gif(side_by_side(films), file)

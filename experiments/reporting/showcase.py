@@ -8,8 +8,9 @@ shown. What was recorded is kept in DIR/showcase.json, so that the films are sti
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from contextlib import closing
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,9 +19,10 @@ import numpy as np
 from experiments.analysis.scores import PLACE, in_order
 from experiments.study.arms import ARMS
 from experiments.study.cell import MakeEnv
-from experiments.study.rerun import Recorder, differences
+from experiments.study.rerun import differences, play_again
 from experiments.study.store import EPISODES, Results
 from experiments.support.files import canonical_json, write_file
+from experiments.support.films import Film
 from sumo_env.rendering.markings import markings
 from sumo_env.tasks import get_task
 
@@ -46,24 +48,6 @@ MARGIN = 90.0  # [m] around the egos' ways in which the road is stored
 FOLLOWED = 120.0  # [m] extent of the egos' ways from which the camera follows them
 
 
-@dataclass(frozen=True)
-class Scenario:
-    """A test scenario to be shown; kind: see KINDS."""
-
-    kind: str
-    traffic: str
-    scenario: int
-
-
-@dataclass(frozen=True)
-class Duo:
-    """The two agents of a task that are shown, by arm: the names of their cells."""
-
-    place: tuple[Any, ...]
-    seed: int
-    cells: Mapping[str, str]
-
-
 def showcase(results: Results, left_out: set[str], make_env: MakeEnv) -> dict[str, Any]:
     """All films that the results allow; those that are not recorded yet are, and DIR/showcase.json is written.
 
@@ -80,15 +64,16 @@ def showcase(results: Results, left_out: set[str], make_env: MakeEnv) -> dict[st
     kept = {canonical_json(place["made_of"]): place for place in _stored(path)}
     places, notes = [], []
     for duo in duos(results, left_out):
-        tables = {arm: results.episodes[results.episodes["cell"] == name] for arm, name in duo.cells.items()}
+        cells = duo["cells"]
+        tables = {arm: results.episodes[results.episodes["cell"] == name] for arm, name in cells.items()}
         counts, chosen = choose(tables)
         made_of = {
-            "cells": {arm: [name, results.cells[name]["files"][EPISODES]] for arm, name in duo.cells.items()},
-            "chosen": [[one.traffic, one.scenario] for one in chosen],
+            "cells": {arm: [name, results.cells[name]["files"][EPISODES]] for arm, name in cells.items()},
+            "chosen": [[one["traffic"], one["scenario"]] for one in chosen],
         }
-        name = f"{duo.place[1]} {duo.place[3]}"
+        name = f"{duo['task']} {duo['level_name']}"
         if (place := kept.get(canonical_json(made_of))) is None:
-            if missing := [arm for arm, cell in duo.cells.items() if not _known(results, cell, tables[arm])]:
+            if missing := [arm for arm, cell in cells.items() if not _known(results, cell, tables[arm])]:
                 notes.append(f"{name}: the weights of the {' and '.join(missing)} agent are not here")
                 continue
             try:
@@ -121,19 +106,23 @@ def _known(results: Results, cell: str, table: pd.DataFrame) -> bool:
     return results.weights(cell) is not None or ("actions" in table and bool(table["actions"].notna().all()))
 
 
-def duos(results: Results, left_out: set[str]) -> Iterator[Duo]:
-    """The agents that are shown: of each simulator and task at the lowest level, of the lowest seed in both arms."""
+def duos(results: Results, left_out: set[str]) -> Iterator[dict[str, Any]]:
+    """The agents that are shown: of each simulator and task at the lowest level, of the lowest seed in both arms.
+
+    By PLACE and seed, with the names of their cells by arm.
+    """
     agents = results.agents
     mine = (agents["kind"] == "agent") & agents["arm"].isin(list(ARMS)) & ~agents["cell"].isin(list(left_out))
     setting = [*PLACE, "seed"]
     whole = agents[mine].groupby(setting).filter(lambda pair: set(pair["arm"]) == set(ARMS))
     lowest = in_order(whole, "backend", "task", "level", "seed", "arm").groupby(["backend", "task"])
-    for (*place, seed), pair in lowest.head(len(ARMS)).groupby(setting, sort=False):
-        yield Duo(tuple(place), int(seed), dict(zip(pair["arm"], pair["cell"], strict=True)))
+    for _, pair in lowest.head(len(ARMS)).groupby(setting, sort=False):
+        cells = dict(zip(pair["arm"], pair["cell"], strict=True))
+        yield {**pair[setting].to_dict("records")[0], "cells": cells}
 
 
-def choose(tables: Mapping[str, pd.DataFrame]) -> tuple[dict[str, int], list[Scenario]]:
-    """How many of the common test scenarios are of each kind, and which of them are shown.
+def choose(tables: Mapping[str, pd.DataFrame]) -> tuple[dict[str, int], list[dict[str, Any]]]:
+    """How many of the common test scenarios are of each kind, and which of them are shown: kind, traffic, scenario.
 
     Args:
         tables: the test episodes of the two agents by arm.
@@ -149,16 +138,15 @@ def choose(tables: Mapping[str, pd.DataFrame]) -> tuple[dict[str, int], list[Sce
     for (control, treated), (kind, _, most) in KINDS.items():
         rows = both[(both["crashed_c"].astype(bool) == control) & (both["crashed_t"].astype(bool) == treated)]
         counts[kind] = len(rows)
-        pairs = rows[keys].head(most).itertuples(index=False)
-        chosen += [Scenario(kind, str(traffic), int(number)) for traffic, number in pairs]
+        chosen += [{"kind": kind, **one} for one in rows[keys].head(most).to_dict("records")]
     return counts, chosen
 
 
 def _record(
     results: Results,
-    duo: Duo,
+    duo: Mapping[str, Any],
     tables: Mapping[str, pd.DataFrame],
-    chosen: Sequence[Scenario],
+    chosen: Sequence[Mapping[str, Any]],
     make_env: MakeEnv,
 ) -> dict[str, Any]:
     """Play the chosen scenarios again.
@@ -169,40 +157,45 @@ def _record(
         `_film`), failed (what could not be shown, in words).
     """
     films, failed, ways = [], [], []
-    cells = {arm: results.cells[name] for arm, name in duo.cells.items()}
-    key = cells["control"]["key"]
-    env = make_env(key["backend"], key["task"], dict(key["env_config"]))
-    try:
-        recorder = Recorder(env)
+    key = results.cells[duo["cells"]["control"]]["key"]
+    with closing(make_env(key["backend"], key["task"], dict(key["env_config"]))) as env:
         for one in chosen:
-            film: dict[str, Any] = {"kind": one.kind, "traffic": one.traffic, "scenario": one.scenario}
-            for arm, name in duo.cells.items():
-                folder = results.directory / "cells" / name
-                at = (tables[arm]["traffic"] == one.traffic) & (tables[arm]["scenario"] == one.scenario)
+            traffic, scenario = one["traffic"], one["scenario"]
+            film = dict(one)
+            for arm, name in duo["cells"].items():
+                folder, scenes = results.directory / "cells" / name, Scenes(env)
+                at = (tables[arm]["traffic"] == traffic) & (tables[arm]["scenario"] == scenario)
                 stored = tables[arm][at].iloc[0]
-                actions = stored.get("actions")
-                row = recorder.play(folder, cells[arm], one.traffic, one.scenario, actions)
+                actions, record = stored.get("actions"), results.cells[name]
+                row = play_again(folder, record, env, traffic, scenario, actions, scenes.frame)
                 stored = stored[[name for name in row if name in stored]].to_dict()
                 if wrong := differences(stored, row):
                     failed.append(
-                        f"{one.traffic} scenario {one.scenario} is not shown, because the {arm} agent drives it "
+                        f"{traffic} scenario {scenario} is not shown, because the {arm} agent drives it "
                         f"differently on this machine ({wrong[0]})"
                     )
                     break
-                film[arm] = _film(recorder.scenes, row)
-                ways.append(np.array([(scene.x[0], scene.y[0]) for scene in recorder.scenes]))
+                film[arm] = _film(scenes.pictures, row)
+                ways.append(np.array([(scene.x[0], scene.y[0]) for scene in scenes.pictures]))
             else:
                 films.append(film)
-    finally:
-        env.close()
-    place = {**dict(zip(PLACE, duo.place, strict=True)), "seed": duo.seed, "cells": dict(duo.cells)}
     way = np.concatenate(ways) if ways else np.zeros((1, 2))
     low, high = way.min(axis=0), way.max(axis=0)
     extent = high - low
     view = [round(float(value), 1) for value in (*((low + high) / 2), *extent)]
     road = _road(key["task"], key["env_config"], low - MARGIN, high + MARGIN)
     camera = {"follow": bool(extent.max() > FOLLOWED), "flat": bool(extent[1] < 20.0), "view": view}
-    return {**place, **camera, "road": road, "films": films, "failed": failed}
+    return {**duo, **camera, "road": road, "films": films, "failed": failed}
+
+
+class Scenes(Film):
+    """The scenes of an episode in the place of pictures: after every sub-step, where the simulator offers them."""
+
+    frequency = math.inf
+
+    def picture(self) -> Any:
+        """The present scene."""
+        return self.env.scene
 
 
 def _film(scenes: Sequence[Any], row: Mapping[str, Any]) -> dict[str, Any]:

@@ -14,6 +14,7 @@ import os
 import shutil
 import time
 from collections.abc import Iterable, Iterator
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -119,13 +120,9 @@ def compute(name: str, cell: Cell, folder: Path) -> pd.DataFrame:
 
     assert cell.arm is not None
     started = time.process_time()
-    env = make_env(cell.backend, cell.task, cell.training_config)
-    try:
+    with closing(make_env(cell.backend, cell.task, cell.training_config)) as env:
         trained = train_cell(cell, env, folder, marks=(MARK,))
-    finally:
-        env.close()
-    env = make_env(cell.backend, cell.task, dict(cell.env_config))
-    try:
+    with closing(make_env(cell.backend, cell.task, dict(cell.env_config))) as env:
         seen, early = load_agent(cell.key(), None, trained.marks[0], env)
         (own,) = cell.gate_traffics
         tables = [
@@ -134,8 +131,6 @@ def compute(name: str, cell: Cell, folder: Path) -> pd.DataFrame:
             )
             for share, policy in ((MARK, early), (1.0, trained.policy))
         ]
-    finally:
-        env.close()
     learner = trained.learner
     largest = max(row[2] if row[2] is not None else float("inf") for row in learner["probe_q"])
     return pd.concat(tables, ignore_index=True).assign(

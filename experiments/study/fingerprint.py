@@ -16,6 +16,7 @@ import json
 import sys
 import zlib
 from collections.abc import Iterable
+from contextlib import closing
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -111,9 +112,9 @@ def checksum(scenario: Scenario) -> int:
 
 def _rollout(backend: str, task: str, config: dict[str, Any], level: int, risk: float) -> list[Any]:
     """Places and speeds after each step of some episodes with seeded random actions."""
-    env: Any = make_env(backend, task, {**config, "risk": risk})
     seen: list[Any] = []
-    try:
+    env: Any
+    with closing(make_env(backend, task, {**config, "risk": risk})) as env:
         for scenario in range(SCENARIOS):
             rng = np.random.default_rng(scenario)
             env.reset(seed=scenario_seed(task, level, scenario))
@@ -124,8 +125,6 @@ def _rollout(backend: str, task: str, config: dict[str, Any], level: int, risk: 
                 seen.append([list(scene.ids), scene.crashed.tolist(), numbers.tolist()])
                 if terminated or truncated:
                     break
-    finally:
-        env.close()
     return seen
 
 

@@ -8,6 +8,7 @@ scenarios of both traffics end with the same return. Agents that observe the dos
 
 from __future__ import annotations
 
+from contextlib import closing
 from copy import deepcopy
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -62,8 +63,7 @@ def published(directory: Path, name: str, command: str) -> tuple[dict[str, Any],
     record, weights = store.record(name), store.weights(name)
     assert weights is not None
     key = record["key"]
-    env = make_env(key["backend"], key["task"], key["env_config"])
-    try:
+    with closing(make_env(key["backend"], key["task"], key["env_config"])) as env:
         seen, policy = load_agent(key, record["source"], weights, env)
         if key["profile"].get("dose_observed") or not isinstance(policy, Greedy):
             return None
@@ -77,8 +77,6 @@ def published(directory: Path, name: str, command: str) -> tuple[dict[str, Any],
             for driver in (policy, halved(policy))
         ]
         actions: Any = env.action_space
-    finally:
-        env.close()
     about = {
         "cell": name,
         "command": f"{command} --cell {name}",

@@ -104,31 +104,3 @@ def changed_versions(record: Mapping[str, Any]) -> list[str]:
         for name, old in {**record["versions"], "dynamics": key.get("dynamics")}.items()
         if now.get(name) != old
     ]
-
-
-class Recorder:
-    """Collects the scenes of an episode: after every sub-step on SUMO and the replica, else after every policy step.
-
-    Our environments offer every sub-step to a `gymnasium.wrappers.RecordVideo`, in whose place this stands.
-    """
-
-    recording = True
-    frames_per_sec = 0
-
-    def __init__(self, env: gym.Env[Any, Any]) -> None:
-        from sumo_env.env import DrivingEnv
-
-        self.scenes: list[Any] = []
-        self._env: Any = env.unwrapped
-        if isinstance(self._env, DrivingEnv):
-            self._env.set_record_video_wrapper(self)  # type: ignore[arg-type]
-
-    def _capture_frame(self) -> None:
-        self.scenes.append(self._env.scene)
-
-    def play(
-        self, path: Path, record: Mapping[str, Any], traffic: str, scenario: int, actions: Any = None
-    ) -> dict[str, Any]:
-        """Play a test episode of a stored cell again, see `play_again`."""
-        self.scenes = []
-        return play_again(path, record, self._env, traffic, scenario, actions, self._capture_frame)

@@ -22,24 +22,29 @@ class Film:
     between: whether environments of `sumo_env` are recorded between policy steps too, in real time.
     """
 
-    recording, frames_per_sec = True, 0
+    recording, frames_per_sec = True, 0  # as environments expect of a `gymnasium.wrappers.RecordVideo`
+    frequency: float = FREQUENCY
 
     def __init__(self, env: gym.Env[Any, Any], between: bool = True) -> None:
-        self._env: Any = env.unwrapped
-        self.pictures: Pictures = []
+        self.env: Any = env.unwrapped
+        self.pictures: list[Any] = []
         self._seen = 0
-        if between and hasattr(self._env, "set_record_video_wrapper"):
-            self._env.set_record_video_wrapper(self)
+        if between and hasattr(self.env, "set_record_video_wrapper"):
+            self.env.set_record_video_wrapper(self)
 
     def frame(self) -> None:
         """Add the present picture, after a reset or a step."""
         self._seen = 0
-        self.pictures.append(Image.fromarray(self._env.render()))
+        self.pictures.append(self.picture())
 
     def _capture_frame(self) -> None:
         self._seen += 1
-        if self._seen % max(self.frames_per_sec // FREQUENCY, 1) == 0:
-            self.pictures.append(Image.fromarray(self._env.render()))
+        if self._seen % max(self.frames_per_sec // self.frequency, 1) == 0:
+            self.pictures.append(self.picture())
+
+    def picture(self) -> Any:
+        """The present picture."""
+        return Image.fromarray(self.env.render())
 
 
 def side_by_side(films: Sequence[tuple[str, Pictures]], columns: int | None = None) -> Pictures:

@@ -12,9 +12,9 @@ import pandas as pd
 import pytest
 
 from experiments import report
-from experiments.reporting.showcase import FILE, choose, duos, showcase
+from experiments.reporting.showcase import FILE, Scenes, choose, duos, showcase
 from experiments.study.cell import CellTask
-from experiments.study.rerun import Recorder
+from experiments.study.rerun import play_again
 from experiments.study.run import Ended, attempt
 from experiments.study.store import load
 from experiments.sweep import Options, cells_of
@@ -54,7 +54,7 @@ def test_the_choice_is_balanced_and_takes_the_hardest_crashes_in_risky_traffic_f
     treated = control.assign(crashed=[False] * 6 + [True, True, False], crash_closing_speed=5.0)
     counts, chosen = choose({"control": control, "treatment": treated})
     assert counts == {"control": 6, "treatment": 1, "both": 1, "neither": 1}
-    assert [(one.kind, one.traffic, one.scenario) for one in chosen] == [
+    assert [tuple(one.values()) for one in chosen] == [
         ("control", "risky", 0),
         ("control", "risky", 1),
         ("control", "regular", 0),
@@ -66,9 +66,10 @@ def test_the_choice_is_balanced_and_takes_the_hardest_crashes_in_risky_traffic_f
 def test_the_agents_are_those_of_the_lowest_level_and_seed(directory):
     results = load(directory)
     [duo] = duos(results, set())
-    assert (duo.place, duo.seed) == (("sumo", "highway", 1, "50"), 0)
-    assert set(duo.cells) == {"control", "treatment"}
-    assert list(duos(results, {duo.cells["control"]})) == []
+    cells = duo.pop("cells")
+    assert duo == {"backend": "sumo", "task": "highway", "level": 1, "level_name": "50", "seed": 0}
+    assert set(cells) == {"control", "treatment"}
+    assert list(duos(results, {cells["control"]})) == []
 
 
 def test_a_film_is_the_stored_episode(copy):
@@ -79,9 +80,11 @@ def test_a_film_is_the_stored_episode(copy):
     assert place["films"] and sum(place["counts"].values()) == 12
     for film in place["films"]:
         for arm, name in place["cells"].items():
-            recorder = Recorder(make_env("sumo", "highway", results.cells[name]["key"]["env_config"]))
-            row = recorder.play(copy / "cells" / name, results.cells[name], film["traffic"], film["scenario"])
-            scenes = recorder.scenes
+            record, place_of = results.cells[name], (film["traffic"], film["scenario"])
+            env = make_env("sumo", "highway", record["key"]["env_config"])
+            recorded = Scenes(env)
+            row = play_again(copy / "cells" / name, record, env, *place_of, on_step=recorded.frame)
+            scenes = recorded.pictures
             track = film[arm]
             assert track["times"] == [round(100 * scene.time) for scene in scenes]
             assert (track["crash"] is not None) == row["crashed"]

@@ -32,6 +32,7 @@ from experiments.backends import make_env
 from experiments.study.arms import training_seed
 from experiments.study.cell import CellTask
 from experiments.study.executors import cores
+from experiments.study.executors.local import call_all
 from experiments.study.experiment import Experiment
 from experiments.study.fingerprint import check_dynamics
 from experiments.study.grid import Cell, choose_tasks, env_config
@@ -39,7 +40,6 @@ from experiments.study.presets import complete
 from experiments.study.progress import rates_of
 from experiments.study.store import EPISODES, Store
 from experiments.support.errors import run_command, unknown, writing
-from experiments.support.processes import call_all
 
 OURS = ("control", "treatment", "mixed")
 # highway-env's own examples, scripts/sb3_highway_dqn.py and sb3_highway_ppo.py (there in six environments at once).

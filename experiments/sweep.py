@@ -33,6 +33,7 @@ import tyro
 from experiments.backends import make_env
 from experiments.study.cell import SILENCE, CellTask, MakeEnv
 from experiments.study.executors import EXECUTORS, cores, open_executor
+from experiments.study.executors.local import TASKS_PER_PROCESS
 from experiments.study.experiment import Experiment, Flag, argument, shard
 from experiments.study.fingerprint import check_dynamics
 from experiments.study.grid import Cell
@@ -42,8 +43,6 @@ from experiments.study.run import LOG, compute_here, run
 from experiments.study.store import Store
 from experiments.support.errors import UserError, disk_error, run_command, unknown
 from experiments.validation.status import before_training
-
-TASKS_PER_PROCESS = 25  # of highway-env 1: its tasks change class attributes of each other
 
 # backend, tasks, directory of the results, processes, what to call with what is being done
 Validate = Callable[[str, Sequence[str], Path, int, Callable[[str], None]], object]
@@ -133,6 +132,7 @@ def compute(
         store.forget(name, name in there)
     found = f"{len(tasks)} cells, {len(there)} of them finished before"
     print(f"{found}; results go to {store.directory}", flush=True)
+    # highway-env's tasks change class attributes of each other
     per_process = 1 if "highway-env" in (options.backend, *options.test_on) else TASKS_PER_PROCESS
     progress = Progress(store, [task.cell for task in tasks.values()], there, rates, f"{again} --cell")
     failures: dict[str, str] = {}

@@ -25,9 +25,10 @@ from experiments.backends import make_env
 from experiments.study.arms import ARMS
 from experiments.study.evaluate import evaluate
 from experiments.study.experiment import Experiment
-from experiments.study.grid import Cell
+from experiments.study.grid import Cell, env_config
 from experiments.study.presets import PRESETS, second_version
 from experiments.study.run import locked
+from sumo_env.tasks import TASKS as DRIVEN
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -35,13 +36,7 @@ if TYPE_CHECKING:
 PACKED = Path(__file__).resolve().parents[2] / "results" / "choice" / "runs.parquet"
 TASKS = ("u-turn", "two-way")  # in their lightest traffic
 STEPS = {"u-turn": 40_000, "two-way": 80_000}  # environment steps of the first version
-RANGE = {
-    "highway": 20.0,
-    "two-way": 15.0,
-    "roundabout": 11.0,
-    "intersection": 13.0,
-    "u-turn": 10.0,
-}  # of the return: one a second
+RANGE = {task: env_config("sumo", task, 1)["duration"] for task in DRIVEN}  # of the return: one a second
 SEEDS = (900, 901, 902)  # no report uses these
 CHECK_SEED = 905  # nor this one
 EPISODES, PURPOSE = 100, "choice"  # scenarios of their own, see `arms.scenario_seed`

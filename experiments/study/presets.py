@@ -78,6 +78,20 @@ def second_version(
     return {**learner, **({"training_clock": CLOCKS[clock][task]} if task in CLOCKS[clock] else {})}
 
 
+SECOND = Experiment(
+    preset="second",
+    about="the second study: learners that go on until they have finished, five seeds, 400 scenarios: days",
+    seeds=5,
+    episodes=400,
+    gate_episodes=100,
+    # one update per step with batch 64, and the clocks: docs/developers/learner_choice.md
+    learners={
+        task: second_version(task, steps, 1, 64, clock="longer") | TIME_OBSERVED.get(task, {})
+        for task, steps in SECOND_STEPS.items()
+    },
+    first_seed=100,
+    first_scenario=1000,
+)
 PRESETS = {
     experiment.preset: experiment
     for experiment in (
@@ -110,34 +124,17 @@ PRESETS = {
             # on the two-way road, 10,000 are too few (docs/learner.md)
             learners=tuned({**dict.fromkeys(TASKS, 10_000), "two-way": 20_000}),
         ),
-        Experiment(
-            preset="second",
-            about="the second study: learners that go on until they have finished, five seeds, 400 scenarios: days",
-            seeds=5,
-            episodes=400,
-            gate_episodes=100,
-            # one update per step with batch 64, and the clocks: docs/developers/learner_choice.md
-            learners={
-                task: second_version(task, steps, 1, 64, clock="longer") | TIME_OBSERVED.get(task, {})
-                for task, steps in SECOND_STEPS.items()
-            },
-            first_seed=100,
-            first_scenario=1000,
-        ),
-        Experiment(
+        SECOND,
+        replace(
+            SECOND,
             preset="first-clock",
             about="the second study's u-turn and roundabout, where agents see when the test ends: hours",
             tasks=FINITE_HORIZON,
             levels=(1,),
-            seeds=5,
-            episodes=400,
-            gate_episodes=100,
             learners={
                 task: second_version(task, steps, 1, 64, clock="first")
                 for task, steps in SECOND_STEPS.items()
             },
-            first_seed=100,
-            first_scenario=1000,
         ),
         Experiment(
             preset="paper",

@@ -13,10 +13,10 @@ from rich.console import Console
 
 from experiments.backends import make_env
 from experiments.study.arms import stream_seed
+from experiments.study.executors.local import call_all
 from experiments.study.fingerprint import dynamics
 from experiments.study.grid import level_names
 from experiments.support.files import canonical_json, sha256_bytes, write_file
-from experiments.support.processes import call_all
 from experiments.validation.episodes import COLUMNS, drive, egos
 from sumo_env.tasks import TASKS
 

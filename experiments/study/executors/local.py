@@ -1,20 +1,44 @@
-"""Processes of this machine, by pebble: the death of one takes no other along and says whose task it was."""
+"""Processes of this machine, by pebble: the death of one takes no other along and says whose task it was.
+
+They end with the process that started them.
+"""
 
 from __future__ import annotations
 
+import fcntl
 import multiprocessing
 import os
 import signal
-from collections.abc import Callable
-from concurrent.futures import Executor, Future
+from collections.abc import Callable, Mapping
+from concurrent.futures import Executor, Future, as_completed
 from contextlib import suppress
-from multiprocessing import resource_tracker
+from multiprocessing import parent_process, resource_tracker
 from typing import Any
 
 from pebble import ProcessPool
+from rich.console import Console
+from rich.progress import track
 
 from experiments.study.run import SPOILT, Ended
-from experiments.support.processes import end_with_parent
+from experiments.support.errors import UserError
+
+TASKS_PER_PROCESS = 25  # then a fresh process takes over, so that whatever a simulator leaks is given back
+
+
+def end_with_parent() -> None:
+    """Let the kernel end this process when its parent ends, however that happens; for initialisers of process pools.
+
+    multiprocessing gives every spawned process a pipe whose other end the parent holds. Its closing raises SIGIO, which
+    ends a process by default, in the middle of a compiler's long call into C as well: a thread that watched the parent
+    would wait there for the interpreter's lock.
+    """
+    parent = parent_process()
+    assert parent is not None
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
+    fcntl.fcntl(parent.sentinel, fcntl.F_SETOWN, os.getpid())
+    fcntl.fcntl(parent.sentinel, fcntl.F_SETFL, fcntl.fcntl(parent.sentinel, fcntl.F_GETFL) | os.O_ASYNC)
+    if not parent.is_alive():  # it ended before
+        os._exit(1)
 
 
 class LocalExecutor(Executor):
@@ -22,10 +46,10 @@ class LocalExecutor(Executor):
 
     Args:
         workers: number of processes.
-        tasks_per_process: then a fresh process takes over, so that whatever a simulator leaks is given back.
+        tasks_per_process: then a fresh process takes over.
     """
 
-    def __init__(self, workers: int, tasks_per_process: int) -> None:
+    def __init__(self, workers: int, tasks_per_process: int = TASKS_PER_PROCESS) -> None:
         resource_tracker.ensure_running()  # here: it unblocks signals in the thread that starts it
         self._workers, self._tasks_per_process = workers, tasks_per_process
         self._pool = self._open()
@@ -71,3 +95,27 @@ def _call(function: Callable[..., Any], args: tuple[Any, ...], kwargs: dict[str,
     if isinstance(result, Ended) and result.state == "failed":
         os._exit(SPOILT)
     return result
+
+
+def call_all(
+    work: Mapping[str, Callable[[], None]], workers: int, doing: str, console: Console | None = None
+) -> None:
+    """Call functions, each of which writes a result, in processes.
+
+    Args:
+        work: the functions by the names of their results.
+        doing: what they do, as one word.
+        console: where progress is shown, if at all.
+
+    Raises:
+        UserError: one failed; those that still run are given up.
+    """
+    executor = LocalExecutor(workers)
+    try:
+        running = {executor.submit(call): name for name, call in work.items()}
+        finished = as_completed(running)
+        for future in track(finished, doing, len(work), console=console, disable=console is None):
+            if error := future.exception():
+                raise UserError(f"{running[future]} failed ({error}): run the same command again to go on")
+    finally:  # on an error or Ctrl-C, whatever is running is given up
+        executor.shutdown(cancel_futures=True)

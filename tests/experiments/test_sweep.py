@@ -314,10 +314,11 @@ def test_the_command_works_from_any_directory(tmp_path):
     assert not list(tmp_path.iterdir())
 
 
-def test_the_estimate_uses_the_stored_cells_of_this_machine(reference, capsys):
+def test_a_dry_run_says_what_is_finished_and_what_is_left(reference, capsys):
     sweep(Options(out=reference, **{**TINY, "seeds": 2, "dry_run": True}), make_env=make_env)
     output = capsys.readouterr().out
-    assert "measured on 8 stored cells" in output
+    [row] = [line.split() for line in output.splitlines() if line.startswith("u-turn")]
+    assert row[2:6] == ["4", str(TINY["updates"]), "6", "8"]  # agents, updates, baselines, finished
     assert "4 agents and 6 baselines" in output
 
 

@@ -96,7 +96,8 @@ def test_a_sweep_goes_on_from_packed_cells(results: Path, capsys: pytest.Capture
     before = set(load(results).cells)
     options = Options(out=results, **{**TINY, "dry_run": True, "seeds": 2})
     assert sweep(options, make_env=make_env) == 0
-    assert f"measured on {len(before)} stored cells" in capsys.readouterr().out
+    [row] = [line.split() for line in capsys.readouterr().out.splitlines() if line.startswith("u-turn")]
+    assert row[5] == str(len(before))  # are finished
     compute(results, seeds=2, test_on=("replica",))
     found = content(results)
     new = set(found["cells"]) - before

@@ -70,8 +70,9 @@ def test_a_drawn_dose_is_met_logged_and_the_same_after_an_interruption(
     left = 40
     with pytest.raises(Interrupted):
         train_cell(cell(arm, **clock), make_env("sumo", "u-turn", {"duration": 13}), resumed_folder, stop)
+    met.clear()
     resumed = train_cell(cell(arm, **clock), make_env("sumo", "u-turn", {"duration": 13}), resumed_folder)
-    assert resumed.timed_updates < 60
+    assert 0 < len(met) < 0.8 * len(expected)  # it goes on and does not begin again
     assert resumed.policy.sha256 == whole.policy.sha256
     assert resumed.episodes.equals(whole.episodes)
 

@@ -37,7 +37,6 @@ from experiments.study.experiment import Experiment
 from experiments.study.fingerprint import check_dynamics
 from experiments.study.grid import Cell, choose_tasks, env_config
 from experiments.study.presets import complete
-from experiments.study.progress import rates_of
 from experiments.study.store import EPISODES, Store
 from experiments.support.errors import run_command, unknown, writing
 
@@ -192,7 +191,7 @@ def compare(options: Options, arguments: list[str]) -> int:
         return sweep.compute_one(options.cell, work)
     again = shlex.join(["python", "experiments/learners.py", *arguments])
     how = sweep.Options(backend=options.backend, workers=options.workers)
-    failures = sweep.compute(how, Store(options.out), work, rates_of(options.out), again)
+    failures = sweep.compute(how, Store(options.out), work, again)
     for name, reason in failures.items():
         print(f"{name} failed: {reason}\n  to see it fail: {again} --cell {name}", file=sys.stderr)
     found = table(options.out, [cell for name, cell in wanted.items() if name not in failures])

@@ -38,7 +38,7 @@ from experiments.study.experiment import Experiment, Flag, argument, shard
 from experiments.study.fingerprint import check_dynamics
 from experiments.study.grid import Cell
 from experiments.study.presets import cells_of, complete
-from experiments.study.progress import START, Progress, Rates, duration, rates_of
+from experiments.study.progress import START, Progress, duration, seconds
 from experiments.study.run import LOG, compute_here, run
 from experiments.study.store import Store
 from experiments.support.errors import UserError, disk_error, run_command, unknown
@@ -99,9 +99,8 @@ def sweep(
     here = options.workers if options.workers and options.executor == "local" else cores()
     cells = cells_of(options)
     mine = shard(cells, options.shard)
-    rates = rates_of(options.directory)
     if options.dry_run:
-        describe(options, mine, rates, here)
+        describe(options, mine, here)
         return 0
     if validate is not None:
         check_dynamics(
@@ -117,15 +116,13 @@ def sweep(
         if validate is not None:
             names = tuple(dict.fromkeys(cell.task for cell in cells))
             validate(options.backend, names, options.directory, here, lambda words: print(words, flush=True))
-        failures = compute(options, store, tasks, rates, again)
+        failures = compute(options, store, tasks, again)
     except OSError as error:
         raise disk_error(error, options.directory) from None
     return conclude(options, tasks, failures, again)
 
 
-def compute(
-    options: Options, store: Store, tasks: Mapping[str, CellTask], rates: Rates, again: str
-) -> dict[str, str]:
+def compute(options: Options, store: Store, tasks: Mapping[str, CellTask], again: str) -> dict[str, str]:
     """Compute the cells that are not finished; returns the reason of each failure by the name of its cell."""
     there = {name for name, task in tasks.items() if task.done()}
     for name in tasks:
@@ -134,7 +131,7 @@ def compute(
     print(f"{found}; results go to {store.directory}", flush=True)
     # highway-env's tasks change class attributes of each other
     per_process = 1 if "highway-env" in (options.backend, *options.test_on) else TASKS_PER_PROCESS
-    progress = Progress(store, [task.cell for task in tasks.values()], there, rates, f"{again} --cell")
+    progress = Progress(store, [task.cell for task in tasks.values()], there, f"{again} --cell")
     failures: dict[str, str] = {}
     try:
         for kinds in (("agent", "baseline"), ("test",)):  # agents are tested elsewhere once all are trained
@@ -182,7 +179,7 @@ def conclude(options: Options, tasks: Mapping[str, CellTask], failures: Mapping[
     return 0
 
 
-def describe(options: Options, cells: Sequence[Cell], rates: Rates, workers: int) -> None:
+def describe(options: Options, cells: Sequence[Cell], workers: int) -> None:
     """Print what would be computed and how long it would take."""
     there = set(Store(options.directory).finished())
     print(f"preset {options.preset}: {complete(options).about}")
@@ -193,16 +190,15 @@ def describe(options: Options, cells: Sequence[Cell], rates: Rates, workers: int
     for task, level in dict.fromkeys((cell.task, cell.level_name) for cell in cells):
         group = [cell for cell in cells if (cell.task, cell.level_name) == (task, level)]
         kinds = Counter(cell.kind for cell in group)
-        left = sum(rates.seconds(cell) for cell in group if cell.name not in there)
+        left = sum(seconds(cell) for cell in group if cell.name not in there)
         done = sum(cell.name in there for cell in group)
         updates = max(cell.updates for cell in group)  # further tests of agents are in the core time alone
         print(layout.format(task, level, kinds["agent"], updates, kinds["baseline"], done, duration(left)))
         total += left
     kinds = Counter(cell.kind for cell in cells)
-    source = f"measured on {rates.measured} stored cells" if rates.measured else "by default rates"
     print(
         f"{kinds['agent']} agents and {kinds['baseline']} baselines; about "
-        f"{duration(START + total / workers if total else 0.0)} left with {workers} processes ({source})"
+        f"{duration(START + total / workers if total else 0.0)} left with {workers} processes on a common server"
     )
 
 

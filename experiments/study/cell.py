@@ -95,7 +95,6 @@ def compute(cell: Cell, store: Store, make_env: MakeEnv, beat: Beat) -> str:
     if cell.kind == "agent":
         with timed("train", timing):
             trained, remark = _train(cell, store, make_env, advance)
-        timing["timed_updates"] = trained.timed_updates
         learner = {"learner": trained.learner}
     with timed("test", timing), closing(make_env(cell.runs_on, cell.task, dict(cell.tested_config))) as env:
         files: dict[str, Any] = _test(cell, env, trained, store, advance)

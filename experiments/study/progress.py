@@ -1,7 +1,7 @@
 """How long cells will take, and what a person sees of a sweep: a bar that moves, or a line where there is no terminal.
 
 Everything that happens is also written to DIR/sweep.log, one line each, which can be followed with `tail -f` wherever
-the sweep runs. Times are those of the stored cells of this kind of machine, else from rates stated here.
+the sweep runs. Times are of a common server; while a sweep runs, they are scaled by how fast it is.
 """
 
 from __future__ import annotations
@@ -10,9 +10,6 @@ import time
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from pathlib import Path
-from statistics import median
-from typing import Any
 
 from rich.console import Console
 from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeElapsedColumn
@@ -20,12 +17,11 @@ from rich.progress import Progress as Bars
 
 from experiments.study.grid import Cell
 from experiments.study.run import RETRIES, Observer, Sign, Task
-from experiments.study.store import DamagedCell, Store
-from experiments.support.provenance import cpu
+from experiments.study.store import Store
 
 # Processor seconds of a common server for (a training step, a test episode) in the lightest traffic;
 # rough except for SUMO.
-DEFAULT_RATES: dict[str, dict[str, tuple[float, float]]] = {
+RATES: dict[str, dict[str, tuple[float, float]]] = {
     "sumo": {
         "highway": (0.0025, 0.050),
         "two-way": (0.0010, 0.010),
@@ -50,55 +46,15 @@ SHOW_EVERY = 2.0  # [s] between looks at all cells
 LINE_EVERY, LOG_EVERY = 15.0, 300.0  # [s] between lines where nobody watches, and in the log
 TRUST_AFTER = 60.0  # [s] from when on the speed of this run counts, and not its number of workers
 LOG = "sweep.log"
-RECENT = 50  # cells that a measured rate is the median of
-GROWTH = 0.25  # how much longer each heavier level takes, where it was not measured
+GROWTH = 0.25  # how much longer each heavier level takes
 
 
-class Rates:
-    """Seconds for an update with its training steps and for a test episode, by simulator, task and level.
-
-    Attributes:
-        measured: how many stored cells they come from (0: the default rates alone).
-    """
-
-    def __init__(self) -> None:
-        self.measured = 0
-        self._seen: dict[tuple[Any, ...], list[float]] = {}
-        self._rates: dict[tuple[Any, ...], float] = {}
-
-    def seconds(self, cell: Cell) -> float:
-        """Expected time of a cell on one core [s], without what a sweep takes once (START)."""
-        factor = 1.0 + GROWTH * (cell.level - 1)
-        step, episode = (factor * rate for rate in DEFAULT_RATES[cell.runs_on].get(cell.task, OTHERWISE))
-        update = UPDATE + cell.profile.get("steps_per_update", 1) * step
-        update = self._rates.get(("update", cell.runs_on, cell.task, cell.level), update)
-        episode = self._rates.get(("episode", cell.runs_on, cell.task, cell.level), episode)
-        return CELL + cell.updates * update + cell.work * episode
-
-    def learn(self, record: Mapping[str, Any]) -> None:
-        """Take in cell.json of a stored cell, unless it was computed by another processor."""
-        if record["provenance"]["cpu"] != cpu():
-            return
-        key, timing = record["key"], record["timing"]
-        where = (key.get("test_on", key)["backend"], key["task"], key["level"])
-        self._note(("episode", *where), timing["test_seconds"] / timing["test_episodes"])
-        if timing.get("timed_updates"):
-            self._note(("update", *where), timing["train_seconds"] / timing["timed_updates"])
-        self.measured += 1
-
-    def _note(self, place: tuple[Any, ...], seconds: float) -> None:
-        seen = self._seen.setdefault(place, [])
-        seen.append(seconds)
-        self._rates[place] = median(seen[-RECENT:])
-
-
-def rates_of(directory: Path) -> Rates:
-    """The rates measured on this kind of processor in a result directory, which need not exist."""
-    rates, store = Rates(), Store(directory)
-    for name in store.finished():
-        with suppress(DamagedCell):
-            rates.learn(store.record(name))
-    return rates
+def seconds(cell: Cell) -> float:
+    """Expected time of a cell on one core of a common server [s], without what a sweep takes once (START)."""
+    factor = 1.0 + GROWTH * (cell.level - 1)
+    step, episode = (factor * rate for rate in RATES[cell.runs_on].get(cell.task, OTHERWISE))
+    update = UPDATE + cell.profile.get("steps_per_update", 1) * step
+    return CELL + cell.updates * update + cell.work * episode
 
 
 def duration(seconds: float) -> str:
@@ -117,13 +73,12 @@ class Progress(Observer):
         command: computes one cell, whose name is to be appended.
     """
 
-    def __init__(
-        self, store: Store, cells: Sequence[Cell], finished: set[str], rates: Rates, command: str
-    ) -> None:
+    def __init__(self, store: Store, cells: Sequence[Cell], finished: set[str], command: str) -> None:
         self.workers = 1  # how many cells are computed at a time
         self._cells = {cell.name: cell for cell in cells}
         self._state = {name: "finished" if name in finished else "waiting" for name in self._cells}
-        self._store, self._rates, self._command = store, rates, command
+        self._costs = {cell.name: seconds(cell) for cell in cells}
+        self._store, self._command = store, command
         self._fractions: dict[str, float] = {}  # of running cells
         self._done_here = 0.0  # estimated core time of what this run finished [s]
         self._start = self._logged = time.monotonic()
@@ -142,9 +97,7 @@ class Progress(Observer):
         if state == "running":
             self._log(f"{task.name} started")
         elif state == "finished":
-            with suppress(Exception):  # one that is damaged by now is found by whoever reads it
-                self._rates.learn(self._store.record(task.name))
-            self._done_here += self._rates.seconds(self._cells[task.name])
+            self._done_here += self._costs[task.name]
             self._log(f"{task.name} finished")
         elif state == "failed":
             with suppress(OSError):  # on a full disk the report says that the cell is missing
@@ -187,8 +140,7 @@ class Progress(Observer):
 
     def _look(self) -> tuple[float, float]:
         """Share of the work that is done, and expected time until the rest is [s]."""
-        costs = {name: self._rates.seconds(cell) for name, cell in self._cells.items()}
-        part = {"finished": 1.0, "failed": 1.0}
+        costs, part = self._costs, {"finished": 1.0, "failed": 1.0}
         done = {name: part.get(state, self._fractions.get(name, 0.0)) for name, state in self._state.items()}
         left = [costs[name] * (1.0 - share) for name, share in done.items() if share < 1.0]
         speed, elapsed = float(self.workers), time.monotonic() - self._start  # core seconds in a second

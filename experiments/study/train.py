@@ -33,14 +33,12 @@ MIN_INTERVAL = 100  # updates between two checkpoints at least
 class Trained:
     """A trained agent as it is stored: policy, training episodes (one row each), and "learner" of cell.json.
 
-    timed_updates: updates that were made in this process, not before a resumption.
     marks: files with the policy after each of the shares of the budget that were asked for.
     """
 
     policy: Greedy
     episodes: pd.DataFrame
     learner: dict[str, Any]
-    timed_updates: int
     marks: tuple[Path, ...] = ()
 
 
@@ -76,11 +74,12 @@ def train_cell(
     seed = training_seed(cell.task, cell.level, cell.seed or 0)
     traffic = DrawnDose(env, cell.arm) if cell.arm in DRAWN else env
     files = {round(share * config.updates): directory / f"mark-{k}.npz" for k, share in enumerate(marks)}
-    blocks = [0]  # updates after each block of this process
+    told = 0
 
     def progress(state: Progress) -> None:
-        on_updates(state.updates - blocks[-1])
-        blocks.append(state.updates)
+        nonlocal told
+        on_updates(state.updates - told)
+        told = state.updates
 
     try:
         agent = train(
@@ -100,8 +99,7 @@ def train_cell(
     episodes = pd.DataFrame(agent.episodes)
     if cell.arm in DRAWN:
         episodes["risk"] = [drawn_dose(cell.arm, episode_seed(seed, k)) for k in episodes["episode"]]
-    timed = agent.updates - max(blocks[1] - config.block, 0) if len(blocks) > 1 else 0
-    return Trained(agent.policy, episodes, learner_record(agent), timed, tuple(files.values()))
+    return Trained(agent.policy, episodes, learner_record(agent), tuple(files.values()))
 
 
 def learner_record(agent: TrainedAgent) -> dict[str, Any]:

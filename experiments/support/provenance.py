@@ -38,7 +38,7 @@ def provenance() -> dict[str, Any]:
 
 @cache
 def cpu() -> str:
-    """Name of the processor; rates measured on another one say little about this one."""
+    """Name of the processor."""
     try:
         for line in Path("/proc/cpuinfo").read_text().splitlines():
             if line.startswith("model name"):

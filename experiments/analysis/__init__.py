@@ -8,6 +8,5 @@ effects   the average treatment effect of every setting, and the one mean over s
 gates     did an agent learn, and has the learner finished?
 frontier  how much more often agents crash than careful and constant drivers
 claims    what the effects say about each claim
-controls  comparisons whose truth is known
-analysis  all of it as one value
+analysis  all of it as one value, with comparisons whose truth is known
 """

@@ -11,24 +11,25 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from scipy.stats import binomtest
 
 from experiments.analysis import plan as plans
 from experiments.analysis.cells import comparable, duplicates, is_main, unfinished, without
 from experiments.analysis.claims import claims, price
-from experiments.analysis.controls import negative_control, placebo
 from experiments.analysis.effects import (
     KEY,
     adjusted,
     contrasts,
     least_seeds,
+    mean_over,
     means,
     slopes,
     variants,
 )
-from experiments.analysis.estimate import Mean
+from experiments.analysis.estimate import OK, Mean
 from experiments.analysis.frontier import to_frontier
 from experiments.analysis.gates import GATES, gates, learner_checks, learnt
-from experiments.analysis.plan import OUTCOMES, TERMS, Plan
+from experiments.analysis.plan import DEFAULT, OUTCOMES, TERMS, Plan
 from experiments.analysis.scores import (
     CRASH_KINDS,
     PLACE,
@@ -52,6 +53,7 @@ CRASHES = [("crashed", term) for term in ONE_TRAFFIC]
 SHOWN = ("crashed", "return", "mean_speed")  # outcomes of comparisons beside the plan's
 DESCRIPTIVE = ("length", "distance", "arrived", "density", "stopped", "progress")
 AGENT = [*PLACE, "arm", "seed"]
+LEAST = 4  # control agents of a setting that can be dealt into two arms
 
 
 @dataclass(frozen=True)
@@ -59,9 +61,9 @@ class Analysis:
     """What an analysis finds, as frames whose columns their functions document.
 
     effects, means: `effects.contrasts` and `effects.means`, of all comparisons (arm, against; tested_on; scenarios).
-    slopes, gates, claims, placebo: see the functions of these names. policies: see `policies`.
-    plan, plan_hash: see `plan.as_data`. negative_control: see `controls`. notes: missing, failed, damaged, incomplete,
-    duplicates and left_out cells, with their reasons, and by plan 3 unfinished settings. provenance: see `provenance`.
+    slopes, gates, claims, placebo, policies, negative_control, provenance: see the functions of these names.
+    plan, plan_hash: see `plan.as_data`. notes: missing, failed, damaged, incomplete, duplicates and left_out cells,
+    with their reasons, and by plan 3 unfinished settings.
     price, learner, frontier: see `claims.price`, `gates.learner_checks` and `frontier.to_frontier`; None where the
     plan does not ask for them.
     """
@@ -186,6 +188,46 @@ def exploratory(
         for rows, labels in ((away, {"tested_on": other, "scenarios": other}), (home, {"scenarios": other})):
             effects = contrasts(arms_of(rows, ["crashed"]), BOTH, CRASHES, plain, **labels)
             yield effects, means(effects, plain)
+
+
+def placebo(episodes: pd.DataFrame, plan: Plan = DEFAULT) -> pd.DataFrame:
+    """The same analysis between two halves of the control agents; about 5 % of the effects should be "significant".
+
+    Returns:
+        A row a backend and outcome: comparisons, rejected (with p below alpha), p (of so many rejections or more if 5 %
+        are expected) and the mean over settings of the plan's primary term: estimate, low, high.
+    """
+    control = episodes[episodes["arm"] == "control"]
+    number = control.groupby(PLACE)["seed"].transform(lambda seeds: seeds.rank(method="dense") - 1)
+    halves = control.assign(arm=(number % 2).map({0.0: "control", 1.0: "treatment"}))
+    enough = number.groupby([control[column] for column in PLACE]).transform("max") >= LEAST - 1
+    single = replace(plan, looks=())  # half the seeds: the planned looks do not apply
+    questions = [(outcome, term) for outcome in ("return", "crashed") for term in ("sum", plan.primary_term)]
+    effects = contrasts(arms_of(halves[enough], ["return", "crashed"]), BOTH, questions, single)
+    rows = []
+    for (backend, outcome), own in effects.groupby(["backend", "outcome"], sort=False):
+        known = own[(own["term"] == "sum") & (own["status"] == OK)]
+        if known.empty:
+            continue
+        rejected = int((known["p"] < plan.alpha).sum())
+        p = binomtest(rejected, len(known), plan.alpha, alternative="greater").pvalue
+        found = mean_over(own[own["term"] == plan.primary_term], single)
+        rows.append(
+            {"backend": backend, "outcome": outcome, "comparisons": len(known), "rejected": rejected, "p": p}
+            | {name: found[name] for name in ("estimate", "low", "high")}
+        )
+    columns = ["backend", "outcome", "comparisons", "rejected", "p", "estimate", "low", "high"]
+    return pd.DataFrame(rows, columns=columns)
+
+
+def negative_control(episodes: pd.DataFrame, policy: str = "careful") -> float | None:
+    """The largest effect of a rule driver taken as both arms, which has to be 0; None if the rule was not run."""
+    rule = episodes[(episodes["policy"] == policy) & (episodes["kind"] == "baseline")]
+    if rule.empty:
+        return None
+    twice = pd.concat([rule.assign(seed=0, arm=arm) for arm in ARMS], ignore_index=True)
+    questions = [(outcome, term) for outcome in OUTCOMES for term in TERMS]
+    return float(contrasts(arms_of(twice, list(OUTCOMES)), BOTH, questions)["estimate"].abs().max())
 
 
 def policies(episodes: pd.DataFrame) -> pd.DataFrame:

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from experiments.analysis.controls import negative_control, placebo
+from experiments.analysis.analysis import negative_control, placebo
 from experiments.analysis.scores import Arm, Arms, Place, arms_of, with_outcomes
 from experiments.study.store import load
 from tests.experiments import synthetic

@@ -1,26 +1,49 @@
-"""What processes there are, from /proc."""
+"""Commands in processes of their own, and what processes there are, from /proc."""
 
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
 
 
-def python(*arguments: object, **environment: str) -> str:
-    """What a Python of its own prints, with these arguments and variables; it must end well."""
-    options: dict[str, Any] = {"capture_output": True, "text": True, "cwd": ROOT, "timeout": 300}
-    done = subprocess.run(
-        [sys.executable, *map(str, arguments)], env={**os.environ, **environment}, **options
-    )
+def variables(own: dict[str, str]) -> dict[str, str]:
+    return {**os.environ, "PYTHONPATH": str(ROOT), **own}
+
+
+def ended(
+    *arguments: object, cwd: Path = ROOT, stdin: str | None = None, **environment: str
+) -> subprocess.CompletedProcess[str]:
+    """A Python of its own with these arguments and variables, once it has ended, with all that holds its output."""
+    command = [sys.executable, *map(str, arguments)]
+    pipes = {"input": stdin, "capture_output": True, "text": True}
+    return subprocess.run(command, cwd=cwd, env=variables(environment), timeout=300, check=False, **pipes)
+
+
+def python(*arguments: object, **options: object) -> str:
+    """What a Python of its own prints, as `ended`; it must end well."""
+    done = ended(*arguments, **options)
     assert done.returncode == 0, f"{done.returncode}: {done.stdout[-2000:]}{done.stderr[-2000:]}"
-    return str(done.stdout)
+    return done.stdout
+
+
+def started(*arguments: object, **environment: str) -> subprocess.Popen[str]:
+    """As `ended`, but while it runs: a process group of its own, to which Ctrl-C means something."""
+    return subprocess.Popen(
+        [sys.executable, *map(str, arguments)],
+        env=variables(environment),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # tests in the background ignore it
+    )
 
 
 def children(parent: int, word: str = "") -> list[int]:
@@ -44,9 +67,8 @@ def is_alive(pid: int) -> bool:
         return False
 
 
-def ends(pid: int | None) -> bool:
+def ends(pid: int) -> bool:
     """Whether a process ends soon."""
-    assert pid is not None
     wait_for(lambda: not is_alive(pid), 30.0)
     return True
 

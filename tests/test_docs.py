@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import importlib.util
 import re
-import subprocess
-import sys
 from ast import literal_eval
 from collections.abc import Iterable
 from pathlib import Path
@@ -19,6 +17,7 @@ from sumo_env.contacts.crash import CrashRecord
 from sumo_env.tasks import TASKS
 from sumo_env.tasks.network import NetworkTask
 from tests.pages import PAGES, ROOT, TEXTS
+from tests.processes import python
 
 names = [str(page.relative_to(ROOT)) for page in PAGES]
 each_page = pytest.mark.parametrize("page", PAGES, ids=names)
@@ -84,9 +83,7 @@ def test_links_resolve(page: Path) -> None:
 @pytest.mark.slow
 def test_a_snippet_runs_when_it_is_copied_alone(block: str, tmp_path: Path) -> None:
     (tmp_path / "snippet.py").write_text(block.replace("10_000", "150"), encoding="utf-8")
-    command = [sys.executable, "-c", f"import sys; sys.path.insert(0, {str(ROOT)!r}); import snippet"]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr[-2000:]
+    python("-c", "import snippet", cwd=tmp_path)
 
 
 # -- what the code has is named ----------------------------------------------------------------------------------------

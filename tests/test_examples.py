@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import json
-import os
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[1]
+from tests.processes import ROOT, python
+
 EXAMPLES = ROOT / "examples"
 SCRIPTS = {
     "sb3_dqn.py": (["--steps", "120"], "risk 1: return"),
@@ -36,12 +34,7 @@ def test_every_example_is_listed_and_tested() -> None:
 @pytest.mark.parametrize("name", SCRIPTS)
 def test_a_script_runs(name: str, tmp_path: Path) -> None:
     arguments, expected = SCRIPTS[name]
-    done = subprocess.run(
-        [sys.executable, EXAMPLES / name, *arguments],
-        cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True, check=False,
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr[-3000:]
-    assert expected in done.stdout
+    assert expected in python(EXAMPLES / name, *arguments, cwd=tmp_path)
 
 
 def test_the_notebook_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import runpy
-import subprocess
-import sys
 from pathlib import Path
 
 import pandas as pd
@@ -20,6 +18,7 @@ from experiments.study.store import load
 from sumo_env.tasks import TASKS
 from tests.experiments import synthetic
 from tests.pages import ROOT, TEXTS, section, table
+from tests.processes import python
 
 
 def told(page: str) -> str:
@@ -28,7 +27,7 @@ def told(page: str) -> str:
 
 
 def test_the_table_of_the_readme_is_that_of_the_results() -> None:
-    subprocess.run([sys.executable, ROOT / "docs" / "results_table.py", "--check"], check=True)
+    python("docs/results_table.py", "--check")
 
 
 def test_the_table_of_the_readme_shows_mixed_training_where_there_is_any(tmp_path: Path) -> None:

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import json
 import re
-import subprocess
-import sys
 from dataclasses import fields
-from pathlib import Path
 
 import pytest
 import tyro
@@ -22,8 +19,8 @@ from experiments.study.presets import PRESETS
 from experiments.support.errors import UserError
 from experiments.sweep import Options, cells_of, words_of
 from sumo_env.tasks import TASKS
+from tests.processes import ROOT, ended, python
 
-ROOT = Path(__file__).resolve().parents[2]
 WORDS = st.text(max_size=12)
 NUMBERS = st.integers(-10, 10**7)
 
@@ -103,8 +100,7 @@ def test_a_repeated_option_adds_values():
     "arguments", [["--seeds", "1.5"], ["--preset", "quik"], ["--out", "/proc/none/results"]], ids=" ".join
 )
 def test_a_wrong_command_line_is_answered_without_a_traceback(arguments, tmp_path):
-    command = [sys.executable, str(ROOT / "experiments/sweep.py"), *arguments]
-    result = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=120)
+    result = ended(ROOT / "experiments/sweep.py", *arguments, cwd=tmp_path)
     assert result.returncode == 2, result
     assert "Traceback" not in result.stderr + result.stdout
     assert result.stderr.strip()
@@ -125,4 +121,4 @@ for script in sorted(Path({str(ROOT / "experiments")!r}).glob("*.py")):
 found = importlib.util.find_spec("test")
 assert found is None or Path(found.origin).parent.name != "experiments", found
 """
-    subprocess.run([sys.executable, "-c", code], check=True)
+    python("-c", code)

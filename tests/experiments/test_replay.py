@@ -12,12 +12,9 @@ from PIL import Image
 from experiments.replay import Options, find_cell, parse_case, replay
 from experiments.study import store
 from experiments.study.arms import TRAFFICS, scenario_seed
-from experiments.study.cell import CellTask
 from experiments.study.rerun import stored_policy
-from experiments.study.run import Ended, attempt
 from experiments.support.errors import UserError
-from experiments.sweep import Options as SweepOptions
-from experiments.sweep import cells_of
+from tests.experiments.computed import compute, tasks_of
 from tests.experiments.fake_env import make_env
 
 
@@ -25,11 +22,10 @@ from tests.experiments.fake_env import make_env
 def cells(tmp_path_factory):
     """Directories of a stored agent, of a baseline that crashes, and of one that does not."""
     home = tmp_path_factory.mktemp("results")
-    wanted = cells_of(SweepOptions(preset="smoke", tasks=("highway",), updates=100, episodes=3))
-    chosen = [cell for cell in wanted if cell.arm == "control" or cell.policy in ("random", "slower")]
-    for cell in chosen:
-        assert attempt(CellTask(cell, home, make_env)) == Ended("done")
-    return [home / "cells" / cell.name for cell in chosen]
+    tasks = tasks_of(home, tasks=("highway",), updates=100, network=None)
+    chosen = [t for t in tasks if t.cell.arm == "control" or t.cell.policy in ("random", "slower")]
+    compute(chosen)
+    return [home / "cells" / task.name for task in chosen]
 
 
 def episodes(cell):

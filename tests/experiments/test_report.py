@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import json
 import re
-import subprocess
-import sys
 from html.parser import HTMLParser
 from pathlib import Path
 
@@ -26,8 +24,8 @@ from experiments.study.store import load
 from experiments.study.verdict import SCHEMA
 from experiments.support.errors import UserError
 from tests.experiments import synthetic
+from tests.processes import python
 
-SCRIPT = Path(report.__file__)
 VOID = {"meta", "br", "link", "hr", "img", "input"}
 
 
@@ -302,11 +300,9 @@ class TestCommand:
         assert (directory / "report.html").stat().st_mtime_ns == written
 
     def test_works_from_anywhere(self, directory, tmp_path):
-        command = [sys.executable, str(SCRIPT), str(directory)]
-        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=300)
-        assert done.returncode == 0, done.stderr
-        assert str(directory / "report.html") in done.stdout
-        assert (directory / "report.md").read_text().partition("\n\n")[2].startswith(done.stdout[:200])
+        printed = python(report.__file__, directory, cwd=tmp_path)
+        assert str(directory / "report.html") in printed
+        assert (directory / "report.md").read_text().partition("\n\n")[2].startswith(printed[:200])
 
 
 class TestFigures:

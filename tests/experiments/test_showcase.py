@@ -13,11 +13,9 @@ import pytest
 
 from experiments import report
 from experiments.reporting.showcase import FILE, Scenes, choose, duos, showcase
-from experiments.study.cell import CellTask
 from experiments.study.rerun import play_again
-from experiments.study.run import Ended, attempt
 from experiments.study.store import load
-from experiments.sweep import Options, cells_of
+from tests.experiments.computed import compute, tasks_of
 from tests.experiments.fake_env import make_env
 
 
@@ -25,11 +23,8 @@ from tests.experiments.fake_env import make_env
 def directory(tmp_path_factory):
     """The agents of a tiny sweep in the fake environment."""
     home = tmp_path_factory.mktemp("results")
-    options = Options(preset="quick", tasks=("highway",), levels=(1,), seeds=1, updates=100, episodes=6)
-    cells = cells_of(options)
-    for cell in cells:
-        if cell.kind == "agent" or cell.policy == "slower":
-            assert attempt(CellTask(cell, home, make_env)) == Ended("done")
+    tasks = tasks_of(home, preset="quick", tasks=("highway",), seeds=1, updates=100, episodes=6, network=None)
+    compute(task for task in tasks if task.cell.kind == "agent" or task.cell.policy == "slower")
     return home
 
 

@@ -6,8 +6,8 @@ import errno
 import json
 import os
 import shlex
+import shutil
 import signal
-import subprocess
 import sys
 from concurrent.futures import Executor, Future
 from pathlib import Path
@@ -18,7 +18,6 @@ import pytest
 from experiments.analysis.analysis import analyse
 from experiments.analysis.cells import comparable
 from experiments.study import grid, store
-from experiments.study.cell import CellTask
 from experiments.study.experiment import shard
 from experiments.study.presets import PRESETS
 from experiments.study.run import Ended, attempt
@@ -26,18 +25,9 @@ from experiments.study.store import TRAINING, Store, load
 from experiments.support.errors import UserError
 from experiments.sweep import Options, cells_of, sweep
 from sumo_env.tasks import TASKS
+from tests.experiments.computed import TINY, compute, fingerprint, tasks_of
 from tests.experiments.fake_env import make_env
-from tests.processes import children, is_alive, wait_for
-
-ROOT = Path(__file__).resolve().parents[2]
-TINY = {
-    "preset": "smoke",
-    "tasks": ("u-turn",),
-    "updates": 150,
-    "network": "dueling",
-    "episodes": 3,
-    "workers": 2,
-}
+from tests.processes import ROOT, children, is_alive, python, started, wait_for
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -51,7 +41,7 @@ def no_report():
 
 
 def run(directory: Path, **options) -> int:
-    return sweep(Options(out=directory, **{**TINY, **options}), make_env=make_env)
+    return sweep(Options(out=directory, **{**TINY, "workers": 2, **options}), make_env=make_env)
 
 
 class Here(Executor):
@@ -67,11 +57,6 @@ class Here(Executor):
 def here(monkeypatch):
     """For tests that are not about processes."""
     monkeypatch.setattr("experiments.sweep.open_executor", lambda *_: (Here(), 1))
-
-
-def fingerprint(directory: Path) -> dict[str, dict[str, str]]:
-    """Checksums of all results, by cell: two sweeps that computed the same have the same."""
-    return {name: record["files"] for name, record in load(directory).cells.items()}
 
 
 @pytest.fixture(scope="module")
@@ -178,21 +163,11 @@ def test_a_cell_that_always_fails_leaves_the_others(reference, tmp_path, monkeyp
     assert fingerprint(tmp_path) == fingerprint(reference)
 
 
-def start(*command: str | Path) -> subprocess.Popen:
-    return subprocess.Popen(
-        [sys.executable, *map(str, command)],
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # tests in the background ignore it
-    )
-
-
 @pytest.mark.slow
 def test_a_killed_sweep_goes_on_where_it_was(reference, tmp_path):
     directory = tmp_path / "results"
-    process = start(ROOT / "tests/experiments/study/fake_sweep.py", directory, json.dumps(TINY))
+    options = json.dumps({**TINY, "workers": 2})
+    process = started(ROOT / "tests/experiments/study/fake_sweep.py", directory, options)
     wait_for(lambda: [*directory.glob("work/*/checkpoint.npz"), *directory.glob("cells/*")], 300)
     process.kill()
     process.communicate()
@@ -207,7 +182,7 @@ def test_a_stopped_sweep_says_how_to_go_on_and_leaves_no_process(tmp_path, numbe
     """To the process alone as by `kill`, and to the whole group as by a terminal or a scheduler."""
     directory = tmp_path / "results"
     command = [str(ROOT / "experiments/sweep.py"), "--preset", "smoke", "--out", str(directory)]
-    process = start(*command)
+    process = started(*command)
     wait_for(lambda: list(directory.glob("work/*/lock")), 300)
     workers = children(process.pid, "spawn_main")
     send(process.pid, number)
@@ -221,9 +196,9 @@ def test_a_stopped_sweep_says_how_to_go_on_and_leaves_no_process(tmp_path, numbe
 
 def test_neither_shards_nor_order_nor_company_change_anything(reference, tmp_path):
     """Every cell in this process, in another order."""
-    parts = [task for i in (2, 1) for task in tasks_of(tmp_path, f"{i}/2")]
-    for task in reversed(parts):
-        assert attempt(task) == Ended("done")
+    tasks = {task.name: task for task in tasks_of(tmp_path)}
+    parts = [shard([task.cell for task in tasks.values()], f"{i}/2") for i in (1, 2)]
+    compute(tasks[cell.name] for part in parts for cell in reversed(part))
     assert fingerprint(tmp_path) == fingerprint(reference)
 
 
@@ -252,17 +227,8 @@ def test_slurm_is_named_where_there_is_none(tmp_path, monkeypatch):
         run(tmp_path, executor="slurm")
 
 
-def tasks_of(directory: Path, part: str = "1/1") -> list[CellTask]:
-    cells = shard(cells_of(Options(out=directory, **TINY)), part)
-    return [CellTask(cell, directory, make_env) for cell in cells]
-
-
-def baselines(directory: Path) -> list[CellTask]:
-    return [task for task in tasks_of(directory) if task.cell.kind == "baseline"]
-
-
 def test_a_full_disk_stops_the_sweep_in_one_line_and_loses_nothing(tmp_path, monkeypatch):
-    first, second = baselines(tmp_path)[:2]
+    first, second, *_ = (task for task in tasks_of(tmp_path) if task.cell.kind == "baseline")
     attempt(first)
 
     def full(path, data):
@@ -281,7 +247,7 @@ def test_a_full_disk_stops_the_sweep_in_one_line_and_loses_nothing(tmp_path, mon
 
 def test_a_damaged_cell_is_named_put_aside_and_computed_again(reference, tmp_path, capsys, here):
     copy = tmp_path / "copy"
-    subprocess.run(["cp", "-r", str(reference), str(copy)], check=True)
+    shutil.copytree(reference, copy)
     cell = sorted((copy / "cells").iterdir())[0]
     (cell / store.EPISODES).write_bytes(b"PAR1")
     assert run(copy) == 0
@@ -302,15 +268,9 @@ def test_a_damaged_checkpoint_is_named_put_aside_and_the_training_begins_again(
     assert fingerprint(tmp_path) == fingerprint(reference)
 
 
-def command(*arguments: str, cwd: Path) -> subprocess.CompletedProcess:
-    line = [sys.executable, str(ROOT / "experiments/sweep.py"), *arguments]
-    return subprocess.run(line, cwd=cwd, capture_output=True, text=True, timeout=300)
-
-
 def test_the_command_works_from_any_directory(tmp_path):
-    result = command("--preset", "paper", "--dry-run", "--tasks", "highway,u-turn", cwd=tmp_path)
-    assert result.returncode == 0, result.stderr
-    assert "140 agents and 42 baselines" in result.stdout
+    arguments = ("--preset", "paper", "--dry-run", "--tasks", "highway,u-turn")
+    assert "140 agents and 42 baselines" in python(ROOT / "experiments/sweep.py", *arguments, cwd=tmp_path)
     assert not list(tmp_path.iterdir())
 
 

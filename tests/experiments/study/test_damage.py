@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import pickle
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -14,32 +12,20 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from experiments.study import store
-from experiments.study.cell import CellTask
-from experiments.study.run import Ended, attempt
+from experiments.study.run import attempt
 from experiments.study.store import load
 from experiments.support.errors import UserError
-from experiments.sweep import Options, cells_of
-from tests.experiments.fake_env import make_env
+from tests.experiments.computed import compute, fingerprint, tasks_of
+from tests.processes import python
 
 pytestmark = pytest.mark.slow
 
-ROOT = Path(__file__).resolve().parents[3]
-TINY = {"preset": "smoke", "tasks": ("u-turn",), "updates": 150, "episodes": 2, "network": "dueling"}
 PROPERTY = settings(
     max_examples=5,
     deadline=None,
     derandomize=True,
     suppress_health_check=[HealthCheck.function_scoped_fixture],
 )
-
-
-def tasks_of(directory: Path) -> list[CellTask]:
-    return [CellTask(cell, directory, make_env) for cell in cells_of(Options(out=directory, **TINY))]
-
-
-def files_of(directory: Path) -> dict[str, dict[str, str]]:
-    """Checksums of all results, by cell."""
-    return {name: record["files"] for name, record in load(directory).cells.items()}
 
 
 class Cut(Exception):
@@ -50,8 +36,7 @@ class Cut(Exception):
 def finished(tmp_path_factory) -> Path:
     """A directory with all cells finished."""
     directory = tmp_path_factory.mktemp("finished")
-    for task in tasks_of(directory):
-        assert attempt(task) == Ended("done")
+    compute(tasks_of(directory))
     store.Store(directory).write_sweep("sweep", [task.cell for task in tasks_of(directory)])
     return directory
 
@@ -127,7 +112,7 @@ def test_a_damaged_working_file_costs_at_most_the_cell(finished, interrupted, tm
     store.Store(directory).failures()
     ended = attempt(task)
     assert ended.state == "done", ended
-    assert files_of(directory)[task.name] == files_of(finished)[task.name]
+    assert fingerprint(directory)[task.name] == fingerprint(finished)[task.name]
     shutil.rmtree(directory)
 
 
@@ -155,8 +140,7 @@ def test_nothing_is_unpickled_from_a_file(finished, interrupted, tmp_path):
                 path.write_bytes(pickle.dumps(bomb))
         with pytest.raises(UserError):
             load(directory)
-        for task in tasks_of(directory):
-            assert attempt(task).state == "done"
+        assert {attempt(task).state for task in tasks_of(directory)} == {"done"}
     assert not trace.exists()
     np.load(
         directory / "damaged" / sorted(p.name for p in (directory / "damaged").iterdir())[0],
@@ -167,7 +151,6 @@ def test_nothing_is_unpickled_from_a_file(finished, interrupted, tmp_path):
 
 AUDIT = """
 import sys
-sys.path.insert(0, {root!r})
 from pathlib import Path
 found = []
 sys.addaudithook(lambda event, arguments: found.append(arguments) if event == "pickle.find_class" else None)
@@ -177,14 +160,11 @@ from tests.experiments.fake_env import make_env
 directory = Path(sys.argv[1])
 write_report(directory)
 for cell in sorted(directory.glob("cells/*")):
-    replay(Options(f"{{cell}}:risky:0", out=directory / "picture.png"), make_env)
+    replay(Options(f"{cell}:risky:0", out=directory / "picture.png"), make_env)
 print(found)
 """
 
 
 def test_report_and_replay_unpickle_nothing(finished, tmp_path):
     shutil.copytree(finished, tmp_path / "results")
-    command = [sys.executable, "-c", AUDIT.format(root=str(ROOT)), str(tmp_path / "results")]
-    result = subprocess.run(command, capture_output=True, text=True, timeout=300)
-    assert result.returncode == 0, result.stderr
-    assert result.stdout.splitlines()[-1] == "[]"
+    assert python("-c", AUDIT, tmp_path / "results").splitlines()[-1] == "[]"

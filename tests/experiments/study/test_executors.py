@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
-import sys
 
 import pytest
 
 from experiments.study.executors import open_executor
 from experiments.study.run import run
 from tests.experiments.study.misbehaving import STEPS, Sum
-from tests.experiments.study.test_run import ROOT, TOTAL, Witness, results
+from tests.experiments.study.test_run import TOTAL, Witness, results
+from tests.processes import python
 
 pytestmark = pytest.mark.slow
 
@@ -85,18 +84,17 @@ def test_ray_computes_and_retries_on_a_cluster_of_its_own(tmp_path, ray):
 NODES = """
 import os, sys
 from pathlib import Path
-sys.path.insert(0, {root!r})
 from ray.cluster_utils import Cluster
 from experiments.study.executors import open_executor
 from experiments.study.run import run
 from tests.experiments.study.misbehaving import Sum
 from tests.experiments.study.test_run import Witness
 
-cluster = Cluster(initialize_head=True, head_node_args={{"num_cpus": 1}})
+cluster = Cluster(initialize_head=True, head_node_args={"num_cpus": 1})
 second = cluster.add_node(num_cpus=1)
 os.environ["RAY_ADDRESS"] = cluster.address
 here = Path(sys.argv[1])
-tasks = [Sum(f"t{{number}}", here, pause=0.3) for number in range(8)]
+tasks = [Sum(f"t{number}", here, pause=0.3) for number in range(8)]
 
 class Killer(Witness):
     def tick(self, running):
@@ -117,14 +115,9 @@ cluster.shutdown()
 def test_a_ray_node_that_is_killed_costs_nothing_but_time(tmp_path):
     pytest.importorskip("ray")
     script = tmp_path / "nodes.py"
-    script.write_text(NODES.format(root=str(ROOT)))
-    result = subprocess.run(
-        [sys.executable, str(script), str(tmp_path)], capture_output=True, text=True, timeout=300
-    )
-    assert result.returncode == 0, result.stderr
-    assert "\n2 1 {} [(" in f"\n{result.stdout}", (
-        result.stdout
-    )  # two cores, one killed, none failed, some retried
+    script.write_text(NODES)
+    printed = python(script, tmp_path)
+    assert "\n2 1 {} [(" in f"\n{printed}", printed  # two cores, one killed, none failed, some retried
     tasks = [Sum(f"t{number}", tmp_path) for number in range(8)]
     assert results(tasks) == [TOTAL] * 8
     assert sum(len(task.tries()) for task in tasks) == 9

@@ -16,6 +16,7 @@ import pytest
 
 from experiments.analysis.analysis import analyse, as_json
 from experiments.study.store import load
+from tests.experiments.computed import fingerprint
 from tests.processes import children
 
 pytestmark = pytest.mark.slow  # whole sweeps in processes of their own, several times
@@ -40,10 +41,6 @@ def undisturbed(tmp_path_factory) -> tuple[Path, float]:
 @pytest.fixture(scope="module")
 def reference(undisturbed) -> Path:
     return undisturbed[0]
-
-
-def fingerprint(directory: Path) -> dict[str, dict[str, str]]:
-    return {name: record["files"] for name, record in load(directory).cells.items()}
 
 
 def analysis(directory: Path) -> str:

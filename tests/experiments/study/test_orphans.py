@@ -5,21 +5,17 @@ from __future__ import annotations
 import os
 import shlex
 import signal
-import subprocess
-import sys
 import time
 from pathlib import Path
 
 import pytest
 
-from tests.processes import children, is_alive, wait_for
+from tests.processes import ROOT, children, is_alive, started, wait_for
 
-ROOT = Path(__file__).resolve().parents[3]
 # Workers in a call into C that never gives the interpreter back, as in a compiler.
 HOLD = """
 import sys, time
 from pathlib import Path
-sys.path.insert(0, {root!r})
 if __name__ == "__main__":
     from experiments.study.executors import open_executor
     from tests.experiments.study.misbehaving import FAULTS, Sum
@@ -32,22 +28,12 @@ if __name__ == "__main__":
 """
 
 
-def start(*command: str) -> subprocess.Popen[str]:
-    return subprocess.Popen(
-        [sys.executable, *command],
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE,
-        text=True,
-        preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),  # tests in the background ignore it
-    )
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
 def test_workers_that_hold_the_interpreter_end_with_their_parent(tmp_path: Path, number: int) -> None:
     script = tmp_path / "driver.py"
-    script.write_text(HOLD.format(root=str(ROOT)))
-    process = start(str(script), str(tmp_path))
+    script.write_text(HOLD)
+    process = started(script, tmp_path)
     wait_for(lambda: len(list(tmp_path.glob("work/*/checkpoint"))) == 2, 60)
     time.sleep(0.5)  # until they are in the call
     found = children(process.pid, "spawn_main")
@@ -63,7 +49,7 @@ def test_workers_that_hold_the_interpreter_end_with_their_parent(tmp_path: Path,
 def test_workers_of_long_commands_end_with_them(tmp_path: Path, command: str, number: int) -> None:
     out = tmp_path / "out"
     arguments = ["--out", str(out), "--tasks", "highway"]
-    process = start(str(ROOT / "experiments" / f"{command}.py"), *arguments)
+    process = started(ROOT / "experiments" / f"{command}.py", *arguments)
     wait_for(lambda: len(children(process.pid, "spawn_main")) == 2 or process.poll() is not None, 300)
     time.sleep(3.0)  # until they drive
     found = children(process.pid, "spawn_main")

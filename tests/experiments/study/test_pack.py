@@ -11,36 +11,25 @@ import pandas as pd
 import pytest
 
 from experiments.study import packed, store
-from experiments.study.cell import CellTask
 from experiments.study.packed import CELLS, MANIFEST
-from experiments.study.run import Ended, attempt
 from experiments.study.store import load
 from experiments.support.errors import UserError
-from experiments.sweep import Options, cells_of, sweep
+from experiments.sweep import Options, sweep
+from tests.experiments.computed import TINY, compute, tasks_of
 from tests.experiments.fake_env import make_env
 
-TINY = {
-    "preset": "smoke",
-    "tasks": ("u-turn",),
-    "updates": 100,
-    "episodes": 2,
-    "network": "dueling",
-    "workers": 1,
-}
 
-
-def compute(directory: Path, **options: object) -> None:
-    """Compute the cells of a sweep in this process."""
-    cells = cells_of(Options(out=directory, **{**TINY, **options}))
-    store.Store(directory).write_sweep("sweep", cells)
-    for cell in cells:
-        assert attempt(CellTask(cell, directory, make_env)) == Ended("done")
+def sweep_of(directory: Path, **options: object) -> None:
+    """Compute the cells of a sweep, with its note."""
+    tasks = tasks_of(directory, **options)
+    store.Store(directory).write_sweep("sweep", [task.cell for task in tasks])
+    compute(tasks)
 
 
 @pytest.fixture(scope="module")
 def computed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     directory = tmp_path_factory.mktemp("computed") / "results"
-    compute(directory)
+    sweep_of(directory)
     return directory
 
 
@@ -51,7 +40,7 @@ def grown(computed: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     shutil.copytree(computed, directory)
     store.Store(directory).pack()
     shutil.rmtree(directory / "cells")
-    compute(directory, seeds=2)
+    sweep_of(directory, seeds=2)
     return directory
 
 
@@ -98,17 +87,11 @@ def test_a_sweep_goes_on_from_packed_cells(results: Path, capsys: pytest.Capture
     assert sweep(options, make_env=make_env) == 0
     [row] = [line.split() for line in capsys.readouterr().out.splitlines() if line.startswith("u-turn")]
     assert row[5] == str(len(before))  # are finished
-    compute(results, seeds=2, test_on=("replica",))
+    sweep_of(results, seeds=2, test_on=("replica",))
     found = content(results)
     new = set(found["cells"]) - before
-    assert sorted(cell["key"]["kind"] for name, cell in found["cells"].items() if name in new) == [
-        "agent",
-        "agent",
-        "test",
-        "test",
-        "test",
-        "test",
-    ]
+    kinds = sorted(cell["key"]["kind"] for name, cell in found["cells"].items() if name in new)
+    assert kinds == 2 * ["agent"] + 4 * ["test"]
     assert len(list((results / "cells").iterdir())) == len(new)
     assert set(store.Store(results).pack()) == new
     shutil.rmtree(results / "cells")
@@ -200,7 +183,7 @@ def test_cells_of_earlier_versions_have_no_actions_and_pack_with_others(results:
     del record["checksum"]
     (old / store.CELL).write_bytes(store.seal(record))
     before = content(results)
-    assert before["episodes"]["actions"].isna().sum() == 4
+    assert before["episodes"]["actions"].isna().sum() == 6
     store.Store(results).pack()
     shutil.rmtree(results / "cells")
     assert_same(content(results), before)

@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import copy
 import json
-import os
 import re
 import shutil
-import subprocess
-import sys
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -20,8 +17,8 @@ import pytest
 import sumo_env
 from sumo_env.config import ConfigError
 from sumo_env.replica.compiled import announced
+from tests.processes import ROOT, ended, python
 
-ROOT = Path(__file__).resolve().parents[3]
 TASKS = tuple(sumo_env.task_of(id) for id in sumo_env.REPLICA_IDS)
 FEW = {"highway": 2, "two-way": 6, "roundabout": 6, "intersection": 9, "u-turn": 6}
 EACH = 200  # episodes of each task in the long comparison
@@ -52,11 +49,9 @@ CONFIGS: dict[str, list[dict[str, Any]]] = {
 
 def differences(task: str, *runs: tuple[int, int, dict[str, Any]]) -> list[Any]:
     """Episodes that differ, found in a fresh process; a run is its first seed, its episodes and a configuration."""
-    command = [sys.executable, str(Path(__file__).with_name("same_seed.py")), task, json.dumps(runs)]
-    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
-    done = subprocess.run(command, capture_output=True, text=True, check=True, env=environment)
-    found: list[Any] = json.loads(done.stdout.splitlines()[-1])
-    return found
+    return json.loads(
+        python(Path(__file__).with_name("same_seed.py"), task, json.dumps(runs)).splitlines()[-1]
+    )
 
 
 @pytest.mark.slow
@@ -198,16 +193,11 @@ def test_compilation_is_announced_once_and_kept(tmp_path: Path) -> None:
     shutil.copytree(ROOT / "sumo_env", package, ignore=shutil.ignore_patterns("__pycache__", "networks"))
     shutil.copytree(ROOT / "networks", package / "networks", ignore=shutil.ignore_patterns("__pycache__"))
     code = "import gymnasium as gym; gym.make('sumo_env:replica/u-turn-v0').reset(seed=0)"
-    said = [
-        subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, cwd=tmp_path,
-                       env={**os.environ, "PYTHONPATH": str(tmp_path)}).stderr
-        for _ in range(2)
-    ]  # fmt: skip
+    said = [ended("-c", code, cwd=tmp_path, PYTHONPATH=str(tmp_path)).stderr for _ in range(2)]
     assert re.search(r"once for this installation.*\nsumo_env: compiled in \d+ s", said[0])
     assert "compile" not in said[1]
 
 
 def test_without_numba_the_error_says_what_to_install() -> None:
     code = "import sys; sys.modules['numba'] = None; import gymnasium as gym; gym.make('sumo_env:replica/highway-v0')"
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, cwd=ROOT)
-    assert "pip install 'sumo-risky-driving[replica]'" in done.stderr.splitlines()[-1]
+    assert "pip install 'sumo-risky-driving[replica]'" in ended("-c", code).stderr.splitlines()[-1]

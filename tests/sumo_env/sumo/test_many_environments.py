@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import subprocess
-import sys
 import textwrap
 from pathlib import Path
 
@@ -13,9 +10,8 @@ import pytest
 
 from sumo_env.env import DrivingEnv
 from sumo_env.sumo.process import SumoProcess
+from tests.processes import ended
 from tests.sumo_env.rollout import drive
-
-ROOT = Path(__file__).resolve().parents[3]
 
 CONFIG = {"vehicles_count": 5, "duration": 8}
 
@@ -25,22 +21,11 @@ def run(tmp_path: Path, script: str, from_stdin: bool = False) -> list[str]:
     text = f"CONFIG = {CONFIG}\n" + textwrap.dedent(script)
     file = tmp_path / "script.py"
     file.write_text(text)
-    command = [sys.executable, "-W", "ignore::UserWarning", *(["-"] if from_stdin else [str(file)])]
-    with subprocess.Popen(
-        command,
-        cwd=tmp_path,
-        env={**os.environ, "PYTHONPATH": str(ROOT), "TMPDIR": str(tmp_path)},
-        stdin=subprocess.PIPE if from_stdin else subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-    ) as process:
-        # standard output is inherited by workers, so this also waits for their end
-        out, errors = process.communicate(text if from_stdin else None, timeout=300)
-    assert process.returncode == 0, errors
-    assert "Traceback" not in errors, errors
+    words = ("-W", "ignore::UserWarning", "-" if from_stdin else file)
+    done = ended(*words, cwd=tmp_path, stdin=text if from_stdin else "", TMPDIR=str(tmp_path))
+    assert done.returncode == 0 and "Traceback" not in done.stderr, done.stderr
     assert [path.name for path in tmp_path.iterdir() if path.name.startswith("sumo_env-")] == []
-    return out.splitlines()[-1].split()
+    return done.stdout.splitlines()[-1].split()
 
 
 # -- equal values ------------------------------------------------------------------------------------------

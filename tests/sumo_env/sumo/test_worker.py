@@ -6,7 +6,6 @@ import gc
 import os
 import signal
 import subprocess
-import sys
 import tempfile
 import threading
 import time
@@ -17,9 +16,9 @@ import numpy as np
 import pytest
 
 from sumo_env.config import ConfigError
-from sumo_env.simulator import Simulator, SimulatorError
+from sumo_env.simulator import SimulatorError
 from sumo_env.sumo.process import SimulatorDied, SumoProcess, open_simulator
-from tests.processes import ROOT, descriptors, ends, is_alive, python, wait_for
+from tests.processes import descriptors, ends, is_alive, python, started, wait_for
 from tests.sumo_env.sumo.fake import (
     COMMAND,
     CONFIG_ERROR,
@@ -66,11 +65,6 @@ def nothing_is_left(
 def temporary(folder: Path) -> list[str]:
     """Temporary folders of workers."""
     return [name for name in os.listdir(folder) if name.startswith("sumo_env-")]
-
-
-def pid_of(simulator: SumoProcess) -> int:
-    assert simulator.pid is not None
-    return simulator.pid
 
 
 # -- the protocol ------------------------------------------------------------------------------------------
@@ -157,7 +151,7 @@ def test_a_killed_worker_is_told_and_replaced() -> None:
     simulator = SumoProcess(FAKE)
     simulator.reset(scenario(7))
     simulator.step(COMMAND)
-    old = pid_of(simulator)
+    old = simulator.pid
     os.kill(old, signal.SIGKILL)
     with pytest.raises(
         SimulatorDied,
@@ -167,7 +161,7 @@ def test_a_killed_worker_is_told_and_replaced() -> None:
     with pytest.raises(SimulatorDied, match=r"seed 7, risk 0.5\) has ended; call reset"):
         simulator.step(COMMAND)
     simulator.reset(scenario(8))
-    assert pid_of(simulator) != old
+    assert simulator.pid != old
     assert simulator.step(COMMAND).scene.time == 1.0
     simulator.close()
 
@@ -182,7 +176,7 @@ def test_a_crash_of_the_simulator_is_told() -> None:
 def test_a_worker_that_died_before_a_reset_is_replaced_silently() -> None:
     simulator = SumoProcess(FAKE)
     simulator.reset(scenario())
-    os.kill(pid_of(simulator), signal.SIGKILL)
+    os.kill(simulator.pid, signal.SIGKILL)
     simulator.reset(scenario())
     assert simulator.step(COMMAND).scene.time == 1.0
     simulator.close()
@@ -199,7 +193,7 @@ def test_a_scenario_that_kills_every_worker_is_an_error() -> None:
 def test_a_silent_worker_is_killed() -> None:
     simulator = SumoProcess(FAKE)
     simulator.reset(scenario(HANGS))
-    pid = pid_of(simulator)
+    pid = simulator.pid
     simulator.timeout = 0.2  # [s]
     with pytest.raises(SimulatorDied, match=r"gave no answer for 0\.2 s in step 1"):
         simulator.step(COMMAND)
@@ -228,7 +222,7 @@ def test_closing_ends_the_worker_and_may_be_repeated() -> None:
     simulator = SumoProcess(FAKE)
     simulator.close()
     simulator.reset(scenario())
-    pid = pid_of(simulator)
+    pid = simulator.pid
     simulator.close()
     simulator.close()
     assert not is_alive(pid)
@@ -239,7 +233,7 @@ def test_closing_ends_the_worker_and_may_be_repeated() -> None:
 def test_a_forgotten_simulator_ends_its_worker() -> None:
     simulator = SumoProcess(FAKE)
     simulator.reset(scenario())
-    pid = pid_of(simulator)
+    pid = simulator.pid
     del simulator
     gc.collect()
     assert not is_alive(pid)
@@ -258,16 +252,7 @@ def run(tmp_path: Path, script: str) -> subprocess.Popen[str]:
         "    simulator.step(COMMAND)\n"
         "print(*[one.pid for one in simulators[1:]], flush=True)\n" + script
     )
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), "TMPDIR": str(tmp_path)}
-    pipe = subprocess.PIPE
-    return subprocess.Popen(
-        [sys.executable, str(file)],
-        env=environment,
-        stdout=pipe,
-        stderr=pipe,
-        text=True,
-        start_new_session=True,
-    )
+    return started(file, TMPDIR=str(tmp_path))
 
 
 def pids(script: subprocess.Popen[str]) -> list[int]:
@@ -276,7 +261,6 @@ def pids(script: subprocess.Popen[str]) -> list[int]:
 
 
 def line(script: subprocess.Popen[str]) -> str:
-    assert script.stdout is not None
     read, byte = "", ""
     while byte != "\n":
         byte = os.read(script.stdout.fileno(), 1).decode()
@@ -317,8 +301,7 @@ def test_ctrl_c_in_the_terminal_ends_the_script_alone(tmp_path: Path, body: str)
 # -- who has the simulation of this process ----------------------------------------------------------------
 
 
-def in_this_process(simulator: Simulator) -> bool:
-    assert isinstance(simulator, SumoProcess)
+def in_this_process(simulator: SumoProcess) -> bool:
     return simulator.pid is None
 
 

@@ -1,0 +1,39 @@
+"""Sweeps of the fake environment that are computed in this process, cell by cell."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Any
+
+from experiments.study.cell import CellTask
+from experiments.study.run import Ended, attempt
+from experiments.study.store import Store
+from experiments.sweep import Options, cells_of
+from tests.experiments.fake_env import make_env
+
+TINY: dict[str, Any] = {
+    "preset": "smoke",
+    "tasks": ("u-turn",),
+    "updates": 150,
+    "network": "dueling",
+    "episodes": 3,
+}
+
+
+def tasks_of(directory: Path, **options: Any) -> list[CellTask]:
+    """The cells of a sweep that is tiny but for these options."""
+    return [
+        CellTask(cell, directory, make_env)
+        for cell in cells_of(Options(out=directory, **{**TINY, **options}))
+    ]
+
+
+def compute(tasks: Iterable[CellTask]) -> None:
+    for task in tasks:
+        assert attempt(task) == Ended("done")
+
+
+def fingerprint(directory: Path) -> dict[str, dict[str, str]]:
+    """Checksums of all results, by cell: two sweeps that computed the same have the same."""
+    return {name: record["files"] for name, record in Store(directory).records().items()}

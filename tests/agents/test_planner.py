@@ -46,7 +46,7 @@ class Road(gym.Env[np.ndarray, int]):
         twin = Road(self.strikes_at, self.places)
         twin.place, twin.steps = self.place, self.steps
         self.open_copies.add(id(twin))
-        memo["kept", id(twin)] = twin  # type: ignore[index]
+        memo["kept", id(twin)] = twin
         return twin
 
     def imagine(self, seed: int) -> Road:

@@ -109,9 +109,7 @@ def test_an_interrupted_training_goes_on_bit_for_bit(tmp_path: Path, moments: tu
     assert_equal(expected, actual)
 
 
-def test_a_kill_while_writing_leaves_the_old_checkpoint(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_kill_while_writing_leaves_the_old_checkpoint(tmp_path, monkeypatch) -> None:
     file = tmp_path / "checkpoint.npz"
     train(Road(), replace(SMALL, updates=40), 0, checkpoint=file)
     before = file.read_bytes()
@@ -136,9 +134,7 @@ def test_a_kill_while_writing_leaves_the_old_checkpoint(
         ({"reset_options": {"config": {"noise": 2.0}}}, "reset_options"),
     ],
 )
-def test_a_checkpoint_of_another_training_is_refused(
-    tmp_path: Path, changed: dict[str, Any], message: str
-) -> None:
+def test_a_checkpoint_of_another_training_is_refused(tmp_path, changed: dict[str, Any], message: str) -> None:
     arguments: dict[str, Any] = {"config": SMALL, "seed": 0, "checkpoint": tmp_path / "checkpoint.npz"}
     with pytest.raises(Interrupted):
         train(Road(), **arguments, checkpoint_interval=20, progress=_interrupt)

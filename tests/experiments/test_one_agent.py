@@ -39,9 +39,7 @@ def test_the_agent_is_an_ordinary_cell(trained: Path) -> None:
     assert min(picture.size) > 200
 
 
-def test_the_curve_is_printed_while_it_learns(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
-) -> None:
+def test_the_curve_is_printed_while_it_learns(tmp_path, monkeypatch, capsys) -> None:
     monkeypatch.setitem(PRESETS, "quick", replace(PRESETS["smoke"], preset="quick"))
     options = train.Options(out=tmp_path, risk="0", updates=200)
     train.train(options, [])

@@ -106,7 +106,6 @@ class TestReport:
     def test_a_stored_analysis_is_read_as_it_was_written(self, directory):
         analysis = analyse(load(directory))
         again = stored(directory / "analysis.json")
-        assert again is not None
         for name in ("means", "claims", "gates", "slopes", "policies"):
             frame = getattr(again, name).astype(getattr(analysis, name).dtypes)
             pd.testing.assert_frame_equal(frame, getattr(analysis, name), rtol=1e-11)

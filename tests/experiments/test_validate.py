@@ -26,4 +26,4 @@ def test_the_command_writes_what_it_found(tmp_path: Path, capsys: pytest.Capture
     for item in missed(record):
         assert item["where"] in page and item["where"] in printed
     known = verdict.read(tmp_path / "validation.json")
-    assert known is not None and known["fingerprints"] == record["fingerprints"]
+    assert known["fingerprints"] == record["fingerprints"]

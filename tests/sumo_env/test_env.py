@@ -64,15 +64,14 @@ def test_ids_can_be_made_without_an_import() -> None:
 
 
 def test_spec_makes_the_same_environment_again(highway: gym.Env[Any, Any]) -> None:
-    assert highway.spec is not None
     again = highway.spec.make()
-    assert again.unwrapped.config == highway.unwrapped.config  # type: ignore[attr-defined]
+    assert again.unwrapped.config == highway.unwrapped.config
 
 
 @pytest.mark.parametrize("id", sumo_env.IDS)
 def test_an_episode_ends_within_its_duration(id: str) -> None:
     env = gym.make(id)
-    duration = env.unwrapped.config["duration"]  # type: ignore[attr-defined]
+    duration = env.unwrapped.config["duration"]
     for seed in range(3):
         results = list(drive(env, seed=seed))
         for _, reward, terminated, _, info in results:
@@ -120,7 +119,6 @@ def test_crowded_two_way_roads_are_filled() -> None:
     """No draw of so many places is free of overlaps by chance; the scenario is drawn all the same."""
     env = DrivingEnv("two-way", {"vehicles_count": 100})
     env.reset(seed=0)
-    assert env.scenario is not None
     places = sorted(spec.s for spec in env.scenario.vehicles if spec.lane == ("a", "b", 1))
     assert len(places) == 100
     assert min(np.diff(places)) > 6.0
@@ -140,9 +138,7 @@ def test_a_key_of_the_configuration_as_an_argument_is_named(make: Any) -> None:
 def test_reset_takes_a_configuration(highway: gym.Env[Any, Any]) -> None:
     highway.reset(seed=0, options={"config": {"risk": 1.0, "lanes_count": 2}})
     env = highway.unwrapped
-    assert isinstance(env, DrivingEnv)
     assert env.config["risk"] == 1.0
-    assert env.scenario is not None
     assert env.scenario.risk == 1.0
     highway.reset(seed=0)  # it stays
     assert env.config["lanes_count"] == 2
@@ -150,15 +146,12 @@ def test_reset_takes_a_configuration(highway: gym.Env[Any, Any]) -> None:
 
 def test_reset_takes_risk_and_calibration_for_one_episode(highway: gym.Env[Any, Any]) -> None:
     env = highway.unwrapped
-    assert isinstance(env, DrivingEnv)
     risky = {"config": {"risk": 1.0}}
     highway.reset(seed=0, options=risky)
     before = env.scenario
-    assert before is not None
     rates = {"cut_in": 0.0, "brake": 0.9, "surge": 0.0}
     highway.reset(seed=0, options={**risky, "risk_rates": rates, "calibration": {"tau": 2.0}})
     changed = env.scenario
-    assert changed is not None
     assert {event.kind for event in changed.events} == {"brake"} != {event.kind for event in before.events}
     assert (changed.ego, changed.vehicles) == (
         before.ego,
@@ -167,7 +160,6 @@ def test_reset_takes_risk_and_calibration_for_one_episode(highway: gym.Env[Any, 
     name, driver = changed.vehicles[0].id, changed.vehicles[0].driver
     assert libsumo.vehicle.getTau(name) == pytest.approx(2.0 * driver.tau, abs=1e-6)
     highway.reset(seed=0, options={"risk_ranges": {"tau": [0.1, 0.1]}})
-    assert env.scenario is not None
     assert all(spec.driver.tau == pytest.approx(0.15) for spec in env.scenario.vehicles)
     highway.reset(seed=0)  # as it was
     assert env.scenario == before
@@ -182,9 +174,7 @@ def test_reset_takes_risk_and_calibration_for_one_episode(highway: gym.Env[Any, 
         ({"calibration": {"tau": 2.0}, "scenario": None}, "either 'scenario' or"),
     ],
 )
-def test_a_wrong_option_of_reset_is_named(
-    highway: gym.Env[Any, Any], options: dict[str, Any], message: str
-) -> None:
+def test_a_wrong_option_of_reset_is_named(highway, options, message) -> None:
     with pytest.raises(ConfigError, match=message):
         highway.reset(seed=0, options=options)
 
@@ -192,12 +182,10 @@ def test_a_wrong_option_of_reset_is_named(
 def test_the_configuration_may_be_written_to(highway: gym.Env[Any, Any]) -> None:
     """As highway-env's users do; it counts from the next reset."""
     env = highway.unwrapped
-    assert isinstance(env, DrivingEnv)
     env.config["observation"]["vehicles_count"] = 7
     env.config["vehicles_count"] = 3
     observation, _ = highway.reset(seed=0)
     assert observation.shape == (7, 5)
-    assert env.scenario is not None
     assert len(env.scenario.vehicles) == 3
 
 

@@ -30,7 +30,7 @@ def driven(env: gym.Env[Any, Any], action: int) -> DrivingEnv:
     """The environment at the end of an episode."""
     for _ in drive(env, action, seed=1):
         pass
-    return env.unwrapped  # type: ignore[return-value]
+    return env.unwrapped
 
 
 def distances(recorded: Rows, shown: Rows, later: float = 0.0) -> dict[str, float]:
@@ -90,7 +90,6 @@ def test_sumo_drives_the_traffic_again(task: str, tmp_path: Path) -> None:
     action, config = CASES[task]
     env = driven(gym.make(f"sumo/{task}-v0", config={**config, "risk": 0.0}), action)
     env.export(tmp_path)
-    assert env.scenario is not None
     recorded, shown = floating_car_data(tmp_path / "recorded.fcd.xml"), opened(tmp_path / "traffic.sumocfg")
     gaps = distances(recorded, shown, later=env.scenario.warm_up)
     assert gaps["ego"] < 0.1

@@ -88,9 +88,7 @@ def highway() -> Iterator[DrivingEnv]:
 
 
 @pytest.mark.parametrize("task", ORIGINALS)
-def test_the_whole_configuration_of_highway_env_is_accepted(
-    task: str, recwarn: pytest.WarningsRecorder
-) -> None:
+def test_the_whole_configuration_of_highway_env_is_accepted(task: str, recwarn) -> None:
     """In silence, and what it says is what the environment then has."""
     theirs = ORIGINALS[task].default_config()
     env = DrivingEnv(task, theirs)
@@ -111,7 +109,7 @@ def test_configurations_of_rl_agents_are_accepted(name: str, recwarn: pytest.War
     task, config = RL_AGENTS[name]
     env = gym.make(f"sumo/{task}-v0", render_mode="rgb_array")
     file = json.dumps({"id": f"{task}-v0", "import_module": "highway_env", **config})
-    env.unwrapped.configure(json.loads(file))  # type: ignore[attr-defined]
+    env.unwrapped.configure(json.loads(file))
     observation, _ = env.reset()
     assert env.observation_space.contains(observation)  # of the wrapped environment
     env.close()
@@ -153,7 +151,7 @@ def test_numbers_may_be_numpys() -> None:
     json.dumps(env.config)
     env.config["vehicles_count"] = np.int16(4)
     env.reset(seed=0)
-    assert env.scenario is not None and len(env.scenario.vehicles) == 4
+    assert len(env.scenario.vehicles) == 4
     env.close()
 
 
@@ -161,7 +159,7 @@ def test_coarse_steps_are_refined() -> None:
     """With steps of half a second, cars would pass through each other."""
     env = DrivingEnv("highway", {"simulation_frequency": 2, "policy_frequency": 2, "duration": 2})
     env.reset(seed=0)
-    assert env.scenario is not None and env.scenario.simulation_frequency == 6
+    assert env.scenario.simulation_frequency == 6
     assert [env.step(1)[3] for _ in range(4)] == [False, False, False, True]
     assert env.scene.time == pytest.approx(2.0)
     env.close()
@@ -228,7 +226,6 @@ def test_methods_that_would_never_be_called_are_refused(method: str, message: st
 @pytest.mark.parametrize("id", sumo_env.IDS)
 def test_vehicles_and_road_can_be_read(id: str) -> None:
     env = gym.make(id).unwrapped
-    assert isinstance(env, DrivingEnv)
     env.reset(seed=0)
     for _ in range(2):
         env.step(1)
@@ -246,11 +243,11 @@ def test_vehicles_and_road_can_be_read(id: str) -> None:
 
 def test_what_is_read_cannot_be_written(highway: DrivingEnv) -> None:
     with pytest.raises(AttributeError, match="'speed' can only be read"):
-        highway.vehicle.speed = 30.0  # type: ignore[misc]
+        highway.vehicle.speed = 30.0
     with pytest.raises(ValueError, match="read-only"):
         highway.vehicle.position[0] = 0.0
     with pytest.raises(AttributeError, match="no attribute 'append'"):
-        highway.road.vehicles.append(highway.vehicle)  # type: ignore[attr-defined]
+        highway.road.vehicles.append(highway.vehicle)
 
 
 def test_available_actions_are_those_that_change_something(highway: DrivingEnv) -> None:
@@ -261,7 +258,7 @@ def test_available_actions_are_those_that_change_something(highway: DrivingEnv) 
         names[n] for n in ("IDLE", "LANE_RIGHT", "FASTER", "SLOWER")
     ]
     highway.step(names["FASTER"])
-    assert highway.vehicle.target_speed == 30.0  # type: ignore[attr-defined]
+    assert highway.vehicle.target_speed == 30.0
     available = highway.action_type.get_available_actions()
     assert sorted(available) == [names[n] for n in ("IDLE", "LANE_RIGHT", "SLOWER")]
 

@@ -108,7 +108,6 @@ def test_a_task_is_registered_and_driven() -> None:
     seen = episode(first)
     np.testing.assert_array_equal(episode(second), seen)
     env = first.unwrapped
-    assert isinstance(env, DrivingEnv)
     env.reset(seed=0)
     *_, info = env.step(1)
     assert info["rewards"] == {"progress": env.ego_state.s / 100.0}
@@ -214,9 +213,7 @@ def test_lorries_of_their_own_size(tmp_path: Path) -> None:
         ({"tau": -1.0}, "tau of 'odd' must be a number at least 0, not -1"),
     ],
 )
-def test_attributes_that_sumo_would_ignore_or_refuse_are_named(
-    attributes: dict[str, Any], message: str
-) -> None:
+def test_attributes_that_sumo_would_ignore_or_refuse_are_named(attributes, message) -> None:
     with pytest.raises(ValueError, match=message):
         drivers("highway", 0.0)[0].like("odd", attributes)
 
@@ -252,7 +249,7 @@ def test_mistakes_in_a_task_of_ones_own_are_named() -> None:
 
 def test_a_class_in_place_of_a_task_is_named() -> None:
     with pytest.raises(ConfigError, match=r"not its class: Highway\(\)"):
-        DrivingEnv(Highway)  # type: ignore[arg-type]
+        DrivingEnv(Highway)
     with pytest.raises(TypeError, match=r"Highway\(\)"):
         sumo_env.register("test/class-v0", Highway)
 
@@ -298,12 +295,12 @@ def test_a_generated_network_is_driven(blocks: Path, risk: float) -> None:
     check_env(env, skip_render_check=True)
     first = episode(env, 1, seed=3)
     np.testing.assert_array_equal(episode(env, 1, seed=3), first)
-    assert env.scenario is not None and (len(env.scenario.events) > 0) == (risk > 0)
+    assert (len(env.scenario.events) > 0) == (risk > 0)
     other = SumoDrivingEnv(blocks, ROUTES, EGO, config)  # in a worker
     env.reset(seed=0)
     np.testing.assert_array_equal(episode(other, 1, seed=3), first)
     picture = env.render()
-    assert picture is not None and len(np.unique(picture.reshape(-1, 3), axis=0)) > 4
+    assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 4
     other.close()
     env.close()
 
@@ -325,7 +322,6 @@ def test_a_network_written_by_hand_with_its_demand(merge: Path) -> None:
             seen.setdefault(vehicle.id, env.scene.time)
     assert {"ego", "first", "late", "stream.0"} <= set(seen)
     assert 3.0 <= seen["late"] <= 4.0  # at the first policy step after 2.5 s
-    assert env.scenario is not None
     (lorry,) = (spec for spec in env.scenario.vehicles if spec.id == "first")
     assert dict(lorry.driver.attributes)["carFollowModel"] == "Krauss"
     assert lorry.lane == files.lane("main", 1)  # SUMO's lane 0 is the right one
@@ -340,7 +336,7 @@ def test_a_crash_on_a_network_is_recorded_and_exported(blocks: Path, tmp_path: P
         episode(env, 3, seed)
         if env.vehicle.crashed:
             break
-    assert env._last.crash is not None and env._last.crash.other in env.scene.ids
+    assert env._last.crash.other in env.scene.ids
     env.export(tmp_path)
     shown = {name for cars in opened(tmp_path / "episode.sumocfg").values() for name in cars}
     assert set(env.scene.ids) <= shown
@@ -390,9 +386,7 @@ def test_what_cannot_be_driven_is_named(blocks: Path, change: dict[str, Any], me
         ('<route id="r" edges="main"><stop lane="main_0" duration="9"/></route>', "stops"),
     ],
 )
-def test_what_a_route_file_cannot_say_is_named(
-    merge: Path, tmp_path: Path, element: str, message: str
-) -> None:
+def test_what_a_route_file_cannot_say_is_named(merge: Path, tmp_path, element: str, message: str) -> None:
     demand = tmp_path / "wrong.rou.xml"
     demand.write_text(f"<routes>{element}</routes>")
     with pytest.raises(ConfigError, match=message):

@@ -72,9 +72,7 @@ class TestEffects:
             )
         assert set(rows["family"]) == {"safety", "harm", "paper", ""}
 
-    def test_the_interval_at_the_familys_level_excludes_zero_only_where_holm_rejects(
-        self, analysis: Analysis
-    ) -> None:
+    def test_the_interval_at_the_familys_level_excludes_zero_only_where_holm_rejects(self, analysis) -> None:
         rows = analysis.effects[analysis.effects["low_family"].notna()]
         excluded = (rows["low_family"] > 0) | (rows["high_family"] < 0)
         assert len(rows) and (rows.loc[excluded, "p_adjusted"] < 0.05).all()
@@ -170,9 +168,7 @@ class TestMeans:
     def test_returns_of_different_tasks_are_not_averaged(self, analysis: Analysis) -> None:
         assert set(analysis.means.query("outcome == 'return'")["scope"]) == {"highway", "u-turn"}
 
-    def test_agents_that_fail_the_gates_are_left_out_of_one_variant(
-        self, results: Results, analysis: Analysis
-    ) -> None:
+    def test_agents_that_fail_the_gates_are_left_out_of_one_variant(self, results, analysis) -> None:
         mean = find(analysis.means, scope="agents that pass the gates", outcome="crashed", term="risky")
         assert (mean["seeds_arm"], mean["seeds_against"]) == (18, 18)
 
@@ -183,9 +179,7 @@ class TestMeans:
         assert len(learnt(rows, 0.5)) == 5
         assert learnt(rows.assign(passed=rows["arm"] == "treatment"), 0.5) == set()
 
-    def test_the_careful_driver_is_compared_scenario_by_scenario(
-        self, results: Results, analysis: Analysis
-    ) -> None:
+    def test_the_careful_driver_is_compared_scenario_by_scenario(self, results, analysis) -> None:
         rows = results.episodes.query("task == 'highway' and level == 1 and traffic == 'risky'")
         crashed = rows["crashed"].astype(float)
         careful = crashed[rows["policy"] == "careful"].mean()

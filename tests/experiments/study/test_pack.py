@@ -137,9 +137,7 @@ def test_an_unknown_or_damaged_manifest_is_named(results: Path, manifest: str, m
 
 
 @pytest.mark.parametrize("writes", [0, 1, 2, 3])
-def test_what_was_packed_before_survives_a_kill_while_packing(
-    grown: Path, tmp_path: Path, writes: int, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_was_packed_before_survives_a_kill_while_packing(grown, tmp_path, writes, monkeypatch) -> None:
     results = tmp_path / "results"
     shutil.copytree(grown, results)
     before = content(results)
@@ -161,9 +159,7 @@ def test_what_was_packed_before_survives_a_kill_while_packing(
     assert_same(content(results), before)
 
 
-def test_what_does_not_read_back_equal_is_not_believed(
-    results: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_what_does_not_read_back_equal_is_not_believed(results: Path, monkeypatch) -> None:
     to_parquet = packed.as_parquet
     monkeypatch.setattr(
         packed, "as_parquet", lambda table: to_parquet(table.assign(length=1) if "length" in table else table)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from pathlib import Path
 
 import pytest
 
@@ -17,9 +16,7 @@ EPISODES = 3
 
 
 @pytest.mark.parametrize(("arm", "dose"), [("control", 0.0), ("treatment", 1.0)])
-def test_an_arm_differs_by_the_traffic_of_its_training_alone(
-    arm: str, dose: float, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_an_arm_differs_by_the_traffic_of_its_training_alone(arm, dose, tmp_path, monkeypatch) -> None:
     met: list[tuple[int, float]] = []
     reset = FakeEnv.reset
 

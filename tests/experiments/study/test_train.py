@@ -39,9 +39,7 @@ class Interrupted(Exception):
 
 
 @pytest.mark.parametrize("arm", ["mixed", "drawn"])
-def test_a_drawn_dose_is_met_logged_and_the_same_after_an_interruption(
-    arm: str, tmp_path: Path, monkeypatch
-) -> None:
+def test_a_drawn_dose_is_met_logged_and_the_same_after_an_interruption(arm, tmp_path, monkeypatch) -> None:
     met = []
     reset = FakeEnv.reset
 

@@ -35,7 +35,7 @@ def driven(env: UnseenRisk) -> tuple[float, ...]:
         env.reset(seed=seed)
         for _ in range(5):
             env.step(4)
-        places += np.round(env.unwrapped.scene.x, 2).tolist()  # type: ignore[attr-defined]
+        places += np.round(env.unwrapped.scene.x, 2).tolist()
     return tuple(places)
 
 

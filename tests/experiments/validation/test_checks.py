@@ -109,7 +109,6 @@ def test_a_task_passes_if_no_check_is_missed() -> None:
 def test_recomputed_episodes_are_counted_and_the_exceptions_listed() -> None:
     truth = episodes(checks.TRUTH).assign(length=lambda t: t["length"].where(t["scenario"] != 7, 9))
     found = checks.replica_checks(pd.concat([episodes(REFERENCE), truth[truth["ego"] == "idle"]]))
-    assert found is not None
     assert found["tasks"]["u-turn"]["episodes"] == 40
     assert found["tasks"]["u-turn"]["differing"] == 1
     assert found["tasks"]["u-turn"]["verdict"] == "missed"  # 1 in 40 is more than 1 %

@@ -37,7 +37,6 @@ def stored(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 def test_a_stored_verdict_holds_for_the_same_dynamics(stored: Path) -> None:
     known = status.stored_verdict(KNOWN)
-    assert known is not None
     assert known["tasks"]["u-turn"]["passed"] is False
     assert "crash rate" in {item["name"] for item in known["tasks"]["u-turn"]["missed"]}
 
@@ -66,15 +65,12 @@ def test_a_validation_beside_the_results_is_used(tmp_path: Path) -> None:
     now = {"u-turn": fingerprint("sumo", "u-turn")}
     (tmp_path / "validation.json").write_text(json.dumps({**full_record(compared()), "fingerprints": now}))
     known = status.before_training("sumo", ["u-turn"], tmp_path)
-    assert known is not None
     assert known["source"].startswith("40 scenarios")
     assert known["tasks"]["u-turn"]["passed"] is True and known["tasks"]["u-turn"]["counts"]["missed"] == 0
     assert not (tmp_path / "verdict.json").exists()
 
 
-def test_without_anything_to_compare_with_there_is_no_verdict(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_without_anything_to_compare_with_there_is_no_verdict(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(status, "VERDICT", tmp_path / "nothing.json")
     monkeypatch.setattr(status, "STORED_REFERENCE", tmp_path / "nothing.parquet")
     assert status.before_training("sumo", ["u-turn"], tmp_path) is None
@@ -82,9 +78,7 @@ def test_without_anything_to_compare_with_there_is_no_verdict(
 
 
 @pytest.mark.slow
-def test_other_dynamics_are_driven_through_the_stored_scenarios(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_other_dynamics_are_driven_through_the_stored_scenarios(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(status, "VERDICT", tmp_path / "nothing.json")
     monkeypatch.setattr(status, "STORED_REFERENCE", tmp_path / "reference.parquet")
     engine = Engine(REFERENCE, "sumo", egos=("idle", "careful"))
@@ -93,7 +87,6 @@ def test_other_dynamics_are_driven_through_the_stored_scenarios(
     out = tmp_path / "sweep"
     out.mkdir()
     known = status.before_training("sumo", ["u-turn"], out, 1)
-    assert known is not None
     assert known["source"] == "4 stored scenarios"
     assert known["tasks"]["u-turn"]["passed"] is True  # SUMO is compared with itself here
     assert verdict.of_results(out) == known

@@ -49,7 +49,7 @@ def test_record_is_in_the_frame_of_the_ego() -> None:
     assert (record.type, record.detected_by) == ("junction", "both")
     assert CrashRecord(**record.as_dict()) == record
     with pytest.raises(dataclasses.FrozenInstanceError):
-        record.time = 0.0  # type: ignore[misc]
+        record.time = 0.0
 
 
 IDS = ("ego", "v0", "v1")
@@ -65,7 +65,7 @@ def look(detector: CrashDetector, before, after, reported=(), time: float = 2.0)
 def test_the_geometry_alone_makes_a_crash_of_the_moment_of_the_touch() -> None:
     standing = [FAR, state(6.0, 0.0)]
     crash = look(CrashDetector(), standing, standing)
-    assert crash is not None and (crash.other, crash.detected_by, crash.type) == (
+    assert (crash.other, crash.detected_by, crash.type) == (
         "v1",
         "geometry",
         "rear-end",
@@ -93,17 +93,17 @@ def test_who_is_not_near_does_not_count_reported_or_not() -> None:
 def test_both_may_see_a_crash_in_the_same_sub_step_or_one_later() -> None:
     standing = [FAR, state(6.0, 0.0)]
     same = look(CrashDetector(), standing, standing, reported={"v1"})
-    assert same is not None and same.detected_by == "both"
+    assert same.detected_by == "both"
 
     sumo_first = CrashDetector()
     nearly = [FAR, state(8.0, 0.0)]
     assert look(sumo_first, nearly, nearly, reported={"v1"}) is None  # still a metre apart
     crash = look(sumo_first, standing, standing)
-    assert crash is not None and crash.detected_by == "both"
+    assert crash.detected_by == "both"
 
     geometry_first = CrashDetector()
     crash = look(geometry_first, standing, standing)
-    assert crash is not None and crash.detected_by == "geometry"
+    assert crash.detected_by == "geometry"
     assert look(geometry_first, standing, standing, reported={"v0"}) == crash  # another vehicle
     later = look(geometry_first, standing, standing, reported={"v1"}, time=2.1)
     assert later == geometry_first.crash == dataclasses.replace(crash, detected_by="both")

@@ -74,7 +74,7 @@ def episodes(task: str, number: int) -> Iterator[tuple[Truth, DrivingEnv, list[S
         trace.extend(step.trace)
         return step
 
-    env._simulator.step = recorded  # type: ignore[method-assign]
+    env._simulator.step = recorded
     rng = np.random.default_rng(0)
     for seed in range(number):
         env.reset(seed=seed, options={"config": {"risk": float(seed % 2)}})

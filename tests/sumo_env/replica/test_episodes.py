@@ -34,9 +34,7 @@ def test_so_are_episodes_among_linear_drivers(task: str) -> None:
 
 @pytest.mark.long
 @pytest.mark.parametrize("task", TASKS)
-def test_99_percent_of_a_thousand_episodes_are_those_of_highway_env(
-    task: str, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_99_percent_of_a_thousand_episodes_are_those_of_highway_env(task: str, capsys) -> None:
     """Poses and speeds within 1e-6 after every policy step, the same observations, rewards, endings and measures."""
     found = {case: compare(case) for case in cases(task, EACH)}
     different: dict[Case, object] = {case: outcome for case, outcome in found.items() if not outcome.is_same}

@@ -174,9 +174,7 @@ def test_seeded_scenarios_are_those_of_sumo_env() -> None:
     sumo.close()
 
 
-def test_compilation_is_announced_unless_its_code_is_on_the_disk(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
+def test_compilation_is_announced_unless_its_code_is_on_the_disk(tmp_path, capsys) -> None:
     function: Any = SimpleNamespace(__name__="drive", stats=SimpleNamespace(cache_path=tmp_path))
     with announced(function):
         pass

@@ -39,9 +39,7 @@ def test_a_crashed_ego_coasts_to_a_stop() -> None:
 
 
 @pytest.mark.parametrize("frequency", [5, 10, 15, 20])
-def test_the_ego_drives_as_commanded_at_any_simulation_frequency(
-    simulator: SumoSimulator, frequency: int
-) -> None:
+def test_the_ego_drives_as_commanded_at_any_simulation_frequency(simulator, frequency) -> None:
     scenario = alone(draw("highway", simulation_frequency=frequency))
     x = simulator.reset(scenario).x[0]
     step = simulator.step(EgoCommand(30.0, scenario.ego.lane), trace=True)

@@ -62,9 +62,7 @@ def told(
         pytest.param(lambda name: libsumo.vehicle.setMaxSpeed(name, 0.5), id="setMaxSpeed"),
     ],
 )
-def test_a_speed_that_sumo_is_told_shows_in_the_next_scene(
-    start: Start, task: str, tell: Callable[[str], Any]
-) -> None:
+def test_a_speed_that_sumo_is_told_shows_in_the_next_scene(start, task, tell) -> None:
     name, undisturbed = told(start, task, None)
     again, braked = told(start, task, tell)
     assert name == again
@@ -139,7 +137,6 @@ def test_only_the_ego_crashed_vehicles_and_those_in_an_event_are_commanded(
     for seed in range(4):
         env = start(task, seed=seed, **crowded)
         scenario = env.scenario
-        assert scenario is not None
         placed = {name for _, name in commands}
         assert placed >= set(env.scene.ids)  # the recording works
         over = False
@@ -175,9 +172,7 @@ JUNCTION = ("jmIgnoreFoeProb", "jmIgnoreJunctionFoeProb")
 
 @pytest.mark.parametrize("fixed_delta", [False, True])
 @pytest.mark.parametrize("task", TASKS)
-def test_every_parameter_of_a_driver_arrives_in_sumo(
-    simulator: SumoSimulator, task: str, fixed_delta: bool
-) -> None:
+def test_every_parameter_of_a_driver_arrives_in_sumo(simulator, task, fixed_delta) -> None:
     the_task = get_task(task)
     simulator.reset(draw(task, risk=1.0))
     chosen = [

@@ -104,9 +104,7 @@ def test_two_lane_changes_in_a_row_are_both_made(start: Start) -> None:
     ("task", "faster", "seconds", "speed"),
     [("u-turn", FASTER, 10, 24.0), ("roundabout", FASTER, 9, 16.0), ("intersection", 2, 9, 9.0)],
 )
-def test_the_ego_is_not_slowed_by_bends_or_junctions(
-    start: Start, task: str, faster: int, seconds: int, speed: float
-) -> None:
+def test_the_ego_is_not_slowed_by_bends_or_junctions(start, task, faster, seconds, speed) -> None:
     env = start(task, alone)
     for _ in range(seconds):
         before = env.scene
@@ -184,9 +182,7 @@ def test_frontal_crash_on_the_two_way_road(start: Start) -> None:
 
 
 @pytest.mark.parametrize(("distance", "crashes"), [(5.05, True), (5.2, False)])
-def test_a_report_of_sumo_counts_within_a_tolerance(
-    start: Start, monkeypatch: pytest.MonkeyPatch, distance: float, crashes: bool
-) -> None:
+def test_a_report_of_sumo_counts_within_a_tolerance(start, monkeypatch, distance, crashes) -> None:
     """SUMO also reports vehicles that are far apart."""
     env = start("highway", with_leader(distance, 25.0))
     drive = Session.step
@@ -202,9 +198,7 @@ def test_a_report_of_sumo_counts_within_a_tolerance(
         assert info["crash"]["detected_by"] == "sumo"
 
 
-def test_a_contact_that_is_over_within_a_sub_step_is_a_crash(
-    start: Start, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_contact_that_is_over_within_a_sub_step_is_a_crash(start: Start, monkeypatch) -> None:
     """Between two looks the other has crossed the ego's way."""
     looks: list[int] = []
     look = Session.near
@@ -237,7 +231,7 @@ def test_vehicles_that_a_user_adds_through_libsumo_are_seen(start: Start, depart
     times = []
     while not env.ego_state.crashed and env.steps < 15:
         times.append(env.step(IDLE)[-1]["min_ttc"])
-    assert env._last.crash is not None and env._last.crash.other == "mine"
+    assert env._last.crash.other == "mine"
     assert min(times) < 1.0
     assert "mine" in env.scene.ids and env.scene.size("mine") == (5.0, 1.8)  # of SUMO's passenger car
     assert env.scene.crashed.all()
@@ -282,9 +276,7 @@ def test_swerves_into_oncoming_traffic_do_not_end_the_process(start: Start) -> N
 # -- vehicles that come, go or do not matter ---------------------------------------------------------------
 
 
-def test_the_intersection_begins_with_traffic_that_has_driven_and_room_for_the_ego(
-    simulator: SumoSimulator,
-) -> None:
+def test_the_intersection_begins_with_traffic_that_has_driven_and_room_for_the_ego(simulator) -> None:
     moved = []
     for seed in range(20):
         scenario = draw("intersection", seed, initial_vehicle_count=20)

@@ -72,7 +72,6 @@ def test_the_wish_for_speed(tmp_path: Path) -> None:
         )
     )
     rng = np.random.default_rng(0)
-    assert slow is not None and mixed is not None and own is not None
     assert slow.factor(rng) == 0.8 and slow.attributes == {"maxSpeed": "10"}
     factors = [mixed.factor(rng) for _ in range(500)]
     assert np.mean(factors) == pytest.approx(1.0, abs=0.02) and np.std(factors) == pytest.approx(
@@ -86,7 +85,6 @@ def test_classes_say_size_and_power(tmp_path: Path) -> None:
     kinds = '<vType id="t" vClass="truck" guiShape="truck"/><vType id="b" vClass="bus" length="18"/>'
     vehicles = "".join(f'<vehicle id="{k}" type="{k}" route="r" depart="0"/>' for k in "tb")
     truck, bus = (one.kind for one in departures(tmp_path, kinds + vehicles))
-    assert truck is not None and bus is not None
     assert (truck.attributes["length"], truck.attributes["accel"], bus.attributes["length"]) == (
         "7.1",
         "1.3",

@@ -25,6 +25,15 @@ def drive(env: Any, actions: int | Iterable[int] = 1, seed: int | None = None) -
             return
 
 
+def observations(env: Any, action: int = 1, seed: int = 0) -> list[np.ndarray]:
+    """The observations of an episode."""
+    seen = [env.reset(seed=seed)[0]]
+    for observation, reward, *_ in drive(env, action):
+        assert env.observation_space.contains(observation) and np.isfinite(reward)
+        seen.append(observation)
+    return seen
+
+
 def rollout(task: str, seed: int, config: dict[str, Any] | None = None) -> np.ndarray:
     """Observations, reward and ego state of one episode under pseudo-random actions, shape (steps + 1, values)."""
     env = DrivingEnv(task, config)

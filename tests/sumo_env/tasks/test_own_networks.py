@@ -1,0 +1,211 @@
+"""Networks of a user's own, and their demand, with nothing but what docs/own-parts.md names."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from gymnasium.utils.env_checker import check_env
+
+from sumo_env.config import ConfigError
+from sumo_env.env import DrivingEnv, SumoDrivingEnv
+from sumo_env.networks import files
+from sumo_env.replica.simulator import Replica
+from sumo_env.tasks.network import NetworkTask
+from tests.sumo_env.plans import QUIET, build, endings, grid, needs_sumo, opened
+from tests.sumo_env.rollout import drive, observations
+
+pytestmark = needs_sumo
+
+ROUTES = [["A0A1", "A1B1", "B1C1"], ["C2C1", "C1B1", "B1A1"], ["B0B1", "B1B2"]]
+EGO = ["A0A1", "A1A2", "A2B2"]
+
+# A merge by hand: a slip road joins a main road with two lanes, which ends in a bend.
+NODES = """<nodes>
+    <node id="west" x="0" y="0"/> <node id="merge" x="300" y="0" type="priority"/>
+    <node id="south" x="100" y="-100"/> <node id="east" x="600" y="100"/>
+</nodes>"""
+EDGES = """<edges>
+    <edge id="main" from="west" to="merge" numLanes="2" speed="25" priority="3"/>
+    <edge id="slip" from="south" to="merge" numLanes="1" speed="15" priority="1"/>
+    <edge id="out" from="merge" to="east" numLanes="2" speed="20" priority="3" shape="300,0 500,0 580,30 600,100"/>
+</edges>"""
+DEPARTING = '<vehicle id="v" depart="0" {}><route edges="main"/></vehicle>'
+DEMAND = """<routes>
+    <vType id="lorry" carFollowModel="Krauss" accel="1.0" maxSpeed="12"/>
+    <route id="through" edges="main out"/>
+    <vehicle id="first" type="lorry" route="through" depart="0" departLane="0" departPos="120" departSpeed="10"/>
+    <vehicle id="late" depart="2.5"><route edges="slip out"/></vehicle>
+    <flow id="stream" route="through" begin="4" end="14" number="5" departSpeed="max"/>
+</routes>"""
+
+
+@pytest.fixture(scope="module")
+def blocks(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A network of netgenerate."""
+    options = ["--grid.number=3", "--grid.length=150", "-L=2", "--no-turnarounds"]
+    return grid(tmp_path_factory.mktemp("grid"), *options)
+
+
+@pytest.fixture(scope="module")
+def merge(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A network written by hand, and its demand beside it."""
+    folder = tmp_path_factory.mktemp("merge")
+    (folder / "m.rou.xml").write_text(DEMAND)
+    return build(folder, {"nod": NODES, "edg": EDGES})
+
+
+def test_what_only_sumo_can_drive_says_so_elsewhere(blocks: Path) -> None:
+    env = DrivingEnv(NetworkTask(blocks, ROUTES, EGO), simulator=Replica())
+    with pytest.raises(TypeError, match="other networks need SUMO"):
+        env.reset(seed=0)
+    with pytest.raises(ValueError, match="leave out `simulator`"):
+        DrivingEnv("highway", simulator=Replica(), sumo_options=["--tripinfo-output=trips.xml"])
+
+
+def test_lanes_limits_and_junctions_are_read(blocks: Path, merge: Path) -> None:
+    road = files.network(merge).road
+    assert road.count("main:from", "main:to") == 2 and road.count("slip:from", "slip:to") == 1
+    assert road.lane(files.lane("main")).speed_limit == 25.0
+    left, right = (road.lane(files.lane("out", k)) for k in (0, 1))
+    assert left.length < right.length  # it bends to the left
+    assert ("slip:to", "out:from", 0) in road.lanes
+    for net in (blocks, merge):
+        for index, lane in files.network(net).road.lanes.items():
+            for s in np.linspace(0.5, lane.length - 0.5, 7).tolist():
+                assert lane.local_coordinates(*lane.position(s, 0.0)) == pytest.approx((s, 0.0), abs=0.3), (
+                    index
+                )
+            assert lane.position(0.0, 1.0) != lane.position(0.0, -1.0)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("risk", [0.0, 1.0])
+def test_a_generated_network_is_driven(blocks: Path, risk: float) -> None:
+    config = {"vehicles_count": 15, "risk": risk, "duration": 20}
+    env = SumoDrivingEnv(blocks, ROUTES, EGO, config, render_mode="rgb_array")
+    check_env(env, skip_render_check=True)
+    first = observations(env, 1, seed=3)
+    np.testing.assert_array_equal(observations(env, 1, seed=3), first)
+    assert (len(env.scenario.events) > 0) == (risk > 0)
+    other = SumoDrivingEnv(blocks, ROUTES, EGO, config)  # in a worker
+    env.reset(seed=0)
+    np.testing.assert_array_equal(observations(other, 1, seed=3), first)
+    picture = env.render()
+    assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 4
+    other.close()
+    env.close()
+
+
+def test_the_ego_arrives_in_the_lane_that_leads_on_and_misses_its_turn_in_the_other(blocks: Path) -> None:
+    env = SumoDrivingEnv(blocks, ROUTES, ["A0A1", "A1B1"], QUIET)
+    keeps = 60 * [1]
+    assert endings(env, range(2), [2, 2, *keeps]) == {"arrived_reward"}  # a right turn, from the right lane
+    assert endings(env, range(2), [0, 0, *keeps]) == {"missed_turn_reward"}
+    env.close()
+
+
+def test_a_network_written_by_hand_with_its_demand(merge: Path) -> None:
+    env = SumoDrivingEnv(merge, merge.with_name("m.rou.xml"), ["main", "out"], {"duration": 20})
+    assert env.target_speeds == (0.0, 12.5, 25.0)
+    seen: dict[str, float] = {}
+    for _ in drive(env, seed=0):
+        for vehicle in env.road.vehicles:
+            seen.setdefault(vehicle.id, env.scene.time)
+    assert {"ego", "first", "late", "stream.0"} <= set(seen)
+    assert 3.0 <= seen["late"] <= 4.0  # at the first policy step after 2.5 s
+    (lorry,) = (spec for spec in env.scenario.vehicles if spec.id == "first")
+    assert dict(lorry.driver.attributes)["carFollowModel"] == "Krauss"
+    assert lorry.lane == files.lane("main", 1)  # SUMO's lane 0 is the right one
+    assert lorry.s == pytest.approx(117.5)
+    env.close()
+
+
+@pytest.mark.slow
+def test_a_crash_on_a_network_is_recorded_and_exported(blocks: Path, tmp_path: Path) -> None:
+    env = SumoDrivingEnv(blocks, ROUTES, EGO, {"vehicles_count": 40, "spawn_probability": 1.0, "risk": 1.0})
+    for seed in range(30):
+        observations(env, 3, seed)
+        if env.vehicle.crashed:
+            break
+    assert env._last.crash.other in env.scene.ids
+    env.export(tmp_path)
+    shown = {name for cars in opened(tmp_path / "episode.sumocfg").values() for name in cars}
+    assert set(env.scene.ids) <= shown
+    env.close()
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"network": "nowhere.net.xml"}, "there is no SUMO network"),
+        ({"ego_route": ["A0A1", "B1B2"]}, "no connection leads from edge 'A0A1' to edge 'B1B2'"),
+        ({"ego_route": ["A0A9"]}, "edge 'A0A9'"),
+        ({"routes": [["A0A1", "B1B2"]]}, "route 0"),
+        ({"routes": "nowhere.rou.xml"}, "route file"),
+        ({"config": {"action": {"type": "DiscreteMetaAction", "target_speeds": [0, 90]}}}, "target_speeds"),
+    ],
+)
+def test_what_cannot_be_driven_is_named(blocks: Path, change: dict[str, Any], message: str) -> None:
+    parts: dict[str, Any] = {"network": blocks, "routes": ROUTES, "ego_route": EGO, **change}
+    with pytest.raises(ConfigError, match=message):
+        SumoDrivingEnv(**parts).reset(seed=0)
+
+
+@pytest.mark.parametrize(
+    ("element", "message"),
+    [
+        ('<trip id="t" from="out" to="main" depart="0"/>', "no route leads from edge 'out' to edge 'main'"),
+        ('<trip id="t" fromTaz="1" toTaz="2" depart="0"/>', "trip 't': it has no route"),
+        ('<vehicle id="v" depart="triggered"><route edges="main"/></vehicle>', "depart='triggered'"),
+        (DEPARTING.format("").replace("</v", '<stop lane="main_0" duration="9"/></v'), "stops"),
+        ('<person id="p" depart="0"/>', "only vehicles drive here"),
+        (DEPARTING.format('departLane="7"'), "departs on lane 7"),
+        ("<vehicle", "cannot be read"),
+        ('<vehicle id="v"><route edges="main"/></vehicle>', "vehicle 'v': it needs a time to depart"),
+        ('<vehicle id="ego" depart="0"><route edges="main"/></vehicle>', "'ego': there is another vehicle"),
+        (2 * DEPARTING.format(""), "'v': there is another vehicle"),
+        (DEPARTING.format('departLane="firts"'), "departLane='firts'"),
+        (DEPARTING.format('departPos="999"'), "departs at 999 m of edge 'main', which is 2.. m long"),
+        (DEPARTING.format('departSpeed="-3"'), "departSpeed=-3 is negative"),
+        ('<vType id="x" carFollowModel="Kraus"/>', "carFollowModel .* did you mean 'Krauss'"),
+        ('<vType id="x" vClass="buss"/>', "did you mean 'bus'"),
+        ('<route id="r" edges="main"><stop lane="main_0" duration="9"/></route>', "stops"),
+    ],
+)
+def test_what_a_route_file_cannot_say_is_named(merge: Path, tmp_path, element: str, message: str) -> None:
+    demand = tmp_path / "wrong.rou.xml"
+    demand.write_text(f"<routes>{element}</routes>")
+    with pytest.raises(ConfigError, match=message):
+        SumoDrivingEnv(merge, demand, ["main", "out"]).reset(seed=0)
+
+
+def test_files_and_lists_in_each_other_s_place_are_named(merge: Path, tmp_path: Path) -> None:
+    demand = tmp_path / "d.rou.xml"
+    demand.write_text("<routes/>")
+    for network, routes, message in (
+        (merge, merge, "begins with <net> and not with <routes>"),
+        (demand, [], "has no edges: is it a SUMO network"),
+        (merge, ["main", "out"], "route 0 must be a list of edges, not 'main'"),
+        (merge, {"r": "main out"}, "route r must be a list of edges"),
+    ):
+        with pytest.raises(ConfigError, match=message):
+            SumoDrivingEnv(network, routes, ["main", "out"])
+
+
+def test_vehicles_depart_in_the_lane_that_is_named(merge: Path, tmp_path: Path) -> None:
+    demand = tmp_path / "d.rou.xml"
+    for lane, number in (("0", 1), ("1", 0), ("first", 1)):
+        demand.write_text(f"<routes>{DEPARTING}</routes>".format(f'departLane="{lane}" departPos="90"'))
+        env = SumoDrivingEnv(merge, demand, ["main", "out"])
+        env.reset(seed=0)
+        assert env.road.vehicles[1].lane_index == files.lane("main", number)
+        env.close()
+
+
+def test_a_network_without_lanes_inside_its_junctions_is_refused(tmp_path: Path) -> None:
+    net = grid(tmp_path, "--grid.number=2", "--no-internal-links")
+    with pytest.raises(ConfigError, match="no-internal-links"):
+        SumoDrivingEnv(net, [], ["A0A1"])

@@ -133,5 +133,12 @@ class FakeEnv(gym.Env):
             os.kill(os.getpid(), signal.SIGKILL)
 
 
+def make_other_env(*arguments: Any) -> gym.Env:
+    """As `make_env`, but for its dynamics."""
+    env = make_env(*arguments)
+    env.target_speeds = (10.0, 19.0, 31.0)
+    return env
+
+
 def make_env(backend: str, task: str, config: Any = None, render_mode: str | None = None) -> gym.Env:
     return FakeEnv(task, dict(config or {}), render_mode)

@@ -162,7 +162,6 @@ def write(
     spread: float = 0.03,
     faults: Mapping[str, str] | None = None,
     updates: int = 400,
-    sweep: bool = True,
     further: Sequence[str] = (),
     test_on: Sequence[str] = (),
 ) -> list[grid.Cell]:
@@ -214,6 +213,5 @@ def write(
             record["learner"] = learner(cell, fault)
         store.write(cell, record, files)
     weights.unlink()
-    if sweep:
-        store.write_sweep("python experiments/sweep.py", cells)
+    store.write_sweep("python experiments/sweep.py", cells)
     return wanted

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,14 +21,19 @@ from experiments.support.errors import UserError
 pytestmark = pytest.mark.slow
 
 
+@pytest.fixture(scope="module", autouse=True)
+def quick_as_smoke() -> Iterator[None]:
+    """One agent is trained by the preset "quick", here by as little as "smoke" asks for."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setitem(PRESETS, "quick", replace(PRESETS["smoke"], preset="quick"))
+        yield
+
+
 @pytest.fixture(scope="module")
 def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A directory with an agent that was hardly trained."""
     directory = tmp_path_factory.mktemp("mine")
-    patch = pytest.MonkeyPatch()
-    patch.setitem(PRESETS, "quick", replace(PRESETS["smoke"], preset="quick"))
     assert train.train(train.Options(out=directory, risk="mixed", updates=60), ["--risk", "mixed"]) == 0
-    patch.undo()
     return directory
 
 
@@ -39,8 +45,7 @@ def test_the_agent_is_an_ordinary_cell(trained: Path) -> None:
     assert min(picture.size) > 200
 
 
-def test_the_curve_is_printed_while_it_learns(tmp_path, monkeypatch, capsys) -> None:
-    monkeypatch.setitem(PRESETS, "quick", replace(PRESETS["smoke"], preset="quick"))
+def test_the_curve_is_printed_while_it_learns(tmp_path, capsys) -> None:
     options = train.Options(out=tmp_path, risk="0", updates=200)
     train.train(options, [])
     said = capsys.readouterr().out
@@ -96,7 +101,6 @@ def test_what_does_not_exist_is_said(trained: Path, tmp_path: Path) -> None:
 
 def test_an_agent_can_be_published_and_loaded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """With its card, and driving as it did, also where it observes the time."""
-    monkeypatch.setitem(PRESETS, "quick", replace(PRESETS["smoke"], preset="quick"))
     monkeypatch.setattr(publish, "COMPARED", 2)
     file, settings = tmp_path / "agents.npz", {"intersection": "intersection-10", "u-turn": "u-turn-3"}
     for task in settings:

@@ -15,7 +15,7 @@ from experiments.study.arms import TRAFFICS, scenario_seed
 from experiments.study.rerun import stored_policy
 from experiments.support.errors import UserError
 from tests.experiments.computed import compute, tasks_of
-from tests.experiments.fake_env import make_env
+from tests.experiments.fake_env import make_env, make_other_env
 
 
 @pytest.fixture(scope="module")
@@ -44,12 +44,7 @@ def test_an_episode_is_reproduced(cells, case, tmp_path, capsys):
 
 
 def test_an_episode_that_comes_out_differently_is_told(cells, tmp_path, capsys):
-    def other_env(*arguments):
-        env = make_env(*arguments)
-        env.target_speeds = (10.0, 19.0, 29.0)
-        return env
-
-    assert replay(Options(f"{cells[1]}:regular:0", out=tmp_path / "a.png"), other_env) == 1
+    assert replay(Options(f"{cells[1]}:regular:0", out=tmp_path / "a.png"), make_other_env) == 1
     errors = capsys.readouterr().err
     assert "not reproduced" in errors
     assert "instead of" in errors
@@ -194,15 +189,9 @@ def test_what_cannot_be_avoided_is_said_in_one_line(cells, tmp_path):
         replay(Options(case, avoid=True, gif=True), make_env)
     with pytest.raises(UserError, match="at least 1, not 0"):
         replay(Options(case, avoid=True, horizon=0), make_env)
-
-    def other_env(*arguments):
-        env = make_env(*arguments)
-        env.target_speeds = (10.0, 19.0, 31.0)
-        return env
-
     crashed, row = first(cells, True)
     with pytest.raises(UserError, match="is not reproduced: "):
-        replay(Options(f"{crashed}:{row['traffic']}:{row['scenario']}", avoid=True), other_env)
+        replay(Options(f"{crashed}:{row['traffic']}:{row['scenario']}", avoid=True), make_other_env)
 
 
 def test_the_shares_of_a_folder_are_those_of_its_crashes(cells, tmp_path, capsys):

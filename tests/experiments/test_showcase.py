@@ -16,7 +16,7 @@ from experiments.reporting.showcase import FILE, Scenes, choose, duos, showcase
 from experiments.study.rerun import play_again
 from experiments.study.store import load
 from tests.experiments.computed import compute, tasks_of
-from tests.experiments.fake_env import make_env
+from tests.experiments.fake_env import make_env, make_other_env
 
 
 @pytest.fixture(scope="module")
@@ -116,12 +116,7 @@ def test_a_damaged_record_is_made_again(copy, content):
 
 
 def test_an_episode_that_comes_out_differently_is_not_shown(copy):
-    def other_env(*arguments):
-        env = make_env(*arguments)
-        env.target_speeds = (10.0, 19.0, 29.0)
-        return env
-
-    found = showcase(load(copy), set(), other_env)
+    found = showcase(load(copy), set(), make_other_env)
     assert found["places"][0]["films"] == []
     assert "differently on this machine" in found["notes"][0]
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import json
 import sys
-from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -28,16 +27,7 @@ FOLDER = Path(__file__).resolve().parent
 WIDTH = 110
 
 
-def every(part: str, drive: Callable[[str], Any]) -> Iterator[tuple[str, Any]]:
-    """One file a task."""
-    for task in TASKS:
-        yield f"{part}/{task}.json", drive(task)
-
-
-PARTS: dict[str, Callable[[], Iterator[tuple[str, Any]]]] = {
-    "scenes": lambda: every("scenes", scenes.drive),
-    "outcomes": lambda: every("outcomes", outcomes.table),
-}
+PARTS = {"scenes": scenes.drive, "outcomes": outcomes.table}  # of a task: one file each
 
 
 def pretty(value: Any, indent: int = 0) -> str:
@@ -66,11 +56,9 @@ def main(parts: list[str]) -> None:
     if unknown:
         raise SystemExit(f"unknown: {', '.join(sorted(unknown))}; there are {', '.join(PARTS)}")
     for part in parts or PARTS:
-        for name, value in PARTS[part]():
-            path = FOLDER / name
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(pretty(value) + "\n")
-            print(name, flush=True)
+        for task in TASKS:
+            (FOLDER / part / f"{task}.json").write_text(pretty(PARTS[part](task)) + "\n")
+            print(f"{part}/{task}.json", flush=True)
 
 
 if __name__ == "__main__":

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import sys
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from itertools import repeat
 from typing import Any
 
@@ -58,6 +58,22 @@ def record(env: DrivingEnv, seed: int) -> np.ndarray:
 def digest(rows: np.ndarray) -> str:
     """A name for the exact bits."""
     return hashlib.sha256(rows.tobytes()).hexdigest()
+
+
+def assert_same_bits(ours: Any, theirs: Any, left_out: Collection[str] = ()) -> None:
+    """The same bits of the same types, in dictionaries and tuples too; entries `left_out` ours do not have."""
+    if isinstance(ours, dict):
+        assert ours.keys() == {key for key in theirs if key.removeprefix("_") not in left_out}
+        for key, value in ours.items():
+            assert_same_bits(value, theirs[key], left_out)
+    elif isinstance(ours, tuple):
+        for one, other in zip(ours, theirs, strict=True):
+            assert_same_bits(one, other, left_out)
+    elif isinstance(ours, np.ndarray) and ours.dtype == object:  # one entry for each environment
+        assert_same_bits(tuple(ours), tuple(theirs), left_out)
+    else:
+        np.testing.assert_array_equal(ours, theirs)
+        assert getattr(ours, "dtype", None) == getattr(theirs, "dtype", None)
 
 
 if __name__ == "__main__":

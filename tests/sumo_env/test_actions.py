@@ -9,20 +9,11 @@ import pytest
 from highway_env.road.road import Road, RoadNetwork
 from highway_env.vehicle.controller import MDPVehicle
 
-from sumo_env.actions import action_names, ego_route, follow_road, target_lane, target_speed_index
-from sumo_env.config import ConfigError
+from sumo_env.actions import ego_route, follow_road, target_lane, target_speed_index
 from sumo_env.networks.roads import highway, intersection, u_turn
 from tests.sumo_env.scenarios import draw
 
 SPEEDS = (20.0, 25.0, 30.0)
-
-
-def test_action_sets() -> None:
-    assert action_names({"longitudinal": True, "lateral": False}) == {0: "SLOWER", 1: "IDLE", 2: "FASTER"}
-    assert action_names({"longitudinal": False}) == {0: "LANE_LEFT", 1: "IDLE", 2: "LANE_RIGHT"}
-    assert list(action_names({}).values()) == ["LANE_LEFT", "IDLE", "LANE_RIGHT", "FASTER", "SLOWER"]
-    with pytest.raises(ConfigError):
-        action_names({"longitudinal": False, "lateral": False})
 
 
 def test_target_speeds_and_lanes_equal_highway_env_s() -> None:

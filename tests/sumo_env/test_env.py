@@ -29,6 +29,8 @@ from tests.sumo_env.rollout import drive
 # highway-env's observation boxes are unbounded tables as well
 EXPECTED_WARNINGS = ("minimum value is -infinity", "maximum value is infinity", "unconventional shape")
 
+META_ACTION = {"type": "DiscreteMetaAction"}
+
 
 @pytest.fixture
 def highway() -> Iterator[gym.Env[Any, Any]]:
@@ -100,7 +102,8 @@ def test_an_episode_ends_within_its_duration(id: str) -> None:
         ("highway", {"centering_position": 0.3}, "a list of 2 numbers"),
         ("highway", {"observation": "Kinematics"}, "must be a dict"),
         ("highway", {"observation": {"type": "Kinematic"}}, "did you mean 'Kinematics'"),
-        ("highway", {"action": {"type": "DiscreteMetaAction", "target_speeds": [30, 20]}}, "rising speeds"),
+        ("highway", {"action": {**META_ACTION, "target_speeds": [30, 20]}}, "rising speeds"),
+        ("highway", {"action": {**META_ACTION, "longitudinal": False, "lateral": False}}, "lateral or both"),
         ("highway", {"observation": {"vehicles_count": 3}}, "needs a 'type'"),
         ("highway", [("vehicles_count", 3)], "must be a dict"),
         ("two-way", {"road_length": 5000.0}, "road_length"),

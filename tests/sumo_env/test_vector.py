@@ -15,6 +15,7 @@ from sumo_env.config import ConfigError
 from sumo_env.env import DrivingEnv
 from sumo_env.sumo.process import SumoProcess
 from sumo_env.vector import SumoVectorEnv
+from tests.sumo_env.rollout import assert_same_bits
 
 CONFIG = {"initial_vehicle_count": 20, "spawn_probability": 1.0}
 
@@ -56,30 +57,16 @@ def test_equal_to_gymnasiums_loop_over_single_environments(kwargs: dict[str, Any
         for space in ("observation_space", "action_space"):
             assert getattr(ours, space) == getattr(theirs, space)
             assert getattr(ours, f"single_{space}") == getattr(theirs, f"single_{space}")
-        compare(ours.reset(seed=40), theirs.reset(seed=40))
+        assert_same_bits(ours.reset(seed=40), theirs.reset(seed=40))
         endings = 0
         for _ in range(32):
             step = ours.step(np.array([2, 2]))
-            compare(step, theirs.step(np.array([2, 2])))
+            assert_same_bits(step, theirs.step(np.array([2, 2])))
             endings += int((step[2] | step[3]).sum())
         assert endings >= 4
     finally:
         ours.close()
         theirs.close()
-
-
-def compare(ours: Any, theirs: Any) -> None:
-    """Equal arrays, and dictionaries and tuples of such."""
-    if isinstance(ours, dict):
-        assert ours.keys() == theirs.keys()
-        compare(tuple(ours.values()), tuple(theirs[key] for key in ours))
-    elif isinstance(ours, tuple):
-        for one, other in zip(ours, theirs, strict=True):
-            compare(one, other)
-    elif isinstance(ours, np.ndarray) and ours.dtype == object:  # one entry for each environment
-        compare(tuple(ours), tuple(theirs))
-    else:
-        np.testing.assert_array_equal(ours, theirs)
 
 
 def test_returned_arrays_stay_as_they_are(envs: SumoVectorEnv) -> None:

@@ -98,16 +98,6 @@ class TestFewCrashes:
 
 
 class TestCombine:
-    def test_is_the_weighted_sum_of_independent_means(self, random: np.random.Generator) -> None:
-        means = [difference(random.normal(k, 1, (4, 10)), random.normal(0, 1, (4, 10))) for k in range(3)]
-        result = combine(means, [0.5, 0.25, 0.25])
-        assert result.value == pytest.approx(
-            sum(w * m.value for w, m in zip([0.5, 0.25, 0.25], means, strict=True))
-        )
-        assert result.variance == pytest.approx(
-            sum(w**2 * m.variance for w, m in zip([0.5, 0.25, 0.25], means, strict=True))
-        )
-
     def test_slope_equals_least_squares(self, random: np.random.Generator) -> None:
         x = [1.0, 2.0, 3.0, 5.0]
         means = [difference(random.normal(2 * k, 1, (4, 9)), random.normal(k, 1, (4, 9))) for k in x]

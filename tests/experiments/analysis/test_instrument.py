@@ -103,31 +103,16 @@ def episodes(tmp_path_factory):
 
 def drawn(pairs: dict[Place, Arms]) -> pd.DataFrame:
     """Episodes of made-up settings."""
-    return pd.concat(
-        [
-            pd.DataFrame(
-                {
-                    "backend": place[0],
-                    "task": place[1],
-                    "level": place[2],
-                    "level_name": place[3],
-                    "kind": "agent",
-                    "arm": name,
-                    "seed": seed,
-                    "traffic": traffic,
-                    "scenario": range(values.shape[-1]),
-                    "crashed": values[k, n],
-                    "return": arm.values["return"][k, n],
-                }
-            )
-            for place, pair in pairs.items()
-            for name, arm in pair.items()
-            for values in [arm.values["crashed"]]
-            for k, traffic in enumerate(("regular", "risky"))
-            for n, seed in enumerate(arm.seeds)
-        ],
-        ignore_index=True,
-    )
+    tables = []
+    for place, pair in pairs.items():
+        where = dict(zip(("backend", "task", "level", "level_name"), place, strict=True))
+        for name, arm in pair.items():
+            number = arm.values["crashed"].shape[-1]
+            sizes = [("regular", "risky"), arm.seeds, range(number)]
+            index = pd.MultiIndex.from_product(sizes, names=["traffic", "seed", "scenario"])
+            values = {outcome: arm.values[outcome].ravel() for outcome in ("crashed", "return")}
+            tables.append(pd.DataFrame(values, index).reset_index().assign(**where, kind="agent", arm=name))
+    return pd.concat(tables, ignore_index=True)
 
 
 class TestKnownTruths:

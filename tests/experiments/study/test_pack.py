@@ -26,6 +26,13 @@ def sweep_of(directory: Path, **options: object) -> None:
     compute(tasks)
 
 
+def pack(results: Path) -> list[str]:
+    """Pack the cells that are not, and leave the packed ones alone; returns the names of what was packed."""
+    names = store.Store(results).pack()
+    shutil.rmtree(results / "cells", ignore_errors=True)
+    return names
+
+
 @pytest.fixture(scope="module")
 def computed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     directory = tmp_path_factory.mktemp("computed") / "results"
@@ -38,8 +45,7 @@ def grown(computed: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Packed cells, and those of another seed that are not packed yet."""
     directory = tmp_path_factory.mktemp("grown") / "results"
     shutil.copytree(computed, directory)
-    store.Store(directory).pack()
-    shutil.rmtree(directory / "cells")
+    pack(directory)
     sweep_of(directory, seeds=2)
     return directory
 
@@ -80,8 +86,7 @@ def test_packed_cells_are_read_as_they_were_and_nothing_is_deleted(results: Path
 
 def test_a_sweep_goes_on_from_packed_cells(results: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """Another seed is computed, tested elsewhere with weights that are packed, and packed with the others."""
-    store.Store(results).pack()
-    shutil.rmtree(results / "cells")
+    pack(results)
     before = set(load(results).cells)
     options = Options(out=results, **{**TINY, "dry_run": True, "seeds": 2})
     assert sweep(options, make_env=make_env) == 0
@@ -93,8 +98,7 @@ def test_a_sweep_goes_on_from_packed_cells(results: Path, capsys: pytest.Capture
     kinds = sorted(cell["key"]["kind"] for name, cell in found["cells"].items() if name in new)
     assert kinds == 2 * ["agent"] + 4 * ["test"]
     assert len(list((results / "cells").iterdir())) == len(new)
-    assert set(store.Store(results).pack()) == new
-    shutil.rmtree(results / "cells")
+    assert set(pack(results)) == new
     assert_same(content(results), found)
 
 
@@ -105,15 +109,13 @@ def test_a_setting_that_is_not_finished_is_packed_as_far_as_it_is(results: Path,
     assert lost.name not in store.Store(results).pack()
     (tmp_path / lost.name).rename(lost)
     before = content(results)
-    assert store.Store(results).pack() == [lost.name]
-    shutil.rmtree(results / "cells")
+    assert pack(results) == [lost.name]
     assert_same(content(results), before)
 
 
 @pytest.mark.parametrize("file", [CELLS, store.EPISODES, store.GATES])
 def test_a_damaged_table_is_named(results: Path, file: str) -> None:
-    store.Store(results).pack()
-    shutil.rmtree(results / "cells")
+    pack(results)
     content = bytearray((results / file).read_bytes())
     content[len(content) // 2] ^= 1
     (results / file).write_bytes(content)
@@ -154,8 +156,7 @@ def test_what_was_packed_before_survives_a_kill_while_packing(grown, tmp_path, w
         store.Store(results).pack()
     assert_same(content(results), before)
     monkeypatch.undo()
-    assert len(store.Store(results).pack()) == 2
-    shutil.rmtree(results / "cells")
+    assert len(pack(results)) == 2
     assert_same(content(results), before)
 
 
@@ -180,8 +181,7 @@ def test_cells_of_earlier_versions_have_no_actions_and_pack_with_others(results:
     (old / store.CELL).write_bytes(store.seal(record))
     before = content(results)
     assert before["episodes"]["actions"].isna().sum() == 6
-    store.Store(results).pack()
-    shutil.rmtree(results / "cells")
+    pack(results)
     assert_same(content(results), before)
 
 
@@ -200,6 +200,5 @@ def test_the_report_of_packed_cells_is_the_same(tmp_path: Path) -> None:
                 if "parquet" not in path.name and path.name != MANIFEST
             }
         )
-        store.Store(tmp_path / "results").pack()
-        shutil.rmtree(tmp_path / "results" / "cells", ignore_errors=True)
+        pack(tmp_path / "results")
     assert written[0] == written[1]

@@ -4,11 +4,8 @@ from __future__ import annotations
 
 import os
 import signal
-import subprocess
-import sys
 from concurrent.futures import Executor, Future
 from contextlib import suppress
-from pathlib import Path
 
 import pytest
 
@@ -17,9 +14,8 @@ from experiments.study.executors import open_executor
 from experiments.study.run import LOG, PROGRESS, Ended, Observer, attempt, locked, run
 from experiments.support.errors import UserError
 from tests.experiments.study.misbehaving import STEPS, Sum
-from tests.processes import is_alive, wait_for
+from tests.processes import is_alive, started, wait_for
 
-ROOT = Path(__file__).resolve().parents[3]
 TOTAL = str(sum(range(STEPS)))
 
 
@@ -203,15 +199,14 @@ def test_an_executor_that_takes_no_more_tasks_ends_the_run_in_one_line(tmp_path)
 
 def test_a_lock_is_free_as_soon_as_its_holder_is_killed(tmp_path):
     code = f"""
-import sys, time
-sys.path.insert(0, {str(ROOT)!r})
+import time
 from pathlib import Path
 from experiments.study.run import locked
 with locked(Path({str(tmp_path / "work" / "task")!r})) as mine:
     print(mine, flush=True)
     time.sleep(600)
 """
-    holder = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
+    holder = started("-c", code)
     assert holder.stdout.readline() == "True\n"
     task = Sum("task", tmp_path)
     assert attempt(task) == Ended("elsewhere")

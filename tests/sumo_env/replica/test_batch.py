@@ -13,9 +13,11 @@ from sumo_env.config import ConfigError
 from sumo_env.replica.env import OBSERVATIONS
 from sumo_env.replica.vector import ReplicaVectorEnv
 from sumo_env.tasks import TASKS
+from tests.sumo_env.rollout import assert_same_bits
 
 ENVS = 4
 LEFT_OUT = {"rewards", "crash", "traffic_light", "traffic_light_distance"}  # of the single environment's info
+SEE_BEHIND = {"type": "Kinematics", "see_behind": True, "features": ["x", "cos_h"]}
 ENDS = [(task, level) for task in TASKS for level in (0, -1)]  # lightest and densest traffic
 
 
@@ -37,19 +39,8 @@ def pair(task: str, mode: str = "NextStep", threads: int = 1, **keywords: Any) -
 
 
 def assert_equal(ours: Any, theirs: Any) -> None:
-    """The same bits of the same types; of infos, all that the batch has, which is all but LEFT_OUT."""
-    if isinstance(ours, dict):
-        assert ours.keys() == {key for key in theirs if key.removeprefix("_") not in LEFT_OUT}
-        for key, value in ours.items():
-            assert_equal(value, theirs[key])
-    elif isinstance(ours, tuple):
-        for one, other in zip(ours, theirs, strict=True):
-            assert_equal(one, other)
-    elif isinstance(ours, np.ndarray) and ours.dtype == object:  # final_obs
-        assert_equal(tuple(ours), tuple(theirs))
-    else:
-        np.testing.assert_array_equal(ours, theirs)
-        assert getattr(ours, "dtype", None) == getattr(theirs, "dtype", None)
+    """Of infos, all that the batch has, which is all but LEFT_OUT."""
+    assert_same_bits(ours, theirs, LEFT_OUT)
 
 
 def drive_both(envs: tuple[Any, Any], steps: int, seed: int) -> int:
@@ -101,36 +92,24 @@ def test_autoreset_and_threads(mode: str, threads: int) -> None:
 @pytest.mark.parametrize(
     ("task", "keywords"),
     [
-        ("highway", {"scenarios": "seeded", "config": {"offroad_terminal": True, "normalize_reward": False}}),
-        (
-            "highway",
-            {
-                "scenarios": "seeded",
-                "config": {"action": {"type": "DiscreteMetaAction", "longitudinal": False}},
-            },
-        ),
+        ("highway", {"config": {"offroad_terminal": True, "normalize_reward": False}}),
+        ("highway", {"config": {"action": {"type": "DiscreteMetaAction", "longitudinal": False}}}),
+        ("intersection", {"config": {"normalize_reward": True, "policy_frequency": 3}}),
         (
             "intersection",
-            {"scenarios": "seeded", "config": {"normalize_reward": True, "policy_frequency": 3}},
-        ),
-        ("intersection", {"config": {"neighbour_vehicles_connected_lanes": True, "destination": None}}),
-        ("roundabout", {"scenarios": "seeded", "variant": "path", "config": {"risk": 0.7}}),
-        ("roundabout", {"scenarios": "seeded", "risk_law": "linear", "config": {"risk": 0.7}}),
-        (
-            "u-turn",
             {
-                "scenarios": "seeded",
-                "variant": "connected",
-                "config": {
-                    "observation": {"type": "Kinematics", "see_behind": True, "features": ["x", "cos_h"]}
-                },
+                "scenarios": "highway-env",
+                "config": {"neighbour_vehicles_connected_lanes": True, "destination": None},
             },
         ),
+        ("roundabout", {"variant": "path", "config": {"risk": 0.7}}),
+        ("roundabout", {"risk_law": "linear", "config": {"risk": 0.7}}),
+        ("u-turn", {"variant": "connected", "config": {"observation": SEE_BEHIND}}),
     ],
     ids=str,
 )
 def test_options(task: str, keywords: dict[str, Any]) -> None:
-    envs = pair(task, **keywords)
+    envs = pair(task, **{"scenarios": "seeded", **keywords})
     assert_equal(*(env.reset(seed=11) for env in envs))
     drive_both(envs, 25, seed=11)
 

@@ -10,6 +10,7 @@ import pytest
 
 from sumo_env.env import DrivingEnv
 from sumo_env.sumo.process import SumoProcess
+from sumo_env.tasks import TASKS
 from tests.processes import ended
 from tests.sumo_env.rollout import drive
 
@@ -31,7 +32,7 @@ def run(tmp_path: Path, script: str, from_stdin: bool = False) -> list[str]:
 # -- equal values ------------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("task", ["highway", "two-way", "roundabout", "intersection", "u-turn"])
+@pytest.mark.parametrize("task", TASKS)
 def test_the_same_episodes_in_this_process_and_in_a_worker(task: str) -> None:
     """To the last bit: observations, rewards, endings and infos."""
     here = DrivingEnv(task, {"risk": 1.0})

@@ -173,15 +173,6 @@ def test_a_crash_of_the_simulator_is_told() -> None:
         simulator.step(COMMAND)
 
 
-def test_a_worker_that_died_before_a_reset_is_replaced_silently() -> None:
-    simulator = SumoProcess(FAKE)
-    simulator.reset(scenario())
-    os.kill(simulator.pid, signal.SIGKILL)
-    simulator.reset(scenario())
-    assert simulator.step(COMMAND).scene.time == 1.0
-    simulator.close()
-
-
 def test_a_scenario_that_kills_every_worker_is_an_error() -> None:
     simulator = SumoProcess(FAKE)
     with pytest.raises(

@@ -131,9 +131,8 @@ def test_idm_changes_lane_by_mobil() -> None:
     slow, far = (30, 0, 20), (90, -4, 25)  # somebody far ahead shows that there is a lane
     assert second_choice(scene(slow, far), name="idm") == "LANE_LEFT"
     assert second_choice(scene(slow), name="idm") == "SLOWER"  # no lane is known
-    assert (
-        second_choice(scene(slow, far, (-8, -4, 30)), name="idm") == "SLOWER"
-    )  # the new follower would brake hard
+    hard = (-8, -4, 30)  # the new follower would brake hard
+    assert second_choice(scene(slow, far, hard), name="idm") == "SLOWER"
     assert second_choice(scene(far), name="idm") == "FASTER"  # nothing to gain
 
 

@@ -61,9 +61,8 @@ def test_a_dose_does_what_it_shall(sumo, reference, good) -> None:
 def test_responses_are_by_simulator_dose_and_ego() -> None:
     found = calibrate.responses(responses("sumo", (0.0, 0.1, 0.2)))
     rows = found[found["ego"] == "careful"]
-    assert dict(zip(rows["traffic"], rows["crash_rate"], strict=True)) == pytest.approx(
-        {"regular": 0.0, "0.5": 0.1, "risky": 0.2}
-    )
+    rates = rows.set_index("traffic")["crash_rate"].to_dict()
+    assert rates == pytest.approx({"regular": 0.0, "0.5": 0.1, "risky": 0.2})
 
 
 def objective(settings: dict) -> float:
@@ -136,8 +135,5 @@ def test_the_present_settings_are_best_where_sumo_is_its_own_reference(tmp_path,
         assert found["training"]["found"] <= found["training"]["present"]
         assert set(found["found"]) == set(found["present"])
     assert result["u-turn"]["drivers"]["training"]["present"] == 0.0
-    assert set(pd.read_csv(tmp_path / "doses.csv")["engine"]) == {
-        "sumo",
-        calibrate.WITHOUT_EVENTS,
-        "reference",
-    }
+    engines = set(pd.read_csv(tmp_path / "doses.csv")["engine"])
+    assert engines == {"sumo", calibrate.WITHOUT_EVENTS, "reference"}

@@ -48,19 +48,17 @@ def test_a_seed_is_the_same_scenario_in_both_simulators(task: str, risk: float) 
     config = {"risk": risk, **(SMALL if task == "highway" else {})}
     ours = make_env("sumo", task, config)
     theirs = make_env("highway-env", task, config)
-    try:
-        for seed in (3, None, None):
-            ours.reset(seed=seed)
-            theirs.reset(seed=seed)
-            # how often a second is computed is each simulator's own
-            drawn = replace(ours.unwrapped.scenario, simulation_frequency=15)
-            assert drawn == theirs.unwrapped.scenario
-            for action in (1, 1):
-                ours.step(action)
-                theirs.step(action)
-    finally:
-        ours.close()
-        theirs.close()
+    for seed in (3, None, None):
+        ours.reset(seed=seed)
+        theirs.reset(seed=seed)
+        # how often a second is computed is each simulator's own
+        drawn = replace(ours.unwrapped.scenario, simulation_frequency=15)
+        assert drawn == theirs.unwrapped.scenario
+        for action in (1, 1):
+            ours.step(action)
+            theirs.step(action)
+    ours.close()
+    theirs.close()
 
 
 @pytest.mark.parametrize("level", ["lowest", "highest"])

@@ -169,10 +169,8 @@ def test_the_last_moment_to_avoid_a_crash_is_found(cells, tmp_path, capsys):
         assert f"from {len(before):4.1f} s" in printed
         if ways:
             break
-        assert (
-            f"from {len(before):4.1f} s, {row['crash_time'] - len(before):.1f} s before the contact: not"
-            in printed
-        )
+        left = f"{row['crash_time'] - len(before):.1f}"
+        assert f"from {len(before):4.1f} s, {left} s before the contact: not" in printed
     assert status == (0 if ways else 1)
     if ways:
         assert f"point of no return: {len(before)} s" in printed

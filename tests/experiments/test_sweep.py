@@ -106,9 +106,8 @@ def test_a_placebo_trains_control_agents_alone_and_compares_them():
     cells = cells_of(Options(placebo=True, **TINY))
     agents = [cell for cell in cells if cell.kind == "agent"]
     assert sorted((cell.arm, cell.seed) for cell in agents) == [("control", seed) for seed in range(4)]
-    assert {cell.name for cell in cells_of(Options(**TINY)) if cell.arm == "control"} <= {
-        c.name for c in agents
-    }
+    usual = {cell.name for cell in cells_of(Options(**TINY)) if cell.arm == "control"}
+    assert usual <= {cell.name for cell in agents}
     with pytest.raises(UserError, match="leave out --arms"):
         cells_of(Options(placebo=True, arms=("dense",), **TINY))
 
@@ -314,9 +313,8 @@ class Mine:
 def test_a_network_of_the_users_own_is_trained_and_stored(tmp_path, here):
     file = tmp_path / "mine.py"
     file.write_text(NETWORK)
-    assert (
-        run(tmp_path / "results", network=f"{file}:Mine", tasks=("roundabout",)) == 0
-    )  # the time is observed
+    observed = {"tasks": ("roundabout",)}  # where the time is
+    assert run(tmp_path / "results", network=f"{file}:Mine", **observed) == 0
     results = load(tmp_path / "results")
     agents = [record for record in results.cells.values() if record["key"]["kind"] == "agent"]
     assert len(agents) == 2
@@ -331,17 +329,15 @@ def test_a_network_of_the_users_own_is_trained_and_stored(tmp_path, here):
     case = ReplayOptions(f"{tmp_path}/results/cells/{name}:risky:1", out=tmp_path / "picture.png")
     assert replay(case, make_env) == 0
 
-    before = {cell.name for cell in cells_of(Options(**{**TINY, "network": f"{file}:Mine"})) if cell.arm}
+    def names(file: Path) -> set[str]:
+        return {cell.name for cell in cells_of(Options(**{**TINY, "network": f"{file}:Mine"})) if cell.arm}
+
     elsewhere = tmp_path / "other" / "mine.py"
     elsewhere.parent.mkdir()
     elsewhere.write_text(NETWORK)
-    moved = {cell.name for cell in cells_of(Options(**{**TINY, "network": f"{elsewhere}:Mine"})) if cell.arm}
-    assert moved == before  # where the file lies does not matter, what it says does
+    assert names(elsewhere) == names(file)  # where the file lies does not matter, what it says does
     elsewhere.write_text(NETWORK + "# changed")
-    changed = {
-        cell.name for cell in cells_of(Options(**{**TINY, "network": f"{elsewhere}:Mine"})) if cell.arm
-    }
-    assert not changed & before
+    assert not names(elsewhere) & names(file)
 
 
 def test_policies_of_the_users_own_get_cells_of_their_own(tmp_path, here):

@@ -59,9 +59,7 @@ def test_drivers_see_every_junction_from_afar(built):
 
 def test_lane_changes_are_left_to_the_drivers(built):
     _, root = built
-    assert all(
-        lane.get("changeLeft") is None and lane.get("changeRight") is None for lane in root.iter("lane")
-    )
+    assert not any(lane.get("changeLeft") or lane.get("changeRight") for lane in root.iter("lane"))
 
 
 def test_collisions_are_checked_at_every_junction(built):

@@ -90,9 +90,8 @@ def test_same_local_coordinates_and_lane_membership(pair):
             assert mine.is_reachable_from(x, y) == lane.is_reachable_from(position)
             assert mine.after_end(x, y) == lane.after_end(position)
             assert mine.distance(x, y) == pytest.approx(lane.distance(position), abs=1e-9)
-            assert mine.distance(x, y, heading) == pytest.approx(
-                lane.distance_with_heading(position, heading), abs=1e-9
-            )
+            expected = lane.distance_with_heading(position, heading)
+            assert mine.distance(x, y, heading) == pytest.approx(expected, abs=1e-9)
 
 
 def test_same_closest_lane(pair):

@@ -53,20 +53,18 @@ def test_equal_to_gymnasiums_loop_over_single_environments(kwargs: dict[str, Any
         [lambda: DrivingEnv("intersection", CONFIG) for _ in range(2)],
         autoreset_mode=ours.metadata["autoreset_mode"],
     )
-    try:
-        for space in ("observation_space", "action_space"):
-            assert getattr(ours, space) == getattr(theirs, space)
-            assert getattr(ours, f"single_{space}") == getattr(theirs, f"single_{space}")
-        assert_same_bits(ours.reset(seed=40), theirs.reset(seed=40))
-        endings = 0
-        for _ in range(32):
-            step = ours.step(np.array([2, 2]))
-            assert_same_bits(step, theirs.step(np.array([2, 2])))
-            endings += int((step[2] | step[3]).sum())
-        assert endings >= 4
-    finally:
-        ours.close()
-        theirs.close()
+    for space in ("observation_space", "action_space"):
+        assert getattr(ours, space) == getattr(theirs, space)
+        assert getattr(ours, f"single_{space}") == getattr(theirs, f"single_{space}")
+    assert_same_bits(ours.reset(seed=40), theirs.reset(seed=40))
+    endings = 0
+    for _ in range(32):
+        step = ours.step(np.array([2, 2]))
+        assert_same_bits(step, theirs.step(np.array([2, 2])))
+        endings += int((step[2] | step[3]).sum())
+    assert endings >= 4
+    ours.close()
+    theirs.close()
 
 
 def test_returned_arrays_stay_as_they_are(envs: SumoVectorEnv) -> None:

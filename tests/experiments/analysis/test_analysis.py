@@ -67,9 +67,8 @@ class TestEffects:
                 expected = np.maximum.accumulate(p * np.arange(len(p), 0, -1)).clip(max=1)
             else:
                 expected = stats.false_discovery_control(p.clip(0, 1))
-            assert own["p_adjusted"].dropna().sort_values().to_numpy(float) == pytest.approx(
-                np.sort(expected)
-            )
+            found = own["p_adjusted"].dropna().sort_values().to_numpy(float)
+            assert found == pytest.approx(np.sort(expected))
         assert set(rows["family"]) == {"safety", "harm", "paper", ""}
 
     def test_the_interval_at_the_familys_level_excludes_zero_only_where_holm_rejects(self, analysis) -> None:

@@ -145,9 +145,8 @@ class TestEquivalence:
     def test_equals_statsmodels(self, random: np.random.Generator) -> None:
         t, c = random.normal(0, 0.02, 8), random.normal(0, 0.03, 9)
         expected = ttost_ind(t, c, -0.05, 0.05, usevar="unequal")[0]
-        assert estimate.equivalence(interval(difference(scores(t), scores(c))), 0.05) == pytest.approx(
-            expected
-        )
+        found = estimate.equivalence(interval(difference(scores(t), scores(c))), 0.05)
+        assert found == pytest.approx(expected)
 
     def test_is_unknown_with_one_seed(self) -> None:
         assert np.isnan(estimate.equivalence(interval(difference(np.ones((1, 3)), np.ones((1, 3)))), 0.05))

@@ -37,14 +37,8 @@ def test_every_seed_has_both_arms_and_every_level_every_baseline():
     assert sorted((c.arm, c.seed) for c in found if c.kind == "agent") == [
         (arm, seed) for arm in ("control", "treatment") for seed in range(3)
     ]
-    assert {c.policy for c in found if c.kind == "baseline"} == {
-        "idle",
-        "random",
-        "faster",
-        "slower",
-        "idm",
-        "careful",
-    }
+    policies = {c.policy for c in found if c.kind == "baseline"}
+    assert policies == {"idle", "random", "faster", "slower", "idm", "careful"}
     assert {c.risk for c in found if c.arm == "control"} == {0.0}
     assert {c.risk for c in found if c.arm == "treatment"} == {1.0}
 
@@ -88,12 +82,8 @@ def test_another_study_has_other_seeds_and_scenarios():
 def test_a_frontier_is_more_baselines_and_renames_nothing():
     usual, frontier = ({c.name: c.policy for c in cells(frontier=more)} for more in (False, True))
     assert usual.items() <= frontier.items()
-    assert set(frontier.values()) - set(usual.values()) == {
-        "careful-0.1",
-        "careful-0.5",
-        "careful-2",
-        "careful-4",
-    }
+    further = set(frontier.values()) - set(usual.values())
+    assert further == {"careful-0.1", "careful-0.5", "careful-2", "careful-4"}
 
 
 def test_an_arm_is_left_out_where_it_has_no_meaning():

@@ -73,29 +73,25 @@ def test_only_traffic_that_differs_is_tested() -> None:
 
 def test_episodes_depend_on_their_scenario_alone_and_differ_between_traffics() -> None:
     env = make_env("sumo", "roundabout", env_config("sumo", "roundabout", 1))
-    try:
-        traffics = unseen_traffics("roundabout")
-        assert set(traffics) == set(UNSEEN)
-        table = evaluate(env, Slow(), "roundabout", 1, 6, traffics=traffics)
-        again = evaluate(env, Slow(), "roundabout", 1, 6, traffics=traffics[::-1])
-        by = ["traffic", "scenario"]
-        pd.testing.assert_frame_equal(
-            table.sort_values(by, ignore_index=True), again.sort_values(by, ignore_index=True)
-        )
-        assert len({driven(UnseenRisk(env, traffic)) for traffic in traffics}) == len(traffics)
-    finally:
-        env.close()
+    traffics = unseen_traffics("roundabout")
+    assert set(traffics) == set(UNSEEN)
+    table = evaluate(env, Slow(), "roundabout", 1, 6, traffics=traffics)
+    again = evaluate(env, Slow(), "roundabout", 1, 6, traffics=traffics[::-1])
+    by = ["traffic", "scenario"]
+    pd.testing.assert_frame_equal(
+        table.sort_values(by, ignore_index=True), again.sort_values(by, ignore_index=True)
+    )
+    assert len({driven(UnseenRisk(env, traffic)) for traffic in traffics}) == len(traffics)
+    env.close()
 
 
 def test_the_dose_that_is_asked_for_does_not_matter() -> None:
     env = make_env("sumo", "u-turn", env_config("sumo", "u-turn", 1))
-    try:
-        wrapped = UnseenRisk(env, "only-brake")
-        scenarios = []
-        for risk in (0.0, 1.0):
-            wrapped.reset(seed=5, options={"config": {"risk": risk}})
-            scenarios.append(env.unwrapped.scenario)
-        assert scenarios[0] == scenarios[1]
-        assert scenarios[0].events
-    finally:
-        env.close()
+    wrapped = UnseenRisk(env, "only-brake")
+    scenarios = []
+    for risk in (0.0, 1.0):
+        wrapped.reset(seed=5, options={"config": {"risk": risk}})
+        scenarios.append(env.unwrapped.scenario)
+    assert scenarios[0] == scenarios[1]
+    assert scenarios[0].events
+    env.close()

@@ -52,10 +52,8 @@ def test_margins_are_those_of_the_design() -> None:
     regular = {metric: margin(metric, "highway", "regular", 2.0) for metric in checks.MARGINS}
     assert regular == pytest.approx({**expected, "lane_changes": 0.5})  # return: of the range of 20
     assert {metric: margin(metric, "highway", "risky", 2.0) for metric in expected} == pytest.approx(expected)
-    assert (
-        margin("lane_changes", "highway", "risky", 2.0) is None
-        and margin("length", "highway", "regular", 2.0) is None
-    )
+    assert margin("lane_changes", "highway", "risky", 2.0) is None
+    assert margin("length", "highway", "regular", 2.0) is None
 
 
 def test_a_simulator_that_does_the_same_is_equivalent_everywhere() -> None:
@@ -83,10 +81,8 @@ def test_a_reversed_order_of_egos_is_named() -> None:
     for engine, sign in ((REFERENCE, 1.0), ("sumo", -1.0)):
         chosen = (table["engine"] == engine) & (table["ego"] == "careful")
         table.loc[chosen, "return"] += 3.0 * sign
-    found = [
-        item for item in checks.level_checks(table, "sumo", "u-turn", "regular") if item["metric"] == "order"
-    ]
-    by_return = next(item for item in found if "return" in item["name"])
+    found = checks.level_checks(table, "sumo", "u-turn", "regular")
+    by_return = next(item for item in found if item["metric"] == "order" and "return" in item["name"])
     assert by_return["verdict"] == "missed"
     assert "careful" in by_return["note"]
 

@@ -65,11 +65,7 @@ def look(detector: CrashDetector, before, after, reported=(), time: float = 2.0)
 def test_the_geometry_alone_makes_a_crash_of_the_moment_of_the_touch() -> None:
     standing = [FAR, state(6.0, 0.0)]
     crash = look(CrashDetector(), standing, standing)
-    assert (crash.other, crash.detected_by, crash.type) == (
-        "v1",
-        "geometry",
-        "rear-end",
-    )
+    assert (crash.other, crash.detected_by, crash.type) == ("v1", "geometry", "rear-end")
     assert crash.time == pytest.approx(1.95)  # 1 m between the bumpers at 20 m/s
     assert (crash.x, crash.relative_x, crash.closing_speed) == pytest.approx((1.0, 5.0, 20.0))
 

@@ -119,9 +119,8 @@ def test_headway_is_to_the_nearest_in_the_corridor() -> None:
     y = np.array([0.0, 0.5, 2.5, -1.9, 0.0, 0.0])
     speed = np.array([10.0, 20.0, 0.0, 10.0, 10.0, 10.0])
     # the third is beside the corridor of the first and stands; 95 is more than 60 m ahead of 30
-    assert headways(x, y, speed, np.zeros(6)) == pytest.approx(
-        [2.0, math.inf, math.inf, math.inf, 0.5, math.inf]
-    )
+    expected = [2.0, math.inf, math.inf, math.inf, 0.5, math.inf]
+    assert headways(x, y, speed, np.zeros(6)) == pytest.approx(expected)
 
 
 def test_headway_follows_the_heading() -> None:

@@ -58,20 +58,14 @@ def test_of_highway_env_s_drivers_the_exponent_is_drawn(task: str) -> None:
 def test_drivers_come_from_the_pool_of_their_dose() -> None:
     scenario = started("intersection", **RISKY).scenario
     other = with_other_drivers(scenario, 5)
-    assert [vehicle._replace(driver=None) for vehicle in other.vehicles] == [
-        vehicle._replace(driver=None) for vehicle in scenario.vehicles
-    ]
+    same, kept = ([v._replace(driver=None) for v in one.vehicles] for one in (other, scenario))
+    assert same == kept
     kinds = {driver.type[0] for pool in scenario.pools for driver in pool.drivers}
     assert kinds == {"d", "f"}
-    later = [
-        (spawn.vehicle.driver, new.vehicle.driver)
-        for spawn, new in zip(scenario.spawns, other.spawns, strict=True)
-    ]
-    now = [
-        (vehicle.driver, new.driver) for vehicle, new in zip(scenario.vehicles, other.vehicles, strict=True)
-    ]
-    assert sum(old != new for old, new in now + later) > len(now + later) / 2
-    for old, new in now + later:
+    everybody = ([*one.vehicles, *(spawn.vehicle for spawn in one.spawns)] for one in (scenario, other))
+    drivers = [(before.driver, after.driver) for before, after in zip(*everybody, strict=True)]
+    assert sum(old != new for old, new in drivers) > len(drivers) / 2
+    for old, new in drivers:
         assert (old.type[0], old.type.partition("@")[2]) == (new.type[0], new.type.partition("@")[2])
 
 

@@ -253,9 +253,8 @@ def test_vehicles_are_in_the_modes_of_their_task(simulator: SumoSimulator, task:
     for name in scene.ids[1:]:
         own = specs[name].changes_lanes and setting.lane_changes
         assert libsumo.vehicle.getSpeedMode(name) == right_of_way
-        assert libsumo.vehicle.getLaneChangeMode(name) == (
-            OWN_LANE_CHANGES if own else COMMANDED_LANE_CHANGES
-        )
+        mode = OWN_LANE_CHANGES if own else COMMANDED_LANE_CHANGES
+        assert libsumo.vehicle.getLaneChangeMode(name) == mode
 
 
 def test_who_may_not_change_lanes_does_not(simulator: SumoSimulator) -> None:

@@ -81,12 +81,8 @@ def test_equal_to_a_simulator_in_this_process(simulator: SumoProcess) -> None:
             assert step.scene.ids == equal.scene.ids
             assert step.scene.crashed.dtype == np.bool_
             assert len(step.trace) == len(equal.trace)
-            assert (step.target_lane, step.crash, step.min_ttc, step.distance) == (
-                equal.target_lane,
-                equal.crash,
-                equal.min_ttc,
-                equal.distance,
-            )
+            for name in ("target_lane", "crash", "min_ttc", "distance"):
+                assert getattr(step, name) == getattr(equal, name)
     here.close()
 
 

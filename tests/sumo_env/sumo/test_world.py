@@ -159,9 +159,8 @@ def test_rear_end_crash_is_recorded_and_ends_the_episode(start: Start) -> None:
     env = start("highway", with_leader(20.0, 15.0))
     *_, (_, _, terminated, _, info) = drive(env, IDLE)
     crash = info["crash"]
-    assert (
-        terminated and info["crashed"] and crash["type"] == "rear-end" and crash["other"] == env.scene.ids[1]
-    )
+    assert terminated and info["crashed"]
+    assert (crash["type"], crash["other"]) == ("rear-end", env.scene.ids[1])
     assert crash["closing_speed"] == pytest.approx(10.0, abs=1.5)
     # the pose at the contact, not at the end of its sub-step, when the ego is up to 1 m further
     assert crash["relative_x"] == pytest.approx(5.0, abs=0.001) and abs(crash["relative_y"]) < 0.001

@@ -115,11 +115,8 @@ def test_vehicles_drive_where_their_class_may(tmp_path: Path) -> None:
             lanes.setdefault(vehicle.id, set()).add(vehicle.lane_index)
     closed = files.lane("ab/closed", 0)
     assert lanes.keys() == {"ego", "b", "t", "k", "x"}
-    assert (
-        files.lane("ab/closed", 1) in lanes["k"]
-        and closed in lanes["b"] | lanes["t"]
-        and closed in lanes["x"]
-    )
+    assert files.lane("ab/closed", 1) in lanes["k"]
+    assert closed in lanes["b"] | lanes["t"] and closed in lanes["x"]
     assert files.lane("bc/closed") in lanes["b"] and files.lane("bc/closed") in lanes["t"]  # the short cut
     assert all(index[0].startswith("ab:") for index in lanes["ego"])
     assert env.get_available_actions() == [1, 3]  # neither the bus lane nor the bicycles'

@@ -72,7 +72,5 @@ def test_the_way_is_free_unless_a_centre_is_straight_ahead(heading: float) -> No
     assert not free_way(vehicle, [other(39.9, 0.0)], 40.0)
     assert free_way(vehicle, [other(40.1, 0.0)], 40.0)
     assert free_way(vehicle, [other(-5.0, 0.0)], 40.0)
-    assert not free_way(vehicle, [other(20.0, 1.9)], 40.0) and not free_way(
-        vehicle, [other(20.0, -1.9)], 40.0
-    )
+    assert not any(free_way(vehicle, [other(20.0, aside)], 40.0) for aside in (1.9, -1.9))
     assert free_way(vehicle, [other(20.0, 2.1), other(20.0, -2.1)], 40.0)

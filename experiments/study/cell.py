@@ -21,6 +21,8 @@ from experiments.study.store import (
     EPISODES,
     GATE_COLUMNS,
     GATES,
+    MARK_COLUMNS,
+    MARKS,
     TRAINING,
     WEIGHTS,
     DamagedCell,
@@ -126,11 +128,11 @@ def _train(
     scratch, remark = store.work / cell.name, ""
     with closing(make_env(cell.backend, cell.task, cell.training_config)) as env:
         try:
-            trained = train_cell(cell, env, scratch, advance)
+            trained = train_cell(cell, env, scratch, advance, cell.marks)
         except CheckpointError as damage:
             aside = store.put_aside(scratch / CHECKPOINT)
             remark = f"its checkpoint was damaged ({damage}) and put aside in {aside}"
-            trained = train_cell(cell, env, scratch, advance)
+            trained = train_cell(cell, env, scratch, advance, cell.marks)
     return trained, remark
 
 
@@ -138,6 +140,7 @@ def _test(
     cell: Cell, env: gym.Env[Any, Any], trained: Trained | None, store: Store, advance: Callable[[], None]
 ) -> dict[str, pd.DataFrame]:
     """The tables of the tests of a cell, by file."""
+    import pandas as pd
 
     def play(driver: tuple[gym.Env[Any, Any], Policy], episodes: int, **options: Any) -> pd.DataFrame:
         first = cell.first_scenario
@@ -147,7 +150,12 @@ def _test(
     if cell.test_on is not None:
         return {EPISODES: play(driver, cell.test_on["episodes"], traffics=cell.test_on["traffics"])}
     gates = play(driver, cell.gate_episodes, purpose="gate", traffics=cell.gate_traffics)
-    return {EPISODES: play(driver, cell.episodes), GATES: gates[list(GATE_COLUMNS)]}
+    tables = {EPISODES: play(driver, cell.episodes), GATES: gates[list(GATE_COLUMNS)]}
+    if trained is not None and trained.marks:
+        early = [load_agent(cell.key(), cell.source, file, env) for file in trained.marks]
+        tested = [play(driver, cell.episodes).assign(mark=k) for k, driver in enumerate(early, start=1)]
+        tables[MARKS] = pd.concat(tested)[list(MARK_COLUMNS)]
+    return tables
 
 
 def _driver(

@@ -76,6 +76,8 @@ class Experiment:
     unseen: Flag = False
     """Test the trained agents in risky traffic that nobody was trained in as well: each kind of event alone, risky
     drivers without events, and SUMO's car-following models Krauss and EIDM."""
+    early_tests: Flag = False
+    """Also test every agent as it was after a third and two thirds of its budget (the cell's marks.parquet)."""
     frontier: Flag = False
     """Test the careful driver at five cautions: with the constant policies, the crashes of a speed without learning."""
     config: Annotated[tuple[str, ...], argument("KEY=VALUE ...", "none")] = ()
@@ -169,6 +171,7 @@ class Experiment:
                         profile={**common.profile, **profile, **ARM_PROFILES.get(arm, {})},
                         source=self._own_network,
                         trained_with=different,
+                        early_tests=self.early_tests,
                     )
 
     def _further_tests(self, agent: Cell) -> Iterator[Cell]:

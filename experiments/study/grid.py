@@ -27,9 +27,11 @@ LEARNER = "dqn"
 HIGHWAY_ENV = {"simulation_frequency": 15, "variant": "path"}
 IN_NAMES = {"traffic_model": "sumo"}  # a key of earlier versions, which the names of all cells contain
 BACKEND_KEYS = ("variant", "risk_law")  # keys that only the replica and highway-env have
+MARKS = (1 / 3, 2 / 3)  # shares of the budget after which an agent can be tested as well
 # Keys of the environments that say how an episode is drawn or which arm is meant, not what is simulated.
 PICTURES = {"screen_width", "screen_height", "scaling", "centering_position"}
 FREE = {"risk", *PICTURES}
+NOT_IN_KEY = {"source", "early_tests"}  # fields of a cell
 
 
 @dataclass(frozen=True)
@@ -44,6 +46,7 @@ class Cell:
     dynamics: fingerprint of what the backend does on this task, see `fingerprint.dynamics`.
     trained_with: what differs in the environment that the agent is trained in, for arms that need it.
     test_on: of a further test its backend, env_config, traffics and episodes.
+    early_tests: whether the agent is also tested after the shares MARKS of its budget. Not part of the key.
     source: where the network or policy of the user's own lies, FILE:NAME or a zip file. Not part of the key, which has
         the file's fingerprint.
     """
@@ -63,6 +66,7 @@ class Cell:
     source: str | None = None
     trained_with: Mapping[str, Any] | None = None
     test_on: Mapping[str, Any] | None = None
+    early_tests: bool = False
 
     def key(self) -> dict[str, Any]:
         """All of it as plain JSON values; what cell.json stores."""
@@ -70,7 +74,7 @@ class Cell:
         return {
             name: dict(value) if isinstance(value, Mapping) else value
             for name, value in values.items()
-            if name != "source" and (value or name not in ("trained_with", "test_on"))
+            if name not in NOT_IN_KEY and (value or name not in ("trained_with", "test_on"))
         }
 
     @property
@@ -126,6 +130,11 @@ class Cell:
         return int(self.profile.get("updates", 0)) if self.kind == "agent" else 0
 
     @property
+    def marks(self) -> tuple[float, ...]:
+        """Shares of the budget after which the agent is tested as well."""
+        return MARKS if self.early_tests else ()
+
+    @property
     def episodes(self) -> int:
         """Test episodes in each traffic."""
         return int(self.eval["episodes"])
@@ -145,7 +154,8 @@ class Cell:
         """Episodes that are played after the training, in all traffics."""
         if self.test_on:
             return len(self.test_on["traffics"]) * int(self.test_on["episodes"])
-        return 2 * self.episodes + len(self.gate_traffics) * self.gate_episodes
+        early = len(self.marks) if self.kind == "agent" else 0
+        return 2 * self.episodes * (1 + early) + len(self.gate_traffics) * self.gate_episodes
 
     @property
     def gate_traffics(self) -> tuple[str, ...]:

@@ -1,7 +1,7 @@
 """Finished cells on disk: written whole or not at all, checked when read, never computed twice; all of them as tables.
 
 DIR/cells/<cell>/     cell.json, episodes.parquet; gates.parquet except in further tests of an agent; for agents also
-                      training.parquet, weights.npz
+                      training.parquet, marks.parquet (tests at parts of the budget, on request), weights.npz
 DIR/packed.json, *.parquet, weights/   finished cells of which the folders may be removed (see `packed`)
 DIR/work/<cell>/      a cell in progress: checkpoint, lock, log (see `run`); failed.json if it was given up
 DIR/damaged/          what was put aside because it was damaged
@@ -33,14 +33,13 @@ if TYPE_CHECKING:
     import pandas as pd
 
 CELL, EPISODES, GATES = "cell.json", "episodes.parquet", "gates.parquet"
-TRAINING, WEIGHTS = "training.parquet", "weights.npz"
-TABLES = (EPISODES, GATES, TRAINING, "marks.parquet")  # the last one of earlier versions
+TRAINING, MARKS, WEIGHTS = "training.parquet", "marks.parquet", "weights.npz"
+TABLES = (EPISODES, GATES, TRAINING, MARKS)
 FAILED, SWEEPS, PUBLISHED = "failed.json", "sweep.json", "PUBLISHED.md"
-# Columns of gates.parquet, all that is analysed of those episodes.
-GATE_COLUMNS = (
-    *("traffic", "scenario", "return", "length", "crashed", "mean_speed", "distance", "near_misses"),
-    *(f"action_{number}" for number in range(5)),
-)
+# Columns of gates.parquet and marks.parquet.
+_JUDGED = ("traffic", "scenario", "return", "length", "crashed", "mean_speed", "distance", "near_misses")
+GATE_COLUMNS = (*_JUDGED, *(f"action_{number}" for number in range(5)))
+MARK_COLUMNS = ("mark", *_JUDGED, "crash_time")
 HEAD = '{\n "checksum": "%s",\n'  # of cell.json
 
 

@@ -21,7 +21,7 @@ from experiments.study import grid, store
 from experiments.study.experiment import shard
 from experiments.study.presets import PRESETS
 from experiments.study.run import Ended, attempt
-from experiments.study.store import TRAINING, Store, load
+from experiments.study.store import MARKS, TRAINING, Store, load
 from experiments.support.errors import UserError
 from experiments.sweep import Options, cells_of, sweep
 from sumo_env.tasks import TASKS
@@ -82,7 +82,7 @@ def test_a_sweep_computes_every_cell_once(reference, capsys):
 def test_further_arms_are_trained_and_agents_tested_elsewhere(reference, tmp_path, here):
     directory = tmp_path / "results"
     arms = ("control", "treatment", "dose25", "dose50", "mixed-seen")
-    options = {"arms": arms, "test_on": ("replica",)}
+    options = {"arms": arms, "test_on": ("replica",), "early_tests": True}
     assert run(directory, **options) == 0
     results = load(directory)
     assert set(results.expected) == set(results.cells)
@@ -92,6 +92,9 @@ def test_further_arms_are_trained_and_agents_tested_elsewhere(reference, tmp_pat
     doses = next(key for key in tests if key["arm"] == "dose50" and key["test_on"]["backend"] == "sumo")
     assert doses["test_on"]["traffics"] == ["dose25", "dose50", "dose75"]
     assert {3} == set(results.episodes.groupby(["cell", "traffic"]).size())
+    [agent] = [cell.name for cell in cells_of(Options(**TINY, **options)) if cell.slug.endswith("-dose25-s0")]
+    early = Store(directory).tables(agent)[MARKS]
+    assert {(1, 3), (2, 3)} == set(early.groupby(["mark", "traffic"]).size().droplevel("traffic").items())
     weights = next(directory.glob("cells/*-dose25-s0-*/weights.npz"))
     for path in directory.glob("cells/*-on-*/*"):
         path.unlink()

@@ -36,7 +36,7 @@ def pack(results: Path) -> list[str]:
 @pytest.fixture(scope="module")
 def computed(tmp_path_factory: pytest.TempPathFactory) -> Path:
     directory = tmp_path_factory.mktemp("computed") / "results"
-    sweep_of(directory)
+    sweep_of(directory, early_tests=True)
     return directory
 
 
@@ -57,11 +57,14 @@ def results(computed: Path, tmp_path: Path) -> Path:
 
 
 def content(directory: Path) -> dict[str, Any]:
-    """All results as one, and the training episodes."""
+    """All results as one, and the tables that no analysis reads."""
     home, results = store.Store(directory), load(directory)
-    training = {name: home.tables(name).get(store.TRAINING) for name in results.cells}
-    rows = [table.assign(cell=name) for name, table in training.items() if table is not None]
-    return {**vars(results), "training": pd.concat(rows, ignore_index=True)}
+    tables = {name: home.tables(name) for name in results.cells}
+    further = {
+        file: pd.concat([own[file].assign(cell=name) for name, own in tables.items() if file in own])
+        for file in (store.TRAINING, store.MARKS)
+    }
+    return {**vars(results), **further}
 
 
 def assert_same(one: dict[str, Any], other: dict[str, Any]) -> None:

@@ -1,8 +1,7 @@
 """The results in README.md and docs/study.md: ``python docs/results_table.py`` writes the tables, ``--check`` compares.
 
-Crash rates and speed of control and treated agents for each task of a study, and of agents of mixed training where all
-settings have them; levels weighted alike. The differences from control and their 95 % intervals are those of
-the analysis. Bold: the interval excludes 0.
+Crash rates and speed of the agents of each training and task of the second study; levels weighted alike. The
+differences from control and their 95 % intervals are those of the analysis. Bold: the interval excludes 0.
 """
 
 from __future__ import annotations
@@ -15,7 +14,11 @@ from statistics import fmean
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
-PAGES = {"README.md": "standard", "docs/study.md": "second"}  # and the folder of results that each shows
+STUDY = ROOT / "results" / "second" / "analysis.json"
+PAGES = {
+    "README.md": ("control", "treatment"),
+    "docs/study.md": ("control", "treatment", "mixed"),
+}  # and their arms
 START, END = "<!-- written by docs/results_table.py -->\n\n", "<!-- end of the table -->"
 TASKS = ("highway", "two-way", "roundabout", "intersection", "u-turn")
 NAMES = {"two-way": "two-way road", "all tasks": "**mean of the tasks**"}  # where it is not the scope's own
@@ -59,15 +62,6 @@ def means(analysis: dict[str, Any], traffic: str, outcome: str, arm: str) -> dic
     return {**found, "all tasks": fmean(found.values())}
 
 
-def arms(analysis: dict[str, Any]) -> list[str]:
-    """The arms of the table: control, treatment, and mixed where it has all settings of the treatment."""
-    levels = {
-        arm: {(r["task"], r["level"]) for r in records(analysis, "policies") if r["arm"] == arm}
-        for arm in ARMS
-    }
-    return [arm for arm in ARMS if levels[arm] >= levels["treatment"]]
-
-
 def lines(analysis: dict[str, Any], shown: Sequence[str]) -> Iterator[str]:
     """What the numbers are, and the table with a row for each task."""
     ways = " → ".join(ARMS[arm] for arm in shown)
@@ -93,18 +87,19 @@ def lines(analysis: dict[str, Any], shown: Sequence[str]) -> Iterator[str]:
         yield f"| {' | '.join(cells)} |\n"
 
 
-def written(page: Path, analysis: dict[str, Any]) -> str:
-    """The page with the table of this analysis."""
+def written(page: Path, analysis: dict[str, Any], shown: Sequence[str]) -> str:
+    """The page with the table of these arms."""
     before, _, rest = page.read_text(encoding="utf-8").partition(START)
     _, _, after = rest.partition(END)
-    return before + START + "".join(lines(analysis, arms(analysis))) + END + after
+    return before + START + "".join(lines(analysis, shown)) + END + after
 
 
 def main() -> int:
     """Write the tables, or with --check say whether the pages have them."""
-    for name, folder in PAGES.items():
-        page, source = ROOT / name, ROOT / "results" / folder / "analysis.json"
-        text = written(page, json.loads(source.read_text(encoding="utf-8")))
+    analysis = json.loads(STUDY.read_text(encoding="utf-8"))
+    for name, shown in PAGES.items():
+        page = ROOT / name
+        text = written(page, analysis, shown)
         if "--check" not in sys.argv:
             page.write_text(text, encoding="utf-8")
         elif text != page.read_text(encoding="utf-8"):

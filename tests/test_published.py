@@ -30,18 +30,14 @@ def test_the_table_of_the_readme_is_that_of_the_results() -> None:
     python("docs/results_table.py", "--check")
 
 
-def test_the_table_of_the_readme_shows_mixed_training_where_there_is_any(tmp_path: Path) -> None:
+def test_the_table_shows_the_trainings_that_it_is_asked_for(tmp_path: Path) -> None:
     table_of = runpy.run_path(str(ROOT / "docs" / "results_table.py"))
-    for further in ((), ("mixed",)):
-        synthetic.write(
-            tmp_path / str(further), dict.fromkeys(TASKS, (1,)), seeds=3, tests=8, further=further
-        )
-        analysis = as_json(analyse(load(tmp_path / str(further))))
-        shown = table_of["arms"](analysis)
-        assert shown == ["control", "treatment", *further]
+    synthetic.write(tmp_path, dict.fromkeys(TASKS, (1,)), seeds=3, tests=8, further=["mixed"])
+    analysis = as_json(analyse(load(tmp_path)))
+    for shown in (("control", "treatment"), ("control", "treatment", "mixed")):
         text = "".join(table_of["lines"](analysis, shown))
         assert text.count("|\n") == 2 + len(TASKS) + 1
-        assert ("→ in mixed traffic" in text) == bool(further)
+        assert ("→ in mixed traffic" in text) == ("mixed" in shown)
         [row] = [
             r
             for r in table_of["records"](analysis, "means")
@@ -70,27 +66,34 @@ def crashes(analysis: Analysis, **wanted: str) -> dict[str, str]:
     return {row["term"]: difference(row) for row in rows.to_dict("records")}
 
 
-def test_the_readme_tells_the_numbers_of_the_published_study() -> None:
-    study = published("standard")
-    shown = [crashes(study, scope="without u-turn")["risky"], crashes(study, arm="dense")["risky"]]
+def test_the_readme_tells_the_numbers_of_both_studies() -> None:
+    second, first = published("second"), published("standard")
+    shown = [
+        crashes(second, scope="without u-turn")["risky"],
+        crashes(second, scope="without two-way")["regular"],
+        *(crashes(second, arm="mixed")[term].split()[0] for term in TRAFFICS),
+        *(crashes(first)[term] for term in TRAFFICS),
+        crashes(first, arm="dense")["risky"],
+    ]
     numbers = [words.replace(" points", "") for words in shown]
     assert [number for number in numbers if number not in told("README.md")] == []
 
 
 def test_progress_is_told_beside_speed() -> None:
-    policies = published("standard").policies
-    found = paces(policies[policies["backend"] == "sumo"])
-    risky, regular = (
-        [f"{found[name][traffic]['progress']:.1f}" for name in ("treatment", "control", "slower")]
-        for traffic in ("risky", "regular")
-    )
-    slower = f"{100 * found['slower']['risky']['crashed']:.0f} %"
-    readme = told("README.md")
-    assert (
-        f"cover {risky[0]} m per second of the time limit (a crash stops them), the others {risky[1]};"
-        in readme
-    )
-    assert f"covers {risky[2]} and crashes in {slower}" in readme
+    found = {}
+    for name in ("second", "standard"):
+        policies = published(name).policies
+        pace = paces(policies[policies["backend"] == "sumo"])
+        slower = f"{100 * pace['slower']['risky']['crashed']:.0f} %"
+        found[name] = (
+            [f"{pace[arm]['risky']['progress']:.1f}" for arm in ("treatment", "control", "slower")]
+            + [slower],
+            [f"{pace[arm]['regular']['progress']:.1f}" for arm in ("treatment", "control", "slower")],
+        )
+    here = "treated agents cover {} m per second of the time limit (a crash stops them), the others {}; "
+    here += "always choosing SLOWER covers {} and crashes in {}"
+    assert here.format(*found["second"][0]) in told("README.md")
+    risky, regular = found["standard"]
     assert "is {} m/s, that of control agents {}.".format(*risky) in told("docs/study.md")
     assert "it is {}, {} and {} m/s".format(*regular) in told("docs/study.md")
 
@@ -102,7 +105,9 @@ def test_crashes_in_the_last_second() -> None:
     )
     crashes = episodes.query(wanted).query("crashed")
     late = int((crashes["crash_time"] > 9.0).sum())
-    assert f"{late} of {len(crashes)} crashes of treated agents come in the last second" in told("README.md")
+    assert f"{late} of {len(crashes)} crashes of treated agents come in the last second" in told(
+        "docs/study.md"
+    )
 
 
 def test_the_second_study_is_told_as_it_was_found() -> None:
@@ -112,21 +117,25 @@ def test_the_second_study_is_told_as_it_was_found() -> None:
     effects = study.effects.query("arm == 'treatment' and against == 'control' and outcome == 'crashed'")
     u_turn = difference(effects.query("task == 'u-turn' and term == 'regular'").iloc[0])
     assert f"+13 is {u_turn.replace(' points', '')}" in text
-    shown = [crashes(study, arm=arm)[term].split()[0] for arm in ("treatment", "mixed") for term in TRAFFICS]
-    assert [number for number in shown if number not in text or number not in told("README.md")] == []
+    shown = [crashes(study, arm="mixed")[term].split()[0] for term in TRAFFICS]
+    shown.append(crashes(study, scope="without two-way")["regular"].replace(" points", ""))
+    assert [number for number in shown if number not in text] == []
     lost, harm = study.price.query("scope == 'all tasks'").to_dict("records")
     assert (
         f"loses {100 * lost['estimate']:.1f} points" in text
         and f"costs at most {100 * harm['high']:.1f}" in text
     )
     assert lost["verdict"] == "contradicted"
+    verdicts = study.price.query("scope != 'all tasks'").set_index(["term", "scope"])["verdict"].eq("holds")
+    assert set(verdicts["risky"][verdicts["risky"]].index) == {"highway", "two-way"}
+    assert set(verdicts["regular"][~verdicts["regular"]].index) == {"two-way"}
     away = crashes(study, tested_on="replica", scenarios="replica")
     assert [words for words in away.values() if words not in text] == []
     models = study.policies.query("traffic in ('krauss', 'eidm')").pivot_table(
         "crashed", ["task", "traffic"], "arm"
     )
     assert (
-        len(models) == 8
+        len(models) == 10
         and ((models["treatment"] < models["mixed"]) & (models["mixed"] < models["control"])).all()
     )
     shown = tables.unseen(study, "sumo").set_index(["setting", "traffic"])["treatment"]

@@ -164,11 +164,6 @@ def test_the_studys_page_tells_what_further_arms_do() -> None:
         (r["arm"], f"{r['task']} {r['level_name']}", r["term"]): difference(r)
         for r in rows.to_dict("records")
     }
-    columns = [(arm, term) for term in ("risky", "regular") for arm in ("dense", "treatment")]
-    cells = table(text)
-    assert len(cells) == len(TASKS)
-    for name, row in cells.items():
-        assert [arms[arm, name, term].replace(" points", "") for arm, term in columns] == row
     line = " ".join(text.split())
     means = {arm: crashes(analysis, arm=arm) for arm in ("dose25", "dose50", "dose75", "penalty", "dense")}
     shown = [means[arm][term] for arm in ("dose25", "dose50", "dose75", "penalty") for term in TRAFFICS]

@@ -18,7 +18,7 @@ import numpy as np
 from sumo_env.replica.compiled import borrowing
 from sumo_env.replica.geometry import beyond_ends, local_coordinates, not_zero, position
 from sumo_env.replica.neighbours import distance_beyond, neighbours
-from sumo_env.replica.numpy_loops import binary
+from sumo_env.replica.numpy_loops import binary, each_pair
 from sumo_env.replica.tables import NONE
 from sumo_env.scene import VEHICLE_LENGTH
 
@@ -110,9 +110,9 @@ def ahead(lanes: Any, places: Any, rules: Any, car: Any, i: int, j: int) -> tupl
 
 
 @borrowing
-def linear_acceleration(lanes: Any, cars: Any, places: Any, rules: Any, driver: Any, i: int, j: int) -> float:
+def linear_acceleration(lanes: Any, cars: Any, places: Any, rules: Any, who: int, i: int, j: int) -> float:
     """``LinearVehicle.acceleration`` [m/s2]; arguments as in `acceleration`."""
-    car = cars[i]
+    car, driver = cars[i], cars[who]
     too_fast, too_near = 0.0, 0.0
     if j != NONE:
         distance, _ = ahead(lanes, places, rules, car, i, j)
@@ -126,19 +126,37 @@ def linear_acceleration(lanes: Any, cars: Any, places: Any, rules: Any, driver: 
 
 
 @borrowing
-def acceleration(lanes: Any, cars: Any, places: Any, rules: Any, driver: Any, i: int, j: int) -> float:
-    """``IDMVehicle.acceleration`` [m/s2] of car `i` behind car `j` by the parameters of `driver`; NONE: nobody.
+def part_of_wish(lanes: Any, car: Any) -> float:
+    """Speed of a car over that which its driver wants on its lane, (v / v0)."""
+    return max(car.speed, 0.0) / not_zero(min(max(car.target_speed, 0.0), lanes[car.lane].limit))
+
+
+@borrowing
+def free_roads(lanes: Any, cars: Any, places: Any, loops: Any) -> None:
+    """Write the acceleration of every driver with nobody ahead, which all decisions of a sub-step share."""
+    free, delta = places.free, places.room[0]
+    for i in range(len(cars)):
+        free[i], delta[i] = part_of_wish(lanes, cars[i]), cars[i].delta
+    each_pair(loops.power, free, delta)
+    for i in range(len(cars)):
+        free[i] = cars[i].accel * (1.0 - free[i])
+
+
+@borrowing
+def acceleration(lanes: Any, cars: Any, places: Any, rules: Any, who: int, i: int, j: int) -> float:
+    """``IDMVehicle.acceleration`` [m/s2] of car `i` behind car `j` by the parameters of driver `who`; NONE: nobody.
 
     The distance and speed of a leader beyond the end of the lane are projected on the lane and heading of the follower
     or, by ``rules.along_path``, measured along the path.
     """
     if i == NONE:
         return 0.0
-    car = cars[i]
+    car, driver = cars[i], cars[who]
     if driver.is_linear:
-        return linear_acceleration(lanes, cars, places, rules, driver, i, j)
-    wanted = not_zero(min(max(car.target_speed, 0.0), lanes[car.lane].limit))
-    result = driver.accel * (1.0 - binary(rules.loops.power, max(car.speed, 0.0) / wanted, driver.delta))
+        return linear_acceleration(lanes, cars, places, rules, who, i, j)
+    result = places.free[i]
+    if who != i:
+        result = driver.accel * (1.0 - binary(rules.loops.power, part_of_wish(lanes, car), driver.delta))
     if j == NONE:
         return result
     distance, is_beyond = ahead(lanes, places, rules, car, i, j)
@@ -173,16 +191,16 @@ def mobil(lanes: Any, cars: Any, places: Any, rules: Any, i: int, lane: int) -> 
     """``IDMVehicle.mobil``: is a change of car `i` to `lane` safe, and either planned or worth it?"""
     car = cars[i]
     front, rear = neighbours(lanes, places, i, lane)
-    if acceleration(lanes, cars, places, rules, car, rear, i) < -car.safe_braking:
+    if acceleration(lanes, cars, places, rules, i, rear, i) < -car.safe_braking:
         return False
-    after = acceleration(lanes, cars, places, rules, car, i, front)
+    after = acceleration(lanes, cars, places, rules, i, i, front)
     if car.planned != NONE:  # the route asks for a lane
         road, here = lanes[car.target].road, car.target - lanes[car.target].road
         if np.sign(lane - road - here) != np.sign(car.planned - here):
             return False
         return after >= -car.safe_braking
     old_front = neighbours(lanes, places, i, car.lane)[0]
-    before = acceleration(lanes, cars, places, rules, car, i, old_front)
+    before = acceleration(lanes, cars, places, rules, i, i, old_front)
     return after - before >= car.min_gain
 
 
@@ -219,8 +237,8 @@ def drive(lanes: Any, cars: Any, places: Any, rules: Any, i: int) -> None:
         if not car.is_forced:
             change_lane(lanes, cars, places, rules, i)
     front = neighbours(lanes, places, i, car.lane)[0]
-    wanted = acceleration(lanes, cars, places, rules, car, i, front)
+    wanted = acceleration(lanes, cars, places, rules, i, i, front)
     if car.lane != car.target:
         front = neighbours(lanes, places, i, car.target)[0]
-        wanted = min(wanted, acceleration(lanes, cars, places, rules, car, i, front))
+        wanted = min(wanted, acceleration(lanes, cars, places, rules, i, i, front))
     car.acceleration = min(max(wanted, -car.acc_max), car.acc_max)

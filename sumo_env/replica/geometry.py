@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sumo_env.replica.compiled import borrowing, compiled
-from sumo_env.replica.numpy_loops import binary, unary
+from sumo_env.replica.numpy_loops import each_pair, unary
 from sumo_env.replica.tables import CIRCULAR, NONE, SINE
 from sumo_env.scene import VEHICLE_LENGTH
 
@@ -27,6 +27,8 @@ class Places(NamedTuple):
         order: the cars that a driver on a lane sees, from the rear to the front, shape (lanes, cars).
         seen: where each of these is along the lane [m], shape (lanes, cars).
         count: how many these are, shape (lanes,); NONE if nobody has looked yet, see `neighbours.look`.
+        free: acceleration of each driver on a free road [m/s2], shape (cars,), see `driving.free_roads`.
+        room: for numbers of each car that a kernel needs meanwhile, shape (4, cars).
     """
 
     s: Any
@@ -34,6 +36,8 @@ class Places(NamedTuple):
     order: Any
     seen: Any
     count: Any
+    free: Any
+    room: Any
 
 
 @borrowing
@@ -119,28 +123,34 @@ def is_on(lane: Any, s: float, lat: float) -> bool:
 @compiled
 def no_places(lanes: Any, cars: Any) -> Places:
     """Room for the places of these cars, to be filled by `locate`."""
-    shape = len(lanes), len(cars)
+    n, shape = len(cars), (len(lanes), len(cars))
     s, lat, order, seen = np.empty(shape), np.empty(shape), np.empty(shape, np.int64), np.empty(shape)
-    return Places(s, lat, order, seen, np.empty(len(lanes), np.int64))
+    return Places(s, lat, order, seen, np.empty(len(lanes), np.int64), np.empty(n), np.empty((4, n)))
 
 
 @borrowing
 def locate(lanes: Any, cars: Any, places: Any, loops: Any) -> None:
     """Write where all cars are on all lanes into `places`; nobody has looked at anybody yet."""
     places.count[:] = NONE
+    x, y, phi, radius = places.room[0], places.room[1], places.room[2], places.room[3]
     for j in range(len(cars)):
-        x, y = cars[j].x, cars[j].y
-        centre_x, centre_y, phi, radius = math.nan, math.nan, 0.0, 0.0
-        for k in range(len(lanes)):
-            lane = lanes[k]
+        x[j], y[j] = cars[j].x, cars[j].y
+    centre_x, centre_y = math.nan, math.nan
+    for k in range(len(lanes)):
+        lane = lanes[k]
+        # most bends share one centre
+        if lane.kind == CIRCULAR and (lane.x != centre_x or lane.y != centre_y):
+            centre_x, centre_y = lane.x, lane.y
+            for j in range(len(cars)):
+                phi[j], radius[j] = y[j] - centre_y, x[j] - centre_x
+            each_pair(loops.arctan2, phi, radius)
+            for j in range(len(cars)):
+                radius[j] = math.sqrt((x[j] - centre_x) ** 2 + (y[j] - centre_y) ** 2)
+        for j in range(len(cars)):
             if lane.kind == CIRCULAR:
-                if lane.x != centre_x or lane.y != centre_y:  # most bends share one centre
-                    centre_x, centre_y = lane.x, lane.y
-                    phi = binary(loops.arctan2, y - centre_y, x - centre_x)
-                    radius = math.sqrt((x - centre_x) ** 2 + (y - centre_y) ** 2)
-                places.s[k, j], places.lat[k, j] = on_circle(lane, phi, radius)
+                places.s[k, j], places.lat[k, j] = on_circle(lane, phi[j], radius[j])
             else:
-                places.s[k, j], places.lat[k, j] = on_axis(lane, x, y)
+                places.s[k, j], places.lat[k, j] = on_axis(lane, x[j], y[j])
 
 
 @borrowing

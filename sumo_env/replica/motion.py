@@ -5,9 +5,7 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numpy as np
-
-from sumo_env.replica.compiled import borrowing, compiled
+from sumo_env.replica.compiled import borrowing
 from sumo_env.replica.geometry import heading_at, not_zero, wrapped
 from sumo_env.replica.numpy_loops import each
 from sumo_env.scene import VEHICLE_LENGTH
@@ -34,10 +32,10 @@ def steer_linearly(car: Any, ahead: float, lat: float) -> float:
     return car.heading_gain * turn + car.lateral_gain * (-lat * VEHICLE_LENGTH / (speed * speed))
 
 
-@compiled
+@borrowing
 def steer(lanes: Any, cars: Any, places: Any, loops: Any) -> None:
     """``ControlledVehicle.steering_control``: write the angles that lead cars to the middle of their target lanes."""
-    angles = np.empty(len(cars))
+    angles = places.room[0]
     for i in range(len(cars)):
         lat = places.lat[cars[i].target, i]
         angles[i] = clip(-KP_LATERAL * lat / not_zero(cars[i].speed), -1.0, 1.0)
@@ -59,10 +57,10 @@ def steer(lanes: Any, cars: Any, places: Any, loops: Any) -> None:
         cars[i].steering = clip(angle, -MAX_STEERING_ANGLE, MAX_STEERING_ANGLE)
 
 
-@compiled
-def move(cars: Any, loops: Any, dt: float) -> None:
+@borrowing
+def move(cars: Any, places: Any, loops: Any, dt: float) -> None:
     """``Vehicle.step``: an explicit Euler step of `dt` [s]; wrecks coast straight on."""
-    slips = np.empty(len(cars))
+    slips = places.room[0]
     for i in range(len(cars)):
         if cars[i].crashed:
             cars[i].steering, cars[i].acceleration = 0.0, -cars[i].speed

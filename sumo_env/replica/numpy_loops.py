@@ -81,9 +81,9 @@ def _emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
 
 
 def _emit_each(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-    """An array by its address and length, in place."""
-    loop, address, count = arguments
-    _call(builder, loop, [builder.inttoptr(address, POINTER)] * 2, count)
+    """Arrays by their addresses and length; the results replace the first."""
+    loop, *addresses, count = arguments
+    _call(builder, loop, [builder.inttoptr(one, POINTER) for one in (*addresses, addresses[0])], count)
     return context.get_dummy_value()
 
 
@@ -102,10 +102,21 @@ def _each(typing_context: Any, loop: Any, address: Any, count: Any) -> Any:
     return types.void(loop, types.uintp, types.int64), _emit_each
 
 
+@intrinsic
+def _each_pair(typing_context: Any, loop: Any, address: Any, other: Any, count: Any) -> Any:
+    return types.void(loop, types.uintp, types.uintp, types.int64), _emit_each
+
+
 @borrowing
 def each(loop: tuple[int, int], numbers: Any) -> None:
     """The function of every number of an array, in place; some loops take eight for the time of one."""
     _each(loop, numbers.ctypes.data, len(numbers))  # type: ignore[call-arg]
+
+
+@borrowing
+def each_pair(loop: tuple[int, int], numbers: Any, others: Any) -> None:
+    """The function of two numbers for every number of an array and of another; the results replace the former."""
+    _each_pair(loop, numbers.ctypes.data, others.ctypes.data, len(numbers))  # type: ignore[call-arg]
 
 
 @borrowing

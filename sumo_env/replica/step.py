@@ -9,7 +9,7 @@ import numpy as np
 
 from sumo_env.replica.compiled import borrowing, compiled
 from sumo_env.replica.contacts import collide, ego_ttc
-from sumo_env.replica.driving import drive, follow_road
+from sumo_env.replica.driving import drive, follow_road, free_roads
 from sumo_env.replica.geometry import closest_lane, locate, no_places, on_axis
 from sumo_env.replica.give_way import regulate
 from sumo_env.replica.motion import KP_ACCELERATION, move, steer
@@ -46,6 +46,7 @@ class Rules(NamedTuple):
 @borrowing
 def act(lanes: Any, cars: Any, places: Any, rules: Any) -> None:
     """``Road.act``: all drivers decide in turn, so that the decisions of one are seen by those after it."""
+    free_roads(lanes, cars, places, rules.loops)
     for i in range(len(cars)):
         car = cars[i]
         if car.is_ego:  # ``MDPVehicle.act``
@@ -61,13 +62,13 @@ def step(lanes: Any, cars: Any, places: Any, rules: Any, count: int) -> None:
     """``Road.step``; `count`: number of this sub-step since the first vehicles were placed, from 1."""
     if rules.regulation_interval > 0 and count % rules.regulation_interval == 0:
         regulate(lanes, cars, places, rules)
-    move(cars, rules.loops, rules.dt)
+    move(cars, places, rules.loops, rules.dt)
     for i in range(len(cars)):
         return_from_swerve(cars[i], rules.dt)
     locate(lanes, cars, places, rules.loops)
     for i in range(len(cars)):
         cars[i].lane = closest_lane(lanes, places, rules.loops, i, cars[i].heading, cars[i].lane)
-    collide(cars, rules)
+    collide(cars, places, rules)
 
 
 @compiled

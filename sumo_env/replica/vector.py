@@ -5,6 +5,7 @@ envs = gym.make_vec("sumo_env:replica/u-turn-v0", num_envs=64, scenarios="seeded
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from itertools import pairwise
@@ -30,7 +31,7 @@ from sumo_env.replica.step import staying
 from sumo_env.tasks.base import nearest_index
 
 RESULTS = kernels.OUTCOME.names or ()
-CHUNKS = 2  # of episodes for each thread, so that none waits long for the others
+PATIENCE = 1e-5  # [s] until it is looked again whether all threads have begun
 ALONE = 'gym.make_vec(..., vectorization_mode="sync") has environments that can'
 
 # gymnasium's vector environments take type parameters from version 1.4 on
@@ -255,9 +256,11 @@ class ReplicaVectorEnv(_Base):
         if self._pool is None:
             kernels.drive(law, table, actions, 0, self.num_envs)
         else:
-            ends = np.linspace(0, self.num_envs, CHUNKS * self._threads + 1).astype(int).tolist()
+            ends = np.linspace(0, self.num_envs, self._threads + 1).astype(int).tolist()
             parts = [self._pool.submit(kernels.drive, law, table, actions, *part) for part in pairwise(ends)]
             if not self._single.is_stock:
+                while not all(part.running() or part.done() for part in parts):
+                    time.sleep(PATIENCE)  # while Python draws, no thread could begin
                 self._draw_ahead(parts)
             for part in parts:
                 part.result()

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 from sumo_env.contacts import measures, rectangles
-from sumo_env.tasks import base
+from sumo_env.tasks import base, intersection
 
 try:
     import numba
@@ -85,4 +85,7 @@ def drop_outdated(package: Path, *others: Path) -> int:
     return len(outdated)
 
 
-drop_outdated(Path(__file__).parent, *(Path(str(module.__file__)) for module in (base, measures, rectangles)))
+drop_outdated(
+    Path(__file__).parent,
+    *(Path(str(module.__file__)) for module in (base, intersection, measures, rectangles)),
+)

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
+from numba.extending import register_jitable
+
 from sumo_env.config import Config
 from sumo_env.replica.compiled import borrowing
 from sumo_env.tasks import TASKS, base
 from sumo_env.tasks.base import Task
+from sumo_env.tasks.intersection import ARRIVAL
 
 HIGHWAY, TWO_WAY, ROUNDABOUT, INTERSECTION, U_TURN = range(5)  # places in TASKS
 LANE_REWARDS = {"highway": "right_lane_reward", "two-way": "left_lane_reward", "u-turn": "left_lane_reward"}
-ARRIVAL = 25.0  # [m] on an exit of the intersection
 
-_lmap = borrowing(base.lmap)
+_lmap = register_jitable(base.lmap)
+_speed_term = borrowing(base.speed_term)
 
 
 class Pay(NamedTuple):
@@ -59,12 +62,6 @@ def pay_of(task: Task, config: Config) -> Pay:
 
 
 @borrowing
-def speed_term(pay: Any, speed: float) -> float:
-    """`base.speed_term`."""
-    return min(max(_lmap(speed, pay.speed_range, (0.0, 1.0)), 0.0), 1.0)
-
-
-@borrowing
 def has_arrived(lanes: Any, ego: Any, s: float) -> bool:
     """`Intersection.arrived`; s: of the ego on its lane [m]."""
     return lanes[ego.lane].is_exit and s >= ARRIVAL
@@ -79,16 +76,16 @@ def reward(
     total = pay.collision * ego.crashed
     if pay.task == HIGHWAY:
         total += pay.lane * (target / max(lanes[ego.target].abreast - 1, 1))
-        total += pay.speed * speed_term(pay, ego.speed * ego.cos)
+        total += pay.speed * _speed_term(ego.speed * ego.cos, pay.speed_range)
     elif pay.task == TWO_WAY:
         return pay.speed * (speed_index / (speeds - 1)) + pay.lane * (1 - target)
     elif pay.task == ROUNDABOUT:
         total += pay.speed * (speed_index / 2)
         total += pay.lane_change * (action == 0 or action == 2)
     elif pay.task == INTERSECTION:
-        total = pay.arrived if arrived else total + pay.speed * speed_term(pay, ego.speed)
+        total = pay.arrived if arrived else total + pay.speed * _speed_term(ego.speed, pay.speed_range)
         return _lmap(total * on_road, pay.limits, (0.0, 1.0))
     else:
         total += pay.lane * here
-        total += pay.speed * speed_term(pay, ego.speed)
+        total += pay.speed * _speed_term(ego.speed, pay.speed_range)
     return _lmap(total, pay.limits, (0.0, 1.0)) * on_road

@@ -289,6 +289,6 @@ def weighted(rewards: dict[str, float], config: Config) -> float:
     return total
 
 
-def speed_term(speed: float, config: dict[str, Any]) -> float:
-    """Speed mapped from ``reward_speed_range`` to [0, 1] and clipped."""
-    return min(max(lmap(speed, config["reward_speed_range"], (0.0, 1.0)), 0.0), 1.0)
+def speed_term(speed: float, limits: tuple[float, float] | list[float]) -> float:
+    """Speed mapped from these limits, ``reward_speed_range`` [m/s], to [0, 1] and clipped."""
+    return min(max(lmap(speed, limits, (0.0, 1.0)), 0.0), 1.0)

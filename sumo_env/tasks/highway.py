@@ -85,10 +85,11 @@ class Highway(Task):
         ]
 
     def rewards(self, ego: EgoState, config: Config) -> dict[str, float]:
+        forward = ego.speed * math.cos(ego.heading)
         return {
             "collision_reward": float(ego.crashed),
             "right_lane_reward": ego.target_lane[2] / max(config["lanes_count"] - 1, 1),
-            "high_speed_reward": speed_term(ego.speed * math.cos(ego.heading), config),
+            "high_speed_reward": speed_term(forward, config["reward_speed_range"]),
             "on_road_reward": float(ego.on_road),
         }
 

@@ -14,6 +14,7 @@ from sumo_env.traffic.drivers import Calibration, CarFollowing, RiskRanges
 from sumo_env.traffic.risk import RiskRates
 from sumo_env.traffic.scenario import EGO, Spawn, VehicleSpec, fits
 
+ARRIVAL = 25.0  # [m] on an exit
 INITIAL_SPAWN_PROBABILITY = 0.6  # hard-coded in highway-env, independent of the config's spawn_probability
 
 
@@ -97,7 +98,7 @@ class Intersection(Task):
     def rewards(self, ego: EgoState, config: Config) -> dict[str, float]:
         return {
             "collision_reward": float(ego.crashed),
-            "high_speed_reward": speed_term(ego.speed, config),
+            "high_speed_reward": speed_term(ego.speed, config["reward_speed_range"]),
             "arrived_reward": float(self.arrived(ego)),
             "on_road_reward": float(ego.on_road),
         }
@@ -111,7 +112,7 @@ class Intersection(Task):
         return config["collision_reward"], config["arrived_reward"]
 
     def arrived(self, ego: EgoState) -> bool:
-        return ego.lane[0].startswith("il") and ego.lane[1].startswith("o") and ego.s >= 25.0
+        return ego.lane[0].startswith("il") and ego.lane[1].startswith("o") and ego.s >= ARRIVAL
 
 
 def _two_arms(rng: np.random.Generator) -> tuple[int, int]:

@@ -207,7 +207,7 @@ class NetworkTask(Task):
         limits = config["reward_speed_range"] or [self._way.limit / 2, self._way.limit]
         return {
             "collision_reward": float(ego.crashed),
-            "high_speed_reward": speed_term(ego.speed, {"reward_speed_range": limits}),
+            "high_speed_reward": speed_term(ego.speed, limits),
             "arrived_reward": float(self.arrived(ego)),
             "missed_turn_reward": float(self._missed_turn(ego)),
             "on_road_reward": float(ego.on_road),

@@ -91,7 +91,7 @@ class UTurn(Task):
             "collision_reward": float(ego.crashed),
             # highway-env's name; lane 1, the one it pays for, is the outer (right) lane
             "left_lane_reward": float(ego.lane[2]),
-            "high_speed_reward": speed_term(ego.speed, config),
+            "high_speed_reward": speed_term(ego.speed, config["reward_speed_range"]),
             "on_road_reward": float(ego.on_road),
         }
 

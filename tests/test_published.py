@@ -99,15 +99,16 @@ def test_progress_is_told_beside_speed() -> None:
 
 
 def test_crashes_in_the_last_second() -> None:
-    episodes = load(ROOT / "results" / "standard").episodes
-    wanted = (
-        "kind == 'agent' and arm == 'treatment' and traffic == 'regular' and level == 1 and task == 'u-turn'"
-    )
-    crashes = episodes.query(wanted).query("crashed")
-    late = int((crashes["crash_time"] > 9.0).sum())
-    assert f"{late} of {len(crashes)} crashes of treated agents come in the last second" in told(
-        "docs/study.md"
-    )
+    told_of = {
+        "standard": "{late} of {all} crashes of treated agents come in the last",
+        "first-clock": "{late} of {all} times in the last second",
+        "second": "{late} of {all} in the last second",
+    }
+    for name, words in told_of.items():
+        wanted = "kind == 'agent' and arm == 'treatment' and traffic == 'regular' and level == 1 and task == 'u-turn'"
+        crashes = load(ROOT / "results" / name).episodes.query(wanted).query("crashed")
+        late = int((crashes["crash_time"] > 9.0).sum())
+        assert words.format(late=late, all=len(crashes)) in told("docs/study.md")
 
 
 def test_the_second_study_is_told_as_it_was_found() -> None:
@@ -116,7 +117,9 @@ def test_the_second_study_is_told_as_it_was_found() -> None:
     text = " ".join(text.split())
     effects = study.effects.query("arm == 'treatment' and against == 'control' and outcome == 'crashed'")
     u_turn = difference(effects.query("task == 'u-turn' and term == 'regular'").iloc[0])
-    assert f"+13 is {u_turn.replace(' points', '')}" in text
+    assert f"With the longer clock it is {u_turn.replace(' points', '')}" in text
+    clock = {term: words.replace(" points", "") for term, words in crashes(published("first-clock")).items()}
+    assert f"crash {clock['regular']} more" in text and f"in risky traffic {clock['risky']}" in text
     shown = [crashes(study, arm="mixed")[term].split()[0] for term in TRAFFICS]
     shown.append(crashes(study, scope="without two-way")["regular"].replace(" points", ""))
     assert [number for number in shown if number not in text] == []

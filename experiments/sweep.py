@@ -24,7 +24,7 @@ if __package__ in (None, ""):  # run as a file: import from the project, not fro
 
 import shlex
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -41,11 +41,8 @@ from experiments.study.presets import cells_of, complete
 from experiments.study.progress import START, Progress, duration, seconds
 from experiments.study.run import LOG, compute_here, run
 from experiments.study.store import Store
+from experiments.study.verdict import keep
 from experiments.support.errors import UserError, disk_error, run_command, unknown
-from experiments.validation.status import before_training
-
-# backend, tasks, directory of the results, processes, what to call with what is being done
-Validate = Callable[[str, Sequence[str], Path, int, Callable[[str], None]], object]
 
 
 @dataclass(frozen=True)
@@ -77,14 +74,14 @@ def sweep(
     options: Options,
     make_env: MakeEnv = make_env,
     arguments: Sequence[str] = (),
-    validate: Validate | None = None,
+    checked: bool = False,
 ) -> int:
     """Do what the options ask for; returns the exit status.
 
     Args:
         make_env: makes an environment from (backend, task, config); importable in another process.
         arguments: the command line, to say how to resume.
-        validate: says how close the backend's tasks are to highway-env, before anything is trained.
+        checked: whether the simulators are checked before anything is trained.
 
     Raises:
         UserError: something has to be put right first.
@@ -95,14 +92,12 @@ def sweep(
         raise UserError(f"--hang-after takes 1 to 1000000 seconds, not {options.hang_after:g}")
     if options.executor not in EXECUTORS:
         raise unknown("executor", options.executor, EXECUTORS)
-    # Processes of this machine, which validates whoever computes the cells.
-    here = options.workers if options.workers and options.executor == "local" else cores()
     cells = cells_of(options)
     mine = shard(cells, options.shard)
     if options.dry_run:
-        describe(options, mine, here)
+        describe(options, mine, options.workers or cores())
         return 0
-    if validate is not None:
+    if checked:
         check_dynamics(
             dict.fromkeys((name, cell.task) for cell in mine for name in (cell.backend, cell.runs_on))
         )
@@ -113,9 +108,8 @@ def sweep(
             return compute_one(options.cell, tasks)
         store = Store(options.directory)
         store.write_sweep(again, cells)
-        if validate is not None:
-            names = tuple(dict.fromkeys(cell.task for cell in cells))
-            validate(options.backend, names, options.directory, here, lambda words: print(words, flush=True))
+        if checked:
+            keep(options.backend, tuple(dict.fromkeys(cell.task for cell in cells)), options.directory)
         failures = compute(options, store, tasks, again)
     except OSError as error:
         raise disk_error(error, options.directory) from None
@@ -219,7 +213,7 @@ def main() -> int:
     """The command line."""
     arguments = words_of(sys.argv[1:])
     options = tyro.cli(Options, args=arguments, description=__doc__, config=(tyro.conf.FlagCreatePairsOff,))
-    return sweep(options, arguments=sys.argv[1:], validate=before_training)
+    return sweep(options, arguments=sys.argv[1:], checked=True)
 
 
 if __name__ == "__main__":

@@ -27,11 +27,11 @@ from rich.console import Console
 from experiments.study import grid
 from experiments.study.arms import TRAFFICS
 from experiments.study.fingerprint import check_dynamics, dynamics
-from experiments.study.verdict import SCHEMA
+from experiments.study.verdict import SCHEMA, STORED, verdict_of
 from experiments.support.errors import UserError, run_command, writing
 from experiments.support.files import write_file, write_json
 from experiments.support.provenance import provenance
-from experiments.validation import checks, page, parts, status
+from experiments.validation import checks, page, parts
 from experiments.validation.episodes import CORE
 from experiments.validation.parts import Engine
 
@@ -58,7 +58,7 @@ class Options:
     workers: int = 2
     """Number of processes."""
     update: bool = False
-    """Store the verdict and a part of the reference in the package (experiments/validation/), to be committed."""
+    """Store the verdict in the package (experiments/validation/verdict.json), to be committed."""
 
 
 def engines(options: Options) -> list[Engine]:
@@ -100,7 +100,7 @@ def validate(options: Options, console: Console, arguments: Sequence[str] = ()) 
     write_json(options.out / "validation.json", record)
     write_file(options.out / "validation.html", page.render(record).encode())
     if options.update:
-        status.store(record, table, CORE)
+        write_json(STORED, verdict_of(record))
     return record
 
 

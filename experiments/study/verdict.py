@@ -1,17 +1,21 @@
-"""The verdict on a simulator that lies beside results: how close it is to highway-env, task by task.
+"""The verdict on SUMO that lies beside results: how close it is to highway-env, task by task.
 
-`experiments/validation` finds it; a sweep keeps it with its results, where the report reads it.
+`experiments/validate.py --update` stores it; a sweep keeps it with its results, where the report reads it.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
+from experiments.study.fingerprint import dynamics
+from experiments.support.files import write_json
+
 SCHEMA = 2
+STORED = Path(__file__).resolve().parents[1] / "validation" / "verdict.json"
 
 
 def versions() -> dict[str, str]:
@@ -35,6 +39,20 @@ def read(path: Path) -> dict[str, Any] | None:
         return record
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return None
+
+
+def keep(backend: str, tasks: Sequence[str], out: Path) -> None:
+    """Copy the stored verdict on SUMO's tasks into `out`, unless a verdict on them is there.
+
+    It has to be of the same versions and dynamics; on other simulators there is none.
+    """
+    if backend != "sumo":
+        return
+    now = {task: dynamics(backend, task) for task in tasks}
+    own, stored = of_results(out), read(STORED)
+    if stored and covers(stored, now) and not (own and covers(own, now)):
+        found = {task: stored["tasks"][task] for task in tasks}
+        write_json(out / "verdict.json", {**stored, "fingerprints": now, "tasks": found})
 
 
 def covers(record: Mapping[str, Any], fingerprints: Mapping[str, str]) -> bool:
@@ -72,23 +90,11 @@ def summary(tasks: Mapping[str, Any]) -> dict[str, Any]:
 
 def verdict_of(record: Mapping[str, Any]) -> dict[str, Any]:
     """The verdict of a full validation, from the content of its validation.json."""
-    source = f"{record['scenarios']} scenarios of each level ({record['command']})"
-    used = {name: record["versions"][name] for name in versions()}
-    return {
-        **verdict(record["backend"], source, summary(record["tasks"]), record["fingerprints"]),
-        "versions": used,
-    }
-
-
-def verdict(
-    backend: str, source: str, tasks: Mapping[str, Any], fingerprints: Mapping[str, str]
-) -> dict[str, Any]:
-    """A verdict as plain JSON values, of the versions that are installed."""
     return {
         "schema": SCHEMA,
-        "backend": backend,
-        "source": source,
-        "versions": versions(),
-        "fingerprints": dict(fingerprints),
-        "tasks": dict(tasks),
+        "backend": record["backend"],
+        "source": f"{record['scenarios']} scenarios of each level ({record['command']})",
+        "versions": {name: record["versions"][name] for name in versions()},
+        "fingerprints": dict(record["fingerprints"]),
+        "tasks": summary(record["tasks"]),
     }

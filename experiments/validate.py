@@ -19,23 +19,30 @@ if __package__ in (None, ""):  # run as a file: import from the project, not fro
 import shlex
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from html import escape
 from typing import Annotated, Any
 
+import pandas as pd
 import tyro
 from rich.console import Console
 
 from experiments.study import grid
 from experiments.study.arms import TRAFFICS
 from experiments.study.fingerprint import check_dynamics, dynamics
-from experiments.study.verdict import SCHEMA, STORED, verdict_of
+from experiments.study.verdict import SCHEMA, STORED, every_check, verdict_of
 from experiments.support.errors import UserError, run_command, writing
 from experiments.support.files import write_file, write_json
 from experiments.support.provenance import provenance
-from experiments.validation import checks, page, parts
+from experiments.validation import checks, parts
+from experiments.validation.checks import VARIANTS
 from experiments.validation.episodes import CORE
 from experiments.validation.parts import Engine
 
 QUICK_SCENARIOS = 20
+STYLE = Path(__file__).parent / "templates" / "report.css"
+COUNTS, MISSED = "Checks of each task", "What missed its margin"
+WHERE = ["task", "traffic", "level", "name", "ego", "unit", "verdict", "sumo", "reference", "difference"]
+WHERE += ["low", "high", "margin", "n", "note"]
 VERSIONS = ("libsumo", "highway-env", "gymnasium", "numpy")
 
 
@@ -98,22 +105,47 @@ def validate(options: Options, console: Console, arguments: Sequence[str] = ()) 
         "replica": checks.replica_checks(table),
     }
     write_json(options.out / "validation.json", record)
-    write_file(options.out / "validation.html", page.render(record).encode())
+    write_file(options.out / "validation.html", page(record).encode())
     if options.update:
         write_json(STORED, verdict_of(record))
     return record
 
 
-def show(record: Mapping[str, Any], console: Console) -> None:
-    """How the checks of each task came out, and every miss."""
-    for task, found in record["tasks"].items():
-        counts = ", ".join(f"{number} {verdict}" for verdict, number in found["counts"].items())
-        console.print(f"{task}: {page.WORDS[found['passed']]} ({counts})")
-    for c in page.missed(record):
-        values = "{where}: {name} {ego} {sumo}, highway-env {reference}, margin {margin}".format(**c)
-        console.print(f"missed in {values}")
-    for task, found in (record["replica"] or {"tasks": {}})["tasks"].items():
-        console.print(f"replica, {task}: {found['differing']} of {found['episodes']} episodes differ")
+def tables(record: Mapping[str, Any]) -> dict[str, pd.DataFrame]:
+    """What was found, by title: counts, misses, what highway-env itself drove again, and every check.
+
+    The columns after `note` are what other variants of highway-env differ by from the reference.
+    """
+    checks = pd.DataFrame(
+        {"task": task, "traffic": traffic, "level": level, **item, **item["variants"]}
+        for task, found in record["tasks"].items()
+        for traffic, level, item in every_check(found)
+    )
+    checks = checks[WHERE + [name for name in VARIANTS if name in checks]]
+    found = {
+        task: {"all kept": found["passed"], **found["counts"]} for task, found in record["tasks"].items()
+    }
+    again = pd.DataFrame(record["replica"]["tasks"] if record["replica"] else {}).T
+    return {
+        COUNTS: pd.DataFrame(found).T,
+        MISSED: checks[checks["verdict"] == "missed"].dropna(axis="columns", how="all"),
+        "Episodes of the replica that highway-env drove again": again,
+        "Every check": checks,
+    }
+
+
+def page(record: Mapping[str, Any]) -> str:
+    """validation.html, from the content of validation.json: one file, nothing loaded from elsewhere."""
+    about = f"{record['command']}: {record['scenarios']} scenarios of each level and traffic; {record['versions']}"
+    parts = [
+        f"<h2>{title}</h2><div class=scroll>{table.to_html(na_rep='', float_format='{:.3g}'.format)}</div>"
+        for title, table in tables(record).items()
+    ]
+    return (
+        f"<!doctype html><html lang=en><meta charset=utf-8><title>SUMO against highway-env</title>"
+        f"<style>{STYLE.read_text()}</style><h1>SUMO against highway-env</h1><p>{escape(about)}</p>"
+        f"{''.join(parts)}</html>\n"
+    )
 
 
 def main() -> int:
@@ -124,8 +156,9 @@ def main() -> int:
     console = Console()
     with writing(options.out):
         record = validate(options, console, sys.argv[1:])
-    show(record, console)
-    console.print(f"report: {options.out / 'validation.html'}")
+    for title in (COUNTS, MISSED):
+        print(f"{title}\n{tables(record)[title].to_string()}\n")
+    print(f"every check: {options.out / 'validation.html'}")
     return 0 if all(found["passed"] for found in record["tasks"].values()) else 1
 
 

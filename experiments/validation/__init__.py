@@ -3,5 +3,4 @@
 episodes     who drives, and whole episodes in any simulator: one row of measures each
 parts        all of them in parallel processes, resumable
 checks       margins, paired differences, and the checks of a task and level with their verdicts
-page         what a person reads
 """

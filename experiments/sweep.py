@@ -31,14 +31,14 @@ from typing import Annotated
 import tyro
 
 from experiments.backends import make_env
-from experiments.study.cell import SILENCE, CellTask, MakeEnv
+from experiments.study.cell import CellTask, MakeEnv
 from experiments.study.executors import EXECUTORS, cores, open_executor
 from experiments.study.executors.local import TASKS_PER_PROCESS
 from experiments.study.experiment import Experiment, Flag, argument, shard
 from experiments.study.fingerprint import check_dynamics
 from experiments.study.grid import Cell
 from experiments.study.presets import cells_of, complete
-from experiments.study.progress import START, Progress, duration, seconds
+from experiments.study.progress import Progress, duration, seconds
 from experiments.study.run import LOG, compute_here, run
 from experiments.study.store import Store
 from experiments.study.verdict import keep
@@ -59,8 +59,6 @@ class Options(Experiment):
     """Compute only this part of the cells, for job arrays."""
     cell: Annotated[str | None, argument("NAME", "all")] = None
     """Compute this cell alone and in this process, to see why it fails."""
-    hang_after: Annotated[float, argument("SECONDS", "900")] = SILENCE
-    """A cell that makes no progress for so long hangs, and is begun again."""
     dry_run: Flag = False
     """Print the cells and an estimate of the time, and compute nothing."""
 
@@ -88,8 +86,6 @@ def sweep(
     """
     if options.workers is not None and options.workers < 1:
         raise UserError(f"--workers must be at least 1, not {options.workers}")
-    if not 1.0 <= options.hang_after <= 1e6:
-        raise UserError(f"--hang-after takes 1 to 1000000 seconds, not {options.hang_after:g}")
     if options.executor not in EXECUTORS:
         raise unknown("executor", options.executor, EXECUTORS)
     cells = cells_of(options)
@@ -101,7 +97,7 @@ def sweep(
         check_dynamics(
             dict.fromkeys((name, cell.task) for cell in mine for name in (cell.backend, cell.runs_on))
         )
-    tasks = {cell.name: CellTask(cell, options.directory, make_env, options.hang_after) for cell in mine}
+    tasks = {cell.name: CellTask(cell, options.directory, make_env) for cell in mine}
     again = shlex.join(["python", "experiments/sweep.py", *arguments])
     try:
         if options.cell:
@@ -133,10 +129,10 @@ def compute(options: Options, store: Store, tasks: Mapping[str, CellTask], again
             if kinds == ("test",):
                 batch = [task for task in batch if store.weights(task.cell.parent.name)]
             if batch:
-                executor, progress.workers = open_executor(
+                executor, workers = open_executor(
                     options.executor, options.workers, store.directory, per_process
                 )
-                failures |= run(batch, executor, progress.workers, progress)
+                failures |= run(batch, executor, workers, progress)
     finally:
         progress.close()
     return failures
@@ -192,7 +188,7 @@ def describe(options: Options, cells: Sequence[Cell], workers: int) -> None:
     kinds = Counter(cell.kind for cell in cells)
     print(
         f"{kinds['agent']} agents and {kinds['baseline']} baselines; about "
-        f"{duration(START + total / workers if total else 0.0)} left with {workers} processes on a common server"
+        f"{duration(total / workers)} left with {workers} processes on a common server"
     )
 
 

@@ -39,7 +39,6 @@ if TYPE_CHECKING:
 
 MakeEnv = Callable[..., gym.Env[Any, Any]]
 TEST_EPISODE = 10.0  # about as long as so many updates with their steps
-SILENCE = 900.0  # [s] a cell that makes no update and ends no episode for so long hangs
 
 
 @dataclass(frozen=True)
@@ -47,12 +46,13 @@ class CellTask:
     """A cell to compute in a result directory (a `run.Task`).
 
     make_env: makes an environment from (backend, task, config); must be importable in another process.
+    silence: a cell that makes no update and ends no episode for so long hangs, and is begun again [s].
     """
 
     cell: Cell
     directory: Path
     make_env: MakeEnv
-    silence: float = SILENCE
+    silence: float = 900.0
 
     @property
     def name(self) -> str:

@@ -1,60 +1,51 @@
-"""How long cells will take, and what a person sees of a sweep: a bar that moves, or a line where there is no terminal.
+"""How long cells will take, and what a person sees of a sweep: a bar that moves, or lines where there is no terminal.
 
 Everything that happens is also written to DIR/sweep.log, one line each, which can be followed with `tail -f` wherever
-the sweep runs. Times are of a common server; while a sweep runs, they are scaled by how fast it is.
+the sweep runs.
 """
 
 from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 
 from rich.console import Console
-from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeElapsedColumn
+from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.progress import Progress as Bars
 
 from experiments.study.grid import Cell
-from experiments.study.run import RETRIES, Observer, Sign, Task
+from experiments.study.run import RETRIES, Observer, Task, fraction_done
 from experiments.study.store import Store
 
-# Processor seconds of a common server for (a training step, a test episode) in the lightest traffic;
-# rough except for SUMO.
-RATES: dict[str, dict[str, tuple[float, float]]] = {
-    "sumo": {
-        "highway": (0.0025, 0.050),
-        "two-way": (0.0010, 0.010),
-        "roundabout": (0.0016, 0.017),
-        "intersection": (0.0020, 0.017),
-        "u-turn": (0.0011, 0.010),
-    },
-    "replica": {"highway": (0.0008, 0.015)},
+# Processor seconds of a common server for a policy step in the lightest traffic; rough except for SUMO.
+STEP: dict[str, dict[str, float]] = {
+    "sumo": {"highway": 0.0025, "two-way": 0.0010, "roundabout": 0.0016, "intersection": 0.0020},
+    "replica": {"highway": 0.0008},
     "highway-env": {
-        "highway": (0.400, 6.000),
-        "two-way": (0.040, 0.300),
-        "roundabout": (0.070, 0.600),
-        "intersection": (0.090, 0.900),
-        "u-turn": (0.030, 0.300),
+        "highway": 0.4,
+        "two-way": 0.04,
+        "roundabout": 0.07,
+        "intersection": 0.09,
+        "u-turn": 0.03,
     },
 }
-OTHERWISE = (0.0006, 0.005)
+OTHERWISE = 0.001  # [s]
+LENGTH = 10  # policy steps of an episode
 UPDATE = 0.005  # [s] of the learner, without the steps
 CELL = 0.5  # [s] beside training and test: environment, files
-START = 20.0  # [s] of a sweep: starting the processes, and the report
-SHOW_EVERY = 2.0  # [s] between looks at all cells
-LINE_EVERY, LOG_EVERY = 15.0, 300.0  # [s] between lines where nobody watches, and in the log
-TRUST_AFTER = 60.0  # [s] from when on the speed of this run counts, and not its number of workers
-LOG = "sweep.log"
 GROWTH = 0.25  # how much longer each heavier level takes
+BAR_EVERY, LINE_EVERY, LOG_EVERY = 2.0, 15.0, 300.0  # [s]
+MEMORY = 600.0  # [s] over which the speed is averaged
+LOG = "sweep.log"
 
 
 def seconds(cell: Cell) -> float:
-    """Expected time of a cell on one core of a common server [s], without what a sweep takes once (START)."""
-    factor = 1.0 + GROWTH * (cell.level - 1)
-    step, episode = (factor * rate for rate in RATES[cell.runs_on].get(cell.task, OTHERWISE))
+    """Expected time of a cell on one core of a common server [s]."""
+    step = (1.0 + GROWTH * (cell.level - 1)) * STEP[cell.runs_on].get(cell.task, OTHERWISE)
     update = UPDATE + cell.profile.get("steps_per_update", 1) * step
-    return CELL + cell.updates * update + cell.work * episode
+    return CELL + cell.updates * update + cell.work * LENGTH * step
 
 
 def duration(seconds: float) -> str:
@@ -74,44 +65,42 @@ class Progress(Observer):
     """
 
     def __init__(self, store: Store, cells: Sequence[Cell], finished: set[str], command: str) -> None:
-        self.workers = 1  # how many cells are computed at a time
-        self._cells = {cell.name: cell for cell in cells}
-        self._state = {name: "finished" if name in finished else "waiting" for name in self._cells}
-        self._costs = {cell.name: seconds(cell) for cell in cells}
         self._store, self._command = store, command
-        self._fractions: dict[str, float] = {}  # of running cells
-        self._done_here = 0.0  # estimated core time of what this run finished [s]
-        self._start = self._logged = time.monotonic()
-        self._shown = self._start - LINE_EVERY
+        self._costs = {cell.name: seconds(cell) for cell in cells}
+        self._state = {name: "finished" if name in finished else "waiting" for name in self._costs}
+        self._shown = self._logged = time.monotonic()
         self._console = Console(highlight=False)
-        columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
-        self._bars = Bars(*columns, console=self._console, disable=not self._console.is_terminal)
-        self._bar = self._bars.add_task("", total=1.0)
+        self._bars = Bars(
+            *(
+                BarColumn(),
+                TaskProgressColumn(),
+                TimeElapsedColumn(),
+                TimeRemainingColumn(),
+                TextColumn("left"),
+            ),
+            console=self._console,
+            disable=not self._console.is_terminal,
+            speed_estimate_period=MEMORY,
+        )
+        self._bar = self._bars.add_task("", total=sum(self._costs.values()), completed=self._done())
         self._bars.start()
         self._log(f"{len(cells)} cells, {len(finished)} of them finished before")
 
     def tell(self, task: Task, state: str, words: str = "") -> None:
         """A cell is in another state now."""
         self._state[task.name] = state
-        self._fractions.pop(task.name, None)
-        if state == "running":
-            self._log(f"{task.name} started")
-        elif state == "finished":
-            self._done_here += self._costs[task.name]
-            self._log(f"{task.name} finished")
-        elif state == "failed":
+        if state == "failed":
             with suppress(OSError):  # on a full disk the report says that the cell is missing
                 self._store.write_failure(task.name, words, f"{self._command} {task.name}")
             words += f"; given up after {RETRIES} retries"
         if words:
             self._console.print(f"{task.name}: {words}", markup=False, soft_wrap=True)
-            self._log(f"{task.name}: {words}")
+        self._log(f"{task.name} {state}{words and f': {words}'}")
 
-    def tick(self, running: Mapping[str, Sign | None]) -> None:
+    def tick(self) -> None:
         """Show it."""
-        self._fractions = {name: sign.fraction for name, sign in running.items() if sign is not None}
         now = time.monotonic()
-        if now - self._shown >= (SHOW_EVERY if self._console.is_terminal else LINE_EVERY):
+        if now - self._shown >= (BAR_EVERY if self._console.is_terminal else LINE_EVERY):
             self._shown = now
             self._show()
         if now - self._logged >= LOG_EVERY:
@@ -126,37 +115,24 @@ class Progress(Observer):
 
     def summary(self) -> str:
         """All of it in one line."""
-        counts = Counter(self._state.values())
-        share, left = self._look()
-        parts = [f"{counts.pop('finished', 0)}/{len(self._cells)} cells", f"{share:.0%}"]
-        if left:
+        counts, bar = Counter(self._state.values()), self._bars.tasks[0]
+        parts = [f"{counts.pop('finished', 0)}/{len(self._state)} cells", f"{bar.percentage:.0f}%"]
+        if left := bar.time_remaining:
             parts.append(f"about {duration(left)} left")
-        parts += [f"{number} {state}" for state, number in counts.items() if state != "running"]
-        running = [self._cells[name].slug for name, state in self._state.items() if state == "running"]
-        more = f" and {len(running) - 4} more" if len(running) > 4 else ""
-        if running:
-            parts.append(f"running {', '.join(running[:4])}{more}")
-        return ", ".join(parts)
+        return ", ".join([*parts, *(f"{number} {state}" for state, number in counts.items())])
 
-    def _look(self) -> tuple[float, float]:
-        """Share of the work that is done, and expected time until the rest is [s]."""
-        costs, part = self._costs, {"finished": 1.0, "failed": 1.0}
-        done = {name: part.get(state, self._fractions.get(name, 0.0)) for name, state in self._state.items()}
-        left = [costs[name] * (1.0 - share) for name, share in done.items() if share < 1.0]
-        speed, elapsed = float(self.workers), time.monotonic() - self._start  # core seconds in a second
-        if elapsed > TRUST_AFTER:
-            running = sum(costs[name] * share for name, share in self._fractions.items())
-            speed = max((self._done_here + running) / elapsed, 0.01)
-        share = 1.0 - sum(left) / sum(costs.values())
-        return share, max(sum(left) / speed, *left) if left else 0.0
+    def _done(self) -> float:
+        """Expected time of what is done of the cells [s]."""
+        part = {"finished": 1.0, "failed": 1.0, "waiting": 0.0, "in another run": 0.0}
+        return sum(
+            self._costs[name] * part.get(state, fraction_done(self._store.work / name))
+            for name, state in self._state.items()
+        )
 
     def _show(self) -> None:
-        if self._console.is_terminal:
-            share, left = self._look()
-            words = f"{duration(left)} left" if left else "done"
-            self._bars.update(self._bar, completed=share, description=words)
-        else:
-            print(f"[{duration(time.monotonic() - self._start)}] {self.summary()}", flush=True)
+        self._bars.update(self._bar, completed=self._done())
+        if not self._console.is_terminal:
+            print(self.summary(), flush=True)
 
     def _log(self, text: str) -> None:
         with suppress(OSError), (self._store.directory / LOG).open("a") as file:

@@ -5,7 +5,7 @@ A task is plain data (`Task`); nothing here knows what it computes, nor more of 
 processes of this machine, Ray workers and Slurm jobs are the same to it:
 
 lock           held with flock by the process that computes; the kernel releases it, however the process ends
-progress.json  {"fraction", "host", "pid"}; its age says whether the process is alive
+progress.json  the share that is done
 log.txt        what went wrong, with the stack of every thread after a crash or a hang
 
 A task whose result is there is skipped: the same tasks run again go on where the last run ended.
@@ -20,11 +20,10 @@ import json
 import os
 import shutil
 import signal
-import socket
 import time
 import traceback
 from collections import Counter, deque
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -35,16 +34,14 @@ from experiments.support.errors import UserError, disk_error
 
 LOCK, PROGRESS, LOG = "lock", "progress.json", "log.txt"
 RETRIES = 3  # a task that goes wrong is begun again at most so often
-SPOILT = 70  # exit status of a process that must not be used again; the log says what went wrong
+HUNG, SPOILT = (
+    1,
+    70,
+)  # exit status of a process that faulthandler ends, and of one that must not be used again
 POLL = 0.5  # [s] between two looks at the running tasks, and between two writes of progress.json
-LOOKS = (
-    200.0  # [1/s] files of progress read at most: with many workers, a shared file system is what is short
-)
 RECHECK = 5.0  # [s] between two tries at a task that another run computes
-GRACE = 30.0  # [s] beyond a task's own limit of silence, after which a frozen or lost process is given up
 # An error of these kinds awaits every task: the run stops instead of trying again.
 DISK = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO}
-NO_LOCKS = {errno.ENOLCK, errno.ENOTSUP, errno.ENOSYS}  # of a file system that knows no flock
 
 Beat = Callable[[float], None]
 
@@ -82,16 +79,6 @@ class Ended:
     reason: str = ""
 
 
-@dataclass(frozen=True)
-class Sign:
-    """The last sign of life of a task: what progress.json says, and when it was written (by the file's clock)."""
-
-    fraction: float
-    host: str
-    pid: int
-    written: int
-
-
 class Observer:
     """Is told what happens to the tasks; this one does not listen."""
 
@@ -101,8 +88,8 @@ class Observer:
         "in another run": that one computes it.
         """
 
-    def tick(self, running: Mapping[str, Sign | None]) -> None:
-        """Called twice a second, with many workers less often, with the signs of life of what runs, by task."""
+    def tick(self) -> None:
+        """Called at least twice a second."""
 
 
 # -- In the process that computes ------------------------------------------------------------------------------------
@@ -157,22 +144,18 @@ def locked(folder: Path) -> Iterator[bool]:
         except FileNotFoundError:  # whoever has just finished the task has removed its folder
             continue
         with file:
-            mine = _lock(file.fileno())
+            mine = True
+            try:
+                fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except BlockingIOError:
+                mine = False
+            except (
+                OSError
+            ):  # without locks two sweeps may compute one task: they get the same, and one is kept
+                pass
             if not mine or _is_same(file.fileno(), folder / LOCK):
                 yield mine
                 return
-
-
-def _lock(descriptor: int) -> bool:
-    try:
-        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
-        return False
-    except OSError as error:
-        # Without locks two sweeps may compute one task. They get the same result, and one of the two is kept.
-        if error.errno not in NO_LOCKS:
-            raise
-    return True
 
 
 def _is_same(descriptor: int, path: Path) -> bool:
@@ -191,7 +174,6 @@ def watched(folder: Path, silence: float) -> Iterator[Beat]:
     in a deadlock and in an endless loop of a library as well.
     """
     last = -POLL
-    here = {"host": socket.gethostname(), "pid": os.getpid()}
     with (folder / LOG).open("a") as file:
 
         def beat(fraction: float) -> None:
@@ -201,10 +183,8 @@ def watched(folder: Path, silence: float) -> Iterator[Beat]:
                 return
             last = now
             faulthandler.dump_traceback_later(silence, exit=True, file=file)
-            temporary = folder / f".{PROGRESS}.tmp"
             with suppress(OSError):  # a result says so itself if it cannot be written
-                temporary.write_text(json.dumps({"fraction": min(max(fraction, 0.0), 1.0), **here}))
-                os.replace(temporary, folder / PROGRESS)
+                (folder / PROGRESS).write_text(json.dumps(fraction))
 
         faulthandler.enable(file)
         beat(0.0)
@@ -218,14 +198,12 @@ def watched(folder: Path, silence: float) -> Iterator[Beat]:
 # -- In the process that hands out -----------------------------------------------------------------------------------
 
 
-def sign_of_life(folder: Path) -> Sign | None:
-    """The last sign of life of a task; None if it gave none yet."""
-    path = folder / PROGRESS
+def fraction_done(folder: Path) -> float:
+    """The share of a running task that is done, 0 if it has not said so yet."""
     try:
-        value = json.loads(path.read_text())
-        return Sign(float(value["fraction"]), str(value["host"]), int(value["pid"]), path.stat().st_mtime_ns)
-    except (OSError, ValueError, KeyError, TypeError):
-        return None
+        return float((folder / PROGRESS).read_text())
+    except (OSError, ValueError):
+        return 0.0
 
 
 def last_words(folder: Path) -> str:
@@ -250,127 +228,74 @@ def run(
     Raises:
         UserError: nothing can go on (the disk is full, say); everything finished is kept.
     """
-    runner = _Run(tasks, executor, limit, observer or Observer())
+    observer = observer or Observer()
+    waiting, running = deque(tasks), dict[Future[Ended], Task]()
+    later = deque[tuple[float, Task]]()  # computed by another run: when to look again
+    tries, failures = Counter[str](), dict[str, str]()
     try:
-        while runner.is_busy():
-            runner.hand_out()
-            runner.take()
-            runner.watch()
+        while waiting or running or later:
+            while later and later[0][0] <= time.monotonic():
+                waiting.append(later.popleft()[1])
+            while waiting and len(running) < limit:
+                task = waiting.popleft()
+                running[_submit(executor, task)] = task
+                tries[task.name] += 1
+                observer.tell(task, "running")
+            if not running:
+                time.sleep(POLL)
+            for future in wait(running, POLL, FIRST_COMPLETED).done:
+                task = running.pop(future)
+                ended = _ending(task, future)
+                if ended.state == "fatal":
+                    raise UserError(ended.reason)
+                if ended.state == "done":
+                    observer.tell(task, "finished", ended.reason)
+                elif ended.state == "elsewhere":
+                    tries[task.name] -= 1
+                    later.append((time.monotonic() + RECHECK, task))
+                    observer.tell(task, "in another run")
+                elif tries[task.name] <= RETRIES:
+                    waiting.appendleft(task)
+                    again = f"retry {tries[task.name]} of {RETRIES}"
+                    observer.tell(task, "waiting", f"{ended.reason}, see {task.folder / LOG}; {again}")
+                else:
+                    failures[task.name] = ended.reason
+                    observer.tell(task, "failed", ended.reason)
+            observer.tick()
     except BaseException:  # a signal of the user's, too
         executor.shutdown(wait=False, cancel_futures=True)
         raise
     executor.shutdown()
-    return runner.failures
+    return failures
 
 
-class _Run:
-    """The state of a run."""
-
-    def __init__(self, tasks: Sequence[Task], executor: Executor, limit: int, observer: Observer) -> None:
-        self.failures: dict[str, str] = {}
-        self._executor, self._limit, self._observer = executor, limit, observer
-        self._waiting = deque(tasks)
-        self._later: deque[tuple[float, Task]] = deque()  # computed by another run: when to look again
-        self._running: dict[Future[Ended], Task] = {}
-        self._heard: dict[str, tuple[int, float]] = {}  # the last sign of life, and when it was seen here
-        self._next_look = 0.0
-        self._tries: Counter[str] = Counter()
-
-    def is_busy(self) -> bool:
-        return bool(self._waiting or self._running or self._later)
-
-    def hand_out(self) -> None:
-        """Give the executor what there is room for."""
-        while self._later and self._later[0][0] <= time.monotonic():
-            self._waiting.append(self._later.popleft()[1])
-        while self._waiting and len(self._running) < self._limit:
-            task = self._waiting.popleft()
-            with suppress(OSError):  # that of an earlier try must not be taken for one of this
-                (task.folder / PROGRESS).unlink(missing_ok=True)
-            try:
-                future = self._executor.submit(attempt, task)
-            except Exception as error:
-                reason = str(error).partition("\n")[0]
-                raise UserError(
-                    f"the executor takes no more tasks ({reason}): run the same command again to go on"
-                ) from error
-            self._running[future] = task
-            self._tries[task.name] += 1
-            self._observer.tell(task, "running")
-
-    def take(self) -> None:
-        """Wait a moment, and take in what has ended."""
-        if not self._running:
-            time.sleep(POLL)
-            return
-        for future in wait(self._running, POLL, FIRST_COMPLETED).done:
-            task = self._running.pop(future)
-            ended = self._ending(task, future)
-            if ended.state == "done":
-                self._observer.tell(task, "finished", ended.reason)
-            elif ended.state == "elsewhere":
-                self._tries[task.name] -= 1
-                self._later.append((time.monotonic() + RECHECK, task))
-                self._observer.tell(task, "in another run")
-            elif ended.state == "fatal":
-                raise UserError(ended.reason)
-            else:
-                self._failed(task, ended.reason)
-
-    def _ending(self, task: Task, future: Future[Ended]) -> Ended:
-        """How a task ended, also if its process was lost."""
-        error = future.exception()
-        _, heard = self._heard.pop(task.name, (0, time.monotonic()))
-        if error is None:
-            return future.result()
-        if isinstance(error, UserError):
-            return Ended("fatal", str(error))
-        if (silence := time.monotonic() - heard) >= task.silence - POLL:
-            reason = f"it hung: no sign of life for {silence:.0f} s"
-        else:
-            reason = _reason(task, error)
-        if reason != last_words(task.folder):
-            log(task.folder, reason)
-        return Ended("failed", reason)
-
-    def _failed(self, task: Task, reason: str) -> None:
-        tries = self._tries[task.name]
-        if tries <= RETRIES:
-            self._waiting.appendleft(task)
-            words = f"{reason}, see {task.folder / LOG}; retry {tries} of {RETRIES}"
-            self._observer.tell(task, "waiting", words)
-        else:
-            self.failures[task.name] = reason
-            self._observer.tell(task, "failed", reason)
-
-    def watch(self) -> None:
-        """Look at the signs of life. Processes end themselves after a silence, unless they are frozen or lost."""
-        now = time.monotonic()
-        if now < self._next_look:
-            return
-        self._next_look = now + len(self._running) / LOOKS
-        signs = {task.name: sign_of_life(task.folder) for task in self._running.values()}
-        for future, task in list(self._running.items()):
-            sign = signs[task.name]
-            if sign is None:
-                continue
-            written, seen = self._heard.get(task.name, (None, now))
-            if written != sign.written:
-                self._heard[task.name] = (sign.written, now)
-            elif now - seen > task.silence + GRACE:
-                future.cancel()  # kills a frozen process of this machine; others are given up
-                del self._running[future], self._heard[task.name]
-                self._failed(task, f"it hung: no sign of life from process {sign.pid} on {sign.host}")
-        self._observer.tick(signs)
+def _submit(executor: Executor, task: Task) -> Future[Ended]:
+    try:
+        return executor.submit(attempt, task)
+    except Exception as error:
+        reason = str(error).partition("\n")[0]
+        raise UserError(
+            f"the executor takes no more tasks ({reason}): run the same command again to go on"
+        ) from error
 
 
-def _reason(task: Task, error: BaseException) -> str:
-    """Why a process, node or job is lost."""
+def _ending(task: Task, future: Future[Ended]) -> Ended:
+    """How a task ended, also if its process, node or job was lost."""
+    error = future.exception()
+    if error is None:
+        return future.result()
+    if isinstance(error, UserError):
+        return Ended("fatal", str(error))
     code = getattr(error, "exitcode", None)  # pebble's ProcessExpired
     if code is None:
-        return str(error).partition("\n")[0] or "its process was lost"  # an executor's own words
-    if code == SPOILT:
-        return last_words(task.folder)
-    if code < 0:
-        return f"its process was killed by {signal.Signals(-code).name}"
-    return f"its process ended with exit status {code}"
+        reason = str(error).partition("\n")[0] or "its process was lost"  # an executor's own words
+    elif code == SPOILT:
+        return Ended("failed", last_words(task.folder))
+    elif code == HUNG:
+        reason = f"it hung: no sign of life for {task.silence:.0f} s"
+    elif code < 0:
+        reason = f"its process was killed by {signal.Signals(-code).name}"
+    else:
+        reason = f"its process ended with exit status {code}"
+    log(task.folder, reason)
+    return Ended("failed", reason)

@@ -1,4 +1,4 @@
-"""Slurm, by submitit: every task is a job, those that are handed over together are a job array.
+"""Slurm, by submitit: every task is a job.
 
 What a site asks for is set with sbatch's own variables (SBATCH_PARTITION, SBATCH_ACCOUNT, SBATCH_TIMELIMIT,
 SBATCH_MEM_PER_NODE), which take precedence over what is set here.
@@ -7,7 +7,6 @@ SBATCH_MEM_PER_NODE), which take precedence over what is set here.
 from __future__ import annotations
 
 import os
-import queue
 import subprocess
 import threading
 from collections.abc import Callable
@@ -49,8 +48,7 @@ class SlurmExecutor(Executor):
         self._jobs.update_parameters(
             name="sweep", timeout_min=TIME, mem_gb=MEMORY, cpus_per_task=1, stderr_to_stdout=True
         )
-        self._new: queue.SimpleQueue[tuple[Future[Any], partial[Any]]] = queue.SimpleQueue()
-        self._open: dict[Future[Any], submitit.Job[Any]] = {}
+        self._running: dict[Future[Any], submitit.Job[Any]] = {}
         self._closed = threading.Event()
         self._follower = threading.Thread(target=self._follow, name="follow jobs", daemon=True)
         self._follower.start()
@@ -59,14 +57,17 @@ class SlurmExecutor(Executor):
         """Call a function in a job."""
         future: Future[Any] = Future()
         future.set_running_or_notify_cancel()  # from now on it cannot be cancelled alone
-        self._new.put((future, partial(function, *args, **kwargs)))
+        try:
+            self._running[future] = self._jobs.submit(Restartable(partial(function, *args, **kwargs)))
+        except Exception as error:  # sbatch refuses: no such partition, no account, too many jobs
+            future.set_exception(UserError(f"Slurm takes no job: {error}".replace("\n", " ")))
         return future
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
         """Take no more; with `cancel_futures`, cancel the jobs."""
         self._closed.set()
         self._follower.join()
-        jobs = list(self._open.values())
+        jobs = list(self._running.values())
         if cancel_futures:
             with ThreadPoolExecutor(16) as pool:  # every job takes a call of scancel
                 list(pool.map(lambda job: job.cancel(check=False), jobs))
@@ -75,36 +76,18 @@ class SlurmExecutor(Executor):
                 job.wait()
 
     def _follow(self) -> None:
-        """Hand over new jobs and take in the results, in a thread."""
+        """Take in the results, in a thread."""
         while not self._closed.wait(POLL):
-            new = [self._new.get() for _ in range(self._new.qsize())]
-            if new:
-                self._hand_over(new)
-            for future, job in list(self._open.items()):
+            for future, job in list(self._running.items()):
                 if job.done():
-                    del self._open[future]
-                    _take(job, future)
-
-    def _hand_over(self, new: list[tuple[Future[Any], partial[Any]]]) -> None:
-        """All that are new in one job array."""
-        try:
-            with self._jobs.batch():
-                jobs = [self._jobs.submit(Restartable(call)) for _, call in new]
-        except Exception as error:  # sbatch refuses: no such partition, no account, too many jobs
-            for future, _ in new:
-                future.set_exception(UserError(f"Slurm takes no job: {error}".replace("\n", " ")))
-            return
-        self._open.update((future, job) for (future, _), job in zip(new, jobs, strict=True))
-
-
-def _take(job: submitit.Job[Any], future: Future[Any]) -> None:
-    try:
-        future.set_result(job.result())
-    except (
-        Exception
-    ):  # submitit's own words name its files and show the end of the log, which is there to be read
-        lost = f"its job {job.job_id} is {job.state} (output: {job.paths.stdout})"
-        future.set_exception(RuntimeError(lost))
+                    del self._running[future]
+                    try:
+                        future.set_result(job.result())
+                    except (
+                        Exception
+                    ):  # submitit's own words show the end of the log, which is there to be read
+                        lost = f"its job {job.job_id} is {job.state} (output: {job.paths.stdout})"
+                        future.set_exception(RuntimeError(lost))
 
 
 class Restartable:

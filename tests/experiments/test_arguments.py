@@ -78,7 +78,7 @@ def test_arguments_give_cells_or_one_clear_line(arguments):
 
 
 def test_every_argument_that_chooses_cells_is_tried():
-    others = {"out", "workers", "executor", "cell", "hang_after", "dry_run"}
+    others = {"out", "workers", "executor", "cell", "dry_run"}
     presets_alone = {"about", "learners", "gate_episodes", "first_seed", "first_scenario"}
     assert {field.name for field in fields(Options)} - others - presets_alone == set(ARGUMENTS)
 

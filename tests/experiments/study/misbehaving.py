@@ -96,7 +96,6 @@ FAULTS = {
     "exit": lambda: os._exit(7),
     "hold": _hold_everything,
     "deadlock": _deadlock,
-    "freeze": lambda: os.kill(os.getpid(), signal.SIGSTOP),
     "fail": _fail,
     "refuse": _refuse,
 }

@@ -8,7 +8,7 @@ import signal
 import pytest
 
 from experiments.study.executors import open_executor
-from experiments.study.run import run
+from experiments.study.run import fraction_done, run
 from tests.experiments.study.misbehaving import STEPS, Sum
 from tests.experiments.study.test_run import TOTAL, Witness, results
 from tests.processes import python
@@ -45,15 +45,16 @@ def test_a_job_at_its_time_limit_goes_on_from_its_checkpoint(tmp_path):
     class Limit(Witness):
         """Sends the signal that Slurm sends before the time limit."""
 
-        def tick(self, running) -> None:
-            sign = running.get("long")
-            if sign is not None and sign.fraction >= 0.3 and not self.seen:
-                self.seen.add("long")
-                os.kill(sign.pid, signal.SIGUSR2)
+        sent = False
+
+        def tick(self) -> None:
+            if fraction_done(task.folder) >= 0.3 and not self.sent:
+                self.sent = True
+                os.kill(task.tries()[0][0], signal.SIGUSR2)
 
     witness = Limit()
     assert run([task], executor, 1, witness) == {}
-    assert witness.seen and not witness.retries  # submitit handed it in again, the runner did not notice
+    assert witness.sent and not witness.retries  # submitit handed it in again, the runner did not notice
     assert results([task]) == [TOTAL]
     (_, first), (_, second) = task.tries()
     assert first == 0 and second >= 3
@@ -86,7 +87,7 @@ import os, sys
 from pathlib import Path
 from ray.cluster_utils import Cluster
 from experiments.study.executors import open_executor
-from experiments.study.run import run
+from experiments.study.run import fraction_done, run
 from tests.experiments.study.misbehaving import Sum
 from tests.experiments.study.test_run import Witness
 
@@ -97,16 +98,17 @@ here = Path(sys.argv[1])
 tasks = [Sum(f"t{number}", here, pause=0.3) for number in range(8)]
 
 class Killer(Witness):
-    def tick(self, running):
-        signs = [sign for sign in running.values() if sign is not None and sign.fraction > 0.2]
-        if len(signs) == 2 and not self.seen:
-            self.seen.add("killed")
+    killed = 0
+
+    def tick(self):
+        if not self.killed and sum(fraction_done(task.folder) > 0.2 for task in tasks) == 2:
+            self.killed = 1
             cluster.remove_node(second, allow_graceful=False)
 
 executor, limit = open_executor("ray", None, here, 25)
 witness = Killer()
 failures = run(tasks, executor, limit, witness)
-print(limit, len(witness.seen), failures, witness.retries, flush=True)
+print(limit, witness.killed, failures, witness.retries, flush=True)
 cluster.shutdown()
 """
 

@@ -1,4 +1,4 @@
-"""Speed side by side: the environments against highway-env, the learner against Stable-Baselines3.
+"""Speed side by side: the environments against highway-env and EnvPool, and the time of the learner.
 
     python experiments/benchmark.py --out results/benchmark            # long: two tasks took over 8 minutes
     python experiments/benchmark.py --out /tmp/benchmark --quick       # minutes, less certain
@@ -26,23 +26,26 @@ from dataclasses import dataclass
 from functools import partial
 from typing import Any
 
+import gymnasium as gym
+import numpy as np
 import tyro
 from rich.console import Console
 from rich.table import Table
 
-from experiments.backends import BACKENDS
-from experiments.study.grid import choose_tasks, env_config
+from experiments.study.grid import choose_tasks
 from experiments.support.errors import run_command, unknown, writing
 from experiments.support.files import write_json
 from experiments.support.provenance import provenance
-from experiments.timed import ROOT, WITH_LANES, Process
+from experiments.timed import ROOT, Process
 from sumo_env.tasks import TASKS
 
-SCHEMA = 4
+SCHEMA = 5
 REFERENCE = "highway-env"
 # highway-env's own code alone, whose drivers see beyond the ends of their lanes; 15 Hz is its own frequency.
 REFERENCE_CONFIG = {"variant": "connected", "simulation_frequency": 15}
-PEERS = (REFERENCE, "envpool", "replica", "sumo")
+BACKENDS = {"sumo": (10, 15), "replica": (15,)}  # and the frequencies that they are driven at [Hz]
+ENVPOOL = os.environ.get("ENVPOOL_PYTHON", sys.executable)  # a Python that has it, in case
+STORED = 10_000  # random transitions in the learner's replay
 SEEDS = 100  # whose first observations are compared
 TURNS, SECONDS = 9, 1.0  # of each comparison; of a slice
 QUICK_TURNS, QUICK_SECONDS = 3, 0.2
@@ -60,49 +63,49 @@ def median_ratio(ours: Sequence[float], theirs: Sequence[float]) -> float:
     return statistics.median(a / b for a, b in zip(ours, theirs, strict=True))
 
 
-def beside(ours: Sequence[float], theirs: Sequence[float], unit: str, other: str) -> Record:
-    """Medians over the turns of both rates, and of their ratio."""
-    rates = {unit: statistics.median(ours), other: statistics.median(theirs)}
+def beside(ours: Sequence[float], theirs: Sequence[float]) -> Record:
+    """Medians over the turns of our rate, highway-env's, and of their ratio."""
+    rates = {"steps_per_second": statistics.median(ours), "highway_env": statistics.median(theirs)}
     return {**rates, "ratio": median_ratio(ours, theirs)}
 
 
-def driver(stack: ExitStack, *arguments: Any, python: str = sys.executable) -> Process:
-    """A `timed.Driver` in a process that ends with the stack."""
-    return stack.enter_context(closing(Process("Driver", *arguments, python=python)))
+def opened(stack: ExitStack, kind: str, backend: str, *arguments: Any) -> Process:
+    """An object of `timed` in a process that ends with the stack."""
+    python = ENVPOOL if backend == "envpool" else sys.executable
+    return stack.enter_context(closing(Process(kind, backend, *arguments, python=python)))
 
 
-def measure_env(task: str, backends: Sequence[str], turns: int, seconds: float) -> Iterator[Record]:
-    """Steps per second in the lightest and the densest traffic, at highway-env's frequency and at each backend's own.
+def has_envpool() -> bool:
+    """Whether EnvPool can be measured."""
+    return not subprocess.run([ENVPOOL, "-c", "import envpool"], capture_output=True).returncode
 
-    Beside highway-env's in turns; of SUMO also as a share of what its own steps alone would reach.
-    """
+
+def measure_env(task: str, turns: int, seconds: float) -> Iterator[Record]:
+    """Steps per second in the lightest and the densest traffic, at highway-env's frequency and at SUMO's own."""
     levels = TASKS[task].levels
     for name in (next(iter(levels)), next(reversed(levels))):
         with ExitStack() as stack:
-            theirs = driver(stack, REFERENCE, task, {**levels[name], **REFERENCE_CONFIG})
-            sides: dict[Any, Callable[[], float]] = {REFERENCE: partial(theirs.ask, "rate", 0.0)}
-            drivers = {}
-            for backend in backends:
-                for hertz in sorted({15, int(env_config(backend, task, 1)["simulation_frequency"])}):
-                    config = {**levels[name], "simulation_frequency": hertz}
-                    own = drivers[backend, hertz] = driver(stack, backend, task, config)
-                    sides[backend, hertz] = partial(own.ask, "rate", seconds)
-                    if backend == "sumo":
-                        sides["bare", hertz] = partial(own.ask, "bare_engine", seconds / 2)
+            configs = {(REFERENCE, 15): {**levels[name], **REFERENCE_CONFIG}}
+            for backend, frequencies in BACKENDS.items():
+                for hertz in frequencies:
+                    configs[backend, hertz] = {**levels[name], "simulation_frequency": hertz}
+            drivers = {
+                side: opened(stack, "Driver", side[0], task, config) for side, config in configs.items()
+            }
+            sides = {side: partial(each.ask, "rate", seconds) for side, each in drivers.items()}
+            sides[REFERENCE, 15] = partial(drivers[REFERENCE, 15].ask, "rate", 0.0)  # a few steps take long
             rates = in_turns(sides, turns)
-            for (backend, hertz), own in drivers.items():
-                bare = rates.get(("bare", hertz)) if backend == "sumo" else None
+            for (backend, hertz), own in list(drivers.items())[1:]:
                 yield {
                     "of": f"{backend} {hertz} Hz, {task} {name}",
-                    **beside(rates[backend, hertz], rates[REFERENCE], "steps_per_second", "highway_env"),
+                    **beside(rates[backend, hertz], rates[REFERENCE, 15]),
                     "reset_ms": own.ask("reset_ms"),
-                    "of_bare_engine": bare and median_ratio(rates[backend, hertz], bare),
                 }
 
 
-def measure_start(task: str, backends: Sequence[str], turns: int, seconds: float) -> Iterator[Record]:
+def measure_start(task: str, turns: int, seconds: float) -> Iterator[Record]:
     """Wall time from the start of a fresh Python to the end of the first step."""
-    for backend in backends:
+    for backend in BACKENDS:
         code = "from experiments.backends import make_env\n"
         code += f"env = make_env({backend!r}, {task!r}); env.reset(seed=0); env.step(0)"
         waited = []
@@ -113,59 +116,62 @@ def measure_start(task: str, backends: Sequence[str], turns: int, seconds: float
         yield {"of": f"{backend}, {task}", "first_step_seconds": statistics.median(waited)}
 
 
-def measure_learner(task: str, backends: Sequence[str], turns: int, seconds: float) -> Iterator[Record]:
-    """Updates per second of ours and of Stable-Baselines3 on the same networks."""
+def measure_learner(task: str, turns: int, seconds: float) -> Iterator[Record]:
+    """Processor time of an update by each network, on random transitions; the same for all tasks."""
+    from agents.dqn import DQN, DQNConfig
+
+    rng = np.random.default_rng(0)
     for network in ("attention", "dueling"):
-        with closing(Process("Learners", network)) as learners:
-            sides = {side: partial(learners.ask, side, round(200 * seconds)) for side in ("own", "other")}
-            rates = in_turns(sides, turns)
-        yield {
-            "of": network,
-            **beside(rates["own"], rates["other"], "updates_per_second", "stable_baselines3"),
-        }
+        config = DQNConfig(network=network, replay_capacity=STORED)
+        learner = DQN(config, gym.spaces.Box(-1.0, 1.0, (5, 5)), gym.spaces.Discrete(5), 0)
+        for _ in range(STORED):
+            before, after = rng.uniform(-1.0, 1.0, (2, 5, 5)).astype(np.float32)
+            learner.replay.add(before, int(rng.integers(5)), rng.random(), after, rng.random() < 0.1)
+        learner.standardise()
+        spent, count = [], round(200 * seconds)
+        for _ in range(turns):
+            start = time.process_time()
+            for _ in range(count):
+                learner.update()
+            spent.append((time.process_time() - start) / count)
+        yield {"of": f"{network}, batch {config.batch_size}", "update_ms": 1e3 * statistics.median(spent)}
 
 
-def measure_peers(task: str, backends: Sequence[str], turns: int, seconds: float) -> Iterator[Record]:
+def measure_peers(task: str, turns: int, seconds: float) -> Iterator[Record]:
     """highway-env, EnvPool's copy of it, the replica and SUMO as they come; EnvPool is left out if it is missing.
 
-    `distinct` is the number of different first observations of SEEDS seeds, `crash_rates` are those of the constant
-    policies.
+    `distinct` is the number of different first observations of SEEDS seeds, `idle_crash_rate` that of always IDLE.
     """
-    python = os.environ.get("ENVPOOL_PYTHON", sys.executable)
-    pythons = {name: python if name == "envpool" else sys.executable for name in PEERS}
-    if subprocess.run([python, "-c", "import envpool"], capture_output=True).returncode:
-        print(f"EnvPool is left out: {python} has none (ENVPOOL_PYTHON names a Python)", file=sys.stderr)
-        del pythons["envpool"]
+    names = [REFERENCE, *(["envpool"] if has_envpool() else []), "replica", "sumo"]
+    if "envpool" not in names:
+        print(f"EnvPool is left out: {ENVPOOL} has none (ENVPOOL_PYTHON names a Python)", file=sys.stderr)
     with ExitStack() as stack:
-        peers = {name: driver(stack, name, task, python=path) for name, path in pythons.items()}
+        peers = {name: opened(stack, "Driver", name, task) for name in names}
         rates = in_turns({name: partial(peer.ask, "rate", seconds) for name, peer in peers.items()}, turns)
         for name, peer in peers.items():
             yield {
                 "of": f"{name}, {task}",
-                **beside(rates[name], rates[REFERENCE], "steps_per_second", "highway_env"),
+                **beside(rates[name], rates[REFERENCE]),
                 "distinct": peer.ask("distinct", SEEDS),
-                "crash_rates": {
-                    policy: peer.ask("crash_rate", policy, round(100 * seconds)) for policy in WITH_LANES
-                },
+                "idle_crash_rate": peer.ask("idle_crash_rate", round(100 * seconds)),
             }
 
 
-def measure_batches(task: str, backends: Sequence[str], turns: int, seconds: float) -> Iterator[Record]:
+def measure_batches(task: str, turns: int, seconds: float) -> Iterator[Record]:
     """64 environments of the replica in one call, beside 64 of EnvPool if it is there, and on two threads.
 
     EnvPool drives its default configuration. `two_threads` is their rate over that of one, in wall time.
     """
-    python, levels = os.environ.get("ENVPOOL_PYTHON", sys.executable), TASKS[task].levels
-    batches = [("replica", 1), ("replica", 2), ("envpool", 1)]
-    if subprocess.run([python, "-c", "import envpool"], capture_output=True).returncode:
-        batches.pop()
+    levels = TASKS[task].levels
+    batches = [("replica", 1), ("replica", 2), *([("envpool", 1)] if has_envpool() else [])]
     for name in ("default", next(iter(levels)), next(reversed(levels))):
-        sides: dict[Any, Callable[[], Any]] = {}
         with ExitStack() as stack:
-            for backend, threads in batches:
-                path = python if backend == "envpool" else sys.executable
-                process = Process("Batch", backend, task, levels.get(name, {}), threads, python=path)
-                sides[backend, threads] = partial(stack.enter_context(closing(process)).ask, "rate", seconds)
+            sides: dict[Any, Callable[[], Any]] = {
+                side: partial(
+                    opened(stack, "Batch", side[0], task, levels.get(name, {}), side[1]).ask, "rate", seconds
+                )
+                for side in batches
+            }
             rates: Any = in_turns(sides, turns)
         cpu, wall = ({side: [pair[k] for pair in pairs] for side, pairs in rates.items()} for k in (0, 1))
         own, theirs = cpu["replica", 1], cpu.get(("envpool", 1))
@@ -178,15 +184,14 @@ def measure_batches(task: str, backends: Sequence[str], turns: int, seconds: flo
         }
 
 
-# Name of a part -> what measures it, from a task, the backends, turns and seconds of a slice.
-PARTS: dict[str, Callable[[str, Sequence[str], int, float], Iterator[Record]]] = {
+# Name of a part -> what measures it, from a task, turns and seconds of a slice.
+PARTS: dict[str, Callable[[str, int, float], Iterator[Record]]] = {
     "env": measure_env,
     "start": measure_start,
     "learner": measure_learner,
     "peers": measure_peers,
     "batches": measure_batches,
 }
-WITHOUT_TASK = ("learner",)  # measured once
 
 
 @dataclass(frozen=True)
@@ -197,8 +202,6 @@ class Options:
     """Directory for benchmark.json."""
     quick: bool = False
     """Fewer and shorter turns."""
-    backends: tuple[str, ...] = tuple(name for name in BACKENDS if name != REFERENCE)
-    """Environments to compare with highway-env."""
     tasks: tuple[str, ...] = ()
     """Some of highway, two-way, roundabout, intersection, u-turn (default: all)."""
     parts: tuple[str, ...] = tuple(PARTS)
@@ -218,8 +221,8 @@ def run(options: Options, console: Console) -> dict[str, Any]:
     }
     for part in options.parts:
         with console.status(part):
-            asked = tasks[:1] if part in WITHOUT_TASK else tasks
-            results[part] = [row for task in asked for row in PARTS[part](task, options.backends, *effort)]
+            asked = tasks[:1] if part == "learner" else tasks
+            results[part] = [row for task in asked for row in PARTS[part](task, *effort)]
         write_json(options.out / "benchmark.json", results)
         table = Table(*results[part][0], title=part)
         for row in results[part]:
@@ -232,10 +235,9 @@ def run(options: Options, console: Console) -> dict[str, Any]:
 def main() -> int:
     """The command line."""
     options = tyro.cli(Options, description=__doc__)
-    for kind, words, known in (("part", options.parts, PARTS), ("backend", options.backends, BACKENDS)):
-        for word in words:
-            if word not in known:
-                raise unknown(kind, word, known)
+    for part in options.parts:
+        if part not in PARTS:
+            raise unknown("part", part, PARTS)
     with writing(options.out):
         run(options, Console())
     return 0

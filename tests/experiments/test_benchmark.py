@@ -19,8 +19,8 @@ def test_an_object_in_another_process_keeps_its_state_and_reports_errors(capfd) 
         assert driver.ask("distinct", 3) == 3
         assert driver.ask("rate", 0.0) > 0.0
         with pytest.raises(EOFError, match="crash_rate"):
-            driver.ask("crash_rate", "sleeping", 1)
-    assert "KeyError: 'sleeping'" in capfd.readouterr().err
+            driver.ask("crash_rate", 1)
+    assert "AttributeError" in capfd.readouterr().err
 
 
 def test_ratios_are_taken_turn_by_turn() -> None:
@@ -31,10 +31,8 @@ def test_ratios_are_taken_turn_by_turn() -> None:
 
 def test_a_slice_ends_with_an_episode_and_holds_its_resets() -> None:
     driver = Driver("sumo", "u-turn", {"simulation_frequency": 15})
-    before = driver._steps
     assert driver.rate(0.0) > 0.0 and driver._done
-    assert 1 <= driver._steps - before <= 10
-    assert driver.bare_engine(0.0) > 0.0 and driver.reset_ms() > 0.0
+    assert driver.rate(0.0) > 0.0 and driver.reset_ms() > 0.0
     driver._env.close()
 
 
@@ -43,25 +41,25 @@ def test_the_command_measures_every_part(tmp_path: Path, monkeypatch: pytest.Mon
     without = tmp_path / "python"
     without.write_text("#!/bin/sh\nexit 1\n")  # as a Python that cannot import envpool
     without.chmod(0o755)
-    monkeypatch.setenv("ENVPOOL_PYTHON", str(without))
-    monkeypatch.setattr(benchmark, "QUICK_TURNS", 2)
-    monkeypatch.setattr(benchmark, "QUICK_SECONDS", 0.02)
-    results = run(Options(tmp_path, quick=True, tasks=("u-turn",), backends=("sumo",)), Console(width=200))
+    for name, value in {"ENVPOOL": str(without), "QUICK_TURNS": 2, "QUICK_SECONDS": 0.02}.items():
+        monkeypatch.setattr(benchmark, name, value)
+    results = run(Options(tmp_path, quick=True, tasks=("u-turn",)), Console(width=200))
     assert json.loads((tmp_path / "benchmark.json").read_text()) == results
     assert [r["of"] for r in results["env"]] == [
-        f"sumo {hertz} Hz, u-turn {level}" for level in ("3", "12") for hertz in (10, 15)
+        f"{side}, u-turn {level}"
+        for level in ("3", "12")
+        for side in ("sumo 10 Hz", "sumo 15 Hz", "replica 15 Hz")
     ]
-    assert all(r["ratio"] > 1.0 and r["of_bare_engine"] > 0.0 for r in results["env"])
+    assert all(r["ratio"] > 1.0 and r["reset_ms"] > 0.0 for r in results["env"])
     assert 0.0 < results["start"][0]["first_step_seconds"] < 60.0
-    assert {r["of"] for r in results["learner"]} == {"attention", "dueling"}
-    assert all(r["ratio"] > 0.0 for r in results["learner"])
+    assert all(r["update_ms"] > 0.0 for r in results["learner"])
     stock, replica, sumo = results["peers"]
     names = [r["of"].partition(", ") for r in (stock, replica, sumo)]
     assert names == [(name, ", ", "u-turn") for name in ("highway-env", "replica", "sumo")]
     assert stock["ratio"] == 1.0 and stock["distinct"] == 100 and replica["ratio"] > 1.0
-    assert (replica["distinct"], replica["crash_rates"]) == (stock["distinct"], stock["crash_rates"])
+    assert (replica["distinct"], replica["idle_crash_rate"]) == (stock["distinct"], stock["idle_crash_rate"])
     assert [r["of"] for r in results["batches"]] == ["u-turn default", "u-turn 3", "u-turn 12"]
     assert results["batches"][0]["steps_per_second"] > replica["steps_per_second"]
     assert all(r["envpool"] is None and r["two_threads"] > 0.0 for r in results["batches"])
     printed = capsys.readouterr()
-    assert f"EnvPool is left out: {without}" in printed.err and "stable_baselines3" in printed.out
+    assert f"EnvPool is left out: {without}" in printed.err and "update_ms" in printed.out

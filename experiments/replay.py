@@ -1,8 +1,7 @@
-"""Play one stored test episode again, check it against the stored one, and draw it or export it for sumo-gui.
+"""Play one stored test episode again, check it against the stored one, and film it or export it for sumo-gui.
 
     python experiments/replay.py results/sumo-quick/cells/sumo-highway-50-control-s0
     python experiments/replay.py results/sumo-quick/cells/sumo-highway-50-control-s0:risky:17
-    python experiments/replay.py CASE --gif       # an animation instead of a sheet of pictures
     python experiments/replay.py CASE --sumo      # a folder with episode.sumocfg, for sumo and sumo-gui
     python experiments/replay.py CASE --avoid     # until when could its crash have been avoided, and a film of both
     python experiments/replay.py DIR --avoid      # the share of each arm's crashes avoidable 1, 2 and 3 s before
@@ -23,7 +22,6 @@ from pathlib import Path
 if __package__ in (None, ""):  # run as a file: import from the project, not from this folder
     sys.path[0] = str(Path(__file__).resolve().parents[1])
 
-import difflib
 import math
 import re
 from collections.abc import Mapping, Sequence
@@ -32,11 +30,8 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 import gymnasium as gym
-import numpy as np
 import pandas as pd
 import tyro
-from PIL import Image
-from rich.progress import Progress
 
 from experiments.backends import make_env
 from experiments.reporting.showcase import ending
@@ -48,9 +43,7 @@ from experiments.study.rerun import changed_versions, differences, play_again
 from experiments.study.store import EPISODES, Store, load
 from experiments.support.errors import UserError, disk_error, run_command, unknown
 from experiments.support.films import Film, Pictures, save_gif, side_by_side
-
-PICTURES, GAP = 12, 4  # on a sheet, spread over the episode; [px] between them
-SUGGESTED = 5  # names in an error
+from sumo_env.config import did_you_mean
 
 
 @dataclass(frozen=True)
@@ -62,10 +55,8 @@ class Options:
     regular or risky, scenarios count from 0; by default the first crash."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None
     """File (or folder) to write; by default CELL-TRAFFIC-SCENARIO with a fitting ending, in the current directory."""
-    gif: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = False
-    """Write a film in real time (GIF) instead of a sheet of pictures (PNG)."""
     sumo: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = False
-    """Write a folder that sumo and sumo-gui open instead: network, vehicles, the ego's way, and configurations."""
+    """Write a folder that sumo and sumo-gui open instead of a film (GIF): network, vehicles and the ego's way."""
     avoid: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = False
     """Search for actions that would have avoided the crash; CASE may also be a folder of results. Writes
     CASE-avoided.gif, or DIR/avoidable.parquet, with which the same call goes on."""
@@ -132,16 +123,14 @@ def find_cell(word: str, names: Sequence[str]) -> str:
     """The cell with this name, with or without its hash, or the only one whose name begins so.
 
     Raises:
-        UserError: none or several; the nearest five are named.
+        UserError: none or several; the nearest one is named.
     """
     fitting = [name for name in names if word in (name, name.rpartition("-")[0])]
     fitting = fitting or [name for name in names if name.startswith(word)]
     if len(fitting) == 1:
         return fitting[0]
-    near = fitting or difflib.get_close_matches(word, names, n=SUGGESTED, cutoff=0.3)
-    what = f"{len(fitting) or f'none of {len(names)}'} cells begin with {word!r}"
-    more = ", ..." if len(near) > SUGGESTED else ""
-    raise UserError(f"{what}; did you mean {', '.join(near[:SUGGESTED])}{more}?" if near else what)
+    hint = did_you_mean(word, fitting or names)
+    raise UserError(f"{len(fitting)} of {len(names)} cells begin with {word!r}, not one; {hint}")
 
 
 def replay(options: Options, make_env: MakeEnv = make_env) -> int:
@@ -154,8 +143,8 @@ def replay(options: Options, make_env: MakeEnv = make_env) -> int:
         raise UserError(
             f"--horizon and --crashes are at least 1, not {options.horizon} and {options.crashes}"
         )
-    if options.avoid and (options.gif or options.sumo):
-        raise UserError("--avoid writes a film of its own: leave out --gif and --sumo")
+    if options.avoid and options.sumo:
+        raise UserError("--avoid writes a film of its own: leave out --sumo")
     try:
         if options.avoid and is_results(Path(options.case)):
             return _avoid_all(options, make_env)
@@ -169,18 +158,15 @@ def replay(options: Options, make_env: MakeEnv = make_env) -> int:
 
 def _again(options: Options, case: Case, env: gym.Env[Any, Any]) -> int:
     """Play an episode and write what was asked for; 1 if it came out differently."""
-    stored, film = case.row, Film(env, between=options.gif)
-    on_step = None if options.sumo else film.frame
+    stored, film = case.row, None if options.sumo else Film(env)
+    on_step = film.frame if film else None
     row = play_again(case.path, case.record, env, case.traffic, case.scenario, stored.get("actions"), on_step)
-    path = options.out or Path(case.name + ("" if options.sumo else ".gif" if options.gif else ".png"))
-    if options.sumo:
-        env.unwrapped.export(path)  # type: ignore[attr-defined]
-        path = path / "episode.sumocfg"
-    elif options.gif:
+    path = options.out or Path(f"{case.name}.gif" if film else case.name)
+    if film:
         save_gif(film.pictures, path)
     else:
-        chosen = np.unique(np.linspace(0, len(film.pictures) - 1, PICTURES).round().astype(int))
-        sheet([film.pictures[number] for number in chosen]).save(path)
+        env.unwrapped.export(path)  # type: ignore[attr-defined]
+        path = path / "episode.sumocfg"
     print(f"{case.name}: return {row['return']:.3f} in {row['length']} steps, {ending(row)}{_hit(row)}")
     for traffic in TRAFFICS:
         crashes = case.test.loc[(case.test["traffic"] == traffic) & case.test["crashed"], "scenario"]
@@ -198,17 +184,6 @@ def _hit(row: dict[str, Any]) -> str:
     return f", with {row['crash_other']}" if row["crashed"] else ""
 
 
-def sheet(pictures: Pictures) -> Image.Image:
-    """Pictures of one size on one sheet, row by row from the left, in as many columns as make it about square."""
-    width, height = pictures[0].size
-    columns = max(1, round(math.sqrt(len(pictures) * height / width)))
-    width, height = width + GAP, height + GAP
-    paper = Image.new("RGB", (columns * width - GAP, -(-len(pictures) // columns) * height - GAP), "white")
-    for number, picture in enumerate(pictures):
-        paper.paste(picture, (number % columns * width, number // columns * height))
-    return paper
-
-
 def is_results(directory: Path) -> bool:
     """Whether it is a folder of results, and not a cell in one."""
     return (directory / "cells").is_dir() or (directory / MANIFEST).exists()
@@ -216,15 +191,11 @@ def is_results(directory: Path) -> bool:
 
 def _avoid(options: Options, case: Case, env: gym.Env[Any, Any]) -> int:
     """Search the last moment from which a crash can be avoided; 1 if there is none."""
-    bar, stored = Progress(transient=True), case.row
-    search = Search(options.horizon, lambda share: bar.update(bar.task_ids[-1], completed=share))
+    stored = case.row
     with closing(Rewound(case.path, case.record, stored, env)) as crash:
         print(f"{case.name}: {ending(stored)}{_hit(stored)}")
-        bar.add_task("sequences of the present moment", total=1.0)
-        with bar:
-            for moment in crash.moments(search):
-                print(_outcome(moment, crash, options.horizon))
-                bar.reset(bar.task_ids[-1])
+        for moment in crash.moments(Search(options.horizon)):
+            print(_outcome(moment, crash, options.horizon), flush=True)
         if moment.actions is None:
             print("not found: no searched sequence avoids the contact, from the first step on")
             return 1

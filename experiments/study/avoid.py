@@ -18,7 +18,7 @@ import copy
 import math
 import sys
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -59,28 +59,22 @@ class Moment:
 
 
 class Search:
-    """Looks for actions after which there is no contact.
+    """Looks for actions after which there is no contact."""
 
-    on_progress: is told the share of the sequences that is done.
-    """
-
-    def __init__(self, horizon: int = HORIZON, on_progress: Callable[[float], None] | None = None) -> None:
-        self.horizon, self._on_progress = horizon, on_progress
+    def __init__(self, horizon: int = HORIZON) -> None:
+        self.horizon = horizon
 
     def way_out(self, env: Any) -> tuple[tuple[int, ...] | None, int]:
         """Actions that avoid a contact from the present state on (None: no sequence does), and the contacts met.
 
         The environment stays as it is.
         """
-        self._contacts, self._done = 0, 0.0
+        self._contacts = 0
         steps = math.ceil(SAFE * env.config["policy_frequency"])
-        return self._from(env, min(self.horizon, steps), steps, 1.0), self._contacts
+        return self._from(env, min(self.horizon, steps), steps), self._contacts
 
-    def _from(self, env: Any, free: int, steps: int, share: float) -> tuple[int, ...] | None:
-        """Actions for these steps without a contact, the first `free` ones chosen freely; None if there are none.
-
-        share: of all sequences of the search, those that begin as those to here.
-        """
+    def _from(self, env: Any, free: int, steps: int) -> tuple[int, ...] | None:
+        """Actions for these steps without a contact, the first `free` ones chosen freely; None if there are none."""
         if steps == 0:
             return ()
         choices = sorted(env.actions, key=lambda action: env.actions[action] not in REST)
@@ -92,16 +86,12 @@ class Search:
                 taken, crashed, over = _repeat(twin, action, 1 if free else steps)
                 if over and not crashed:
                     return taken
+                self._contacts += crashed
                 if not crashed and (effect := _effect(twin)) not in effects:
                     effects.add(effect)
-                    rest = self._from(twin, max(free - 1, 0), steps - len(taken), share / len(choices))
+                    rest = self._from(twin, max(free - 1, 0), steps - len(taken))
                     if rest is not None:
                         return taken + rest
-                else:
-                    self._contacts += crashed
-                    self._done += share / len(choices)
-                    if self._on_progress:
-                        self._on_progress(self._done)
         return None
 
 

@@ -19,17 +19,17 @@ Pictures = list[Image.Image]
 class Film:
     """Pictures of an environment as it is driven; `frame` adds one after a reset or a step.
 
-    between: whether environments of `sumo_env` are recorded between policy steps too, in real time.
+    Environments of `sumo_env` are recorded between policy steps too, in real time.
     """
 
     recording, frames_per_sec = True, 0  # as environments expect of a `gymnasium.wrappers.RecordVideo`
     frequency: float = FREQUENCY
 
-    def __init__(self, env: gym.Env[Any, Any], between: bool = True) -> None:
+    def __init__(self, env: gym.Env[Any, Any]) -> None:
         self.env: Any = env.unwrapped
         self.pictures: list[Any] = []
         self._seen = 0
-        if between and hasattr(self.env, "set_record_video_wrapper"):
+        if hasattr(self.env, "set_record_video_wrapper"):
             self.env.set_record_video_wrapper(self)
 
     def frame(self) -> None:

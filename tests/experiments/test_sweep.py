@@ -329,7 +329,7 @@ def test_a_network_of_the_users_own_is_trained_and_stored(tmp_path, here):
     from experiments.replay import replay
 
     name = next(name for name, record in results.cells.items() if record["key"]["arm"] == "treatment")
-    case = ReplayOptions(f"{tmp_path}/results/cells/{name}:risky:1", out=tmp_path / "picture.png")
+    case = ReplayOptions(f"{tmp_path}/results/cells/{name}:risky:1", out=tmp_path / "film.gif")
     assert replay(case, make_env) == 0
 
     def names(file: Path) -> set[str]:

@@ -160,7 +160,7 @@ from tests.experiments.fake_env import make_env
 directory = Path(sys.argv[1])
 write_report(directory)
 for cell in sorted(directory.glob("cells/*")):
-    replay(Options(f"{cell}:risky:0", out=directory / "picture.png"), make_env)
+    replay(Options(f"{cell}:risky:0", out=directory / "film.gif"), make_env)
 print(found)
 """
 

@@ -15,14 +15,13 @@ from pathlib import Path
 if __package__ in (None, ""):  # run as a file: import from the project, not from this folder
     sys.path[0] = str(Path(__file__).resolve().parents[1])
 
-import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, fields, replace
-from operator import itemgetter
 from typing import Annotated, Any
 
 import pandas as pd
 import tyro
+from rich.progress import track
 
 from experiments.backends import make_env
 from experiments.study import grid
@@ -46,8 +45,10 @@ class Options:
 
 def mean(values: pd.Series) -> str:
     """A mean with its interval."""
-    half = Z * float(values.std()) / math.sqrt(len(values))
-    return f"{values.mean():6.2f} ± {half:.2f}"
+    return f"{values.mean():6.2f} ± {Z * float(values.sem()):.2f}"
+
+
+SHOWN = (("crash rate", "crashed", share), ("return", "return", mean), ("speed [m/s]", "mean_speed", mean))
 
 
 def test(options: Options) -> int:
@@ -58,15 +59,15 @@ def test(options: Options) -> int:
     """
     directory = options.directory
     agents = [record["key"] for record in Store(directory).agents().values()]
-    others = missing(directory, agents)
-    for number, task in enumerate(others, start=1):
-        print(f"\rtesting {task.cell.policy} ({number} of {len(others)})   ", end="", flush=True)
+    for task in track(missing(directory, agents), "testing policies that do not learn", transient=True):
         task.compute(lambda _: None)
-    print("\r" + " " * 40 + "\r", end="")
     for setting in sorted({grid.setting(key) for key in agents}):
-        print(table_of(setting, groups_of(directory, setting)))
-    print("control: trained at risk 0; treatment: at risk 1. Intervals: 95 %, over scenarios.")
-    print("Comparing ways of training needs several seeds: experiments/sweep.py")
+        table, scenarios = compared(directory, setting)
+        print(f"{setting}: {scenarios} scenarios at each risk, the same in every row\n{table.to_string()}\n")
+    print("control: trained at risk 0; treatment: at risk 1; published: of results/standard")
+    print(
+        "Intervals: 95 %, over scenarios. Comparing ways of training needs several seeds: experiments/sweep.py"
+    )
     return 0
 
 
@@ -83,61 +84,36 @@ def missing(directory: Path, agents: Iterable[Mapping[str, Any]]) -> list[CellTa
     return [CellTask(cell, directory, make_env) for name, cell in wanted.items() if name not in there]
 
 
-Rows = list[tuple[str, pd.DataFrame]]  # name of an agent or policy, and its test episodes
-
-
-def groups_of(directory: Path, setting: str) -> dict[str, Rows]:
-    """What is compared in a setting, in the scenarios that all have driven."""
-    here, published = Store(directory), Store(PUBLISHED)
-    keys = {name: record["key"] for name, record in here.records().items()}
-    keys = {name: key for name, key in keys.items() if grid.setting(key) == setting}
-    traffics = [[key["dynamics"], key["env_config"]] for key in keys.values()]
-    theirs = {name: record["key"] for name, record in published.records().items()}
-    groups = {
-        "agents in this directory": [row_of(here, name) for name in keys if keys[name]["kind"] == "agent"],
-        "agents of results/standard": [
-            row_of(published, name)
-            for name, key in theirs.items()
-            if (key["kind"], grid.setting(key)) == ("agent", setting)
-            and [key["dynamics"], key["env_config"]] in traffics
-            and published.weights(name)
-        ],
-        "policies that do not learn": [
-            row_of(here, name) for name in keys if keys[name]["kind"] == "baseline"
-        ],
-    }
-    common = set.intersection(*(set(table["scenario"]) for rows in groups.values() for _, table in rows))
-    return {
-        title: sorted(
-            ((name, table[table["scenario"].isin(common)]) for name, table in rows), key=itemgetter(0)
-        )
-        for title, rows in groups.items()
-    }
-
-
-def row_of(store: Store, name: str) -> tuple[str, pd.DataFrame]:
-    """The name of a cell within its setting, and its test episodes."""
-    key = store.record(name)["key"]
-    label = grid.slug(key).removeprefix(f"{grid.setting(key)}-")
-    return label, store.tables(name)[EPISODES]
-
-
-def table_of(setting: str, groups: Mapping[str, Rows]) -> str:
-    """The table of a setting."""
-    scenarios = {table["scenario"].nunique() for rows in groups.values() for _, table in rows}
-    lines = [
-        f"{setting}: {max(scenarios)} scenarios at each risk, the same in every row",
-        f"{'':<26}{'crash rate':^30}{'return':^34}{'speed [m/s]':^34}".rstrip(),
-        f"{'':<26}{'risk 0':<15}{'risk 1':<15}" + f"{'risk 0':<17}{'risk 1':<17}" * 2,
+def compared(directory: Path, setting: str) -> tuple[pd.DataFrame, int]:
+    """What a setting's agents and policies do in the scenarios that all have driven, and the number of these."""
+    here, study = Store(directory), Store(PUBLISHED)
+    records = sorted(here.records().items(), key=lambda item: item[1]["key"]["kind"])  # agents first
+    own = {name: record["key"] for name, record in records}
+    own = {name: key for name, key in own.items() if grid.setting(key) == setting and key["kind"] != "test"}
+    alike = [driven_in(key) for key in own.values()]
+    theirs = {name: record["key"] for name, record in study.agents().items()}
+    theirs = {name: key for name, key in theirs.items() if driven_in(key) in alike and study.weights(name)}
+    tables = [here.tables(name)[EPISODES] for name in own] + [study.tables(name)[EPISODES] for name in theirs]
+    slugs = [grid.slug(key) for key in own.values()] + [
+        f"{grid.slug(key)} (published)" for key in theirs.values()
     ]
-    for title, rows in groups.items():
-        lines.append(f"{title}:" if rows else f"{title}: none in this setting and traffic")
-        for name, table in rows:
-            by = [table[table["traffic"] == traffic] for traffic in TRAFFICS]
-            cells = [f"{share(part['crashed']):<15}" for part in by]
-            cells += [f"{mean(part[column]):<17}" for column in ("return", "mean_speed") for part in by]
-            lines.append(f"  {name:<24}{''.join(cells)}".rstrip())
-    return "\n".join(lines) + "\n"
+    common = set.intersection(*(set(table["scenario"]) for table in tables))
+    rows = []
+    for table in tables:
+        parts = dict(iter(table[table["scenario"].isin(common)].groupby("traffic")))
+        rows.append(
+            {
+                f"{title}, risk {risk:g}": words(parts[traffic][column])
+                for title, column, words in SHOWN
+                for traffic, risk in TRAFFICS.items()
+            }
+        )
+    return pd.DataFrame(rows, index=[slug.removeprefix(f"{setting}-") for slug in slugs]), len(common)
+
+
+def driven_in(key: Mapping[str, Any]) -> list[Any]:
+    """What two tests have to have in common to be compared."""
+    return [grid.setting(key), key["dynamics"], key["env_config"]]
 
 
 if __name__ == "__main__":

@@ -24,20 +24,19 @@ import gymnasium as gym
 import tyro
 
 from experiments.backends import make_env
-from experiments.study.cell import CellTask
+from experiments.study.cell import TEST_EPISODE, CellTask
 from experiments.study.experiment import Experiment
 from experiments.study.fingerprint import check_dynamics
 from experiments.study.grid import Cell
 from experiments.study.presets import cells_of
 from experiments.study.run import compute_here
 from experiments.study.store import TRAINING, Store
-from experiments.support.errors import UserError, disk_error, run_command, unknown
+from experiments.support.errors import UserError, run_command, unknown, writing
 
 # The traffic of the training, and the arm of the experiment that it is.
 ARMS = {"0": "control", "0.25": "dose25", "0.5": "dose50", "0.75": "dose75", "1": "treatment"}
 ARMS |= {"mixed": "mixed", "drawn": "drawn"}
 LINES = 20  # of a whole training in the terminal
-BLOCKS = "▁▂▃▄▅▆▇█"
 SMOOTH = 50  # training episodes over which the picture averages
 
 
@@ -89,63 +88,20 @@ def agent_and_others(options: Options) -> tuple[Cell, list[Cell]]:
     return agent, others
 
 
-class Live:
-    """Prints how an agent learns: a line for each twentieth of the work, with the episodes since the last one."""
-
-    def __init__(self, cell: Cell) -> None:
-        self._training = cell.updates / (
-            cell.updates + 10.0 * cell.work
-        )  # share of the work that is training
-        self._episodes: list[tuple[float, bool]] = []
-        self._returns: list[float] = []
-        self._next, self._tests = 1, False
-        print(f"training {cell.slug}: {cell.updates} updates (stop and go on at any time)")
-
-    def note(self, total: float, crashed: bool) -> None:
-        """A training episode has ended."""
-        self._episodes.append((total, crashed))
-
-    def beat(self, done: float) -> None:
-        """So much of the work is done, from 0 to 1; training comes first."""
-        share = done / self._training
-        if share >= self._next / LINES and self._next <= LINES and self._episodes:
-            self._print(min(share, 1.0))
-            self._next = int(share * LINES) + 1
-        if share > 1.0 and not self._tests:
-            self._tests = True
-            print("testing it in regular and in risky traffic", flush=True)
-
-    def _print(self, share: float) -> None:
-        returns, crashes = zip(*self._episodes, strict=True)
-        self._returns.append(fmean(returns))
-        low, high = min(self._returns), max(self._returns)
-        bars = "".join(BLOCKS[round(7 * (r - low) / ((high - low) or 1.0))] for r in self._returns)
-        count = f"{len(returns)} episodes"
-        print(
-            f"{share:4.0%}  {count:>14}  return {fmean(returns):6.2f}  crashes {fmean(crashes):4.0%}  {bars}",
-            flush=True,
-        )
-        self._episodes = []
-
-
 class Watched(gym.Wrapper[Any, Any, Any, Any]):
-    """Tells a `Live` of every episode."""
+    """Appends return and crash of every episode to a list."""
 
-    def __init__(self, env: gym.Env[Any, Any], live: Live) -> None:
+    def __init__(self, env: gym.Env[Any, Any], episodes: list[tuple[float, bool]]) -> None:
         super().__init__(env)
-        self._live, self._total = live, 0.0
-
-    def reset(self, **options: Any) -> tuple[Any, dict[str, Any]]:
-        """Begin an episode."""
-        self._total = 0.0
-        return self.env.reset(**options)
+        self._episodes, self._total = episodes, 0.0
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         """Drive one step."""
         observation, reward, terminated, truncated, info = self.env.step(action)
         self._total += float(reward)
         if terminated or truncated:
-            self._live.note(self._total, bool(info["crashed"]))
+            self._episodes.append((self._total, bool(info["crashed"])))
+            self._total = 0.0
         return observation, reward, terminated, truncated, info
 
 
@@ -154,21 +110,12 @@ def draw(directory: Path, cell: Cell) -> Path:
     import matplotlib
 
     matplotlib.use("agg")
-    from matplotlib import pyplot as plt
-
-    episodes = Store(directory).tables(cell.name)[TRAINING]
+    episodes = Store(directory).tables(cell.name)[TRAINING].set_index("step")
     smooth = episodes[["return", "crashed"]].astype(float).rolling(SMOOTH, min_periods=1).mean()
-    figure, panels = plt.subplots(1, 2, figsize=(9, 3.2), layout="constrained")
-    for panel, column, label in zip(
-        panels, smooth, ("return", "share of episodes with a crash"), strict=True
-    ):
-        panel.plot(episodes["step"], smooth[column], color="#0072b2", lw=1.2)
-        panel.set(xlabel="environment steps", ylabel=label)
-        panel.grid(alpha=0.3)
-    figure.suptitle(f"{cell.slug}: training episodes with exploration, mean of {SMOOTH}", fontsize=10)
+    title = f"{cell.slug}: training episodes with exploration, mean of {SMOOTH}"
+    axes = smooth.plot(subplots=True, figsize=(8, 5), grid=True, xlabel="environment steps", title=title)
     file = directory / f"{cell.slug}.png"
-    figure.savefig(file, dpi=110)
-    plt.close(figure)
+    axes[0].figure.savefig(file, dpi=110)
     return file
 
 
@@ -180,19 +127,30 @@ def train(options: Options, arguments: list[str]) -> int:
     """
     agent, others = agent_and_others(options)
     check_dynamics([(agent.backend, agent.task)])
-    live = Live(agent)
+    episodes: list[tuple[float, bool]] = []  # since the last line
+    training, last = agent.updates / (agent.updates + TEST_EPISODE * agent.work), 0  # share of the work
 
     def watched(backend: str, task: str, config: dict[str, Any]) -> gym.Env[Any, Any]:
-        return Watched(make_env(backend, task, config), live)
+        return Watched(make_env(backend, task, config), episodes)
 
-    try:
-        Store(options.out).write_sweep(
-            shlex.join(["python", "experiments/train.py", *arguments]), [agent, *others]
-        )
-        compute_here(CellTask(agent, options.out, watched), live.beat)
+    def beat(done: float) -> None:
+        nonlocal last
+        line = min(int(LINES * done / training + 1e-9), LINES + 1)
+        if line > last and line > LINES:
+            print("testing it in regular and in risky traffic", flush=True)
+        elif line > last and episodes:
+            returns, crashes = zip(*episodes, strict=True)
+            numbers = f"return {fmean(returns):6.2f}  crashes {fmean(crashes):4.0%}"
+            print(f"{line / LINES:4.0%}  {len(returns):4} episodes  {numbers}", flush=True)
+            episodes.clear()
+        last = max(last, line)
+
+    with writing(options.out):
+        command = shlex.join(["python", "experiments/train.py", *arguments])
+        Store(options.out).write_sweep(command, [agent, *others])
+        print(f"training {agent.slug}: {agent.updates} updates (stop and go on at any time)")
+        compute_here(CellTask(agent, options.out, watched), beat)
         picture = draw(options.out, agent)
-    except OSError as error:
-        raise disk_error(error, options.out) from None
     print(f"{agent.slug} is trained and tested; its learning curve: {picture}")
     print(f"next: python experiments/test.py {options.out}; python experiments/watch.py {options.out}")
     return 0

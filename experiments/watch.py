@@ -16,10 +16,10 @@ from contextlib import closing
 from dataclasses import dataclass
 from typing import Annotated
 
-import pandas as pd
 import tyro
 
 from experiments.backends import make_env
+from experiments.reporting.showcase import ending
 from experiments.study.arms import TRAFFICS
 from experiments.study.cell import MakeEnv
 from experiments.study.rerun import play_again
@@ -80,16 +80,12 @@ def watch(options: Options, make_env: MakeEnv = make_env) -> int:
             actions = table[at]["actions"].iloc[0] if at.any() and "actions" in table else None
             path = options.directory / "cells" / name
             row = play_again(path, record, env, traffic, scenario, actions, film.frame)
-        films.append((f"risk {risk:g}: {_ending(row)}", film.pictures))
+        films.append((f"risk {risk:g}: {ending(row)}", film.pictures))
     file = options.out or options.directory / f"{name.rpartition('-')[0]}-{scenario}.gif"
     save_gif(side_by_side(films), file)
     print(f"{name}, scenario {scenario}: {'; '.join(title for title, _ in films)}")
     print(f"written: {file}")
     return 0
-
-
-def _ending(row: pd.Series | dict[str, object]) -> str:
-    return f"{row['crash_type']} crash after {row['crash_time']:.1f} s" if row["crashed"] else "no crash"
 
 
 if __name__ == "__main__":

@@ -62,6 +62,7 @@ def test_other_policies_are_tested_beside_it(trained: Path, capsys) -> None:
     rows = {line.split()[0]: line for line in said.splitlines() if "±" in line}
     published = {"control-s0", "treatment-s0"}  # the agents of results/standard whose weights are kept
     assert set(rows) == {"mixed-s0", *published, "idle", "random", "faster", "slower", "idm", "careful"}
+    assert all(("(published)" in row) == (name in published) for name, row in rows.items())
     assert "4 scenarios at each risk, the same in every row" in said
     [slower] = [n for n in store.Store(trained).finished() if "slower" in n]
     table = store.Store(trained).tables(slower)[store.EPISODES]

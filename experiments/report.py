@@ -1,7 +1,6 @@
 """Write the report of the cells that a sweep has stored.
 
     python experiments/report.py results/sumo-quick
-    python experiments/report.py results/sumo-quick results/replica-quick    # others beside it
     python experiments/report.py results/sumo-quick --placebo
 
 Nothing is trained: the report is a function of the stored cells, and may be written at any time, also while a
@@ -28,7 +27,7 @@ from typing import Annotated
 import tyro
 
 from agents.plugins import load_object
-from experiments.analysis.analysis import Analysis, analyse, as_json, stored
+from experiments.analysis.analysis import analyse, as_json
 from experiments.analysis.effects import ALL_TASKS
 from experiments.analysis.plan import OUTCOMES, Outcome
 from experiments.backends import make_env
@@ -41,7 +40,6 @@ from experiments.study.store import load
 from experiments.support.errors import UserError, disk_error, run_command
 from experiments.support.files import write_file
 
-PUBLISHED = Path(__file__).resolve().parents[1] / "results" / "standard"
 REPORT, APPENDIX, TEXT, ANALYSIS = "report.html", "appendix.html", "report.md", "analysis.json"
 SUMMARY, EFFECTS = "summary.csv", "effects.csv"
 
@@ -52,8 +50,6 @@ class Options:
 
     directory: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
     """The --out directory of a sweep."""
-    others: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="OTHER")] = ()
-    """Others to show beside it; by default the published study, beside which its variants are shown."""
     outcome: tuple[Annotated[str, tyro.conf.arg(metavar="FILE:NAME")], ...] = ()
     """Also analyse outcomes of your own: objects of the class experiments.analysis.plan.Outcome with `of`."""
     pack: bool = False
@@ -62,11 +58,8 @@ class Options:
     """Instead print what the controls find: control against control, a rule against itself, a doubled penalty."""
 
 
-def write_report(directory: Path, *others: Path) -> Path:
+def write_report(directory: Path) -> Path:
     """Analyse the stored cells of a directory and write the files of the report into it.
-
-    Args:
-        others: directories to show beside it; by default the published study, beside which its variants are shown.
 
     Returns:
         The path of report.html.
@@ -77,10 +70,9 @@ def write_report(directory: Path, *others: Path) -> Path:
     directory = Path(directory)
     results = load(directory, skip_damaged=True)
     analysis = analyse(results)
-    named = [(_title(other, str(other)), analyse(load(other, skip_damaged=True))) for other in others]
     try:
         films = showcase(results, set(analysis.notes["left_out"]), make_env)
-        variables = page(results, analysis, films, named or _published(directory, analysis))
+        variables = page(results, analysis, films)
         write_file(directory / ANALYSIS, (json.dumps(as_json(analysis), allow_nan=False) + "\n").encode())
         for name, table in ((SUMMARY, analysis.policies), (EFFECTS, analysis.effects.drop(columns="looks"))):
             write_file(directory / name, table.to_csv(index=False, float_format="%.10g").encode())
@@ -89,33 +81,6 @@ def write_report(directory: Path, *others: Path) -> Path:
     except OSError as error:
         raise disk_error(error, directory) from None
     return directory / REPORT
-
-
-def _published(directory: Path, analysis: Analysis) -> list[tuple[str, Analysis]]:
-    """What is shown beside a directory by itself: beside the published study its variants, beside others the study."""
-    folders = [PUBLISHED]
-    if directory.resolve() == PUBLISHED:
-        folders = sorted(file.parent for file in PUBLISHED.parent.glob(f"*/{store.PUBLISHED}"))
-    found = [(_title(folder, folder.name), _stored(folder / ANALYSIS)) for folder in folders]
-    own = analysis.provenance["hash"]
-    return [(title, other) for title, other in found if other and other.provenance["hash"] != own]
-
-
-def _stored(path: Path) -> Analysis | None:
-    """An analysis that is stored; None if it is not there, of another version, or damaged, which is said."""
-    try:
-        return stored(path) if path.is_file() else None
-    except (ValueError, KeyError, TypeError):
-        again = f"python experiments/report.py {path.parent} writes it again"
-        print(f"{path} is damaged and not shown: {again}", file=sys.stderr)
-        return None
-
-
-def _title(directory: Path, otherwise: str) -> str:
-    """What a directory is called: by the heading of its PUBLISHED.md."""
-    path = directory / store.PUBLISHED
-    heading = path.read_text().partition("\n")[0] if path.is_file() else ""
-    return heading.removeprefix("#").strip() or otherwise
 
 
 def add_outcome(name: str) -> None:
@@ -142,9 +107,9 @@ def answer(directory: Path) -> str:
     return text.partition("\n|")[0].partition("\n\n")[2].strip()
 
 
-def print_report(directory: Path, *others: Path) -> None:
+def print_report(directory: Path) -> None:
     """Write the report, and print the answer and where it is. Raises UserError as `write_report` does."""
-    path = write_report(directory, *others)
+    path = write_report(directory)
     print(answer(path.parent))
     print(f"report: {path}", flush=True)
 
@@ -182,7 +147,7 @@ def main() -> int:
     elif options.placebo:
         report_placebo(options.directory)
     else:
-        print_report(options.directory, *options.others)
+        print_report(options.directory)
     return 0
 
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields, replace
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -14,31 +14,22 @@ import pandas as pd
 from scipy.stats import binomtest
 
 from experiments.analysis import plan as plans
-from experiments.analysis.cells import comparable, duplicates, is_main, unfinished, without
+from experiments.analysis.cells import comparable, is_main, unfinished, without
 from experiments.analysis.claims import claims, price
 from experiments.analysis.effects import (
     KEY,
     adjusted,
     contrasts,
-    least_seeds,
+    leaving_out,
     mean_over,
     means,
     slopes,
-    variants,
 )
-from experiments.analysis.estimate import OK, Mean
+from experiments.analysis.estimate import OK
 from experiments.analysis.frontier import to_frontier
-from experiments.analysis.gates import GATES, gates, learner_checks, learnt
-from experiments.analysis.plan import DEFAULT, OUTCOMES, TERMS, Plan
-from experiments.analysis.scores import (
-    CRASH_KINDS,
-    PLACE,
-    Arms,
-    Place,
-    arms_of,
-    in_order,
-    with_outcomes,
-)
+from experiments.analysis.gates import CHECKS, GATES, gates, learner_checks
+from experiments.analysis.plan import ALPHA, DEFAULT, OUTCOMES, TERMS, Plan
+from experiments.analysis.scores import PLACE, arms_of, in_order, with_outcomes
 from experiments.study.arms import ARMS, EXTRA_ARMS
 from experiments.study.grid import BASELINES, LEARNER
 from experiments.study.store import Results
@@ -46,11 +37,13 @@ from experiments.support.errors import UserError
 from experiments.support.files import canonical_json, sha256_bytes
 
 SCHEMA = 3
-BOTH = [("treatment", "control")]
-FURTHER = [(arm, against) for arm in EXTRA_ARMS for against in ("control", "treatment")]
+BOTH = ("treatment", "control")
 ONE_TRAFFIC = ("risky", "regular")
 CRASHES = [("crashed", term) for term in ONE_TRAFFIC]
-SHOWN = ("crashed", "return", "mean_speed")  # outcomes of comparisons beside the plan's
+# Comparisons beside the plan's: further arms, and the rule driver that is the mark to beat, as (arm, against).
+FURTHER = [(arm, against) for arm in EXTRA_ARMS for against in ("control", "treatment")]
+BESIDE = [*FURTHER, *((arm, "careful") for arm in ARMS)]
+SHOWN = [(outcome, term) for outcome in ("crashed", "return", "mean_speed") for term in ONE_TRAFFIC]
 DESCRIPTIVE = ("length", "distance", "arrived", "density", "stopped", "progress")
 AGENT = [*PLACE, "arm", "seed"]
 LEAST = 4  # control agents of a setting that can be dealt into two arms
@@ -62,10 +55,9 @@ class Analysis:
 
     effects, means: `effects.contrasts` and `effects.means`, of all comparisons (arm, against; tested_on; scenarios).
     slopes, gates, claims, placebo, policies, negative_control, provenance: see the functions of these names.
-    plan, plan_hash: see `plan.as_data`. notes: missing, failed, damaged, incomplete, duplicates and left_out cells,
-    with their reasons, and by plan 3 unfinished settings.
-    price, learner, frontier: see `claims.price`, `gates.learner_checks` and `frontier.to_frontier`; None where the
-    plan does not ask for them.
+    plan, plan_hash: see `plan.as_data`. notes: missing, failed, damaged and left_out cells and unfinished settings,
+    with their reasons. price, learner, frontier: see `claims.price`, `gates.learner_checks` and `frontier.to_frontier`;
+    the first two are empty where the plan does not ask for them.
     """
 
     effects: pd.DataFrame
@@ -80,9 +72,9 @@ class Analysis:
     plan_hash: str
     notes: dict[str, Any]
     provenance: dict[str, Any]
-    price: pd.DataFrame | None = None
-    learner: pd.DataFrame | None = None
-    frontier: pd.DataFrame | None = None
+    price: pd.DataFrame = field(default_factory=pd.DataFrame)
+    learner: pd.DataFrame = field(default_factory=pd.DataFrame)
+    frontier: pd.DataFrame = field(default_factory=pd.DataFrame)
 
 
 def analyse(results: Results) -> Analysis:
@@ -91,11 +83,11 @@ def analyse(results: Results) -> Analysis:
     Raises:
         UserError: by a plan that counts complete settings alone, there is none yet.
     """
-    chosen = comparable(results)
-    main = [cell["key"] for cell in chosen.results.cells.values() if is_main(cell)]
+    chosen, left_out = comparable(results)
+    main = [cell["key"] for cell in chosen.cells.values() if is_main(cell)]
     plan = plans.plan_of(str(key["profile"].get("preset")) for key in main)
-    early = unfinished(results, chosen.results, plan.arms) if plan.version > 2 else {}
-    known = without(chosen.results, settings=early)
+    early = unfinished(results, chosen, plan.arms) if plan.version > 2 else {}
+    known = without(chosen, settings=early)
     if early and not known.cells:
         lacking = "; ".join(f"{setting}: {reason}" for setting, reason in early.items())
         raise UserError(f"no setting is complete yet ({lacking}): run the sweep again to go on")
@@ -103,24 +95,24 @@ def analyse(results: Results) -> Analysis:
     agents = own_agents(episodes)
     passed = gates(known.cells, known.gate_episodes)
 
-    arms = arms_of(agents, [*OUTCOMES, *CRASH_KINDS])
-    tested = [contrasts(arms, BOTH, [(o, t) for o in OUTCOMES for t in TERMS], plan)]
-    tested += [contrasts(arms, [(arm, "control")], CRASHES, plan) for arm in plan.arms[2:]]
-    there = [frame for frame in tested if len(frame)] or tested[:1]
-    planned = adjusted(pd.concat(there, ignore_index=True), plan)
-    both = planned[planned["arm"] == "treatment"]
+    arms = arms_of(pd.concat([agents, careful_as(["careful"], episodes)]))
+    planned = {BOTH: questions(), **{(arm, "control"): CRASHES for arm in plan.arms[2:]}}
+    effects = adjusted(contrasts(arms, planned, plan), plan)
+    both = effects[effects["arm"] == "treatment"]
     trends = slopes(arms, plan)
-    beside = list(exploratory(episodes, arms, passed, replace(plan, looks=())))
-    effects = pd.concat([planned, *(frame for frame, _ in beside)], ignore_index=True)
-    effects = effects.drop_duplicates(
-        KEY, ignore_index=True
-    )  # what the plan tests of further arms stands first
+    plain = replace(plan, looks=())  # beside the plan, no p-value is adjusted
+    beside = [contrasts(arms, dict.fromkeys(BESIDE, SHOWN), plain), *transfers(episodes, plain)]
+    crashes = both[(both["outcome"] == "crashed") & both["term"].isin(ONE_TRAFFIC)]
+    mean = [means(both, plan), leaving_out(crashes, plain), *(means(frame, plain) for frame in beside)]
+    effects = pd.concat([effects, *beside], ignore_index=True)
+    effects = effects.drop_duplicates(KEY, ignore_index=True)  # what the plan tests stands first
     plan_data = plans.as_data(plan, GATES)
+    checks = learner_checks(known.cells, passed, agents, plan.learner, plan.arms) if plan.learner else None
     return Analysis(
         effects=effects,
-        means=pd.concat([means(both, plan), *(frame for _, frame in beside)], ignore_index=True),
+        means=pd.concat(mean, ignore_index=True),
         slopes=trends,
-        claims=claims(both, trends, plan),
+        claims=claims(both, trends),
         gates=passed,
         policies=policies(episodes),
         placebo=placebo(agents, plan),
@@ -131,18 +123,19 @@ def analyse(results: Results) -> Analysis:
             "missing": [name for name in results.expected if name not in results.cells],
             "failed": dict(results.failed),
             "damaged": dict(results.damaged),
-            "incomplete": chosen.incomplete,
-            "duplicates": duplicates(known),
-            "left_out": chosen.left_out,
-            **({"unfinished": early} if plan.version > 2 else {}),
+            "left_out": left_out,
+            "unfinished": early,
         },
         provenance=provenance(known),
-        price=price(effects, plan) if plan.price else None,
-        learner=learner_checks(known.cells, passed, agents, plan.learner, plan.arms)
-        if plan.learner
-        else None,
-        frontier=to_frontier(episodes) if plan.version > 2 else None,
+        price=price(effects, plan),
+        learner=pd.DataFrame(columns=CHECKS) if checks is None else checks,
+        frontier=to_frontier(episodes),
     )
+
+
+def questions() -> list[tuple[str, str]]:
+    """Every outcome, also the user's own, in every term of the effect."""
+    return [(outcome, term) for outcome in OUTCOMES for term in TERMS]
 
 
 def own_agents(episodes: pd.DataFrame) -> pd.DataFrame:
@@ -150,44 +143,21 @@ def own_agents(episodes: pd.DataFrame) -> pd.DataFrame:
     return episodes[episodes["kind"] == "agent"]
 
 
-Frames = tuple[pd.DataFrame, pd.DataFrame]  # effects, and their means
+def careful_as(arms: Iterable[str], episodes: pd.DataFrame) -> pd.DataFrame:
+    """The test episodes of the careful driver, who follows fixed rules, as those of the one agent of each arm."""
+    rule = episodes[(episodes["policy"] == "careful") & (episodes["kind"] == "baseline")]
+    return pd.concat([rule.assign(seed=0, arm=arm) for arm in arms], ignore_index=True)
 
 
-def exploratory(
-    episodes: pd.DataFrame, arms: Mapping[Place, Arms], passed: pd.DataFrame, plain: Plan
-) -> Iterable[Frames]:
-    """Comparisons beside the plan's; none of them decides a claim, and no p-value is adjusted.
-
-    Kinds of crashes, further arms, the rule drivers as the mark to beat, the agents that pass the gates, and the same
-    agents tested on another simulator.
-    """
+def transfers(episodes: pd.DataFrame, plan: Plan) -> Iterator[pd.DataFrame]:
+    """Effects in the tests of agents on another simulator, and on the same scenarios of their own."""
     agents = own_agents(episodes)
-    questions = [(outcome, term) for outcome in SHOWN for term in ONE_TRAFFIC]
-    kinds = contrasts(arms, BOTH, [(kind, term) for kind in CRASH_KINDS for term in ONE_TRAFFIC], plain)
-    yield kinds, means(kinds, plain)
-    further = contrasts(arms, FURTHER, questions, plain)
-    scopes = means(further[further["outcome"] == "crashed"], plain, variants())
-    yield further, pd.concat([means(further, plain), scopes])
-    rules = episodes[episodes["kind"] == "baseline"]
-    rules = rules.assign(arm=rules["policy"], seed=0)
-    drivers = arms_of(pd.concat([agents, rules]), SHOWN)
-    mark = contrasts(drivers, [(arm, "careful") for arm in ARMS], questions, plain)
-    yield mark, means(mark, plain)
-
-    both = contrasts(arms, BOTH, CRASHES, plain)
-    bad = passed.loc[passed["passed"].astype(object) == False, "cell"]  # noqa: E712
-    sound = contrasts(arms_of(agents[~agents["cell"].isin(bad)], ["crashed"]), BOTH, CRASHES, plain)
-    passing = means(sound[least_seeds(sound) > 1], plain, lambda rows: {"agents that pass the gates": rows})
-    other_ways = variants(learnt(passed, plain.learnt))
-    yield both.iloc[:0], pd.concat([means(both, plain, other_ways), passing])
-
     tests = episodes[(episodes["kind"] == "test") & (episodes["tested_on"] != episodes["backend"])]
     for other in sorted({*tests["tested_on"]}):
         away = tests[tests["tested_on"] == other].merge(agents[AGENT].drop_duplicates())
-        home = agents.merge(away[[*AGENT, "traffic", "scenario"]])  # the same agents on the same scenarios
-        for rows, labels in ((away, {"tested_on": other, "scenarios": other}), (home, {"scenarios": other})):
-            effects = contrasts(arms_of(rows, ["crashed"]), BOTH, CRASHES, plain, **labels)
-            yield effects, means(effects, plain)
+        home = agents.merge(away[[*AGENT, "traffic", "scenario"]])
+        yield contrasts(arms_of(away), {BOTH: CRASHES}, plan, tested_on=other, scenarios=other)
+        yield contrasts(arms_of(home), {BOTH: CRASHES}, plan, scenarios=other)
 
 
 def placebo(episodes: pd.DataFrame, plan: Plan = DEFAULT) -> pd.DataFrame:
@@ -202,15 +172,15 @@ def placebo(episodes: pd.DataFrame, plan: Plan = DEFAULT) -> pd.DataFrame:
     halves = control.assign(arm=(number % 2).map({0.0: "control", 1.0: "treatment"}))
     enough = number.groupby([control[column] for column in PLACE]).transform("max") >= LEAST - 1
     single = replace(plan, looks=())  # half the seeds: the planned looks do not apply
-    questions = [(outcome, term) for outcome in ("return", "crashed") for term in ("sum", plan.primary_term)]
-    effects = contrasts(arms_of(halves[enough], ["return", "crashed"]), BOTH, questions, single)
+    asked = [(outcome, term) for outcome in ("return", "crashed") for term in ("sum", plan.primary_term)]
+    effects = contrasts(arms_of(halves[enough]), {BOTH: asked}, single)
     rows = []
     for (backend, outcome), own in effects.groupby(["backend", "outcome"], sort=False):
         known = own[(own["term"] == "sum") & (own["status"] == OK)]
         if known.empty:
             continue
-        rejected = int((known["p"] < plan.alpha).sum())
-        p = binomtest(rejected, len(known), plan.alpha, alternative="greater").pvalue
+        rejected = int((known["p"] < ALPHA).sum())
+        p = binomtest(rejected, len(known), ALPHA, alternative="greater").pvalue
         found = mean_over(own[own["term"] == plan.primary_term], single)
         rows.append(
             {"backend": backend, "outcome": outcome, "comparisons": len(known), "rejected": rejected, "p": p}
@@ -220,14 +190,10 @@ def placebo(episodes: pd.DataFrame, plan: Plan = DEFAULT) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=columns)
 
 
-def negative_control(episodes: pd.DataFrame, policy: str = "careful") -> float | None:
-    """The largest effect of a rule driver taken as both arms, which has to be 0; None if the rule was not run."""
-    rule = episodes[(episodes["policy"] == policy) & (episodes["kind"] == "baseline")]
-    if rule.empty:
-        return None
-    twice = pd.concat([rule.assign(seed=0, arm=arm) for arm in ARMS], ignore_index=True)
-    questions = [(outcome, term) for outcome in OUTCOMES for term in TERMS]
-    return float(contrasts(arms_of(twice, list(OUTCOMES)), BOTH, questions)["estimate"].abs().max())
+def negative_control(episodes: pd.DataFrame) -> float | None:
+    """The largest effect of the careful driver taken as both arms, which has to be 0; None if it was not run."""
+    arms = arms_of(careful_as(ARMS, episodes))
+    return float(contrasts(arms, {BOTH: questions()})["estimate"].abs().max()) if arms else None
 
 
 def policies(episodes: pd.DataFrame) -> pd.DataFrame:
@@ -268,27 +234,21 @@ def provenance(results: Results) -> dict[str, Any]:
     """Where the numbers come from.
 
     Returns:
-        presets, versions (each with all values found), seconds (computing time of training and tests),
-        finished (times of the first and last cell), cells (for each its files' checksums), hash (of all that:
-        equal hashes mean equal results).
+        presets, versions (each with all values found), seconds (computing time of training and tests), cells (for each
+        its files' checksums), hash (of these: equal hashes mean equal results).
     """
     versions: dict[str, set[str]] = {}
-    presets, finished, seconds = set(), [], 0.0
     for cell in results.cells.values():
         packages = (cell.get("provenance") or {}).get("packages", {})
         for name, version in {**packages, **cell["versions"]}.items():
             if version is not None:  # without a build tag, as in the cells' names
                 versions.setdefault(name, set()).add(str(version).partition("+")[0])
-        presets.add(str(cell["key"]["profile"].get("preset")))
-        timing = cell.get("timing", {})
-        seconds += timing.get("train_seconds", 0.0) + timing.get("test_seconds", 0.0)
-        finished += [timing["finished"]] if "finished" in timing else []
+    timings = [cell.get("timing", {}) for cell in results.cells.values()]
     files = {name: cell["files"] for name, cell in sorted(results.cells.items())}
     return {
-        "presets": sorted(presets),
+        "presets": sorted({str(cell["key"]["profile"].get("preset")) for cell in results.cells.values()}),
         "versions": {name: sorted(found) for name, found in sorted(versions.items())},
-        "seconds": seconds,
-        "finished": [min(finished), max(finished)] if finished else None,
+        "seconds": sum(t.get("train_seconds", 0.0) + t.get("test_seconds", 0.0) for t in timings),
         "cells": files,
         "hash": sha256_bytes(canonical_json(files).encode()),
     }
@@ -300,14 +260,12 @@ def as_json(analysis: Analysis) -> dict[str, Any]:
     Numbers have twelve significant digits, since those beyond differ between processors; NaN is null.
     """
     value: dict[str, Any] = {"schema": SCHEMA}
-    for field in fields(analysis):
-        part = getattr(analysis, field.name)
-        if part is None and field.name in ("price", "learner", "frontier"):
-            continue
-        if isinstance(part, pd.DataFrame):
-            table = part.drop(columns="looks", errors="ignore")
-            part = {"columns": list(table.columns), "rows": table.to_numpy(dtype=object).tolist()}
-        value[field.name] = _strict(part)
+    for part in fields(analysis):
+        content = getattr(analysis, part.name)
+        if isinstance(content, pd.DataFrame):
+            table = content.drop(columns="looks", errors="ignore")
+            content = {"columns": list(table.columns), "rows": table.to_numpy(dtype=object).tolist()}
+        value[part.name] = _strict(content)
     return value
 
 
@@ -323,19 +281,14 @@ def _strict(value: Any) -> Any:
     return None if value is pd.NA else value
 
 
-def stored(path: Path) -> Analysis | None:
-    """The analysis in an analysis.json; None if the file is of another version. Raises ValueError if it is damaged."""
+def stored(path: Path) -> Analysis:
+    """The analysis in an analysis.json, whose effects have no looks."""
     value = json.loads(path.read_text())
-    if value.pop("schema", None) != SCHEMA:
-        return None
+    del value["schema"]
     frames = {
         name: pd.DataFrame(part["rows"], columns=part["columns"])
         if isinstance(part, dict) and part.keys() == {"columns", "rows"}
         else part
         for name, part in value.items()
     }
-    effects = frames["effects"]
-    variances = (effects["se"] ** 2).fillna(0.0), effects["df"].fillna(1.0)
-    looks = zip(effects["estimate"], *variances, least_seeds(effects), strict=True)
-    effects["looks"] = [(Mean(*look),) for look in looks]
     return Analysis(**frames)

@@ -1,21 +1,18 @@
 """Which stored cells may be compared with each other.
 
 A result directory may hold cells of several settings (another budget, other versions). They are never mixed: for each
-task and traffic level one setting is analysed, the others are set aside and named. So are cells whose tables are not
-complete.
+task and traffic level one setting is analysed, the others are set aside and named.
 """
 
 from __future__ import annotations
 
 import re
 from collections.abc import Container, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Any
 
-import numpy as np
-
 from experiments.analysis.scores import PLACE
-from experiments.study.arms import ARMS, TRAFFICS, gate_traffics
+from experiments.study.arms import ARMS
 from experiments.study.grid import setting
 from experiments.study.store import Results
 from experiments.support.files import canonical_json
@@ -28,38 +25,22 @@ ENVIRONMENT = (
     "dynamics",
 )  # settings of cells without a trained agent too
 ALONE = "no agents of both arms with its settings to compare with"
-NUMBERS = ("return", "length", "mean_speed", "distance", "near_misses", "crashed")
 
 
-@dataclass(frozen=True)
-class Selection:
-    """The cells that are analysed, and why others are not.
-
-    results: the cells that are. left_out: of other settings, incomplete: with tables that lack something; name and
-    reason of each.
-    """
-
-    results: Results
-    left_out: dict[str, str]
-    incomplete: dict[str, str]
-
-
-def comparable(results: Results) -> Selection:
-    """The cells that may be compared with each other, and the others with the reason why not.
+def comparable(results: Results) -> tuple[Results, dict[str, str]]:
+    """The cells that may be compared with each other, and the names of the others with the reason why not.
 
     For each task and level: the setting that the last sweep asked for, else the one with most cells. Baselines must
     have been tested in the same environment, on the same scenarios and under the same versions. Further arms, and tests
     on other simulators, must be of agents trained and tested as those of both arms are.
     """
-    incomplete = _incomplete(results)
-    whole = {name: cell for name, cell in results.cells.items() if name not in incomplete}
     left_out: dict[str, str] = {}
     places: dict[tuple[Any, ...], dict[str, Cell]] = {}
-    for name, cell in whole.items():
+    for name, cell in results.cells.items():
         places.setdefault(tuple(cell["key"][column] for column in PLACE), {})[name] = cell
     for cells in places.values():
         left_out |= _strangers(cells, results.expected)
-    return Selection(without(results, {*incomplete, *left_out}), left_out, incomplete)
+    return without(results, left_out), left_out
 
 
 def is_main(cell: Cell) -> bool:
@@ -138,41 +119,3 @@ def without(results: Results, gone: Container[str] = (), settings: Container[str
         for table in [getattr(results, name)]
     }
     return replace(results, cells={k: v for k, v in results.cells.items() if k not in gone}, **tables)
-
-
-def _incomplete(results: Results) -> dict[str, str]:
-    """What cells' tables lack: every scenario once, and nothing but numbers."""
-    faults: dict[str, list[str]] = {}
-    for purpose, table in (("test", results.episodes), ("gate", results.gate_episodes)):
-        seen = table.groupby(["cell", "traffic"])["scenario"].agg(sorted).to_dict()
-        for name, cell in results.cells.items():
-            wanted, traffics = _wanted(cell["key"], purpose)
-            for traffic in traffics:
-                found = seen.get((name, traffic), [])
-                if found != list(wanted):
-                    twice = ", some twice" if len(found) > len(set(found)) else ""
-                    there = f"{len(set(found))} of {len(wanted)} {purpose} scenarios"
-                    faults.setdefault(name, []).append(f"{there} in {traffic} traffic{twice}")
-        for column in table.columns.intersection(NUMBERS):
-            for name in table.loc[~np.isfinite(table[column].astype(float)), "cell"].unique():
-                faults.setdefault(name, []).append(f"{column} of the {purpose} is not a number")
-    return {name: "; ".join(found) for name, found in faults.items()}
-
-
-def _wanted(key: Mapping[str, Any], purpose: str) -> tuple[range, Sequence[str]]:
-    """The scenarios and traffics of the episodes that a cell has for the test or the gates."""
-    first = int(key["eval"].get("first_scenario", 0))
-    if purpose == "gate":
-        number = 0 if key["kind"] == "test" else int(key["eval"].get("gate_episodes", 0))
-        return range(first, first + number), gate_traffics(key["arm"]) if number else ()
-    test = key.get("test_on", {"episodes": key["eval"]["episodes"], "traffics": list(TRAFFICS)})
-    return range(first, first + int(test["episodes"])), test["traffics"]
-
-
-def duplicates(results: Results) -> list[list[str]]:
-    """Groups of trained agents with the same weights: the same cell under several names."""
-    by_weights: dict[str, list[str]] = {}
-    for name, cell in sorted(results.cells.items()):
-        if sha := (cell.get("learner") or {}).get("weights_sha256"):
-            by_weights.setdefault(sha, []).append(name)
-    return [names for names in by_weights.values() if len(names) > 1]

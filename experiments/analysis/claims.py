@@ -10,7 +10,7 @@ import pandas as pd
 from experiments.analysis import estimate
 from experiments.analysis.effects import GRID, means
 from experiments.analysis.estimate import OK
-from experiments.analysis.plan import DEFAULT, OUTCOMES, Bound, Plan
+from experiments.analysis.plan import ALPHA, OUTCOMES, Bound, Plan
 
 HOLDS, CONTRADICTED, NOT_DECIDED = "holds", "contradicted", "not decided"
 EQUIVALENT = "equivalent"
@@ -20,31 +20,30 @@ EQUIVALENT = "equivalent"
 class Claim:
     """A statement about every task (and level); its words are in the report's templates.
 
-    source: "paper" for the paper's own, "crash rate" for what this study asks of crashes. quantity: a term of the
-    effect in each setting, "effect" (the slope of the sum over traffic), "mean" (the outcome's slope) or "equivalent"
-    (no difference as large as the margin, in regular traffic). sign: what the quantity has to be everywhere.
+    The first three are the paper's own. quantity: a term of the effect in each setting, "effect" (the slope of the sum
+    over traffic), "mean" (the outcome's slope) or "equivalent" (no difference as large as the margin, in regular
+    traffic). sign: what the quantity has to be everywhere.
     """
 
     name: str
-    source: str
     quantity: str
     outcome: str
     sign: int
 
 
-COUNTS = ("verdict", "right", "wrong", "open", "silent", "not_run", "expected", "detectable")
 CLAIMS = (
-    Claim("return rises", "paper", "sum", "return", +1),
-    Claim("return effect grows", "paper", "effect", "return", +1),
-    Claim("return falls with traffic", "paper", "mean", "return", -1),
-    Claim("fewer crashes", "crash rate", "risky", "crashed", -1),
-    Claim("crash effect grows", "crash rate", "effect", "crashed", -1),
-    Claim("crashes rise with traffic", "crash rate", "mean", "crashed", +1),
-    Claim("little harm", "crash rate", EQUIVALENT, "crashed", 0),
+    Claim("return rises", "sum", "return", +1),
+    Claim("return effect grows", "effect", "return", +1),
+    Claim("return falls with traffic", "mean", "return", -1),
+    Claim("fewer crashes", "risky", "crashed", -1),
+    Claim("crash effect grows", "effect", "crashed", -1),
+    Claim("crashes rise with traffic", "mean", "crashed", +1),
+    Claim("little harm", EQUIVALENT, "crashed", 0),
 )
+COUNTS = ("verdict", "right", "wrong", "open", "silent", "not_run", "expected", "detectable")
 
 
-def claims(effects: pd.DataFrame, slopes: pd.DataFrame, plan: Plan = DEFAULT) -> pd.DataFrame:
+def claims(effects: pd.DataFrame, slopes: pd.DataFrame) -> pd.DataFrame:
     """The verdict on every claim.
 
     A claim about every task and level holds if each place by itself is significantly on the right side (a conjunction
@@ -58,13 +57,11 @@ def claims(effects: pd.DataFrame, slopes: pd.DataFrame, plan: Plan = DEFAULT) ->
         and wrong (on either side after Holm), open, silent (no evidence: one seed, nothing varies, everybody crashes,
         missing levels), not_run, expected, and detectable (the median over those that are open).
     """
-    rows = []
-    for backend in effects["backend"].unique():
-        for claim in CLAIMS:
-            counts = _counts(
-                claim, effects[effects["backend"] == backend], slopes[slopes["backend"] == backend], plan
-            )
-            rows.append({"backend": backend, **vars(claim), **counts})
+    rows = [
+        {"backend": backend, **vars(claim), **_counts(claim, own, slopes[slopes["backend"] == backend])}
+        for backend, own in effects.groupby("backend", sort=False)
+        for claim in CLAIMS
+    ]
     return pd.DataFrame(rows, columns=["backend", *(field.name for field in fields(Claim)), *COUNTS])
 
 
@@ -86,11 +83,11 @@ def price(effects: pd.DataFrame, plan: Plan) -> pd.DataFrame:
     for bound in plan.price:
         pair = (crashes["arm"] == bound.arm) & (crashes["against"] == bound.against)
         for row in means(crashes[pair & (crashes["term"] == bound.term)], plan).to_dict("records"):
-            level = 2 * plan.alpha  # one-sided
+            level = 2 * ALPHA  # one-sided
             half = float(estimate.stats.t.isf(level / 2, row["df"])) * row["se"]
             low, high = row["estimate"] - half, row["estimate"] + half
             verdict = HOLDS if high < bound.margin else CONTRADICTED if low > bound.margin else NOT_DECIDED
-            enough = estimate.detectable(row["se"], row["df"], level, plan.power) if half == half else half
+            enough = estimate.detectable(row["se"], row["df"], level) if half == half else half
             own = [row[name] for name in ("backend", "scope", "settings", "estimate")]
             rows.append([*own, *asdict(bound).values(), low, high, verdict, enough])
     columns = ["backend", "scope", "settings", "estimate", *(f.name for f in fields(Bound))]
@@ -104,25 +101,21 @@ def all_hold(verdicts: Collection[str]) -> str:
     return HOLDS if verdicts and set(verdicts) == {HOLDS} else NOT_DECIDED
 
 
-def _counts(claim: Claim, effects: pd.DataFrame, slopes: pd.DataFrame, plan: Plan) -> Mapping[str, object]:
+def _counts(claim: Claim, effects: pd.DataFrame, slopes: pd.DataFrame) -> Mapping[str, object]:
     is_slope = claim.quantity in ("effect", "mean")
-    if is_slope:
-        rows = slopes[(slopes["outcome"] == claim.outcome) & (slopes["quantity"] == claim.quantity)]
-        known = rows[(rows["status"] == OK) & rows["complete"]]
-    else:
-        term = "regular" if claim.quantity == EQUIVALENT else claim.quantity
-        rows = effects[(effects["outcome"] == claim.outcome) & (effects["term"] == term)]
-        known = rows[rows["status"] == OK]
+    term = "regular" if claim.quantity == EQUIVALENT else claim.quantity
+    table, question = (slopes, slopes["quantity"]) if is_slope else (effects, effects["term"])
+    rows = table[(table["outcome"] == claim.outcome) & (question == term)]
+    known = rows[(rows["status"] == OK) & (rows["complete"] if is_slope else True)]
     if claim.quantity == EQUIVALENT:
         margin = OUTCOMES[claim.outcome].margin or 0.0
-        right = known["equivalent_p_adjusted"] < plan.alpha
-        beyond = (known["estimate"].abs() - margin) / known["se"]
-        wrong = estimate.adjusted(estimate.stats.t.sf(beyond, known["df"])) < plan.alpha / 2
-        alone = known["equivalent_p"] < plan.alpha
+        p = estimate.equivalence(known, margin)
+        right, alone = estimate.adjusted(p) < ALPHA, p < ALPHA
+        wrong = estimate.adjusted(1 - p) < ALPHA / 2
     else:
         better = known["estimate"] * claim.sign > 0
-        decided = known["p_adjusted"] < plan.alpha
-        right, wrong, alone = better & decided, ~better & decided, better & (known["p"] < plan.alpha)
+        decided = known["p_adjusted"] < ALPHA
+        right, wrong, alone = better & decided, ~better & decided, better & (known["p"] < ALPHA)
     expected = len(GRID) if is_slope else sum(GRID.values())
     holds = len(known) > 0 and int(alone.sum()) >= expected
     open_ = known[~(right | wrong)]

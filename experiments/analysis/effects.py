@@ -11,7 +11,7 @@ all looks that were held) and status ("ok", or why there is no interval, see `es
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, replace
 from typing import Any
 
@@ -20,12 +20,12 @@ import pandas as pd
 
 from experiments.analysis import estimate
 from experiments.analysis.estimate import OK, SATURATED, Estimate, Mean
-from experiments.analysis.plan import DEFAULT, OUTCOMES, Plan
+from experiments.analysis.plan import ALPHA, DEFAULT, OUTCOMES, Plan
 from experiments.analysis.scores import PLACE, TASK_ORDER, Arm, Arms, Place
 from experiments.study.arms import DOSES
 from sumo_env.tasks import TASKS
 
-ALL_TASKS, SETTINGS_ALIKE = "all tasks", "every setting alike"
+ALL_TASKS = "all tasks"
 ESTIMATE = ["estimate", "se", "df", "low", "high", "p", "status"]
 # What is compared: the simulator of the training and that of the test; whose scenarios ("own", or those that agents
 # were given on another simulator); the arms.
@@ -66,15 +66,14 @@ def at_looks(
 
 def contrasts(
     arms: Mapping[Place, Arms],
-    pairs: Iterable[tuple[str, str]],
-    questions: Iterable[tuple[str, str]],
+    asked: Mapping[tuple[str, str], Iterable[tuple[str, str]]],
     plan: Plan = DEFAULT,
     **labels: str,
 ) -> pd.DataFrame:
     """Effects: one arm minus another, or minus a policy that has no training, in every setting that has both.
 
     Args:
-        arms: from `scores.arms_of`. pairs: (arm, against). questions: (outcome, term).
+        arms: from `scores.arms_of`. asked: (outcome, term) by (arm, against).
         labels: tested_on and scenarios, where they are not those of the training.
 
     Returns:
@@ -84,7 +83,7 @@ def contrasts(
     rows = []
     for place, by_name in arms.items():
         where = {**dict(zip(PLACE, place, strict=True)), "tested_on": place[0], "scenarios": "own", **labels}
-        for arm, against in pairs:
+        for (arm, against), questions in asked.items():
             if arm in by_name and against in by_name:
                 pair, trained = (by_name[arm], by_name[against]), against in DOSES
                 rows += [
@@ -111,55 +110,42 @@ def _contrast(pair: tuple[Arm, Arm], trained: bool, outcome: str, term: str, pla
     return {**asdict(found), **dict(zip(MEANS, [*means, *seeds], strict=True)), "looks": looks}
 
 
-def least_seeds(effects: pd.DataFrame) -> pd.Series:
-    """Training seeds in the smaller arm of each effect."""
-    return effects[["seeds_arm", "seeds_against"]].min(axis=1)
-
-
 def adjusted(effects: pd.DataFrame, plan: Plan = DEFAULT) -> pd.DataFrame:
     """The effects of the plan's comparison with what the number of questions makes of them.
 
     Adds family (its name, empty where exploratory); p_adjusted (Holm within a family and backend, Benjamini-Hochberg
-    over everything else); in families low_family and high_family (the interval at the level of Holm's first step) and
-    detectable (true effect that is found at that level with the plan's power); and where the outcome has a margin, in
-    one traffic, equivalent_p and equivalent_p_adjusted ("the arms differ by the margin or more", Holm over settings).
+    over everything else); and in families low_family and high_family (the interval at the level of Holm's first step)
+    and detectable (true effect that is found at that level with 80 % power).
     """
     questions = zip(effects["arm"], effects["outcome"], effects["term"], strict=True)
     names = [plan.family(*question) for question in questions]
     nothing = dict.fromkeys(("p_adjusted", "low_family", "high_family", "detectable"), np.nan)
-    effects = effects.assign(family=names, **nothing, equivalent_p=np.nan, equivalent_p_adjusted=np.nan)
+    effects = effects.assign(family=names, **nothing)
     for (_, family), rows in effects.groupby(["backend", "family"]):
         effects.loc[rows.index, "p_adjusted"] = estimate.adjusted(rows["p"], "holm" if family else "bh")
         tested = rows[rows["status"] == OK]
         for index, row in tested.iterrows() if family else ():
             share = plan.held(min(row["seeds_arm"], row["seeds_against"]))[-1].share
-            level = plan.alpha / len(tested) * share
+            level = ALPHA / len(tested) * share
             half = float(estimate.stats.t.isf(level / 2, row["df"])) * row["se"]
-            found = estimate.detectable(row["se"], row["df"], level, plan.power)
+            found = estimate.detectable(row["se"], row["df"], level)
             bounds = [row["estimate"] - half, row["estimate"] + half, found]
             effects.loc[index, ["low_family", "high_family", "detectable"]] = bounds
-    one_traffic = effects[(effects["status"] == OK) & effects["term"].isin(["risky", "regular"])]
-    for (_, _, outcome, _), rows in one_traffic.groupby(["backend", "arm", "outcome", "term"]):
-        if outcome in OUTCOMES and (margin := OUTCOMES[outcome].margin) is not None:
-            p = estimate.equivalence(rows, margin)
-            effects.loc[rows.index, "equivalent_p"] = p
-            effects.loc[rows.index, "equivalent_p_adjusted"] = estimate.adjusted(p)
     return effects
 
 
-def mean_over(rows: pd.DataFrame, plan: Plan, tasks_alike: bool = True) -> dict[str, Any]:
+def mean_over(rows: pd.DataFrame, plan: Plan) -> dict[str, Any]:
     """The mean of effects over settings: every task counts alike, and in a task every level.
 
     Args:
-        rows: effects of one comparison, outcome and term. tasks_alike: otherwise every setting counts alike.
+        rows: effects of one comparison, outcome and term.
 
     Returns:
         ESTIMATE, the means and numbers of agents of both arms, and settings (their number).
     """
-    levels = rows.groupby("task")["task"].transform("size")
-    weights = (1 / rows["task"].nunique() / levels) if tasks_alike else pd.Series(1 / len(rows), rows.index)
+    weights = 1 / rows["task"].nunique() / rows.groupby("task")["task"].transform("size")
     looks = [estimate.combine(means, list(weights)) for means in zip(*rows["looks"], strict=True)]
-    seeds, first = least_seeds(rows), plan.schedule[0].seeds
+    seeds, first = rows[MEANS[2:]].min(axis=1), plan.schedule[0].seeds
     most = int(seeds.max())
     if (seeds < first).any():
         most = min(most, first)  # the first batch is not complete: there is no second look yet
@@ -169,50 +155,29 @@ def mean_over(rows: pd.DataFrame, plan: Plan, tasks_alike: bool = True) -> dict[
     return found | dict(zip(MEANS, [*means, *agents], strict=True)) | {"settings": len(rows)}
 
 
-Scopes = dict[
-    str, pd.DataFrame
-]  # effects of one comparison, outcome and term, by what they are averaged over
-
-
-def by_task(rows: pd.DataFrame) -> Scopes:
-    """Over the levels of each task, and over all tasks if the outcome means the same on every task."""
-    own = {task: rows[rows["task"] == task] for task in TASK_ORDER if (rows["task"] == task).any()}
-    outcome = OUTCOMES.get(rows["outcome"].iloc[0])
-    return own | ({ALL_TASKS: rows} if outcome is None or outcome.poolable else {})
-
-
-def variants(learnt: Container[tuple[str, str, int]] = ()) -> Callable[[pd.DataFrame], Scopes]:
-    """Over other settings: without each task, settings alike, the settings (backend, task, level) that were learnt."""
-
-    def scopes(rows: pd.DataFrame) -> Scopes:
-        tasks = [task for task in TASK_ORDER if (rows["task"] == task).any()]
-        without = {f"without {task}": rows[rows["task"] != task] for task in tasks if len(tasks) > 1}
-        known = [place in learnt for place in zip(rows["backend"], rows["task"], rows["level"], strict=True)]
-        return without | {SETTINGS_ALIKE: rows, "settings that were learnt": rows[known]}
-
-    return scopes
-
-
-def means(
-    effects: pd.DataFrame, plan: Plan = DEFAULT, scopes: Callable[[pd.DataFrame], Scopes] = by_task
-) -> pd.DataFrame:
-    """Means of effects over settings.
-
-    Args:
-        effects: from `contrasts`. scopes: over which settings, `by_task` or `variants`.
+def means(effects: pd.DataFrame, plan: Plan = DEFAULT) -> pd.DataFrame:
+    """Means of effects over the levels of each task, and over all tasks if the outcome means the same on every task.
 
     Returns:
-        A row a mean: COMPARISON, scope (a task, "all tasks", ...), QUESTION, ESTIMATE, MEANS and settings.
+        A row a mean: COMPARISON, scope (a task, "all tasks"), QUESTION, ESTIMATE, MEANS and settings.
     """
     rows = []
     for key, group in effects.groupby([*COMPARISON, *QUESTION], sort=False):
         labels = dict(zip([*COMPARISON, *QUESTION], key, strict=True))
-        rows += [
-            {**labels, "scope": scope, **mean_over(own, plan, tasks_alike=scope != SETTINGS_ALIKE)}
-            for scope, own in scopes(group).items()
-            if len(own)
-        ]
+        by_task = {task: own for task in TASK_ORDER if len(own := group[group["task"] == task])}
+        whole = {ALL_TASKS: group} if OUTCOMES[labels["outcome"]].poolable else {}
+        for scope, own in (by_task | whole).items():
+            rows.append({**labels, "scope": scope, **mean_over(own, plan)})
     return pd.DataFrame(rows, columns=[*COMPARISON, "scope", *QUESTION, *ESTIMATE, *MEANS, "settings"])
+
+
+def leaving_out(effects: pd.DataFrame, plan: Plan = DEFAULT) -> pd.DataFrame:
+    """The means over all tasks but one, for each of several tasks: as `means`, scope "without TASK"."""
+    found = [means(effects, plan).iloc[:0]]
+    for task in effects["task"].unique() if effects["task"].nunique() > 1 else ():
+        rows = means(effects[effects["task"] != task], plan)
+        found.append(rows[rows["scope"] == ALL_TASKS].assign(scope=f"without {task}"))
+    return pd.concat(found, ignore_index=True)
 
 
 def slopes(arms: Mapping[Place, Arms], plan: Plan = DEFAULT) -> pd.DataFrame:

@@ -25,9 +25,7 @@ from experiments.analysis.scores import PLACE, in_order
 from experiments.study.arms import gate_traffics
 
 CONSTANT = 0.98  # share of the steps with the most common action from which a policy counts as constant
-TIED = (
-    0.98  # share of the scenarios with the return of one constant policy from which an agent is tied with it
-)
+TIED = 0.98  # share of the scenarios with the return of one constant policy from which an agent is tied
 ENTERING = 0.5  # share of the scenarios in which a policy has to enter the crossing to count as one that does
 CONSTANT_POLICIES = ("idle", "random", "faster", "slower")  # what learning has to be worth more than
 # Way [m] from the start to just inside the crossing that a task is about: an ego's length beyond its entry.
@@ -48,61 +46,49 @@ FAILURES: dict[str, str] = {  # what it means to fail, in two or three words
     "crosses": "does not cross",
     "beats_constant": "not above a constant policy",
 }
-Verdict = tuple[bool | None, float | None, float | None]  # passed, value, limit; None where there is none
-UNKNOWN: Verdict = (None, None, None)
 References = Mapping[str, pd.DataFrame]  # the episodes of policies in the same traffic, by name
 CHECKS = ["backend", "check", "task", "arm", "agents", "estimate", "low", "high", "least", "most", "passed"]
 
 
-def _q_bounded(learner: Mapping[str, Any]) -> Verdict:
+def _q_bounded(learner: Mapping[str, Any]) -> bool | None:
     curve, largest = learner.get("probe_q") or [], learner.get("q_bound")
     if not curve or largest is None:
-        return UNKNOWN
-    values, limit = [row[2] for row in curve], Q_SLACK * float(largest)
-    if any(value is None or not math.isfinite(value) for value in values):
-        return False, None, limit
-    return max(values) <= limit, float(max(values)), limit
+        return None
+    values = [math.inf if row[2] is None else row[2] for row in curve]  # JSON knows no infinity
+    return max(values) <= Q_SLACK * float(largest)
 
 
-def _not_constant(own: pd.DataFrame, references: References) -> Verdict:
+def _not_constant(own: pd.DataFrame, references: References) -> bool:
     counts = own[[column for column in own if str(column).startswith("action_")]].sum()
-    share = float(counts.max() / counts.sum())
     ties = [
         float(np.isclose(own["return"] - references[policy]["return"], 0.0, atol=1e-9).mean())
         for policy in CONSTANT_POLICIES
         if policy in references
     ]
-    return share < CONSTANT and all(tie < TIED for tie in ties), share, CONSTANT
+    return bool(counts.max() / counts.sum() < CONSTANT) and all(tie < TIED for tie in ties)
 
 
-def _crosses(task: str, own: pd.DataFrame, references: References) -> Verdict:
+def _crosses(task: str, own: pd.DataFrame, references: References) -> bool | None:
     """Waiting is a failure only where something that crosses is worth more."""
-    if task not in CROSSINGS:
-        return True, None, None
 
-    def entering(episodes: pd.DataFrame) -> float:
-        return float((episodes["distance"] >= CROSSINGS[task]).mean())
+    def enters(episodes: pd.DataFrame) -> bool:
+        return bool((episodes["distance"] >= CROSSINGS[task]).mean() >= ENTERING)
 
-    share = entering(own)
-    if share >= ENTERING:
-        return True, share, ENTERING
-    crossing = [float(rows["return"].mean()) for rows in references.values() if entering(rows) >= ENTERING]
-    return (float(own["return"].mean()) > max(crossing) if crossing else None), share, ENTERING
+    if task not in CROSSINGS or enters(own):
+        return True
+    crossing = [float(rows["return"].mean()) for rows in references.values() if enters(rows)]
+    return float(own["return"].mean()) > max(crossing) if crossing else None
 
 
-def _beats_constant(own: pd.DataFrame, references: References) -> Verdict:
+def _beats_constant(own: pd.DataFrame, references: References) -> bool | None:
     """Compared on the same scenarios, so that their noise cancels."""
-    value = float(own["return"].mean())
-    means = {p: float(references[p]["return"].mean()) for p in CONSTANT_POLICIES if p in references}
-    if not means:
-        return None, value, None
-    best = max(means, key=lambda policy: means[policy])
-    difference = (own["return"] - references[best]["return"]).dropna()
+    constant = [references[policy]["return"] for policy in CONSTANT_POLICIES if policy in references]
+    if not constant:
+        return None
+    difference = (own["return"] - max(constant, key=lambda returns: float(returns.mean()))).dropna()
     if len(difference) < 2:
-        return None, value, None
-    distance = 2 * float(difference.std(ddof=1)) / math.sqrt(len(difference))
-    centre = float(difference.mean())
-    return centre > distance, value, value - centre + distance
+        return None
+    return float(difference.mean()) > 2 * float(difference.std(ddof=1)) / math.sqrt(len(difference))
 
 
 def gates(cells: Mapping[str, Mapping[str, Any]], episodes: pd.DataFrame) -> pd.DataFrame:
@@ -113,8 +99,7 @@ def gates(cells: Mapping[str, Mapping[str, Any]], episodes: pd.DataFrame) -> pd.
 
     Returns:
         A row an agent: cell, PLACE, arm, seed, passed (False if any gate fails, None if one could not be checked, True
-        otherwise), failed (the names of the gates), and for each of GATES "<gate>" (passed), "<gate> value" and "<gate>
-        limit" (in the gate's own unit: Q-value, share, share, return).
+        otherwise), failed (the names of the gates), and the same verdict for each of GATES.
     """
     tables = {
         name: table.set_index(["traffic", "scenario"]).sort_index()
@@ -131,38 +116,19 @@ def gates(cells: Mapping[str, Mapping[str, Any]], episodes: pd.DataFrame) -> pd.
         traffics = list(gate_traffics(key["arm"]))  # of its training
         if key["kind"] != "agent" or not {*traffics} <= {*table.index.unique("traffic")}:
             continue
-        cell, own, policies = (
-            cells[name],
-            table.loc[traffics],
-            references.get(tuple(key[c] for c in PLACE), {}),
-        )
-        others = {policy: table.loc[traffics] for policy, table in policies.items()}
-        found = {
-            "q_bounded": _q_bounded(cell.get("learner") or {}),
-            "not_constant": _not_constant(own, others),
-            "crosses": _crosses(key["task"], own, others),
-            "beats_constant": _beats_constant(own, others),
-        }
-        passed = [verdict[0] for verdict in found.values()]
-        failed = " ".join(gate for gate, verdict in found.items() if verdict[0] is False)
-        sound = False if False in passed else None if None in passed else True
-        numbers = [number for verdict in found.values() for number in verdict]
-        rows.append([name, *(key[column] for column in (*PLACE, "arm", "seed")), sound, failed, *numbers])
-    parts = [f"{gate}{part}" for gate in GATES for part in ("", " value", " limit")]
-    frame = pd.DataFrame(rows, columns=["cell", *PLACE, "arm", "seed", "passed", "failed", *parts])
+        policies = references.get(tuple(key[column] for column in PLACE), {})
+        own, others = table.loc[traffics], {policy: there.loc[traffics] for policy, there in policies.items()}
+        found = [
+            _q_bounded(cells[name].get("learner") or {}),
+            _not_constant(own, others),
+            _crosses(key["task"], own, others),
+            _beats_constant(own, others),
+        ]
+        failed = " ".join(gate for gate, passed in zip(GATES, found, strict=True) if passed is False)
+        sound = False if failed else None if None in found else True
+        rows.append([name, *(key[column] for column in (*PLACE, "arm", "seed")), sound, failed, *found])
+    frame = pd.DataFrame(rows, columns=["cell", *PLACE, "arm", "seed", "passed", "failed", *GATES])
     return in_order(frame, "backend", "task", "level", "arm", "seed").reset_index(drop=True)
-
-
-def learnt(gates: pd.DataFrame, share: float) -> set[tuple[str, str, int]]:
-    """The settings (backend, task, level) where at least this share of the control agents pass the gates.
-
-    Judged by the control agents alone: that the treatment ruins agents would be its effect.
-    """
-    control = gates[gates["arm"] == "control"]
-    passing = (control["passed"].astype(object) != False).groupby(  # noqa: E712
-        [control["backend"], control["task"], control["level"]]
-    )
-    return {key for key, passed in passing.mean().items() if passed >= share}
 
 
 def learner_checks(

@@ -48,7 +48,7 @@ OUTCOMES: dict[str, Outcome] = {
     "near_misses": Outcome("Near-misses", "per episode", -1, 2, poolable=True),
     "reward_per_step": Outcome("Reward per step", "", +1, 3),
 }
-# Beside the effects of the two arms; none of it enters a family or decides a claim.
+# Beside the effects of the two arms; none of it enters a family or decides a claim. Reports leave out kinds of crashes.
 EXPLORATORY = (
     "further arms against control and treatment",
     "transfer between simulators",
@@ -56,7 +56,6 @@ EXPLORATORY = (
     "both arms against the careful driver",
     "speed",
 )
-PROPORTIONS = ("crashed",)  # 0 or 1 in an episode: a mean near 0 or 1 still has an interval
 TERMS: dict[str, dict[str, float]] = {
     "risky": {"risky": 1.0},
     "regular": {"regular": 1.0},
@@ -129,15 +128,13 @@ class Plan:
     settings of which every agent is there.
 
     primary_outcome, primary_term: of the one primary question, over all agents, with every task weighted alike.
-    outcome_of_task: none since version 1; it stays part of the digest. looks: planned looks; none: the number of seeds
-    was fixed beforehand. learnt: share of the control agents that must pass the gates for a setting to count as learnt.
-    price: all that has to hold for a gain without price, in all settings but hopeless ones (level names by task).
+    looks: planned looks; none: the number of seeds was fixed beforehand. price: all that has to hold for a gain without
+    price, in all settings but hopeless ones (level names by task).
     """
 
     version: int = 2
     primary_outcome: str = "crashed"
     primary_term: str = "risky"
-    outcome_of_task: dict[str, str] = field(default_factory=dict)
     families: tuple[Family, ...] = (
         Family("safety", "primary", "risky"),
         Family("harm", "primary", "regular"),
@@ -145,9 +142,6 @@ class Plan:
         Family("no harm", "crashed", "regular", equivalence=True),
     )
     looks: tuple[Look, ...] = ()
-    alpha: float = ALPHA
-    power: float = POWER
-    learnt: float = 0.5
     price: tuple[Bound, ...] = ()
     hopeless: dict[str, tuple[str, ...]] = field(default_factory=dict)
     learner: Learner | None = None
@@ -208,7 +202,8 @@ def plan_of(presets: Iterable[str]) -> Plan:
 def as_data(plan: Plan, gates: dict[str, str]) -> dict[str, Any]:
     """The plan as plain values, with the outcomes, terms and gates that it refers to."""
     confirmatory = {(plan.outcome(family), family.term) for family in plan.families}
-    values = asdict(plan)
+    unread = {"outcome_of_task": {}, "learnt": 0.5}  # in every plan's digest; nothing reads them any more
+    values = {**asdict(plan), "alpha": ALPHA, "power": POWER, **unread}
     if plan.version < 3:  # as its digest has always been
         values = {k: v for k, v in values.items() if k not in ("price", "hopeless", "learner")}
         values["families"] = [{k: v for k, v in f.items() if k != "arm"} for f in values["families"]]

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -17,9 +16,9 @@ from experiments.analysis.claims import all_hold
 from experiments.analysis.effects import ALL_TASKS
 from experiments.analysis.estimate import OK, SATURATED
 from experiments.analysis.gates import GATES
-from experiments.analysis.scores import TASK_ORDER, with_outcomes
+from experiments.analysis.plan import ALPHA
+from experiments.analysis.scores import TASK_ORDER
 from experiments.reporting import figures, tables
-from experiments.reporting.collision_figures import collisions
 from experiments.reporting.showcase import KINDS
 from experiments.reporting.tables import BACKENDS, FILTERS, chosen, main
 from experiments.study.arms import ARMS, DOSE_ARMS, TRAFFICS
@@ -32,27 +31,19 @@ from sumo_env.tasks import TASKS
 TEMPLATES = Path(__file__).resolve().parents[1] / "templates"
 
 
-def page(
-    results: Results,
-    analysis: Analysis,
-    films: Mapping[str, Any],
-    others: Sequence[tuple[str, Analysis]] = (),
-) -> dict[str, Any]:
+def page(results: Results, analysis: Analysis, films: Mapping[str, Any]) -> dict[str, Any]:
     """The templates' variables.
 
     Args:
-        films: from `showcase.showcase`. others: title and analysis of folders to be shown beside this one.
+        films: from `showcase.showcase`.
     """
     names = list(dict.fromkeys(analysis.policies["backend"]))
     return {
         "smoke": "smoke" in analysis.provenance["presets"],
         "backends": [backend(name, results, analysis) for name in names],
-        "films": player(films, results.directory),
+        "films": player(films),
         "checks": checks(results.directory, names),
         "directory": str(results.directory),
-        "beside": tables.side_by_side([("here", analysis), *others]),
-        "card": card(results, analysis),
-        "cells": tables.cells(results, analysis),
         "commands": [sweep["command"] for sweep in Store(results.directory).sweeps()],
         "gate_texts": GATES,
         "seconds": duration(analysis.provenance["seconds"]),
@@ -109,13 +100,13 @@ def answer(name: str, analysis: Analysis) -> dict[str, Any]:
         "by_task": by_task.to_dict("records"),
         "strongest": by_task["scope"].iloc[by_task["estimate"].abs().argmax()] if len(by_task) > 2 else None,
         "saturated": single.loc[single["status"] == SATURATED, ["task", "level"]].drop_duplicates().shape[0],
-        **sides(single, analysis.plan["alpha"]),
+        **sides(single),
     }
 
 
-def sides(single: pd.DataFrame, alpha: float) -> dict[str, dict[str, int]]:
+def sides(single: pd.DataFrame) -> dict[str, dict[str, int]]:
     """In how many settings the plan decides that there are fewer or more crashes, by traffic."""
-    decided = single[single["p_adjusted"] < alpha] if len(single) else single
+    decided = single[single["p_adjusted"] < ALPHA] if len(single) else single
     return {
         side: {term: int((sign * chosen(decided, term=term)["estimate"] > 0).sum()) for term in TRAFFICS}
         for side, sign in (("fewer", -1), ("more", 1))
@@ -124,7 +115,7 @@ def sides(single: pd.DataFrame, alpha: float) -> dict[str, dict[str, int]]:
 
 def mixed(name: str, analysis: Analysis) -> dict[str, Any] | None:
     """What the plan of the second study asks beside the effect of the treatment; None under another plan."""
-    if analysis.price is None:
+    if not analysis.plan.get("price"):
         return None
     bounds = chosen(analysis.price, backend=name)
     single = chosen(main(analysis.effects, name, "mixed"), outcome="crashed", term=list(TRAFFICS))
@@ -136,7 +127,7 @@ def mixed(name: str, analysis: Analysis) -> dict[str, Any] | None:
         "limits": {task: rows.to_dict("records") for task, rows in bounds.groupby("scope", sort=False)},
         "settings": len(places),
         "others": [f"{task} {level}" for task, level in grid if (task, level) not in places],
-        **sides(single, analysis.plan["alpha"]),
+        **sides(single),
         "tasks": tables.first_page(analysis, name, "mixed"),
     }
 
@@ -149,7 +140,7 @@ def paces(policies: pd.DataFrame) -> dict[str, Any]:
     return {str(name): rows.droplevel("name").to_dict("index") for name, rows in means.groupby("name")}
 
 
-FIGURES = ("traffic", "progress", "effects", "doses", "learning", "collisions", "seconds")
+FIGURES = ("traffic", "progress", "effects", "doses", "learning")
 
 
 def drawn(name: str, results: Results, analysis: Analysis) -> dict[str, Markup | None]:
@@ -162,8 +153,6 @@ def drawn(name: str, results: Results, analysis: Analysis) -> dict[str, Markup |
         for cell, key in keys.items()
         if (key["kind"], key["backend"]) == ("agent", name) and key["arm"] in figures.COLOURS
     }
-    compared = [cell for cell in agents if keys[cell]["arm"] in ARMS]
-    episodes = results.episodes[results.episodes["cell"].isin(compared)]
     found: dict[str, str | None] = dict.fromkeys(FIGURES)
     found["traffic"] = figures.against_traffic(policies, name)
     found["progress"] = figures.crashes_against_progress(policies, name)
@@ -173,41 +162,27 @@ def drawn(name: str, results: Results, analysis: Analysis) -> dict[str, Markup |
         found["doses"] = figures.dose_response(policies, name)
     if agents:
         found["learning"] = figures.learning_curves(agents, name)
-    if episodes["crashed"].any():
-        found["collisions"] = collisions(episodes)
-    if agents and analysis.learner is not None:
-        drives = with_outcomes(results)
-        found["seconds"] = figures.crashes_by_second(drives[drives["cell"].isin(agents)], name)
     return {key: Markup(svg) if svg else None for key, svg in found.items()}
 
 
-def player(films: Mapping[str, Any], directory: Path) -> dict[str, Any]:
-    """What the player and the appendix show of the films."""
+def player(films: Mapping[str, Any]) -> dict[str, Any]:
+    """What the player shows of the films."""
     titles = {kind: title for kind, title, _ in KINDS.values()}
     shown = [place for place in films["places"] if place["films"]]
     places: list[dict[str, Any]] = []
     rows: list[dict[str, Any]] = []
-    listed: list[dict[str, Any]] = []
-    counts: list[dict[str, Any]] = []
     for number, place in enumerate(shown):
-        name, simulator = f"{place['task']} {place['level_name']}", place["backend"]
-        places.append({"name": f"{name} on {BACKENDS.get(simulator, simulator)}", "first": len(rows)})
-        counts.append({"task": name, **{titles[kind]: n for kind, n in place["counts"].items()}})
+        simulator = BACKENDS.get(place["backend"], place["backend"])
+        places.append({"name": f"{place['task']} {place['level_name']} on {simulator}", "first": len(rows)})
         for film in place["films"]:
-            at = f"{film['traffic']} traffic, scenario {film['scenario']}"
-            rows.append({"place": number, "title": f"{titles[film['kind']]} ({at})"})
-            endings = {f"{arm} agent": film[arm]["ending"] for arm in ARMS}
-            cell = directory / "cells" / place["cells"][film["kind"] if film["kind"] in ARMS else "control"]
-            case = f"python experiments/replay.py {cell}:{film['traffic']}:{film['scenario']}"
-            listed.append({"episode": f"{name}, {at}", **endings, "as pictures": case})
+            title = f"{titles[film['kind']]} ({film['traffic']} traffic, scenario {film['scenario']})"
+            rows.append({"place": number, "title": title})
     hidden = ("made_of", "counts", "failed", "cells")
     data = [{key: value for key, value in place.items() if key not in hidden} for place in shown]
     return {
         "number": len(rows),
         "places": places,
         "films": rows,
-        "list": pd.DataFrame(listed),
-        "counts": pd.DataFrame(counts),
         "rule": films["rule"],
         "notes": films["notes"],
         # A "<" could end the script element in which the data stand.
@@ -227,37 +202,14 @@ def checks(directory: Path, backends: Sequence[str]) -> dict[str, Any]:
     return {**counts, "missed": missed, "orders": orders}
 
 
-def card(results: Results, analysis: Analysis) -> list[dict[str, str]]:
-    """The rows of templates/card.toml with what was done here."""
-    keys = [results.cells[name]["key"] for name in analysis.provenance["cells"]]
-    agents = [key for key in keys if key["kind"] == "agent" and key["arm"] in ARMS]
-    if not agents:
-        return []
-    names = ("network", "gamma", "batch_size", "steps_per_update", "updates")
-    counts = pd.DataFrame(agents).groupby(["backend", "task", "level", "arm"])["seed"].nunique()
-    variables = {
-        "backend": agents[0]["backend"],
-        "settings": len({(key["task"], key["level"]) for key in agents}),
-        "linear": any(key["env_config"].get("risk_law") == "linear" for key in agents),
-        "profile": {n: sorted({str(k["profile"][n]) for k in agents if n in k["profile"]}) for n in names},
-        "seeds": [str(n) for n in sorted(set(counts))],
-        "tests": [str(n) for n in sorted({key["eval"]["episodes"] for key in agents})],
-    }
-    environment = _environment(escape=False)
-    rows = tomllib.loads((TEMPLATES / "card.toml").read_text())["row"]
-    return [{k: environment.from_string(text).render(variables) for k, text in row.items()} for row in rows]
-
-
 def render(variables: Mapping[str, Any], template: str) -> str:
     """One of the templates as a text."""
-    environment = _environment(escape=template.endswith(".html.j2"))
-    return environment.get_template(template).render(variables)
-
-
-def _environment(escape: bool) -> Environment:
-    loader = FileSystemLoader(TEMPLATES)
     environment = Environment(
-        loader=loader, autoescape=escape, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+        loader=FileSystemLoader(TEMPLATES),
+        autoescape=template.endswith(".html.j2"),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
     )
     environment.filters |= FILTERS
-    return environment
+    return environment.get_template(template).render(variables)

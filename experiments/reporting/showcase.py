@@ -35,12 +35,11 @@ RULE = (
     "scenarios at most three in which the control agent alone crashes, three in which the treated agent alone does, "
     "and one in which both do; risky traffic first, then the crash with the highest closing speed."
 )
-# Kinds of scenarios by (control crashes, treated agent crashes), how they are called, and how many are shown at most.
+# Scenarios that are shown by (control crashes, treated agent crashes): kind, title, and how many at most.
 KINDS = {
     (True, False): ("control", "Only the control agent crashes", 3),
     (False, True): ("treatment", "Only the treated agent crashes", 3),
     (True, True): ("both", "Both agents crash", 1),
-    (False, False): ("neither", "Neither agent crashes", 0),
 }
 INTERVAL = 0.2  # [s] between two frames of a film
 NEAR = 75.0  # [m] from the ego: other vehicles are not stored
@@ -66,7 +65,7 @@ def showcase(results: Results, left_out: set[str], make_env: MakeEnv) -> dict[st
     for duo in duos(results, left_out):
         cells = duo["cells"]
         tables = {arm: results.episodes[results.episodes["cell"] == name] for arm, name in cells.items()}
-        counts, chosen = choose(tables)
+        chosen = choose(tables)
         made_of = {
             "cells": {arm: [name, results.cells[name]["files"][EPISODES]] for arm, name in cells.items()},
             "chosen": [[one["traffic"], one["scenario"]] for one in chosen],
@@ -81,7 +80,7 @@ def showcase(results: Results, left_out: set[str], make_env: MakeEnv) -> dict[st
             except Exception as error:  # whatever is wrong with a film must not cost the report
                 notes.append(f"{name}: the agents could not be replayed ({str(error).partition(chr(10))[0]})")
                 continue
-            place |= {"made_of": made_of, "counts": counts}
+            place["made_of"] = made_of
         notes += [f"{name}: {reason}" for reason in place["failed"]]
         places.append(place)
     if places or path.exists():
@@ -121,8 +120,8 @@ def duos(results: Results, left_out: set[str]) -> Iterator[dict[str, Any]]:
         yield {**pair[setting].to_dict("records")[0], "cells": cells}
 
 
-def choose(tables: Mapping[str, pd.DataFrame]) -> tuple[dict[str, int], list[dict[str, Any]]]:
-    """How many of the common test scenarios are of each kind, and which of them are shown: kind, traffic, scenario.
+def choose(tables: Mapping[str, pd.DataFrame]) -> list[dict[str, Any]]:
+    """The common test scenarios that are shown: kind, traffic, scenario.
 
     Args:
         tables: the test episodes of the two agents by arm.
@@ -131,15 +130,13 @@ def choose(tables: Mapping[str, pd.DataFrame]) -> tuple[dict[str, int], list[dic
     columns = [*keys, "crashed", "crash_closing_speed"]
     both = tables["control"][columns].merge(tables["treatment"][columns], on=keys, suffixes=("_c", "_t"))
     speed = both[["crash_closing_speed_c", "crash_closing_speed_t"]].astype(float).max(axis=1).fillna(0.0)
-    both = both.assign(speed=speed).sort_values(
-        ["traffic", "speed"], ascending=False, kind="stable"
-    )  # risky first
-    counts, chosen = {}, []
+    both = both.assign(speed=speed)
+    both = both.sort_values(["traffic", "speed"], ascending=False, kind="stable")  # risky first
+    chosen = []
     for (control, treated), (kind, _, most) in KINDS.items():
         rows = both[(both["crashed_c"].astype(bool) == control) & (both["crashed_t"].astype(bool) == treated)]
-        counts[kind] = len(rows)
         chosen += [{"kind": kind, **one} for one in rows[keys].head(most).to_dict("records")]
-    return counts, chosen
+    return chosen
 
 
 def _record(

@@ -202,7 +202,6 @@ def collisions() -> None:
 def study() -> None:
     """The effect on the crash rate in every setting, and that of the dose in training, on a white ground."""
     analysis = stored(ROOT / "results" / "standard" / "analysis.json")
-    assert analysis is not None, "python experiments/report.py results/standard writes it"
     drawn = {
         "effects": effects_by_setting(main(analysis.effects, "sumo"), "sumo"),
         "arms": dose_response(analysis.policies, "sumo"),

@@ -7,7 +7,6 @@ import re
 from html.parser import HTMLParser
 from pathlib import Path
 
-import numpy as np
 import pandas as pd
 import pytest
 
@@ -15,11 +14,9 @@ from experiments import report
 from experiments.analysis.analysis import analyse, stored
 from experiments.analysis.plan import OUTCOMES
 from experiments.reporting import figures
-from experiments.reporting.collision_figures import LENGTH, WIDTH, contacts
 from experiments.reporting.page import FIGURES, checks
 from experiments.reporting.style import CONTROL
-from experiments.reporting.tables import difference, main, side_by_side
-from experiments.study import store
+from experiments.reporting.tables import difference, main
 from experiments.study.store import load
 from experiments.study.verdict import SCHEMA
 from experiments.support.errors import UserError
@@ -131,10 +128,6 @@ class TestReport:
         assert all((directory / link).exists() for link in pages)
         assert not re.search(r"\b(nan|None|inf|undefined)\b|{[{%]", page.text)
 
-    def test_every_cell_is_listed(self, directory):
-        text = (directory / "appendix.html").read_text()
-        assert [cell for cell in load(directory).cells if cell not in text] == []
-
     def test_is_the_same_for_the_same_cells(self, directory):
         names = ("report.html", "appendix.html", "report.md", "analysis.json", "summary.csv", "effects.csv")
         before = [(directory / name).read_bytes() for name in names]
@@ -183,50 +176,6 @@ class TestAnswer:
         assert fewer > 0 and f"in risky traffic {fewer} of 3 with fewer crashes and 0 with more" in text
 
 
-def shown(directory, *others) -> str:
-    return Page((report.write_report(directory, *others).parent / "appendix.html").read_text()).text
-
-
-@pytest.mark.usefixtures("words_alone")
-class TestSideBySide:
-    def test_the_mean_is_that_of_the_settings_in_common(self, tmp_path):
-        own, other = tmp_path / "own", tmp_path / "other"
-        synthetic.write(own, {"highway": (1, 2), "u-turn": (1,)}, seeds=3, tests=10)
-        synthetic.write(other, {"highway": (1,), "u-turn": (1,)}, seeds=3, tests=10, backend="replica")
-        named = [(name, analyse(load(home))) for name, home in (("own", own), ("other", other))]
-        [row] = side_by_side(named).to_dict("records")
-        means = main(named[1][1].means, "replica").query("scope == 'all tasks' and outcome == 'crashed'")
-        assert row["risky, there"] == difference(means.query("term == 'risky'").to_dict("records")[0])
-        assert row["settings"] == "2"
-        assert row["risky, here"] in shown(own, other)
-
-    def test_a_run_is_shown_beside_the_published_study_and_that_beside_its_variants(
-        self, tmp_path, monkeypatch
-    ):
-        study, variant, own = tmp_path / "standard", tmp_path / "replica", tmp_path / "own"
-        monkeypatch.setattr(report, "PUBLISHED", study)
-        for home, backend in ((study, "sumo"), (variant, "replica"), (own, "sumo")):
-            synthetic.write(home, {"u-turn": (1,)}, seeds=2 + (home == study), tests=4, backend=backend)
-        for home, title in ((study, "The published study"), (variant, "The study on the replica")):
-            (home / store.PUBLISHED).write_text(f"# {title}\n\nWords.\n")
-            report.write_report(home)
-
-        def beside(home):
-            return [title for title, _ in report._published(home, analyse(load(home)))]
-
-        assert beside(own) == ["The published study"]
-        assert beside(study) == ["The study on the replica"]
-        (study / "analysis.json").write_text('{"schema": 0}')
-        assert beside(own) == []
-
-
-def test_a_damaged_analysis_of_another_directory_is_named(tmp_path, capsys):
-    damaged = tmp_path / report.ANALYSIS
-    damaged.write_text('{"schema": ')
-    assert report._stored(damaged) is None
-    assert f"{damaged} is damaged" in capsys.readouterr().err
-
-
 class TestIncomplete:
     """Results as they are while a sweep runs, or after one with little in it."""
 
@@ -243,7 +192,8 @@ class TestIncomplete:
 
     def test_further_arms_are_drawn_and_told(self, tmp_path):
         synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=2, tests=8, further=("dense", "dose50"))
-        text = shown(tmp_path)
+        report.write_report(tmp_path)
+        text = Page((tmp_path / "appendix.html").read_text()).text
         assert "dense" in text and "dose50" in text and "dose of risk in training" in text
 
     def test_failed_and_damaged_cells_are_named(self, tmp_path):
@@ -312,24 +262,6 @@ class TestFigures:
         assert f"var(--control, {CONTROL})" in drawn
         assert re.search(r"(?<!, )" + CONTROL, drawn) is None
         assert "<dc:date>" not in drawn
-
-
-class TestContacts:
-    """Where two vehicles touch, in the ego's frame."""
-
-    @pytest.mark.parametrize(
-        ("pose", "expected"),
-        [
-            ((LENGTH, 0.0, 0.0), (LENGTH / 2, 0.0)),  # bumper to bumper, other ahead
-            ((-LENGTH, 0.0, 0.0), (-LENGTH / 2, 0.0)),  # struck from behind
-            ((0.0, WIDTH, 0.0), (0.0, WIDTH / 2)),  # side by side, other on the right
-            ((LENGTH / 2 + WIDTH / 2, 0.0, np.pi / 2), (LENGTH / 2, 0.0)),  # into the flank of a crossing car
-            ((LENGTH + 0.4, 0.0, 0.0), (LENGTH / 2 + 0.4, 0.0)),  # only near: the closest side of the other
-        ],
-    )
-    def test_of_two_vehicles(self, pose, expected):
-        x, y, heading = (np.array([value]) for value in pose)
-        assert contacts(x, y, heading)[0] == pytest.approx(expected, abs=0.05)
 
 
 OWN = """

@@ -47,8 +47,7 @@ def test_the_choice_is_balanced_and_takes_the_hardest_crashes_in_risky_traffic_f
         ("risky", 4, False, None),
     )
     treated = control.assign(crashed=[False] * 6 + [True, True, False], crash_closing_speed=5.0)
-    counts, chosen = choose({"control": control, "treatment": treated})
-    assert counts == {"control": 6, "treatment": 1, "both": 1, "neither": 1}
+    chosen = choose({"control": control, "treatment": treated})
     assert [tuple(one.values()) for one in chosen] == [
         ("control", "risky", 0),
         ("control", "risky", 1),
@@ -72,7 +71,7 @@ def test_a_film_is_the_stored_episode(copy):
     found = showcase(results, set(), make_env)
     assert found["notes"] == []
     [place] = found["places"]
-    assert place["films"] and sum(place["counts"].values()) == 12
+    assert place["films"]
     for film in place["films"]:
         for arm, name in place["cells"].items():
             record, place_of = results.cells[name], (film["traffic"], film["scenario"])

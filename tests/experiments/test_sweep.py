@@ -354,6 +354,6 @@ def test_policies_of_the_users_own_get_cells_of_their_own(tmp_path, here):
     assert {"mine.py:Mine", "model.zip"} <= set(episodes.index)
     mine, slower = (episodes.loc[policy, "return"].tolist() for policy in ("mine.py:Mine", "slower"))
     assert mine == slower
-    chosen = comparable(results)
-    assert not chosen.left_out and set(chosen.results.cells) == set(results.cells)
+    chosen, left_out = comparable(results)
+    assert not left_out and set(chosen.cells) == set(results.cells)
     assert set(analyse(results).policies["policy"]) >= {"mine.py:Mine", "model.zip"}

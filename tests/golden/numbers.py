@@ -25,7 +25,7 @@ MEANS = ["mean_arm", "mean_against"]
 # The frames of an analysis: what a row is of, and its numbers that a page, a figure or a claim uses.
 TABLES = {
     "effects": (
-        [*EFFECT, "task", "level"], [*ESTIMATE, "se", *MEANS, "p_adjusted", "equivalent_p_adjusted"]
+        [*EFFECT, "task", "level"], [*ESTIMATE, "se", *MEANS, "p_adjusted"]
     ),
     "means": ([*EFFECT, "scope"], [*ESTIMATE, *MEANS]),
     "slopes": (["backend", "task", "outcome", "quantity"], [*ESTIMATE, "p_adjusted"]),

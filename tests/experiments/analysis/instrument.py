@@ -19,7 +19,7 @@ from scipy.stats import norm
 from experiments.analysis import estimate
 from experiments.analysis.effects import at_looks, contrasts, decided, mean_over, slopes
 from experiments.analysis.estimate import OK, Estimate
-from experiments.analysis.plan import DEFAULT, OUTCOMES, TWO_BATCHES, Plan
+from experiments.analysis.plan import ALPHA, DEFAULT, OUTCOMES, TWO_BATCHES, Plan
 from experiments.analysis.scores import Arm, Arms, Place
 
 LEVELS = {"highway": 3, "two-way": 3, "roundabout": 3, "intersection": 5, "u-turn": 4}
@@ -102,7 +102,7 @@ def measure(draw: Callable[[np.random.Generator], Estimate], truth: float, repea
         one = draw(random)
         if one.status == OK:
             found += 1
-            rejected += one.p < DEFAULT.alpha
+            rejected += one.p < ALPHA
             covered += one.low <= truth <= one.high
     at = max(found, 1)
     return Rates(rejected / at, covered / at, 1 - found / repeats, repeats)
@@ -117,7 +117,7 @@ def effect(pair: Arms, outcome: str, term: str, plan: Plan = DEFAULT) -> Estimat
 
 def balanced(pairs: dict[Place, Arms], outcome: str, term: str, plan: Plan = DEFAULT) -> Estimate:
     """The mean effect over settings, tasks alike."""
-    found = mean_over(contrasts(pairs, [("treatment", "control")], [(outcome, term)], plan), plan)
+    found = mean_over(contrasts(pairs, {("treatment", "control"): [(outcome, term)]}, plan), plan)
     return Estimate(*(found[name] for name in ("estimate", "status", "se", "df", "low", "high", "p")))
 
 
@@ -154,7 +154,7 @@ def two_batches(world: World, repeats: int, plan: Plan = TWO_BATCHES) -> Rates:
     def draw(random: np.random.Generator) -> Estimate:
         whole = setting(world, (10, 10), random)
         first = effect({name: arm.below(5) for name, arm in whole.items()}, "crashed", "risky", plan)
-        return first if first.p < plan.alpha else effect(whole, "crashed", "risky", plan)
+        return first if first.p < ALPHA else effect(whole, "crashed", "risky", plan)
 
     return measure(draw, world.effect, repeats)
 
@@ -167,7 +167,7 @@ def primary_two_batches(world: World, repeats: int, plan: Plan = TWO_BATCHES) ->
         early = {p: {name: arm.below(5) for name, arm in pair.items()} for p, pair in whole.items()}
         p = estimate.adjusted([effect(pair, "crashed", "risky", plan).p for pair in early.values()])
         mixed = {
-            place: early[place] if q < plan.alpha else whole[place] for place, q in zip(whole, p, strict=True)
+            place: early[place] if q < ALPHA else whole[place] for place, q in zip(whole, p, strict=True)
         }
         return balanced(mixed, "crashed", "risky", plan)
 
@@ -179,7 +179,7 @@ def any_setting(world: World, seeds: int, repeats: int) -> float:
     random, found = np.random.default_rng(7), 0
     for _ in range(repeats):
         p = [effect(pair, "crashed", "risky").p for pair in study(world, seeds, random).values()]
-        found += bool((estimate.adjusted(p) < DEFAULT.alpha).any())
+        found += bool((estimate.adjusted(p) < ALPHA).any())
     return found / repeats
 
 
@@ -189,7 +189,7 @@ def equivalent(seeds: int, repeats: int) -> float:
     world = World(rates=(0.1, 0.1), effect=margin, spread=0.05)
     for _ in range(repeats):
         drawn = effect(setting(world, (seeds, seeds), random), "crashed", "risky")
-        found += estimate.equivalence(drawn, margin) < DEFAULT.alpha
+        found += estimate.equivalence(drawn, margin) < ALPHA
     return found / repeats
 
 

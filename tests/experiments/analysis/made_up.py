@@ -15,7 +15,7 @@ from experiments.analysis.plan import DEFAULT, OUTCOMES, TERMS, Plan
 from experiments.analysis.scores import Arm, Arms, Place, arms_of, with_outcomes
 from experiments.study.store import Results
 
-PAIR = [("treatment", "control")]
+PAIR = ("treatment", "control")
 
 
 def find(frame: pd.DataFrame, **wanted: Any) -> dict[str, Any]:
@@ -51,11 +51,11 @@ def agents(
 
 
 def effects(arms: dict[Place, Arms], plan: Plan = DEFAULT) -> pd.DataFrame:
-    return adjusted(contrasts(arms, PAIR, [(o, t) for o in OUTCOMES for t in TERMS], plan), plan)
+    return adjusted(contrasts(arms, {PAIR: [(o, t) for o in OUTCOMES for t in TERMS]}, plan), plan)
 
 
 def arms_in(results: Results) -> dict[Place, dict[str, Arm]]:
-    return arms_of(own_agents(with_outcomes(results)), list(OUTCOMES))
+    return arms_of(own_agents(with_outcomes(results)))
 
 
 def changed(results: Results, **columns: Callable[[pd.DataFrame], Any]) -> Results:

@@ -118,7 +118,7 @@ def drawn(pairs: dict[Place, Arms]) -> pd.DataFrame:
 class TestKnownTruths:
     def test_the_placebo_is_silent_where_the_treatment_is_not(self, episodes) -> None:
         agents = episodes[episodes["kind"] == "agent"]
-        pairs = arms_of(agents, ["crashed"])
+        pairs = arms_of(agents)
         assert instrument.balanced(pairs, "crashed", "risky").p < 0.01
         [silent] = placebo(agents).query("outcome == 'crashed'").to_dict("records")
         assert silent["comparisons"] == 3

@@ -37,10 +37,6 @@ def test_the_frontier_table_has_a_row_an_arm_and_says_how_many_agents_are_compar
     assert treatment == ["u-turn 3", "treatment", "–", "0 of 5", "", ""]
 
 
-def test_there_is_no_frontier_table_where_the_plan_asks_for_none() -> None:
-    assert tables.frontier(analysis(frontier=None), "sumo").empty
-
-
 def test_the_unseen_table_sets_each_traffic_beside_that_of_the_training() -> None:
     rates = {"risky": (0.5, 0.25), "only-brake": (0.4, 0.4), "krauss": (0.3, 0.1)}
     rows = [

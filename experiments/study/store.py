@@ -6,7 +6,6 @@ DIR/packed.json, *.parquet, weights/   finished cells of which the folders may b
 DIR/work/<cell>/      a cell in progress: checkpoint, lock, log (see `run`); failed.json if it was given up
 DIR/damaged/          what was put aside because it was damaged
 DIR/sweep.json        what sweeps have asked for
-DIR/PUBLISHED.md      its heading is the name of DIR in reports
 
 `Store` has one cell after the other, `load` all of them as `Results`.
 """
@@ -35,7 +34,7 @@ if TYPE_CHECKING:
 CELL, EPISODES, GATES = "cell.json", "episodes.parquet", "gates.parquet"
 TRAINING, MARKS, WEIGHTS = "training.parquet", "marks.parquet", "weights.npz"
 TABLES = (EPISODES, GATES, TRAINING, MARKS)
-FAILED, SWEEPS, PUBLISHED = "failed.json", "sweep.json", "PUBLISHED.md"
+FAILED, SWEEPS = "failed.json", "sweep.json"
 # Columns of gates.parquet and marks.parquet.
 _JUDGED = ("traffic", "scenario", "return", "length", "crashed", "mean_speed", "distance", "near_misses")
 GATE_COLUMNS = (*_JUDGED, *(f"action_{number}" for number in range(5)))

@@ -99,14 +99,17 @@ def test_progress_is_told_beside_speed() -> None:
 
 def test_crashes_in_the_last_second() -> None:
     told_of = {
-        "standard": "{late} of {all} crashes of treated agents come in the last",
-        "first-clock": "{late} of {all} times in the last second",
-        "second": "{late} of {all} in the last second",
+        ("standard", "u-turn"): "{late} of {all} crashes of treated agents come in the last",
+        ("first-clock", "u-turn"): "{late} of {all} times in the last second",
+        ("first-clock", "roundabout"): "({late} of {all} in the last second)",
+        ("second", "u-turn"): "{late} of {all} in the last second",
     }
-    for name, words in told_of.items():
-        wanted = "kind == 'agent' and arm == 'treatment' and traffic == 'regular' and level == 1 and task == 'u-turn'"
+    for (name, task), words in told_of.items():
+        wanted = (
+            "kind == 'agent' and arm == 'treatment' and traffic == 'regular' and level == 1 and task == @task"
+        )
         crashes = load(ROOT / "results" / name).episodes.query(wanted).query("crashed")
-        late = int((crashes["crash_time"] > 9.0).sum())
+        late = int((crashes["crash_time"] > TASKS[task].defaults["duration"] - 1.0).sum())
         assert words.format(late=late, all=len(crashes)) in told("docs/study.md")
 
 
@@ -117,8 +120,24 @@ def test_the_second_study_is_told_as_it_was_found() -> None:
     effects = study.effects.query("arm == 'treatment' and against == 'control' and outcome == 'crashed'")
     u_turn = difference(effects.query("task == 'u-turn' and term == 'regular'").iloc[0])
     assert f"With the longer clock it is {u_turn.replace(' points', '')}" in text
-    clock = {term: words.replace(" points", "") for term, words in crashes(published("first-clock")).items()}
-    assert f"crash {clock['regular']} more" in text and f"in risky traffic {clock['risky']}" in text
+    clock = {
+        task: {
+            term: words.replace(" points", "")
+            for term, words in crashes(published("first-clock"), scope=task).items()
+        }
+        for task in ("u-turn", "roundabout")
+    }
+    assert f"crash {clock['u-turn']['regular']} more" in text
+    assert f"in risky traffic {clock['u-turn']['risky']}" in text
+    assert f"worse: {clock['roundabout']['regular']} in regular" in text
+    assert f"and {clock['roundabout']['risky']} in risky traffic" in text
+    longer = crashes(study, scope="roundabout")
+    assert (
+        "with the longer clock {regular[0]} and {risky[0]}.".format(
+            **{t: w.split() for t, w in longer.items()}
+        )
+        in text
+    )
     shown = [crashes(study, arm="mixed")[term].split()[0] for term in TRAFFICS]
     shown.append(crashes(study, scope="without two-way")["regular"].replace(" points", ""))
     assert [number for number in shown if number not in text] == []

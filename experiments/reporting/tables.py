@@ -31,6 +31,7 @@ def plain(value: float | None, digits: int, signed: bool = False) -> str:
     """A number with a true minus ("-3.0"), or a dash where there is none; what rounds to 0 has no sign."""
     if value is None or not np.isfinite(value):
         return NONE
+    value = float(f"{value:.12g}")  # as it is stored, so that a half is rounded alike
     text = f"{value:{'+' if signed else ''}.{digits}f}"
     if float(text) == 0:
         text = text.lstrip("+-")

@@ -219,8 +219,8 @@ class DrivingEnv(ReadAsHighwayEnv):
     def export(self, folder: str | Path) -> list[Path]:
         """Write the present episode, as far as it was driven, for ``sumo`` and ``sumo-gui``; returns the files.
 
-        ``episode.sumocfg`` shows what happened; in ``traffic.sumocfg`` SUMO drives the traffic again (see `export`).
-        The episode is driven a second time, in a simulator of its own, so that every simulation step is in the files.
+        ``episode.sumocfg`` shows what happened. The episode is driven a second time, in a simulator of its own, so that
+        every simulation step is in the files.
         """
         from sumo_env import export
 

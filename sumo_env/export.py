@@ -2,9 +2,6 @@
 
 ``episode.sumocfg`` shows what happened: every vehicle is replayed along its recorded way. The ego is blue, vehicles on
 which a risk event acts in the episode are yellow, the others white.
-``traffic.sumocfg`` is the scenario itself: SUMO drives the traffic again with the same vehicle types, departures and
-routes, around the ego on its recorded way. Speed modes and risk events are commands of a running simulation, which
-files cannot express, so its traffic is the recorded one only as far as they do not matter.
 
 SUMO's convention differs from the scenes' (highway-env's): y points up, a position is the middle of the front bumper,
 and an angle is in degrees, clockwise from north.
@@ -22,7 +19,6 @@ import numpy as np
 
 from sumo_env.networks.mapping import Network, SumoLane
 from sumo_env.scene import Scene
-from sumo_env.traffic.drivers import Calibration, vehicle_type
 from sumo_env.traffic.scenario import EGO, Scenario, VehicleSpec
 
 # What a replayed vehicle must be able to do, so that SUMO lets it start and move as it was recorded, also on lanes for
@@ -31,8 +27,6 @@ FREE = {"tau": "0.1", "minGap": "0", "decel": "200", "emergencyDecel": "200", "v
 REPLAYED = {**FREE, "guiShape": "delivery"}
 # Those of the pictures; a replayed vehicle cannot change its colour, so it has one for the whole episode.
 COLOURS = {EGO: "0,114,178", "car": "233,237,241", "risky": "255,196,0"}
-NO_LANE_CHANGES = {"lcStrategic": "-1", "lcCooperative": "-1", "lcSpeedGain": "0", "lcKeepRight": "0"}
-NO_WAITING = {"jmIgnoreFoeProb": "1", "jmIgnoreFoeSpeed": "100"}
 VIEW = "view.xml"
 WINDOW = (1200, 800)  # [px] of sumo-gui
 AROUND = 50.0  # [m] that it shows around the way of the ego
@@ -51,8 +45,6 @@ def write(folder: Path, scenario: Scenario, scenes: Sequence[Scene]) -> list[Pat
     """
     road = scenario.network
     step = round((scenes[1].time if len(scenes) > 1 else 1.0 / scenario.simulation_frequency), 3)
-    length = (len(scenes) + 1) * step
-    warm_up = round(scenario.warm_up / step) * step
     specs = {spec.id: spec for spec in (*scenario.specs, *(spawn.vehicle for spawn in scenario.spawns))}
     sizes = {size for scene in scenes for size in scene.sizes.values()}
     types = ElementTree.Element("additional")
@@ -61,21 +53,12 @@ def write(folder: Path, scenario: Scenario, scenes: Sequence[Scene]) -> list[Pat
         for name, colour in COLOURS.items()
         for size in (None, *sorted(sizes))
     )
-    routes = ElementTree.Element("routes")
-    routes.extend(_departures(road, scenario, scenes, warm_up))
     inputs = {"net-file": "network.net.xml", "additional-files": "types.add.xml"}
-    driven = {**inputs, "route-files": "traffic.rou.xml"}
-    # sumo-gui stops after the first step, when the vehicles are there, and with the last scene, before SUMO's own end
-    last = (len(scenes) - 1) * step
-    stops, later_stops = (step, last), (warm_up + step, warm_up + last)
     contents = {
-        "recorded.fcd.xml": _floating_car_data(road, specs, scenes, step, 0.0),
+        "recorded.fcd.xml": _floating_car_data(road, specs, scenes, step),
         "types.add.xml": types,
-        "ego.fcd.xml": _floating_car_data(road, {EGO: scenario.ego}, scenes, step, warm_up),
-        "traffic.rou.xml": routes,
         VIEW: _view(road, scenes),
-        "episode.sumocfg": _configuration(inputs, "recorded.fcd.xml", step, length, stops),
-        "traffic.sumocfg": _configuration(driven, "ego.fcd.xml", step, warm_up + length, later_stops),
+        "episode.sumocfg": _configuration(inputs, "recorded.fcd.xml", step, len(scenes)),
     }
     folder.mkdir(parents=True, exist_ok=True)
     shutil.copyfile(road.net_file, folder / inputs["net-file"])
@@ -86,9 +69,9 @@ def write(folder: Path, scenario: Scenario, scenes: Sequence[Scene]) -> list[Pat
 
 
 def _floating_car_data(
-    road: Network, specs: Mapping[str, VehicleSpec], scenes: Sequence[Scene], step: float, start: float
+    road: Network, specs: Mapping[str, VehicleSpec], scenes: Sequence[Scene], step: float
 ) -> ElementTree.Element:
-    """Ways of these vehicles, as SUMO's device fcd-replay reads them; `start` is the time of the first scene [s]."""
+    """Ways of these vehicles, as SUMO's device fcd-replay reads them."""
     by_edge: dict[str, list[SumoLane]] = {}
     for lane in road.sumo_lanes.values():
         by_edge.setdefault(lane.id.rpartition("_")[0], []).append(lane)
@@ -97,7 +80,7 @@ def _floating_car_data(
     shown = dict.fromkeys((name for scene in scenes for name in scene.in_event), "risky") | {EGO: EGO}
     root = ElementTree.Element("fcd-export")
     for number, scene in enumerate(scenes):
-        now = ElementTree.SubElement(root, "timestep", time=f"{start + number * step:.3f}")
+        now = ElementTree.SubElement(root, "timestep", time=f"{number * step:.3f}")
         for row, name in enumerate(scene.ids):
             if name not in ways:
                 continue
@@ -149,54 +132,6 @@ class _Way:
         return lane.id, offset * lane.length / lane.drawn
 
 
-def _departures(
-    road: Network, scenario: Scenario, scenes: Sequence[Scene], warm_up: float
-) -> list[ElementTree.Element]:
-    """Vehicle types, and the vehicles that were seen, with the departures that the scenario gives them."""
-    seen = {name for scene in scenes for name in scene.ids}
-    departures = [(spec, 0.0) for spec in scenario.vehicles]
-    departures += [(s.vehicle, warm_up + s.step / scenario.policy_frequency) for s in scenario.spawns]
-    departures = [(spec, time) for spec, time in departures if spec.id in seen]
-    drivers = {spec.driver.type: spec for spec, _ in departures}
-    types = [
-        ElementTree.Element("vType", {"id": name, **_attributes(spec, scenario.calibration)})
-        for name, spec in drivers.items()
-    ]
-    vehicles = []
-    for spec, time in departures:
-        key, lane, position = road.place(spec.lane, spec.s, spec.destination, spec.driver.size[0] / 2)
-        if lane.startswith(":"):  # inside a joint nobody can depart
-            lane = road.sumo_lanes[lane].preceding[0]
-            position = road.sumo_lanes[lane].length
-        edge, _, index = lane.rpartition("_")
-        edges = road.routes[key]
-        limit = road.road.lane(spec.lane).speed_limit
-        desired = max(min(spec.target_speed, limit), 0.01)
-        vehicle = ElementTree.Element(
-            "vehicle",
-            id=spec.id,
-            type=spec.driver.type,
-            depart=f"{time:.2f}",
-            departLane=index,
-            departPos=f"{position:.3f}",
-            departSpeed=f"{min(spec.speed, desired):.3f}",
-            insertionChecks="none",
-            speedFactor=f"{desired / limit:.6f}",
-        )
-        ElementTree.SubElement(vehicle, "route", edges=" ".join(edges[edges.index(edge) :]))
-        vehicles.append(vehicle)
-    return types + vehicles
-
-
-def _attributes(spec: VehicleSpec, calibration: Calibration) -> dict[str, str]:
-    """A driver's vehicle type, with what speed mode and lane-change mode say in a running simulation."""
-    return {
-        **vehicle_type(spec.driver, calibration),
-        **({} if spec.changes_lanes and calibration.lane_changes else NO_LANE_CHANGES),
-        **({} if calibration.waits_for_approaching else NO_WAITING),
-    }
-
-
 def _view(road: Network, scenes: Sequence[Scene]) -> ElementTree.Element:
     """Settings of sumo-gui: the whole way of the ego in the window, 0.1 s between two steps."""
     places = np.array([point for lane in road.sumo_lanes.values() for point in lane.shape])
@@ -214,13 +149,15 @@ def _view(road: Network, scenes: Sequence[Scene]) -> ElementTree.Element:
     return view
 
 
-def _configuration(
-    inputs: Mapping[str, str], replayed: str, step: float, end: float, stops: Sequence[float]
-) -> ElementTree.Element:
-    """A .sumocfg with files relative to it, so that the folder can be moved; sumo-gui pauses at `stops` [s]."""
+def _configuration(inputs: Mapping[str, str], replayed: str, step: float, scenes: int) -> ElementTree.Element:
+    """A .sumocfg with files relative to it, so that the folder can be moved.
+
+    sumo-gui pauses after the first step, when the vehicles are there, and with the last scene, before SUMO's own end.
+    """
+    pauses = dict.fromkeys((step, (scenes - 1) * step))
     options = {
         "input": inputs,
-        "time": {"begin": "0", "end": f"{end:g}", "step-length": f"{step:g}"},
+        "time": {"begin": "0", "end": f"{(scenes + 1) * step:g}", "step-length": f"{step:g}"},
         "processing": {
             "collision.action": "none",
             "collision.check-junctions": "true",
@@ -235,7 +172,7 @@ def _configuration(
             "gui-settings-file": VIEW,
             "start": "true",
             "window-size": ",".join(map(str, WINDOW)),
-            "breakpoints": ",".join(f"{time:g}" for time in dict.fromkeys(stops) if time > 0),
+            "breakpoints": ",".join(f"{time:g}" for time in pauses if time > 0),
         },
     }
     root = ElementTree.Element("configuration")

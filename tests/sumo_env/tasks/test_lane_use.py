@@ -123,8 +123,7 @@ def test_vehicles_drive_where_their_class_may(tmp_path: Path) -> None:
     assert env.scene.sizes["b"] == (12.0, 2.5) and env.scene.sizes["k"] == (1.6, 0.65)
     env.export(tmp_path / "episode")
     env.close()
-    for name in ("episode.sumocfg", "traffic.sumocfg"):
-        assert opened(tmp_path / "episode" / name)
+    assert opened(tmp_path / "episode" / "episode.sumocfg")
 
 
 @pytest.mark.parametrize(

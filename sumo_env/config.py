@@ -9,7 +9,6 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
-from gymnasium import logger
 
 Config = dict[str, Any]
 
@@ -61,17 +60,12 @@ LARGEST = {
 }
 MAY_BE_ZERO = ("risk", "spawn_probability")  # of those
 # Keys of highway-env and rl-agents that the tasks on SUMO do not have. A whole configuration of theirs is accepted if
-# it describes the same task and kept: keys that only concern the display or the file have no effect (with a warning,
-# unless they have one of these values), the others may only have these values.
-LEFT_OUT: dict[str, tuple[Any, ...]] = {
-    "offscreen_rendering": (None, False, True),
-    "real_time_rendering": (False,),
-    "render_agent": (True,),
-    "show_history": (False,),
-    "show_trajectories": (False,),
-    "neighbour_vehicles_connected_lanes": (False, True),  # SUMO's drivers always see across lane joins
+# it describes the same task and kept: these keys have no effect, and those of `FIXED` may only have one value.
+# rl-agents hands its whole JSON file to `configure`.
+WITHOUT_EFFECT = {
+    *("id", "import_module", "offscreen_rendering", "real_time_rendering", "render_agent", "show_history"),
+    *("show_trajectories", "neighbour_vehicles_connected_lanes"),
 }
-FILE_KEYS = ("id", "import_module")  # rl-agents hands its whole JSON file to `configure`
 FIXED: dict[str, tuple[Any, str]] = {
     "traffic_model": ("sumo", "SUMO's own drivers are the only ones"),  # stored configurations have it
     "controlled_vehicles": (1, "there is one ego"),
@@ -101,16 +95,6 @@ def nearest(word: str, choices: Mapping[str, Any] | set[str] | list[str]) -> str
     return did_you_mean(str(word), known) or f"known: {', '.join(known)}"
 
 
-def refuse_keywords(keywords: Mapping[str, Any]) -> None:
-    """An error if an environment was made with further arguments, as in ``gym.make(id, vehicles_count=5)``."""
-    if keywords:
-        names = ", ".join(map(repr, keywords))
-        raise TypeError(
-            f"unexpected keyword argument {names}: give keys of the configuration as config={dict(keywords)!r}, to "
-            "gym.make or in reset(options={'config': ...})"
-        )
-
-
 def one_of(name: str, value: Any, choices: tuple[str, ...]) -> str:
     """The value of an argument of this name that can only be one of some words.
 
@@ -130,7 +114,6 @@ def resolve(task: str, defaults: Config, *overrides: Mapping[str, Any] | None) -
     """
     known = {**COMMON, **defaults}
     config = copy.deepcopy(known)
-    ignored = []
     for override in overrides:
         if not isinstance(override, Mapping | None):
             raise ConfigError(
@@ -145,14 +128,9 @@ def resolve(task: str, defaults: Config, *overrides: Mapping[str, Any] | None) -
                 expected, reason = FIXED[key]
                 if value != expected:
                     raise ConfigError(f"config key {key!r} can only be {expected!r}, not {value!r}: {reason}")
-            elif key in LEFT_OUT:
-                if value not in LEFT_OUT[key]:
-                    ignored.append(key)
-            elif key not in FILE_KEYS:
+            elif key not in WITHOUT_EFFECT:
                 raise ConfigError(f"unknown config key {key!r} for task {task!r}: {nearest(key, known)}")
             config[key] = value
-    if ignored:
-        logger.warn(f"config keys without effect on the pictures are ignored: {', '.join(ignored)}")
     _check(config, known)
     return config
 

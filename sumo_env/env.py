@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sumo_env.actions import ego_route, target_lane, target_speed_index
-from sumo_env.config import COMMON, Config, ConfigError, refuse_keywords, resolve, simulated_frequency
+from sumo_env.config import COMMON, Config, ConfigError, resolve, simulated_frequency
 from sumo_env.contacts.measures import density
 from sumo_env.contacts.rectangles import state_of
 from sumo_env.information import information
@@ -71,9 +71,7 @@ class DrivingEnv(ReadAsHighwayEnv):
         render_mode: str | None = None,
         simulator: Simulator | None = None,
         sumo_options: Sequence[str] = (),
-        **keywords: Any,
     ) -> None:
-        refuse_keywords(keywords)
         if render_mode not in (None, *self.metadata["render_modes"]):
             raise ValueError(f"render_mode must be None or 'rgb_array', not {render_mode!r}")
         if simulator is not None and sumo_options:
@@ -325,8 +323,7 @@ class DrivingEnv(ReadAsHighwayEnv):
 
     def _rewards(self, action: int | None) -> dict[str, float]:
         """The raw terms of the reward, by name; the action is None at a reset."""
-        with self.task.named("rewards"):
-            return dict(self.task.rewards(self.ego_state, self.config))
+        return dict(self.task.rewards(self.ego_state, self.config))
 
     def _is_terminated(self) -> bool:
         """Whether the episode has ended by what happened in it."""

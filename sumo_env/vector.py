@@ -17,7 +17,6 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from numpy.typing import NDArray
 
-from sumo_env.config import refuse_keywords
 from sumo_env.env import DrivingEnv
 from sumo_env.sumo.process import SimulatorDied, SumoProcess
 from sumo_env.tasks.base import Task
@@ -55,14 +54,7 @@ class SumoVectorEnv(_Base):
         config: Mapping[str, Any] | None = None,
         render_mode: str | None = None,
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
-        **keywords: Any,
     ) -> None:
-        if "sumo_options" in keywords:
-            raise TypeError(
-                "gym.make_vec takes no sumo_options, as its environments would write to the same files: give them to "
-                "each gym.make in a gymnasium.vector.SyncVectorEnv"
-            )
-        refuse_keywords(keywords)
         if num_envs < 1:
             raise ValueError(f"num_envs must be at least 1, not {num_envs}")
         self._pool = ThreadPoolExecutor(num_envs, thread_name_prefix="sumo_env")

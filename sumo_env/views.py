@@ -20,48 +20,13 @@ from sumo_env.networks.roads import LaneIndex, Road
 from sumo_env.scene import Floats, Scene
 from sumo_env.tasks.base import EgoState
 
-# What takes the place of attributes of highway-env's environments that do not exist here.
-INSTEAD = {
-    **dict.fromkeys(("vehicle", "road", "scene"), "call reset() first"),
-    "controlled_vehicles": "there is one ego, 'vehicle'",
-    "viewer": "pictures are drawn by render(), films by gymnasium.wrappers.RecordVideo",
-    "done": "step() returns terminated and truncated",
-    "time": "use 'scene.time' [s]",
-    "define_spaces": "configure() sets the spaces",
-    "simplify": "leave it out of 'env_preprocessors': planners copy the whole scene",
-    "to_finite_mdp": "use the observation 'TimeToCollision'",
-    **dict.fromkeys(
-        (
-            "change_vehicles",
-            "set_vehicle_field",
-            "call_vehicle_method",
-            "randomize_behavior",
-            "set_preferred_lane",
-            "set_route_at_intersection",
-        ),
-        "the simulator drives the other vehicles; use 'risk' or drivers of your own (docs/own-parts.md)",
-    ),
-}
-
+PAGE = "docs/from-highway-env.md says what to use"
 # Methods of highway-env's environments that subclasses override there and that would never be called here.
-NEVER_CALLED = {
-    **dict.fromkeys(
-        (
-            "_make_road",
-            "_create_road",
-            "_make_vehicles",
-            "_create_vehicles",
-            "_spawn_vehicle",
-            "_clear_vehicles",
-        ),
-        "the road and the vehicles are a task's: subclass sumo_env.tasks.base.Task",
-    ),
-    **dict.fromkeys(("_reset", "_simulate"), "override reset() or step(), or bring a Simulator"),
-    "define_spaces": "override configure()",
-    "has_arrived": "the goal is a task's: override Task.arrived",
-    "_agent_reward": "there is one ego: override _reward()",
-    "_agent_rewards": "there is one ego: override _rewards()",
-}
+NEVER_CALLED = (
+    *("_make_road", "_create_road", "_make_vehicles", "_create_vehicles", "_spawn_vehicle"),
+    *("_clear_vehicles", "_reset", "_simulate", "define_spaces", "has_arrived"),
+    *("_agent_reward", "_agent_rewards"),
+)
 
 
 class _View:
@@ -75,12 +40,6 @@ class _View:
             f"{name!r} can only be read: the simulator drives the vehicles. To change traffic use a task or drivers "
             "of your own, or reset(options={'scenario': ...}) (docs/own-parts.md)"
         )
-
-    if not TYPE_CHECKING:
-
-        def __getattr__(self, name: str) -> NoReturn:
-            known = ", ".join(known for known in dir(self) if not known.startswith("_"))
-            raise AttributeError(f"{type(self).__name__} has no attribute {name!r} here; it has {known}")
 
 
 class Vehicle(_View):
@@ -237,14 +196,15 @@ class ReadAsHighwayEnv(gym.Env[NDArray[np.float32], Any]):
 
     def __init_subclass__(cls, **kwargs: Any) -> None:
         super().__init_subclass__(**kwargs)
-        for name in sorted(NEVER_CALLED.keys() & vars(cls).keys()):
-            raise TypeError(f"{cls.__name__}.{name} would never be called: {NEVER_CALLED[name]}")
+        for name in NEVER_CALLED:
+            if name in vars(cls):
+                raise TypeError(f"{cls.__name__}.{name} would never be called; {PAGE}")
 
     if not TYPE_CHECKING:
 
         def __getattr__(self, name: str) -> NoReturn:
-            hint = f": {INSTEAD[name]}" if name in INSTEAD else ""
-            raise AttributeError(f"{type(self).__name__!r} has no attribute {name!r}{hint}")
+            hint = "call reset() first" if name in ("vehicle", "road", "scene") else PAGE
+            raise AttributeError(f"{type(self).__name__!r} has no attribute {name!r}: {hint}")
 
     @property
     def road(self) -> RoadView:

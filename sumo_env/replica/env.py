@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
-from sumo_env.config import Config, ConfigError, one_of, refuse_keywords
+from sumo_env.config import Config, ConfigError, one_of
 from sumo_env.env import VARIED, DrivingEnv, Observation
 from sumo_env.networks.roads import LaneIndex
 from sumo_env.observation import Kinematics
@@ -61,9 +61,7 @@ class ReplicaEnv(DrivingEnv):
         scenarios: str = SCENARIOS[0],
         variant: str = "stock",
         risk_law: str = LAWS[0],
-        **keywords: Any,
     ) -> None:
-        refuse_keywords(keywords)
         self.is_stock = one_of("scenarios", scenarios, SCENARIOS) == SCENARIOS[0]
         self._is_linear, self._is_fast = check_law(risk_law) == "linear", task == "highway-fast"
         self.replica = Replica(

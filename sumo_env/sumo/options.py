@@ -6,32 +6,13 @@ from collections.abc import Sequence
 
 from sumo_env.config import ConfigError
 
-# Why an option cannot be changed: the environment sets it itself or could not do its work with it.
-REASONS = {
-    "the environment configures SUMO; pass single options": ["configuration-file"],
-    "roads and vehicles are the task's: use SumoDrivingEnv(network=..., routes=...)": [
-        "net-file",
-        "route-files",
-    ],
-    "episodes begin and end with reset() and 'duration'": ["begin", "end"],
-    "use the config key 'simulation_frequency'": ["step-length"],
-    "crash records and the ego rely on the value that it has": [
-        "collision.action",
-        "collision.check-junctions",
-        "collision.mingap-factor",
-        "time-to-teleport",
-        "lanechange.duration",
-    ],
-    "the lane changes of the ego do not work with SUMO's sublane model": ["lateral-resolution"],
-    "an episode begins with a scenario: reset(options={'scenario': ...})": ["load-state"],
-    "SUMO runs inside the process, without a window; export() writes an episode for sumo-gui": [
-        "remote-port",
-        "num-clients",
-        "gui",
-        "start",
-    ],
-}
-REFUSED = {f"--{name}": reason for reason, names in REASONS.items() for name in names}
+# What the environment sets itself, or could not do its work with.
+REFUSED = (
+    *("--configuration-file", "--net-file", "--route-files", "--begin", "--end", "--step-length"),
+    *("--collision.action", "--collision.check-junctions", "--collision.mingap-factor", "--time-to-teleport"),
+    *("--lanechange.duration", "--lateral-resolution", "--load-state"),
+    *("--remote-port", "--num-clients", "--gui", "--start"),
+)
 
 
 def check_options(options: Sequence[str]) -> tuple[str, ...]:
@@ -55,7 +36,10 @@ def check_options(options: Sequence[str]) -> tuple[str, ...]:
         else:
             raise ConfigError(f"sumo_options: expected the long name of one of SUMO's options, not {part!r}")
         if name in REFUSED:
-            raise ConfigError(f"SUMO's option {name} cannot be changed: {REFUSED[name]}")
+            raise ConfigError(
+                f"SUMO's option {name} is the environment's own: roads and vehicles are those of SumoDrivingEnv, steps "
+                "and ends follow 'simulation_frequency' and 'duration', and export() writes an episode for sumo-gui"
+            )
     return tuple(f"{name}={value}" for name, value in found.items())
 
 
@@ -67,11 +51,11 @@ def check_copyable(options: Sequence[str]) -> None:
     """
     for option in options:
         name = option.partition("=")[0]
-        if name.endswith("threads"):
+        writes = (
+            "output" in name or "log" in name or name.startswith("--save-") or name == "--additional-files"
+        )
+        if writes or name.endswith("threads"):
             raise TypeError(
-                f"an environment with SUMO's option {name} cannot be copied: threads are not copied"
-            )
-        if "output" in name or "log" in name or name.startswith("--save-") or name == "--additional-files":
-            raise TypeError(
-                f"an environment with SUMO's option {name} cannot be copied: its copies would write to the same files"
+                f"an environment with SUMO's option {name} cannot be copied: copies would write to the same files, "
+                "and have none of the threads"
             )

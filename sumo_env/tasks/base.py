@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from types import MappingProxyType
 from typing import Any, ClassVar, NamedTuple
@@ -170,26 +169,14 @@ class Task:
                 ) from None
         return task
 
-    @contextmanager
-    def named(self, method: str) -> Iterator[None]:
-        """Let an error say in which method of which task it was."""
-        try:
-            yield
-        except Exception as error:
-            error.add_note(f"in {type(self).__name__}.{method} of the task {self.name!r}")
-            raise
-
     def scenario(self, config: Config, seed: int) -> Scenario:
         """Draw the scenario number `seed`: a pure function of its arguments."""
         road = self.road(config)
         rng = stream(seed, "scenario")
         drivers = Drivers(self, config, seed)
-        with self.named("ego"):
-            ego = self.ego(config, road, rng)
-        with self.named("vehicles"):
-            vehicles = tuple(self.vehicles(config, road, ego, rng, drivers))
-        with self.named("spawns"):
-            spawns = tuple(self.spawns(config, road, seed, drivers))
+        ego = self.ego(config, road, rng)
+        vehicles = tuple(self.vehicles(config, road, ego, rng, drivers))
+        spawns = tuple(self.spawns(config, road, seed, drivers))
         ids = [ego.id, *(spec.id for spec in vehicles), *(spawn.vehicle.id for spawn in spawns)]
         if len(set(ids)) < len(ids):
             twice = next(id for id in ids if ids.count(id) > 1)

@@ -12,7 +12,6 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from functools import partial
-from importlib import metadata
 from typing import TextIO
 
 import gymnasium as gym
@@ -20,7 +19,6 @@ import numpy as np
 
 import sumo_env
 
-MINIMUM = {"gymnasium": (1, 1), "numpy": (2, 0), "pillow": (10, 1), "libsumo": (1, 28)}
 SUMO_VERSION = "1.28.0"  # that the drivers were calibrated on
 STEPS = 100  # of the speed measurement
 REPORT = "please report this, with the table above"
@@ -35,21 +33,6 @@ class Problem(Exception):
 
 
 Check = tuple[str, Callable[[], str]]  # name, and a function that returns details or raises `Problem`
-
-
-def packages() -> str:
-    """What the environments need, new enough."""
-    found = []
-    for name, minimum in MINIMUM.items():
-        needed = f"{name}>={'.'.join(map(str, minimum))}"
-        try:
-            version = metadata.version(name)
-        except metadata.PackageNotFoundError:
-            raise Problem(f"{name} is missing", f"pip install '{needed}'") from None
-        if tuple(int(part) for part in version.split(".")[:2]) < minimum:
-            raise Problem(f"{name} {version} is too old", f"pip install '{needed}'")
-        found.append(f"{name} {version}")
-    return ", ".join(found)
 
 
 def sumo() -> str:
@@ -129,7 +112,6 @@ def workers() -> str:
 
 
 CHECKS: tuple[Check, ...] = (
-    ("packages", packages),
     ("SUMO", sumo),
     ("networks", networks),
     *((sumo_env.task_of(id), partial(task, id)) for id in sumo_env.IDS),

@@ -7,7 +7,6 @@ cars are white, crashed ones red, and a car is yellow with a ring while a risk e
 from __future__ import annotations
 
 import math
-from collections import OrderedDict
 from collections.abc import Mapping
 from typing import Any
 
@@ -33,8 +32,6 @@ GLASS: Colour = (70, 80, 90)
 HEADLIGHT: Colour = (255, 250, 200)
 
 SUPERSAMPLING = 2  # drawn this much larger, then averaged
-TILE = 256  # [drawn px] edge of a piece of the road's picture
-TILES = 160  # pieces that are kept, 30 MB
 RING = 4.0  # [m] radius of the ring around a car in a risk event, and around a crashed ego
 
 _HALF = VEHICLE_LENGTH / 2, VEHICLE_WIDTH / 2
@@ -49,7 +46,7 @@ _HEADLIGHTS = tuple(
 
 
 class Renderer:
-    """Draws scenes; keeps the road's picture between calls, so use one per environment.
+    """Draws scenes; keeps the road's markings between calls, so use one per environment.
 
     Size, zoom and camera are highway-env's config keys: ``screen_width``, ``screen_height`` [px], ``scaling``
     [px/m], ``centering_position`` (the ego's place as a share of the picture).
@@ -57,23 +54,21 @@ class Renderer:
 
     def __init__(self) -> None:
         self._road: Road | None = None
-        self._scale = 0.0
         self._layers: tuple[_Layer, ...] = ()
-        self._tiles: OrderedDict[tuple[int, int], Image.Image] = OrderedDict()
         self._font = ImageFont.load_default(size=13)
 
     def draw(self, scene: Scene, road: Road, config: Mapping[str, Any]) -> NDArray[np.uint8]:
         """The picture of a scene, shape (screen_height, screen_width, 3)."""
         width, height = int(config["screen_width"]), int(config["screen_height"])
         scale = float(config["scaling"]) * SUPERSAMPLING
-        self._prepare(road, scale)
-        # The camera moves by whole drawn pixels, so that the road's picture can be pasted.
+        # The camera moves by whole drawn pixels, so that the road does not flicker.
         across, down = config["centering_position"]
         left = round(float(scene.x[0]) * scale - across * width * SUPERSAMPLING)
         top = round(float(scene.y[0]) * scale - down * height * SUPERSAMPLING)
         size = width * SUPERSAMPLING, height * SUPERSAMPLING
-        canvas = self._ground(left, top, *size)
+        canvas = Image.new("RGB", size, GROUND)
         pen = ImageDraw.Draw(canvas)
+        self._draw_road(pen, road, scale, np.array([left, top]), np.array(size))
         reach = max([VEHICLE_LENGTH, *(length for length, _ in scene.sizes.values())]) * scale
         for row in range(len(scene) - 1, -1, -1):  # the ego last, on top of the others
             x, y = float(scene.x[row]) * scale - left, float(scene.y[row]) * scale - top
@@ -88,9 +83,9 @@ class Renderer:
         self._write(picture, scene)
         return np.array(picture)
 
-    # -- the road ------------------------------------------------------------------------------------------
-
-    def _prepare(self, road: Road, scale: float) -> None:
+    def _draw_road(
+        self, pen: ImageDraw.ImageDraw, road: Road, scale: float, corner: Points, size: Points
+    ) -> None:
         if self._road is not road:
             self._road, paint = road, markings(road)
             self._layers = (
@@ -98,35 +93,9 @@ class Renderer:
                 _Layer(paint.surfaces, ASPHALT),
                 _Layer(paint.dashes, WHITE),
             )
-            self._tiles.clear()
-        if self._scale != scale:
-            self._scale = scale
-            self._tiles.clear()
-
-    def _ground(self, left: int, top: int, width: int, height: int) -> Image.Image:
-        canvas = Image.new("RGB", (width, height))
-        for column in range(left // TILE, (left + width - 1) // TILE + 1):
-            for row in range(top // TILE, (top + height - 1) // TILE + 1):
-                canvas.paste(self._tile(column, row), (column * TILE - left, row * TILE - top))
-        return canvas
-
-    def _tile(self, column: int, row: int) -> Image.Image:
-        tile = self._tiles.get((column, row))
-        if tile is None:
-            tile = self._tiles[column, row] = self._draw_tile(column, row)
-            if len(self._tiles) > TILES:
-                self._tiles.popitem(last=False)
-        self._tiles.move_to_end((column, row))
-        return tile
-
-    def _draw_tile(self, column: int, row: int) -> Image.Image:
-        tile = Image.new("RGB", (TILE, TILE), GROUND)
-        pen = ImageDraw.Draw(tile)
-        corner = np.array([column, row]) * TILE
         for layer in self._layers:
-            for polygon in layer.within(corner / self._scale, (corner + TILE) / self._scale):
-                pen.polygon(_pixels(polygon * self._scale - corner), fill=layer.colour)
-        return tile
+            for polygon in layer.within(corner / scale, (corner + size) / scale):
+                pen.polygon(_pixels(polygon * scale - corner), fill=layer.colour)
 
     def _write(self, picture: Image.Image, scene: Scene) -> None:
         text = f"{scene.time:.1f} s    {float(scene.speed[0]):.1f} m/s"

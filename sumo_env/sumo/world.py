@@ -30,7 +30,7 @@ from sumo_env.sumo.session import (
     SumoErrors,
 )
 from sumo_env.sumo.surroundings import Surroundings
-from sumo_env.traffic.drivers import Calibration, Driver, DriverPool, vehicle_type
+from sumo_env.traffic.drivers import Calibration, Driver, vehicle_type
 from sumo_env.traffic.scenario import EGO, EGO_DISTANCE, Scenario, VehicleSpec, fits
 
 # [s] The ego's centre then crosses the line between two lanes when highway-env's does, after 0.45 to 0.5 s.
@@ -49,7 +49,6 @@ class SumoSimulator:
         self._session = Session()
         self._options = check_options(options)
         self._drivers: dict[str, Driver] = {}  # whose vehicle types are loaded
-        self._pools: tuple[DriverPool, ...] = ()  # of which all drivers are surely among them
         self._loaded: Settings | None = None
         self._base: tuple[Path, float, Calibration]  # of what is loaded: network, step length, calibration
 
@@ -120,19 +119,15 @@ class SumoSimulator:
     def _settings(self, scenario: Scenario) -> Settings:
         """What has to be loaded: the network, and every driver that may come; those loaded before are kept."""
         base = self._network.net_file, self._dt, scenario.calibration
-        if self._loaded is None or base != self._base:
-            self._loaded, self._base, self._drivers, self._pools = None, base, {}, ()
-        wanted: dict[str, Driver] = {}
-        if scenario.pools != self._pools:
-            wanted = {driver.type: driver for pool in scenario.pools for driver in pool.drivers}
+        wanted = {driver.type: driver for pool in scenario.pools for driver in pool.drivers}
         # a scenario may hold drivers of its own
-        wanted.update((spec.driver.type, spec.driver) for spec in scenario.specs)
-        wanted.update((spawn.vehicle.driver.type, spawn.vehicle.driver) for spawn in scenario.spawns)
-        if self._loaded is not None and wanted.items() <= self._drivers.items():
-            self._pools = scenario.pools
-            return self._loaded
-        self._drivers.update(wanted)
-        self._pools = ()
+        wanted |= {spec.driver.type: spec.driver for spec in scenario.specs}
+        wanted |= {spawn.vehicle.driver.type: spawn.vehicle.driver for spawn in scenario.spawns}
+        if self._loaded is not None and base == self._base:
+            if wanted.items() <= self._drivers.items():
+                return self._loaded
+            wanted = {**self._drivers, **wanted}
+        self._base, self._drivers = base, wanted
         self._loaded = Settings(
             self._network.net_file,
             tuple(self._network.routes.items()),

@@ -13,12 +13,10 @@ from __future__ import annotations
 
 import os
 import pickle
-import shutil
 import signal
 import socket
 import subprocess
 import sys
-import tempfile
 import weakref
 from collections.abc import Callable
 from contextlib import suppress
@@ -34,7 +32,6 @@ from sumo_env.traffic.scenario import Scenario
 
 SIMULATOR = "sumo_env.sumo.world:SumoSimulator"
 TIMEOUT = 300.0  # [s] for an answer; a step takes milliseconds, the start of a worker less than a second
-ATTEMPTS = 3  # to begin an episode in new workers, before giving up
 GRACE = 5.0  # [s] for a worker to end by itself
 SINGLE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
 T = TypeVar("T")
@@ -49,7 +46,7 @@ class SumoProcess:
 
     A worker that is dead or that does not answer is replaced at the next `reset`; a `step` that meets it raises
     `SimulatorDied`, which says what episode has ended. Exceptions of the simulator are raised here as well, with
-    their class if it is one of Python's, gymnasium's or this package's, else as a `SimulatorError` that names it.
+    their class if they can be pickled, else as a `SimulatorError` that names it.
 
     Args:
         simulator: class that is to be run, as ``module:name``.
@@ -81,27 +78,24 @@ class SumoProcess:
         """Place a scenario, in a new worker if there is none or if it has died.
 
         Raises:
-            SimulatorDied: workers died again and again.
+            SimulatorDied: the new worker has died as well.
         """
-        for _ in range(ATTEMPTS):
-            if self._host is None:
-                here = self._may_be_here and _Here.take(self._name, self._options)
-                self._adopt(here or _Worker.start(self._name, self._options))
-            self._calls = []
-            self._episode = f"the reset of {scenario.task} (scenario seed {scenario.seed})"
-            try:
-                self._scene = self._ask("reset", scenario)
-            except SimulatorDied as error:
-                died = error
-            else:
-                self._episode = (
-                    f"an episode of {scenario.task} (scenario seed {scenario.seed}, risk {scenario.risk:g})"
-                )
-                return self._scene
-        raise SimulatorDied(
-            f"{ATTEMPTS} workers died one after another, the last one so: {died}. What they said is above, if they "
-            "did; `python -m sumo_env.doctor` checks the installation"
+        try:
+            return self._begin(scenario)
+        except SimulatorDied:  # perhaps between two episodes
+            return self._begin(scenario)
+
+    def _begin(self, scenario: Scenario) -> Scene:
+        if self._host is None:
+            here = self._may_be_here and _Here.take(self._name, self._options)
+            self._adopt(here or _Worker.start(self._name, self._options))
+        self._calls = []
+        self._episode = f"the reset of {scenario.task} (scenario seed {scenario.seed})"
+        self._scene = scene = self._ask("reset", scenario)
+        self._episode = (
+            f"an episode of {scenario.task} (scenario seed {scenario.seed}, risk {scenario.risk:g})"
         )
+        return scene
 
     def step(self, command: EgoCommand, trace: bool = False) -> Step:
         """Drive one policy step.
@@ -264,47 +258,39 @@ class _Here:
 class _Worker:
     """A process, and the socket to talk with it. The process has the only other end, so both end together."""
 
-    def __init__(
-        self, pid: int, link: socket.socket, folder: str, child: subprocess.Popen[bytes] | None = None
-    ) -> None:
+    def __init__(self, pid: int, link: socket.socket, child: subprocess.Popen[bytes] | None = None) -> None:
         self.pid, self._child = pid, child  # a copy is a child of the worker that has made it
-        self._owner, self._folder = os.getpid(), folder
+        self._owner = os.getpid()
         self._socket, self._stream = link, link.makefile("rb")
         _workers.add(self)
 
     @classmethod
     def start(cls, simulator: str, options: tuple[str, ...]) -> _Worker:
         """A new process."""
-        folder = tempfile.mkdtemp(prefix="sumo_env-")  # for its files, which outlive it if it is killed
         ours, theirs = socket.socketpair()
         with theirs:  # closed here, so that reading ends when the worker does
             worker = [sys.executable, "-P", "-m", "sumo_env.sumo.worker", str(theirs.fileno())]
             # -P, and the search path of this process: the worker imports what this process would import
             path = os.pathsep.join(entry or os.getcwd() for entry in sys.path)
             child = subprocess.Popen(
-                [*worker, simulator, folder, *options],
+                [*worker, simulator, *options],
                 env={**os.environ, **SINGLE_THREAD, "PYTHONPATH": path},
                 stdin=subprocess.DEVNULL,
                 pass_fds=(theirs.fileno(),),
                 start_new_session=True,  # Ctrl-C in the terminal is for this process alone
             )
-        return cls(child.pid, ours, folder, child)
+        return cls(child.pid, ours, child)
 
     def fork(self, timeout: float) -> _Worker:
         """A copy of the process, which serves a socket of its own; SimulatorError if the system has no process left."""
-        folder = tempfile.mkdtemp(prefix="sumo_env-")
-        try:
-            self._send("fork", (folder,), timeout)
-            answer, descriptors, _, _ = socket.recv_fds(self._socket, 4096, 1)
-            if not answer:
-                raise EOFError("no answer to a request for a copy")
-            error, pid = pickle.loads(answer)
-            if error is not None:
-                raise SimulatorError(f"the worker process of SUMO cannot be copied now: {error}")
-            return _Worker(pid, socket.socket(fileno=descriptors[0]), folder)
-        except BaseException:
-            shutil.rmtree(folder, ignore_errors=True)
-            raise
+        self._send("fork", (), timeout)
+        answer, descriptors, _, _ = socket.recv_fds(self._socket, 4096, 1)
+        if not answer:
+            raise EOFError("no answer to a request for a copy")
+        error, pid = pickle.loads(answer)
+        if error is not None:
+            raise SimulatorError(f"the worker process of SUMO cannot be copied now: {error}")
+        return _Worker(pid, socket.socket(fileno=descriptors[0]))
 
     def exchange(self, command: str, arguments: tuple[Any, ...], timeout: float) -> Any:
         """The answer to a request: an exception or None, and a value."""
@@ -331,7 +317,7 @@ class _Worker:
         return f"closed its connection ({error})"
 
     def end(self, grace: float = GRACE) -> None:
-        """See to it that the worker is gone, after `grace` [s] to end by itself, and what it has left."""
+        """See to it that the worker is gone, after `grace` [s] to end by itself."""
         if self._owner == os.getpid():
             with suppress(OSError):
                 self._socket.shutdown(socket.SHUT_WR)  # tells the worker to end
@@ -340,7 +326,6 @@ class _Worker:
                 self._is_gone(GRACE)
             if self._child is not None:
                 self._child.wait()
-            shutil.rmtree(self._folder, ignore_errors=True)
         self.disconnect()
 
     forget = end

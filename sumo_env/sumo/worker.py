@@ -1,28 +1,23 @@
-"""The worker of `process.SumoProcess`: ``python -m sumo_env.sumo.worker DESCRIPTOR MODULE:CLASS FOLDER OPTIONS``.
+"""The worker of `process.SumoProcess`: ``python -m sumo_env.sumo.worker DESCRIPTOR MODULE:CLASS OPTIONS``.
 
 Answers requests (command, arguments) to a simulator by (exception or None, value) until the other end is gone. The
-command "fork" makes a copy of the process, which serves a socket of its own. Temporary files are made in FOLDER, which
-is removed at the end. Nothing is printed but what SUMO prints, and only what the simulator needs is imported, because
-the client waits for it.
+command "fork" makes a copy of the process, which serves a socket of its own. Nothing is printed but what SUMO prints,
+and only what the simulator needs is imported, because the client waits for it.
 """
 
 from __future__ import annotations
 
 import os
 import pickle
-import shutil
 import signal
 import socket
 import sys
-import tempfile
 import traceback
 from contextlib import suppress
 from pkgutil import resolve_name
 from typing import Any
 
 from sumo_env.simulator import SimulatorError
-
-PORTABLE = ("builtins", "gymnasium", "sumo_env")  # packages whose exceptions keep their class
 
 
 def make(name: str, options: tuple[str, ...]) -> Any:
@@ -34,14 +29,13 @@ def make(name: str, options: tuple[str, ...]) -> Any:
 class Server:
     """The process's end of the socket."""
 
-    def __init__(self, link: socket.socket, folder: str) -> None:
-        self._connect(link, folder)
+    def __init__(self, link: socket.socket) -> None:
+        self._connect(link)
         self._simulator: Any = None
         self._is_copy = False
 
-    def _connect(self, link: socket.socket, folder: str) -> None:
-        self._link, self._stream, self._folder = link, link.makefile("rb"), folder
-        tempfile.tempdir = folder
+    def _connect(self, link: socket.socket) -> None:
+        self._link, self._stream = link, link.makefile("rb")
 
     def serve(self, name: str, options: tuple[str, ...]) -> None:
         """Answer requests until the client has closed its end, or has died."""
@@ -49,7 +43,7 @@ class Server:
             while True:
                 command, arguments = pickle.load(self._stream)
                 if command == "fork":
-                    self._fork(*arguments)
+                    self._fork()
                     continue
                 try:
                     if self._simulator is None:
@@ -60,10 +54,9 @@ class Server:
                 self._link.sendall(answer)
         if self._simulator is not None and not self._is_copy:  # a copy has nothing of its own to close
             self._simulator.close()
-        shutil.rmtree(self._folder, ignore_errors=True)
 
-    def _fork(self, folder: str) -> None:
-        """Make a copy of this process, which goes on with `folder` and a socket whose other end goes to the client."""
+    def _fork(self) -> None:
+        """Make a copy of this process, which goes on with a socket whose other end goes to the client."""
         ours, theirs = socket.socketpair()
         with theirs:
             try:
@@ -79,23 +72,21 @@ class Server:
         self._link.close()
         self._stream.close()
         self._is_copy = True
-        self._connect(ours, folder)
+        self._connect(ours)
 
 
 def main() -> None:
     """Serve the socket of the command line."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the client's to handle
     signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # nobody waits for copies; the system clears them away
-    descriptor, name, folder, *options = sys.argv[1:]
-    Server(socket.socket(fileno=int(descriptor)), folder).serve(name, tuple(options))
+    descriptor, name, *options = sys.argv[1:]
+    Server(socket.socket(fileno=int(descriptor))).serve(name, tuple(options))
 
 
 def portable(error: Exception) -> Exception:
     """The exception, or one like it that survives the journey; a note says where it was raised."""
     where = "In a worker process of sumo_env:\n" + "".join(traceback.format_exception(error))
     try:
-        if type(error).__module__.partition(".")[0] not in PORTABLE:
-            raise TypeError("of a package that the client may not have imported")
         carried: Exception = pickle.loads(pickle.dumps(error))
     except Exception:
         carried = SimulatorError(f"{type(error).__name__}: {error}")

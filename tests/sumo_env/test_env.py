@@ -6,7 +6,6 @@ import copy
 import warnings
 from collections.abc import Iterator
 from dataclasses import replace
-from functools import partial
 from typing import Any
 
 import gymnasium as gym
@@ -130,12 +129,6 @@ def test_crowded_two_way_roads_are_filled() -> None:
 def test_a_render_mode_that_does_not_exist_is_named() -> None:
     with pytest.raises(ValueError, match="rgb_array"):
         DrivingEnv("highway", render_mode="ansi")
-
-
-@pytest.mark.parametrize("make", [gym.make, partial(gym.make_vec, num_envs=2)])
-def test_a_key_of_the_configuration_as_an_argument_is_named(make: Any) -> None:
-    with pytest.raises(TypeError, match=r"'vehicles_count': give keys .* config=\{'vehicles_count': 5\}"):
-        make("sumo/highway-v0", vehicles_count=5)
 
 
 def test_reset_takes_a_configuration(highway: gym.Env[Any, Any]) -> None:

@@ -122,12 +122,6 @@ def test_configurations_of_another_task_are_refused(name: str) -> None:
         DrivingEnv(task).configure({"id": f"{task}-v0", "import_module": "highway_env", **config})
 
 
-def test_keys_of_the_display_without_effect_are_named_once() -> None:
-    with pytest.warns(UserWarning, match="real_time_rendering, render_agent") as caught:
-        DrivingEnv("u-turn", {"real_time_rendering": True, "render_agent": False})
-    assert len(caught) == 1
-
-
 def test_a_null_destination_is_drawn() -> None:
     """As in rl-agents' intersection/env_linear."""
     env = DrivingEnv("intersection", {"destination": None})
@@ -205,17 +199,9 @@ def test_overridden_methods_are_called() -> None:
     env.close()
 
 
-@pytest.mark.parametrize(
-    ("method", "message"),
-    [
-        ("_make_road", "Task"),
-        ("_create_vehicles", "Task"),
-        ("_simulate", "Simulator"),
-        ("has_arrived", "arrived"),
-    ],
-)
-def test_methods_that_would_never_be_called_are_refused(method: str, message: str) -> None:
-    with pytest.raises(TypeError, match=f"{method} would never be called.*{message}"):
+@pytest.mark.parametrize("method", ["_make_road", "has_arrived"])
+def test_methods_that_would_never_be_called_are_refused(method: str) -> None:
+    with pytest.raises(TypeError, match=f"{method} would never be called; docs/from-highway-env.md"):
         type("Mine", (DrivingEnv,), {method: lambda self: None})
 
 
@@ -261,22 +247,12 @@ def test_available_actions_are_those_that_change_something(highway: DrivingEnv) 
     assert sorted(available) == [names[n] for n in ("IDLE", "LANE_RIGHT", "SLOWER")]
 
 
-@pytest.mark.parametrize(
-    ("name", "message"),
-    [
-        ("viewer", "render"),
-        ("simplify", "env_preprocessors"),
-        ("change_vehicles", "the simulator drives"),
-        ("nonsense", "no attribute 'nonsense'$"),
-    ],
-)
-def test_what_does_not_exist_says_what_replaces_it(highway: DrivingEnv, name: str, message: str) -> None:
+def test_what_does_not_exist_says_where_to_look(highway: DrivingEnv) -> None:
     """rl-agents calls preprocessors by name, and goes on without those that are an AttributeError."""
-    assert not hasattr(highway, name)
-    with pytest.raises(AttributeError, match=message):
-        getattr(highway, name)
-    with pytest.raises(AttributeError, match=r"it has .*position, speed"):
-        highway.vehicle.act  # noqa: B018
+    assert not hasattr(highway, "simplify")
+    with pytest.raises(AttributeError, match=r"'simplify': docs/from-highway-env\.md"):
+        highway.simplify  # noqa: B018
+    assert not hasattr(highway.vehicle, "act")
 
 
 def test_vehicles_before_a_reset_are_an_error() -> None:

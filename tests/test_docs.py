@@ -12,7 +12,7 @@ import gymnasium as gym
 import pytest
 
 import sumo_env
-from sumo_env.config import COMMON, FILE_KEYS, FIXED, LEFT_OUT
+from sumo_env.config import COMMON, FIXED, WITHOUT_EFFECT
 from sumo_env.contacts.crash import CrashRecord
 from sumo_env.tasks import TASKS
 from sumo_env.tasks.network import NetworkTask
@@ -106,7 +106,7 @@ def test_a_task_s_page_names_its_keys_its_levels_and_its_reward(task: str) -> No
     ("name", "keys"),
     [
         ("collisions.md", CrashRecord.__dataclass_fields__),
-        ("from-highway-env.md", {*LEFT_OUT, *FILE_KEYS, *FIXED}),
+        ("from-highway-env.md", {*WITHOUT_EFFECT, *FIXED}),
         ("own-parts.md", NetworkTask.defaults),
     ],
 )

@@ -16,6 +16,5 @@ store        the directory of results: finished cells, one folder each or packed
 packed       finished cells in a few tables
 rerun        a stored episode again
 avoid        whether a stored crash could have been avoided, and how many of a folder's could
-planning     what planners reach that act in copies
 progress     how long it will take, and what a person sees meanwhile
 """

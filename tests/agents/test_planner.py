@@ -121,7 +121,7 @@ def test_a_study_takes_it_as_a_policy_from_its_file(name: str, maker: str) -> No
 
 @pytest.mark.slow
 def test_without_risk_both_are_one() -> None:
-    """Nothing is imagined there, so that `experiments.study.planning` drives one of them in regular traffic."""
+    """Nothing is imagined there, so that results/copies/planners.parquet has one of them in regular traffic."""
     driven = []
     for name in ("planner", "clairvoyant"):
         env = gym.make("sumo_env:sumo/u-turn-v0", config={"vehicles_count": 3, "duration": 4})

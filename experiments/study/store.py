@@ -24,7 +24,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from experiments.study.grid import RESULT_SCHEMA, Cell, cell_name
-from experiments.study.packed import MANIFEST, Packed, add, as_parquet, read_packed
+from experiments.study.packed import MANIFEST, add, as_parquet, packed_records, packed_tables, packed_weights
 from experiments.support.errors import UserError
 from experiments.support.files import alone, publish, sha256_bytes, sha256_file, write_file, write_json
 
@@ -71,19 +71,15 @@ class Store:
                 "name the --out directory of a sweep"
             )
 
-    @property
-    def _packed(self) -> Packed:
-        return read_packed(self.directory)
-
     def finished(self) -> list[str]:
         """Names of all finished cells in alphabetical order."""
         folders = self.cells.iterdir() if self.cells.is_dir() else ()
-        return sorted({*(path.name for path in folders if path.is_dir()), *self._packed.records})
+        return sorted({*(path.name for path in folders if path.is_dir()), *packed_records(self.directory)})
 
     def record(self, name: str) -> dict[str, Any]:
         """cell.json of a finished cell, after checking all its files. Raises DamagedCell, or KeyError without one."""
         path = self.cells / name
-        return read_cell(path) if path.is_dir() else self._packed.records[name]
+        return read_cell(path) if path.is_dir() else packed_records(self.directory)[name]
 
     def records(self) -> dict[str, dict[str, Any]]:
         """cell.json of all finished cells by name. Raises DamagedCell."""
@@ -104,13 +100,14 @@ class Store:
 
         path = self.cells / name
         if not path.is_dir():
-            return self._packed.tables(name, wanted)
+            packed = {file: packed_tables(self.directory, file) for file in wanted}
+            return {file: tables[name] for file, tables in packed.items() if name in tables}
         files = read_cell(path)["files"]
         return {file: pd.read_parquet(path / file) for file in wanted if file in files}
 
     def weights(self, name: str) -> Path | None:
         """The file of an agent's weights; None if it is not here."""
-        own, packed = self.cells / name / WEIGHTS, self._packed.weights(name)
+        own, packed = self.cells / name / WEIGHTS, packed_weights(self.directory, name)
         return own if own.exists() else packed if packed.exists() else None
 
     def write(self, cell: Cell, record: Mapping[str, Any], files: Mapping[str, Any]) -> None:
@@ -229,7 +226,7 @@ class Store:
         """
         self.check()
         with alone(self.directory):
-            there, packed = self.records(), self._packed.records
+            there, packed = self.records(), packed_records(self.directory)
             new = [name for name in there if name not in packed]
             files = {name: self.cells / name / WEIGHTS for name in new}
             if new:

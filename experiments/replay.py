@@ -36,7 +36,7 @@ import tyro
 from experiments.backends import make_env
 from experiments.reporting.showcase import ending
 from experiments.study.arms import TRAFFICS
-from experiments.study.avoid import HORIZON, SAFE, Moment, Rewound, Search, judge_all, sample, shares
+from experiments.study.avoid import HORIZON, SAFE, Moment, Rewound, judge_all, sample, shares
 from experiments.study.cell import MakeEnv
 from experiments.study.packed import MANIFEST
 from experiments.study.rerun import changed_versions, differences, play_again
@@ -194,7 +194,7 @@ def _avoid(options: Options, case: Case, env: gym.Env[Any, Any]) -> int:
     stored = case.row
     with closing(Rewound(case.path, case.record, stored, env)) as crash:
         print(f"{case.name}: {ending(stored)}{_hit(stored)}")
-        for moment in crash.moments(Search(options.horizon)):
+        for moment in crash.moments(options.horizon):
             print(_outcome(moment, crash, options.horizon), flush=True)
         if moment.actions is None:
             print("not found: no searched sequence avoids the contact, from the first step on")
@@ -249,7 +249,7 @@ def _avoid_all(options: Options, make_env: MakeEnv) -> int:
     """Search a sample of a folder's crashes, and print the shares that can be avoided."""
     results = load(Path(options.case))
     file = options.out or results.directory / "avoidable.parquet"
-    table = judge_all(results, sample(results, options.crashes), file, Search(options.horizon), make_env)
+    table = judge_all(results, sample(results, options.crashes), file, options.horizon, make_env)
     if table.empty:
         raise UserError("none of the crashes could be driven again")
     print(shares(table).to_string())

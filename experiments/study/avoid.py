@@ -17,7 +17,6 @@ from __future__ import annotations
 import copy
 import math
 import sys
-from collections import deque
 from collections.abc import Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass
@@ -30,10 +29,9 @@ from experiments.study.evaluate import COLUMNS, play, share
 from experiments.study.rerun import differences, stored_policy
 from experiments.study.store import Results
 from experiments.support.errors import UserError
-from experiments.support.files import canonical_json, fill
+from experiments.support.files import fill
 
 if TYPE_CHECKING:
-    import gymnasium as gym
     import pandas as pd
 
 HORIZON = 5  # policy steps in which all sequences are tried
@@ -58,41 +56,35 @@ class Moment:
     contacts: int
 
 
-class Search:
-    """Looks for actions after which there is no contact."""
+def way_out(env: Any, horizon: int = HORIZON) -> tuple[tuple[int, ...] | None, int]:
+    """Actions that avoid a contact from the present state on (None: no sequence does), and the contacts met.
 
-    def __init__(self, horizon: int = HORIZON) -> None:
-        self.horizon = horizon
+    The environment stays as it is. horizon: policy steps in which all sequences are tried.
+    """
+    contacts = 0
 
-    def way_out(self, env: Any) -> tuple[tuple[int, ...] | None, int]:
-        """Actions that avoid a contact from the present state on (None: no sequence does), and the contacts met.
-
-        The environment stays as it is.
-        """
-        self._contacts = 0
-        steps = math.ceil(SAFE * env.config["policy_frequency"])
-        return self._from(env, min(self.horizon, steps), steps), self._contacts
-
-    def _from(self, env: Any, free: int, steps: int) -> tuple[int, ...] | None:
+    def search(env: Any, free: int, steps: int) -> tuple[int, ...] | None:
         """Actions for these steps without a contact, the first `free` ones chosen freely; None if there are none."""
+        nonlocal contacts
         if steps == 0:
             return ()
         choices = sorted(env.actions, key=lambda action: env.actions[action] not in REST)
-        if free == 0:
-            choices = choices[: len(REST)]
         effects = set()
-        for action in choices:
+        for action in choices if free else choices[: len(REST)]:
             with closing(copy.deepcopy(env)) as twin:
                 taken, crashed, over = _repeat(twin, action, 1 if free else steps)
+                contacts += crashed
                 if over and not crashed:
                     return taken
-                self._contacts += crashed
                 if not crashed and (effect := _effect(twin)) not in effects:
                     effects.add(effect)
-                    rest = self._from(twin, max(free - 1, 0), steps - len(taken))
+                    rest = search(twin, max(free - 1, 0), steps - len(taken))
                     if rest is not None:
                         return taken + rest
         return None
+
+    steps = math.ceil(SAFE * env.config["policy_frequency"])
+    return search(env, min(horizon, steps), steps), contacts
 
 
 def _repeat(env: Any, action: int, times: int) -> tuple[tuple[int, ...], bool, bool]:
@@ -111,14 +103,13 @@ def _effect(env: Any) -> tuple[Any, ...]:
 
 
 class Rewound:
-    """A stored crash, driven again, with copies of its environment as it was before each of the last policy steps.
+    """A stored crash, driven again, with copies of its environment as it was before each policy step.
 
     Args:
         path: DIR/cells/CELL, which need not exist where the cell is packed.
         record: its cell.json.
         row: the episode in its table.
         env: an environment of the cell, which stays the caller's to close.
-        seconds: how long before the contact the copies begin [s].
 
     Raises:
         UserError: the episode has no crash, cannot be driven again, or comes out differently now.
@@ -130,17 +121,15 @@ class Rewound:
         record: Mapping[str, Any],
         row: Mapping[str, Any],
         env: Any,
-        seconds: float = math.inf,
     ) -> None:
         name, key = f"{path.name}:{row['traffic']}:{row['scenario']}", record["key"]
         if not row["crashed"]:
             raise UserError(f"{name} has no crash that could be avoided")
         self.contact = float(row["crash_time"])  # [s]
-        self.copies: deque[Any] = deque()
+        self._copies: list[Any] = []
         self._env = env.unwrapped
         self.names: dict[int, str] = self._env.actions
         self.frequency = int(self._env.config["policy_frequency"])
-        self._most = seconds * self.frequency + 2
         try:
             seen, policy = stored_policy(path, record, env, row.get("actions"))
             place = (key["task"], key["level"], str(row["traffic"]), int(row["scenario"]))
@@ -151,32 +140,28 @@ class Rewound:
             self.close()
             raise
         self.actions = tuple(map(int, again["actions"]))
-        self.copies.pop().close()  # the crash itself
 
     def _copy(self) -> None:
-        self.copies.append(copy.deepcopy(self._env))
-        if len(self.copies) > self._most:
-            self.copies.popleft().close()
+        self._copies.append(copy.deepcopy(self._env))
 
-    def moments(self, search: Search, seconds: float = math.inf) -> Iterator[Moment]:
+    def moments(self, horizon: int = HORIZON, seconds: float = math.inf) -> Iterator[Moment]:
         """Search from the last moment before the contact backwards, up to the first from which it can be avoided."""
-        for back, env in enumerate(reversed(self.copies), start=1):
-            step = len(self.actions) - back
+        for step in reversed(range(len(self.actions))):
             if self.contact - step / self.frequency > seconds:
                 return
-            actions, contacts = search.way_out(env)
+            actions, contacts = way_out(self._copies[step], horizon)
             yield Moment(step, step / self.frequency, actions, contacts)
             if actions is not None:
                 return
 
     def before(self, step: int) -> Any:
-        """A copy of the environment as it was after so many steps, or the first that was kept."""
-        return copy.deepcopy(self.copies[max(step - len(self.actions), -len(self.copies))])
+        """A copy of the environment as it was after so many steps."""
+        return copy.deepcopy(self._copies[step])
 
     def close(self) -> None:
         """Close the copies."""
-        while self.copies:
-            self.copies.pop().close()
+        while self._copies:
+            self._copies.pop().close()
 
 
 def sample(results: Results, crashes: int) -> pd.DataFrame:
@@ -203,7 +188,7 @@ def sample(results: Results, crashes: int) -> pd.DataFrame:
 
 
 def judge_all(
-    results: Results, crashes: pd.DataFrame, file: Path, search: Search, make_env: MakeEnv
+    results: Results, crashes: pd.DataFrame, file: Path, horizon: int, make_env: MakeEnv
 ) -> pd.DataFrame:
     """Search the crashes; one row each, which the file keeps.
 
@@ -212,18 +197,15 @@ def judge_all(
     SAFE where the episode ends before; contacts: in all searches.
     """
     stored = {(row["cell"], row["traffic"], row["scenario"]): row for row in crashes.to_dict("records")}
-    envs: dict[str, gym.Env[Any, Any]] = {}  # by what they are made of
 
     def judge(wanted: Mapping[str, Any]) -> dict[str, Any] | None:
         place = wanted["cell"], wanted["traffic"], wanted["scenario"]
         row = {name: value for name, value in stored[place].items() if name in COLUMNS}
         path, record = results.directory / "cells" / place[0], results.cells[place[0]]
         made_of = [record["key"][part] for part in ("backend", "task", "env_config")]
-        if (known := canonical_json(made_of)) not in envs:
-            envs[known] = make_env(*made_of)
         try:
-            with closing(Rewound(path, record, row, envs[known], BEFORE[-1])) as crash:
-                moments = list(crash.moments(search, BEFORE[-1]))
+            with closing(make_env(*made_of)) as env, closing(Rewound(path, record, row, env)) as crash:
+                moments = list(crash.moments(horizon, BEFORE[-1]))
         except UserError as error:
             print(f"skipped: {error}", file=sys.stderr)
             return None
@@ -238,11 +220,7 @@ def judge_all(
 
     keys = ["cell", *GROUP, "seed", "traffic", "scenario"]
     rows = crashes[keys].astype({"seed": int}).to_dict("records")
-    try:
-        return fill(file, [{**row, "horizon": search.horizon} for row in rows], judge)
-    finally:
-        for env in envs.values():
-            env.close()
+    return fill(file, [{**row, "horizon": horizon} for row in rows], judge)
 
 
 def shares(table: pd.DataFrame) -> pd.DataFrame:

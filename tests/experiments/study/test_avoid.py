@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from experiments.backends import make_env
 from experiments.study.arms import scenario_seed
-from experiments.study.avoid import REST, Rewound, Search
+from experiments.study.avoid import REST, Rewound, way_out
 from experiments.study.evaluate import play
 from experiments.study.rerun import Repeated
 
@@ -80,7 +80,7 @@ walls = st.frozensets(st.tuples(st.integers(1, 5), st.integers(0, 2), st.integer
 def test_it_finds_a_way_where_one_of_all_sequences_is_one(walls, ends, horizon) -> None:
     """Compared with every sequence, driven from the start: free ones up to the horizon, then one action repeated."""
     grid = Grid(walls, ends)
-    found, contacts = Search(horizon).way_out(grid)
+    found, contacts = way_out(grid, horizon)
     rest = [number for number, name in NAMES.items() if name in REST]
     free = itertools.product(NAMES, repeat=horizon)
     every = (
@@ -97,7 +97,7 @@ def test_it_finds_a_way_where_one_of_all_sequences_is_one(walls, ends, horizon) 
 
 
 def test_five_seconds_are_steps_of_the_policy() -> None:
-    found, _ = Search().way_out(Grid(frozenset(), frequency=3))
+    found, _ = way_out(Grid(frozenset(), frequency=3))
     assert found == (1,) * 15
 
 
@@ -106,7 +106,7 @@ def test_of_actions_with_one_effect_one_is_driven(monkeypatch: pytest.MonkeyPatc
     monkeypatch.setitem(MOVES, 0, (0, 0))
     monkeypatch.setitem(MOVES, 2, (0, 0))
     wall = frozenset((5, lane, place) for lane in range(3) for place in range(20))
-    found, contacts = Search().way_out(Grid(wall))
+    found, contacts = way_out(Grid(wall))
     assert found is None
     assert contacts <= 5 * 3**4
 
@@ -127,7 +127,7 @@ def test_what_is_found_in_copies_comes_true_in_the_environment(backend: str) -> 
     assert row["crashed"]
     record = {"key": {"task": "u-turn", "level": 1, "kind": "baseline"}, "source": None}
     with closing(Rewound(path, record, row, env)) as crash:
-        moments = list(crash.moments(Search()))
+        moments = list(crash.moments())
         found = moments[-1]
         assert [moment.actions is None for moment in moments[:-1]] == [True] * (len(moments) - 1)
     actions = crash.actions[: found.step] + found.actions

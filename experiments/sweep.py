@@ -7,8 +7,7 @@
     python experiments/sweep.py --tasks highway --arms control penalty     # a positive control
 
 The same command run again goes on where it was stopped, whatever stopped it; finished cells are never
-computed twice. Several sweeps on one directory, also from several machines, share the work. DIR/sweep.log says what
-happens (tail -f).
+computed twice. Several sweeps on one directory, also from several machines, share the work.
 
 Exit status: 0 all done, 1 some cells failed (everything else is kept), 2 something has to be put right
 first, 130 stopped with Ctrl-C.
@@ -23,7 +22,7 @@ if __package__ in (None, ""):  # run as a file: import from the project, not fro
     sys.path[0] = str(Path(__file__).resolve().parents[1])
 
 import shlex
-from collections import Counter
+import shutil
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated
@@ -106,22 +105,22 @@ def sweep(
         store.write_sweep(again, cells)
         if checked:
             keep(options.backend, tuple(dict.fromkeys(cell.task for cell in cells)), options.directory)
-        failures = compute(options, store, tasks, again)
+        failures = compute(options, store, tasks)
     except OSError as error:
         raise disk_error(error, options.directory) from None
     return conclude(options, tasks, failures, again)
 
 
-def compute(options: Options, store: Store, tasks: Mapping[str, CellTask], again: str) -> dict[str, str]:
+def compute(options: Options, store: Store, tasks: Mapping[str, CellTask]) -> dict[str, str]:
     """Compute the cells that are not finished; returns the reason of each failure by the name of its cell."""
     there = {name for name, task in tasks.items() if task.done()}
-    for name in tasks:
-        store.forget(name, name in there)
+    for name in there:  # where a kill left it
+        shutil.rmtree(store.work / name, ignore_errors=True)
     found = f"{len(tasks)} cells, {len(there)} of them finished before"
     print(f"{found}; results go to {store.directory}", flush=True)
     # highway-env's tasks change class attributes of each other
     per_process = 1 if "highway-env" in (options.backend, *options.test_on) else TASKS_PER_PROCESS
-    progress = Progress(store, [task.cell for task in tasks.values()], there, f"{again} --cell")
+    progress = Progress(store.work, [task.cell for task in tasks.values()], there)
     failures: dict[str, str] = {}
     try:
         for kinds in (("agent", "baseline"), ("test",)):  # agents are tested elsewhere once all are trained
@@ -171,24 +170,25 @@ def conclude(options: Options, tasks: Mapping[str, CellTask], failures: Mapping[
 
 def describe(options: Options, cells: Sequence[Cell], workers: int) -> None:
     """Print what would be computed and how long it would take."""
+    import pandas as pd
+
     there = set(Store(options.directory).finished())
-    print(f"preset {options.preset}: {complete(options).about}")
-    print(f"results go to {options.directory}")
-    layout = "{:<14}{:>8}{:>8}{:>9}{:>11}{:>10}{:>13}"
-    print(layout.format("task", "level", "agents", "updates", "baselines", "finished", "core time"))
-    total = 0.0
-    for task, level in dict.fromkeys((cell.task, cell.level_name) for cell in cells):
-        group = [cell for cell in cells if (cell.task, cell.level_name) == (task, level)]
-        kinds = Counter(cell.kind for cell in group)
-        left = sum(seconds(cell) for cell in group if cell.name not in there)
-        done = sum(cell.name in there for cell in group)
-        updates = max(cell.updates for cell in group)  # further tests of agents are in the core time alone
-        print(layout.format(task, level, kinds["agent"], updates, kinds["baseline"], done, duration(left)))
-        total += left
-    kinds = Counter(cell.kind for cell in cells)
+    rows = [
+        {
+            "task": cell.task,
+            "level": cell.level_name,
+            **{f"{kind}s": cell.kind == kind for kind in ("agent", "baseline", "test")},
+            "finished": cell.name in there,
+            "core hours": 0.0 if cell.name in there else seconds(cell) / 3600,
+        }
+        for cell in cells
+    ]
+    table = pd.DataFrame(rows).groupby(["task", "level"], sort=False, as_index=False).sum()
+    print(f"preset {options.preset}: {complete(options).about}\nresults go to {options.directory}")
+    print(table.to_string(index=False, float_format="{:.2f}".format))
     print(
-        f"{kinds['agent']} agents and {kinds['baseline']} baselines; about "
-        f"{duration(total / workers)} left with {workers} processes on a common server"
+        f"{table['agents'].sum()} agents and {table['baselines'].sum()} baselines; about "
+        f"{duration(3600 * table['core hours'].sum() / workers)} left with {workers} processes on a common server"
     )
 
 

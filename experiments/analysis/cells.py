@@ -115,7 +115,7 @@ def without(results: Results, gone: Container[str] = (), settings: Container[str
         return results
     tables = {
         name: table[~table["cell"].isin(gone)].reset_index(drop=True)
-        for name in ("agents", "episodes", "gate_episodes")
+        for name in ("episodes", "gate_episodes")
         for table in [getattr(results, name)]
     }
     return replace(results, cells={k: v for k, v in results.cells.items() if k not in gone}, **tables)

@@ -20,7 +20,7 @@ from experiments.analysis.scores import PLACE, in_order
 from experiments.study.arms import ARMS
 from experiments.study.cell import MakeEnv
 from experiments.study.rerun import differences, play_again
-from experiments.study.store import EPISODES, Results
+from experiments.study.store import EPISODES, KEY_COLUMNS, Results
 from experiments.support.files import canonical_json, write_file
 from experiments.support.films import Film
 from sumo_env.rendering.markings import markings
@@ -110,7 +110,7 @@ def duos(results: Results, left_out: set[str]) -> Iterator[dict[str, Any]]:
 
     By PLACE and seed, with the names of their cells by arm.
     """
-    agents = results.agents
+    agents = results.episodes[list(KEY_COLUMNS)].drop_duplicates()
     mine = (agents["kind"] == "agent") & agents["arm"].isin(list(ARMS)) & ~agents["cell"].isin(list(left_out))
     setting = [*PLACE, "seed"]
     whole = agents[mine].groupby(setting).filter(lambda pair: set(pair["arm"]) == set(ARMS))

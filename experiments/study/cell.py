@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
-from contextlib import closing, contextmanager
+from collections.abc import Callable
+from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -77,63 +77,47 @@ class CellTask:
             return False
         return True
 
-    def compute(self, beat: Beat) -> str:
-        """Train, test and store it; returns a remark for the user, or nothing."""
-        return compute(self.cell, Store(self.directory), self.make_env, beat)
+    def compute(self, beat: Beat) -> None:
+        """Train, test and store it."""
+        cell, store = self.cell, Store(self.directory)
+        timing: dict[str, Any] = {}
+        done, total = 0.0, cell.updates + TEST_EPISODE * cell.work
+        trained: Trained | None = None
+        learner: dict[str, Any] = {}
+
+        def advance(amount: float = TEST_EPISODE) -> None:
+            nonlocal done
+            done += amount
+            beat(done / total)
+
+        started = time.monotonic()
+        if cell.kind == "agent":
+            trained = _train(cell, store, self.make_env, advance)
+            learner = {"learner": trained.learner}
+            timing["train_seconds"] = time.monotonic() - started
+        started = time.monotonic()
+        with closing(self.make_env(cell.runs_on, cell.task, dict(cell.tested_config))) as env:
+            files: dict[str, Any] = _test(cell, env, trained, store, advance)
+        timing["test_seconds"] = time.monotonic() - started
+        timing["finished"] = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
+        if trained is not None:
+            trained.policy.save(self.folder / WEIGHTS)
+            files |= {TRAINING: trained.episodes, WEIGHTS: self.folder / WEIGHTS}
+        store.write(cell, {**learner, "timing": timing, "provenance": provenance()}, files)
 
 
-def compute(cell: Cell, store: Store, make_env: MakeEnv, beat: Beat) -> str:
-    """Train, test and store a cell; returns a remark for the user, or nothing."""
-    done, total = 0.0, cell.updates + TEST_EPISODE * cell.work
-
-    def advance(amount: float = TEST_EPISODE) -> None:
-        nonlocal done
-        done += amount
-        beat(done / total)
-
-    trained, remark = None, ""
-    timing: dict[str, Any] = {}
-    learner: dict[str, Any] = {}
-    if cell.kind == "agent":
-        with timed("train", timing):
-            trained, remark = _train(cell, store, make_env, advance)
-        learner = {"learner": trained.learner}
-    with timed("test", timing), closing(make_env(cell.runs_on, cell.task, dict(cell.tested_config))) as env:
-        files: dict[str, Any] = _test(cell, env, trained, store, advance)
-    timing["test_episodes"] = cell.work
-    timing["finished"] = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
-    if trained is not None:
-        weights = store.work / cell.name / WEIGHTS
-        trained.policy.save(weights)
-        files |= {TRAINING: trained.episodes, WEIGHTS: weights}
-    store.write(cell, {**learner, "timing": timing, "provenance": provenance()}, files)
-    return remark
-
-
-@contextmanager
-def timed(what: str, timing: dict[str, Any]) -> Iterator[None]:
-    """Note how long something takes, in time and in processor time of this process."""
-    started, processed = time.monotonic(), time.process_time()
-    yield
-    timing[f"{what}_seconds"] = time.monotonic() - started
-    timing[f"{what}_cpu_seconds"] = time.process_time() - processed
-
-
-def _train(
-    cell: Cell, store: Store, make_env: MakeEnv, advance: Callable[[float], None]
-) -> tuple[Trained, str]:
-    """The trained agent, and a remark."""
+def _train(cell: Cell, store: Store, make_env: MakeEnv, advance: Callable[[float], None]) -> Trained:
+    """The trained agent."""
     from experiments.study.train import CHECKPOINT, train_cell  # baselines need no learner
 
-    scratch, remark = store.work / cell.name, ""
+    scratch = store.work / cell.name
     with closing(make_env(cell.backend, cell.task, cell.training_config)) as env:
         try:
-            trained = train_cell(cell, env, scratch, advance, cell.marks)
+            return train_cell(cell, env, scratch, advance, cell.marks)
         except CheckpointError as damage:
             aside = store.put_aside(scratch / CHECKPOINT)
-            remark = f"its checkpoint was damaged ({damage}) and put aside in {aside}"
-            trained = train_cell(cell, env, scratch, advance, cell.marks)
-    return trained, remark
+            print(f"{cell.name}: its checkpoint was damaged ({damage}) and put aside in {aside}", flush=True)
+            return train_cell(cell, env, scratch, advance, cell.marks)
 
 
 def _test(

@@ -63,8 +63,8 @@ class Task(Protocol):
     def done(self) -> bool:
         """Whether the result is there."""
 
-    def compute(self, beat: Beat) -> str:
-        """Compute and write the result, calling `beat` with the share that is done; returns a remark, or nothing."""
+    def compute(self, beat: Beat) -> None:
+        """Compute and write the result, calling `beat` with the share that is done."""
 
 
 @dataclass(frozen=True)
@@ -72,7 +72,7 @@ class Ended:
     """How a try ended.
 
     state: "done"; "elsewhere" if another process computes this task; "failed", to be tried again; "fatal" if nothing
-    else can succeed either, and `reason` is for the user. reason: of a "done" task, a remark for the user.
+    else can succeed either, and `reason` is for the user.
     """
 
     state: Literal["done", "elsewhere", "failed", "fatal"]
@@ -83,7 +83,7 @@ class Observer:
     """Is told what happens to the tasks; this one does not listen."""
 
     def tell(self, task: Task, state: str, words: str = "") -> None:
-        """A task is now "running", "finished" (words: its remark), "waiting" for another try or "failed" (words: why).
+        """A task is now "running", "finished", "waiting" for another try or "failed" (words: why).
 
         "in another run": that one computes it.
         """
@@ -102,9 +102,10 @@ def attempt(task: Task) -> Ended:
             if not mine:
                 return Ended("elsewhere")
             with watched(task.folder, task.silence) as beat:
-                remark = "" if task.done() else task.compute(beat)
+                if not task.done():
+                    task.compute(beat)
             shutil.rmtree(task.folder, ignore_errors=True)
-        return Ended("done", remark)
+        return Ended("done")
     except UserError as error:
         return Ended("fatal", str(error))
     except Exception as error:  # whatever goes wrong in one task must not end the others
@@ -207,11 +208,11 @@ def fraction_done(folder: Path) -> float:
 
 
 def last_words(folder: Path) -> str:
-    """The last line of a task's log, which names what went wrong."""
+    """The last line of a task's log, which names what went wrong; empty if nothing did."""
     try:
-        return (folder / LOG).read_text().rstrip().rpartition("\n")[2]
+        return (folder / LOG).read_text(errors="replace").rstrip().rpartition("\n")[2]
     except OSError:
-        return "it failed"
+        return ""
 
 
 def run(
@@ -249,7 +250,7 @@ def run(
                 if ended.state == "fatal":
                     raise UserError(ended.reason)
                 if ended.state == "done":
-                    observer.tell(task, "finished", ended.reason)
+                    observer.tell(task, "finished")
                 elif ended.state == "elsewhere":
                     tries[task.name] -= 1
                     later.append((time.monotonic() + RECHECK, task))
@@ -290,7 +291,7 @@ def _ending(task: Task, future: Future[Ended]) -> Ended:
     if code is None:
         reason = str(error).partition("\n")[0] or "its process was lost"  # an executor's own words
     elif code == SPOILT:
-        return Ended("failed", last_words(task.folder))
+        return Ended("failed", last_words(task.folder) or "it failed")
     elif code == HUNG:
         reason = f"it hung: no sign of life for {task.silence:.0f} s"
     elif code < 0:

@@ -3,7 +3,7 @@
 DIR/cells/<cell>/     cell.json, episodes.parquet; gates.parquet except in further tests of an agent; for agents also
                       training.parquet, marks.parquet (tests at parts of the budget, on request), weights.npz
 DIR/packed.json, *.parquet, weights/   finished cells of which the folders may be removed (see `packed`)
-DIR/work/<cell>/      a cell in progress: checkpoint, lock, log (see `run`); failed.json if it was given up
+DIR/work/<cell>/      a cell in progress or given up: checkpoint, lock, log of what went wrong (see `run`)
 DIR/damaged/          what was put aside because it was damaged
 DIR/sweep.json        what sweeps have asked for
 
@@ -13,10 +13,10 @@ DIR/sweep.json        what sweeps have asked for
 from __future__ import annotations
 
 import json
-import math
 import os
 import shutil
 import socket
+import time
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING, Any
 
 from experiments.study.grid import RESULT_SCHEMA, Cell, cell_name
 from experiments.study.packed import MANIFEST, add, as_parquet, packed_records, packed_tables, packed_weights
+from experiments.study.run import last_words
 from experiments.support.errors import UserError
 from experiments.support.files import alone, publish, sha256_bytes, sha256_file, write_file, write_json
 
@@ -34,7 +35,7 @@ if TYPE_CHECKING:
 CELL, EPISODES, GATES = "cell.json", "episodes.parquet", "gates.parquet"
 TRAINING, MARKS, WEIGHTS = "training.parquet", "marks.parquet", "weights.npz"
 TABLES = (EPISODES, GATES, TRAINING, MARKS)
-FAILED, SWEEPS = "failed.json", "sweep.json"
+SWEEPS = "sweep.json"
 # Columns of gates.parquet and marks.parquet.
 _JUDGED = ("traffic", "scenario", "return", "length", "crashed", "mean_speed", "distance", "near_misses")
 GATE_COLUMNS = (*_JUDGED, *(f"action_{number}" for number in range(5)))
@@ -186,34 +187,16 @@ class Store:
             write_json(self.directory / SWEEPS, {"sweeps": sweeps})
 
     def failures(self) -> dict[str, str]:
-        """Name and reason of the cells that were given up and are not finished since."""
-        failures = {}
+        """What went wrong last in the cells that are not finished, by name."""
         there = set(self.finished())
-        for path in sorted(self.work.glob(f"*/{FAILED}")):
-            if path.parent.name not in there:
-                with suppress(ValueError, KeyError, TypeError):  # cut off: the cell counts as missing
-                    failures[path.parent.name] = str(json.loads(path.read_text())["reason"])
-        return failures
-
-    def write_failure(self, name: str, reason: str, command: str) -> None:
-        """Note that a cell was given up, and the command that tries it alone."""
-        (self.work / name).mkdir(parents=True, exist_ok=True)
-        write_json(self.work / name / FAILED, {"reason": reason, "command": command})
-
-    def forget(self, name: str, finished: bool) -> None:
-        """Remove what earlier sweeps left of a cell: the note of a failure, and all of it if the cell is finished."""
-        if finished:
-            shutil.rmtree(self.work / name, ignore_errors=True)
-        else:
-            (self.work / name / FAILED).unlink(missing_ok=True)
+        words = {path.name: last_words(path) for path in sorted(self.work.glob("*"))}
+        return {name: reason for name, reason in words.items() if reason and name not in there}
 
     def put_aside(self, path: Path) -> Path:
-        """Move something damaged to a name of its own in DIR/damaged, and return that."""
+        """Move something damaged into DIR/damaged under a name of its own, and return that."""
         folder = self.directory / "damaged"
         folder.mkdir(exist_ok=True)
-        name, number = "-".join(path.relative_to(self.directory).parts[1:]), 1
-        while (target := folder / f"{name}.{number}").exists():
-            number += 1
+        target = folder / f"{'-'.join(path.relative_to(self.directory).parts[1:])}.{time.time_ns()}"
         with suppress(FileNotFoundError):  # another sweep was faster
             path.rename(target)
         return target
@@ -278,18 +261,14 @@ KEY_COLUMNS = ("cell", "kind", "backend", "task", "level", "level_name", "arm", 
 class Results:
     """All finished cells of a directory as tidy tables.
 
-    agents: one row a cell, trained agents and baselines alike (`kind`): KEY_COLUMNS, the profile's entries
-        as columns (gamma, updates, ...; missing for baselines), and of the learner updates, episodes,
-        q_bound, max_abs_q (largest on the probe states at any checkpoint), weights_sha256.
     episodes: one row a test episode: KEY_COLUMNS and the columns of `evaluate.COLUMNS`.
     gate_episodes: the same of the scenarios that the gates are judged on, with GATE_COLUMNS alone.
-    cells: cell.json of each cell by name. failed: name and reason of the cells that were given up.
+    cells: cell.json of each cell by name. failed: what went wrong in cells that are not finished, by name.
     expected: names of all cells that sweeps have asked for, finished or not (`Store.sweeps`).
     damaged: name and reason of the cells that cannot be read, if they were to be passed over.
     """
 
     directory: Path
-    agents: pd.DataFrame
     episodes: pd.DataFrame
     gate_episodes: pd.DataFrame
     cells: dict[str, dict[str, Any]]
@@ -329,16 +308,21 @@ def load(directory: Path, skip_damaged: bool = False) -> Results:
     if not cells:
         reason = f"{directory} holds no finished cell yet: run the sweep first"
         raise UserError(next(iter(damaged.values()), reason))
+    keys = pd.DataFrame(
+        [
+            {**record["key"], "cell": name, "preset": record["key"]["profile"].get("preset")}
+            for name, record in cells.items()
+        ],
+        columns=list(KEY_COLUMNS),
+    )
     # A baseline has neither arm nor seed: types that know missing values keep seeds whole numbers.
-    agents = pd.DataFrame([_row(name, record) for name, record in cells.items()])
-    agents = agents.astype({"arm": "str", "seed": "Int64"})
+    keys = keys.astype({"arm": "str", "seed": "Int64"}).set_index("cell", drop=False)
     episodes, gates = (
-        _concatenate({name: own[file] for name, own in tables.items() if file in own}, agents)
+        _concatenate({name: own[file] for name, own in tables.items() if file in own}, keys)
         for file in (EPISODES, GATES)
     )
     return Results(
         directory=store.directory,
-        agents=agents,
         episodes=episodes,
         gate_episodes=gates,
         cells=cells,
@@ -348,11 +332,10 @@ def load(directory: Path, skip_damaged: bool = False) -> Results:
     )
 
 
-def _concatenate(tables: Mapping[str, pd.DataFrame], agents: pd.DataFrame) -> pd.DataFrame:
+def _concatenate(tables: Mapping[str, pd.DataFrame], keys: pd.DataFrame) -> pd.DataFrame:
     """All rows of the tables of these cells, behind KEY_COLUMNS."""
     import pandas as pd
 
-    keys = agents.set_index("cell", drop=False)[list(KEY_COLUMNS)]
     if not tables:
         return keys.iloc[:0].reset_index(drop=True)
     cells = [name for name, table in tables.items() for _ in range(len(table))]
@@ -360,17 +343,3 @@ def _concatenate(tables: Mapping[str, pd.DataFrame], agents: pd.DataFrame) -> pd
     if "actions" in rows:  # cells of earlier versions lack them
         rows["actions"] = rows["actions"].astype("str")
     return pd.concat([keys.loc[cells].reset_index(drop=True), rows], axis=1)
-
-
-def _row(name: str, record: Mapping[str, Any]) -> dict[str, Any]:
-    """A cell's row of `Results.agents`."""
-    key, learner = {**record["key"], "cell": name}, record.get("learner")
-    row = {column: key.get(column) for column in KEY_COLUMNS}
-    row |= {column: value for column, value in key["profile"].items() if not isinstance(value, list | dict)}
-    row["preset"] = key["profile"].get("preset")
-    if learner:
-        row |= {column: learner.get(column) for column in ("updates", "episodes", "q_bound")}
-        # JSON knows no infinity: a diverged agent's value is stored as null
-        largest = (math.inf if look[2] is None else look[2] for look in learner.get("probe_q", []))
-        row |= {"max_abs_q": max(largest, default=None), "weights_sha256": learner.get("weights_sha256")}
-    return row

@@ -105,9 +105,8 @@ def train_cell(
 def learner_record(agent: TrainedAgent) -> dict[str, Any]:
     """What cell.json says of the learner.
 
-    probe_q: [update, mean of max |Q|, largest |Q|] over the probe states. greedy_share: share of the probe
-    states that have the most common greedy action, at the same updates. q_bound: the largest value that
-    any policy can have, max |r| / (1 - gamma). curve: see `learning_curve`. A number that is not finite is null.
+    probe_q: [update, mean of max |Q|, largest |Q|] over the probe states. q_bound: the largest value that any policy
+    can have, max |r| / (1 - gamma). curve: see `learning_curve`. A number that is not finite is null.
     """
 
     def finite(value: float) -> float | None:
@@ -118,9 +117,7 @@ def learner_record(agent: TrainedAgent) -> dict[str, Any]:
         "steps": agent.steps,
         "episodes": len(agent.episodes["episode"]),
         "probe_q": [[look.update, finite(look.mean), finite(look.largest)] for look in agent.probe_q],
-        "greedy_share": [look.greedy_share for look in agent.probe_q],
         "curve": learning_curve(agent.episodes),
-        "max_abs_reward": agent.max_abs_reward,
         "q_bound": agent.q_bound,
         "weights_sha256": agent.policy.sha256,
     }

@@ -18,7 +18,8 @@ class TestSettingsAreNotMixed:
         chosen, left_out = comparable(load(tmp_path))
         assert len(left_out) == 6
         assert all("updates 200 instead of 400" in reason for reason in left_out.values())
-        assert set(chosen.agents["updates"].dropna()) == {400}
+        learners = [cell["learner"] for cell in chosen.cells.values() if "learner" in cell]
+        assert {learner["updates"] for learner in learners} == {400}
         assert set(chosen.episodes["cell"]) == set(chosen.cells)
 
     def test_baselines_of_another_test_are_left_out(self, tmp_path: Any) -> None:

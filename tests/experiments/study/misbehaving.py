@@ -42,7 +42,7 @@ class Sum:
     def done(self) -> bool:
         return self.result.exists()
 
-    def compute(self, beat: Beat) -> str:
+    def compute(self, beat: Beat) -> None:
         checkpoint = self.folder / "checkpoint"
         step, total = map(int, checkpoint.read_text().split()) if checkpoint.exists() else (0, 0)
         with (self.directory / f"{self.name}.tries").open("a") as file:
@@ -55,7 +55,6 @@ class Sum:
             step, total = step + 1, total + step
             write_file(checkpoint, f"{step} {total}".encode())
         write_file(self.result, str(total).encode())
-        return ""
 
     def tries(self) -> list[tuple[int, int]]:
         """Process and first step of each try."""

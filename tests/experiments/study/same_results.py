@@ -43,11 +43,9 @@ def main(old: str, *backends: str) -> int:
             for name, checkout in (("old", Path(old)), ("new", HERE)):
                 compute(checkout, backend, Path(folder) / name)
                 results = load(Path(folder) / name)
-                weights = results.agents.set_index("cell")["weights_sha256"].dropna().to_dict()
+                weights = {n: c.get("learner", {}).get("weights_sha256") for n, c in results.cells.items()}
                 episodes = dict(iter(results.episodes.groupby("cell")))
-                found.append(
-                    {slug(c["key"]): (weights.get(n), episodes[n]) for n, c in results.cells.items()}
-                )
+                found.append({slug(c["key"]): (weights[n], episodes[n]) for n, c in results.cells.items()})
         before, after = found
         if before.keys() != after.keys():
             raise SystemExit(f"{backend}: other cells: {sorted(before.keys() ^ after.keys())}")

@@ -95,9 +95,7 @@ def harm(path: Path, damage) -> bool:
 
 @PROPERTY
 @given(
-    name=st.sampled_from(
-        ["checkpoint.npz", "progress.json", "lock", "log.txt", "failed.json", "finished-x-1/cell.json"]
-    ),
+    name=st.sampled_from(["checkpoint.npz", "progress.json", "lock", "log.txt", "finished-x-1/cell.json"]),
     damage=damages(),
 )
 def test_a_damaged_working_file_costs_at_most_the_cell(finished, interrupted, tmp_path_factory, name, damage):
@@ -107,7 +105,7 @@ def test_a_damaged_working_file_costs_at_most_the_cell(finished, interrupted, tm
     path = task.folder / name
     path.parent.mkdir(exist_ok=True)
     if not path.exists():
-        path.write_text('{"reason": "none", "fraction": 0.5, "host": "here", "pid": 1}')
+        path.write_text("0.5")
     harm(path, damage)
     store.Store(directory).failures()
     ended = attempt(task)

@@ -94,14 +94,12 @@ def test_a_stored_cell_is_finished_and_comes_back(directory, cells):
 
 def test_results_are_tidy(directory, cells):
     results = load(directory)
-    assert len(results.agents) == len(cells) == len(results.cells)
+    assert len(cells) == len(results.cells)
     assert len(results.episodes) == len(cells) * 2 * 3
     assert set(KEY_COLUMNS) <= set(results.episodes.columns) & set(results.gate_episodes.columns)
-    agents = results.agents[results.agents.kind == "agent"]
-    assert (agents.max_abs_q == 0.5).all()
-    assert (agents.gamma == 0.95).all()
+    agents = results.episodes[results.episodes.kind == "agent"]
     assert set(agents.seed) == {0}
-    assert results.agents[results.agents.kind == "baseline"].seed.isna().all()
+    assert results.episodes[results.episodes.kind == "baseline"].seed.isna().all()
     counts = results.episodes.groupby(["cell", "traffic"]).size()
     assert (counts == 3).all()
     home = store.Store(directory)

@@ -4,7 +4,6 @@
     python experiments/replay.py results/sumo-quick/cells/sumo-highway-50-control-s0:risky:17
     python experiments/replay.py CASE --sumo      # a folder with episode.sumocfg, for sumo and sumo-gui
     python experiments/replay.py CASE --avoid     # until when could its crash have been avoided, and a film of both
-    python experiments/replay.py DIR --avoid      # the share of each arm's crashes avoidable 1, 2 and 3 s before
 
 --avoid tries every sequence of --horizon actions from each policy step before the contact, in copies of the episode
 with its own future: an upper bound of what a driver could do. Avoided means no contact for 5 s, or until the episode
@@ -36,11 +35,10 @@ import tyro
 from experiments.backends import make_env
 from experiments.reporting.showcase import ending
 from experiments.study.arms import TRAFFICS
-from experiments.study.avoid import HORIZON, SAFE, Moment, Rewound, judge_all, sample, shares
+from experiments.study.avoid import HORIZON, SAFE, Moment, Rewound
 from experiments.study.cell import MakeEnv
-from experiments.study.packed import MANIFEST
 from experiments.study.rerun import changed_versions, differences, play_again
-from experiments.study.store import EPISODES, Store, load
+from experiments.study.store import EPISODES, Store
 from experiments.support.errors import UserError, disk_error, run_command, unknown
 from experiments.support.films import Film, Pictures, save_gif, side_by_side
 from sumo_env.config import did_you_mean
@@ -58,12 +56,9 @@ class Options:
     sumo: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = False
     """Write a folder that sumo and sumo-gui open instead of a film (GIF): network, vehicles and the ego's way."""
     avoid: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = False
-    """Search for actions that would have avoided the crash; CASE may also be a folder of results. Writes
-    CASE-avoided.gif, or DIR/avoidable.parquet, with which the same call goes on."""
+    """Search for actions that would have avoided the crash; writes CASE-avoided.gif."""
     horizon: int = HORIZON
     """Policy steps in which --avoid tries all sequences of actions."""
-    crashes: int = 20
-    """Crashes of each arm and setting that --avoid searches in a folder, drawn at random (the same at each call)."""
 
 
 @dataclass(frozen=True)
@@ -139,15 +134,11 @@ def replay(options: Options, make_env: MakeEnv = make_env) -> int:
     Raises:
         UserError: the case does not exist, its cell is damaged, or the file cannot be written.
     """
-    if options.horizon < 1 or options.crashes < 1:
-        raise UserError(
-            f"--horizon and --crashes are at least 1, not {options.horizon} and {options.crashes}"
-        )
+    if options.horizon < 1:
+        raise UserError(f"--horizon is at least 1, not {options.horizon}")
     if options.avoid and options.sumo:
         raise UserError("--avoid writes a film of its own: leave out --sumo")
     try:
-        if options.avoid and is_results(Path(options.case)):
-            return _avoid_all(options, make_env)
         case = parse_case(options.case)
         key, act = case.record["key"], _avoid if options.avoid else _again
         with closing(make_env(key["backend"], key["task"], key["env_config"], "rgb_array")) as env:
@@ -182,11 +173,6 @@ def _again(options: Options, case: Case, env: gym.Env[Any, Any]) -> int:
 
 def _hit(row: dict[str, Any]) -> str:
     return f", with {row['crash_other']}" if row["crashed"] else ""
-
-
-def is_results(directory: Path) -> bool:
-    """Whether it is a folder of results, and not a cell in one."""
-    return (directory / "cells").is_dir() or (directory / MANIFEST).exists()
 
 
 def _avoid(options: Options, case: Case, env: gym.Env[Any, Any]) -> int:
@@ -243,20 +229,6 @@ def _both(crash: Rewound, moment: Moment) -> Pictures:
             films.append((title, film.pictures))
     width, height = films[0][1][0].size
     return side_by_side(films, columns=1 if width > height else 2)
-
-
-def _avoid_all(options: Options, make_env: MakeEnv) -> int:
-    """Search a sample of a folder's crashes, and print the shares that can be avoided."""
-    results = load(Path(options.case))
-    file = options.out or results.directory / "avoidable.parquet"
-    table = judge_all(results, sample(results, options.crashes), file, options.horizon, make_env)
-    if table.empty:
-        raise UserError("none of the crashes could be driven again")
-    print(shares(table).to_string())
-    print("share of the crashes that a search which knows the future avoids so long before the contact,")
-    print("with Wilson's 95 % interval over crashes; until_end: only up to the end of the episode")
-    print(f"written: {file}")
-    return 0
 
 
 if __name__ == "__main__":

@@ -15,6 +15,6 @@ executors/   processes of this machine, Ray, Slurm
 store        the directory of results: finished cells, one folder each or packed; all of them as frames
 packed       finished cells in a few tables
 rerun        a stored episode again
-avoid        whether a stored crash could have been avoided, and how many of a folder's could
+avoid        whether a stored crash could have been avoided
 progress     how long it will take, and what a person sees meanwhile
 """

@@ -7,39 +7,25 @@ repeated up to then. The crash is avoided if the ego has no contact for SAFE sec
 
 An upper bound of what a driver could have done: the search knows the future. And a lower one of what was possible: the
 ego decides at policy steps alone, and after the horizon it only repeats.
-
-`judge_all` and `shares` do it for many: how many of an experiment's crashes could have been avoided 1, 2 and 3 s before
-the contact.
 """
 
 from __future__ import annotations
 
 import copy
 import math
-import sys
 from collections.abc import Iterator, Mapping
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from experiments.study.arms import TRAFFICS
-from experiments.study.cell import MakeEnv
-from experiments.study.evaluate import COLUMNS, play, share
+from experiments.study.evaluate import play
 from experiments.study.rerun import differences, stored_policy
-from experiments.study.store import Results
 from experiments.support.errors import UserError
-from experiments.support.files import fill
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 HORIZON = 5  # policy steps in which all sequences are tried
 SAFE = 5.0  # [s] without a contact, after which a crash counts as avoided
 REST = ("IDLE", "SLOWER")  # what is repeated after the horizon; within it these are tried first
-BEFORE = (1.0, 2.0, 3.0)  # [s] before the contact
-GROUP = ["backend", "task", "level_name", "arm"]
-SEED = 0  # of the sample
 
 
 @dataclass(frozen=True)
@@ -144,11 +130,9 @@ class Rewound:
     def _copy(self) -> None:
         self._copies.append(copy.deepcopy(self._env))
 
-    def moments(self, horizon: int = HORIZON, seconds: float = math.inf) -> Iterator[Moment]:
+    def moments(self, horizon: int = HORIZON) -> Iterator[Moment]:
         """Search from the last moment before the contact backwards, up to the first from which it can be avoided."""
         for step in reversed(range(len(self.actions))):
-            if self.contact - step / self.frequency > seconds:
-                return
             actions, contacts = way_out(self._copies[step], horizon)
             yield Moment(step, step / self.frequency, actions, contacts)
             if actions is not None:
@@ -162,83 +146,3 @@ class Rewound:
         """Close the copies."""
         while self._copies:
             self._copies.pop().close()
-
-
-def sample(results: Results, crashes: int) -> pd.DataFrame:
-    """Up to so many crashes of each setting and arm, drawn among all of its agents, scenarios and both traffics.
-
-    A larger sample begins with the smaller ones. Agents count whose weights are here, or whose actions are stored.
-
-    Raises:
-        UserError: there is no such crash.
-    """
-    rows = results.episodes
-    rows = rows[(rows["kind"] == "agent") & rows["crashed"] & rows["traffic"].isin(list(TRAFFICS))]
-    here = rows["cell"].map({cell: results.weights(cell) is not None for cell in rows["cell"].unique()})
-    if "actions" in rows:
-        here |= rows["actions"].str.fullmatch(r"\d+").fillna(False)
-    if not here.any():
-        raise UserError(
-            f"{results.directory} has {len(rows)} crashes of agents, and neither weights nor actions of any: "
-            "name a folder with weights, such as that of your own sweep"
-        )
-    drawn = rows[here.astype(bool)].sample(frac=1.0, random_state=SEED)
-    number = drawn.groupby(GROUP).cumcount()
-    return drawn.assign(number=number)[number < crashes].sort_values(["number", *GROUP])
-
-
-def judge_all(
-    results: Results, crashes: pd.DataFrame, file: Path, horizon: int, make_env: MakeEnv
-) -> pd.DataFrame:
-    """Search the crashes; one row each, which the file keeps.
-
-    Added columns: contact [s], last: the last moment from which it can be avoided [s], missing if there is none in the
-    last seconds of BEFORE; avoided_by: the actions then, a digit each; clear: how long they are followed [s], less than
-    SAFE where the episode ends before; contacts: in all searches.
-    """
-    stored = {(row["cell"], row["traffic"], row["scenario"]): row for row in crashes.to_dict("records")}
-
-    def judge(wanted: Mapping[str, Any]) -> dict[str, Any] | None:
-        place = wanted["cell"], wanted["traffic"], wanted["scenario"]
-        row = {name: value for name, value in stored[place].items() if name in COLUMNS}
-        path, record = results.directory / "cells" / place[0], results.cells[place[0]]
-        made_of = [record["key"][part] for part in ("backend", "task", "env_config")]
-        try:
-            with closing(make_env(*made_of)) as env, closing(Rewound(path, record, row, env)) as crash:
-                moments = list(crash.moments(horizon, BEFORE[-1]))
-        except UserError as error:
-            print(f"skipped: {error}", file=sys.stderr)
-            return None
-        found = moments[-1] if moments and moments[-1].actions is not None else None
-        return {
-            "contact": crash.contact,
-            "last": found.time if found else None,
-            "avoided_by": "".join(map(str, found.actions or ())) if found else "",
-            "clear": len(found.actions or ()) / crash.frequency if found else None,
-            "contacts": sum(moment.contacts for moment in moments),
-        }
-
-    keys = ["cell", *GROUP, "seed", "traffic", "scenario"]
-    rows = crashes[keys].astype({"seed": int}).to_dict("records")
-    return fill(file, [{**row, "horizon": horizon} for row in rows], judge)
-
-
-def shares(table: pd.DataFrame) -> pd.DataFrame:
-    """One row a setting and arm: agents, crashes, and the share that can be avoided so long before the contact.
-
-    With Wilson's 95 % intervals over crashes: they hold for these agents, and are too narrow for others of their arm.
-    until_end: how many of the crashes are avoided only up to the end of the episode, and not for SAFE seconds.
-    """
-    import pandas as pd
-
-    rows = []
-    for group, crashes in table.groupby(GROUP):
-        margin = crashes["contact"] - crashes["last"]  # NaN where nothing was found
-        row = {
-            **dict(zip(GROUP, group, strict=True)),
-            "agents": crashes["cell"].nunique(),
-            "crashes": len(crashes),
-        }
-        row |= {f"{before:g} s": share(margin <= before).strip() for before in BEFORE}
-        rows.append({**row, "until_end": int((crashes["clear"] < SAFE).sum())})
-    return pd.DataFrame(rows).set_index(GROUP)

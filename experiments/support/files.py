@@ -8,19 +8,12 @@ import hashlib
 import json
 import os
 import shutil
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
-
-from rich.console import Console
-from rich.progress import track
+from typing import Any
 
 from agents.checkpoint import atomic, sync
-from experiments.support.errors import UserError
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 
 def canonical_json(value: Any) -> str:
@@ -80,38 +73,3 @@ def publish(directory: Path, final: Path) -> bool:
         return False
     sync(final.parent)
     return True
-
-
-def fill(
-    file: Path,
-    wanted: Sequence[Mapping[str, Any]],
-    compute: Callable[[Mapping[str, Any]], Mapping[str, Any] | None],
-) -> pd.DataFrame:
-    """The wanted rows, each with the columns that `compute` adds to it (None: none).
-
-    The file keeps every row that was ever computed, so that the same call goes on where it was stopped.
-
-    Raises:
-        UserError: the file is something else.
-    """
-    import pandas as pd
-
-    table = pd.DataFrame()
-    if file.exists():
-        try:
-            table = pd.read_parquet(file)
-        except (OSError, ValueError) as error:
-            raise UserError(
-                f"{file} is no table of this command ({error}): name another file with --out"
-            ) from None
-    keys = list(wanted[0]) if wanted else []
-    if len(table) and not set(keys) <= set(table):
-        raise UserError(f"{file} is a table of something else: name another file with --out")
-    there = set(map(tuple, table[keys].to_numpy().tolist())) if len(table) else set()
-    missing = [row for row in wanted if tuple(row.values()) not in there]
-    for row in track(missing, f"{len(there)} of {len(wanted)} rows are there", console=Console(stderr=True)):
-        added = compute(row)
-        if added is not None:
-            table = pd.concat([table, pd.DataFrame([{**row, **added}])], ignore_index=True)
-            write_file(file, table.to_parquet(index=False, compression="zstd"))
-    return table.merge(pd.DataFrame(wanted), on=keys) if len(table) else table

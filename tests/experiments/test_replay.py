@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import shutil
 
-import pandas as pd
 import pytest
 from PIL import Image
 
@@ -189,38 +188,3 @@ def test_what_cannot_be_avoided_is_said_in_one_line(cells, tmp_path):
     crashed, row = first(cells, True)
     with pytest.raises(UserError, match="is not reproduced: "):
         replay(Options(f"{crashed}:{row['traffic']}:{row['scenario']}", avoid=True), make_other_env)
-
-
-def test_the_shares_of_a_folder_are_those_of_its_crashes(cells, tmp_path, capsys):
-    """And the same call goes on where it was stopped."""
-    home, file = cells[0].parents[1], tmp_path / "avoidable.parquet"
-    made = []
-
-    def counted(*arguments):
-        made.append(arguments)
-        return make_env(*arguments)
-
-    asked = Options(str(home), out=file, avoid=True, crashes=2)
-    assert replay(asked, counted) == 0
-    printed = capsys.readouterr().out
-    table = pd.read_parquet(file)
-    agents = episodes(cells[0])
-    assert len(table) == min(2, int(agents["crashed"].sum())) > 0
-    assert set(table["cell"]) == {cells[0].name}  # of agents alone
-    assert len(made) == len(table)
-    assert "until_end" in printed
-    assert f"{(table['contact'] - table['last'] <= 1).mean():.0%} [" in printed
-    again = pd.read_parquet(file)
-    assert replay(asked, counted) == 0
-    assert len(made) == len(table)
-    pd.testing.assert_frame_equal(pd.read_parquet(file), again)
-    assert replay(Options(str(home), out=file, avoid=True, crashes=3), counted) == 0
-    assert len(pd.read_parquet(file)) == min(3, int(agents["crashed"].sum()))
-
-
-def test_a_file_of_something_else_is_not_overwritten(cells, tmp_path):
-    file = tmp_path / "notes.txt"
-    file.write_text("mine")
-    with pytest.raises(UserError, match="name another file with --out"):
-        replay(Options(str(cells[0].parents[1]), out=file, avoid=True), make_env)
-    assert file.read_text() == "mine"

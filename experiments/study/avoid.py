@@ -19,8 +19,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from experiments.study.evaluate import play
-from experiments.study.rerun import differences, stored_policy
+from experiments.study.rerun import differences, play_again
 from experiments.support.errors import UserError
 
 HORIZON = 5  # policy steps in which all sequences are tried
@@ -108,7 +107,7 @@ class Rewound:
         row: Mapping[str, Any],
         env: Any,
     ) -> None:
-        name, key = f"{path.name}:{row['traffic']}:{row['scenario']}", record["key"]
+        name = f"{path.name}:{row['traffic']}:{row['scenario']}"
         if not row["crashed"]:
             raise UserError(f"{name} has no crash that could be avoided")
         self.contact = float(row["crash_time"])  # [s]
@@ -117,9 +116,8 @@ class Rewound:
         self.names: dict[int, str] = self._env.actions
         self.frequency = int(self._env.config["policy_frequency"])
         try:
-            seen, policy = stored_policy(path, record, env, row.get("actions"))
-            place = (key["task"], key["level"], str(row["traffic"]), int(row["scenario"]))
-            again = play(seen, policy, *place, on_step=self._copy)
+            place = str(row["traffic"]), int(row["scenario"])
+            again = play_again(path, record, env, *place, row.get("actions"), self._copy)
             if wrong := differences(row, again):
                 raise UserError(f"{name} is not reproduced: {'; '.join(wrong)}")
         except BaseException:

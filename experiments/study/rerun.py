@@ -35,34 +35,6 @@ class Repeated:
         return int(next(self._left, IDLE))
 
 
-def stored_policy(
-    path: Path, record: Mapping[str, Any], env: gym.Env[Any, Any], actions: Any = None
-) -> tuple[gym.Env[Any, Any], Policy]:
-    """What drove a stored episode, and the environment as it observes it.
-
-    Args:
-        path: DIR/cells/CELL, which need not exist where the cell is packed.
-        actions: the episode's column `actions`: where there are any, neither weights nor the user's file are needed.
-
-    Raises:
-        UserError: the weights or the user's file are not there, or do not fit.
-    """
-    key, source = record["key"], record["source"]
-    if isinstance(actions, str) and actions:
-        return env, Repeated(actions)
-    if key["kind"] == "test":
-        raise UserError(f"{path.name} is a further test of an agent: replay the agent's own cell")
-    if key["kind"] == "agent":
-        weights = Store(path.parents[1]).weights(path.name)
-        if weights is None:
-            raise UserError(
-                f"the weights of {path.name} are not here: train it again with the command in sweep.json, "
-                f"--cell {path.name} and another --out"
-            )
-        return load_agent(key, source, weights, env)
-    return env, untrained_policy(key, source, env)
-
-
 def play_again(
     path: Path,
     record: Mapping[str, Any],
@@ -74,12 +46,30 @@ def play_again(
 ) -> dict[str, Any]:
     """Play a test episode of a stored cell again and return its row of `evaluate.COLUMNS`.
 
+    Args:
+        path: DIR/cells/CELL, which need not exist where the cell is packed.
+        actions: the episode's column `actions`: where there are any, neither weights nor the user's file are needed.
+
     Raises:
-        UserError: see `stored_policy`.
+        UserError: the weights or the user's file are not there, or do not fit.
     """
-    seen, policy = stored_policy(path, record, env, actions)
-    key = record["key"]
-    return play(seen, policy, key["task"], key["level"], traffic, scenario, on_step)
+    key, source = record["key"], record["source"]
+    policy: Policy
+    if isinstance(actions, str) and actions:
+        policy = Repeated(actions)
+    elif key["kind"] == "test":
+        raise UserError(f"{path.name} is a further test of an agent: replay the agent's own cell")
+    elif key["kind"] == "agent":
+        weights = Store(path.parents[1]).weights(path.name)
+        if weights is None:
+            raise UserError(
+                f"the weights of {path.name} are not here: train it again with the command in sweep.json, "
+                f"--cell {path.name} and another --out"
+            )
+        env, policy = load_agent(key, source, weights, env)
+    else:
+        policy = untrained_policy(key, source, env)
+    return play(env, policy, key["task"], key["level"], traffic, scenario, on_step)
 
 
 def differences(stored: Mapping[str, Any], row: Mapping[str, Any]) -> list[str]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import signal
-import threading
 from collections.abc import Callable
 from concurrent.futures import Executor, Future
 from functools import partial
@@ -42,8 +41,7 @@ class RayExecutor(Executor):
             ray.init(address="auto", **common)
         except ConnectionError:  # none runs
             ray.init(address="local", num_cpus=workers, include_dashboard=False, **common)
-        if threading.current_thread() is threading.main_thread():
-            signal.signal(signal.SIGTERM, handler)  # Ray puts its own in the place of ours
+        signal.signal(signal.SIGTERM, handler)  # Ray puts its own in the place of ours
         self._call = ray.remote(num_cpus=1, max_retries=0, max_calls=tasks_per_process)(_call)
         self._references: set[Any] = set()
 
@@ -61,12 +59,9 @@ class RayExecutor(Executor):
         return future
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """Leave the cluster; with `cancel_futures`, end the tasks at once."""
-        if cancel_futures:
-            for reference in list(self._references):
-                ray.cancel(reference, force=True)
-        elif wait and self._references:
-            ray.wait(list(self._references), num_returns=len(self._references))
+        """Leave the cluster, when all tasks are done; with `cancel_futures`, end them at once."""
+        for reference in list(self._references) if cancel_futures else ():
+            ray.cancel(reference, force=True)
         ray.shutdown()
 
 

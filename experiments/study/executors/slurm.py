@@ -64,16 +64,12 @@ class SlurmExecutor(Executor):
         return future
 
     def shutdown(self, wait: bool = True, *, cancel_futures: bool = False) -> None:
-        """Take no more; with `cancel_futures`, cancel the jobs."""
+        """Take no more, when all jobs are done; with `cancel_futures`, cancel them."""
         self._closed.set()
         self._follower.join()
-        jobs = list(self._running.values())
         if cancel_futures:
             with ThreadPoolExecutor(16) as pool:  # every job takes a call of scancel
-                list(pool.map(lambda job: job.cancel(check=False), jobs))
-        elif wait:
-            for job in jobs:
-                job.wait()
+                list(pool.map(lambda job: job.cancel(check=False), self._running.values()))
 
     def _follow(self) -> None:
         """Take in the results, in a thread."""

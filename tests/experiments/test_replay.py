@@ -11,7 +11,7 @@ from PIL import Image
 from experiments.replay import Options, find_cell, parse_case, replay
 from experiments.study import store
 from experiments.study.arms import TRAFFICS, scenario_seed
-from experiments.study.rerun import stored_policy
+from experiments.study.rerun import play_again
 from experiments.support.errors import UserError
 from tests.experiments.computed import compute, tasks_of
 from tests.experiments.fake_env import make_env, make_other_env
@@ -124,7 +124,7 @@ def test_an_episode_replays_without_weights_and_weights_that_are_needed_are_told
     case = home / "cells" / cells[0].name
     record = store.Store(home).record(case.name)
     with pytest.raises(UserError, match=r"weights of .* are not here: train it again"):
-        stored_policy(case, record, make_env("sumo", "highway"))
+        play_again(case, record, make_env("sumo", "highway"), "risky", 0)
 
 
 # -- whether a crash could have been avoided ---------------------------------------------------------------

@@ -16,7 +16,6 @@ from experiments.study.run import attempt
 from experiments.study.store import load
 from experiments.support.errors import UserError
 from tests.experiments.computed import compute, fingerprint, tasks_of
-from tests.processes import python
 
 pytestmark = pytest.mark.slow
 
@@ -145,24 +144,3 @@ def test_nothing_is_unpickled_from_a_file(finished, interrupted, tmp_path):
         allow_pickle=True,
     )["settings"]
     assert trace.exists()  # the trap works
-
-
-AUDIT = """
-import sys
-from pathlib import Path
-found = []
-sys.addaudithook(lambda event, arguments: found.append(arguments) if event == "pickle.find_class" else None)
-from experiments.report import write_report
-from experiments.replay import Options, replay
-from tests.experiments.fake_env import make_env
-directory = Path(sys.argv[1])
-write_report(directory)
-for cell in sorted(directory.glob("cells/*")):
-    replay(Options(f"{cell}:risky:0", out=directory / "film.gif"), make_env)
-print(found)
-"""
-
-
-def test_report_and_replay_unpickle_nothing(finished, tmp_path):
-    shutil.copytree(finished, tmp_path / "results")
-    assert python("-c", AUDIT, tmp_path / "results").splitlines()[-1] == "[]"

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import os
-import shlex
 import signal
 import time
 from pathlib import Path
 
 import pytest
 
-from tests.processes import ROOT, children, is_alive, started, wait_for
+from tests.processes import children, is_alive, started, wait_for
 
 # Workers in a call into C that never gives the interpreter back, as in a compiler.
 HOLD = """
@@ -41,25 +40,3 @@ def test_workers_that_hold_the_interpreter_end_with_their_parent(tmp_path: Path,
     os.kill(process.pid, number)
     process.communicate(timeout=30)
     wait_for(lambda: not any(map(is_alive, found)), 30)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM, signal.SIGINT])
-@pytest.mark.parametrize("command", ["validate", "calibrate"])
-def test_workers_of_long_commands_end_with_them(tmp_path: Path, command: str, number: int) -> None:
-    out = tmp_path / "out"
-    arguments = ["--out", str(out), "--tasks", "highway"]
-    process = started(ROOT / "experiments" / f"{command}.py", *arguments)
-    wait_for(lambda: len(children(process.pid, "spawn_main")) == 2 or process.poll() is not None, 300)
-    time.sleep(3.0)  # until they drive
-    found = children(process.pid, "spawn_main")
-    assert len(found) == 2
-    os.kill(process.pid, number)
-    _, errors = process.communicate(timeout=30)
-    wait_for(lambda: not any(map(is_alive, found)), 30)
-    if number != signal.SIGKILL:
-        assert process.returncode == 130
-        assert (
-            errors
-            == f"interrupted; what is finished is kept. To go on: python {shlex.join(process.args[1:])}\n"
-        )

@@ -176,22 +176,3 @@ def test_cells_of_earlier_versions_have_no_actions_and_pack_with_others(results:
     assert before["episodes"]["actions"].isna().sum() == 6
     pack(results)
     assert_same(content(results), before)
-
-
-def test_the_report_of_packed_cells_is_the_same(tmp_path: Path) -> None:
-    from experiments.report import write_report
-    from tests.experiments.synthetic import write
-
-    write(tmp_path / "results", {"u-turn": (1,)})
-    written = []
-    for _ in range(2):
-        write_report(tmp_path / "results")
-        written.append(
-            {
-                path.name: path.read_bytes()
-                for path in (tmp_path / "results").glob("*.*")
-                if "parquet" not in path.name and path.name != MANIFEST
-            }
-        )
-        pack(tmp_path / "results")
-    assert written[0] == written[1]

@@ -107,18 +107,6 @@ def test_results_are_tidy(directory, cells):
     assert trained == set(agents.cell)
 
 
-def test_the_same_content_has_the_same_bytes(directory, cells, tmp_path):
-    cell = next(cell for cell in cells if cell.kind == "baseline")
-    env = make_env(cell.backend, cell.task, cell.env_config)
-    other = store.Store(tmp_path / "other")
-    table = evaluate(env, Idle(), cell.task, cell.level, cell.episodes)
-    other.write(cell, {}, {store.EPISODES: table, store.GATES: table})
-    first, second = (
-        store.read_cell(home / "cells" / cell.name)["files"] for home in (directory, other.directory)
-    )
-    assert first == second
-
-
 def test_writing_twice_keeps_the_first(directory, cells):
     home = store.Store(directory)
     path = directory / "cells" / cells[-1].name

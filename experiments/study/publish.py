@@ -107,13 +107,12 @@ def main(directory: Annotated[Path, tyro.conf.Positional], out: Path = pretraine
             agents[label] = about, pretrained.load(setting, arm, out)
     store = Store(directory)
     commands = {name: sweep["command"] for sweep in store.sweeps() for name in sweep["cells"]}
-    first: dict[str, tuple[int, str]] = {}
-    for name, record in store.agents().items():
+    first: dict[str, str] = {}  # the cell of the lowest seed
+    for name, record in sorted(store.agents().items(), key=lambda cell: cell[1]["key"]["seed"]):
         key = record["key"]
         if key["backend"] == "sumo" and store.weights(name):
-            label = f"{key['task']}-{key['level_name']}/{key['arm']}"
-            first[label] = min(first.get(label, (key["seed"], name)), (key["seed"], name))
-    for label, (_, name) in sorted(first.items()):
+            first.setdefault(f"{key['task']}-{key['level_name']}/{key['arm']}", name)
+    for label, name in sorted(first.items()):
         if (agent := published(directory, name, commands[name])) is not None:
             agents[label] = agent
             print(label, agent[0]["precision"], agent[0]["risky"]["crash_rate"])

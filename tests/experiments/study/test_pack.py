@@ -105,17 +105,6 @@ def test_a_sweep_goes_on_from_packed_cells(results: Path, capsys: pytest.Capture
     assert_same(content(results), found)
 
 
-def test_a_setting_that_is_not_finished_is_packed_as_far_as_it_is(results: Path, tmp_path: Path) -> None:
-    """What is finished later is added, and the tables are then those of a setting that was packed at once."""
-    lost = next(results.glob("cells/*-careful-*"))
-    lost.rename(tmp_path / lost.name)
-    assert lost.name not in store.Store(results).pack()
-    (tmp_path / lost.name).rename(lost)
-    before = content(results)
-    assert pack(results) == [lost.name]
-    assert_same(content(results), before)
-
-
 @pytest.mark.parametrize("file", [CELLS, store.EPISODES, store.GATES])
 def test_a_damaged_table_is_named(results: Path, file: str) -> None:
     pack(results)

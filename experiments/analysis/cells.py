@@ -18,12 +18,7 @@ from experiments.study.store import Results
 from experiments.support.files import canonical_json
 
 Cell = Mapping[str, Any]
-ENVIRONMENT = (
-    "env_config ",
-    "eval ",
-    "version of ",
-    "dynamics",
-)  # settings of cells without a trained agent too
+ENVIRONMENT = ("env_config ", "eval ", "version of ", "dynamics")  # settings without a trained agent too
 ALONE = "no agents of both arms with its settings to compare with"
 
 
@@ -63,14 +58,12 @@ def _strangers(cells: Mapping[str, Cell], expected: Sequence[str]) -> dict[str, 
     asked = {group: max(latest.get(name, -1) for name in names) for group, names in groups.items()}
     best = max(groups, key=lambda group: (asked[group], len(groups[group]), group))
     reference = settings[groups[best][0]]
-    environment = {name: value for name, value in reference.items() if name.startswith(ENVIRONMENT)}
     found = {}
     for name, own in settings.items():
-        if name in agents:
-            found[name] = _difference(own, reference)
-        elif name in main:
+        if name in main:
+            names = sorted({*own, *reference})
             found[name] = _difference(
-                {k: v for k, v in own.items() if k.startswith(ENVIRONMENT)}, environment
+                own, reference, [n for n in names if name in agents or n.startswith(ENVIRONMENT)]
             )
         elif not agents or not reference.items() <= own.items():
             found[name] = ALONE
@@ -86,11 +79,11 @@ def _settings(cell: Cell) -> dict[str, Any]:
     return flat | {name: value for name, value in key["profile"].items() if name != "preset"}
 
 
-def _difference(settings: Mapping[str, Any], reference: Mapping[str, Any]) -> str:
-    names = [name for name in sorted({*settings, *reference}) if settings.get(name) != reference.get(name)]
-    words = [f"{name} {settings.get(name)} instead of {reference.get(name)}" for name in names]
-    more = f" and {len(words) - 3} more" if len(words) > 3 else ""
-    return ", ".join(words[:3]) + more
+def _difference(own: Mapping[str, Any], reference: Mapping[str, Any], names: Sequence[str]) -> str:
+    pairs = [(name, own.get(name), reference.get(name)) for name in names]
+    return ", ".join(
+        [f"{name} {mine} instead of {theirs}" for name, mine, theirs in pairs if mine != theirs][:3]
+    )
 
 
 def unfinished(results: Results, chosen: Results, arms: Sequence[str]) -> dict[str, str]:

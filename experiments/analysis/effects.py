@@ -143,8 +143,8 @@ def mean_over(rows: pd.DataFrame, plan: Plan) -> dict[str, Any]:
     Returns:
         ESTIMATE, the means and numbers of agents of both arms, and settings (their number).
     """
-    weights = 1 / rows["task"].nunique() / rows.groupby("task")["task"].transform("size")
-    looks = [estimate.combine(means, list(weights)) for means in zip(*rows["looks"], strict=True)]
+    weights = estimate.alike(list(rows["task"]))
+    looks = [estimate.combine(means, weights) for means in zip(*rows["looks"], strict=True)]
     seeds, first = rows[MEANS[2:]].min(axis=1), plan.schedule[0].seeds
     most = int(seeds.max())
     if (seeds < first).any():

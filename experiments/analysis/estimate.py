@@ -136,6 +136,12 @@ def combine(means: Sequence[Mean], weights: Sequence[float]) -> Mean:
     return Mean(value, *total(parts), min(mean.least for mean in means))
 
 
+def alike(tasks: Sequence[str]) -> list[float]:
+    """Weights of settings, given their tasks: every task counts alike, and in a task every level."""
+    named = pd.Series(tasks)
+    return list(1 / named.nunique() / named.groupby(named).transform("size"))
+
+
 def interval(mean: Mean, confidence: float = 1 - ALPHA) -> Estimate:
     """The mean with its t interval."""
     if mean.least == 1:

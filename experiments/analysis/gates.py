@@ -19,7 +19,7 @@ import pandas as pd
 from scipy import stats
 
 from agents.training import Q_SLACK
-from experiments.analysis.estimate import DEGENERATE, OK, Estimate, Mean, combine, interval, linear
+from experiments.analysis.estimate import DEGENERATE, OK, Estimate, alike, combine, interval, linear
 from experiments.analysis.plan import ALPHA, Learner
 from experiments.analysis.scores import PLACE, in_order
 from experiments.study.arms import gate_traffics
@@ -172,8 +172,8 @@ def learner_checks(
             if task in rules.clocked:
                 found = last_second(drives, rules.before)
                 number = drives["cell"].nunique()
-                alike = bool(found.low <= 1 <= found.high) if found.status == OK else None
-                rows.append([backend, "last second", task, arm, number, *_limits(found), 1, 1, alike])
+                same = bool(found.low <= 1 <= found.high) if found.status == OK else None
+                rows.append([backend, "last second", task, arm, number, *_limits(found), 1, 1, same])
     return pd.DataFrame(rows, columns=CHECKS)
 
 
@@ -189,27 +189,16 @@ def change(trained: Sequence[Mapping[str, Any]], rules: Learner) -> Estimate:
     Args:
         trained: cell.json of the agents of an arm.
     """
-    settings: dict[str, dict[int, list[list[float]]]] = {}
+    differences: dict[tuple[str, int], list[list[float]]] = {}
     for cell in trained:
-        key, curve = cell["key"], cell["learner"]["curve"]["return"]
+        key, curve = cell["key"], np.array(cell["learner"]["curve"]["return"], dtype=float)
         tenth, quarter = len(curve) // 10, 3 * len(curve) // 4
-        late, early = (
-            np.array(part, dtype=float) for part in (curve[-tenth:], curve[quarter - tenth : quarter])
-        )
-        difference = float(
-            np.nanmean(late) - np.nanmean(early)
-        )  # a part in which no episode ended has no return
-        by_level = settings.setdefault(key["task"], {})
-        by_level.setdefault(key["level"], []).append([difference / rules.ranges[key["task"]]])
-    tasks = [
-        _alike([linear([(np.array(scores), 1.0)]) for scores in by_level.values()])
-        for by_level in settings.values()
-    ]
-    return interval(_alike(tasks))
-
-
-def _alike(means: Sequence[Mean]) -> Mean:
-    return combine(means, [1 / len(means)] * len(means))
+        # a part in which no episode ended has no return
+        difference = np.nanmean(curve[-tenth:]) - np.nanmean(curve[quarter - tenth : quarter])
+        scores = differences.setdefault((key["task"], key["level"]), [])
+        scores.append([float(difference) / rules.ranges[key["task"]]])
+    means = [linear([(np.array(scores), 1.0)]) for scores in differences.values()]
+    return interval(combine(means, alike([task for task, _ in differences])))
 
 
 def last_second(drives: pd.DataFrame, before: float) -> Estimate:

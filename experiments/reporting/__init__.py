@@ -1,9 +1,7 @@
 """From an analysis to report.html and appendix.html (`experiments/report.py` writes them).
 
-style              the palette, for everything that draws
-tables             frames of text, and numbers of outcomes as people read them
-figures            each a pure function that returns SVG
-collision_figures  the paper's figure 3
-showcase           films of two agents in the same scenario, for templates/player.js
-page               what the templates show; their sentences stand in experiments/templates
+tables    frames of text, and numbers of outcomes as people read them
+figures   each a pure function that returns SVG
+showcase  films of two agents in the same scenario, for templates/player.js
+page      what the templates show; their sentences stand in experiments/templates
 """

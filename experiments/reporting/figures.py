@@ -1,14 +1,20 @@
-"""The report's figures: each a pure function of frames that returns an SVG text. How they look is in `style`.
+"""The report's figures: each a pure function of frames that returns an SVG text.
 
 One meaning for each colour: blue is the control arm, pink mixed training, orange the treatment, green the careful
-driver, grey every other policy without training, and ink what is a difference.
+driver, grey every other policy without training, and ink what is a difference. Figures are deterministic (the same data
+give the same bytes); their colours are CSS variables with a fallback, so that a page can show them in a light or a dark
+scheme, and their ids carry the figure's name.
 """
 
 from __future__ import annotations
 
+import html
+import io
+import re
 from collections.abc import Mapping
 from typing import Any
 
+import matplotlib.style
 import numpy as np
 import pandas as pd
 from matplotlib.axes import Axes
@@ -20,20 +26,52 @@ from scipy import stats
 from experiments.analysis.frontier import RULES, lower_hull
 from experiments.analysis.plan import ALPHA
 from experiments.analysis.scores import TASK_ORDER
-from experiments.reporting.style import (
-    CAREFUL,
-    COLOURS,
-    INK,
-    MUTED,
-    PAPER,
-    new_figure,
-    styled,
-    to_svg,
-)
 from experiments.reporting.tables import MINUS
 from experiments.study.arms import ARMS, DOSE_ARMS, DOSES, TRAFFICS
 
+WIDTH = 7.2  # [inch]
+INK, MUTED, GRID, PAPER = "#1f2328", "#6b7280", "#d9dde3", "#ffffff"
+CONTROL, TREATMENT, CAREFUL = "#0072b2", "#d55e00", "#009e73"  # Okabe and Ito: told apart by all eyes
+COLOURS = {"control": CONTROL, "mixed": "#cc79a7", "treatment": TREATMENT}  # by arm, in the order of the risk
+VARIABLES = {
+    INK: "ink", MUTED: "muted", GRID: "grid", PAPER: "paper",
+    CONTROL: "control", TREATMENT: "treatment", CAREFUL: "careful",
+}  # fmt: skip
+STYLE: Any = {
+    "font.family": "sans-serif", "font.sans-serif": ["DejaVu Sans"], "font.size": 8.5,
+    "axes.titlesize": 9, "axes.titleweight": "bold", "axes.labelsize": 8.5,
+    "xtick.labelsize": 8, "ytick.labelsize": 8, "legend.fontsize": 8, "legend.frameon": False,
+    "text.color": INK, "axes.labelcolor": INK, "axes.titlecolor": INK,
+    "xtick.color": MUTED, "ytick.color": MUTED, "xtick.labelcolor": INK, "ytick.labelcolor": INK,
+    "axes.edgecolor": MUTED, "axes.linewidth": 0.7, "axes.spines.top": False, "axes.spines.right": False,
+    "axes.grid": True, "axes.axisbelow": True, "grid.color": GRID, "grid.linewidth": 0.6,
+    "xtick.major.size": 2.5, "ytick.major.size": 2.5, "lines.linewidth": 1.6, "lines.markersize": 5,
+    "figure.facecolor": "none", "axes.facecolor": "none", "savefig.facecolor": "none",
+    "svg.fonttype": "none", "svg.hashsalt": "report",
+}  # fmt: skip
+# Whatever the user's own settings are, a function of this module draws in the report's style.
+styled = matplotlib.style.context(["default", STYLE])
 CONSTANT = {"idle": "o", "slower": "v", "faster": "^", "random": "D", "idm": "s"}  # policies and their marks
+
+
+def new_figure(rows: int, columns: int, height: float, **options: Any) -> tuple[Figure, np.ndarray]:
+    """A figure of the report's width with an array (rows, columns) of axes; height in inches."""
+    figure = Figure(figsize=(WIDTH, height), layout="constrained")
+    return figure, figure.subplots(rows, columns, squeeze=False, **options)
+
+
+def to_svg(figure: Figure, name: str, description: str) -> str:
+    """The figure as an <svg> element to be inlined; `description` is read to people who do not see it."""
+    buffer = io.StringIO()
+    figure.savefig(buffer, format="svg", metadata=dict.fromkeys(("Date", "Creator", "Format", "Type")))
+    text = buffer.getvalue()
+    text = text[text.index("<svg") :].strip()
+    text = re.sub(r'\bid="', f'id="{name}-', text)
+    text = re.sub(r'(href="#|url\(#)', rf"\g<1>{name}-", text)
+    for colour, variable in VARIABLES.items():
+        text = re.sub(colour, f"var(--{variable}, {colour})", text, flags=re.IGNORECASE)
+    label = html.escape(description, quote=True)
+    return text.replace("<svg ", f'<svg role="img" aria-label="{label}" ', 1)
 
 
 def _tasks(frame: pd.DataFrame) -> list[str]:

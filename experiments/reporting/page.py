@@ -19,7 +19,6 @@ from experiments.analysis.gates import GATES
 from experiments.analysis.plan import ALPHA
 from experiments.analysis.scores import TASK_ORDER
 from experiments.reporting import figures, tables
-from experiments.reporting.showcase import KINDS
 from experiments.reporting.tables import BACKENDS, FILTERS, chosen, main
 from experiments.study.arms import ARMS, DOSE_ARMS, TRAFFICS
 from experiments.study.progress import duration
@@ -38,19 +37,21 @@ def page(results: Results, analysis: Analysis, films: Mapping[str, Any]) -> dict
         films: from `showcase.showcase`.
     """
     names = list(dict.fromkeys(analysis.policies["backend"]))
+    places = [place for place in films["places"] if place["films"]]
     return {
         "smoke": "smoke" in analysis.provenance["presets"],
         "backends": [backend(name, results, analysis) for name in names],
-        "films": player(films),
+        # A "<" could end the script element in which the data stand.
+        "films": Markup(canonical_json(places).replace("<", "\\u003c")) if places else None,
+        "rule": films["rule"],
+        "missing_films": films["notes"],
+        "notes": analysis.notes,
         "checks": checks(results.directory, names),
         "directory": str(results.directory),
         "commands": [sweep["command"] for sweep in Store(results.directory).sweeps()],
         "gate_texts": GATES,
         "seconds": duration(analysis.provenance["seconds"]),
-        **{
-            name: getattr(analysis, name)
-            for name in ("notes", "plan", "plan_hash", "provenance", "negative_control")
-        },
+        **{name: getattr(analysis, name) for name in ("plan", "plan_hash", "provenance", "negative_control")},
     }
 
 
@@ -165,41 +166,13 @@ def drawn(name: str, results: Results, analysis: Analysis) -> dict[str, Markup |
     return {key: Markup(svg) if svg else None for key, svg in found.items()}
 
 
-def player(films: Mapping[str, Any]) -> dict[str, Any]:
-    """What the player shows of the films."""
-    titles = {kind: title for kind, title, _ in KINDS.values()}
-    shown = [place for place in films["places"] if place["films"]]
-    places: list[dict[str, Any]] = []
-    rows: list[dict[str, Any]] = []
-    for number, place in enumerate(shown):
-        simulator = BACKENDS.get(place["backend"], place["backend"])
-        places.append({"name": f"{place['task']} {place['level_name']} on {simulator}", "first": len(rows)})
-        for film in place["films"]:
-            title = f"{titles[film['kind']]} ({film['traffic']} traffic, scenario {film['scenario']})"
-            rows.append({"place": number, "title": title})
-    hidden = ("made_of", "counts", "failed", "cells")
-    data = [{key: value for key, value in place.items() if key not in hidden} for place in shown]
-    return {
-        "number": len(rows),
-        "places": places,
-        "films": rows,
-        "rule": films["rule"],
-        "notes": films["notes"],
-        # A "<" could end the script element in which the data stand.
-        "data": Markup(canonical_json(data).replace("<", "\\u003c")),
-    }
-
-
 def checks(directory: Path, backends: Sequence[str]) -> dict[str, Any]:
-    """How many checks of SUMO against highway-env are within their margins, and what is known of the others."""
+    """How many checks of SUMO against highway-env are within their margins, and which are not."""
     found = of_results(directory) if "sumo" in backends else None
     tasks = found["tasks"] if found else {}
     total = sum(sum(verdict["counts"].values()) for verdict in tasks.values())
-    beyond = [{"task": task, **item} for task, verdict in tasks.items() for item in verdict["missed"]]
-    orders = [item for item in beyond if item["name"].startswith("pairs of egos")]
-    missed = [item for item in beyond if item not in orders]
-    counts = {"relevant": "sumo" in backends, "total": total, "within": total - len(beyond)}
-    return {**counts, "missed": missed, "orders": orders}
+    missed = [{"task": task, **item} for task, verdict in tasks.items() for item in verdict["missed"]]
+    return {"relevant": "sumo" in backends, "total": total, "missed": missed}
 
 
 def render(variables: Mapping[str, Any], template: str) -> str:

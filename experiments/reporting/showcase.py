@@ -35,12 +35,8 @@ RULE = (
     "scenarios at most three in which the control agent alone crashes, three in which the treated agent alone does, "
     "and one in which both do; risky traffic first, then the crash with the highest closing speed."
 )
-# Scenarios that are shown by (control crashes, treated agent crashes): kind, title, and how many at most.
-KINDS = {
-    (True, False): ("control", "Only the control agent crashes", 3),
-    (False, True): ("treatment", "Only the treated agent crashes", 3),
-    (True, True): ("both", "Both agents crash", 1),
-}
+# Scenarios that are shown by (control crashes, treated agent crashes): kind, and how many at most.
+KINDS = {(True, False): ("control", 3), (False, True): ("treatment", 3), (True, True): ("both", 1)}
 INTERVAL = 0.2  # [s] between two frames of a film
 NEAR = 75.0  # [m] from the ego: other vehicles are not stored
 MARGIN = 90.0  # [m] around the egos' ways in which the road is stored
@@ -133,7 +129,7 @@ def choose(tables: Mapping[str, pd.DataFrame]) -> list[dict[str, Any]]:
     both = both.assign(speed=speed)
     both = both.sort_values(["traffic", "speed"], ascending=False, kind="stable")  # risky first
     chosen = []
-    for (control, treated), (kind, _, most) in KINDS.items():
+    for (control, treated), (kind, most) in KINDS.items():
         rows = both[(both["crashed_c"].astype(bool) == control) & (both["crashed_t"].astype(bool) == treated)]
         chosen += [{"kind": kind, **one} for one in rows[keys].head(most).to_dict("records")]
     return chosen

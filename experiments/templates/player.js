@@ -11,6 +11,7 @@
   const LENGTH = 5, WIDTH = 2; // [m] of a car
   const STEP = 0.2; // [s] of the arrow keys
   const FRAME = 33; // [ms] between two frames
+  const KINDS = { control: "Only the control agent crashes", treatment: "Only the treated agent crashes", both: "Both agents crash" };
   let current = null, time = 0, playing = false, before = 0;
 
   const sums = (values) => { let sum = 0; return values.map((value) => (sum += value)); };
@@ -143,16 +144,12 @@
     window.setTimeout(tick, FRAME);
   }
 
-  /** The first crash; infinite where there is none. */
-  const telling = () => Math.min(...ARMS.map((arm) => current[arm].crash ?? Infinity), Infinity);
-
   function choose(number) {
     const { place, film } = films[number];
     current = { number, place, control: unpack(film.control), treatment: unpack(film.treatment) };
     current.end = Math.max(...ARMS.map((arm) => current[arm].times[current[arm].times.length - 1]));
-    const index = places.indexOf(place);
-    part("task").selectedIndex = index;
-    for (const option of part("film").options) option.hidden = option.disabled = Number(option.dataset.place) !== index;
+    part("task").selectedIndex = places.indexOf(place);
+    for (const option of part("film").options) option.hidden = option.disabled = films[option.value].place !== place;
     part("film").value = String(number);
     part("time").max = String(current.end);
     section.classList.toggle("flat", place.flat && place.follow);
@@ -161,14 +158,14 @@
       part(`ending-${arm}`).textContent = `In the end: ${film[arm].ending}.`;
     }
     play(false);
-    const moment = telling();
-    show(Number.isFinite(moment) ? Math.max(moment - 2, 0) : 0); // two seconds before the crash
+    show(Math.min(...ARMS.map((arm) => current[arm].crash ?? Infinity)) - 2); // two seconds before the first crash
   }
 
-  part("task").addEventListener("change", (event) => choose(Number(event.target.value)));
+  for (const place of places) part("task").add(new Option(`${place.task} ${place.level_name} (${place.backend})`));
+  films.forEach(({ film }, number) => part("film").add(new Option(`${KINDS[film.kind]} (${film.traffic} traffic, scenario ${film.scenario})`, number)));
+  part("task").addEventListener("change", (event) => choose(films.findIndex(({ place }) => place === places[event.target.selectedIndex])));
   part("film").addEventListener("change", (event) => choose(Number(event.target.value)));
   part("next").addEventListener("click", () => choose((current.number + 1) % films.length));
-  part("previous").addEventListener("click", () => choose((current.number + films.length - 1) % films.length));
   part("play").addEventListener("click", () => play(!playing));
   part("time").addEventListener("input", (event) => { play(false); show(Number(event.target.value)); });
   section.addEventListener("keydown", (event) => {
@@ -177,16 +174,11 @@
       " ": () => part("play").click(),
       ArrowRight: () => { play(false); show(time + STEP); },
       ArrowLeft: () => { play(false); show(time - STEP); },
-      Home: () => { play(false); show(0); },
-      End: () => { play(false); show(current.end); },
-      n: () => part("next").click(),
-      p: () => part("previous").click(),
     };
     if (event.key === " " && event.target.tagName === "BUTTON") return; // a button answers to the space bar itself
     if (keys[event.key]) { event.preventDefault(); keys[event.key](); }
   });
   window.addEventListener("resize", () => show(time));
-  window.addEventListener("beforeprint", () => { play(false); const moment = telling(); if (Number.isFinite(moment)) show(moment); });
   section.hidden = false;
   choose(0);
 })();

@@ -1,7 +1,6 @@
 """The results in README.md and docs/study.md: ``python docs/results_table.py`` writes the tables, ``--check`` compares.
 
-Crash rates and speed of the agents of each training and task of the second study; levels weighted alike. The
-differences from control and their 95 % intervals are those of the analysis. Bold: the interval excludes 0.
+Crash rates and speed of the agents of each training and task of the second study, as the analysis has them.
 """
 
 from __future__ import annotations
@@ -10,7 +9,6 @@ import json
 import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from statistics import fmean
 from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -48,20 +46,6 @@ def records(analysis: dict[str, Any], name: str) -> list[dict[str, Any]]:
     return [dict(zip(analysis[name]["columns"], row, strict=True)) for row in analysis[name]["rows"]]
 
 
-def tasks(analysis: dict[str, Any]) -> list[str]:
-    """The tasks that have agents, in the order of the tables."""
-    found = {row["task"] for row in records(analysis, "policies") if row["arm"]}
-    return [task for task in TASKS if task in found]
-
-
-def means(analysis: dict[str, Any], traffic: str, outcome: str, arm: str) -> dict[str, float]:
-    """The mean of an arm's agents for each task, over its levels, and over the tasks."""
-    wanted = ("dqn", arm, traffic)
-    rows = [r for r in records(analysis, "policies") if (r["policy"], r["arm"], r["traffic"]) == wanted]
-    found = {task: fmean(r[outcome] for r in rows if r["task"] == task) for task in tasks(analysis)}
-    return {**found, "all tasks": fmean(found.values())}
-
-
 def lines(analysis: dict[str, Any], shown: Sequence[str]) -> Iterator[str]:
     """What the numbers are, and the table with a row for each task."""
     ways = " → ".join(ARMS[arm] for arm in shown)
@@ -76,12 +60,15 @@ def lines(analysis: dict[str, Any], shown: Sequence[str]) -> Iterator[str]:
         for r in records(analysis, "means")
         if (r["against"], r["scenarios"]) == ("control", "own")
     }
-    for scope in (*tasks(analysis), "all tasks"):
+    for scope in (
+        scope for scope in (*TASKS, "all tasks") if (shown[-1], scope, "crashed", "risky") in effects
+    ):
         cells = [NAMES.get(scope, scope)]
         for outcome, traffic, scale, digits in COLUMNS:
-            rates = [f"{means(analysis, traffic, outcome, arm)[scope] * scale:.{digits}f}" for arm in shown]
-            finer = 1 if scope == "all tasks" else digits
             rows = [effects[arm, scope, outcome, traffic] for arm in shown if arm != "control"]
+            means = [rows[0]["mean_against"], *(row["mean_arm"] for row in rows)]
+            rates = [f"{mean * scale:.{digits}f}" for mean in means]
+            finer = 1 if scope == "all tasks" else digits
             changes = [difference(row, scale, finer).replace(" ", SPACE) for row in rows]
             cells.append(f"{SPACE.join(' → '.join(rates).split())}: {', '.join(changes)}")
         yield f"| {' | '.join(cells)} |\n"

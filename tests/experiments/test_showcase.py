@@ -129,7 +129,10 @@ def test_the_page_plays_without_an_error(copy, monkeypatch):
       window.onerror = (message) => { document.title = `error: ${message}`; };
       const key = (name) => document.getElementById("player").dispatchEvent(new KeyboardEvent("keydown", {key: name}));
       const player = document.getElementById("player"), start = player.dataset.time;
-      key("End"); const end = player.dataset.time; key("Home"); const home = player.dataset.time;
+      const slider = player.querySelector("[data-part=time]");
+      const moved = () => { slider.dispatchEvent(new Event("input")); return player.dataset.time; };
+      const set = (value) => { slider.value = value; return moved(); };
+      const end = set(slider.max), home = set("0");
       key("ArrowRight"); const step = player.dataset.time; key(" "); const playing = player.dataset.playing;
       const tell = () => { document.title = JSON.stringify([start, end, home, step, playing, player.dataset.time]); };
       setTimeout(tell, 700);

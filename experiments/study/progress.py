@@ -75,7 +75,7 @@ class Progress(Observer):
             disable=not self._console.is_terminal,
             speed_estimate_period=MEMORY,
         )
-        self._bar = self._bars.add_task("", total=sum(self._costs.values()), completed=self._done())
+        self._bar = self._bars.add_task("", total=sum(self._costs.values()), completed=int(self._done()))
         self._bars.start()
         self._shown = time.monotonic()
 

@@ -45,6 +45,8 @@ OWN_LANE_CHANGES = 1621  # the lane-change model decides; how SUMO's vehicles be
 LIGHTS = {"r": RED, "u": RED, "s": RED, "y": YELLOW, "Y": YELLOW, "g": GREEN, "G": GREEN}
 
 HALF_LENGTH = VEHICLE_LENGTH / 2.0
+# [s] The ego's centre then crosses the line between two lanes when highway-env's does, after 0.45 to 0.5 s.
+LANE_CHANGE_DURATION = 0.8
 
 
 @dataclass(frozen=True)
@@ -55,7 +57,6 @@ class Settings:
         net_file: SUMO's network.
         routes: (id, edges).
         step_length: [s].
-        lane_change_duration: time that a lane change takes [s].
         vehicle_types: (id, attributes of SUMO's vType).
         options: further options of SUMO, as ``--name=value``.
     """
@@ -63,7 +64,6 @@ class Settings:
     net_file: Path
     routes: tuple[tuple[str, tuple[str, ...]], ...]
     step_length: float
-    lane_change_duration: float
     vehicle_types: tuple[tuple[str, Mapping[str, str]], ...]
     options: tuple[str, ...] = ()
 
@@ -108,7 +108,7 @@ class Session:
                 "--net-file": str(settings.net_file),
                 "--additional-files": ",".join(filter(None, additional)),
                 "--step-length": f"{settings.step_length:.6g}",
-                "--lanechange.duration": f"{settings.lane_change_duration:g}",
+                "--lanechange.duration": f"{LANE_CHANGE_DURATION:g}",
                 "--collision.action": "warn",
                 "--collision.check-junctions": "true",
                 "--collision.mingap-factor": "0",

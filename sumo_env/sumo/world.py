@@ -33,8 +33,6 @@ from sumo_env.sumo.surroundings import Surroundings
 from sumo_env.traffic.drivers import Calibration, Driver, vehicle_type
 from sumo_env.traffic.scenario import EGO, EGO_DISTANCE, Scenario, VehicleSpec, fits
 
-# [s] The ego's centre then crosses the line between two lanes when highway-env's does, after 0.45 to 0.5 s.
-LANE_CHANGE_DURATION = 0.8
 EXIT_LENGTH = 20.0  # [m] from the end of the intersection's exits, where vehicles leave (_clear_vehicles)
 
 
@@ -132,7 +130,6 @@ class SumoSimulator:
             self._network.net_file,
             tuple(self._network.routes.items()),
             self._dt,
-            LANE_CHANGE_DURATION,
             tuple(
                 (name, vehicle_type(driver, scenario.calibration)) for name, driver in self._drivers.items()
             ),

@@ -24,13 +24,7 @@ MIN_GAIN = 0.2  # [m/s2] IDMVehicle.LANE_CHANGE_MIN_ACC_GAIN
 LARGEST = 30.0  # [m] length and width of a vehicle
 MAX_SPEED = 60.0  # [m/s] more than anybody drives
 # Attributes of a vehicle type that a driver of one's own cannot have.
-UNCHANGED = {
-    **dict.fromkeys(("id", "guiShape"), "vehicles are boxes with names of their own"),
-    **dict.fromkeys(
-        ("speedFactor", "speedDev"),
-        "the target_speed of a VehicleSpec is the speed that a vehicle wants to drive, and 'maxSpeed' limits it",
-    ),
-}
+UNCHANGED = {"id", "guiShape", "speedFactor", "speedDev"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,8 +116,11 @@ class Driver:
             ValueError: attributes that SUMO does not know, or that would have no effect here.
         """
         check_attributes(name, attributes)
-        for key in sorted(UNCHANGED.keys() & attributes.keys()):
-            raise ValueError(f"{key} of {name!r} would have no effect: {UNCHANGED[key]}")
+        for key in sorted(UNCHANGED & attributes.keys()):
+            raise ValueError(
+                f"{key} of {name!r} would have no effect: vehicles are boxes with names of their own, which want to "
+                "drive the target_speed of their VehicleSpec"
+            )
         for key in {"length", "width"} & attributes.keys():
             if not 0.1 <= float(str(attributes[key])) <= LARGEST:
                 raise ValueError(

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from functools import lru_cache
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -82,16 +81,11 @@ def save(agents: Mapping[str, tuple[Mapping[str, Any], Greedy]], file: str | Pat
     save_arrays(file, arrays)
 
 
-@lru_cache(2)
-def _read(file: Path, changed: int) -> dict[str, np.ndarray]:
+def _arrays(file: Path) -> dict[str, np.ndarray]:
     from agents.checkpoint import load_arrays
 
-    return load_arrays(file)
-
-
-def _arrays(file: Path) -> dict[str, np.ndarray]:
     if not file.exists():
         raise FileNotFoundError(
             f"There is no {file}: write it from a study with python -m experiments.study.publish DIR."
         )
-    return _read(file, file.stat().st_mtime_ns)
+    return load_arrays(file)

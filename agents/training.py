@@ -71,16 +71,6 @@ class TrainedAgent:
         return not all(look.largest <= Q_SLACK * self.q_bound for look in self.probe_q)
 
 
-@dataclass(frozen=True)
-class Progress:
-    """How far a training is; passed to the callback after every block of updates."""
-
-    updates: int
-    budget: int
-    episodes: int  # played so far
-    mean_return: float  # over the last 20 episodes
-
-
 class Training:
     """One agent in training, with everything that is written down about it."""
 
@@ -180,7 +170,7 @@ def train(
     probe: np.ndarray | None = None,
     checkpoint: str | Path | None = None,
     checkpoint_interval: int = 1000,
-    progress: Callable[[Progress], None] | None = None,
+    progress: Callable[[int], None] | None = None,
     marks: Sequence[int] = (),
     at_mark: Callable[[int, Greedy], None] | None = None,
 ) -> TrainedAgent:
@@ -240,8 +230,7 @@ def train(
         if checkpoint is not None and (_due(updates, done, checkpoint_interval) or done == config.updates):
             save_arrays(checkpoint, {"settings": np.array(json.dumps(settings)), **training.state_dict()})
         if progress is not None:
-            returns = training.log["return"]
-            progress(Progress(done, config.updates, len(returns), float(np.mean(returns[-20:]))))
+            progress(done)
     return training.result()
 
 

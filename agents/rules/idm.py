@@ -106,6 +106,3 @@ def _along(view: View) -> tuple[np.ndarray, np.ndarray]:
 def _turned(view: View, along: np.ndarray) -> np.ndarray:
     """Headings of the others against that of the arc where they are [rad], (n,)."""
     return view.headings - view.curvature * along
-
-
-__all__ = ["IDM", "acceleration"]

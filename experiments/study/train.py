@@ -16,7 +16,7 @@ from agents.dqn import DQNConfig
 from agents.greedy import Greedy
 from agents.models import network_class
 from agents.streams import episode_seed
-from agents.training import Progress, TrainedAgent, train
+from agents.training import TrainedAgent, train
 from experiments.study.arms import DRAWN, drawn_dose, training_seed
 from experiments.study.grid import Cell
 from experiments.study.policies import check
@@ -76,10 +76,10 @@ def train_cell(
     files = {round(share * config.updates): directory / f"mark-{k}.npz" for k, share in enumerate(marks)}
     told = 0
 
-    def progress(state: Progress) -> None:
+    def progress(updates: int) -> None:
         nonlocal told
-        on_updates(state.updates - told)
-        told = state.updates
+        on_updates(updates - told)
+        told = updates
 
     try:
         agent = train(

@@ -16,7 +16,7 @@ from agents import training
 from agents.checkpoint import CheckpointError
 from agents.dqn import DQNConfig
 from agents.models import EgoAttention
-from agents.training import Progress, TrainedAgent
+from agents.training import TrainedAgent
 from tests.agents.road import Road, Small
 
 SMALL = DQNConfig(updates=300, steps_per_update=1, batch_size=16, warm_up=30, probe_interval=90)
@@ -95,15 +95,15 @@ def test_an_interrupted_training_goes_on_bit_for_bit(tmp_path: Path, moments: tu
     file = tmp_path / "new folder" / "checkpoint.npz"
     for moment in moments:
 
-        def stop(progress: Progress, moment: int = moment) -> None:
-            if progress.updates == moment:
+        def stop(updates: int, moment: int = moment) -> None:
+            if updates == moment:
                 raise Interrupted
 
         with pytest.raises(Interrupted):
             train(Road(), SMALL, 0, checkpoint=file, checkpoint_interval=60, progress=stop)
     seen: list[int] = []
     going_on = {"checkpoint": file, "checkpoint_interval": 60}
-    actual = train(Road(), SMALL, 0, **going_on, progress=lambda p: seen.append(p.updates))
+    actual = train(Road(), SMALL, 0, **going_on, progress=seen.append)
     first = moments[-1] // 60 * 60 + 20
     assert seen == list(range(first, 301, 20))  # it went on, it did not begin again
     assert_equal(expected, actual)
@@ -142,7 +142,7 @@ def test_a_checkpoint_of_another_training_is_refused(tmp_path, changed: dict[str
         train(Road(), **(arguments | changed))
 
 
-def _interrupt(_: Progress) -> None:
+def _interrupt(_: int) -> None:
     raise Interrupted
 
 

@@ -32,7 +32,7 @@ def cross(shape: str | None) -> list[tuple[float, bool]]:
     if shape is not None:
         attributes["guiShape"] = shape
     session = Session()
-    settings = Settings(net.net_file, tuple(net.routes.items()), STEP, 0.8, (("car", attributes),))
+    settings = Settings(net.net_file, tuple(net.routes.items()), STEP, (("car", attributes),))
     rng = np.random.default_rng(1)
     arms = list(itertools.permutations(range(4), 2))
     results = []

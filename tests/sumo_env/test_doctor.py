@@ -49,18 +49,3 @@ def test_episodes_that_differ_are_told(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(DrivingEnv, "reset", lambda self, **kwargs: reset(self, seed=next(seeds)))
     with pytest.raises(RuntimeError, match="two different episodes"):
         doctor.task("sumo/u-turn-v0")
-
-
-def test_a_worker_that_drives_another_episode_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
-    from sumo_env.sumo.process import _Worker
-
-    exchange = _Worker.exchange
-
-    def slower(worker: _Worker, command: str, arguments: Any, timeout: float) -> Any:
-        if command == "step":
-            arguments = (arguments[0]._replace(target_speed=1.0), *arguments[1:])
-        return exchange(worker, command, arguments, timeout)
-
-    monkeypatch.setattr(_Worker, "exchange", slower)
-    with pytest.raises(doctor.Problem, match="drives another episode than this process"):
-        doctor.workers()

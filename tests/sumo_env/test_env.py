@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import warnings
 from collections.abc import Iterator
-from dataclasses import replace
 from typing import Any
 
 import gymnasium as gym
@@ -18,10 +17,7 @@ from gymnasium.utils.env_checker import check_env
 import sumo_env
 from sumo_env.config import ConfigError
 from sumo_env.env import DrivingEnv
-from sumo_env.scene import Scene
-from sumo_env.simulator import EgoCommand, Step
 from sumo_env.tasks import TASKS
-from sumo_env.traffic.scenario import Scenario
 from tests.processes import python
 from tests.sumo_env.rollout import drive
 
@@ -50,23 +46,9 @@ def test_gymnasium_and_stable_baselines_have_nothing_to_object_to(id: str, risk:
     assert [text for text in messages if not any(known in text for known in EXPECTED_WARNINGS)] == []
 
 
-@pytest.mark.parametrize("task", ["highway", "two-way", "roundabout", "u-turn"])
-def test_time_to_collision_grids(task: str) -> None:
-    env = DrivingEnv(task, {"observation": {"type": "TimeToCollision", "horizon": 5}})
-    observation, _ = env.reset(seed=1)
-    assert observation.shape == (3, 3, 5)
-    assert env.observation_space.contains(env.step(1)[0])
-    env.close()
-
-
 def test_ids_can_be_made_without_an_import() -> None:
     code = "import gymnasium as gym; print(gym.make('sumo_env:sumo/u-turn-v0').reset(seed=0)[0].shape)"
     assert python("-c", code).strip() == "(5, 5)"
-
-
-def test_spec_makes_the_same_environment_again(highway: gym.Env[Any, Any]) -> None:
-    again = highway.spec.make()
-    assert again.unwrapped.config == highway.unwrapped.config
 
 
 @pytest.mark.parametrize("id", sumo_env.IDS)
@@ -211,19 +193,6 @@ def test_a_step_before_a_reset_is_refused() -> None:
         DrivingEnv("highway").step(1)
 
 
-def test_closing_one_environment_leaves_the_other_alone() -> None:
-    first, second = DrivingEnv("highway"), DrivingEnv("highway")
-    first.reset(seed=0)
-    second.reset(seed=0)
-    first.close()
-    first.close()
-    second.step(1)
-    with pytest.raises(gym.error.ResetNeeded):
-        first.step(1)
-    first.reset(seed=0)
-    first.step(1)
-
-
 def test_an_episode_may_start_from_a_given_scenario() -> None:
     env = DrivingEnv("highway", {"vehicles_count": 10})
     env.reset(seed=0)
@@ -236,50 +205,6 @@ def test_an_episode_may_start_from_a_given_scenario() -> None:
     env.reset(seed=0)
     assert env.scenario != other
     env.close()
-
-
-class Convoy:
-    """A simulator in which all vehicles drive at the ego's target speed; notes what it is asked for."""
-
-    def __init__(self) -> None:
-        self.asked: list[Any] = []
-
-    def reset(self, scenario: Scenario) -> Scene:
-        self.asked.append("reset")
-        specs = scenario.specs
-        columns = np.array([(spec.x, spec.y, spec.speed, spec.heading) for spec in specs]).T
-        self.scene = Scene(tuple(spec.id for spec in specs), *columns, np.zeros(len(specs), bool), 0.0)
-        return self.scene
-
-    def step(self, command: EgoCommand, trace: bool = False) -> Step:
-        self.asked.append(command)
-        now = self.scene
-        speed = np.full(len(now), command.target_speed)
-        self.scene = replace(now, x=now.x + speed, speed=speed, time=now.time + 1.0)
-        return Step(self.scene, command.target_lane, None, 1.4, command.target_speed)
-
-    def close(self) -> None:
-        self.asked.append("close")
-
-
-def test_any_simulator_may_drive() -> None:
-    """The environment makes commands of actions, and observations, rewards and info of steps; it needs no more."""
-    simulator = Convoy()
-    env = DrivingEnv("highway", {"initial_lane_id": 1, "duration": 3}, simulator=simulator)
-    assert simulator.asked == []
-    env.reset(seed=0)
-    steps = [env.step(action) for action in (3, 2, 1)]
-    env.close()
-    left, right = ("0", "1", 1), ("0", "1", 2)
-    commands = [EgoCommand(30.0, left), EgoCommand(30.0, right), EgoCommand(30.0, right)]
-    assert simulator.asked == ["reset", *commands, "close"]
-    assert [step[2:4] for step in steps] == [(False, False), (False, False), (False, True)]
-    observation, reward, _, _, info = steps[-1]
-    assert env.observation_space.contains(observation) and reward > 0.9
-    assert (info["speed"], info["distance"], info["min_ttc"], info["near_miss"]) == (30.0, 30.0, 1.4, True)
-    env.reset(seed=0)  # the same simulator again
-    env.close()
-    assert simulator.asked[-2:] == ["reset", "close"]
 
 
 def test_info_holds_plain_values(highway: gym.Env[Any, Any]) -> None:

@@ -31,16 +31,12 @@ CROSSING = {
 LINEAR = "highway_env.vehicle.behavior.LinearVehicle"
 # The environments of rl-agents' scripts/configs, by file.
 RL_AGENTS: dict[str, tuple[str, Config]] = {
-    "HighwayEnv/env": ("highway", {}),
     "HighwayEnv/env_easy_constraint": (
         "highway",
         {
             "lanes_count": 2, "vehicles_count": 5, "duration": 20, "centering_position": [0.3, 0.5],
             "other_vehicles_type": "highway_env.vehicle.behavior.IDMVehicle", "collision_reward": 0,
         },
-    ),
-    "HighwayEnv/env_medium": (
-        "highway", {"lanes_count": 3, "vehicles_count": 15, "duration": 40, "policy_frequency": 2}
     ),
     "HighwayEnv/env_obs_attention": (
         "highway",
@@ -54,12 +50,8 @@ RL_AGENTS: dict[str, tuple[str, Config]] = {
     ),
     "IntersectionEnv/env_5fps": (
         "intersection",
-        {
-            "policy_frequency": 5, "show_history": False, "destination": "o1", "duration": 15,
-            "observation": {**CROSSING, "order": "sorted"},
-        },
+        {"policy_frequency": 5, "show_history": False, "destination": "o1", "duration": 15},
     ),
-    "IntersectionEnv/env_right": ("intersection", {"destination": "o3"}),
     "RoundaboutEnv/env_route_0 without its vehicles": ("roundabout", {"incoming_vehicle_destination": 0}),
     "TwoWayEnv/env": (
         "two-way", {"screen_height": 300, "observation": {"type": "TimeToCollision", "horizon": 5}}
@@ -72,7 +64,6 @@ REFUSED: dict[str, tuple[str, Config, str]] = {
     ),
     "HighwayEnv/env_multi_agent": ("highway", {"controlled_vehicles": 3}, "there is one ego"),
     "IntersectionEnv/env_grid": ("intersection", {"observation": {"type": "OccupancyGrid"}}, "known: Kinematics"),
-    "RoundaboutEnv/env": ("roundabout", {"other_vehicles_type": LINEAR}, "SUMO drives"),
 }  # fmt: skip
 
 

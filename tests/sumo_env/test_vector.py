@@ -67,24 +67,6 @@ def test_equal_to_gymnasiums_loop_over_single_environments(kwargs: dict[str, Any
     theirs.close()
 
 
-def test_returned_arrays_stay_as_they_are(envs: SumoVectorEnv) -> None:
-    first, _ = envs.reset(seed=1)
-    kept = first.copy()
-    envs.step([1, 1])
-    np.testing.assert_array_equal(first, kept)
-    assert first.dtype == np.float32
-
-
-def test_seeds(envs: SumoVectorEnv) -> None:
-    both, _ = envs.reset(seed=5)
-    listed, _ = envs.reset(seed=[5, 6])
-    turned, _ = envs.reset(seed=[6, 5])
-    np.testing.assert_array_equal(both, listed)
-    np.testing.assert_array_equal(both, turned[::-1])
-    with pytest.raises(ValueError, match="length=3"):
-        envs.reset(seed=[1, 2, 3])
-
-
 def test_some_can_be_reset_alone(envs: SumoVectorEnv) -> None:
     envs.reset(seed=5)
     before, *_ = envs.step([1, 1])
@@ -135,28 +117,6 @@ def test_a_killed_worker_is_replaced(envs: SumoVectorEnv) -> None:
     assert infos["_speed"].tolist() == [True, True]
     assert simulator(envs, 0).pid == pids[0]
     assert simulator(envs, 1).pid != pids[1]
-
-
-def test_what_follows_a_death_is_reproducible(envs: SumoVectorEnv) -> None:
-    after = []
-    for _ in range(2):
-        envs.reset(seed=3)
-        kill(envs, 0)
-        with pytest.warns(UserWarning, match="killed by SIGKILL"):
-            envs.step([1, 1])
-        after.append(envs.step([1, 1])[0])
-    np.testing.assert_array_equal(after[0], after[1])
-    assert not np.array_equal(after[0][0], envs.reset(seed=3)[0][0])
-
-
-def test_a_new_worker_has_the_configuration_of_the_last_reset(envs: SumoVectorEnv) -> None:
-    envs.reset(seed=0, options={"config": {"risk": 0.5}})
-    kill(envs, 0)
-    with pytest.warns(UserWarning, match="risk 0.5"):
-        envs.step([1, 1])
-    envs.step([1, 1])
-    assert [config["risk"] for config in envs.get_attr("config")] == [0.5, 0.5]
-    assert [scenario.risk for scenario in envs.get_attr("scenario")] == [0.5, 0.5]
 
 
 def test_a_worker_that_died_before_a_reset_loses_nothing(envs: SumoVectorEnv) -> None:

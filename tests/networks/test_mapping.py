@@ -83,19 +83,6 @@ def test_routes_in_the_ring_start_one_edge_earlier():
                 assert net.sumo_route(index, end) in net.routes
 
 
-def test_routes_across_the_intersection():
-    net = network("intersection")
-    assert net.routes[net.sumo_route(("o0", "ir0", 0), "o1")] == ("o0-ir0", "il1-o1")
-    assert net.routes[net.sumo_route(("ir0", "il1", 0), "o1")] == ("o0-ir0", "il1-o1")
-    assert net.routes[net.sumo_route(("il1", "o1", 0))] == ("il1-o1",)
-
-
-def test_u_turn_has_one_way_out():
-    net = network("u-turn")
-    assert net.routes[net.sumo_route(("a", "b", 1))] == ("a-b", "b-c", "c-d")
-    assert net.routes[net.sumo_route(("c", "d", 1), "d")] == ("b-c", "c-d")
-
-
 def test_lanes_inside_the_intersection_have_names():
     net = network("intersection")
     inside = {index for index in net.lanes if index[0].startswith("ir")}

@@ -11,7 +11,7 @@ import shapely
 from sumo_env.contacts.measures import density, ego_ttc, headways
 from sumo_env.contacts.rectangles import State
 
-from .shapes import polygons, state
+from .shapes import polygons
 
 HORIZON = 4.0
 STEP = 0.02
@@ -92,28 +92,6 @@ def test_the_time_of_the_ego_is_the_least_of_all(traffic) -> None:
     assert ego_ttc(ego, []) == math.inf
 
 
-@pytest.mark.parametrize(
-    "other, speed, expected",
-    [
-        (state(25.0, 0.0, 0.0, 10.0), 20.0, 2.0),  # (25 - 5) / (20 - 10)
-        (state(25.0, 1.9, 0.0, 10.0), 20.0, 2.0),  # the sides overlap by 0.1 m
-        (state(25.0, 2.1, 0.0, 10.0), 20.0, math.inf),  # next to each other
-        (state(25.0, 0.0, 0.0, 20.0), 10.0, math.inf),  # the leader is faster
-        (state(65.0, 0.0, math.pi, 10.0), 20.0, 2.0),  # head on
-        (state(20.0, -20.0, math.pi / 2, 10.0), 10.0, 1.65),  # crossing
-        (state(30.0, 0.0, 0.0, 0.0), 0.0, math.inf),  # both stand
-    ],
-)
-def test_textbook_cases(other: State, speed: float, expected: float) -> None:
-    assert ego_ttc(state(0.0, 0.0, 0.0, speed), [other]) == pytest.approx(expected)
-
-
-def test_nothing_counts_beyond_the_horizon() -> None:
-    ego, leader = state(0.0, 0.0, 0.0, 20.0), state(25.0, 0.0, 0.0, 10.0)
-    assert ego_ttc(ego, [leader], 1.9) == math.inf
-    assert ego_ttc(ego, [leader], 2.1) == pytest.approx(2.0)
-
-
 def test_headway_is_to_the_nearest_in_the_corridor() -> None:
     x = np.array([0.0, 30.0, 20.0, 25.0, -10.0, 95.0])
     y = np.array([0.0, 0.5, 2.5, -1.9, 0.0, 0.0])
@@ -127,11 +105,6 @@ def test_headway_follows_the_heading() -> None:
     x, y = np.array([0.0, 0.0, 0.0]), np.array([0.0, -15.0, 15.0])
     ours = headways(x, y, np.full(3, 5.0), np.full(3, -math.pi / 2))  # all drive north, y is down
     assert ours == pytest.approx([2.0, math.inf, 2.0])
-
-
-def test_an_empty_road_has_no_headways() -> None:
-    none = np.empty(0)
-    assert headways(none, none, none, none).shape == (0,)
 
 
 def test_density_counts_the_others_within_the_radius() -> None:

@@ -53,10 +53,6 @@ def test_distance_equals_shapely(pairs) -> None:
     assert (over(separation, first, second)[inside] <= 0.0).all()
 
 
-def test_separation_never_exceeds_the_distance(pairs) -> None:
-    assert (over(separation, *pairs) <= over(distance, *pairs) + 1e-12).all()
-
-
 def test_penetration_is_the_shortest_way_out(pairs) -> None:
     first, second = (poses[:3000] for poses in pairs)
     depth = -over(distance, first, second)
@@ -83,12 +79,6 @@ def test_contact_equals_highway_env(pairs) -> None:
             for pose in (first[k], second[k])
         )
         assert utils.are_polygons_intersecting(a, b, np.zeros(2), np.zeros(2))[0] == ours[k]
-
-
-def test_touching_is_contact() -> None:
-    assert separation(state(0.0, 0.0), state(5.0, 0.0)) <= 0.0
-    assert separation(state(0.0, 0.0), state(0.0, 2.0, math.pi)) <= 0.0
-    assert separation(state(0.0, 0.0), state(5.0 + 1e-9, 0.0)) > 0.0
 
 
 @pytest.fixture(scope="module")
@@ -126,16 +116,6 @@ def test_touches_on_the_way_equal_shapely_with_a_recall_of_999(ways) -> None:
     assert (gaps.min(axis=0)[np.isfinite(ours)] < 0.03).all()  # none where shapely sees a gap all the way
     both = met & np.isfinite(ours)
     assert np.abs(ours[both] - (gaps[:, both] == 0.0).argmax(axis=0) / looks).max() <= FINEST + 1e-4
-
-
-def test_vehicles_that_exchange_their_places_within_a_sub_step_meet() -> None:
-    near, far = state(0.0, 0.0), state(8.0, 0.0, math.pi)
-    moment = touch_moment(near, state(8.0, 0.0), far, state(0.0, 0.0, math.pi))
-    assert moment == pytest.approx(3.0 / 16.0, abs=1e-9)  # 3 m between the bumpers, 16 m travelled
-
-
-def test_vehicles_side_by_side_do_not_meet() -> None:
-    assert touch_moment(state(0.0, 0.0), state(3.0, 0.0), state(1.0, 2.001), state(4.5, 2.001)) == math.inf
 
 
 def test_turning_the_short_way_through_the_half_turn() -> None:

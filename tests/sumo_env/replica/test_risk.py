@@ -79,27 +79,9 @@ def test_sudden_braking_lasts_as_long_as_the_event_says() -> None:
     assert marked(seen, "v5") == list(range(16, 31))
 
 
-def test_a_surge_accelerates_whatever_the_driver_wants() -> None:
-    drawn = scenario("highway", RiskEvent(0.0, "v11", "surge", accel=4.0, duration=1.0), vehicles_count=12)
-    seen = driven(drawn, 1, "v11")
-    assert np.all(np.diff([scene.speed[row] for scene, row in seen]) * 15 >= 4.0 - 1e-9)
-    assert marked(seen, "v11") == list(range(15))
-
-
 def test_a_surge_that_pauses_is_not_marked() -> None:
     surge = RiskEvent(0.0, "v0", "surge", accel=4.0, duration=1.0, way=1000.0)
     assert marked(driven(scenario("highway", surge, lanes_count=1), 1, "v0"), "v0") == []
-
-
-def test_a_cut_in_goes_to_the_lane_beside_at_once() -> None:
-    drawn = scenario(
-        "highway", RiskEvent(0.0, "v11", "cut-in", direction=1), vehicles_count=12, lanes_count=2
-    )
-    seen = driven(drawn, 2, "v11")
-    y = [scene.y[row] for scene, row in seen]
-    assert abs(y[-1] - y[0]) == pytest.approx(4.0, abs=0.4)
-    assert marked(seen, "v11") == list(range(len(marked(seen, "v11"))))
-    assert 5 <= len(marked(seen, "v11")) <= 25  # until the car is on the other lane
 
 
 def test_a_swerve_on_the_two_way_road_comes_back() -> None:

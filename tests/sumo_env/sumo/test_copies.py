@@ -9,7 +9,7 @@ import os
 import pickle
 import signal
 import socket
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import gymnasium as gym
@@ -269,15 +269,6 @@ def test_copies_leave_no_process_no_descriptor_no_folder(begun: SumoProcess) -> 
     leaves_nothing(begun, 30)
 
 
-@pytest.mark.long
-def test_a_thousand_copies_leave_nothing() -> None:
-    simulator = SumoProcess()
-    env = DrivingEnv("highway", simulator=simulator)
-    env.reset(seed=0)
-    leaves_nothing(simulator, 1000)
-    env.close()
-
-
 @pytest.mark.slow
 def test_copies_in_a_program_with_threads_of_torch() -> None:
     torch = pytest.importorskip("torch")
@@ -304,18 +295,11 @@ def test_options_that_forbid_copies(options: list[str], tmp_path, monkeypatch) -
     env.close()
 
 
-CHANGES: dict[str, Callable[[], object]] = {
-    "speed": lambda: libsumo.vehicle.setSpeed("v0", 1.0),
-    "a vehicle less": lambda: libsumo.vehicle.remove("v0"),
-}
-
-
-@pytest.mark.parametrize("change", CHANGES)
-def test_a_simulation_that_was_changed_through_libsumo_is_not_copied(change: str) -> None:
+def test_a_simulation_that_was_changed_through_libsumo_is_not_copied() -> None:
     env = DrivingEnv("highway")
     env.reset(seed=0)
     env.step(1)
-    CHANGES[change]()
+    libsumo.vehicle.setSpeed("v0", 1.0)
     result = env.step(1)
     with pytest.raises(SimulatorError, match="changed through libsumo"):
         copy.deepcopy(env)

@@ -51,21 +51,6 @@ def test_the_same_episodes_in_this_process_and_in_a_worker(task: str) -> None:
 
 
 @pytest.mark.slow
-def test_make_vec_of_four(tmp_path: Path) -> None:
-    """All four have workers, so a crash of SUMO cannot take the script with it."""
-    assert run(
-        tmp_path,
-        """
-        import sys
-        import gymnasium as gym, numpy as np, sumo_env
-        envs = gym.make_vec("sumo/highway-v0", num_envs=4, config=CONFIG)
-        envs.reset(seed=0)
-        print(*envs.step(np.ones(4, int))[0].shape, "libsumo" in sys.modules)
-        """,
-    ) == ["4", "5", "5", "False"]
-
-
-@pytest.mark.slow
 def test_dqn_with_an_evaluation_callback(tmp_path: Path) -> None:
     calls, reward = run(
         tmp_path,

@@ -73,16 +73,6 @@ def test_vehicles_begin_where_the_scenario_puts_them(task: str, simulator: SumoS
 # -- the ego's motion --------------------------------------------------------------------------------------
 
 
-def test_idle_ego_keeps_speed_and_lane(start: Start) -> None:
-    env = start("highway", alone)
-    x, y = env.scene.x[0], env.scene.y[0]
-    for _ in range(5):
-        env.step(IDLE)
-    assert env.scene.x[0] - x == pytest.approx(125.0, abs=0.01)
-    assert env.scene.y[0] == pytest.approx(y)
-    assert env.scene.speed[0] == 25.0
-
-
 def test_a_lane_change_crosses_the_line_when_highway_env_s_does(simulator: SumoSimulator) -> None:
     """There the ego crosses the line after 0.46 s, has moved 3.41 m after 1 s and is within 0.1 m after 1.7 s."""
     simulator.reset(alone(draw("highway", initial_lane_id=2)))
@@ -115,23 +105,6 @@ def test_the_ego_is_not_slowed_by_bends_or_junctions(start, task, faster, second
             break
     assert info["distance"] == pytest.approx(speed, rel=0.02)
     assert info["on_road"]
-
-
-def test_empty_intersection_takes_nine_steps(start: Start) -> None:
-    env = start("intersection", alone)
-    results = list(drive(env, IDLE))
-    rewards, info = [result[1] for result in results], results[-1][4]
-    assert info["arrived"] and not info["crashed"]
-    assert len(rewards) in (8, 9, 10) and sum(rewards) == pytest.approx(len(rewards))
-
-
-def test_empty_two_way_road_pays_15_for_driving_left(start: Start) -> None:
-    env = start("two-way", alone)
-    results = [env.step(LEFT), *drive(env, IDLE)]
-    assert not any(terminated for _, _, terminated, _, _ in results)
-    assert sum(reward for _, reward, *_ in results) == pytest.approx(15.0)
-    assert env.scene.y[0] == pytest.approx(0.0, abs=0.01)
-    assert env.scene.x[0] == pytest.approx(480.0, abs=1.0)
 
 
 def test_the_two_way_ego_returns_to_its_lane(start: Start) -> None:
@@ -291,16 +264,6 @@ def test_the_intersection_begins_with_traffic_that_has_driven_and_room_for_the_e
                 assert name == "challenger"
     assert len(moved) > 100
     assert np.mean(moved) > 3.0 * 5.0  # three seconds at more than 5 m/s
-
-
-def test_intersection_traffic_is_as_dense_and_fast_as_highway_env_s(simulator: SumoSimulator) -> None:
-    counts, speeds = [], []
-    for seed in range(40):
-        scene = simulator.reset(draw("intersection", seed))
-        counts.append(len(scene) - 1)
-        speeds += scene.speed[1:].tolist()
-    assert 4.0 < np.mean(counts) < 6.2  # highway-env: 5.1 in 10 resets
-    assert 5.5 < np.mean(speeds) < 8.5
 
 
 def test_no_risk_event_happens_before_the_episode(simulator: SumoSimulator) -> None:

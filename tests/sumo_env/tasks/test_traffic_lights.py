@@ -67,17 +67,6 @@ def test_an_obedient_ego_waits_at_red_and_goes_on_at_green() -> None:
     assert np.diff(speeds).min() > -0.95  # [m/s] in a tenth of a second
 
 
-def test_copies_of_an_obedient_ego_obey() -> None:
-    episode = list(infos(obey_traffic_lights=True))
-    env = SumoDrivingEnv(CROSSING, [["em", "mw"]], ["sm", "mn"], {**QUIET, "obey_traffic_lights": True})
-    other = SumoDrivingEnv(CROSSING, [["em", "mw"]], ["sm", "mn"], QUIET)  # that of the process is taken
-    env.reset(seed=1)
-    other.reset(seed=1)
-    assert [env.step(FASTER if k == 0 else IDLE)[4] for k in range(370)] == episode[1:371]
-    for made in (env, other):
-        made.close()
-
-
 @pytest.mark.parametrize("speed", [0.5, 5.0, 14.0, 30.0])
 @pytest.mark.parametrize(("state", "braking"), [(RED, 8.0), (YELLOW, 5.0)])
 @pytest.mark.parametrize("dt", [0.02, 0.1, 0.2])

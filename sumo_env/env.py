@@ -25,7 +25,7 @@ from sumo_env.observation import TimeToCollision
 from sumo_env.scene import Scene
 from sumo_env.simulator import EgoCommand, Simulator, Step
 from sumo_env.sumo.options import check_options
-from sumo_env.sumo.process import SumoProcess, open_simulator
+from sumo_env.sumo.process import SumoProcess
 from sumo_env.tasks import get_task
 from sumo_env.tasks.base import EgoState, Task, nearest_index
 from sumo_env.tasks.network import NetworkTask
@@ -148,7 +148,7 @@ class DrivingEnv(ReadAsHighwayEnv):
         self._spec_of |= {spawn.vehicle.id: spawn.vehicle for spawn in scenario.spawns}
         self._speed_index = nearest_index(scenario.ego.speed, self.target_speeds)
         if self._simulator is None:
-            self._simulator = open_simulator(options=self._options)
+            self._simulator = SumoProcess(options=self._options, here=True)
         self.scene: Scene = self._simulator.reset(scenario)
         self.steps = 0
         self._commands: list[EgoCommand] = []
@@ -377,4 +377,8 @@ class SumoDrivingEnv(DrivingEnv):
         config: Mapping[str, Any] | None = None,
         **keywords: Any,
     ) -> None:
-        super().__init__(NetworkTask(network, routes, ego_route), config, **keywords)
+        try:
+            task = NetworkTask(network, routes, ego_route)
+        except ValueError as error:
+            raise ConfigError(str(error)) from error
+        super().__init__(task, config, **keywords)

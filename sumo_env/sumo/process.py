@@ -25,7 +25,7 @@ from typing import Any, ClassVar, NoReturn, TypeVar
 import numpy as np
 
 from sumo_env.scene import Scene
-from sumo_env.simulator import EgoCommand, Simulator, SimulatorError, Step
+from sumo_env.simulator import EgoCommand, SimulatorError, Step
 from sumo_env.sumo.options import check_copyable
 from sumo_env.sumo.worker import make
 from sumo_env.traffic.scenario import Scenario
@@ -202,11 +202,6 @@ class SumoProcess:
             # Ctrl-C: the answer is still to come, and would be taken for that to the next request
             self._end(grace=0.0)
             raise
-
-
-def open_simulator(simulator: str = SIMULATOR, options: tuple[str, ...] = ()) -> Simulator:
-    """SUMO in this process if no other environment has it, else in a worker process."""
-    return SumoProcess(simulator, options=options, here=True)
 
 
 def _equal(one: Scene | None, other: Scene | None) -> bool:

@@ -37,7 +37,7 @@ EXIT_LENGTH = 20.0  # [m] from the end of the intersection's exits, where vehicl
 
 
 class SumoSimulator:
-    """SUMO as a `Simulator`; a process may hold one of them (`open_simulator` cares for that).
+    """SUMO as a `Simulator`; a process may hold one of them (`SumoProcess` cares for that).
 
     Args:
         options: further options of SUMO, such as ``("--tripinfo-output", "trips.xml")``.
@@ -83,10 +83,8 @@ class SumoSimulator:
         self._events.imagine(scenario.events)
 
     def clone(self) -> NoReturn:
-        """SUMO cannot be copied within a process: see `open_simulator`."""
-        raise TypeError(
-            "a SumoSimulator by itself cannot be copied: leave `simulator` out, or use open_simulator()"
-        )
+        """SUMO cannot be copied within a process: see `SumoProcess`."""
+        raise TypeError("a SumoSimulator by itself cannot be copied: leave `simulator` out")
 
     __reduce__ = clone  # neither by pickle nor by copy.deepcopy
 

@@ -63,14 +63,11 @@ class NetworkTask(Task):
         routes: str | Path | Mapping[str, Sequence[str]] | Sequence[Sequence[str]],
         ego_route: Sequence[str],
     ) -> None:
-        """See `sumo_env.env.SumoDrivingEnv`."""
+        """See `sumo_env.env.SumoDrivingEnv`; errors are ValueErrors."""
         self.net = str(Path(network).resolve())
         self._demand: tuple[Entry, ...] = ()
         if isinstance(routes, str | Path):
-            try:
-                named, self._demand = read(Path(routes), partial(files.shortest, self.net))
-            except ValueError as error:
-                raise ConfigError(str(error)) from error
+            named, self._demand = read(Path(routes), partial(files.shortest, self.net))
             # what a file says is all the traffic there is, unless more is asked for
             self.defaults = {**self.defaults, "vehicles_count": 0, "spawn_probability": 0.0}
         else:
@@ -86,14 +83,10 @@ class NetworkTask(Task):
         for entry in self._demand:
             users[entry.route].add(entry.vehicles)
         self._others = tuple(name for name in named if files.CAR in (users[name] or {files.CAR}))
-        try:
-            driven = files.network(self.net, self._routes)
-            for name, classes in users.items():
-                for vehicles in sorted(classes or {files.CAR}):
-                    files.check_route(driven, name, self.routes[name], vehicles)
-        except ValueError as error:
-            raise ConfigError(str(error)) from error
-        self._network = driven
+        self._network = driven = files.network(self.net, self._routes)
+        for name, classes in users.items():
+            for vehicles in sorted(classes or {files.CAR}):
+                files.check_route(driven, name, self.routes[name], vehicles)
         for entry in self._demand:
             self._departure_lanes(entry)
         self._way = Way(driven, self.routes[EGO_ROUTE], VEHICLE_LENGTH)

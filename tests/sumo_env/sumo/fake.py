@@ -12,6 +12,7 @@ import numpy as np
 from sumo_env.config import ConfigError
 from sumo_env.scene import Scene
 from sumo_env.simulator import EgoCommand, Step
+from sumo_env.sumo.process import SumoProcess
 from sumo_env.traffic.scenario import Scenario, VehicleSpec
 
 if TYPE_CHECKING:
@@ -72,6 +73,11 @@ class FakeSimulator:
 
     def close(self) -> None:
         pass
+
+
+def open_simulator() -> SumoProcess:
+    """As an environment has it: in this process if that is free."""
+    return SumoProcess(FAKE, here=True)
 
 
 def scenario(seed: int = 0, others: int = 3) -> Scenario:

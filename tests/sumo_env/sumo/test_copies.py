@@ -19,11 +19,11 @@ import pytest
 
 from sumo_env.env import DrivingEnv
 from sumo_env.simulator import SimulatorError
-from sumo_env.sumo.process import SimulatorDied, SumoProcess, open_simulator
+from sumo_env.sumo.process import SimulatorDied, SumoProcess
 from sumo_env.tasks import TASKS
 from tests.processes import children, descriptors, ends
 from tests.sumo_env.rollout import drive
-from tests.sumo_env.sumo.fake import COMMAND, FAKE, HANGS, scenario
+from tests.sumo_env.sumo.fake import COMMAND, FAKE, HANGS, open_simulator, scenario
 
 Result = tuple[Any, ...]
 
@@ -309,7 +309,7 @@ def test_a_simulation_that_was_changed_through_libsumo_is_not_copied() -> None:
 
 
 def test_environments_are_not_pickled() -> None:
-    for one in (DrivingEnv("highway"), open_simulator(FAKE), SumoProcess(FAKE)):
+    for one in (DrivingEnv("highway"), open_simulator(), SumoProcess(FAKE)):
         if isinstance(one, DrivingEnv):
             one.reset(seed=0)
         with pytest.raises(TypeError, match=r"cannot be pickled.*copy.deepcopy"):

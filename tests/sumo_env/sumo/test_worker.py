@@ -16,7 +16,7 @@ import pytest
 
 from sumo_env.config import ConfigError
 from sumo_env.simulator import SimulatorError
-from sumo_env.sumo.process import SimulatorDied, SumoProcess, open_simulator
+from sumo_env.sumo.process import SimulatorDied, SumoProcess
 from tests.processes import descriptors, ends, is_alive, python, started
 from tests.sumo_env.sumo.fake import (
     COMMAND,
@@ -28,6 +28,7 @@ from tests.sumo_env.sumo.fake import (
     HANGS,
     PRINTS,
     FakeSimulator,
+    open_simulator,
     scenario,
 )
 
@@ -84,7 +85,7 @@ def test_large_messages_travel(simulator: SumoProcess) -> None:
 
 
 def test_a_step_needs_a_reset() -> None:
-    for simulator in (SumoProcess(FAKE), open_simulator(FAKE)):
+    for simulator in (SumoProcess(FAKE), open_simulator()):
         with pytest.raises(RuntimeError, match=r"call reset\(\) before step\(\)"):
             simulator.step(COMMAND)
 
@@ -221,8 +222,7 @@ def run(tmp_path: Path, script: str) -> subprocess.Popen[str]:
     file.write_text(
         "import os, sys, time\n"
         "from tests.sumo_env.sumo.fake import *\n"
-        "from sumo_env.sumo.process import open_simulator\n"
-        "simulators = [open_simulator(FAKE) for _ in range(3)]\n"
+        "simulators = [open_simulator() for _ in range(3)]\n"
         "for seed, simulator in enumerate(simulators):\n"
         "    simulator.reset(scenario(seed))\n"
         "    simulator.step(COMMAND)\n"
@@ -259,7 +259,7 @@ def test_ctrl_c_in_the_terminal_ends_the_script_alone(tmp_path: Path) -> None:
     script = run(
         tmp_path,
         "try:\n    print('in try', flush=True)\n"
-        "    more = [open_simulator(FAKE) for _ in range(60)]\n    for one in more: one.reset(scenario())\n"
+        "    more = [open_simulator() for _ in range(60)]\n    for one in more: one.reset(scenario())\n"
         "except KeyboardInterrupt:\n    print('stopped')\n",
     )
     workers = pids(script)
@@ -279,7 +279,7 @@ def in_this_process(simulator: SumoProcess) -> bool:
 
 
 def test_the_first_is_in_this_process_and_further_ones_are_not() -> None:
-    first, second, third = (open_simulator(FAKE) for _ in range(3))
+    first, second, third = (open_simulator() for _ in range(3))
     for seed, simulator in enumerate((second, first, third)):  # the order of resets counts
         simulator.reset(scenario(seed))
     assert [in_this_process(one) for one in (first, second, third)] == [False, True, False]
@@ -289,7 +289,7 @@ def test_the_first_is_in_this_process_and_further_ones_are_not() -> None:
 
 
 def test_closing_frees_it() -> None:
-    first, second = open_simulator(FAKE), open_simulator(FAKE)
+    first, second = open_simulator(), open_simulator()
     first.reset(scenario())
     first.close()
     second.reset(scenario())
@@ -303,7 +303,7 @@ def test_closing_frees_it() -> None:
 
 
 def test_an_environment_that_is_forgotten_frees_it() -> None:
-    first, second = open_simulator(FAKE), open_simulator(FAKE)
+    first, second = open_simulator(), open_simulator()
     first.reset(scenario())
     del first
     gc.collect()
@@ -313,7 +313,7 @@ def test_an_environment_that_is_forgotten_frees_it() -> None:
 
 
 def test_threads_do_not_share_it() -> None:
-    simulators = [open_simulator(FAKE) for _ in range(6)]
+    simulators = [open_simulator() for _ in range(6)]
     barrier = threading.Barrier(len(simulators))
 
     def reset(index: int) -> None:
@@ -340,7 +340,7 @@ def test_a_forked_process_has_its_own_workers(tmp_path: Path) -> None:
         "    try:\n        simulators[1].step(COMMAND)\n"
         "    except RuntimeError as error:\n        print(error)\n"
         "    simulators[1].reset(scenario(40))\n"
-        "    one = open_simulator(FAKE)\n"
+        "    one = open_simulator()\n"
         "    one.reset(scenario(50))\n"
         "    print(simulators[1].step(COMMAND).scene.x[-1], one.step(COMMAND).scene.x[-1])\n"
         "    print('here' if one.pid is None else 'in a worker')\n"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
 from itertools import pairwise
 from types import SimpleNamespace
 
@@ -138,12 +137,6 @@ def test_same_next_lane(pair):
             x, y = map(float, lane.position(lane.length + rng.uniform(-2.5, 2.0), rng.normal(0, 2)))
             expected = theirs.next_lane(index, plan if goal else None, np.array([x, y]))
             assert ours.next_lane(index, (index[0], *path), x, y) == expected
-
-
-def test_a_road_survives_pickling():
-    road = pickle.loads(pickle.dumps(roads.roundabout()))
-    assert road.lanes == roads.roundabout().lanes
-    assert road.route("ser", "nxr") == ("ser", "ses", "se", "ex", "ee", "nx", "nxs", "nxr")
 
 
 @pytest.mark.parametrize("wrong", [lambda: roads.highway(0), lambda: roads.two_way(-1.0)])

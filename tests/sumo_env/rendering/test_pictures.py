@@ -93,16 +93,6 @@ def test_the_view_follows_the_ego() -> None:
         assert pixel(picture, x + 12, 8, ego=(x, 8)) == ASPHALT
 
 
-def test_a_used_renderer_draws_as_a_new_one() -> None:
-    """What is kept between calls (the road's picture) never shows; roads and sizes may change."""
-    renderer = Renderer()
-    views = [VIEW, {**VIEW, "scaling": 5.0}, {**VIEW, "screen_width": 301, "screen_height": 99}]
-    for road in (highway(4), roundabout(), highway(2), intersection(), u_turn(), two_way()):
-        for view in views:
-            here = scene((10, 4, 0.3), (20, 6, 1.0))
-            np.testing.assert_array_equal(renderer.draw(here, road, view), Renderer().draw(here, road, view))
-
-
 @pytest.mark.parametrize("road", [highway(4), two_way(), roundabout(), intersection(), u_turn()], ids=repr)
 def test_lanes_are_surfaced_from_end_to_end(road: Any) -> None:
     renderer = Renderer()

@@ -42,30 +42,6 @@ def test_it_is_an_environment(task: str) -> None:
     assert env.config["simulation_frequency"] == 15  # highway-env's
 
 
-@pytest.mark.parametrize("task", TASKS)
-def test_a_seed_is_an_episode_whatever_was_driven_before(task: str) -> None:
-    one, other = make(task, risk=1.0), make(task, risk=1.0)
-    record(other, seed=1)
-    first = record(one, seed=2)
-    np.testing.assert_array_equal(record(other, seed=2), first)
-    assert not np.array_equal(record(one, seed=3), first)
-
-
-@pytest.mark.parametrize("task", TASKS)
-def test_a_copy_in_the_middle_of_an_episode_goes_on_as_the_original_does(task: str) -> None:
-    """For planners, which try actions out."""
-    env = make(task, risk=1.0)
-    env.reset(seed=4)
-    env.step(2)
-    planned = copy.deepcopy(env)
-    tried = copy.deepcopy(env)
-    tried.step(0)  # leaves the others alone
-    for _ in range(2):
-        ours, theirs = env.step(1), planned.step(1)
-        np.testing.assert_array_equal(ours[0], theirs[0])
-        assert ours[1:4] == theirs[1:4]
-
-
 def test_wrong_settings_are_refused() -> None:
     with pytest.raises(ConfigError, match="did you mean 'path'"):
         make("u-turn", variant="paths")

@@ -49,8 +49,8 @@ from sumo_env.tasks.base import Task
 PARTS = ("drivers", "risk", "doses")
 FITTED = 1000  # number of the first scenario used for fitting; validation's begin at 0
 EGOS = ("careful", "idm", "idle")  # of the doses
-DOSES = ("regular", "0.25", "0.5", "0.75", "risky")
-SEARCHED = ("regular", "0.5", "risky")  # enough to see a rise
+DOSES = ("regular", "dose25", "dose50", "dose75", "risky")
+SEARCHED = ("regular", "dose50", "risky")  # enough to see a rise
 RISE = 0.10  # least rise of the careful ego's crash rate from dose 0 to dose 1
 AIM = (0.15, 0.25)  # of that rise, well within .10 to .30
 WITHOUT_RISE = ("two-way",)  # where nearly everybody crashes, and only the likeness counts
@@ -111,10 +111,8 @@ class Options:
     """Some of highway, two-way, roundabout, intersection, u-turn (default: all)."""
     trials: int = 40
     """Evaluations of each search."""
-    scenarios: int = 60
-    """Scenarios of each level for an evaluation."""
-    test: int = 100
-    """Scenarios of each level on which the outcome is judged."""
+    scenarios: int = 100
+    """Scenarios of each level for an evaluation, and as many others on which the outcome is judged."""
     workers: int = 2
     """Number of processes."""
 
@@ -211,65 +209,51 @@ def minimise(
     )
     if not study.get_trials(states=(TrialState.COMPLETE, TrialState.WAITING)):
         study.enqueue_trial(dict(start))
-    for _ in track(range(len(complete(study)), trials), f"searching {journal.stem}"):
+    done = len(study.get_trials(states=(TrialState.COMPLETE,)))
+    for _ in track(range(done, trials), f"searching {journal.stem}"):
         trial = study.ask(dict(space))
         study.tell(trial, objective(trial.params))
     return study
 
 
-def complete(study: optuna.Study) -> list[optuna.trial.FrozenTrial]:
-    """The evaluations that were not interrupted."""
-    return study.get_trials(states=(TrialState.COMPLETE,))
-
-
-def distance(
-    options: Options, part: str, task: str, settings: dict[str, Any], levels: Sequence[int], scenarios: range
-) -> float:
-    """How far SUMO with these settings, of the drivers or of risk, is from what it shall be."""
-    if part == "drivers":
-        sumo = replace(SUMO, options={"calibration": settings}, egos=CORE)
-        work = parts.plan([sumo, replace(HIGHWAY_ENV, egos=CORE)], {task: levels}, ("regular",), scenarios)
-    else:
-        risk = risk_options(TASKS[task], settings)
-        engines = [replace(engine, options=risk, egos=EGOS) for engine in (SUMO, HIGHWAY_ENV)]
-        work = parts.plan(engines, {task: levels}, SEARCHED, scenarios)
-    measured = drivers_distance if part == "drivers" else dose_distance
-    return measured(parts.run(work, options.out / "parts", options.workers), task)
-
-
 def search(options: Options, part: str, task: str) -> dict[str, Any] | None:
-    """Search the settings of SUMO's drivers, or of risk; what is in force and what was found, judged alike.
+    """Search the settings of SUMO's drivers, or of risk; what is in force and what was found, with their distances.
 
     Drivers are fitted at the lowest and the highest level and judged at all; risk at the lowest level.
     """
-    if part == "drivers":
-        space, present = DRIVERS[task], asdict(TASKS[task].calibration)
-        judged = range(1, len(grid.level_names(task)) + 1)
-    else:
-        space, present, judged = RISK[task], present_risk(TASKS[task]), range(1, 2)
+    drivers = part == "drivers"
+    space = (DRIVERS if drivers else RISK)[task]
     if not space:
         return None
-    start = {name: present[name] for name in space}
-    training = range(FITTED, FITTED + options.scenarios)
+    present = asdict(TASKS[task].calibration) if drivers else present_risk(TASKS[task])
+    judged = range(1, len(grid.level_names(task)) + 1) if drivers else range(1, 2)
+
+    def distance(settings: dict[str, Any], first: int, levels: Sequence[int]) -> float:
+        if drivers:
+            own, theirs = {"calibration": settings}, {}
+        else:
+            own = theirs = risk_options(TASKS[task], settings)
+        egos = CORE if drivers else EGOS
+        engines = [replace(SUMO, options=own, egos=egos), replace(HIGHWAY_ENV, options=theirs, egos=egos)]
+        traffics = ("regular",) if drivers else SEARCHED
+        work = parts.plan(engines, {task: levels}, traffics, range(first, first + options.scenarios))
+        table = parts.run(work, options.out / "parts", options.workers)
+        return (drivers_distance if drivers else dose_distance)(table, task)
+
     # what makes evaluations comparable: both simulators, the scenarios and the space
-    fingerprints = [dynamics(engine.backend, task) for engine in (SUMO, HIGHWAY_ENV)]
-    searched = sha256_bytes(repr(sorted(space.items())).encode())[:8]
-    name = "-".join([part, task, *fingerprints, str(options.scenarios), searched])
-    fitted = sorted({judged[0], judged[-1]})
+    compared = [*(dynamics(engine.backend, task) for engine in (SUMO, HIGHWAY_ENV)), options.scenarios]
+    digest = sha256_bytes(repr((compared, sorted(space.items()))).encode())[:8]
+    start, fitted = {name: present[name] for name in space}, sorted({judged[0], judged[-1]})
+    journal = options.out / f"{part}-{task}-{digest}.journal"
     study = minimise(
-        space,
-        lambda settings: distance(options, part, task, settings, fitted, training),
-        start,
-        options.trials,
-        options.out / f"{name}.journal",
+        space, lambda settings: distance(settings, FITTED, fitted), start, options.trials, journal
     )
-    both = {"present": start, "found": study.best_params}
-    test = range(options.test)
     return {
-        **both,
-        "training": {"present": complete(study)[0].value, "found": study.best_value},
-        "judged": {name: distance(options, part, task, own, judged, test) for name, own in both.items()},
-        "trials": [{"settings": trial.params, "distance": trial.value} for trial in complete(study)],
+        name: {"settings": own, "training": training, "judged": distance(own, 0, judged)}
+        for name, own, training in (
+            ("present", start, study.get_trials(states=(TrialState.COMPLETE,))[0].value),
+            ("found", study.best_params, study.best_value),
+        )
     }
 
 
@@ -278,7 +262,7 @@ def doses(options: Options, task: str) -> pd.DataFrame:
     none = {"risk_rates": dict.fromkeys(("cut_in", "brake", "surge"), 0.0)}
     silent = replace(SUMO, name=WITHOUT_EVENTS, options=none)
     engines = [replace(engine, egos=EGOS) for engine in (SUMO, silent, HIGHWAY_ENV)]
-    work = parts.plan(engines, {task: (1,)}, DOSES, range(options.test))
+    work = parts.plan(engines, {task: (1,)}, DOSES, range(options.scenarios))
     return responses(parts.run(work, options.out / "parts", options.workers))
 
 
@@ -286,7 +270,7 @@ def calibrate(options: Options, console: Console) -> dict[str, Any]:
     """Do the parts for every task and write the results; returns the content of calibration.json."""
     tasks = grid.choose_tasks(options.tasks or tuple(grid.TASKS))
     check_dynamics((engine.backend, task) for engine in (SUMO, HIGHWAY_ENV) for task in tasks)
-    result: dict[str, Any] = {"scenarios": options.scenarios, "test": options.test}
+    result: dict[str, Any] = {"scenarios": options.scenarios}
     tables = []
     for task in tasks:
         result[task] = {}
@@ -296,7 +280,7 @@ def calibrate(options: Options, console: Console) -> dict[str, Any]:
                 tables.append(doses(options, task))
             elif found := search(options, part, task):
                 result[task][part] = found
-                console.print({name: found[name] for name in ("present", "found", "training", "judged")})
+                console.print(found)
         write_json(options.out / "calibration.json", result)
     if tables:
         table = pd.concat(tables, ignore_index=True).round(4)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
@@ -58,6 +58,7 @@ def play(
     scenario: int,
     on_step: Callable[[], None] | None = None,
     purpose: str = "test",
+    options: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Play one test episode and return its row of COLUMNS.
 
@@ -67,13 +68,14 @@ def play(
         scenario: number of the test scenario.
         on_step: called after the reset and after every step (a recorder).
         purpose: what the scenario is for, "test" or "gate".
+        options: of the reset, beside the dose of risk.
     """
     if traffic in UNSEEN:
         env = UnseenRisk(env, traffic)
     policy.reset(stream_seed("policy", task, level, traffic, scenario))
     observation, info = env.reset(
         seed=scenario_seed(task, level, scenario, purpose),
-        options={"config": {"risk": ALL_TRAFFICS.get(traffic, 1.0)}},
+        options={"config": {"risk": ALL_TRAFFICS.get(traffic, 1.0)}, **(options or {})},
     )
     if on_step:
         on_step()

@@ -11,13 +11,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
 from agents.rules import Policy, make_policy
 from agents.rules.constant import Constant
-from experiments.study.arms import TRAFFICS
 from experiments.study.evaluate import play
 from experiments.study.fingerprint import checksum
 from sumo_env.contacts.measures import DENSITY_RADIUS, headways
@@ -136,24 +134,6 @@ class Recorder:
         }
 
 
-def mean(values: Any) -> float:
-    """The mean, nan of nothing."""
-    return float(np.mean(values)) if len(values) else math.nan
-
-
-class Varied(gym.Wrapper[Any, Any, Any, Any]):
-    """Begins every episode with a dose of risk ("regular", "risky", or a number as a word) and other options."""
-
-    def __init__(self, env: gym.Env[Any, Any], traffic: str, options: Mapping[str, Any]) -> None:
-        super().__init__(env)
-        dose = TRAFFICS[traffic] if traffic in TRAFFICS else float(traffic)
-        self._options = {"config": {"risk": dose}, **options}
-
-    def reset(self, *, seed: int | None = None, options: Any = None) -> tuple[Any, dict[str, Any]]:
-        """Begin an episode, with these options in place of others."""
-        return self.env.reset(seed=seed, options=self._options)
-
-
 def drive(
     env: Any,
     task: str,
@@ -170,8 +150,9 @@ def drive(
     """
     inner, policy = env.unwrapped, make_ego(ego, env)
     recorder = Recorder(task, get_task(task).road(inner.config), 1.0 / inner.config["policy_frequency"])
-    varied = Varied(env, traffic, options)
-    row = play(varied, policy, task, level, traffic, scenario, lambda: recorder.see(inner.scene))
+    row = play(
+        env, policy, task, level, traffic, scenario, lambda: recorder.see(inner.scene), options=options
+    )
     return {
         **{name: row[name] for name in ("traffic", "scenario", "return", "length", "crashed")},
         "task": task,

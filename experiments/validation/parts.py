@@ -50,11 +50,6 @@ class Engine:
         digest = sha256_bytes(canonical_json([*settings, dynamics(self.backend, task)]).encode())[:8]
         return f"{self.name.replace(' ', '-')}/{task}-{digest}"
 
-    def open_env(self, task: str, level: int) -> Any:
-        """The environment of a task at a level."""
-        config = {**TASKS[task].levels[level_names(task)[level - 1]], **self.config}
-        return make_env(self.backend, task, config)
-
 
 @dataclass(frozen=True)
 class Part:
@@ -88,7 +83,8 @@ class Part:
 
     def drive(self) -> pd.DataFrame:
         """Drive all episodes in this process."""
-        env = self.engine.open_env(self.task, self.level)
+        level = TASKS[self.task].levels[level_names(self.task)[self.level - 1]]
+        env = make_env(self.engine.backend, self.task, {**level, **self.engine.config})
         rows = [
             drive(env, self.task, self.level, self.traffic, ego, scenario, self.engine.options)
             for scenario, ego in self.episodes()

@@ -62,7 +62,7 @@ def test_responses_are_by_simulator_dose_and_ego() -> None:
     found = calibrate.responses(responses("sumo", (0.0, 0.1, 0.2)))
     rows = found[found["ego"] == "careful"]
     rates = rows.set_index("traffic")["crash_rate"].to_dict()
-    assert rates == pytest.approx({"regular": 0.0, "0.5": 0.1, "risky": 0.2})
+    assert rates == pytest.approx({"regular": 0.0, "dose50": 0.1, "risky": 0.2})
 
 
 def objective(settings: dict) -> float:
@@ -126,14 +126,14 @@ def test_the_lower_end_of_a_range_is_searched_and_its_upper_end_kept() -> None:
 @pytest.mark.slow
 def test_the_present_settings_are_best_where_sumo_is_its_own_reference(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(calibrate, "HIGHWAY_ENV", Engine(REFERENCE, "sumo"))  # both sides are quick
-    options = Options(tmp_path, tasks=("u-turn",), trials=3, scenarios=3, test=4, workers=1)
+    options = Options(tmp_path, tasks=("u-turn",), trials=3, scenarios=3, workers=1)
     result = calibrate.calibrate(options, Console(width=200))
     assert json.loads((tmp_path / "calibration.json").read_text()) == result
     for part in ("drivers", "risk"):
-        found = result["u-turn"][part]
-        assert len(found["trials"]) == 3
-        assert found["training"]["found"] <= found["training"]["present"]
-        assert set(found["found"]) == set(found["present"])
-    assert result["u-turn"]["drivers"]["training"]["present"] == 0.0
-    engines = set(pd.read_csv(tmp_path / "doses.csv")["engine"])
-    assert engines == {"sumo", calibrate.WITHOUT_EVENTS, "reference"}
+        present, found = (result["u-turn"][part][name] for name in ("present", "found"))
+        assert found["training"] <= present["training"]
+        assert set(found["settings"]) == set(present["settings"])
+    assert result["u-turn"]["drivers"]["present"]["training"] == 0.0
+    table = pd.read_csv(tmp_path / "doses.csv")
+    assert set(table["engine"]) == {"sumo", calibrate.WITHOUT_EVENTS, "reference"}
+    assert set(table["traffic"]) == set(calibrate.DOSES)

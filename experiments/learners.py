@@ -38,7 +38,7 @@ from experiments.study.fingerprint import check_dynamics
 from experiments.study.grid import Cell, choose_tasks, env_config
 from experiments.study.presets import complete
 from experiments.study.store import EPISODES, Store
-from experiments.support.errors import run_command, unknown, writing
+from experiments.support.errors import run_command, writing
 
 OURS = ("control", "treatment", "mixed")
 # highway-env's own examples, scripts/sb3_highway_dqn.py and sb3_highway_ppo.py (there in six environments at once).
@@ -66,7 +66,6 @@ SHARED = {
     "standardise": False,
     "epsilon_final": 0.05,
 }
-LEARNERS = (*OURS, *STABLE_BASELINES, *RL_AGENTS)
 MEASURES = {"crashed": "crash rate", "stopped": "standing", "mean_speed": "speed [m/s]", "return": "return"}
 
 
@@ -82,8 +81,6 @@ class Options:
     """Preset of our agents, whose environment steps, seeds and scenarios are those of all."""
     tasks: tuple[str, ...] = ("highway", "two-way", "roundabout", "intersection", "u-turn")
     """Tasks, in their lightest traffic."""
-    learners: tuple[str, ...] = LEARNERS
-    """Of control, treatment, mixed (our arms), sb3-dqn, sb3-ppo, rl-agents-dueling, rl-agents-attention."""
     seeds: int = 3
     """Trainings of each."""
     episodes: int | None = None
@@ -96,17 +93,18 @@ class Options:
 
 def ours(options: Options, task: str, policies: Iterable[Path] = ()) -> Experiment:
     """Our arms, and policies of files."""
-    asked = Experiment(
-        backend=options.backend,
-        preset=options.preset,
-        tasks=(task,),
-        levels=(1,),
-        seeds=options.seeds,
-        episodes=options.episodes,
-        arms=OURS,
-        policy=tuple(map(str, policies)),
+    return complete(
+        Experiment(
+            backend=options.backend,
+            preset=options.preset,
+            tasks=(task,),
+            levels=(1,),
+            seeds=options.seeds,
+            episodes=options.episodes,
+            arms=OURS,
+            policy=tuple(map(str, policies)),
+        )
     )
-    return complete(asked)
 
 
 def environment_steps(options: Options, task: str) -> int:
@@ -121,7 +119,6 @@ def models(options: Options, task: str) -> dict[Path, Callable[[], None]]:
     return {
         file: partial(train_model, file, learner, options.backend, task, seed, steps)
         for learner in STABLE_BASELINES
-        if learner in options.learners
         for seed in range(first, first + options.seeds)
         for file in [options.out / "models" / f"{learner}-{task}-{options.backend}-{steps}-s{seed}.zip"]
     }
@@ -148,7 +145,7 @@ def cells(options: Options, task: str) -> list[Cell]:
         learner = {**SHARED, **settings, "updates": updates, "epsilon_decay": EXPLORATION[name] / updates}
         other = replace(experiment, preset=name, arms=("control",), policy=(), learners={task: learner})
         found += [cell for cell in other.cells() if cell.kind == "agent"]
-    return [cell for cell in found if cell.kind == "baseline" or learner_of(cell) in options.learners]
+    return found
 
 
 def learner_of(cell: Cell) -> str:
@@ -177,16 +174,12 @@ def compare(options: Options, arguments: list[str]) -> int:
     Raises:
         UserError: something in the options does not exist, or a training by Stable-Baselines3 failed.
     """
-    for learner in options.learners:
-        if learner not in LEARNERS:
-            raise unknown("learner", learner, LEARNERS)
     tasks = choose_tasks(options.tasks)
     check_dynamics((options.backend, task) for task in tasks)
     every = {file: train for task in tasks for file, train in models(options, task).items()}
     missing = {file.name: train for file, train in every.items() if not file.exists()}
     call_all(missing, options.workers or cores(), "Stable-Baselines3", Console())
-    wanted = {cell.name: cell for task in tasks for cell in cells(options, task)}
-    work = {name: CellTask(cell, options.out, make_env) for name, cell in wanted.items()}
+    work = {c.name: CellTask(c, options.out, make_env) for task in tasks for c in cells(options, task)}
     if options.cell:
         return sweep.compute_one(options.cell, work)
     again = shlex.join(["python", "experiments/learners.py", *arguments])
@@ -194,7 +187,7 @@ def compare(options: Options, arguments: list[str]) -> int:
     failures = sweep.compute(how, Store(options.out), work, again)
     for name, reason in failures.items():
         print(f"{name} failed: {reason}\n  to see it fail: {again} --cell {name}", file=sys.stderr)
-    found = table(options.out, [cell for name, cell in wanted.items() if name not in failures])
+    found = table(options.out, [task.cell for name, task in work.items() if name not in failures])
     for task, rows in found.groupby("task", sort=False):
         print(f"\n{task}\n{rows.droplevel('task').to_string()}")
     return 1 if failures else 0

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from itertools import combinations
 from typing import Any, Literal
 
@@ -78,10 +78,10 @@ Floats = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Difference:
-    """First minus second: the means of both, their difference, its 90 % interval (NaN without one), and scenarios."""
+    """SUMO minus the reference: the means of both, their difference, its 90 % interval (NaN: none), and scenarios."""
 
-    first: float = np.nan
-    second: float = np.nan
+    sumo: float = np.nan
+    reference: float = np.nan
     difference: float = np.nan
     low: float = np.nan
     high: float = np.nan
@@ -120,7 +120,7 @@ def mean_difference(both: pd.DataFrame, measure: str) -> Difference:
 
 
 def same_outcome(both: pd.DataFrame) -> Difference:
-    """Share of episodes with the same crash outcome (`first`), against all of them."""
+    """Share of episodes with the same crash outcome (`sumo`), against all of them."""
     same = (both["crashed_a"] == both["crashed_b"]).astype(float)
     return mean_difference(both.assign(same_a=same, same_b=1.0), "same")
 
@@ -190,8 +190,9 @@ def margin(metric: str, task: str, traffic: str, reference: float) -> float | No
 
 def difference(metric: str, both: pd.DataFrame) -> Difference:
     """How far the two simulators of `pairs` are apart in one of MEASURES."""
-    special = {"headway": headway_distance, "same_outcome": same_outcome}
-    return special[metric](both) if metric in special else mean_difference(both, metric)
+    if metric == "headway":
+        return headway_distance(both)
+    return same_outcome(both) if metric == "same_outcome" else mean_difference(both, metric)
 
 
 def check(metric: str, found: Difference, bound: float | None = None, **labels: Any) -> Check:
@@ -199,18 +200,10 @@ def check(metric: str, found: Difference, bound: float | None = None, **labels: 
 
     labels: name, unit, ego, note, and variants (engine -> its own difference from the reference).
     """
-    numbers = {
-        "sumo": found.first,
-        "reference": found.second,
-        "difference": found.difference,
-        "low": found.low,
-        "high": found.high,
-        "margin": bound,
-    }
     return {
         "metric": metric,
         **{"name": metric, "unit": "", "ego": "", "note": "", "variants": {}, **labels},
-        **{name: finite(value) for name, value in numbers.items()},
+        **{name: finite(value) for name, value in {**asdict(found), "margin": bound}.items()},
         "verdict": verdict(found, bound),
         "n": found.n,
     }
@@ -246,7 +239,7 @@ def level_checks(rows: pd.DataFrame, engine: str, task: str, traffic: str) -> li
     for metric, (name, unit) in MEASURES.items():
         own = difference(metric, both)
         variants = {other: finite(difference(metric, table).difference) for other, table in beside.items()}
-        bound = margin(metric, task, traffic, own.second)
+        bound = margin(metric, task, traffic, own.reference)
         found.append(check(metric, own, bound, name=name, unit=unit, variants=variants))
     found += ego_checks(every, task, traffic)
     return sorted((item for item in found if item["n"]), key=lambda item: item["verdict"] is None)
@@ -258,7 +251,7 @@ def ego_checks(every: pd.DataFrame, task: str, traffic: str) -> list[Check]:
     for ego in egos(task):
         part = every[every["ego"] == ego]
         crashes, returns = (mean_difference(part, metric) for metric in ("crashed", "return"))
-        bound = margin("crashed_ego", task, traffic, crashes.second)
+        bound = margin("crashed_ego", task, traffic, crashes.reference)
         found.append(check("crashed_ego", crashes, bound, name="crash rate", ego=ego))
         found.append(check("return_ego", returns, name="return", ego=ego))
     scenarios = every["scenario"].nunique()

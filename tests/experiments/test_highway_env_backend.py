@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-import math
 from dataclasses import replace
 from typing import Any
 
@@ -14,16 +13,13 @@ from highway_env.vehicle.behavior import IDMVehicle
 from experiments.backends import make_env
 from experiments.backends.highway_env import ScenarioEnv
 from experiments.backends.highway_env_vehicle import (
-    SWERVE_TIME,
     PathVehicle,
     ScenarioVehicle,
     distance_beyond,
 )
 from sumo_env.config import ConfigError
-from sumo_env.sumo import events
 from sumo_env.tasks import TASKS
 from sumo_env.traffic.risk import RiskEvent
-from sumo_env.traffic.scenario import EGO_DISTANCE, SPAWN_DISTANCE
 
 SMALL: dict[str, Any] = {"vehicles_count": 12}
 BASE_ATTRIBUTES = ("COMFORT_ACC_MAX", "COMFORT_ACC_MIN", "DISTANCE_WANTED", "TIME_WANTED", "DELTA", "ACC_MAX")
@@ -92,31 +88,6 @@ def test_vehicles_are_where_the_scenario_says(task: str, level: str) -> None:
     assert scene.ids == tuple(spec.id for spec in env.scenario.specs)
     assert scene.x.tolist() == [spec.x for spec in env.scenario.specs]
     assert scene.time == 0.0
-
-
-def test_the_ego_comes_after_the_warm_up() -> None:
-    """highway-env's ``IntersectionEnv._make_vehicles``: 3 s without the ego, the challenger, room for the ego."""
-    env = make("intersection", initial_vehicle_count=6)
-    challengers = 0
-    for seed in range(10):
-        env.reset(seed=seed)
-        scene, scenario = env.scene, env.scenario
-        assert (scene.time, scene.ids[0], env.road.steps) == (0.0, "ego", 45)
-        assert (scene.x[0], scene.y[0]) == (scenario.ego.x, scenario.ego.y)
-        gaps = np.hypot(scene.x[1:] - scene.x[0], scene.y[1:] - scene.y[0])
-        assert (gaps >= EGO_DISTANCE).all()
-        places = {spec.id: (spec.x, spec.y) for spec in scenario.vehicles}
-        challenger = next(spawn.vehicle for spawn in scenario.spawns if spawn.step == 0)
-        for name, x, y in zip(scene.ids[1:], scene.x[1:], scene.y[1:], strict=True):
-            if name == challenger.id:
-                challengers += 1
-                others = np.arange(len(scene)) != scene.ids.index(name)
-                others[0] = False  # the ego comes later
-                assert (np.hypot(scene.x[others] - x, scene.y[others] - y) >= SPAWN_DISTANCE).all()
-                assert (x, y) == (challenger.x, challenger.y)
-            else:
-                assert np.hypot(x - places[name][0], y - places[name][1]) > 1.0
-    assert challengers > 0
 
 
 def test_no_task_changes_the_class_of_the_drivers() -> None:
@@ -221,10 +192,6 @@ def test_a_swerve_that_reaches_the_end_of_the_road_ends_on_the_own_lane() -> Non
     assert targets[-1] == ("a", "b", 1)
 
 
-def test_numbers_shared_with_sumo_env() -> None:
-    assert SWERVE_TIME == events.SWERVE_TIME
-
-
 # -- the interface -------------------------------------------------------------------------------------------
 
 
@@ -241,59 +208,6 @@ def test_information_is_that_of_sumo_env(task: str) -> None:
         assert getattr(ours.unwrapped, name) == getattr(theirs.unwrapped, name)
     config = {k: v for k, v in ours.unwrapped.config.items() if k not in ("simulation_frequency", "action")}
     assert config.items() <= theirs.unwrapped.config.items()
-
-
-def test_a_crash_is_described() -> None:
-    env = make("two-way")
-    env.reset(seed=0)
-    info: dict[str, Any] = {}
-    terminated = False
-    while not terminated:
-        _, _, terminated, _, info = env.step(1)
-    crash = info["crash"]
-    assert (crash["other"], crash["type"], crash["detected_by"]) == ("v0", "rear-end", "highway-env")
-    assert crash["relative_x"] == pytest.approx(5.0, abs=0.1)
-    assert crash["closing_speed"] > 5.0
-    assert crash["time"] <= env.steps / 15
-    assert info["crashed"] and not info["near_miss"]
-    assert info["min_ttc"] < 0.1
-    assert info["density"] >= 1
-
-
-def test_distance_is_what_the_ego_drives() -> None:
-    env = make("highway", vehicles_count=0)
-    env.reset(seed=0)
-    x = env.scene.x[0]
-    for _ in range(3):
-        info = env.step(3)[4]
-        assert info["distance"] == pytest.approx(env.scene.x[0] - x, abs=1e-6)
-        assert math.isinf(info["min_ttc"])
-        x = env.scene.x[0]
-
-
-@pytest.mark.parametrize("task", TASKS)
-def test_episodes_end_at_the_time_limit(task: str) -> None:
-    env = make(task, duration=2, **({"vehicles_count": 0} if task != "intersection" else {}))
-    env.reset(seed=0)
-    assert [env.step(0)[3] for _ in range(2)] == [False, True]
-
-
-def test_vehicles_arrive_at_the_intersection_after_the_observation() -> None:
-    env = make("intersection", spawn_probability=1.0)
-    env.reset(seed=2)
-    spawns = {spawn.step: spawn.vehicle for spawn in env.scenario.spawns}
-    came = 0
-    for step in range(1, 6):
-        env.step(0)
-        name = spawns[step].id
-        assert name not in env.scene.ids
-        if name in [vehicle.id for vehicle in env.road.vehicles]:
-            came += 1
-            x, y = spawns[step].x, spawns[step].y
-            assert named(env, name).position.tolist() == [x, y]
-            others = [v.position for v in env.road.vehicles if v.id != name]
-            assert min(math.hypot(p[0] - x, p[1] - y) for p in others) >= 15.0
-    assert came >= 2
 
 
 def test_configuration() -> None:

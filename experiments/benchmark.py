@@ -20,14 +20,16 @@ import os
 import statistics
 import subprocess
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, closing
 from dataclasses import dataclass
 from functools import partial
+from operator import itemgetter
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
+import pandas as pd
 import tyro
 from rich.console import Console
 from rich.table import Table
@@ -52,21 +54,16 @@ QUICK_TURNS, QUICK_SECONDS = 3, 0.2
 Record = dict[str, Any]  # a line of a part's table and of benchmark.json
 
 
-def in_turns(sides: Mapping[Any, Callable[[], float]], turns: int) -> dict[Any, list[float]]:
-    """The rate of each side in every turn."""
-    measured = [{side: measure() for side, measure in sides.items()} for _ in range(turns)]
-    return {side: [turn[side] for turn in measured] for side in sides}
+def in_turns(sides: Mapping[str, Callable[[], Any]], turns: int) -> pd.DataFrame:
+    """The rate of each side, a column, in every turn, a row."""
+    return pd.DataFrame([{side: measure() for side, measure in sides.items()} for _ in range(turns)])
 
 
-def median_ratio(ours: Sequence[float], theirs: Sequence[float]) -> float:
-    """Median over the turns of our rate over theirs."""
-    return statistics.median(a / b for a, b in zip(ours, theirs, strict=True))
-
-
-def beside(ours: Sequence[float], theirs: Sequence[float]) -> Record:
-    """Medians over the turns of our rate, highway-env's, and of their ratio."""
-    rates = {"steps_per_second": statistics.median(ours), "highway_env": statistics.median(theirs)}
-    return {**rates, "ratio": median_ratio(ours, theirs)}
+def beside(rates: pd.DataFrame, side: str) -> Record:
+    """Medians over the turns of a side's rate, highway-env's, and of their ratio."""
+    ratios = rates[side] / rates[REFERENCE]
+    medians = {"steps_per_second": rates[side], "highway_env": rates[REFERENCE], "ratio": ratios}
+    return {name: float(values.median()) for name, values in medians.items()}
 
 
 def opened(stack: ExitStack, kind: str, backend: str, *arguments: Any) -> Process:
@@ -85,20 +82,21 @@ def measure_env(task: str, turns: int, seconds: float) -> Iterator[Record]:
     levels = TASKS[task].levels
     for name in (next(iter(levels)), next(reversed(levels))):
         with ExitStack() as stack:
-            configs = {(REFERENCE, 15): {**levels[name], **REFERENCE_CONFIG}}
-            for backend, frequencies in BACKENDS.items():
-                for hertz in frequencies:
-                    configs[backend, hertz] = {**levels[name], "simulation_frequency": hertz}
+            theirs = opened(stack, "Driver", REFERENCE, task, {**levels[name], **REFERENCE_CONFIG})
             drivers = {
-                side: opened(stack, "Driver", side[0], task, config) for side, config in configs.items()
+                f"{backend} {hertz} Hz": opened(
+                    stack, "Driver", backend, task, {**levels[name], "simulation_frequency": hertz}
+                )
+                for backend, frequencies in BACKENDS.items()
+                for hertz in frequencies
             }
-            sides = {side: partial(each.ask, "rate", seconds) for side, each in drivers.items()}
-            sides[REFERENCE, 15] = partial(drivers[REFERENCE, 15].ask, "rate", 0.0)  # a few steps take long
+            sides = {REFERENCE: partial(theirs.ask, "rate", 0.0)}  # a few steps, which take long
+            sides |= {side: partial(own.ask, "rate", seconds) for side, own in drivers.items()}
             rates = in_turns(sides, turns)
-            for (backend, hertz), own in list(drivers.items())[1:]:
+            for side, own in drivers.items():
                 yield {
-                    "of": f"{backend} {hertz} Hz, {task} {name}",
-                    **beside(rates[backend, hertz], rates[REFERENCE, 15]),
+                    "of": f"{side}, {task} {name}",
+                    **beside(rates, side),
                     "reset_ms": own.ask("reset_ms"),
                 }
 
@@ -151,7 +149,7 @@ def measure_peers(task: str, turns: int, seconds: float) -> Iterator[Record]:
         for name, peer in peers.items():
             yield {
                 "of": f"{name}, {task}",
-                **beside(rates[name], rates[REFERENCE]),
+                **beside(rates, name),
                 "distinct": peer.ask("distinct", SEEDS),
                 "idle_crash_rate": peer.ask("idle_crash_rate", round(100 * seconds)),
             }
@@ -163,24 +161,25 @@ def measure_batches(task: str, turns: int, seconds: float) -> Iterator[Record]:
     EnvPool drives its default configuration. `two_threads` is their rate over that of one, in wall time.
     """
     levels = TASKS[task].levels
-    batches = [("replica", 1), ("replica", 2), *([("envpool", 1)] if has_envpool() else [])]
+    batches = {"replica": ("replica", 1), "two": ("replica", 2)}
+    if has_envpool():
+        batches["envpool"] = ("envpool", 1)
     for name in ("default", next(iter(levels)), next(reversed(levels))):
         with ExitStack() as stack:
-            sides: dict[Any, Callable[[], Any]] = {
+            sides = {
                 side: partial(
-                    opened(stack, "Batch", side[0], task, levels.get(name, {}), side[1]).ask, "rate", seconds
+                    opened(stack, "Batch", backend, task, levels.get(name, {}), threads).ask, "rate", seconds
                 )
-                for side in batches
+                for side, (backend, threads) in batches.items()
             }
-            rates: Any = in_turns(sides, turns)
-        cpu, wall = ({side: [pair[k] for pair in pairs] for side, pairs in rates.items()} for k in (0, 1))
-        own, theirs = cpu["replica", 1], cpu.get(("envpool", 1))
+            rates = in_turns(sides, turns)
+        cpu, wall = rates.map(itemgetter(0)), rates.map(itemgetter(1))
         yield {
             "of": f"{task} {name}",
-            "steps_per_second": statistics.median(own),
-            "envpool": theirs and statistics.median(theirs),
-            "ratio": theirs and median_ratio(own, theirs),
-            "two_threads": median_ratio(wall["replica", 2], wall["replica", 1]),
+            "steps_per_second": float(cpu["replica"].median()),
+            "envpool": float(cpu["envpool"].median()) if "envpool" in cpu else None,
+            "ratio": float((cpu["replica"] / cpu["envpool"]).median()) if "envpool" in cpu else None,
+            "two_threads": float((wall["two"] / wall["replica"]).median()),
         }
 
 

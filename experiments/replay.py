@@ -63,36 +63,27 @@ class Options:
 
 @dataclass(frozen=True)
 class Case:
-    """A stored test episode. path: DIR/cells/CELL. record, test: cell.json and the episodes of its cell."""
+    """A stored test episode.
+
+    path: DIR/cells/CELL. record, test: cell.json and the episodes of its cell. row: what is stored of this one.
+    """
 
     path: Path
     record: Mapping[str, Any]
     test: pd.DataFrame
-    traffic: str
-    scenario: int
+    row: dict[str, Any]
 
     @property
     def name(self) -> str:
         """What its files are called."""
-        return f"{self.path.name}-{self.traffic}-{self.scenario}"
-
-    @property
-    def row(self) -> dict[str, Any]:
-        """What is stored of it. Raises UserError if there is no such scenario."""
-        rows = self.test[(self.test["traffic"] == self.traffic) & (self.test["scenario"] == self.scenario)]
-        if rows.empty:
-            number = self.record["key"]["eval"]["episodes"]
-            raise UserError(
-                f"{self.path.name} has {number} scenarios, counted from the first: no {self.scenario}"
-            )
-        return dict(rows.iloc[0])
+        return f"{self.path.name}-{self.row['traffic']}-{self.row['scenario']}"
 
 
 def parse_case(text: str) -> Case:
     """Find the cell, traffic and scenario of a case; by default the cell's first crash.
 
     Raises:
-        UserError: not of that form, or the cell does not exist.
+        UserError: not of that form, or there is no such cell or scenario.
     """
     match = re.fullmatch(r"(?P<path>.+?)(:(?P<traffic>[a-z]+):(?P<scenario>\d+))?/?", text)
     if match is None:
@@ -106,12 +97,13 @@ def parse_case(text: str) -> Case:
         raise UserError(f"there is no cell {path}")
     name = find_cell(path.name, names)
     test = Store(home).tables(name)[EPISODES]
-    episode = test[test["traffic"].isin(list(TRAFFICS))].sort_values(
-        "crashed", ascending=False, kind="stable"
-    )
-    traffic = match["traffic"] or str(episode["traffic"].iloc[0])
-    scenario = int(match["scenario"] or episode["scenario"].iloc[0])
-    return Case(path.with_name(name), Store(home).record(name), test, traffic, scenario)
+    rows = test[test["traffic"].isin(list(TRAFFICS))].sort_values("crashed", ascending=False, kind="stable")
+    if match["traffic"]:
+        rows = rows[(rows["traffic"] == match["traffic"]) & (rows["scenario"] == int(match["scenario"]))]
+    if rows.empty:
+        first, last = test["scenario"].min(), test["scenario"].max()
+        raise UserError(f"{name} has the scenarios {first} to {last}: no {match['scenario']}")
+    return Case(path.with_name(name), Store(home).record(name), test, dict(rows.iloc[0]))
 
 
 def find_cell(word: str, names: Sequence[str]) -> str:
@@ -151,7 +143,8 @@ def _again(options: Options, case: Case, env: gym.Env[Any, Any]) -> int:
     """Play an episode and write what was asked for; 1 if it came out differently."""
     stored, film = case.row, None if options.sumo else Film(env)
     on_step = film.frame if film else None
-    row = play_again(case.path, case.record, env, case.traffic, case.scenario, stored.get("actions"), on_step)
+    place = (stored["traffic"], int(stored["scenario"]))
+    row = play_again(case.path, case.record, env, *place, stored.get("actions"), on_step)
     path = options.out or Path(f"{case.name}.gif" if film else case.name)
     if film:
         save_gif(film.pictures, path)

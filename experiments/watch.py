@@ -69,7 +69,7 @@ def watch(options: Options, make_env: MakeEnv = make_env) -> int:
     scenario = options.scenario
     if scenario is None:
         crashes = table[(table["traffic"] == "risky") & table["crashed"]]["scenario"]
-        scenario = int(crashes.min()) if len(crashes) else 0
+        scenario = int((crashes if len(crashes) else table["scenario"]).min())
     films = []
     for traffic, risk in TRAFFICS.items():
         with closing(

@@ -10,7 +10,7 @@ import pytest
 from rich.console import Console
 
 from experiments import benchmark
-from experiments.benchmark import Options, in_turns, median_ratio, run
+from experiments.benchmark import REFERENCE, Options, beside, in_turns, run
 from experiments.timed import Driver, Process
 
 
@@ -24,9 +24,9 @@ def test_an_object_in_another_process_keeps_its_state_and_reports_errors(capfd) 
 
 
 def test_ratios_are_taken_turn_by_turn() -> None:
-    rates = {"ours": iter([10, 5, 10]), "theirs": iter([1, 0.5, 2])}  # the second turn was slow for both
+    rates = {"ours": iter([10, 5, 10]), REFERENCE: iter([1, 0.5, 2])}  # the second turn was slow for both
     found = in_turns({side: rate.__next__ for side, rate in rates.items()}, 3)
-    assert median_ratio(found["ours"], found["theirs"]) == 10.0  # of 10, 10 and 5
+    assert beside(found, "ours") == {"steps_per_second": 10.0, "highway_env": 1.0, "ratio": 10.0}
 
 
 def test_a_slice_ends_with_an_episode_and_holds_its_resets() -> None:

@@ -59,7 +59,7 @@ def test_by_default_the_first_crash_is_shown(cells):
         table = episodes(cell)
         crashes = table[table["crashed"]][["traffic", "scenario"]].to_numpy().tolist()
         case = parse_case(str(cell))
-        assert [case.traffic, case.scenario] == (crashes[0] if crashes else ["regular", 0])
+        assert [case.row["traffic"], case.row["scenario"]] == (crashes[0] if crashes else ["regular", 0])
     assert any(episodes(cell)["crashed"].any() for cell in cells)
 
 

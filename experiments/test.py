@@ -15,21 +15,18 @@ from pathlib import Path
 if __package__ in (None, ""):  # run as a file: import from the project, not from this folder
     sys.path[0] = str(Path(__file__).resolve().parents[1])
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, fields, replace
+from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Annotated, Any
 
 import pandas as pd
 import tyro
-from rich.progress import track
 
-from experiments.backends import make_env
 from experiments.study import grid
 from experiments.study.arms import TRAFFICS
-from experiments.study.cell import CellTask
 from experiments.study.evaluate import share
 from experiments.study.store import EPISODES, Store
-from experiments.support.errors import run_command
+from experiments.support.errors import UserError, run_command
 
 Z = 1.96  # normal quantile of a 95 % interval
 PUBLISHED = Path(__file__).resolve().parents[1] / "results" / "standard"  # its lightest settings have weights
@@ -59,8 +56,6 @@ def test(options: Options) -> int:
     """
     directory = options.directory
     agents = [record["key"] for record in Store(directory).agents().values()]
-    for task in track(missing(directory, agents), "testing policies that do not learn", transient=True):
-        task.compute(lambda _: None)
     for setting in sorted({grid.setting(key) for key in agents}):
         table, scenarios = compared(directory, setting)
         print(f"{setting}: {scenarios} scenarios at each risk, the same in every row\n{table.to_string()}\n")
@@ -71,19 +66,6 @@ def test(options: Options) -> int:
     return 0
 
 
-def missing(directory: Path, agents: Iterable[Mapping[str, Any]]) -> list[CellTask]:
-    """The policies that do not learn, in the agents' settings, that are not tested yet."""
-    names = {field.name for field in fields(grid.Cell)}
-    wanted: dict[str, grid.Cell] = {}
-    for key in agents:
-        agent = grid.Cell(**{name: value for name, value in key.items() if name in names})
-        profile = {"preset": agent.profile["preset"]}
-        rule = replace(agent, kind="baseline", arm=None, seed=None, profile=profile, trained_with=None)
-        wanted |= {cell.name: cell for policy in grid.BASELINES for cell in [replace(rule, policy=policy)]}
-    there = set(Store(directory).finished())
-    return [CellTask(cell, directory, make_env) for name, cell in wanted.items() if name not in there]
-
-
 def compared(directory: Path, setting: str) -> tuple[pd.DataFrame, int]:
     """What a setting's agents and policies do in the scenarios that all have driven, and the number of these."""
     here, study = Store(directory), Store(PUBLISHED)
@@ -91,24 +73,25 @@ def compared(directory: Path, setting: str) -> tuple[pd.DataFrame, int]:
     own = {name: record["key"] for name, record in records}
     own = {name: key for name, key in own.items() if grid.setting(key) == setting and key["kind"] != "test"}
     alike = [driven_in(key) for key in own.values()]
-    theirs = {name: record["key"] for name, record in study.agents().items()}
-    theirs = {name: key for name, key in theirs.items() if driven_in(key) in alike and study.weights(name)}
-    tables = [here.tables(name)[EPISODES] for name in own] + [study.tables(name)[EPISODES] for name in theirs]
-    slugs = [grid.slug(key) for key in own.values()] + [
-        f"{grid.slug(key)} (published)" for key in theirs.values()
-    ]
-    common = set.intersection(*(set(table["scenario"]) for table in tables))
-    rows = []
-    for table in tables:
+    rows = [(grid.slug(key), here.tables(name)[EPISODES]) for name, key in own.items()]
+    common = set.intersection(*(set(table["scenario"]) for _, table in rows))
+    for name, record in study.agents().items():
+        if driven_in(record["key"]) in alike and study.weights(name):
+            table = study.tables(name)[EPISODES]
+            if met := common & set(table["scenario"]):  # the second study has others
+                rows.append((f"{grid.slug(record['key'])} (published)", table))
+                common = met
+    if not common:
+        raise UserError(f"{setting} in {directory}: its agents were tested in different scenarios")
+    found = {}
+    for number, (label, table) in enumerate(rows):
         parts = dict(iter(table[table["scenario"].isin(common)].groupby("traffic")))
-        rows.append(
-            {
-                f"{title}, risk {risk:g}": words(parts[traffic][column])
-                for title, column, words in SHOWN
-                for traffic, risk in TRAFFICS.items()
-            }
-        )
-    return pd.DataFrame(rows, index=[slug.removeprefix(f"{setting}-") for slug in slugs]), len(common)
+        found[number, label.removeprefix(f"{setting}-")] = {
+            f"{title}, risk {risk:g}": words(parts[traffic][column])
+            for title, column, words in SHOWN
+            for traffic, risk in TRAFFICS.items()
+        }
+    return pd.DataFrame.from_dict(found, orient="index").droplevel(0), len(common)
 
 
 def driven_in(key: Mapping[str, Any]) -> list[Any]:

@@ -1,4 +1,4 @@
-"""Train and test one agent, and watch it learn.
+"""Train and test one agent, and watch it learn; policies that do not learn are tested in the same scenarios.
 
     python experiments/train.py --task u-turn --risk 1 --out results/mine
     python experiments/watch.py results/mine     # films it
@@ -151,6 +151,9 @@ def train(options: Options, arguments: list[str]) -> int:
         print(f"training {agent.slug}: {agent.updates} updates (stop and go on at any time)")
         compute_here(CellTask(agent, options.out, watched), beat)
         picture = draw(options.out, agent)
+        print("testing policies that do not learn beside it", flush=True)
+        for other in others:
+            compute_here(CellTask(other, options.out, make_env))
     print(f"{agent.slug} is trained and tested; its learning curve: {picture}")
     print(f"next: python experiments/test.py {options.out}; python experiments/watch.py {options.out}")
     return 0

@@ -38,7 +38,7 @@ def trained(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def test_the_agent_is_an_ordinary_cell(trained: Path) -> None:
-    [name] = store.Store(trained).finished()
+    [name] = store.Store(trained).agents()
     key = store.Store(trained).record(name)["key"]
     assert (key["kind"], key["arm"], key["seed"], key["profile"]["updates"]) == ("agent", "mixed", 0, 60)
     picture = Image.open(trained / "sumo-u-turn-3-mixed-s0.png")

@@ -47,13 +47,6 @@ def test_an_episode_that_comes_out_differently_is_told(cells, tmp_path, capsys):
     assert "instead of" in errors
 
 
-def test_a_film_has_the_frames_of_the_episode(cells, tmp_path):
-    path = tmp_path / "episode.gif"
-    replay(Options(f"{cells[0]}:risky:0", out=path), make_env)
-    length = episodes(cells[0]).query("traffic == 'risky' and scenario == 0")["length"].item()
-    assert Image.open(path).n_frames in (length, length + 1)  # equal neighbours are merged
-
-
 def test_by_default_the_first_crash_is_shown(cells):
     for cell in cells:
         table = episodes(cell)

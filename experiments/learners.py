@@ -184,7 +184,7 @@ def compare(options: Options, arguments: list[str]) -> int:
         return sweep.compute_one(options.cell, work)
     again = shlex.join(["python", "experiments/learners.py", *arguments])
     how = sweep.Options(backend=options.backend, workers=options.workers)
-    failures = sweep.compute(how, Store(options.out), work, again)
+    failures = sweep.compute(how, Store(options.out), work)
     for name, reason in failures.items():
         print(f"{name} failed: {reason}\n  to see it fail: {again} --cell {name}", file=sys.stderr)
     found = table(options.out, [task.cell for name, task in work.items() if name not in failures])

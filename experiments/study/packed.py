@@ -9,6 +9,7 @@ DIR/weights/           the weights that are kept, CELL.npz
 
 from __future__ import annotations
 
+import io
 import json
 import shutil
 from collections.abc import Mapping
@@ -85,9 +86,13 @@ def _records(path: Path, sums: tuple[str, ...]) -> dict[str, dict[str, Any]]:
 
 @lru_cache(8)
 def _tables(path: Path, sums: tuple[str, ...]) -> dict[str, pd.DataFrame]:
+    return _by_cell(_read(path, sums))
+
+
+def _by_cell(table: pd.DataFrame) -> dict[str, pd.DataFrame]:
     return {
         str(name): rows.drop(columns="cell").reset_index(drop=True)
-        for name, rows in _read(path, sums).groupby("cell", sort=False)
+        for name, rows in table.groupby("cell", sort=False)
     }
 
 
@@ -109,28 +114,30 @@ def add(
     tables: Mapping[str, Mapping[str, pd.DataFrame]],
     weights: Mapping[str, Path],
 ) -> None:
-    """Pack further cells. Nothing is deleted, and what is there can be read after a kill at any moment.
+    """Pack further cells. What is to be written is read back and compared before; nothing is deleted.
+
+    After a kill at any moment, what was packed before can be read.
 
     Args:
         records, tables: cell.json and the tables of the cells, by their names.
         weights: files of the weights that are to be kept, by cell.
 
     Raises:
-        UserError: a packed table is damaged.
+        UserError: a packed table is damaged, or a table does not read back equal.
     """
     import pandas as pd
 
-    before, everything = checksums(directory), sorted({**packed_records(directory), **records}.items())
-    index = [{"cell": name, "record": json.dumps(record, allow_nan=False)} for name, record in everything]
-    contents = {}
-    for file in sorted({*before, *(file for own in tables.values() for file in own)} - {CELLS}):
-        parts = {
-            **packed_tables(directory, file),
-            **{name: own[file] for name, own in tables.items() if file in own},
-        }
-        joined = pd.concat([parts[name].assign(cell=name) for name in sorted(parts)], ignore_index=True)
-        contents[file] = as_parquet(joined[["cell", *joined.columns.drop("cell")]])
-    contents[CELLS] = as_parquet(pd.DataFrame(index))  # written last
+    before, everything = checksums(directory), {**packed_records(directory), **records}
+    parts = {
+        file: packed_tables(directory, file)
+        | {name: own[file] for name, own in tables.items() if file in own}
+        for file in sorted({*before, *(file for own in tables.values() for file in own)} - {CELLS})
+    }
+    parts[CELLS] = {  # written last
+        name: pd.DataFrame({"record": [json.dumps(record, allow_nan=False)]})
+        for name, record in everything.items()
+    }
+    contents = {file: _joined(file, of_cells) for file, of_cells in parts.items()}
     for name, path in weights.items():
         packed_weights(directory, name).parent.mkdir(exist_ok=True)
         shutil.copyfile(path, packed_weights(directory, name))
@@ -140,6 +147,19 @@ def add(
     for file, data in contents.items():
         write_file(directory / file, data)
     write_json(directory / MANIFEST, {"layout": LAYOUT, "files": new})
+
+
+def _joined(file: str, parts: Mapping[str, pd.DataFrame]) -> bytes:
+    """The bytes of a packed table, which has been read back."""
+    import pandas as pd
+
+    joined = pd.concat([parts[name].assign(cell=name) for name in sorted(parts)], ignore_index=True)
+    data = as_parquet(joined[["cell", *joined.columns.drop("cell")]])
+    found = _by_cell(pd.read_parquet(io.BytesIO(data)))
+    for name, rows in parts.items():  # a table may lack columns that others have
+        if name not in found or not found[name][list(rows)].equals(rows.reset_index(drop=True)):
+            raise UserError(f"{file} of {name} does not read back as it was: nothing was packed")
+    return data
 
 
 def as_parquet(table: pd.DataFrame) -> bytes:

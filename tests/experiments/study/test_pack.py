@@ -152,6 +152,16 @@ def test_what_was_packed_before_survives_a_kill_while_packing(grown, tmp_path, w
     assert_same(content(results), before)
 
 
+def test_what_does_not_read_back_equal_is_not_believed(results: Path, monkeypatch) -> None:
+    to_parquet = packed.as_parquet
+    monkeypatch.setattr(
+        packed, "as_parquet", lambda table: to_parquet(table.assign(length=1) if "length" in table else table)
+    )
+    with pytest.raises(UserError, match="does not read back as it was: nothing was packed"):
+        store.Store(results).pack()
+    assert not (results / MANIFEST).exists()
+
+
 def test_cells_of_earlier_versions_have_no_actions_and_pack_with_others(results: Path) -> None:
     """Their tables lack the column; beside others it is missing there."""
     old = next(results.glob("cells/*-idle-*"))

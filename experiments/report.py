@@ -1,6 +1,7 @@
 """Write the report of the cells that a sweep has stored.
 
     python experiments/report.py results/sumo-quick
+    python experiments/report.py results/sumo-quick results/replica-quick    # others side by side with it
     python experiments/report.py results/sumo-quick --placebo
 
 Nothing is trained: the report is a function of the stored cells, and may be written at any time, also while a
@@ -50,6 +51,8 @@ class Options:
 
     directory: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
     """The --out directory of a sweep."""
+    others: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="OTHER")] = ()
+    """Further ones, whose effects in the settings of all are shown side by side."""
     outcome: tuple[Annotated[str, tyro.conf.arg(metavar="FILE:NAME")], ...] = ()
     """Also analyse outcomes of your own: objects of the class experiments.analysis.plan.Outcome with `of`."""
     pack: bool = False
@@ -58,8 +61,11 @@ class Options:
     """Instead print what the controls find: control against control, a rule against itself, a doubled penalty."""
 
 
-def write_report(directory: Path) -> Path:
+def write_report(directory: Path, *others: Path) -> Path:
     """Analyse the stored cells of a directory and write the files of the report into it.
+
+    Args:
+        others: directories to show side by side with it.
 
     Returns:
         The path of report.html.
@@ -70,9 +76,10 @@ def write_report(directory: Path) -> Path:
     directory = Path(directory)
     results = load(directory, skip_damaged=True)
     analysis = analyse(results)
+    beside = {str(other): analyse(load(other, skip_damaged=True)) for other in others}
     try:
         films = showcase(results, set(analysis.notes["left_out"]), make_env)
-        variables = page(results, analysis, films)
+        variables = page(results, analysis, films, beside)
         write_file(directory / ANALYSIS, (json.dumps(as_json(analysis), allow_nan=False) + "\n").encode())
         for name, table in ((SUMMARY, analysis.policies), (EFFECTS, analysis.effects.drop(columns="looks"))):
             write_file(directory / name, table.to_csv(index=False, float_format="%.10g").encode())
@@ -107,9 +114,9 @@ def answer(directory: Path) -> str:
     return text.partition("\n|")[0].partition("\n\n")[2].strip()
 
 
-def print_report(directory: Path) -> None:
+def print_report(directory: Path, *others: Path) -> None:
     """Write the report, and print the answer and where it is. Raises UserError as `write_report` does."""
-    path = write_report(directory)
+    path = write_report(directory, *others)
     print(answer(path.parent))
     print(f"report: {path}", flush=True)
 
@@ -147,7 +154,7 @@ def main() -> int:
     elif options.placebo:
         report_placebo(options.directory)
     else:
-        print_report(options.directory)
+        print_report(options.directory, *options.others)
     return 0
 
 

@@ -44,7 +44,7 @@ CRASHES = [("crashed", term) for term in ONE_TRAFFIC]
 FURTHER = [(arm, against) for arm in EXTRA_ARMS for against in ("control", "treatment")]
 BESIDE = [*FURTHER, *((arm, "careful") for arm in ARMS)]
 SHOWN = [(outcome, term) for outcome in ("crashed", "return", "mean_speed") for term in ONE_TRAFFIC]
-DESCRIPTIVE = ("length", "distance", "arrived", "density", "stopped", "progress")
+DESCRIPTIVE = ("length", "distance", "arrived", "density", "stopped", "progress", "crash_closing_speed")
 AGENT = [*PLACE, "arm", "seed"]
 LEAST = 4  # control agents of a setting that can be dealt into two arms
 

@@ -267,3 +267,47 @@ def learning_curves(cells: Mapping[str, Mapping[str, Any]], backend: str) -> str
     figure.supxlabel("environment steps (thousands)", fontsize=8.5)
     _legend(figure, _arms(curves), [], ls="-")
     return to_svg(figure, f"{backend}-learning", "Return and crash rate of training episodes, by arm")
+
+
+def hazards(drives: pd.DataFrame) -> pd.DataFrame:
+    """Of each agent's drives (rows: cell) still on the road, the share that crashes in each second (columns).
+
+    drives: test episodes as from `scores.with_outcomes`; NaN where an agent has none left.
+    """
+    second = np.ceil(drives["crash_free_time"]).clip(lower=1).astype(int)
+    seconds = range(1, second.max() + 1)
+    ending = pd.crosstab(drives["cell"], second).reindex(columns=seconds, fill_value=0)
+    crashing = pd.crosstab(drives["cell"], second, drives["crashed"], aggfunc="sum")
+    driving = ending.iloc[:, ::-1].cumsum(axis=1).iloc[:, ::-1]
+    return crashing.reindex(columns=seconds).fillna(0.0) / driving.where(driving > 0)
+
+
+@styled
+def crashes_by_second(episodes: pd.DataFrame, backend: str) -> str:
+    """Of the drives still on the road, the share that crashes in each second, at the lightest level of each task.
+
+    episodes: of trained agents on one backend, as from `scores.with_outcomes`.
+    """
+    episodes = episodes[episodes["level"] == episodes.groupby("task")["level"].transform("min")]
+    arms = _arms(episodes)
+    figure, panels = _panels(_tasks(episodes))
+    top = 0.0
+    for (task, traffic), panel in panels.items():
+        for arm in arms:
+            own = episodes[
+                (episodes["task"] == task) & (episodes["traffic"] == traffic) & (episodes["arm"] == arm)
+            ]
+            if own.empty:
+                continue
+            rates = hazards(own)
+            mean, half = rates.mean(), rates.sem() * stats.t.ppf(1 - ALPHA / 2, max(len(rates) - 1, 1))
+            low, high = (mean - half).clip(lower=0), (mean + half).clip(upper=1)
+            panel.plot(mean.index, mean, color=COLOURS[arm], marker="o", ms=2.5, lw=1.2)
+            panel.fill_between(mean.index, low, high, color=COLOURS[arm], alpha=0.2, lw=0)
+            top = max(top, 1.2 * mean.max())
+        panel.xaxis.set_major_locator(MaxNLocator(4, integer=True))
+    for panel in panels.values():
+        panel.set_ylim(-0.04 * top, top)
+    figure.supxlabel("second of the test", fontsize=8.5)
+    _legend(figure, arms, [], ls="-")
+    return to_svg(figure, f"{backend}-seconds", "Crashes by second of the test, by task and arm")

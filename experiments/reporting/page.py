@@ -17,7 +17,7 @@ from experiments.analysis.effects import ALL_TASKS
 from experiments.analysis.estimate import OK, SATURATED
 from experiments.analysis.gates import GATES
 from experiments.analysis.plan import ALPHA
-from experiments.analysis.scores import TASK_ORDER
+from experiments.analysis.scores import TASK_ORDER, with_outcomes
 from experiments.reporting import figures, tables
 from experiments.reporting.tables import BACKENDS, FILTERS, chosen, main
 from experiments.study.arms import ARMS, DOSE_ARMS, TRAFFICS
@@ -30,11 +30,13 @@ from sumo_env.tasks import TASKS
 TEMPLATES = Path(__file__).resolve().parents[1] / "templates"
 
 
-def page(results: Results, analysis: Analysis, films: Mapping[str, Any]) -> dict[str, Any]:
+def page(
+    results: Results, analysis: Analysis, films: Mapping[str, Any], others: Mapping[str, Analysis]
+) -> dict[str, Any]:
     """The templates' variables.
 
     Args:
-        films: from `showcase.showcase`.
+        films: from `showcase.showcase`. others: analyses of folders to show beside this one, by name.
     """
     names = list(dict.fromkeys(analysis.policies["backend"]))
     places = [place for place in films["places"] if place["films"]]
@@ -45,6 +47,7 @@ def page(results: Results, analysis: Analysis, films: Mapping[str, Any]) -> dict
         "films": Markup(canonical_json(places).replace("<", "\\u003c")) if places else None,
         "rule": films["rule"],
         "missing_films": films["notes"],
+        "beside": tables.side_by_side({str(results.directory): analysis, **others}),
         "notes": analysis.notes,
         "checks": checks(results.directory, names),
         "directory": str(results.directory),
@@ -100,9 +103,17 @@ def answer(name: str, analysis: Analysis) -> dict[str, Any]:
         "failing": int((agents["passed"].astype(object) == False).sum()),  # noqa: E712
         "by_task": by_task.to_dict("records"),
         "strongest": by_task["scope"].iloc[by_task["estimate"].abs().argmax()] if len(by_task) > 2 else None,
+        "missing": missing(single) if analysis.plan.get("price") else [],
         "saturated": single.loc[single["status"] == SATURATED, ["task", "level"]].drop_duplicates().shape[0],
         **sides(single),
     }
+
+
+def missing(single: pd.DataFrame) -> list[str]:
+    """The levels of each task that a plan for all settings has no effects of: "highway 100 and 150"."""
+    there = set(zip(single["task"], single["level_name"], strict=True))
+    levels = {task: [n for n in of.levels if (task, n) not in there] for task, of in TASKS.items()}
+    return [f"{task} {tables.listing(names)}" for task, names in levels.items() if names]
 
 
 def sides(single: pd.DataFrame) -> dict[str, dict[str, int]]:
@@ -115,19 +126,16 @@ def sides(single: pd.DataFrame) -> dict[str, dict[str, int]]:
 
 
 def mixed(name: str, analysis: Analysis) -> dict[str, Any] | None:
-    """What the plan of the second study asks beside the effect of the treatment; None under another plan."""
-    if not analysis.plan.get("price"):
+    """What the second study's plan asks of mixed training; None under another plan, or without such agents."""
+    single = chosen(main(analysis.effects, name, "mixed"), outcome="crashed", term=list(TRAFFICS))
+    if not analysis.plan.get("price") or single.empty:
         return None
     bounds = chosen(analysis.price, backend=name)
-    single = chosen(main(analysis.effects, name, "mixed"), outcome="crashed", term=list(TRAFFICS))
-    places = set(zip(single["task"], single["level_name"], strict=True))
-    grid = [(task, level) for task, definition in TASKS.items() for level in definition.levels]
     return {
         "verdict": all_hold(list(chosen(bounds, scope=ALL_TASKS)["verdict"])),
         "bounds": chosen(bounds, scope=ALL_TASKS).to_dict("records"),
         "limits": {task: rows.to_dict("records") for task, rows in bounds.groupby("scope", sort=False)},
-        "settings": len(places),
-        "others": [f"{task} {level}" for task, level in grid if (task, level) not in places],
+        "settings": len(single.drop_duplicates(["task", "level"])),
         **sides(single),
         "tasks": tables.first_page(analysis, name, "mixed"),
     }
@@ -141,7 +149,7 @@ def paces(policies: pd.DataFrame) -> dict[str, Any]:
     return {str(name): rows.droplevel("name").to_dict("index") for name, rows in means.groupby("name")}
 
 
-FIGURES = ("traffic", "progress", "effects", "doses", "learning")
+FIGURES = ("traffic", "progress", "effects", "doses", "learning", "seconds")
 
 
 def drawn(name: str, results: Results, analysis: Analysis) -> dict[str, Markup | None]:
@@ -163,6 +171,8 @@ def drawn(name: str, results: Results, analysis: Analysis) -> dict[str, Markup |
         found["doses"] = figures.dose_response(policies, name)
     if agents:
         found["learning"] = figures.learning_curves(agents, name)
+        drives = with_outcomes(results)
+        found["seconds"] = figures.crashes_by_second(drives[drives["cell"].isin(agents)], name)
     return {key: Markup(svg) if svg else None for key, svg in found.items()}
 
 

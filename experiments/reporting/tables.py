@@ -13,9 +13,9 @@ import numpy as np
 import pandas as pd
 
 from experiments.analysis.analysis import Analysis
-from experiments.analysis.effects import ALL_TASKS
+from experiments.analysis.effects import ALL_TASKS, mean_over
 from experiments.analysis.gates import FAILURES
-from experiments.analysis.plan import OUTCOMES
+from experiments.analysis.plan import OUTCOMES, Plan
 from experiments.analysis.scores import TASK_ORDER
 from experiments.study.arms import ARMS, TRAFFICS
 from experiments.study.unseen import UNSEEN
@@ -169,7 +169,8 @@ def unseen(analysis: Analysis, backend: str) -> pd.DataFrame:
 
     def cells(row: Mapping[str, Any]) -> dict[str, str]:
         error = number(row["crashed se"], "crashed").replace(" %", "")
-        return {row["arm"]: f"{number(row['crashed'], 'crashed')} ± {error}"}
+        speed = plain(row["crash_closing_speed"], 1)
+        return {row["arm"]: f"{number(row['crashed'], 'crashed')} ± {error}, {speed} m/s"}
 
     return wide(placed(rows), ("setting", "traffic"), cells)
 
@@ -184,6 +185,25 @@ def gates(analysis: Analysis, backend: str) -> pd.DataFrame:
         passed = f"{int((own['passed'].astype(object) != False).sum())} of {len(own)}"  # noqa: E712
         lines.append({"setting": setting, "arm": arm, "text": f"{passed} ({words})" if words else passed})
     return wide(pd.DataFrame(lines), ["setting"], lambda row: {row["arm"]: row["text"]})
+
+
+def side_by_side(analyses: Mapping[str, Analysis]) -> pd.DataFrame:
+    """Effects on the crash rate in several folders, by name, over the settings that all of them have."""
+    crashes = {
+        name: chosen(main(analysis.effects, analysis.effects["backend"].iloc[0]), outcome="crashed")
+        for name, analysis in analyses.items()
+        if len(analysis.effects)
+    }
+    places = {name: list(zip(rows["task"], rows["level"], strict=True)) for name, rows in crashes.items()}
+    shared = set.intersection(*map(set, places.values())) if len(places) > 1 else set()
+    lines = []
+    for name, rows in crashes.items() if shared else ():
+        common = rows[[place in shared for place in places[name]]]
+        effects = {
+            f"{term} traffic": difference(mean_over(chosen(common, term=term), Plan())) for term in TRAFFICS
+        }
+        lines.append({"folder": name, "settings": str(len(shared)), **effects})
+    return pd.DataFrame(lines)
 
 
 LEARNER = {

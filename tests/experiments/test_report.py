@@ -7,12 +7,14 @@ import re
 from html.parser import HTMLParser
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 import pytest
 
 from experiments import report
-from experiments.analysis.analysis import analyse, stored
-from experiments.analysis.plan import OUTCOMES
+from experiments.analysis.analysis import DESCRIPTIVE, analyse, policies, stored
+from experiments.analysis.effects import mean_over
+from experiments.analysis.plan import OUTCOMES, Plan
 from experiments.reporting import figures
 from experiments.reporting.page import FIGURES, checks
 from experiments.reporting.tables import difference, main
@@ -165,6 +167,31 @@ class TestAnswer:
         rows = found.effects.query("arm == 'treatment' and outcome == 'crashed' and family != ''")
         fewer = ((rows["term"] == "risky") & (rows["p_adjusted"] < 0.05) & (rows["estimate"] < 0)).sum()
         assert fewer > 0 and f"in risky traffic {fewer} of 3 with fewer crashes and 0 with more" in text
+
+
+@pytest.mark.usefixtures("words_alone")
+def test_folders_side_by_side_are_compared_in_the_settings_of_all(tmp_path):
+    own, other = tmp_path / "own", tmp_path / "other"
+    synthetic.write(own, {"highway": (1, 2), "u-turn": (1,)}, seeds=3, tests=10)
+    synthetic.write(other, {"highway": (1,), "u-turn": (1,)}, seeds=3, tests=10, backend="replica")
+    text = Page(report.write_report(own, other).read_text()).text
+    means = main(analyse(load(other)).means, "replica").query("scope == 'all tasks' and outcome == 'crashed'")
+    both = analyse(load(own)).effects.query("level == 1 and outcome == 'crashed' and arm == 'treatment'")
+    for term in ("risky", "regular"):
+        [there] = means[means["term"] == term].to_dict("records")
+        alone = mean_over(main(both[both["term"] == term], "sumo"), Plan())
+        assert difference(there) in text and difference(alone) in text
+
+
+def test_the_severity_of_unseen_crashes_is_the_mean_over_crashes_alone():
+    """Of each agent first, then of the agents; drives without a crash have no closing speed."""
+    drives = pd.DataFrame({"cell": [1, 1, 1, 2], "crash_closing_speed": [4.0, 8.0, np.nan, 10.0]})
+    episodes = drives.assign(
+        backend="sumo", tested_on="sumo", task="u-turn", level=1, level_name="3", kind="agent", policy="dqn",
+        arm="control", seed=drives["cell"], traffic="krauss", scenario=0, seconds=10.0,
+        **dict.fromkeys({*OUTCOMES, *DESCRIPTIVE} - {"progress", "crash_closing_speed"}, 1.0),
+    )  # fmt: skip
+    assert policies(episodes)["crash_closing_speed"].tolist() == [8.0]
 
 
 class TestIncomplete:

@@ -56,3 +56,14 @@ def test_the_line_under_the_policies_is_the_frontier_of_the_analysis(monkeypatch
     ]
     figures.crashes_against_progress(pd.DataFrame(rows), "sumo")
     assert [line for line in lines if line] == [[(5.0, 0.1), (9.0, 0.3), (12.0, 0.5)]]
+
+
+def test_the_hazard_is_the_share_of_the_drives_still_on_the_road_that_crashes() -> None:
+    drives = pd.DataFrame(
+        {"cell": "a", "crash_free_time": [0.0, 0.9, 2.0, 3.0, 3.0], "crashed": [1.0, 0.0, 1.0, 1.0, 0.0]}
+    )
+    other = pd.DataFrame({"cell": "b", "crash_free_time": [1.5], "crashed": [1.0]})
+    found = figures.hazards(pd.concat([drives, other]))
+    # five drives in the first second, three in the second, two in the third
+    assert found.loc["a"].tolist() == pytest.approx([1 / 5, 1 / 3, 1 / 2])
+    assert found.loc["b"].tolist() == pytest.approx([0.0, 1.0, float("nan")], nan_ok=True)

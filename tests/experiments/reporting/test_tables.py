@@ -47,10 +47,10 @@ def test_the_unseen_table_sets_each_traffic_beside_that_of_the_training() -> Non
     careful = {**rows[0], "arm": "", "policy": "careful", "crashed": 0.0}  # not of an agent
     regular = {**rows[0], "traffic": "regular", "crashed": 0.01}  # not risky
     other_task = {**rows[0], "task": "highway", "level_name": "50"}  # nothing unseen was tested there
-    there = pd.DataFrame([careful, regular, other_task, *rows])
+    there = pd.DataFrame([careful, regular, other_task, *rows]).assign(crash_closing_speed=7.25)
     table = tables.unseen(analysis(policies=there), "sumo").to_numpy().tolist()
     assert table == [
-        ["u-turn 3", "risky", "50.0 % ± 2.0", "25.0 % ± 2.0"],
-        ["u-turn 3", "only-brake", "40.0 % ± 2.0", "40.0 % ± 2.0"],
-        ["u-turn 3", "krauss", "30.0 % ± 2.0", "10.0 % ± 2.0"],
+        ["u-turn 3", "risky", "50.0 % ± 2.0, 7.2 m/s", "25.0 % ± 2.0, 7.2 m/s"],
+        ["u-turn 3", "only-brake", "40.0 % ± 2.0, 7.2 m/s", "40.0 % ± 2.0, 7.2 m/s"],
+        ["u-turn 3", "krauss", "30.0 % ± 2.0, 7.2 m/s", "10.0 % ± 2.0, 7.2 m/s"],
     ]

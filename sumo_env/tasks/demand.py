@@ -1,7 +1,7 @@
 """Route files of SUMO (.rou.xml): who departs when, on which route, as which type of vehicle.
 
-Flows that a file leaves to chance (a probability, exponential gaps) are drawn from the episode's seed. What cannot be
-driven is an error, what has no effect a warning.
+What a file leaves to chance (flows with a probability or exponential gaps, distributions of types and routes) is drawn
+from the episode's seed. What cannot be driven is an error, what has no effect a warning.
 """
 
 from __future__ import annotations
@@ -10,7 +10,7 @@ import gzip
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 from xml.etree import ElementTree
 
 import numpy as np
@@ -22,6 +22,7 @@ from sumo_env.networks.lanes import VEHICLE_LENGTH
 from sumo_env.traffic.attributes import check_attributes, of_class
 from sumo_env.traffic.scenario import EGO
 
+_T = TypeVar("_T")
 LONGEST = 3600.0  # [s] that flows without an end go on
 Element = ElementTree.Element
 Edges = tuple[str, ...]
@@ -37,10 +38,6 @@ REFUSED = {
     **dict.fromkeys(("person", "personFlow", "container", "containerFlow"), "only vehicles drive here"),
     "include": "put its contents into this file",
     "interval": "give begin and end to each flow",
-    **dict.fromkeys(
-        ("vTypeDistribution", "routeDistribution"),
-        "let SUMO's duarouter write out vehicles, their types and routes",
-    ),
 }
 
 FRONTS = {
@@ -75,25 +72,37 @@ class Kind(NamedTuple):
         return min(max(float(rng.normal(self.mean, self.deviation)), self.least), self.most)
 
 
+class Departure(NamedTuple):
+    """A vehicle of a route file: when, on which route and how it departs. None: drawn at random, or not set."""
+
+    id: str
+    route: str
+    time: float  # [s]
+    lane: int | None  # SUMO's number, 0 for the rightmost
+    front: float | None  # position of the front bumper [m]
+    speed: float | None  # [m/s]; None for the speed limit
+    kind: Kind | None  # None for a driver of the pool
+
+
+Choice = tuple[tuple[str, float], ...]  # (name, weight)
+
+
 class Entry(NamedTuple):
-    """A vehicle, trip or flow of a route file: on which route, how and when it departs.
+    """A vehicle, trip or flow of a route file.
 
     Attributes:
-        kind: None for a driver of the pool.
-        lane: SUMO's number, 0 for the rightmost; None if it is drawn.
-        front: position of the front bumper [m]; None if it is drawn.
-        speed: [m/s]; None for the speed limit.
         times: of its departures [s], or None if they are drawn.
         gap, probability: of a flow that is drawn: mean of exponential gaps [s], or chance per second.
     """
 
     id: str
-    route: str
-    kind: Kind | None = None
-    lane: int | None = None
-    front: float | None = None
-    speed: float | None = None
-    times: tuple[float, ...] | None = ()
+    routes: Choice
+    kinds: tuple[tuple[Kind | None, float], ...]
+    lane: int | None
+    front: float | None
+    speed: float | None
+    factor: float | None
+    times: tuple[float, ...] | None
     gap: float = 0.0
     probability: float = 0.0
     begin: float = 0.0
@@ -102,16 +111,21 @@ class Entry(NamedTuple):
     single: bool = False
 
     @property
-    def vehicles(self) -> str:
-        """SUMO's class of vehicles."""
-        return CAR if self.kind is None else self.kind.vehicles
+    def vehicles(self) -> set[str]:
+        """SUMO's classes of vehicles."""
+        return {CAR if kind is None else kind.vehicles for kind, _ in self.kinds}
 
-    def departures(self, rng: np.random.Generator, begin: float, end: float) -> Iterator[tuple[str, float]]:
-        """Names of the vehicles and times [s] in [begin, end]; what is left to chance is drawn from `rng`."""
+    def departures(self, rng: np.random.Generator, begin: float, end: float) -> Iterator[Departure]:
+        """Those in [begin, end]; what is left to chance is drawn from `rng`."""
         times = self.times if self.times is not None else self._drawn(rng, end) if end > 0 else ()
         for count, time in enumerate(times):
-            if begin <= time <= end:
-                yield self.id if self.single else f"{self.id}.{count}", time
+            if not begin <= time <= end:
+                continue
+            kind = _pick(self.kinds, rng)
+            if kind is not None and self.factor is not None:
+                kind = kind._replace(mean=self.factor, deviation=0.0)
+            name = self.id if self.single else f"{self.id}.{count}"
+            yield Departure(name, _pick(self.routes, rng), time, self.lane, self.front, self.speed, kind)
 
     def _drawn(self, rng: np.random.Generator, end: float) -> Iterator[float]:
         time, count = self.begin, 0
@@ -121,6 +135,13 @@ class Entry(NamedTuple):
                 return
             yield time
             count += 1
+
+
+def _pick(choices: Sequence[tuple[_T, float]], rng: np.random.Generator) -> _T:
+    if len(choices) == 1:
+        return choices[0][0]
+    weights = np.array([weight for _, weight in choices])
+    return choices[int(rng.choice(len(choices), p=weights / weights.sum()))][0]
 
 
 def read(file: Path, router: Router) -> tuple[dict[str, Edges], tuple[Entry, ...]]:
@@ -155,7 +176,7 @@ class _Reader:
         self.ignored: set[str] = set()
         self._file, self._router = file, router
         self._names = {EGO}
-        self._kinds: dict[str, Kind] = {}
+        self._choices: dict[tuple[str, str], tuple[tuple[Any, float], ...]] = {}  # of types, and of routes
 
     def take(self, item: Element) -> None:
         """Read an element of the file."""
@@ -163,9 +184,11 @@ class _Reader:
         if next(item.iter("stop"), None) is not None:
             raise self._wrong(item, "stops are not driven here; take <stop> out")
         if tag == "vType":
-            self._kinds[name] = self._kind(item)
+            self._choices[tag, name] = ((self._kind(item), 1.0),)
         elif tag == "route":
-            self._route(name, item)
+            self._choices[tag, name] = ((self._route(name, item), 1.0),)
+        elif tag in ("vTypeDistribution", "routeDistribution"):
+            self._choices[tag.removesuffix("Distribution"), name] = self._distribution(item)
         elif tag in ("vehicle", "trip", "flow"):
             self.entries.append(self._entry(item))
         else:
@@ -213,6 +236,26 @@ class _Reader:
             return Kind(name, attributes, *values)
         return Kind(name, attributes, values[0], deviation)
 
+    def _distribution(self, item: Element) -> tuple[tuple[Any, float], ...]:
+        """Members by their weights: elements inside, or names in an attribute."""
+        tag = item.tag.removesuffix("Distribution")
+        members = []
+        for inner in item.findall(tag):
+            if inner.get("id") is not None:
+                self.take(inner)
+            name = inner.get("id") or inner.get("refId") or ""
+            members.append((name, self._number(inner, "probability", 1.0)))
+        names = item.get(f"{tag}s", "").split()
+        weights = map(float, item.get("probabilities", "").split() or ["1"] * len(names))
+        members += zip(names, weights, strict=True)
+        return tuple((one, weight) for name, weight in members for one, _ in self._named(item, tag, name))
+
+    def _named(self, item: Element, tag: str, name: str) -> tuple[tuple[Any, float], ...]:
+        """The types or routes of a name that an element gives."""
+        if (tag, name) not in self._choices:
+            raise self._wrong(item, f"unknown {tag} {name!r}")
+        return self._choices[tag, name]
+
     def _route(self, name: str, item: Element) -> str:
         self.routes[name] = tuple(item.get("edges", "").split())
         if not self.routes[name]:
@@ -221,17 +264,18 @@ class _Reader:
 
     # -- departures ----------------------------------------------------------------------------------------
 
-    def _way(self, item: Element, vehicles: str) -> str:
-        """The route of a vehicle, a trip or a flow; `vehicles` is the class for which a trip is routed."""
+    def _way(self, item: Element, vehicles: str) -> Choice:
+        """The routes of a vehicle, a trip or a flow; `vehicles` is the class for which a trip is routed."""
         name = f"route of {item.get('id')}"
-        if item.find("routeDistribution") is not None:
-            raise self._wrong(item, REFUSED["routeDistribution"])
-        if (inner := item.find("route")) is not None:
-            return self._route(name, inner)
-        if (known := item.get("route")) is not None:
-            if known not in self.routes:
-                raise self._wrong(item, f"unknown route {known!r}")
-            return known
+        inner = item.find("route")
+        if inner is not None:
+            return ((self._route(name, inner), 1.0),)
+        if (among := item.find("routeDistribution")) is not None:
+            for number, route in enumerate(among.findall("route")):
+                route.set("id", f"{name} {number}")
+            return self._distribution(among)
+        if item.get("route") is not None:
+            return self._named(item, "route", item.get("route", ""))
         if item.get("from") is None or item.get("to") is None:
             raise self._wrong(item, "it has no route, and no edges in from and to")
         via = item.get("via", "").split()
@@ -240,7 +284,7 @@ class _Reader:
             raise self._wrong(
                 item, f"no route leads from edge {item.get('from')!r} to edge {item.get('to')!r}"
             )
-        return name
+        return ((name, 1.0),)
 
     def _entry(self, item: Element) -> Entry:
         self.ignored |= {
@@ -258,18 +302,17 @@ class _Reader:
         speed = self._number(item, "departSpeed", 0.0, SPEEDS)
         if speed < 0.0:
             raise self._wrong(item, f"departSpeed={speed:g} is negative")
-        kind = self._kinds.get(item.get("type", ""))
-        if kind is None and item.get("type") is not None:
-            raise self._wrong(item, f"unknown vType {item.get('type')!r}")
-        if kind is not None and item.get("speedFactor"):
-            kind = kind._replace(mean=self._number(item, "speedFactor", 1.0), deviation=0.0)
+        kind = item.get("type")
+        kinds = ((None, 1.0),) if kind is None else self._named(item, "vType", kind)
+        classes = {CAR if one is None else one.vehicles for one, _ in kinds}
         common: dict[str, Any] = {
             "id": name,
-            "route": self._way(item, CAR if kind is None else kind.vehicles),
-            "kind": kind,
+            "routes": self._way(item, CAR if CAR in classes else min(classes)),
+            "kinds": kinds,
             "lane": None if math.isnan(lane) else int(lane),
             "front": None if math.isnan(front) else front,
             "speed": None if math.isnan(speed) else speed,
+            "factor": self._number(item, "speedFactor", 1.0) if item.get("speedFactor") else None,
         }
         if item.tag != "flow":
             return Entry(**common, times=(self._number(item, "depart", 0.0),), single=True)

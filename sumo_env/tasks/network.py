@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from functools import partial
+from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from sumo_env.networks.lanes import VEHICLE_LENGTH
 from sumo_env.networks.roads import LaneIndex, Road
 from sumo_env.streams import stream
 from sumo_env.tasks.base import Drivers, EgoState, Task, ego_driver, make_on_lane, speed_term
-from sumo_env.tasks.demand import RIGHTMOST, Entry, read
+from sumo_env.tasks.demand import RIGHTMOST, Departure, Entry, read
 from sumo_env.tasks.way import Way
 from sumo_env.traffic.drivers import Driver
 from sumo_env.traffic.risk import RiskRates
@@ -81,14 +82,16 @@ class NetworkTask(Task):
         self.routes = {**named, EGO_ROUTE: tuple(ego_route)}
         users: dict[str, set[str]] = {name: set() for name in self.routes}
         for entry in self._demand:
-            users[entry.route].add(entry.vehicles)
+            for name, _ in entry.routes:
+                users[name] |= entry.vehicles
         self._others = tuple(name for name in named if files.CAR in (users[name] or {files.CAR}))
         self._network = driven = files.network(self.net, self._routes)
         for name, classes in users.items():
             for vehicles in sorted(classes or {files.CAR}):
                 files.check_route(driven, name, self.routes[name], vehicles)
         for entry in self._demand:
-            self._departure_lanes(entry)
+            for (name, _), vehicles in product(entry.routes, entry.vehicles):
+                self._departure_lanes(entry, name, vehicles)
         self._way = Way(driven, self.routes[EGO_ROUTE], VEHICLE_LENGTH)
         self.ego_road = files.lane(ego_route[0])[:2]
         limit = self._way.limit
@@ -114,9 +117,8 @@ class NetworkTask(Task):
         self, config: Config, road: Road, ego: VehicleSpec, rng: np.random.Generator, drivers: Drivers
     ) -> list[VehicleSpec]:
         vehicles: list[VehicleSpec] = []
-        early = ((e, name) for e in self._demand for name, _ in e.departures(rng, -math.inf, 0.0))
-        for entry, name in early:
-            vehicle = self._departing(entry, name, road, rng, drivers)
+        for departure in (one for entry in self._demand for one in entry.departures(rng, -math.inf, 0.0)):
+            vehicle = self._departing(departure, road, rng, drivers)
             if fits(vehicle, [(other.x, other.y) for other in (ego, *vehicles)]):
                 vehicles.append(vehicle)
         roomy = {route: _roomy(road, self.routes[route]) for route in self._others}
@@ -142,51 +144,53 @@ class NetworkTask(Task):
         steps = math.ceil(config["duration"] * frequency)
         soon = math.nextafter(0.0, 1.0)
         found = [
-            Spawn(math.ceil(time * frequency), self._departing(entry, name, road, rng, drivers))
+            Spawn(math.ceil(departure.time * frequency), self._departing(departure, road, rng, drivers))
             for entry in self._demand
-            for name, time in entry.departures(rng, soon, float(config["duration"]))
+            for departure in entry.departures(rng, soon, float(config["duration"]))
         ]
         for step in range(1, steps + 1) if self._others else ():
             if rng.random() < config["spawn_probability"] / frequency:
                 route = self._others[int(rng.integers(len(self._others)))]
-                entry = Entry(f"s{step}", route, front=2 * MARGIN)
-                found.append(Spawn(step, self._departing(entry, entry.id, road, rng, drivers)))
+                departure = Departure(f"s{step}", route, 0.0, None, 2 * MARGIN, None, None)
+                found.append(Spawn(step, self._departing(departure, road, rng, drivers)))
         return found
 
     def _departing(
-        self, entry: Entry, name: str, road: Road, rng: np.random.Generator, drivers: Drivers
+        self, departure: Departure, road: Road, rng: np.random.Generator, drivers: Drivers
     ) -> VehicleSpec:
-        lanes = self._departure_lanes(entry)
-        index = lanes[int(rng.integers(len(lanes)))] if entry.lane is None else lanes[0]
+        vehicles = files.CAR if departure.kind is None else departure.kind.vehicles
+        lanes = self._departure_lanes(departure, departure.route, vehicles)
+        index = lanes[int(rng.integers(len(lanes)))] if departure.lane is None else lanes[0]
         lane = road.lane(index)
         drawn = float(rng.uniform(2 * MARGIN, max(lane.length - MARGIN, 2 * MARGIN)))
-        front = drawn if entry.front is None else entry.front % lane.length
-        speed = lane.speed_limit if entry.speed is None else entry.speed
+        front = drawn if departure.front is None else departure.front % lane.length
+        speed = lane.speed_limit if departure.speed is None else departure.speed
         driver: Driver = drivers.next()
         factor = 1.0
-        if entry.kind is not None:
-            factor = entry.kind.factor(rng)
-            driver = driver.like(entry.kind.name, entry.kind.attributes)
+        if departure.kind is not None:
+            factor = departure.kind.factor(rng)
+            driver = driver.like(departure.kind.name, departure.kind.attributes)
         s = max(front - driver.size[0] / 2, 0.0)
-        return _placed(road, name, index, s, speed, driver, entry.route, factor * lane.speed_limit)
+        wanted = factor * lane.speed_limit
+        return _placed(road, departure.id, index, s, speed, driver, departure.route, wanted)
 
-    def _departure_lanes(self, entry: Entry) -> list[LaneIndex]:
+    def _departure_lanes(self, departure: Departure | Entry, route: str, vehicles: str) -> list[LaneIndex]:
         """The lanes in which a vehicle may depart; SUMO's number counts all lanes, pavements too."""
-        edge = self.routes[entry.route][0]
-        lanes = files.lanes_for(self._network, edge, entry.vehicles)
-        if entry.lane == RIGHTMOST:
+        edge = self.routes[route][0]
+        lanes = files.lanes_for(self._network, edge, vehicles)
+        if departure.lane == RIGHTMOST:
             lanes = lanes[-1:]
-        elif entry.lane is not None:
-            lanes = [index for index in lanes if self._network.lanes[index].id == f"{edge}_{entry.lane}"]
+        elif departure.lane is not None:
+            lanes = [index for index in lanes if self._network.lanes[index].id == f"{edge}_{departure.lane}"]
         if not lanes:
             raise ConfigError(
-                f"{entry.id!r} departs on lane {entry.lane} of edge {edge!r}, which has no such lane for "
-                f"vehicles of class {entry.vehicles!r}"
+                f"{departure.id!r} departs on lane {departure.lane} of edge {edge!r}, which has no such lane for "
+                f"vehicles of class {vehicles!r}"
             )
         length = self._network.road.lane(lanes[0]).length
-        if entry.front is not None and abs(entry.front) > length + SPACING:
+        if departure.front is not None and abs(departure.front) > length + SPACING:
             raise ConfigError(
-                f"{entry.id!r} departs at {entry.front:g} m of edge {edge!r}, which is {length:.0f} m long"
+                f"{departure.id!r} departs at {departure.front:g} m of edge {edge!r}, which is {length:.0f} m long"
             )
         return lanes
 

@@ -170,7 +170,6 @@ def test_what_cannot_be_driven_is_named(blocks: Path, change: dict[str, Any], me
         (DEPARTING.format('departLane="firts"'), "departLane='firts'"),
         (DEPARTING.format('departPos="999"'), "departs at 999 m of edge 'main', which is 2.. m long"),
         (DEPARTING.format('departSpeed="-3"'), "departSpeed=-3 is negative"),
-        ('<vTypeDistribution id="x"/>', "duarouter"),
         ('<vType id="x" vClass="buss"/>', "did you mean 'bus'"),
         ('<route id="r" edges="main"><stop lane="main_0" duration="9"/></route>', "stops"),
     ],

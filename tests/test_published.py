@@ -138,6 +138,8 @@ def test_the_second_study_is_told_as_it_was_found() -> None:
         )
         in text
     )
+    term = {name: words.replace(" points", "") for name, words in crashes(published("crash-reward")).items()}
+    assert f"differ by {term['regular']} in regular and {term['risky']} in risky traffic" in text
     shown = [crashes(study, arm="mixed")[term].split()[0] for term in TRAFFICS]
     shown.append(crashes(study, scope="without two-way")["regular"].replace(" points", ""))
     assert [number for number in shown if number not in text] == []

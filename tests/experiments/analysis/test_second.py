@@ -242,6 +242,6 @@ class TestStudy:
         monkeypatch.setattr("experiments.reporting.page.drawn", lambda *_: dict.fromkeys(FIGURES))
         page = report.write_report(home).read_text()
         assert "Gain without price" in page and "Gain without price" in report.answer(home)
-        assert "sumo-u-turn-6 is not complete" in page and "u-turn 12" in report.answer(home)
+        assert "sumo-u-turn-6 is not complete" in page and "6, 9 and 12" in report.answer(home)
         again = stored(home / "analysis.json")
         assert as_json(again)["learner"] == as_json(analyse(load(home, skip_damaged=True)))["learner"]

@@ -63,14 +63,10 @@ class Progress(Observer):
         self._costs = {cell.name: seconds(cell) for cell in cells}
         self._state = {name: "finished" if name in finished else "waiting" for name in self._costs}
         self._console = Console(highlight=False)
+        columns = BarColumn(), TaskProgressColumn(), TimeElapsedColumn(), TimeRemainingColumn()
         self._bars = Bars(
-            *(
-                BarColumn(),
-                TaskProgressColumn(),
-                TimeElapsedColumn(),
-                TimeRemainingColumn(),
-                TextColumn("left"),
-            ),
+            *columns,
+            TextColumn("left"),
             console=self._console,
             disable=not self._console.is_terminal,
             speed_estimate_period=MEMORY,

@@ -34,10 +34,8 @@ from experiments.support.errors import UserError, disk_error
 
 LOCK, PROGRESS, LOG = "lock", "progress.json", "log.txt"
 RETRIES = 3  # a task that goes wrong is begun again at most so often
-HUNG, SPOILT = (
-    1,
-    70,
-)  # exit status of a process that faulthandler ends, and of one that must not be used again
+# Exit status of a process that faulthandler ends, and of one that must not be used again.
+HUNG, SPOILT = 1, 70
 POLL = 0.5  # [s] between two looks at the running tasks, and between two writes of progress.json
 RECHECK = 5.0  # [s] between two tries at a task that another run computes
 # An error of these kinds awaits every task: the run stops instead of trying again.
@@ -150,9 +148,7 @@ def locked(folder: Path) -> Iterator[bool]:
                 fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except BlockingIOError:
                 mine = False
-            except (
-                OSError
-            ):  # without locks two sweeps may compute one task: they get the same, and one is kept
+            except OSError:  # no locks here: two sweeps may compute one task and get the same; one is kept
                 pass
             if not mine or _is_same(file.fileno(), folder / LOCK):
                 yield mine

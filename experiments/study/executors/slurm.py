@@ -79,9 +79,7 @@ class SlurmExecutor(Executor):
                     del self._running[future]
                     try:
                         future.set_result(job.result())
-                    except (
-                        Exception
-                    ):  # submitit's own words show the end of the log, which is there to be read
+                    except Exception:  # submitit's words are the end of the log, which can be read
                         lost = f"its job {job.job_id} is {job.state} (output: {job.paths.stdout})"
                         future.set_exception(RuntimeError(lost))
 

@@ -6,13 +6,14 @@ They end with the process that started them.
 from __future__ import annotations
 
 import fcntl
-import multiprocessing
 import os
 import signal
 from collections.abc import Callable, Mapping
 from concurrent.futures import Executor, Future, as_completed
 from contextlib import suppress
 from multiprocessing import parent_process, resource_tracker
+from multiprocessing.context import SpawnContext
+from multiprocessing.synchronize import RLock
 from typing import Any
 
 from pebble import ProcessPool
@@ -41,6 +42,22 @@ def end_with_parent() -> None:
         os._exit(1)
 
 
+class KeepsLocks(SpawnContext):
+    """Spawns processes, and keeps their locks.
+
+    pebble drops the locks of a pool, and with them the semaphores, before it ends the processes: one that is still
+    starting would miss them and print a traceback.
+    """
+
+    def __init__(self) -> None:
+        self._locks: list[RLock] = []
+
+    def RLock(self) -> RLock:
+        """A lock that stays until this context is gone."""
+        self._locks.append(super().RLock())
+        return self._locks[-1]
+
+
 class LocalExecutor(Executor):
     """Spawned processes.
 
@@ -59,7 +76,7 @@ class LocalExecutor(Executor):
             self._workers,
             max_tasks=self._tasks_per_process,
             initializer=end_with_parent,
-            context=multiprocessing.get_context("spawn"),
+            context=KeepsLocks(),
         )
 
     def submit(self, function: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:

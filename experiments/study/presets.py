@@ -35,16 +35,14 @@ PAPER = {
 # and agents learn to wait. On the u-turn nothing is ever learnt of the places where the limit ends an episode, so that
 # the values beyond it, guessed there, grow without bound (docs/learner.md).
 FINITE_HORIZON = ("roundabout", "u-turn")
-# Ends of training episodes [s], from and to, that hide the end of a test: drawn, or longer than the test (11 and 10 s).
-# Not later than an ego at the highest speed leaves the road.
-CLOCKS = {
-    "drawn": {"roundabout": [7, 15], "u-turn": [7, 13]},
-    "longer": {"roundabout": [15, 15], "u-turn": [13, 13]},
-}
-# Environment steps of a training in the second study.
+# Environment steps of a training in the second study: one update per step (docs/developers/learner_choice.md).
 SECOND_STEPS = {**dict.fromkeys(TASKS, 40_000), "two-way": 160_000, "u-turn": 80_000}
-# Where the second version observes the time, as a share of the training's longer clock, in the test as well.
-TIME_OBSERVED = {"roundabout": {"time_observed": 15}, "u-turn": {"time_observed": 13}}
+# Where its training episodes end later than a test does (11 and 10 s), but before an ego at the highest speed leaves
+# the road. The time is observed as a share of this clock, in the test as well.
+LONGER = {
+    task: {"training_clock": [end, end], "time_observed": end}
+    for task, end in {"roundabout": 15, "u-turn": 13}.items()
+}
 
 
 def tuned(updates: Mapping[str, int], **settings: Any) -> dict[str, dict[str, Any]]:
@@ -58,24 +56,13 @@ def tuned(updates: Mapping[str, int], **settings: Any) -> dict[str, dict[str, An
     }
 
 
-def second_version(
-    task: str, steps: int, steps_per_update: int, batch_size: int, clock: str = "drawn"
-) -> dict[str, Any]:
-    """The learner of a task in the second version of "tuned", of which `choice` tries variants.
+def second_version(task: str, clock: Mapping[str, Any]) -> dict[str, Any]:
+    """The learner of a task in the second version of "tuned".
 
-    Args:
-        steps: environment steps of a training.
-        clock: of CLOCKS, the time not observed; or "first", the first version's end (see FINITE_HORIZON).
+    clock: how its training episodes end, see `experiments.study.wrappers`.
     """
-    learner = {
-        "updates": steps // steps_per_update,
-        "steps_per_update": steps_per_update,
-        "batch_size": batch_size,
-        "tau": 0.005 * steps_per_update / 4,  # the target moves as far in a step as in the first version
-    }
-    if clock == "first":
-        return {**learner, "finite_horizon": task in FINITE_HORIZON}
-    return {**learner, **({"training_clock": CLOCKS[clock][task]} if task in CLOCKS[clock] else {})}
+    tau = 0.005 / 4  # the target moves as far in a step as in the first version
+    return {"updates": SECOND_STEPS[task], "steps_per_update": 1, "batch_size": 64, "tau": tau, **clock}
 
 
 SECOND = Experiment(
@@ -84,11 +71,7 @@ SECOND = Experiment(
     seeds=5,
     episodes=400,
     gate_episodes=100,
-    # one update per step with batch 64, and the clocks: docs/developers/learner_choice.md
-    learners={
-        task: second_version(task, steps, 1, 64, clock="longer") | TIME_OBSERVED.get(task, {})
-        for task, steps in SECOND_STEPS.items()
-    },
+    learners={task: second_version(task, LONGER.get(task, {})) for task in TASKS},
     first_seed=100,
     first_scenario=1000,
 )
@@ -132,8 +115,7 @@ PRESETS = {
             tasks=FINITE_HORIZON,
             levels=(1,),
             learners={
-                task: second_version(task, steps, 1, 64, clock="first")
-                for task, steps in SECOND_STEPS.items()
+                task: second_version(task, {"finite_horizon": task in FINITE_HORIZON}) for task in TASKS
             },
         ),
         Experiment(

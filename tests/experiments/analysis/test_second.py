@@ -16,6 +16,7 @@ from experiments.analysis.effects import contrasts
 from experiments.analysis.gates import change, last_second
 from experiments.analysis.plan import DEFAULT, SECOND, TWO_BATCHES, Learner, plan_of
 from experiments.analysis.scores import Arm, Arms, Place
+from experiments.study.grid import env_config
 from experiments.study.store import EPISODES, load
 from experiments.support.errors import UserError
 from sumo_env.tasks import TASKS
@@ -64,10 +65,8 @@ class TestPlan:
     def test_follows_the_preset(self) -> None:
         assert [plan_of([name]) for name in ("second", "standard", "quick")] == [SECOND, TWO_BATCHES, DEFAULT]
 
-    def test_its_ranges_are_those_of_the_choice(self) -> None:
-        from experiments.study.choice import RANGE
-
-        assert Learner().ranges == RANGE
+    def test_its_ranges_are_one_for_each_second(self) -> None:
+        assert Learner().ranges == {task: env_config("sumo", task, 1)["duration"] for task in TASKS}
 
 
 class TestGainWithoutPrice:

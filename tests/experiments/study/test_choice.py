@@ -1,52 +1,60 @@
-"""The choice of the learner: its cells are nobody else's, and its score is what the plan says."""
+"""The tables of the choice of the learner are what its stored episodes say."""
 
 from __future__ import annotations
 
 import pandas as pd
 import pytest
 
-from experiments.study import choice
-from experiments.study.arms import scenario_seed
+from experiments.analysis.plan import Learner
+from tests.pages import ROOT, TEXTS, section, table
+
+PAGE = TEXTS[ROOT / "docs" / "developers" / "learner_choice.md"]
+CHECKED = {  # row -> task and variant
+    "two-way 5+2": ("two-way", "second"),
+    "highway 50": ("highway", "second"),
+    "intersection 10": ("intersection", "second"),
+    "u-turn 3, 13 s": ("u-turn", "second-no-time"),
+    "u-turn 3, 13 s, time observed": ("u-turn", "second"),
+    "roundabout 5, 15 s": ("roundabout", "second-no-time"),
+    "roundabout 5, 15 s, time observed": ("roundabout", "second"),
+    "roundabout 5, first version's clock": ("roundabout", "second-first-clock"),
+}
 
 
-def test_variants_differ_as_planned_and_keep_the_target_s_speed() -> None:
-    cells = [cell for _, cell in choice.cells()]
-    assert len(cells) == len({cell.name for cell in cells}) == 54
-    for cell in cells:
-        profile = cell.profile
-        steps = choice.STEPS[cell.task]
-        assert profile["updates"] * profile["steps_per_update"] == steps
-        assert profile["tau"] * profile["updates"] == pytest.approx(0.005 * steps / 4)
-        assert cell.training_config.get("duration") == (13 if cell.task == "u-turn" else 15)
-    order = [(cell.seed, choice.TASKS.index(cell.task)) for cell in cells]
-    assert order == sorted(order)
+def trainings(*seeds: int) -> pd.DataFrame:
+    """Return at the end, its change over the last quarter, in units of the range, and the largest Q-value / bound."""
+    runs = pd.read_parquet(ROOT / "results" / "choice" / "runs.parquet").query("seed in @seeds")
+    runs["value"] = runs["return"] / runs["task"].map(Learner().ranges)
+    by = ["task", "variant", "arm", "seed"]
+    found = runs.pivot_table(index=by, columns="share", values="value")
+    largest = (runs["largest_q"] / runs["q_bound"]).groupby([runs[name] for name in by]).max()
+    return pd.DataFrame({"return": found[1.0], "change": found[1.0] - found[0.75], "largest": largest})
 
 
-def test_scenarios_are_not_those_of_tests_and_gates() -> None:
-    def block(purpose: str) -> set[int]:
-        return {scenario_seed(task, 1, k, purpose) for task in choice.TASKS for k in range(1000)}
-
-    assert not block(choice.PURPOSE) & (block("test") | block("gate"))
-
-
-def test_the_score_is_the_mean_of_the_arms_returns_in_units_of_the_range() -> None:
-    rows = [
-        {"task": "u-turn", "variant": variant, "arm": arm, "seed": seed, "share": share, "return": value}
-        for variant, returns in {"a": (8.0, 6.0), "b": (9.0, 3.0)}.items()
-        for arm, end in zip(("control", "treatment"), returns, strict=True)
-        for seed in (900, 901)
-        for share, value in ((choice.MARK, end - 0.5), (1.0, end))
-    ]
-    result = choice.judge(pd.DataFrame(rows))
-    assert result["score"].to_dict() == {
-        ("u-turn", "a"): pytest.approx(0.7),
-        ("u-turn", "b"): pytest.approx(0.6),
+def told(title: str) -> dict[str, list[float]]:
+    return {
+        name: [float(cell.strip("*")) for cell in cells if cell]
+        for name, cells in table(section(PAGE, title)).items()
     }
-    assert result.loc[("u-turn", "a"), "return_treatment"] == pytest.approx(0.6)
-    assert result["change_control"].tolist() == pytest.approx([0.05, 0.05])
-    assert result["seeds"].tolist() == [2, 2]
-    half = choice.judge(
-        pd.DataFrame([row for row in rows if (row["variant"], row["arm"]) != ("a", "control")])
-    )
-    assert pd.isna(half.loc[("u-turn", "a"), "score"])  # not the mean of one arm
-    assert half.loc[("u-turn", "a"), "seeds"] == 0
+
+
+def test_the_variants_are_told_as_they_were_stored() -> None:
+    shown = told("Outcome: one update per step with batch 64, and the longer clock")
+    found = trainings(900, 901).groupby(["task", "variant"]).agg({"return": "mean", "largest": "max"})
+    assert set(shown) == set(found.index.unique("variant"))
+    for name, numbers in shown.items():
+        rows = [found.loc[task, name] for task in ("two-way", "u-turn") if (task, name) in found.index]
+        expected = [value for row in rows for value in row]
+        tolerances = [0.0005, 0.005] * len(rows)  # of the digits that are told
+        for number, value, tolerance in zip(numbers, expected, tolerances, strict=True):
+            assert number == pytest.approx(value, abs=tolerance + 1e-9), name
+
+
+def test_the_check_is_told_as_it_was_stored() -> None:
+    shown = told("Check of the chosen learner (commits e12af3a, c147a6c and 0b9324b, seed 905)")
+    assert set(shown) == set(CHECKED)
+    found = trainings(905).droplevel("seed")
+    for label, name in CHECKED.items():
+        arms = found.loc[name].loc[["control", "treatment"]]
+        assert shown[label][:4] == pytest.approx([*arms["return"], *arms["change"]], abs=0.0005 + 1e-9), label
+        assert shown[label][4] == pytest.approx(arms["largest"].max(), abs=0.005 + 1e-9), label

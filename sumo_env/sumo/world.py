@@ -30,10 +30,11 @@ from sumo_env.sumo.session import (
     SumoErrors,
 )
 from sumo_env.sumo.surroundings import Surroundings
-from sumo_env.traffic.drivers import Calibration, Driver, vehicle_type
+from sumo_env.traffic.drivers import Calibration, Driver, DriverPool, vehicle_type
 from sumo_env.traffic.scenario import EGO, EGO_DISTANCE, Scenario, VehicleSpec, fits
 
 EXIT_LENGTH = 20.0  # [m] from the end of the intersection's exits, where vehicles leave (_clear_vehicles)
+MOST_KEPT = 1024  # vehicle types that stay loaded between episodes
 
 
 class SumoSimulator:
@@ -47,6 +48,8 @@ class SumoSimulator:
         self._session = Session()
         self._options = check_options(options)
         self._drivers: dict[str, Driver] = {}  # whose vehicle types are loaded
+        self._kept: dict[str, Driver] = {}  # those of them that stay loaded
+        self._pools: tuple[DriverPool, ...] = ()  # of the episode before
         self._loaded: Settings | None = None
         self._base: tuple[Path, float, Calibration]  # of what is loaded: network, step length, calibration
 
@@ -113,17 +116,26 @@ class SumoSimulator:
         return self._read()
 
     def _settings(self, scenario: Scenario) -> Settings:
-        """What has to be loaded: the network, and every driver that may come; those loaded before are kept."""
+        """What has to be loaded: the network, and every driver that may come.
+
+        The drivers of a dose stay loaded once it has come twice in succession; where every episode has another dose,
+        each loads no more than its own drivers.
+        """
         base = self._network.net_file, self._dt, scenario.calibration
-        wanted = {driver.type: driver for pool in scenario.pools for driver in pool.drivers}
-        # a scenario may hold drivers of its own
-        wanted |= {spec.driver.type: spec.driver for spec in scenario.specs}
+        if self._loaded is None or base != self._base:
+            self._loaded, self._base, self._pools, self._kept, self._drivers = None, base, (), {}, {}
+        again, self._pools = scenario.pools == self._pools, scenario.pools
+        wanted = {spec.driver.type: spec.driver for spec in scenario.specs}
         wanted |= {spawn.vehicle.driver.type: spawn.vehicle.driver for spawn in scenario.spawns}
-        if self._loaded is not None and base == self._base:
-            if wanted.items() <= self._drivers.items():
-                return self._loaded
-            wanted = {**self._drivers, **wanted}
-        self._base, self._drivers = base, wanted
+        if self._loaded is not None and wanted.items() <= self._drivers.items():
+            return self._loaded
+        pooled = {driver.type: driver for pool in scenario.pools for driver in pool.drivers}
+        # a scenario may hold drivers of its own
+        self._kept |= {name: driver for name, driver in wanted.items() if name not in pooled}
+        self._kept |= pooled if again else {}
+        if len(self._kept) > MOST_KEPT:
+            self._kept = {}
+        self._drivers = self._kept | wanted
         self._loaded = Settings(
             self._network.net_file,
             tuple(self._network.routes.items()),

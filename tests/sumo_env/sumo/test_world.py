@@ -334,6 +334,21 @@ def test_vehicles_out_of_reach_make_no_difference(start: Start) -> None:
         assert np.abs(runs[0] - runs[1]).max() < 1e-4
 
 
+def test_the_doses_of_earlier_episodes_cost_nothing_and_change_nothing(simulator: SumoSimulator) -> None:
+    """As for agents that are trained at a dose of their own in every episode."""
+    command = EgoCommand(20.0, draw("u-turn").ego.lane)
+    doses = [0.1, 0.2, 0.3, 0.4, 0.5, 0.6]
+    for _ in range(2):
+        for dose in doses:
+            simulator.reset(draw("u-turn", risk=dose))
+            assert libsumo.vehicletype.getIDCount() < 30
+    scenes = [simulator.step(command).scene for _ in range(5)]
+    simulator._session.forget()
+    simulator.reset(draw("u-turn", risk=doses[-1]))
+    for scene in scenes:
+        assert_equal(scene, simulator.step(command).scene)
+
+
 def assert_equal(one: Scene, other: Scene) -> None:
     """Bit for bit."""
     assert (one.ids, one.time) == (other.ids, other.time)

@@ -21,9 +21,10 @@ from pathlib import Path
 if __package__ in (None, ""):  # run as a file: import from the project, not from this folder
     sys.path[0] = str(Path(__file__).resolve().parents[1])
 
+import copy
 import math
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from typing import Annotated, Any
@@ -35,7 +36,7 @@ import tyro
 from experiments.backends import make_env
 from experiments.reporting.showcase import ending
 from experiments.study.arms import TRAFFICS
-from experiments.study.avoid import HORIZON, SAFE, Moment, Rewound
+from experiments.study.avoid import HORIZON, SAFE, rewound, way_out
 from experiments.study.cell import MakeEnv
 from experiments.study.rerun import changed_versions, differences, play_again
 from experiments.study.store import EPISODES, Store
@@ -170,58 +171,50 @@ def _hit(row: dict[str, Any]) -> str:
 
 def _avoid(options: Options, case: Case, env: gym.Env[Any, Any]) -> int:
     """Search the last moment from which a crash can be avoided; 1 if there is none."""
-    stored = case.row
-    with closing(Rewound(case.path, case.record, stored, env)) as crash:
-        print(f"{case.name}: {ending(stored)}{_hit(stored)}")
-        for moment in crash.moments(options.horizon):
-            print(_outcome(moment, crash, options.horizon), flush=True)
-        if moment.actions is None:
+    inner: Any = env.unwrapped
+    with rewound(case.path, case.record, case.row, env) as (copies, driven):
+        contact, frequency = float(case.row["crash_time"]), inner.config["policy_frequency"]
+        print(f"{case.name}: {ending(case.row)}{_hit(case.row)}")
+        for step in reversed(range(len(driven))):
+            time = step / frequency
+            print(f"from {time:4.1f} s, {contact - time:.1f} s before the contact: ", end="", flush=True)
+            free, contacts = way_out(copies[step], options.horizon)
+            if free is not None:
+                break
+            steps = min(options.horizon, math.ceil(SAFE * frequency))
+            print(f"not found: all sequences of {steps} actions end in a contact ({contacts} different ones)")
+        else:
             print("not found: no searched sequence avoids the contact, from the first step on")
             return 1
+        words = " ".join(inner.actions[action] for action in free)
+        end = "" if len(free) >= SAFE * frequency else " (then the episode ends)"
+        print(f"avoided by {words}{end}; contacts on the way: {contacts}")
         print(
-            f"point of no return: {moment.time:g} s, {crash.contact - moment.time:.1f} s before the contact "
-            f"(the ego decides every {1 / crash.frequency:g} s)"
+            f"point of no return: {time:g} s, {contact - time:.1f} s before the contact "
+            f"(the ego decides every {1 / frequency:g} s)"
         )
-        path = options.out or Path(case.name + "-avoided.gif")
-        save_gif(_both(crash, moment), path)
+        begin = max(step - 2 * frequency, 0)
+        drives = {
+            f"as stored: contact after {contact:.1f} s": driven[begin:],
+            f"avoided from {time:g} s on: {words}": driven[begin:step] + free,
+        }
+        films = [(title, _filmed(copies[begin], actions)) for title, actions in drives.items()]
+    width, height = films[0][1][0].size
+    path = options.out or Path(case.name + "-avoided.gif")
+    save_gif(side_by_side(films, columns=1 if width > height else 2), path)
     print(f"written: {path}")
     return 0
 
 
-def _outcome(moment: Moment, crash: Rewound, horizon: int) -> str:
-    """A search in words."""
-    when = f"from {moment.time:4.1f} s, {crash.contact - moment.time:.1f} s before the contact: "
-    if moment.actions is not None:
-        words = " ".join(crash.names[action] for action in moment.actions)
-        end = "" if len(moment.actions) >= SAFE * crash.frequency else " (then the episode ends)"
-        return f"{when}avoided by {words}{end}; contacts on the way: {moment.contacts}"
-    steps = min(horizon, math.ceil(SAFE * crash.frequency))
-    return (
-        f"{when}not found: all {len(crash.names) ** steps:,} sequences of {steps} actions end in a contact "
-        f"({moment.contacts} different ones)"
-    )
-
-
-def _both(crash: Rewound, moment: Moment) -> Pictures:
-    """A film of a crash, and of the episode without it, from two seconds before they part."""
-    assert moment.actions is not None
-    begin = max(moment.step - 2 * crash.frequency, 0)
-    words = " ".join(crash.names[action] for action in moment.actions[:5])
-    drives = {
-        f"as stored: contact after {crash.contact:.1f} s": crash.actions[begin:],
-        f"avoided from {moment.time:g} s on: {words}": crash.actions[begin : moment.step] + moment.actions,
-    }
-    films = []
-    for title, actions in drives.items():
-        with closing(crash.before(begin)) as env:
-            film = Film(env)
+def _filmed(env: gym.Env[Any, Any], actions: Iterable[int]) -> Pictures:
+    """What these actions do in a copy of an environment."""
+    with closing(copy.deepcopy(env)) as twin:
+        film = Film(twin)
+        film.frame()
+        for action in actions:
+            twin.step(action)
             film.frame()
-            for action in actions:
-                env.step(action)
-                film.frame()
-            films.append((title, film.pictures))
-    width, height = films[0][1][0].size
-    return side_by_side(films, columns=1 if width > height else 2)
+        return film.pictures
 
 
 if __name__ == "__main__":

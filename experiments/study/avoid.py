@@ -14,8 +14,7 @@ from __future__ import annotations
 import copy
 import math
 from collections.abc import Iterator, Mapping
-from contextlib import closing
-from dataclasses import dataclass
+from contextlib import ExitStack, closing, contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -25,20 +24,6 @@ from experiments.support.errors import UserError
 HORIZON = 5  # policy steps in which all sequences are tried
 SAFE = 5.0  # [s] without a contact, after which a crash counts as avoided
 REST = ("IDLE", "SLOWER")  # what is repeated after the horizon; within it these are tried first
-
-
-@dataclass(frozen=True)
-class Moment:
-    """The search from the beginning of a policy step.
-
-    step: how many steps were driven before. time: since the start [s]. actions: that avoid the contact, None if every
-    sequence ends in one. contacts: how many were driven to in the search.
-    """
-
-    step: int
-    time: float
-    actions: tuple[int, ...] | None
-    contacts: int
 
 
 def way_out(env: Any, horizon: int = HORIZON) -> tuple[tuple[int, ...] | None, int]:
@@ -87,60 +72,32 @@ def _effect(env: Any) -> tuple[Any, ...]:
     return (ego.target_lane_index, ego.speed_index, *ego.position, ego.speed, ego.heading)
 
 
-class Rewound:
-    """A stored crash, driven again, with copies of its environment as it was before each policy step.
+@contextmanager
+def rewound(
+    path: Path, record: Mapping[str, Any], row: Mapping[str, Any], env: Any
+) -> Iterator[tuple[list[Any], tuple[int, ...]]]:
+    """A stored crash, driven again: copies of its environment before every step and at the end, and the actions.
 
     Args:
         path: DIR/cells/CELL, which need not exist where the cell is packed.
         record: its cell.json.
         row: the episode in its table.
-        env: an environment of the cell, which stays the caller's to close.
+        env: an environment of the cell.
 
     Raises:
         UserError: the episode has no crash, cannot be driven again, or comes out differently now.
     """
+    name = f"{path.name}:{row['traffic']}:{row['scenario']}"
+    if not row["crashed"]:
+        raise UserError(f"{name} has no crash that could be avoided")
+    with ExitStack() as opened:
+        copies: list[Any] = []
 
-    def __init__(
-        self,
-        path: Path,
-        record: Mapping[str, Any],
-        row: Mapping[str, Any],
-        env: Any,
-    ) -> None:
-        name = f"{path.name}:{row['traffic']}:{row['scenario']}"
-        if not row["crashed"]:
-            raise UserError(f"{name} has no crash that could be avoided")
-        self.contact = float(row["crash_time"])  # [s]
-        self._copies: list[Any] = []
-        self._env = env.unwrapped
-        self.names: dict[int, str] = self._env.actions
-        self.frequency = int(self._env.config["policy_frequency"])
-        try:
-            place = str(row["traffic"]), int(row["scenario"])
-            again = play_again(path, record, env, *place, row.get("actions"), self._copy)
-            if wrong := differences(row, again):
-                raise UserError(f"{name} is not reproduced: {'; '.join(wrong)}")
-        except BaseException:
-            self.close()
-            raise
-        self.actions = tuple(map(int, again["actions"]))
+        def keep() -> None:
+            copies.append(opened.enter_context(closing(copy.deepcopy(env.unwrapped))))
 
-    def _copy(self) -> None:
-        self._copies.append(copy.deepcopy(self._env))
-
-    def moments(self, horizon: int = HORIZON) -> Iterator[Moment]:
-        """Search from the last moment before the contact backwards, up to the first from which it can be avoided."""
-        for step in reversed(range(len(self.actions))):
-            actions, contacts = way_out(self._copies[step], horizon)
-            yield Moment(step, step / self.frequency, actions, contacts)
-            if actions is not None:
-                return
-
-    def before(self, step: int) -> Any:
-        """A copy of the environment as it was after so many steps."""
-        return copy.deepcopy(self._copies[step])
-
-    def close(self) -> None:
-        """Close the copies."""
-        while self._copies:
-            self._copies.pop().close()
+        place = str(row["traffic"]), int(row["scenario"])
+        again = play_again(path, record, env, *place, row.get("actions"), keep)
+        if wrong := differences(row, again):
+            raise UserError(f"{name} is not reproduced: {'; '.join(wrong)}")
+        yield copies, tuple(map(int, again["actions"]))

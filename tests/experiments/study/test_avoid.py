@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-from contextlib import closing
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -14,7 +13,7 @@ from hypothesis import strategies as st
 
 from experiments.backends import make_env
 from experiments.study.arms import scenario_seed
-from experiments.study.avoid import REST, Rewound, way_out
+from experiments.study.avoid import REST, rewound, way_out
 from experiments.study.evaluate import play
 from experiments.study.rerun import Repeated
 
@@ -126,11 +125,12 @@ def test_what_is_found_in_copies_comes_true_in_the_environment(backend: str) -> 
             break
     assert row["crashed"]
     record = {"key": {"task": "u-turn", "level": 1, "kind": "baseline"}, "source": None}
-    with closing(Rewound(path, record, row, env)) as crash:
-        moments = list(crash.moments())
-        found = moments[-1]
-        assert [moment.actions is None for moment in moments[:-1]] == [True] * (len(moments) - 1)
-    actions = crash.actions[: found.step] + found.actions
+    with rewound(path, record, row, env) as (copies, driven):
+        for step in reversed(range(len(driven))):
+            free, _ = way_out(copies[step])
+            if free is not None:
+                break
+    actions = driven[:step] + free
     env.reset(seed=scenario_seed("u-turn", 1, scenario), options={"config": {"risk": 1.0}})
     assert not any(env.step(action)[-1]["crashed"] for action in actions)
     env.close()

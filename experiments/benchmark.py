@@ -21,9 +21,11 @@ import statistics
 import subprocess
 import time
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, closing
+from contextlib import ExitStack
 from dataclasses import dataclass
 from functools import partial
+from importlib.util import find_spec
+from multiprocessing import get_context
 from operator import itemgetter
 from typing import Any
 
@@ -38,7 +40,7 @@ from experiments.study.grid import choose_tasks
 from experiments.support.errors import run_command, unknown, writing
 from experiments.support.files import write_json
 from experiments.support.provenance import provenance
-from experiments.timed import ROOT, Process
+from experiments.timed import Process
 from sumo_env.tasks import TASKS
 
 SCHEMA = 5
@@ -46,7 +48,6 @@ REFERENCE = "highway-env"
 # highway-env's own code alone, whose drivers see beyond the ends of their lanes; 15 Hz is its own frequency.
 REFERENCE_CONFIG = {"variant": "connected", "simulation_frequency": 15}
 BACKENDS = {"sumo": (10, 15), "replica": (15,)}  # and the frequencies that they are driven at [Hz]
-ENVPOOL = os.environ.get("ENVPOOL_PYTHON", sys.executable)  # a Python that has it, in case
 STORED = 10_000  # random transitions in the learner's replay
 SEEDS = 100  # whose first observations are compared
 TURNS, SECONDS = 9, 1.0  # of each comparison; of a slice
@@ -66,15 +67,15 @@ def beside(rates: pd.DataFrame, side: str) -> Record:
     return {name: float(values.median()) for name, values in medians.items()}
 
 
-def opened(stack: ExitStack, kind: str, backend: str, *arguments: Any) -> Process:
-    """An object of `timed` in a process that ends with the stack."""
-    python = ENVPOOL if backend == "envpool" else sys.executable
-    return stack.enter_context(closing(Process(kind, backend, *arguments, python=python)))
+def opened(stack: ExitStack, kind: str, *arguments: Any) -> Any:
+    """A Driver or Batch of `timed` in a process that ends with the stack."""
+    process = stack.enter_context(Process(ctx=get_context("spawn")))
+    return getattr(process, kind)(*arguments)
 
 
 def has_envpool() -> bool:
     """Whether EnvPool can be measured."""
-    return not subprocess.run([ENVPOOL, "-c", "import envpool"], capture_output=True).returncode
+    return find_spec("envpool") is not None
 
 
 def measure_env(task: str, turns: int, seconds: float) -> Iterator[Record]:
@@ -90,14 +91,14 @@ def measure_env(task: str, turns: int, seconds: float) -> Iterator[Record]:
                 for backend, frequencies in BACKENDS.items()
                 for hertz in frequencies
             }
-            sides = {REFERENCE: partial(theirs.ask, "rate", 0.0)}  # a few steps, which take long
-            sides |= {side: partial(own.ask, "rate", seconds) for side, own in drivers.items()}
+            sides = {REFERENCE: partial(theirs.rate, 0.0)}  # a few steps, which take long
+            sides |= {side: partial(own.rate, seconds) for side, own in drivers.items()}
             rates = in_turns(sides, turns)
             for side, own in drivers.items():
                 yield {
                     "of": f"{side}, {task} {name}",
                     **beside(rates, side),
-                    "reset_ms": own.ask("reset_ms"),
+                    "reset_ms": own.reset_ms(),
                 }
 
 
@@ -109,7 +110,7 @@ def measure_start(task: str, turns: int, seconds: float) -> Iterator[Record]:
         waited = []
         for _ in range(turns):
             start = time.perf_counter()
-            subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True)
+            subprocess.run([sys.executable, "-c", code], cwd=Path(__file__).resolve().parents[1], check=True)
             waited.append(time.perf_counter() - start)
         yield {"of": f"{backend}, {task}", "first_step_seconds": statistics.median(waited)}
 
@@ -142,16 +143,16 @@ def measure_peers(task: str, turns: int, seconds: float) -> Iterator[Record]:
     """
     names = [REFERENCE, *(["envpool"] if has_envpool() else []), "replica", "sumo"]
     if "envpool" not in names:
-        print(f"EnvPool is left out: {ENVPOOL} has none (ENVPOOL_PYTHON names a Python)", file=sys.stderr)
+        print("EnvPool is left out: pip install envpool", file=sys.stderr)
     with ExitStack() as stack:
         peers = {name: opened(stack, "Driver", name, task) for name in names}
-        rates = in_turns({name: partial(peer.ask, "rate", seconds) for name, peer in peers.items()}, turns)
+        rates = in_turns({name: partial(peer.rate, seconds) for name, peer in peers.items()}, turns)
         for name, peer in peers.items():
             yield {
                 "of": f"{name}, {task}",
                 **beside(rates, name),
-                "distinct": peer.ask("distinct", SEEDS),
-                "idle_crash_rate": peer.ask("idle_crash_rate", round(100 * seconds)),
+                "distinct": peer.distinct(SEEDS),
+                "idle_crash_rate": peer.idle_crash_rate(round(100 * seconds)),
             }
 
 
@@ -168,7 +169,7 @@ def measure_batches(task: str, turns: int, seconds: float) -> Iterator[Record]:
         with ExitStack() as stack:
             sides = {
                 side: partial(
-                    opened(stack, "Batch", backend, task, levels.get(name, {}), threads).ask, "rate", seconds
+                    opened(stack, "Batch", backend, task, levels.get(name, {}), threads).rate, seconds
                 )
                 for side, (backend, threads) in batches.items()
             }
@@ -204,7 +205,7 @@ class Options:
     tasks: tuple[str, ...] = ()
     """Some of highway, two-way, roundabout, intersection, u-turn (default: all)."""
     parts: tuple[str, ...] = tuple(PARTS)
-    """What to measure: env, start, learner, peers, batches (EnvPool by the Python in ENVPOOL_PYTHON)."""
+    """What to measure: env, start, learner, peers, batches (the last two with EnvPool where it is installed)."""
 
 
 def run(options: Options, console: Console) -> dict[str, Any]:

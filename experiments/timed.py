@@ -1,64 +1,20 @@
-"""What `benchmark.py` times: environments, each in a process of its own that runs this file.
-
-That may be a process of another Python, in which EnvPool is installed (ENVPOOL_PYTHON); therefore nothing of ours is
-imported but what is asked for.
-"""
+"""What `benchmark.py` times: environments, each in a process of its own."""
 
 from __future__ import annotations
 
-import json
-import os
 import statistics
-import subprocess
-import sys
 import time
-from contextlib import suppress
-from pathlib import Path
+from multiprocessing.managers import BaseManager
 from typing import Any
 
-ROOT = Path(__file__).resolve().parents[1]
+import gymnasium as gym
+import numpy as np
+
+from experiments.backends import make_env
+
 LEAST = 3  # steps in a slice
 BATCH = 64  # environments
 IDLE = 1  # of the actions
-
-
-class Process:
-    """An object of this file in a process of its own, which prints its errors.
-
-    Args:
-        kind: name of its class.
-        arguments: of the class, as plain values.
-        python: that runs it.
-    """
-
-    def __init__(self, kind: str, *arguments: Any, python: str = sys.executable) -> None:
-        environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTHONWARNINGS": "ignore"}
-        command = [python, __file__, kind, json.dumps(arguments)]
-        pipes: dict[str, Any] = {"stdin": subprocess.PIPE, "stdout": subprocess.PIPE, "text": True}
-        self._process = subprocess.Popen(command, env=environment, **pipes)
-
-    def ask(self, method: str, *arguments: Any) -> Any:
-        """The result of a method. Raises EOFError: the process has ended, by an error in it."""
-        assert self._process.stdin is not None and self._process.stdout is not None
-        with suppress(BrokenPipeError):
-            print(json.dumps([method, *arguments]), file=self._process.stdin, flush=True)
-        if answer := self._process.stdout.readline():
-            return json.loads(answer)
-        raise EOFError(f"{method} of {self._process.args!r} failed")
-
-    def close(self) -> None:
-        """End the process."""
-        self._process.communicate()
-
-
-def _answer(kind: str, arguments: str) -> None:
-    """The loop of such a process."""
-    out = os.fdopen(os.dup(1), "w")
-    os.dup2(2, 1)  # what libraries print is no answer
-    held = globals()[kind](*json.loads(arguments))
-    for line in sys.stdin:
-        method, *given = json.loads(line)
-        print(json.dumps(getattr(held, method)(*given)), file=out, flush=True)
 
 
 class EnvPool:
@@ -66,7 +22,6 @@ class EnvPool:
 
     def __init__(self, task: str) -> None:
         import envpool
-        import numpy as np
 
         self._action = np.zeros(1, np.int32)
         self._open = lambda seed: envpool.make_gymnasium(f"{task}-v0", num_envs=1, seed=seed)
@@ -94,14 +49,9 @@ class Driver:
     """
 
     def __init__(self, backend: str, task: str, config: dict[str, Any] | None = None) -> None:
-        import gymnasium as gym
-        import numpy as np
-
         if backend == "envpool":
             self._env: Any = EnvPool(task)
         elif config is not None:
-            from experiments.backends import make_env
-
             self._env = make_env(backend, task, config)
         elif backend == "highway-env":
             self._env = gym.make(f"highway_env:{task}-v0")
@@ -160,15 +110,11 @@ class Batch:
     """
 
     def __init__(self, backend: str, task: str, config: dict[str, Any], threads: int) -> None:
-        import numpy as np
-
         if backend == "envpool":
             import envpool
 
             self._envs: Any = envpool.make_gymnasium(f"{task}-v0", num_envs=BATCH, num_threads=threads)
         else:
-            import gymnasium as gym
-
             settings: dict[str, Any] = {"scenarios": "seeded", "config": config, "threads": threads}
             self._envs = gym.make_vec(f"sumo_env:replica/{task}-v0", num_envs=BATCH, **settings)
         self._envs.reset()
@@ -184,5 +130,9 @@ class Batch:
         return steps / (time.process_time() - cpu), steps / (time.perf_counter() - begun)
 
 
-if __name__ == "__main__":
-    _answer(*sys.argv[1:])
+class Process(BaseManager):
+    """A process for objects of this file: its methods `Driver` and `Batch` make one there."""
+
+
+for _kind in (Driver, Batch):
+    Process.register(_kind.__name__, _kind)

@@ -217,5 +217,5 @@ def test_steering_vector_environments_loads_no_sumo() -> None:
 
 
 def test_the_benchmark_loads_what_is_slow_only_where_it_is_used() -> None:
-    """Each of its measuring processes runs `timed.py`."""
+    """Each of its measuring processes imports it."""
     assert loaded_by("import experiments.benchmark").isdisjoint({"torch", "matplotlib", "stable_baselines3"})

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from contextlib import closing
+from multiprocessing import get_context
 from pathlib import Path
 
 import pytest
@@ -14,13 +14,11 @@ from experiments.benchmark import REFERENCE, Options, beside, in_turns, run
 from experiments.timed import Driver, Process
 
 
-def test_an_object_in_another_process_keeps_its_state_and_reports_errors(capfd) -> None:
-    with closing(Process("Driver", "sumo", "u-turn")) as driver:
-        assert driver.ask("distinct", 3) == 3
-        assert driver.ask("rate", 0.0) > 0.0
-        with pytest.raises(EOFError, match="crash_rate"):
-            driver.ask("crash_rate", 1)
-    assert "AttributeError" in capfd.readouterr().err
+def test_an_object_in_another_process_keeps_its_state() -> None:
+    with Process(ctx=get_context("spawn")) as process:
+        driver = process.Driver("sumo", "u-turn")
+        assert driver.distinct(3) == 3
+        assert driver.rate(0.0) > 0.0
 
 
 def test_ratios_are_taken_turn_by_turn() -> None:
@@ -38,10 +36,7 @@ def test_a_slice_ends_with_an_episode_and_holds_its_resets() -> None:
 
 @pytest.mark.slow
 def test_the_command_measures_every_part(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
-    without = tmp_path / "python"
-    without.write_text("#!/bin/sh\nexit 1\n")  # as a Python that cannot import envpool
-    without.chmod(0o755)
-    for name, value in {"ENVPOOL": str(without), "QUICK_TURNS": 2, "QUICK_SECONDS": 0.02}.items():
+    for name, value in {"has_envpool": lambda: False, "QUICK_TURNS": 2, "QUICK_SECONDS": 0.02}.items():
         monkeypatch.setattr(benchmark, name, value)
     results = run(Options(tmp_path, quick=True, tasks=("u-turn",)), Console(width=200))
     assert json.loads((tmp_path / "benchmark.json").read_text()) == results
@@ -62,4 +57,4 @@ def test_the_command_measures_every_part(tmp_path: Path, monkeypatch: pytest.Mon
     assert results["batches"][0]["steps_per_second"] > replica["steps_per_second"]
     assert all(r["envpool"] is None and r["two_threads"] > 0.0 for r in results["batches"])
     printed = capsys.readouterr()
-    assert f"EnvPool is left out: {without}" in printed.err and "update_ms" in printed.out
+    assert "EnvPool is left out" in printed.err and "update_ms" in printed.out

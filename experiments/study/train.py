@@ -20,7 +20,7 @@ from agents.training import TrainedAgent, train
 from experiments.study.arms import DRAWN, drawn_dose, training_seed
 from experiments.study.grid import Cell
 from experiments.study.policies import check
-from experiments.study.wrappers import DrawnDose, trained_on
+from experiments.study.wrappers import Training, observed
 from experiments.support.errors import UserError
 
 CHECKPOINT = "checkpoint.npz"
@@ -72,7 +72,6 @@ def train_cell(
     if cell.source is not None:
         check(cell.source, cell.profile["network_sha256"])
     seed = training_seed(cell.task, cell.level, cell.seed or 0)
-    traffic = DrawnDose(env, cell.arm) if cell.arm in DRAWN else env
     files = {round(share * config.updates): directory / f"mark-{k}.npz" for k, share in enumerate(marks)}
     told = 0
 
@@ -83,7 +82,7 @@ def train_cell(
 
     try:
         agent = train(
-            trained_on(traffic, cell.profile),
+            Training(observed(env, cell.profile), cell.profile, cell.arm),
             config,
             seed,
             network=network_class(cell.source or config.network),

@@ -37,12 +37,11 @@ def unseen_traffics(task: str, backend: str = "sumo") -> tuple[str, ...]:
     return (*events, *parameters, *(MODELS if backend == "sumo" else ()))
 
 
-class UnseenRisk(gym.Wrapper[Any, Any, Any, Any], gym.utils.RecordConstructorArgs):
+class UnseenRisk(gym.Wrapper[Any, Any, Any, Any]):
     """An environment whose episodes have the traffic of this name, whatever dose of risk `reset` asks for."""
 
     def __init__(self, env: gym.Env[Any, Any], traffic: str) -> None:
-        gym.utils.RecordConstructorArgs.__init__(self, traffic=traffic)
-        gym.Wrapper.__init__(self, env)
+        super().__init__(env)
         self._traffic = traffic
 
     def reset(

@@ -9,8 +9,7 @@ import gymnasium as gym
 import numpy as np
 
 from agents.greedy import with_column
-from agents.streams import stream
-from experiments.study.arms import drawn_dose
+from experiments.study.arms import DRAWN, drawn_dose
 
 Env = gym.Env[Any, Any]
 
@@ -44,14 +43,13 @@ class DoseObserved(_Observed):
         return float(self.env.unwrapped.config["risk"])  # type: ignore[attr-defined]
 
 
-class TimeObserved(_Observed, gym.utils.RecordConstructorArgs):
+class TimeObserved(_Observed):
     """Shows the share of the episode that is over. ``steps``: length of an episode.
 
     gymnasium's TimeAwareObservation would flatten the table of vehicles.
     """
 
     def __init__(self, env: Env, steps: int) -> None:
-        gym.utils.RecordConstructorArgs.__init__(self, steps=steps)  # so that its spec makes it again
         super().__init__(env)
         self.steps, self._time = steps, 0
 
@@ -72,68 +70,40 @@ class TimeObserved(_Observed, gym.utils.RecordConstructorArgs):
         return min(self._time / self.steps, 1.0)
 
 
-class TerminalLimit(gym.Wrapper[Any, Any, Any, Any]):
-    """The time limit is an end like any other: nothing is expected beyond it."""
+class Training(gym.Wrapper[Any, Any, Any, Any]):
+    """An environment as an arm is trained on it.
 
-    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """A step, whose truncation counts as termination."""
-        observation, reward, terminated, truncated, info = self.env.step(action)
-        return observation, reward, terminated or truncated, False, info
-
-
-class TrainingClock(TerminalLimit):
-    """Ends an episode after a whole number of seconds that is drawn from its seed, uniformly from first to last.
-
-    The end is terminal, so that an agent cannot know when a test ends, which is shorter or of which it does not observe
-    the time. The environment's own limit has to be ``last`` [s] or later.
+    In arms.DRAWN every episode has the dose of risk that `arms.drawn_dose` draws from its seed. The profile may add a
+    reward for crashes (`crash_reward`), and make the time limit an end like any other, beyond which nothing is expected
+    (`finite_horizon`, `training_clock`).
     """
 
-    def __init__(self, env: Env, first: int, last: int) -> None:
+    def __init__(self, env: Env, profile: Mapping[str, Any], arm: str | None = None) -> None:
         super().__init__(env)
-        if not 0 < first <= last:
-            raise ValueError(
-                f"A training clock runs from 1 s or more to no less, not from {first} to {last} s."
-            )
-        self._range, self._left = (first, last), 0
+        self._drawn = arm if arm in DRAWN else None
+        self._crash = float(profile.get("crash_reward", 0.0))
+        self._terminal = bool(profile.get("finite_horizon") or profile.get("training_clock"))
 
-    def reset(self, **options: Any) -> tuple[Any, dict[str, Any]]:
-        """Begin an episode and draw its end. ValueError without a seed."""
-        seconds = stream(_seed(options), "training clock").integers(*self._range, endpoint=True)
-        self._left = _steps(self.env, int(seconds))
-        return self.env.reset(**options)
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Begin an episode. ValueError without the seed that a dose is drawn from."""
+        if self._drawn:
+            if seed is None:
+                raise ValueError(
+                    "The dose of an episode is drawn from its seed: reset the environment with one."
+                )
+            others = options or {}
+            config = {**others.get("config", {}), "risk": drawn_dose(self._drawn, seed)}
+            options = {**others, "config": config}
+        return self.env.reset(seed=seed, options=options)
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """A step, which is the last one when the time is over."""
-        self._left -= 1
-        observation, reward, ended, truncated, info = super().step(action)
-        return observation, reward, ended or self._left <= 0, truncated, info
-
-
-class CrashReward(gym.Wrapper[Any, Any, Any, Any]):
-    """Adds a reward for the step that ends in a crash, for tasks whose reward has no such term."""
-
-    def __init__(self, env: Env, reward: float) -> None:
-        super().__init__(env)
-        self._reward = reward
-
-    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """A step with the crash in its reward."""
+        """A step, with the crash in its reward; at a terminal limit its truncation counts as termination."""
         observation, reward, terminated, truncated, info = self.env.step(action)
-        return observation, float(reward) + self._reward * info["crashed"], terminated, truncated, info
-
-
-class DrawnDose(gym.Wrapper[Any, Any, Any, Any]):
-    """Every episode has the dose of risk that `arms.drawn_dose` draws for this arm from the episode's seed."""
-
-    def __init__(self, env: Env, arm: str) -> None:
-        super().__init__(env)
-        self._arm = arm
-
-    def reset(self, **options: Any) -> tuple[Any, dict[str, Any]]:
-        """Begin an episode in the traffic of its dose. ValueError without a seed."""
-        others = options.get("options") or {}
-        config = {**others.get("config", {}), "risk": drawn_dose(self._arm, _seed(options))}
-        return self.env.reset(**{**options, "options": {**others, "config": config}})
+        if self._terminal:
+            terminated, truncated = terminated or truncated, False
+        return observation, float(reward) + self._crash * info["crashed"], terminated, truncated, info
 
 
 def observed(env: Env, profile: Mapping[str, Any]) -> Env:
@@ -147,24 +117,5 @@ def observed(env: Env, profile: Mapping[str, Any]) -> Env:
     return env
 
 
-def trained_on(env: Env, profile: Mapping[str, Any]) -> Env:
-    """The environment as an agent of this profile is trained on it."""
-    env = observed(env, profile)
-    if crash := profile.get("crash_reward"):
-        env = CrashReward(env, crash)
-    if clock := profile.get("training_clock"):
-        return TrainingClock(env, *clock)
-    return TerminalLimit(env) if profile.get("finite_horizon") else env
-
-
 def _steps(env: Env, seconds: float) -> int:
     return round(seconds * env.unwrapped.config.get("policy_frequency", 1))  # type: ignore[attr-defined]
-
-
-def _seed(options: Mapping[str, Any]) -> int:
-    """The seed among the arguments of reset."""
-    if options.get("seed") is None:
-        raise ValueError(
-            "What is drawn for an episode is drawn from its seed: reset the environment with one."
-        )
-    return int(options["seed"])

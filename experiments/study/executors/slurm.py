@@ -11,12 +11,11 @@ import subprocess
 import threading
 from collections.abc import Callable
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import submitit
-from submitit.helpers import DelayedSubmission
+from submitit.helpers import Checkpointable
 
 from experiments.support.errors import UserError
 
@@ -58,7 +57,7 @@ class SlurmExecutor(Executor):
         future: Future[Any] = Future()
         future.set_running_or_notify_cancel()  # from now on it cannot be cancelled alone
         try:
-            self._running[future] = self._jobs.submit(Restartable(partial(function, *args, **kwargs)))
+            self._running[future] = self._jobs.submit(Restartable(), function, *args, **kwargs)
         except Exception as error:  # sbatch refuses: no such partition, no account, too many jobs
             future.set_exception(UserError(f"Slurm takes no job: {error}".replace("\n", " ")))
         return future
@@ -84,16 +83,9 @@ class SlurmExecutor(Executor):
                         future.set_exception(RuntimeError(lost))
 
 
-class Restartable:
-    """A call that goes on from its own checkpoint when Slurm ends the job and submitit hands it in again."""
+class Restartable(Checkpointable):
+    """Calls a function, and goes on from its checkpoint when Slurm ends the job and submitit hands it in again."""
 
-    def __init__(self, call: partial[Any]) -> None:
-        self._call = call
-
-    def __call__(self) -> Any:
+    def __call__(self, function: Callable[..., Any], *args: Any, **kwargs: Any) -> Any:
         """Make the call."""
-        return self._call()
-
-    def checkpoint(self) -> DelayedSubmission:
-        """What is to be called in the next job."""
-        return DelayedSubmission(self)
+        return function(*args, **kwargs)

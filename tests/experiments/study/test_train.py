@@ -55,7 +55,7 @@ def test_a_drawn_dose_is_met_logged_and_the_same_after_an_interruption(arm, tmp_
             raise Interrupted
 
     monkeypatch.setattr("experiments.study.train.MIN_INTERVAL", 20)
-    clock = {"training_clock": [7, 13]}
+    clock = {"training_clock": [13, 13]}
     whole_folder, resumed_folder = tmp_path / "whole", tmp_path / "resumed"
     monkeypatch.setattr(FakeEnv, "reset", noting)
     whole = train_cell(cell(arm, **clock), make_env("sumo", "u-turn", {"duration": 13}), whole_folder)

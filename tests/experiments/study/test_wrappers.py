@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
-import sumo_env  # noqa: F401  (registers the ids)
 from experiments.study.arms import DRAWN
-from experiments.study.wrappers import DrawnDose, TimeObserved, TrainingClock, observed, trained_on
+from experiments.study.wrappers import TimeObserved, Training, observed
+from sumo_env.env import DrivingEnv
 from tests.experiments.fake_env import make_env
 
 FINITE, PLAIN = {"finite_horizon": True}, {"finite_horizon": False}
@@ -33,9 +33,11 @@ def test_the_time_is_a_column_of_the_ego() -> None:
     assert truncated
 
 
-def test_the_limit_is_terminal_in_training_and_truncates_in_the_test() -> None:
+@pytest.mark.parametrize("profile", [FINITE, {"training_clock": [10, 10]}])
+def test_the_limit_is_terminal_in_training_and_truncates_in_the_test(profile: dict[str, object]) -> None:
+    test = observed(make_env("sumo", "u-turn"), profile)
     ends = []
-    for env in (trained_on(make_env("sumo", "u-turn"), FINITE), observed(make_env("sumo", "u-turn"), FINITE)):
+    for env in (Training(test, profile), test):
         env.reset(seed=0)
         for _ in range(10):
             _, _, terminated, truncated, _ = env.step(SLOWER)
@@ -45,11 +47,11 @@ def test_the_limit_is_terminal_in_training_and_truncates_in_the_test() -> None:
 
 def test_without_a_finite_horizon_nothing_is_wrapped() -> None:
     env = make_env("sumo", "u-turn")
-    assert observed(env, PLAIN) is env and trained_on(env, PLAIN) is env and observed(env, {}) is env
+    assert observed(env, PLAIN) is env and observed(env, {}) is env
 
 
 def test_gymnasium_accepts_the_environment() -> None:
-    check_env(TimeObserved(gym.make("sumo/roundabout-v0").unwrapped, 11), skip_render_check=True)
+    check_env(TimeObserved(DrivingEnv("roundabout"), 11), skip_render_check=True)
 
 
 def test_other_observations_are_refused() -> None:
@@ -57,49 +59,16 @@ def test_other_observations_are_refused() -> None:
         TimeObserved(gym.make("CartPole-v1"), 10)
 
 
-def length(env: gym.Env, seed: int) -> tuple[int, bool, bool]:
-    env.reset(seed=seed)
-    for steps in range(1, 20):
-        _, _, terminated, truncated, _ = env.step(SLOWER)
-        if terminated or truncated:
-            return steps, terminated, truncated
-    raise AssertionError("the episode does not end")
-
-
-def test_a_training_clock_ends_episodes_at_a_time_drawn_from_their_seed() -> None:
-    profile = {"training_clock": [7, 13]}
-    env = trained_on(make_env("sumo", "u-turn", {"duration": 13}), profile)
-    ends = [length(env, seed) for seed in range(200)]
-    assert {steps for steps, *_ in ends} == set(range(7, 14))
-    assert all(terminated and not truncated for _, terminated, truncated in ends)
-    again = trained_on(make_env("sumo", "u-turn", {"duration": 13}), profile)
-    assert length(again, 123) == ends[123]  # whatever was played before
-
-
-def test_nobody_observes_a_training_clock_and_the_test_has_none() -> None:
-    plain = make_env("sumo", "u-turn")
-    profile = {"training_clock": [7, 13], "finite_horizon": False}
-    assert observed(plain, profile) is plain
-    assert trained_on(plain, profile).observation_space == plain.observation_space
-
-
 def test_a_clock_observed_on_the_trainings_scale_shows_the_same_in_a_shorter_test() -> None:
     """After five seconds an agent sees 5/13, in a training of 13 s as in a test of 10 s, and never 1 in the test."""
     profile = {"training_clock": [13, 13], "time_observed": 13}
-    training = trained_on(make_env("sumo", "u-turn", {"duration": 13}), profile)
+    training = Training(observed(make_env("sumo", "u-turn", {"duration": 13}), profile), profile)
     test = observed(make_env("sumo", "u-turn"), profile)
     assert training.observation_space == test.observation_space
     for env in (training, test):
         assert env.reset(seed=0)[0][0, -1] == 0
         seen = [env.step(SLOWER)[0][0, -1] for _ in range(5)]
         assert seen == pytest.approx([step / 13 for step in range(1, 6)])
-
-
-def test_a_training_clock_counts_seconds_not_steps() -> None:
-    env = make_env("sumo", "u-turn", {"duration": 13, "policy_frequency": 2})
-    assert length(TrainingClock(env, 3, 3), 0)[0] == 6
-    with pytest.raises(ValueError, match="no less"):
-        TrainingClock(env, 5, 4)
 
 
 def test_the_dose_is_a_column_of_the_ego() -> None:
@@ -113,7 +82,7 @@ def test_the_dose_is_a_column_of_the_ego() -> None:
 
 @pytest.mark.parametrize("arm", DRAWN)
 def test_an_episode_has_a_dose_that_its_seed_draws(arm: str) -> None:
-    env = DrawnDose(make_env("sumo", "u-turn"), arm)
+    env = Training(make_env("sumo", "u-turn"), {}, arm)
     doses = []
     for seed in range(400):
         env.reset(seed=seed, options={"config": {"risk": 0.25}})
@@ -122,20 +91,13 @@ def test_an_episode_has_a_dose_that_its_seed_draws(arm: str) -> None:
     assert (set(doses) == {0.0, 1.0}) if arm != "drawn" else (len(set(doses)) == 400 and max(doses) < 1)
     env.reset(seed=17)
     assert env.unwrapped.config["risk"] == doses[17]
-
-
-def test_what_is_drawn_needs_a_seed() -> None:
-    for env in (
-        DrawnDose(make_env("sumo", "u-turn"), "mixed"),
-        TrainingClock(make_env("sumo", "u-turn"), 1, 2),
-    ):
-        with pytest.raises(ValueError, match="seed"):
-            env.reset()
+    with pytest.raises(ValueError, match="seed"):
+        env.reset()
 
 
 def test_a_crash_reward_is_added_to_the_step_that_crashes_alone() -> None:
     faster = 3
-    env = trained_on(make_env("sumo", "two-way"), {"crash_reward": -2.0})
+    env = Training(make_env("sumo", "two-way"), {"crash_reward": -2.0})
     plain = make_env("sumo", "two-way")
     env.reset(seed=1)
     plain.reset(seed=1)

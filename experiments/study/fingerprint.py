@@ -15,7 +15,7 @@ from __future__ import annotations
 import json
 import sys
 import zlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from contextlib import closing
 from functools import cache
 from pathlib import Path
@@ -36,21 +36,14 @@ LIGHTEST_ALONE = ("highway-env",)  # too slow for the fingerprint to cover the h
 TABLE = Path(__file__).with_name("fingerprints.json")
 
 
-def fingerprint(backend: str, task: str, config: dict[str, Any] | None = None) -> str:
-    """Eight digits that change with the dynamics of a task: of its roads, drivers, risk and simulator.
-
-    Args:
-        backend: of `experiments.backends.make_env`.
-        config: changes of the task's configuration.
-    """
+def fingerprint(backend: str, task: str) -> str:
+    """Eight digits that change with the dynamics of a task: of its roads, drivers, risk and simulator."""
     levels = list(TASKS[task].levels.values())
     driven = (1,) if backend in LIGHTEST_ALONE else dict.fromkeys((1, len(levels)))
     values = [
-        _rollout(backend, task, {**levels[level - 1], **(config or {})}, level, risk)
-        for level in driven
-        for risk in (0.0, 1.0)
+        _rollout(backend, task, levels[level - 1], level, risk) for level in driven for risk in (0.0, 1.0)
     ]
-    return sha256_bytes(canonical_json([values, config or {}]).encode())[:8]
+    return sha256_bytes(canonical_json([values, {}]).encode())[:8]
 
 
 def _table() -> dict[str, dict[str, dict[str, str]]]:
@@ -110,7 +103,7 @@ def checksum(scenario: Scenario) -> int:
     return zlib.crc32(repr((drawn, events)).encode())
 
 
-def _rollout(backend: str, task: str, config: dict[str, Any], level: int, risk: float) -> list[Any]:
+def _rollout(backend: str, task: str, config: Mapping[str, Any], level: int, risk: float) -> list[Any]:
     """Places and speeds after each step of some episodes with seeded random actions."""
     seen: list[Any] = []
     env: Any

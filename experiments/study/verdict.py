@@ -24,20 +24,11 @@ def versions() -> dict[str, str]:
 
 
 def of_results(directory: Path) -> dict[str, Any] | None:
-    """The verdict beside some results, None without one."""
-    return read(directory / "verdict.json") or read(directory / "validation.json")
-
-
-def read(path: Path) -> dict[str, Any] | None:
-    """The verdict in a file, a full validation.json included; None if there is none that this version understands."""
+    """The verdict beside some results; None if there is none that this version understands."""
     try:
-        record = json.loads(path.read_text())
-        if record["schema"] != SCHEMA:
-            return None
-        if any("traffics" in found for found in record["tasks"].values()):
-            return verdict_of(record)
-        return record
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        record: dict[str, Any] = json.loads((directory / STORED.name).read_text())
+        return record if record["schema"] == SCHEMA else None
+    except (OSError, ValueError, KeyError, TypeError):
         return None
 
 
@@ -49,10 +40,10 @@ def keep(backend: str, tasks: Sequence[str], out: Path) -> None:
     if backend != "sumo":
         return
     now = {task: dynamics(backend, task) for task in tasks}
-    own, stored = of_results(out), read(STORED)
+    own, stored = of_results(out), of_results(STORED.parent)
     if stored and covers(stored, now) and not (own and covers(own, now)):
         found = {task: stored["tasks"][task] for task in tasks}
-        write_json(out / "verdict.json", {**stored, "fingerprints": now, "tasks": found})
+        write_json(out / STORED.name, {**stored, "fingerprints": now, "tasks": found})
 
 
 def covers(record: Mapping[str, Any], fingerprints: Mapping[str, str]) -> bool:

@@ -1,4 +1,4 @@
-"""Train and test one agent, and watch it learn; policies that do not learn are tested in the same scenarios.
+"""Train and test one agent, and draw how it learned; policies that do not learn are tested in the same scenarios.
 
     python experiments/train.py --task u-turn --risk 1 --out results/mine
     python experiments/watch.py results/mine     # films it
@@ -17,32 +17,30 @@ if __package__ in (None, ""):  # run as a file: import from the project, not fro
 
 import shlex
 from dataclasses import dataclass
-from statistics import fmean
-from typing import Annotated, Any
+from typing import Annotated
 
-import gymnasium as gym
 import tyro
 
+from experiments import sweep
 from experiments.backends import make_env
-from experiments.study.cell import TEST_EPISODE, CellTask
+from experiments.study.cell import CellTask
 from experiments.study.experiment import Experiment
 from experiments.study.fingerprint import check_dynamics
 from experiments.study.grid import Cell
 from experiments.study.presets import cells_of
-from experiments.study.run import compute_here
+from experiments.study.run import LOG
 from experiments.study.store import TRAINING, Store
 from experiments.support.errors import UserError, run_command, unknown, writing
 
 # The traffic of the training, and the arm of the experiment that it is.
 ARMS = {"0": "control", "0.25": "dose25", "0.5": "dose50", "0.75": "dose75", "1": "treatment"}
 ARMS |= {"mixed": "mixed", "drawn": "drawn"}
-LINES = 20  # of a whole training in the terminal
 SMOOTH = 50  # training episodes over which the picture averages
 
 
 @dataclass(frozen=True)
 class Options:
-    """Train and test one agent, and watch it learn."""
+    """Train and test one agent, and draw how it learned."""
 
     out: Annotated[Path, tyro.conf.arg(metavar="DIR")]
     """Directory for the agent; it may hold others already."""
@@ -88,23 +86,6 @@ def agent_and_others(options: Options) -> tuple[Cell, list[Cell]]:
     return agent, others
 
 
-class Watched(gym.Wrapper[Any, Any, Any, Any]):
-    """Appends return and crash of every episode to a list."""
-
-    def __init__(self, env: gym.Env[Any, Any], episodes: list[tuple[float, bool]]) -> None:
-        super().__init__(env)
-        self._episodes, self._total = episodes, 0.0
-
-    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """Drive one step."""
-        observation, reward, terminated, truncated, info = self.env.step(action)
-        self._total += float(reward)
-        if terminated or truncated:
-            self._episodes.append((self._total, bool(info["crashed"])))
-            self._total = 0.0
-        return observation, reward, terminated, truncated, info
-
-
 def draw(directory: Path, cell: Cell) -> Path:
     """Draw the return and the crashes of a stored agent's training episodes; returns the file."""
     import matplotlib
@@ -127,33 +108,13 @@ def train(options: Options, arguments: list[str]) -> int:
     """
     agent, others = agent_and_others(options)
     check_dynamics([(agent.backend, agent.task)])
-    episodes: list[tuple[float, bool]] = []  # since the last line
-    training, last = agent.updates / (agent.updates + TEST_EPISODE * agent.work), 0  # share of the work
-
-    def watched(backend: str, task: str, config: dict[str, Any]) -> gym.Env[Any, Any]:
-        return Watched(make_env(backend, task, config), episodes)
-
-    def beat(done: float) -> None:
-        nonlocal last
-        line = min(int(LINES * done / training + 1e-9), LINES + 1)
-        if line > last and line > LINES:
-            print("testing it in regular and in risky traffic", flush=True)
-        elif line > last and episodes:
-            returns, crashes = zip(*episodes, strict=True)
-            numbers = f"return {fmean(returns):6.2f}  crashes {fmean(crashes):4.0%}"
-            print(f"{line / LINES:4.0%}  {len(returns):4} episodes  {numbers}", flush=True)
-            episodes.clear()
-        last = max(last, line)
-
+    tasks = {cell.name: CellTask(cell, options.out, make_env) for cell in (agent, *others)}
     with writing(options.out):
-        command = shlex.join(["python", "experiments/train.py", *arguments])
-        Store(options.out).write_sweep(command, [agent, *others])
-        print(f"training {agent.slug}: {agent.updates} updates (stop and go on at any time)")
-        compute_here(CellTask(agent, options.out, watched), beat)
+        store = Store(options.out)
+        store.write_sweep(shlex.join(["python", "experiments/train.py", *arguments]), [agent, *others])
+        for name, reason in sweep.compute(sweep.Options(backend=options.backend), store, tasks).items():
+            raise UserError(f"{name} failed: {reason}; see {tasks[name].folder / LOG}")
         picture = draw(options.out, agent)
-        print("testing policies that do not learn beside it", flush=True)
-        for other in others:
-            compute_here(CellTask(other, options.out, make_env))
     print(f"{agent.slug} is trained and tested; its learning curve: {picture}")
     print(f"next: python experiments/test.py {options.out}; python experiments/watch.py {options.out}")
     return 0
@@ -163,5 +124,6 @@ if __name__ == "__main__":
     run_command(
         lambda: train(
             tyro.cli(Options, description=__doc__, config=(tyro.conf.FlagCreatePairsOff,)), sys.argv[1:]
-        )
+        ),
+        resumes=True,
     )

@@ -14,32 +14,18 @@ from rich.progress import Progress as Bars
 from experiments.study.grid import Cell
 from experiments.study.run import RETRIES, Observer, Task, fraction_done
 
-# Processor seconds of a common server for a policy step in the lightest traffic; rough except for SUMO.
-STEP: dict[str, dict[str, float]] = {
-    "sumo": {"highway": 0.0025, "two-way": 0.0010, "roundabout": 0.0016, "intersection": 0.0020},
-    "replica": {"highway": 0.0008},
-    "highway-env": {
-        "highway": 0.4,
-        "two-way": 0.04,
-        "roundabout": 0.07,
-        "intersection": 0.09,
-        "u-turn": 0.03,
-    },
-}
-OTHERWISE = 0.001  # [s]
+# Processor seconds of a common server, roughly: for a policy step of each simulator, and for an update of the learner.
+STEP = {"sumo": 0.002, "replica": 0.001, "highway-env": 0.15}
+UPDATE = 0.005
 LENGTH = 10  # policy steps of an episode
-UPDATE = 0.005  # [s] of the learner, without the steps
-CELL = 0.5  # [s] beside training and test: environment, files
-GROWTH = 0.25  # how much longer each heavier level takes
-BAR_EVERY, LINE_EVERY = 2.0, 15.0  # [s]
+EVERY = 15.0  # [s] between two lines where there is no terminal
 MEMORY = 600.0  # [s] over which the speed is averaged
 
 
 def seconds(cell: Cell) -> float:
     """Expected time of a cell on one core of a common server [s]."""
-    step = (1.0 + GROWTH * (cell.level - 1)) * STEP[cell.runs_on].get(cell.task, OTHERWISE)
-    update = UPDATE + cell.profile.get("steps_per_update", 1) * step
-    return CELL + cell.updates * update + cell.work * LENGTH * step
+    steps = cell.updates * cell.profile.get("steps_per_update", 1) + cell.work * LENGTH
+    return cell.updates * UPDATE + steps * STEP[cell.runs_on]
 
 
 def duration(seconds: float) -> str:
@@ -83,15 +69,10 @@ class Progress(Observer):
             self._console.print(f"{task.name}: {words}{end}", markup=False, soft_wrap=True)
 
     def tick(self) -> None:
-        """Show it now and then."""
-        if time.monotonic() - self._shown >= (BAR_EVERY if self._console.is_terminal else LINE_EVERY):
-            self.show()
-
-    def show(self) -> None:
-        """Show how much is done."""
-        self._shown = time.monotonic()
+        """Show how much is done; without a terminal, now and then."""
         self._bars.update(self._bar, completed=self._done())
-        if not self._console.is_terminal:
+        if not self._console.is_terminal and time.monotonic() - self._shown >= EVERY:
+            self._shown = time.monotonic()
             counts, bar = Counter(self._state.values()), self._bars.tasks[0]
             parts = [f"{counts.pop('finished', 0)}/{len(self._state)} cells", f"{bar.percentage:.0f}%"]
             if left := bar.time_remaining:
@@ -100,13 +81,14 @@ class Progress(Observer):
 
     def close(self) -> None:
         """Leave the screen in order."""
-        self.show()
+        self._shown = -EVERY
+        self.tick()
         self._bars.stop()
 
     def _done(self) -> float:
         """Expected time of what is done of the cells [s]."""
-        part = {"finished": 1.0, "failed": 1.0, "waiting": 0.0, "in another run": 0.0}
+        part = {"finished": 1.0, "failed": 1.0}
         return sum(
-            cost * part.get(self._state[name], fraction_done(self._work / name))
-            for name, cost in self._costs.items()
+            cost * (fraction_done(self._work / name) if state == "running" else part.get(state, 0.0))
+            for (name, state), cost in zip(self._state.items(), self._costs.values(), strict=True)
         )

@@ -37,7 +37,7 @@ RETRIES = 3  # a task that goes wrong is begun again at most so often
 # Exit status of a process that faulthandler ends, and of one that must not be used again.
 HUNG, SPOILT = 1, 70
 POLL = 0.5  # [s] between two looks at the running tasks, and between two writes of progress.json
-RECHECK = 5.0  # [s] between two tries at a task that another run computes
+RECHECK = 2.0  # [s] that a process waits for a task that another run computes
 # An error of these kinds awaits every task: the run stops instead of trying again.
 DISK = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO}
 
@@ -98,6 +98,7 @@ def attempt(task: Task) -> Ended:
     try:
         with locked(task.folder) as mine:
             if not mine:
+                time.sleep(RECHECK)  # then the runner hands it out again, after all others
                 return Ended("elsewhere")
             with watched(task.folder, task.silence) as beat:
                 if not task.done():
@@ -113,7 +114,7 @@ def attempt(task: Task) -> Ended:
         return Ended("failed", f"{type(error).__name__}: {error}".partition("\n")[0])
 
 
-def compute_here(task: Task, beat: Beat = lambda _: None) -> None:
+def compute_here(task: Task) -> None:
     """Compute a task in this process, where a debugger can follow it and an error shows its traceback.
 
     Raises:
@@ -123,7 +124,7 @@ def compute_here(task: Task, beat: Beat = lambda _: None) -> None:
         if not mine:
             raise UserError(f"another process computes {task.name}: wait until it ends")
         if not task.done():
-            task.compute(beat)
+            task.compute(lambda _: None)
         shutil.rmtree(task.folder, ignore_errors=True)
 
 
@@ -227,29 +228,23 @@ def run(
     """
     observer = observer or Observer()
     waiting, running = deque(tasks), dict[Future[Ended], Task]()
-    later = deque[tuple[float, Task]]()  # computed by another run: when to look again
     tries, failures = Counter[str](), dict[str, str]()
     try:
-        while waiting or running or later:
-            while later and later[0][0] <= time.monotonic():
-                waiting.append(later.popleft()[1])
+        while waiting or running:
             while waiting and len(running) < limit:
                 task = waiting.popleft()
                 running[_submit(executor, task)] = task
-                tries[task.name] += 1
                 observer.tell(task, "running")
-            if not running:
-                time.sleep(POLL)
             for future in wait(running, POLL, FIRST_COMPLETED).done:
                 task = running.pop(future)
                 ended = _ending(task, future)
+                tries[task.name] += ended.state == "failed"
                 if ended.state == "fatal":
                     raise UserError(ended.reason)
                 if ended.state == "done":
                     observer.tell(task, "finished")
                 elif ended.state == "elsewhere":
-                    tries[task.name] -= 1
-                    later.append((time.monotonic() + RECHECK, task))
+                    waiting.append(task)
                     observer.tell(task, "in another run")
                 elif tries[task.name] <= RETRIES:
                     waiting.appendleft(task)

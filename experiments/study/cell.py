@@ -113,11 +113,11 @@ def _train(cell: Cell, store: Store, make_env: MakeEnv, advance: Callable[[float
     scratch = store.work / cell.name
     with closing(make_env(cell.backend, cell.task, cell.training_config)) as env:
         try:
-            return train_cell(cell, env, scratch, advance, cell.marks)
+            return train_cell(cell, env, scratch, advance)
         except CheckpointError as damage:
             aside = store.put_aside(scratch / CHECKPOINT)
             print(f"{cell.name}: its checkpoint was damaged ({damage}) and put aside in {aside}", flush=True)
-            return train_cell(cell, env, scratch, advance, cell.marks)
+            return train_cell(cell, env, scratch, advance)
 
 
 def _test(

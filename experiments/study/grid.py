@@ -130,11 +130,6 @@ class Cell:
         return int(self.profile.get("updates", 0)) if self.kind == "agent" else 0
 
     @property
-    def marks(self) -> tuple[float, ...]:
-        """Shares of the budget after which the agent is tested as well."""
-        return MARKS if self.early_tests else ()
-
-    @property
     def episodes(self) -> int:
         """Test episodes in each traffic."""
         return int(self.eval["episodes"])
@@ -154,7 +149,7 @@ class Cell:
         """Episodes that are played after the training, in all traffics."""
         if self.test_on:
             return len(self.test_on["traffics"]) * int(self.test_on["episodes"])
-        early = len(self.marks) if self.kind == "agent" else 0
+        early = len(MARKS) if self.early_tests else 0
         return 2 * self.episodes * (1 + early) + len(self.gate_traffics) * self.gate_episodes
 
     @property
@@ -215,8 +210,6 @@ def versions(backend: str, runs_on: str | None = None) -> dict[str, Any]:
 
 def level_names(task: str) -> tuple[str, ...]:
     """Names of a task's traffic levels, lightest first ("50", "100", "150"); levels are numbered from 1."""
-    if task not in TASKS:
-        raise unknown("task", task, TASKS)
     return tuple(TASKS[task].levels)
 
 
@@ -259,14 +252,11 @@ def choose_levels(tasks: Sequence[str], wanted: Sequence[int] | None) -> dict[st
     """Level numbers of each task: the wanted ones that it has, or all.
 
     Raises:
-        UserError: a level that none of the tasks has, or a task left without a level.
+        UserError: a level that none of the tasks has.
     """
     known = {task: range(1, len(level_names(task)) + 1) for task in tasks}
-    chosen = {task: tuple(n for n in known[task] if wanted is None or n in wanted) for task in tasks}
-    most = max(tasks, key=lambda task: len(known[task]))
     for level in wanted or ():
         if not any(level in numbers for numbers in known.values()):
-            names = ", ".join(f"{n} ({name})" for n, name in enumerate(level_names(most), start=1))
-            nearest = min(known[most], key=lambda n: abs(n - level))
-            raise UserError(f"unknown level {level}: did you mean {nearest}? {most} has the levels {names}")
+            raise unknown("level", level, max(known.values(), key=len))
+    chosen = {task: tuple(n for n in known[task] if wanted is None or n in wanted) for task in tasks}
     return {task: numbers for task, numbers in chosen.items() if numbers}

@@ -209,17 +209,17 @@ class Store:
         """
         self.check()
         with alone(self.directory):
-            there, packed = self.records(), packed_records(self.directory)
-            new = [name for name in there if name not in packed]
-            files = {name: self.cells / name / WEIGHTS for name in new}
+            packed = packed_records(self.directory)
+            new = {name: self.record(name) for name in self.finished() if name not in packed}
+            weights = {name: self.cells / name / WEIGHTS for name in new}
             if new:
                 add(
                     self.directory,
-                    {name: there[name] for name in new},
+                    new,
                     {name: self.tables(name) for name in new},
-                    {name: path for name, path in files.items() if path.exists()},
+                    {name: path for name, path in weights.items() if path.exists()},
                 )
-        return new
+        return list(new)
 
 
 def seal(record: Mapping[str, Any]) -> bytes:

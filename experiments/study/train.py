@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -18,7 +18,7 @@ from agents.models import network_class
 from agents.streams import episode_seed
 from agents.training import TrainedAgent, train
 from experiments.study.arms import DRAWN, drawn_dose, training_seed
-from experiments.study.grid import Cell
+from experiments.study.grid import MARKS, Cell
 from experiments.study.policies import check
 from experiments.study.wrappers import Training, observed
 from experiments.support.errors import UserError
@@ -33,7 +33,7 @@ MIN_INTERVAL = 100  # updates between two checkpoints at least
 class Trained:
     """A trained agent as it is stored: policy, training episodes (one row each), and "learner" of cell.json.
 
-    marks: files with the policy after each of the shares of the budget that were asked for.
+    marks: files with the policy after each of the shares `grid.MARKS` of the budget, if they were asked for.
     """
 
     policy: Greedy
@@ -53,7 +53,6 @@ def train_cell(
     env: gym.Env[Any, Any],
     directory: Path,
     on_updates: Callable[[int], None] = lambda _: None,
-    marks: Sequence[float] = (),
 ) -> Trained:
     """Train the agent of a cell; bit for bit the same however often it is interrupted.
 
@@ -61,7 +60,6 @@ def train_cell(
         env: an environment of the cell's task and level.
         directory: where the checkpoint lies, or is written.
         on_updates: called now and then with the number of updates made since the last call.
-        marks: shares of the budget after which the policy is kept.
 
     Raises:
         CheckpointError: the checkpoint is damaged.
@@ -72,7 +70,8 @@ def train_cell(
     if cell.source is not None:
         check(cell.source, cell.profile["network_sha256"])
     seed = training_seed(cell.task, cell.level, cell.seed or 0)
-    files = {round(share * config.updates): directory / f"mark-{k}.npz" for k, share in enumerate(marks)}
+    shares = MARKS if cell.early_tests else ()
+    files = {round(share * config.updates): directory / f"mark-{k}.npz" for k, share in enumerate(shares)}
     told = 0
 
     def progress(updates: int) -> None:

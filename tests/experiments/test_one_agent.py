@@ -45,17 +45,6 @@ def test_the_agent_is_an_ordinary_cell(trained: Path) -> None:
     assert min(picture.size) > 200
 
 
-def test_the_curve_is_printed_while_it_learns(tmp_path, capsys) -> None:
-    options = train.Options(out=tmp_path, risk="0", updates=200)
-    train.train(options, [])
-    said = capsys.readouterr().out
-    words = ("training sumo-u-turn-3-control-s0: 200 updates", "100%", "testing it")
-    places = [said.index(word) for word in words]
-    assert places == sorted(places)
-    train.train(options, [])  # finished already: nothing is computed again
-    assert "testing it" not in capsys.readouterr().out
-
-
 def test_other_policies_are_tested_beside_it(trained: Path, capsys) -> None:
     assert test.test(test.Options(trained)) == 0
     said = capsys.readouterr().out

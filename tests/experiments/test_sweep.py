@@ -19,12 +19,10 @@ from experiments.analysis.analysis import analyse
 from experiments.analysis.cells import comparable
 from experiments.study import grid, store
 from experiments.study.experiment import shard
-from experiments.study.presets import PRESETS
 from experiments.study.run import Ended, attempt
 from experiments.study.store import MARKS, TRAINING, Store, load
 from experiments.support.errors import UserError
 from experiments.sweep import Options, cells_of, sweep
-from sumo_env.tasks import TASKS
 from tests.experiments.computed import TINY, compute, fingerprint, tasks_of
 from tests.experiments.fake_env import make_env
 from tests.processes import ROOT, children, is_alive, python, started, wait_for
@@ -88,6 +86,7 @@ def test_further_arms_are_trained_and_agents_tested_elsewhere(reference, tmp_pat
     assert set(results.expected) == set(results.cells)
     assert set(load(reference).cells) < set(results.cells)
     tests = [record["key"] for record in results.cells.values() if record["key"]["kind"] == "test"]
+    assert "test" not in set(results.gate_episodes["kind"])  # which have test episodes alone
     assert len(tests) == 5 + 4  # each agent elsewhere, and those of the dose response at every dose
     doses = next(key for key in tests if key["arm"] == "dose50" and key["test_on"]["backend"] == "sumo")
     assert doses["test_on"]["traffics"] == ["dose25", "dose50", "dose75"]
@@ -275,27 +274,6 @@ def test_the_command_works_from_any_directory(tmp_path):
     arguments = ("--preset", "paper", "--dry-run", "--tasks", "highway,u-turn")
     assert "140 agents and 42 baselines" in python(ROOT / "experiments/sweep.py", *arguments, cwd=tmp_path)
     assert not list(tmp_path.iterdir())
-
-
-def test_a_dry_run_says_what_is_finished_and_what_is_left(reference, capsys):
-    sweep(Options(out=reference, **{**TINY, "seeds": 2, "dry_run": True}), make_env=make_env)
-    output = capsys.readouterr().out
-    [row] = [line.split() for line in output.splitlines() if line.startswith("u-turn")]
-    assert row[2:6] == ["4", "6", "0", "8"]  # agents, baselines, tests, finished
-    assert "4 agents and 6 baselines" in output
-
-
-def test_the_first_clock_is_all_that_differs_on_its_two_tasks():
-    """Other values of presets are those of published cells: study/test_published_names.py."""
-    first, second = (
-        {task: PRESETS[name].profile(task) for task in TASKS} for name in ("first-clock", "second")
-    )
-    clock = {"preset", "finite_horizon", "training_clock", "time_observed"}
-    assert {task for task in TASKS if first[task]["finite_horizon"]} == {"roundabout", "u-turn"}
-    for task, profile in first.items():
-        assert not {"training_clock", "time_observed"} & set(profile) and not second[task]["finite_horizon"]
-        others = {name: value for name, value in second[task].items() if name not in clock}
-        assert {name: value for name, value in profile.items() if name not in clock} == others
 
 
 NETWORK = """

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 
 import pytest
@@ -99,14 +98,6 @@ def test_the_configuration_can_be_changed():
     assert {(c.env_config["risk_law"], c.env_config["duration"]) for c in changed} == {("linear", 7)}
 
 
-def test_names_are_readable_unique_and_independent_of_the_rest_of_the_grid():
-    small = cells()
-    large = cells({"highway": (1, 2, 3), "u-turn": (1,)}, seeds=5)
-    assert {c.name for c in small} <= {c.name for c in large}
-    assert len({c.name for c in large}) == len(large)
-    assert small[0].name.startswith("sumo-highway-50-control-s0-")
-
-
 def test_the_name_follows_everything_that_changes_the_result_and_no_label():
     cell = cells()[0]
     assert cells(preset="quick")[0].name == cell.name
@@ -115,30 +106,11 @@ def test_the_name_follows_everything_that_changes_the_result_and_no_label():
     assert replace(cell, env_config={**cell.env_config, "duration": 21}).name != cell.name
 
 
-def test_versions_are_part_of_the_name(monkeypatch):
-    before = cells()[0].name
-    monkeypatch.setattr(grid, "RESULT_SCHEMA", grid.RESULT_SCHEMA + 1)
-    assert cells()[0].name != before
-
-
-def test_results_of_other_dynamics_have_other_names(monkeypatch):
-    before = cells()[0]
-    monkeypatch.setattr(experiment, "dynamics", lambda backend, task: "01234567")
-    assert cells()[0].dynamics == "01234567" != before.dynamics
-    assert cells()[0].name != before.name
-
-
 def test_a_baseline_does_not_depend_on_the_learner():
     def names(**profile):
         return {c.name for c in cells(**profile) if c.kind == "baseline"}
 
     assert names(gamma=0.95) == names(gamma=0.99)
-
-
-def test_keys_survive_json():
-    for cell in cells({"two-way": (1, 2, 3), "intersection": (5,)}):
-        stored = json.loads(json.dumps(cell.key()))
-        assert grid.cell_name(stored, grid.versions("sumo")) == cell.name
 
 
 def test_levels_carry_the_papers_settings():
@@ -152,7 +124,7 @@ def test_levels_carry_the_papers_settings():
     ("call", "message"),
     [
         (lambda: grid.choose_tasks(["higway"]), "did you mean 'highway'"),
-        (lambda: grid.choose_levels(["highway"], [4]), "did you mean 3?"),
+        (lambda: grid.choose_levels(["highway"], [4]), "known are 1, 2, 3"),
         (lambda: cells(backend="summo"), "did you mean 'sumo'"),
         (lambda: cells(seeds=0), "at least one seed"),
         (lambda: cells(arms=("treatmen",)), "did you mean 'treatment'"),
@@ -166,7 +138,7 @@ def test_levels_carry_the_papers_settings():
     ],
 )
 def test_what_does_not_exist_is_named_with_the_nearest(call, message):
-    with pytest.raises(UserError, match="(?s)" + message.replace("?", r"\?")) as error:
+    with pytest.raises(UserError, match=message) as error:
         call()
     assert "\n" not in str(error.value)
 

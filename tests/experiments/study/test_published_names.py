@@ -63,6 +63,7 @@ def test_every_packed_table_of_a_published_folder_is_here(folder: str) -> None:
         ("replica", "standard", "replica", 80),
         ("paper", "paper", "sumo", 80),
         ("second", "second", "sumo", 75),
+        ("first-clock", "first-clock", "sumo", 32),
     ],
 )
 def test_a_study_asks_for_its_published_cells_today(folder, preset, backend, least) -> None:

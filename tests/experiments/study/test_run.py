@@ -9,7 +9,6 @@ from contextlib import suppress
 
 import pytest
 
-from experiments.study import run as runner
 from experiments.study.executors import open_executor
 from experiments.study.run import LOG, Ended, Observer, attempt, fraction_done, locked, run
 from experiments.support.errors import UserError
@@ -143,8 +142,7 @@ def test_progress_is_seen_while_a_task_runs(tmp_path):
     assert any(0.0 < fraction < 1.0 for fraction in seen)
 
 
-def test_a_task_that_another_run_computes_is_waited_for_and_taken_over(tmp_path, monkeypatch):
-    monkeypatch.setattr(runner, "RECHECK", 0.5)
+def test_a_task_that_another_run_computes_is_waited_for_and_taken_over(tmp_path):
     task = Sum("task", tmp_path)
     held = locked(task.folder)
     assert held.__enter__()

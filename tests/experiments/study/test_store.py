@@ -7,73 +7,28 @@ import json
 import shutil
 import threading
 from dataclasses import replace
+from pathlib import Path
 
 import pandas as pd
 import pytest
-from torch import nn
 
-from agents.greedy import Greedy
 from experiments.study import grid, store
-from experiments.study.evaluate import evaluate
-from experiments.study.experiment import Experiment
 from experiments.study.store import KEY_COLUMNS, load
 from experiments.support.errors import UserError
-from sumo_env.tasks import TASKS
-from tests.experiments.fake_env import make_env
-
-
-class Idle:
-    def act(self, observation):
-        return 1
-
-    def reset(self, seed):
-        pass
-
-
-TRAINING_TABLE = pd.DataFrame(
-    {
-        "episode": [0],
-        "step": [3],
-        "return": [1.0],
-        "length": [3],
-        "crashed": [True],
-        "arrived": [False],
-        "mean_speed": [20.0],
-        "epsilon": [1.0],
-    }
-)
+from tests.experiments.computed import compute, tasks_of
 
 
 @pytest.fixture(scope="module")
-def cells() -> list[grid.Cell]:
-    learners = {task: {"updates": 10, "gamma": 0.95} for task in TASKS}
-    tasks = ("highway", "u-turn")
-    return Experiment(tasks=tasks, levels=(1,), seeds=1, episodes=3, learners=learners).cells()
-
-
-@pytest.fixture(scope="module")
-def finished(tmp_path_factory, cells):
+def finished(tmp_path_factory) -> Path:
     """A directory with all cells finished."""
-    folder = tmp_path_factory.mktemp("finished")
-    home = store.Store(folder / "results")
-    weights = folder / "weights.npz"
-    Greedy(nn.Linear(10, 5)).save(weights)
-    for cell in cells:
-        env = make_env(cell.backend, cell.task, cell.env_config)
-        table = evaluate(env, Idle(), cell.task, cell.level, cell.episodes)
-        files = {store.EPISODES: table, store.GATES: table}
-        record = {"timing": {"test_seconds": 1.0}, "provenance": {"cpu": "none"}}
-        if cell.kind == "agent":
-            files |= {store.TRAINING: TRAINING_TABLE, store.WEIGHTS: weights}
-            record["learner"] = {
-                "updates": 10,
-                "episodes": 1,
-                "probe_q": [[5, 0.1, 0.2], [10, 0.3, 0.5]],
-                "q_bound": 20.0,
-                "weights_sha256": "x",
-            }
-        home.write(cell, record, files)
-    return home.directory
+    directory = tmp_path_factory.mktemp("finished") / "results"
+    compute(tasks_of(directory))
+    return directory
+
+
+@pytest.fixture(scope="module")
+def cells(finished) -> list[grid.Cell]:
+    return [task.cell for task in tasks_of(finished)]
 
 
 @pytest.fixture
@@ -111,7 +66,7 @@ def test_writing_twice_keeps_the_first(directory, cells):
     home = store.Store(directory)
     path = directory / "cells" / cells[-1].name
     before = (path / store.CELL).read_bytes()
-    home.write(cells[-1], {"timing": "other"}, {store.EPISODES: TRAINING_TABLE})
+    home.write(cells[-1], {"timing": "other"}, {store.EPISODES: pd.DataFrame({"return": [1.0]})})
     assert (path / store.CELL).read_bytes() == before
     assert not list(home.work.glob("*/*"))
 
@@ -151,23 +106,23 @@ def test_a_damaged_note_does_not_ask_for_the_results_to_be_deleted(directory):
 
 def test_sweeps_add_up_but_for_what_was_never_finished_and_is_not_asked_for_again(tmp_path, cells):
     home = store.Store(tmp_path)
-    first, _, third, *rest = (cell for cell in cells if cell.task == "u-turn")
-    highway = [cell for cell in cells if cell.task == "highway"]
+    first, _, third, *rest = cells
+    highway = [task.cell for task in tasks_of(tmp_path, tasks=("highway",))]
     (home.cells / first.name).mkdir(parents=True)
-    home.write_sweep("all", cells)
+    home.write_sweep("all", [*highway, *cells])
     home.write_sweep("third", [third])
     home.write_sweep("rest", rest)
     assert store.Store(tmp_path).sweeps() == [
         {"command": "all", "cells": [cell.name for cell in (*highway, first)]},
         {"command": "rest", "cells": [cell.name for cell in rest]},
     ]
-    home.write_sweep("all again", cells)
+    home.write_sweep("all again", [*highway, *cells])
     assert store.Store(tmp_path).sweeps() == [
-        {"command": "all again", "cells": [cell.name for cell in cells]}
+        {"command": "all again", "cells": [cell.name for cell in (*highway, *cells)]}
     ]
 
 
-def test_sweeps_that_start_at_once_lose_no_note(tmp_path, cells, monkeypatch):
+def test_sweeps_that_start_at_once_lose_no_note(tmp_path, monkeypatch):
     read, both = store.Store.sweeps, threading.Barrier(2)
 
     def slowly(home):
@@ -178,7 +133,7 @@ def test_sweeps_that_start_at_once_lose_no_note(tmp_path, cells, monkeypatch):
 
     monkeypatch.setattr(store.Store, "sweeps", slowly)
     home = store.Store(tmp_path)
-    halves = [[cell for cell in cells if cell.task == task] for task in ("highway", "u-turn")]
+    halves = [[task.cell for task in tasks_of(tmp_path, tasks=(one,))] for one in ("highway", "u-turn")]
     threads = [threading.Thread(target=home.write_sweep, args=(half[0].task, half)) for half in halves]
     for thread in threads:
         thread.start()
@@ -209,16 +164,3 @@ def test_damaged_cells_are_passed_over_and_named_on_request(directory, cells):
     assert "run the sweep again" in results.damaged[cells[0].name]
     assert cells[0].name not in results.cells
     assert set(results.episodes["cell"]) == set(results.cells)
-
-
-def test_a_further_test_has_test_episodes_alone(directory, cells):
-    agent = next(cell for cell in cells if cell.kind == "agent")
-    doses = {"backend": "sumo", "traffics": ["dose50"], "episodes": 3, "env_config": agent.env_config}
-    test = replace(agent, kind="test", test_on=doses)
-    env = make_env(test.backend, test.task, test.env_config)
-    table = evaluate(env, Idle(), test.task, test.level, 3, traffics=("dose50",))
-    store.Store(directory).write(test, {}, {store.EPISODES: table})
-    found = load(directory)
-    assert found.cells[test.name]["key"]["test_on"]["traffics"] == ["dose50"]
-    assert (found.episodes["cell"] == test.name).sum() == 3
-    assert test.name not in set(found.gate_episodes["cell"])

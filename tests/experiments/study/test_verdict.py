@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from experiments.study import verdict
-from experiments.study.fingerprint import dynamics, fingerprint
+from experiments.study.fingerprint import dynamics
 from experiments.validation.checks import scorecard
 from sumo_env.tasks import TASKS
 from tests.experiments.validation.tables import compared
@@ -16,20 +16,15 @@ from tests.experiments.validation.tables import compared
 TASK = ["u-turn"]
 
 
-def validation(path: Path) -> Path:
-    """A folder with the validation of the u-turn as it drives now, with misses."""
+@pytest.fixture
+def stored(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """What the package knows: the verdict on the u-turn as it drives now, with misses."""
     tasks = scorecard(compared(crashed=True), "sumo", {"u-turn": ["3", "6", "9", "12"]})
     about = {"schema": verdict.SCHEMA, "backend": "sumo", "scenarios": 40, "command": "validate"}
     now = {"fingerprints": {"u-turn": dynamics("sumo", "u-turn")}, "versions": verdict.versions()}
-    path.mkdir()
-    (path / "validation.json").write_text(json.dumps({**about, **now, "tasks": tasks}))
-    return path
-
-
-@pytest.fixture
-def stored(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """What the package knows."""
-    file = validation(tmp_path / "package") / "validation.json"
+    file = tmp_path / "package" / "verdict.json"
+    file.parent.mkdir()
+    file.write_text(json.dumps(verdict.verdict_of({**about, **now, "tasks": tasks})))
     monkeypatch.setattr(verdict, "STORED", file)
     return file
 
@@ -44,7 +39,7 @@ def test_the_stored_verdict_is_kept_beside_results(stored: Path, tmp_path: Path)
 
 @pytest.mark.parametrize(
     "others",
-    [{"fingerprints": {"u-turn": "other"}}, {"versions": {"libsumo": "0.0"}}, {"schema": 1}, {"tasks": 1}],
+    [{"fingerprints": {"u-turn": "other"}}, {"versions": {"libsumo": "0.0"}}, {"schema": 1}],
     ids=str,
 )
 def test_a_verdict_on_others_is_not(stored: Path, tmp_path: Path, others: dict[str, object]) -> None:
@@ -57,18 +52,6 @@ def test_other_tasks_and_simulators_have_none(stored: Path, tmp_path: Path) -> N
     verdict.keep("sumo", ["u-turn", "highway"], tmp_path)
     verdict.keep("highway-env", TASK, tmp_path)
     assert verdict.of_results(tmp_path) is None
-
-
-def test_a_validation_beside_the_results_is_used(stored: Path, tmp_path: Path) -> None:
-    results = validation(tmp_path / "results")
-    verdict.keep("sumo", TASK, results)
-    known = verdict.of_results(results)
-    assert known["source"].startswith("40 scenarios") and known["tasks"]["u-turn"]["counts"]["missed"] > 0
-    assert not (results / "verdict.json").exists()
-
-
-def test_fingerprints_change_with_the_configuration() -> None:
-    assert fingerprint("sumo", "u-turn") != fingerprint("sumo", "u-turn", {"simulation_frequency": 15})
 
 
 def test_the_package_knows_the_present_dynamics(tmp_path: Path) -> None:

@@ -74,9 +74,9 @@ def write_report(directory: Path, *others: Path) -> Path:
         UserError: no results there, or no permission to write.
     """
     directory = Path(directory)
-    results = load(directory, skip_damaged=True)
+    results = load(directory)
     analysis = analyse(results)
-    beside = {str(other): analyse(load(other, skip_damaged=True)) for other in others}
+    beside = {str(other): analyse(load(other)) for other in others}
     try:
         films = showcase(results, set(analysis.notes["left_out"]), make_env)
         variables = page(results, analysis, films, beside)
@@ -131,7 +131,7 @@ def pack_cells(directory: Path) -> None:
 
 def report_placebo(directory: Path) -> None:
     """Print what the controls of the instrument find in a directory."""
-    analysis = analyse(load(directory, skip_damaged=True))
+    analysis = analyse(load(directory))
     if analysis.placebo.empty:
         print("no placebo: a setting needs four control agents, to be dealt into two arms")
     else:

@@ -16,7 +16,7 @@ from experiments.study.run import RETRIES, Observer, Task, fraction_done
 
 # Processor seconds of a common server, roughly: for a policy step of each simulator, and for an update of the learner.
 STEP = {"sumo": 0.002, "replica": 0.001, "highway-env": 0.15}
-UPDATE = 0.005
+UPDATE = 0.0045
 LENGTH = 10  # policy steps of an episode
 EVERY = 15.0  # [s] between two lines where there is no terminal
 MEMORY = 600.0  # [s] over which the speed is averaged

@@ -265,7 +265,7 @@ class Results:
     gate_episodes: the same of the scenarios that the gates are judged on, with GATE_COLUMNS alone.
     cells: cell.json of each cell by name. failed: what went wrong in cells that are not finished, by name.
     expected: names of all cells that sweeps have asked for, finished or not (`Store.sweeps`).
-    damaged: name and reason of the cells that cannot be read, if they were to be passed over.
+    damaged: why cells cannot be read, by name.
     """
 
     directory: Path
@@ -281,15 +281,11 @@ class Results:
         return Store(self.directory).weights(cell)
 
 
-def load(directory: Path, skip_damaged: bool = False) -> Results:
-    """Read and check all finished cells of a directory.
-
-    Args:
-        skip_damaged: note damaged cells in `Results.damaged` and go on with the others.
+def load(directory: Path) -> Results:
+    """Read and check all finished cells of a directory; damaged ones are named in `Results.damaged`.
 
     Raises:
-        UserError: no result directory, or no finished cell in it.
-        DamagedCell: a stored file is missing, unreadable or changed.
+        UserError: no result directory, no finished cell in it that can be read, or a damaged packed table.
     """
     import pandas as pd
 
@@ -302,8 +298,6 @@ def load(directory: Path, skip_damaged: bool = False) -> Results:
         try:
             cells[name], tables[name] = store.record(name), store.tables(name, (EPISODES, GATES))
         except DamagedCell as error:
-            if not skip_damaged:
-                raise
             damaged[name] = str(error)
     if not cells:
         reason = f"{directory} holds no finished cell yet: run the sweep first"

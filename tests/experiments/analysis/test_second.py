@@ -209,7 +209,7 @@ class TestStudy:
 
     @pytest.fixture(scope="class")
     def analysis(self, home: Any) -> Analysis:
-        return analyse(load(home, skip_damaged=True))
+        return analyse(load(home))
 
     def test_what_is_not_complete_is_named_and_not_counted(self, analysis: Analysis) -> None:
         assert analysis.notes["unfinished"] == {"sumo-u-turn-6": "1 of 9 agents are missing"}
@@ -243,4 +243,4 @@ class TestStudy:
         assert "Gain without price" in page and "Gain without price" in report.answer(home)
         assert "sumo-u-turn-6 is not complete" in page and "6, 9 and 12" in report.answer(home)
         again = stored(home / "analysis.json")
-        assert as_json(again)["learner"] == as_json(analyse(load(home, skip_damaged=True)))["learner"]
+        assert as_json(again)["learner"] == as_json(analyse(load(home)))["learner"]

@@ -112,7 +112,7 @@ def test_a_damaged_table_is_named(results: Path, file: str) -> None:
     content[len(content) // 2] ^= 1
     (results / file).write_bytes(content)
     with pytest.raises(UserError, match=f"{file} is damaged .its checksum does not match.: restore it"):
-        load(results, skip_damaged=True)
+        load(results)
 
 
 @pytest.mark.parametrize(

@@ -44,11 +44,7 @@ class RayExecutor(Executor):
         signal.signal(signal.SIGTERM, handler)  # Ray puts its own in the place of ours
         self._call = ray.remote(num_cpus=1, max_retries=0, max_calls=tasks_per_process)(_call)
         self._references: set[Any] = set()
-
-    @property
-    def workers(self) -> int:
-        """Cores of the cluster now."""
-        return max(int(ray.cluster_resources().get("CPU", 1)), 1)
+        self.workers = max(int(ray.cluster_resources().get("CPU", 1)), 1)  # cores of the cluster
 
     def submit(self, function: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
         """Call a function in a process of the cluster."""

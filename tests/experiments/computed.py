@@ -18,6 +18,7 @@ TINY: dict[str, Any] = {
     "updates": 150,
     "network": "dueling",
     "episodes": 3,
+    "early_tests": True,
 }
 
 
@@ -32,6 +33,13 @@ def tasks_of(directory: Path, **options: Any) -> list[CellTask]:
 def compute(tasks: Iterable[CellTask]) -> None:
     for task in tasks:
         assert attempt(task) == Ended("done")
+
+
+def sweep_of(directory: Path, **options: Any) -> None:
+    """Compute the cells of a sweep, with its note."""
+    tasks = tasks_of(directory, **options)
+    Store(directory).write_sweep("sweep", [task.cell for task in tasks])
+    compute(tasks)
 
 
 def fingerprint(directory: Path) -> dict[str, dict[str, str]]:

@@ -80,7 +80,7 @@ def test_a_sweep_computes_every_cell_once(reference, capsys):
 def test_further_arms_are_trained_and_agents_tested_elsewhere(reference, tmp_path, here):
     directory = tmp_path / "results"
     arms = ("control", "treatment", "dose25", "dose50", "mixed-seen")
-    options = {"arms": arms, "test_on": ("replica",), "early_tests": True}
+    options = {"arms": arms, "test_on": ("replica",)}
     assert run(directory, **options) == 0
     results = load(directory)
     assert set(results.expected) == set(results.cells)

@@ -15,7 +15,7 @@ from experiments.study import store
 from experiments.study.run import attempt
 from experiments.study.store import load
 from experiments.support.errors import UserError
-from tests.experiments.computed import compute, fingerprint, tasks_of
+from tests.experiments.computed import fingerprint, tasks_of
 
 pytestmark = pytest.mark.slow
 
@@ -29,15 +29,6 @@ PROPERTY = settings(
 
 class Cut(Exception):
     """Ends a training."""
-
-
-@pytest.fixture(scope="module")
-def finished(tmp_path_factory) -> Path:
-    """A directory with all cells finished."""
-    directory = tmp_path_factory.mktemp("finished")
-    compute(tasks_of(directory))
-    store.Store(directory).write_sweep("sweep", [task.cell for task in tasks_of(directory)])
-    return directory
 
 
 @pytest.fixture(scope="module")

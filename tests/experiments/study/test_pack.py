@@ -15,15 +15,8 @@ from experiments.study.packed import CELLS, MANIFEST
 from experiments.study.store import load
 from experiments.support.errors import UserError
 from experiments.sweep import Options, sweep
-from tests.experiments.computed import TINY, compute, tasks_of
+from tests.experiments.computed import TINY, sweep_of
 from tests.experiments.fake_env import make_env
-
-
-def sweep_of(directory: Path, **options: object) -> None:
-    """Compute the cells of a sweep, with its note."""
-    tasks = tasks_of(directory, **options)
-    store.Store(directory).write_sweep("sweep", [task.cell for task in tasks])
-    compute(tasks)
 
 
 def pack(results: Path) -> list[str]:
@@ -34,25 +27,18 @@ def pack(results: Path) -> list[str]:
 
 
 @pytest.fixture(scope="module")
-def computed(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    directory = tmp_path_factory.mktemp("computed") / "results"
-    sweep_of(directory, early_tests=True)
-    return directory
-
-
-@pytest.fixture(scope="module")
-def grown(computed: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def grown(finished: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """Packed cells, and those of another seed that are not packed yet."""
     directory = tmp_path_factory.mktemp("grown") / "results"
-    shutil.copytree(computed, directory)
+    shutil.copytree(finished, directory)
     pack(directory)
     sweep_of(directory, seeds=2)
     return directory
 
 
 @pytest.fixture
-def results(computed: Path, tmp_path: Path) -> Path:
-    shutil.copytree(computed, tmp_path / "results")
+def results(finished: Path, tmp_path: Path) -> Path:
+    shutil.copytree(finished, tmp_path / "results")
     return tmp_path / "results"
 
 

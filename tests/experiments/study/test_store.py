@@ -7,7 +7,6 @@ import json
 import shutil
 import threading
 from dataclasses import replace
-from pathlib import Path
 
 import pandas as pd
 import pytest
@@ -15,15 +14,7 @@ import pytest
 from experiments.study import grid, store
 from experiments.study.store import KEY_COLUMNS, load
 from experiments.support.errors import UserError
-from tests.experiments.computed import compute, tasks_of
-
-
-@pytest.fixture(scope="module")
-def finished(tmp_path_factory) -> Path:
-    """A directory with all cells finished."""
-    directory = tmp_path_factory.mktemp("finished") / "results"
-    compute(tasks_of(directory))
-    return directory
+from tests.experiments.computed import tasks_of
 
 
 @pytest.fixture(scope="module")
@@ -44,7 +35,7 @@ def test_a_stored_cell_is_finished_and_comes_back(directory, cells):
         home.record(replace(cells[0], seed=77).name)
     record = store.read_cell(directory / "cells" / cells[0].name)
     assert record["key"] == json.loads(json.dumps(cells[0].key()))
-    assert set(record["files"]) == {store.EPISODES, store.GATES, store.TRAINING, store.WEIGHTS}
+    assert set(record["files"]) == {*store.TABLES, store.WEIGHTS}
 
 
 def test_results_are_tidy(directory, cells):

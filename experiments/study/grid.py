@@ -257,6 +257,6 @@ def choose_levels(tasks: Sequence[str], wanted: Sequence[int] | None) -> dict[st
     known = {task: range(1, len(level_names(task)) + 1) for task in tasks}
     for level in wanted or ():
         if not any(level in numbers for numbers in known.values()):
-            raise unknown("level", level, max(known.values(), key=len))
+            raise unknown("level", level, range(1, 1 + max(map(len, known.values()))))
     chosen = {task: tuple(n for n in known[task] if wanted is None or n in wanted) for task in tasks}
     return {task: numbers for task, numbers in chosen.items() if numbers}

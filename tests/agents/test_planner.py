@@ -9,8 +9,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from agents.policies import foreign_policy
-from agents.rules import make_policy, planner
+from agents.rules import make_policy
 from agents.rules.planner import Planner
 
 NAMES = {0: "SLOWER", 1: "IDLE", 2: "FASTER"}
@@ -43,8 +42,7 @@ class Road(gym.Env[np.ndarray, int]):
         return np.array([self.place]), float(action), crashed, self.steps >= 6, {"crashed": crashed}
 
     def __deepcopy__(self, memo: dict[int, Any]) -> Road:
-        twin = Road(self.strikes_at, self.places)
-        twin.place, twin.steps = self.place, self.steps
+        twin = copy.copy(self)
         self.open_copies.add(id(twin))
         memo["kept", id(twin)] = twin
         return twin
@@ -59,14 +57,15 @@ class Road(gym.Env[np.ndarray, int]):
         self.open_copies.discard(id(self))
 
 
-def drive(env: Road, name: str) -> tuple[float, bool]:
+def drive(env: gym.Env[Any, Any], name: str, seed: int = 0) -> tuple[float, bool]:
+    """The return of an episode, and whether it ends in a crash."""
     policy = make_policy(name, env)
-    observation, _ = env.reset(seed=0)
-    policy.reset(0)
+    observation, _ = env.reset(seed=seed)
+    policy.reset(seed)
     total, over = 0.0, False
     while not over:
         observation, reward, terminated, truncated, info = env.step(policy.act(observation))
-        total, over = total + reward, terminated or truncated
+        total, over = total + float(reward), terminated or truncated
     return total, bool(info["crashed"])
 
 
@@ -100,49 +99,15 @@ def test_planning_leaves_the_environment_as_it_was_and_closes_its_copies() -> No
 def test_idle_is_kept_where_nothing_makes_a_difference() -> None:
     class Flat(Road):
         def step(self, action: int) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
-            observation, _, terminated, truncated, info = super().step(action)
-            return observation, 0.0, terminated, truncated, info
-
-        def __deepcopy__(self, memo: dict[int, Any]) -> Flat:
-            return Flat(self.strikes_at, self.places)
+            observation, _, *rest = super().step(action)
+            return observation, 0.0, *rest
 
     assert NAMES[Planner(Flat(None), foresees=True).act(np.zeros(1))] == "IDLE"
-
-
-@pytest.mark.parametrize(("name", "maker"), [("planner", "imagining"), ("clairvoyant", "clairvoyant")])
-def test_a_study_takes_it_as_a_policy_from_its_file(name: str, maker: str) -> None:
-    """``sweep.py --policy agents/rules/planner.py:imagining``."""
-    chosen = []
-    for policy in (foreign_policy(f"{planner.__file__}:{maker}", Road()), make_policy(name, Road())):
-        policy.reset(3)
-        chosen.append([policy.act(np.zeros(1)) for _ in range(4)])
-    assert chosen[0] == chosen[1]
-
-
-@pytest.mark.slow
-def test_without_risk_both_are_one() -> None:
-    """Nothing is imagined there, so that results/copies/planners.parquet has one of them in regular traffic."""
-    driven = []
-    for name in ("planner", "clairvoyant"):
-        env = gym.make("sumo_env:sumo/u-turn-v0", config={"vehicles_count": 3, "duration": 4})
-        policy = make_policy(name, env)
-        env.reset(seed=1)
-        policy.reset(1)
-        driven.append([env.step(policy.act(np.zeros(1)))[1] for _ in range(3)])
-        env.close()
-    assert driven[0] == driven[1]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["planner", "clairvoyant"])
 def test_it_plans_on_sumo(name: str) -> None:
     env = gym.make("sumo_env:sumo/u-turn-v0", config={"risk": 1.0, "vehicles_count": 3, "duration": 5})
-    policy = make_policy(name, env)
-    observation, _ = env.reset(seed=1)
-    policy.reset(1)
-    over = False
-    while not over:
-        observation, _, terminated, truncated, info = env.step(policy.act(observation))
-        over = terminated or truncated
-    assert not info["crashed"]
+    assert not drive(env, name, seed=1)[1]
     env.close()

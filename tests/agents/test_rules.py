@@ -36,7 +36,7 @@ def scene(*others: tuple[float, float, float], speed: float = 25.0) -> np.ndarra
     return table
 
 
-def second_choice(*scenes: np.ndarray, name: str = "careful") -> str:
+def last_choice(*scenes: np.ndarray, name: str = "careful") -> str:
     """What a driver does at the last of some observations, one a second."""
     policy = make_policy(name, road())
     return FIVE[[policy.act(each) for each in scenes][-1]]
@@ -67,35 +67,33 @@ def test_unknown_names_and_missing_actions_are_refused() -> None:
         make_policy("careful", road(features=("presence", "x", "y", "vy")))
 
 
-def test_careful_speeds_up_on_an_empty_road() -> None:
-    assert second_choice(scene(), scene()) == "FASTER"
-    assert second_choice(scene(), scene(speed=30.0)) == "IDLE"
+NEARER, SLOW, FAR, BESIDE = (35, 0, 20), (30, 0, 20), (90, -4, 25), (2, -4, 25)
 
 
-def test_careful_brakes_behind_a_slow_leader_without_a_free_lane() -> None:
-    assert second_choice(scene((48, 0, 20)), scene((43, 0, 20))) in ("SLOWER", "IDLE")
-    assert second_choice(scene((25, 0, 20)), scene((20, 0, 20))) == "SLOWER"
-
-
-def test_careful_overtakes_where_a_free_lane_is_known() -> None:
-    slow, far = (30, 0, 20), (90, -4, 25)  # somebody far ahead shows that there is a lane
-    assert second_choice(scene((35, 0, 20), far), scene(slow, far)) == "LANE_LEFT"
-    beside = (2, -4, 25)
-    assert second_choice(scene((35, 0, 20), beside), scene(slow, beside)) != "LANE_LEFT"
-
-
-def test_careful_gives_up_a_lane_that_is_not_there() -> None:
-    policy = make_policy("careful", road())
-    far = (90, -4, 25)
-    policy.act(scene((35, 0, 20), far))
-    assert FIVE[policy.act(scene((30, 0, 20), far))] == "LANE_LEFT"
-    assert FIVE[policy.act(scene((25, 0, 20)))] != "LANE_LEFT"  # y has not changed: there was none
+@pytest.mark.parametrize(
+    ("scenes", "expected"),
+    [
+        ([scene(), scene()], {"FASTER"}),
+        ([scene(), scene(speed=30.0)], {"IDLE"}),
+        ([scene((48, 0, 20)), scene((43, 0, 20))], {"SLOWER", "IDLE"}),
+        ([scene((25, 0, 20)), scene((20, 0, 20))], {"SLOWER"}),
+        (
+            [scene(NEARER, FAR), scene(SLOW, FAR)],
+            {"LANE_LEFT"},
+        ),  # somebody far ahead shows that there is a lane
+        ([scene(NEARER, BESIDE), scene(SLOW, BESIDE)], {*FIVE.values()} - {"LANE_LEFT"}),
+        # y has not changed after LANE_LEFT: there was no lane
+        ([scene(NEARER, FAR), scene(SLOW, FAR), scene((25, 0, 20))], {*FIVE.values()} - {"LANE_LEFT"}),
+    ],
+)
+def test_careful_speeds_up_brakes_and_overtakes(scenes: list[np.ndarray], expected: set[str]) -> None:
+    assert last_choice(*scenes) in expected
 
 
 def test_more_caution_slows_down_farther_behind_a_leader() -> None:
     def braking_distance(name: str) -> float:
         gaps = np.arange(10.0, 120.0, 2.0)
-        slows = [second_choice(*[scene((gap, 0.0, 15.0))] * 2, name=name) == "SLOWER" for gap in gaps]
+        slows = [last_choice(*[scene((gap, 0.0, 15.0))] * 2, name=name) == "SLOWER" for gap in gaps]
         return float(gaps[slows].max())
 
     distances = [braking_distance(name) for name in CAUTIONS]
@@ -110,21 +108,22 @@ def test_careful_forgets_on_reset() -> None:
     assert [policy.act(each) for each in scenes] == first
 
 
-def test_idm_keeps_its_distance_and_speeds_up_on_an_empty_road() -> None:
-    assert second_choice(scene(), name="idm") == "FASTER"
-    assert second_choice(scene(speed=30.0), name="idm") == "IDLE"
-    assert second_choice(scene((25, 0, 20)), name="idm") == "SLOWER"
-    assert second_choice(scene((25, 4, 20)), name="idm") == "FASTER"  # on the next lane
-    assert second_choice(scene((-25, 0, 20)), name="idm") == "FASTER"
-
-
-def test_idm_changes_lane_by_mobil() -> None:
-    slow, far = (30, 0, 20), (90, -4, 25)  # somebody far ahead shows that there is a lane
-    assert second_choice(scene(slow, far), name="idm") == "LANE_LEFT"
-    assert second_choice(scene(slow), name="idm") == "SLOWER"  # no lane is known
-    hard = (-8, -4, 30)  # the new follower would brake hard
-    assert second_choice(scene(slow, far, hard), name="idm") == "SLOWER"
-    assert second_choice(scene(far), name="idm") == "FASTER"  # nothing to gain
+@pytest.mark.parametrize(
+    ("seen", "expected"),
+    [
+        (scene(), "FASTER"),
+        (scene(speed=30.0), "IDLE"),
+        (scene((25, 0, 20)), "SLOWER"),
+        (scene((25, 4, 20)), "FASTER"),  # on the next lane
+        (scene((-25, 0, 20)), "FASTER"),
+        (scene(SLOW, FAR), "LANE_LEFT"),
+        (scene(SLOW), "SLOWER"),  # no lane is known
+        (scene(SLOW, FAR, (-8, -4, 30)), "SLOWER"),  # the new follower would brake hard
+        (scene(FAR), "FASTER"),  # nothing to gain
+    ],
+)
+def test_idm_keeps_its_distance_and_changes_lane_by_mobil(seen: np.ndarray, expected: str) -> None:
+    assert last_choice(seen, name="idm") == expected
 
 
 def test_idm_follows_a_leader_round_a_bend() -> None:
@@ -146,8 +145,7 @@ def test_idm_follows_a_leader_round_a_bend() -> None:
         return table
 
     def choice(*others: tuple[float, float, float]) -> str:
-        policy = make_policy("idm", road())
-        return FIVE[[policy.act(seen(time, list(others))) for time in (0.0, 1.0)][1]]
+        return last_choice(*(seen(time, list(others)) for time in (0.0, 1.0)), name="idm")
 
     straight = on_arc(speed)
     tangent = (straight[0] + 15 * np.cos(straight[2]), straight[1] + 15 * np.sin(straight[2]), straight[2])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from itertools import pairwise
-from xml.etree import ElementTree
 
 import pytest
 
@@ -41,16 +40,6 @@ def test_nobody_drives_off_an_end(task):
             assert lane.local_coordinates(*sumo_lane.shape[0])[0] <= -50
 
 
-@pytest.mark.parametrize("task", TASKS)
-def test_routes_are_connected(task):
-    net = network(task)
-    root = ElementTree.parse(net.net_file).getroot()
-    joined = {(c.get("from"), c.get("to")) for c in root.iter("connection")}
-    edges = {e.get("id") for e in root.iter("edge")}
-    for steps in net.routes.values():
-        assert set(steps) <= edges and set(pairwise(steps)) <= joined
-
-
 @pytest.mark.parametrize("lanes_count", plans.LANES_COUNTS)
 def test_highways_of_any_width(lanes_count):
     net = network("highway", lanes_count=lanes_count)
@@ -81,13 +70,6 @@ def test_routes_in_the_ring_start_one_edge_earlier():
         for end in ("sxr", "exr", "nxr", "wxr"):
             if index[1][1:] not in ("xs", "xr") or index[1][0] == end[0]:
                 assert net.sumo_route(index, end) in net.routes
-
-
-def test_lanes_inside_the_intersection_have_names():
-    net = network("intersection")
-    inside = {index for index in net.lanes if index[0].startswith("ir")}
-    assert len(inside) == 12
-    assert all(net.indices[net.lanes[index].id] == index for index in inside)
 
 
 def test_stretch_is_the_ratio_of_lengths():

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 FAKE = "tests.sumo_env.sumo.fake:FakeSimulator"
 
-CRASHES, CONFIG_ERROR, FOREIGN_ERROR, HANGS, PRINTS, CRASHES_AT_RESET = range(100, 106)
+CONFIG_ERROR, FOREIGN_ERROR, HANGS, PRINTS, CRASHES_AT_RESET = range(100, 105)
 
 COMMAND = EgoCommand(25.0, ("0", "1", 2))
 
@@ -43,9 +43,7 @@ class FakeSimulator:
         return self.scene()
 
     def step(self, command: EgoCommand, trace: bool = False) -> Step:
-        if self.seed == CRASHES:
-            os.kill(os.getpid(), signal.SIGSEGV)
-        elif self.seed == CONFIG_ERROR:
+        if self.seed == CONFIG_ERROR:
             raise ConfigError("a key that is not known")
         elif self.seed == FOREIGN_ERROR:
             raise ForeignError(1, 2)

@@ -51,27 +51,6 @@ def test_the_same_episodes_in_this_process_and_in_a_worker(task: str) -> None:
 
 
 @pytest.mark.slow
-def test_dqn_with_an_evaluation_callback(tmp_path: Path) -> None:
-    calls, reward = run(
-        tmp_path,
-        """
-        import gymnasium as gym, torch
-        from stable_baselines3 import DQN
-        from stable_baselines3.common.callbacks import EvalCallback
-        torch.set_num_threads(1)
-        env = gym.make("sumo_env:sumo/highway-v0", config=CONFIG)
-        callback = EvalCallback(
-            gym.make("sumo/highway-v0", config=CONFIG), eval_freq=40, n_eval_episodes=2, verbose=0
-        )
-        DQN("MlpPolicy", env, learning_starts=20).learn(160, callback=callback)
-        print(callback.n_calls, callback.last_mean_reward)
-        """,
-    )
-    assert calls == "160"
-    assert 0.0 < float(reward) <= 8.0
-
-
-@pytest.mark.slow
 @pytest.mark.parametrize(
     "start_method", ["fork", "spawn", pytest.param("forkserver", marks=pytest.mark.long)]
 )

@@ -11,8 +11,6 @@ import numpy as np
 import pytest
 
 from sumo_env.env import DrivingEnv
-from sumo_env.scene import Scene
-from sumo_env.simulator import EgoCommand
 from sumo_env.sumo.session import COMMANDED_LANE_CHANGES, NO_RIGHT_OF_WAY, OWN_LANE_CHANGES, REGULAR
 from sumo_env.sumo.world import SumoSimulator
 from sumo_env.tasks import TASKS, get_task
@@ -28,58 +26,24 @@ def calm(scenario: Scenario) -> Scenario:
     return replace(scenario, spawns=())
 
 
-def row(scene: Scene, name: str) -> int:
-    return scene.ids.index(name)
-
-
 # -- who drives --------------------------------------------------------------------------------------------
 
 
-def told(
-    start: Start, task: str, tell: Callable[[str], Any] | None, lanes: int = 1
-) -> tuple[str, list[Scene]]:
-    """The fastest vehicle after one step on a road of so many lanes, and two scenes after it was told something."""
-    env = start(task, calm, seed=2)
-    env.step(IDLE)
-    scene = env.scene
-    roads = {name: libsumo.vehicle.getRoadID(name) for name in scene.ids[1:]}
-    moving = [n for n, road in roads.items() if road[0] != ":" and libsumo.edge.getLaneNumber(road) >= lanes]
-    name = max(moving, key=lambda name: scene.speed[row(scene, name)])
-    if tell is not None:
-        tell(name)
-    scenes = []
-    for _ in range(2):
-        env.step(IDLE)
-        scenes.append(env.scene)
-    return name, scenes
-
-
 @pytest.mark.parametrize("task", TASKS)
-def test_a_speed_that_sumo_is_told_shows_in_the_next_scene(start, task) -> None:
-    name, undisturbed = told(start, task, None)
-    again, braked = told(start, task, lambda name: libsumo.vehicle.setSpeed(name, 0.5))
-    assert name == again
-    speeds = [[scene.speed[row(scene, name)] for scene in scenes] for scenes in (undisturbed, braked)]
+def test_a_speed_that_sumo_is_told_shows_in_the_next_scene(start: Start, task: str) -> None:
+    speeds: list[list[float]] = []
+    for brakes in (False, True):
+        env = start(task, calm, seed=2)
+        env.step(IDLE)
+        name = env.scene.ids[1 + int(env.scene.speed[1:].argmax())]
+        if brakes:
+            libsumo.vehicle.setSpeed(name, 0.5)
+        speeds.append([])
+        for _ in range(2):
+            env.step(IDLE)
+            speeds[-1].append(float(env.scene.speed[env.scene.ids.index(name)]))
     assert speeds[1][0] < speeds[0][0] - 1.0
     assert speeds[1][1] < speeds[1][0] - 1.0 or speeds[1][1] <= 0.51
-
-
-@pytest.mark.parametrize("task", ["highway", "two-way", "roundabout", "u-turn"])
-def test_a_lane_change_that_sumo_is_told_shows_in_the_next_scene(start: Start, task: str) -> None:
-    def change(name: str) -> None:
-        libsumo.vehicle.setLaneChangeMode(name, COMMANDED_LANE_CHANGES)
-        if task == "two-way" or libsumo.vehicle.getLaneIndex(name) == 0:
-            libsumo.vehicle.changeLaneRelative(name, 1, 5.0)
-        else:
-            libsumo.vehicle.changeLane(name, 0, 5.0)
-
-    lanes = 1 if task == "two-way" else 2
-    name, undisturbed = told(start, task, None, lanes)
-    _, changed = told(start, task, change, lanes)
-    there, here = changed[0], undisturbed[0]
-    k, j = row(there, name), row(here, name)
-    aside = np.hypot(there.x[k] - here.x[j], there.y[k] - here.y[j])
-    assert 3.0 < aside < 6.0  # the width of a lane is 4 m
 
 
 @pytest.mark.parametrize("task", TASKS)
@@ -248,15 +212,3 @@ def test_vehicles_are_in_the_modes_of_their_task(simulator: SumoSimulator, task:
         assert libsumo.vehicle.getSpeedMode(name) == right_of_way
         mode = OWN_LANE_CHANGES if own else COMMANDED_LANE_CHANGES
         assert libsumo.vehicle.getLaneChangeMode(name) == mode
-
-
-def test_who_may_not_change_lanes_does_not(simulator: SumoSimulator) -> None:
-    scenario = draw("highway", 4, vehicles_density=2.0)
-    changes = {}
-    for allowed in (True, False):
-        vehicles = tuple(v._replace(changes_lanes=allowed) for v in scenario.vehicles)
-        before = simulator.reset(replace(scenario, vehicles=vehicles))
-        for _ in range(8):
-            scene = simulator.step(EgoCommand(20.0, scenario.ego.lane)).scene
-        changes[allowed] = int(np.sum(np.abs(scene.y[1:] - before.y[1:]) > 2.0))
-    assert changes[False] == 0 < changes[True]

@@ -1,21 +1,14 @@
-"""highway-env, as it is installed, and the replica side by side on the same seeds and random actions.
-
-Run in a process of its own for each task, because highway-env's tasks change class attributes:
-
-    python tests/sumo_env/replica/same_seed.py TASK '[[FIRST, EPISODES, {"vehicles_count": 20}], ...]'
-
-prints the episodes that differ, as JSON: ``[[seed, step, what, configuration], ...]``.
-"""
+"""highway-env, as it is installed, and the replica side by side on the same seeds and random actions."""
 
 from __future__ import annotations
 
-import json
-import sys
-import warnings
 from typing import Any
 
 import gymnasium as gym
+import highway_env  # noqa: F401  (registers its environments)
 import numpy as np
+
+import sumo_env  # noqa: F401  (registers the environments)
 
 EQUAL = 1e-6  # largest difference of observations and rewards
 # highway-env's steering is unstable below this speed: a rounding error, which another processor makes elsewhere, grows
@@ -25,10 +18,6 @@ SLOW, SLOW_EQUAL = 0.7, 1e-3  # [m/s], largest difference
 
 def pair(task: str, config: dict[str, Any]) -> tuple[Any, Any]:
     """The environments; highway-env's with connected lanes is v1 or, of the intersection, v2."""
-    import highway_env  # noqa: F401
-
-    import sumo_env  # noqa: F401
-
     return gym.make(f"{task}-v0", config=dict(config)), gym.make(f"replica/{task}-v0", config=dict(config))
 
 
@@ -69,13 +58,7 @@ def generator(env: Any) -> Any:
 
 
 def differences(task: str, first: int, episodes: int, config: dict[str, Any]) -> list[tuple[Any, ...]]:
+    """The episodes that differ: seed, step, what, configuration. highway-env's intersection changes its classes."""
     stock, replica = pair(task, config)
     found = [(seed, *episode(stock, replica, seed), config) for seed in range(first, first + episodes)]
     return [entry for entry in found if entry[2]]
-
-
-if __name__ == "__main__":
-    warnings.simplefilter("ignore")
-    gym.logger.min_level = gym.logger.ERROR
-    task, runs = sys.argv[1:]
-    print(json.dumps([entry for run in json.loads(runs) for entry in differences(task, *run)]))

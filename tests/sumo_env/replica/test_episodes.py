@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import pytest
 
+from sumo_env.tasks import TASKS
+
 from .pairs import Case, cases, compare
-from .stock import TASKS
 
 FEW = {"highway": 2, "two-way": 6, "roundabout": 6, "intersection": 6, "u-turn": 6}
 EACH = 200  # episodes of each task in the long comparison

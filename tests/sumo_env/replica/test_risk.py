@@ -7,37 +7,43 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from sumo_env.replica.geometry import heading_at, position
+from sumo_env.replica.geometry import heading_at, locate, no_places, position
 from sumo_env.replica.numpy_loops import LOOPS
 from sumo_env.replica.risk import has_free_way, has_room
 from sumo_env.replica.simulator import Replica
+from sumo_env.replica.tables import CAR, lanes_of
 from sumo_env.scene import Scene
 from sumo_env.simulator import EgoCommand
-from sumo_env.tasks import TASKS
 from sumo_env.traffic import risk
 from sumo_env.traffic.risk import RiskEvent
 from sumo_env.traffic.scenario import Scenario
-
-from .stock import environment, traffic
+from tests.sumo_env.scenarios import draw
 
 
 @pytest.mark.parametrize("task", ["highway", "u-turn", "roundabout"])
 def test_drivers_look_at_what_sumo_s_drivers_look_at(task: str) -> None:
-    env = environment(task, "path")
+    lanes = lanes_of(draw(task).road, connected=True).table
     rng = np.random.default_rng(8)
     answers = np.zeros(2, int)
     for _ in range(30):
-        t = traffic(env, rng)
-        states = [(car["x"], car["y"], car["speed"], car["heading"]) for car in t.cars]
-        for i, car in enumerate(t.cars):
+        cars = np.zeros(14, CAR)
+        cars["heading"], cars["speed"] = rng.uniform(-4.0, 4.0, 14), rng.uniform(0.0, 30.0, 14)
+        cars["cos"], cars["sin"] = np.cos(cars["heading"]), np.sin(cars["heading"])
+        cars["push_way"] = rng.uniform(5.0, 60.0, 14)
+        on = rng.integers(len(lanes), size=14)
+        for car, lane in zip(cars, on, strict=True):
+            car["x"], car["y"] = position(lanes[lane], rng.uniform(0.0, min(lanes[lane]["length"], 120.0)))
+            car["y"] += rng.normal()
+        places = no_places(lanes, cars)
+        locate(lanes, cars, places, LOOPS)
+        states = [(car["x"], car["y"], car["speed"], car["heading"]) for car in cars]
+        for i, (car, lane) in enumerate(zip(cars, on.tolist(), strict=True)):
             others = states[:i] + states[i + 1 :]
-            car["push_way"] = rng.uniform(5.0, 60.0)
-            free = has_free_way(t.cars, i)
+            free = has_free_way(cars, i)
             assert free == risk.free_way(states[i], others, car["push_way"])
-            lane = int(rng.integers(t.table["road"][car["lane"]], t.table["road"][car["lane"]] + 1))
-            s = t.places.s[lane, i]
-            there = (*position(t.table[lane], s), car["speed"], heading_at(t.table[lane], s, LOOPS))
-            room = has_room(t.table, t.cars, t.places, LOOPS, i, lane)
+            s = places.s[lane, i]
+            there = (*position(lanes[lane], s), car["speed"], heading_at(lanes[lane], s, LOOPS))
+            room = has_room(lanes, cars, places, LOOPS, i, lane)
             assert room == risk.has_room(there, others)
             answers += free, room
     assert (answers > 20).all() and (answers < 400).all()
@@ -45,10 +51,7 @@ def test_drivers_look_at_what_sumo_s_drivers_look_at(task: str) -> None:
 
 def scenario(task: str, *events: RiskEvent, **config: object) -> Scenario:
     """A regular scenario with these events."""
-    settings = {"simulation_frequency": 15, **config}
-    env = environment(task, "path")
-    env.configure(settings)
-    return replace(TASKS[task].scenario(env.config, 1), events=events)
+    return replace(draw(task, 1, simulation_frequency=15, **config), events=events)
 
 
 def driven(drawn: Scenario, steps: int, name: str) -> list[tuple[Scene, int]]:

@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import copy
-import json
 import re
 import shutil
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import gymnasium as gym
@@ -16,8 +14,9 @@ import pytest
 
 import sumo_env
 from sumo_env.config import ConfigError
-from sumo_env.replica.compiled import announced
-from tests.processes import ROOT, ended, python
+from tests.processes import ROOT, ended
+
+from .same_seed import differences
 
 TASKS = tuple(sumo_env.task_of(id) for id in sumo_env.REPLICA_IDS)
 FEW = {"highway": 2, "two-way": 6, "roundabout": 6, "intersection": 9, "u-turn": 6}
@@ -47,24 +46,19 @@ CONFIGS: dict[str, list[dict[str, Any]]] = {
 }
 
 
-def differences(task: str, *runs: tuple[int, int, dict[str, Any]]) -> list[Any]:
-    """Episodes that differ, found in a fresh process; a run is its first seed, its episodes and a configuration."""
-    return json.loads(
-        python(Path(__file__).with_name("same_seed.py"), task, json.dumps(runs)).splitlines()[-1]
-    )
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("task", TASKS)
 def test_a_seed_is_the_episode_of_highway_env(task: str) -> None:
     """By default, and under other configurations; one of three episodes goes on with the stream of the one before."""
-    assert differences(task, (0, FEW[task], {}), *((30, 3, config) for config in CONFIGS[task])) == []
+    assert differences(task, 0, FEW[task], {}) == []
+    for config in CONFIGS[task]:
+        assert differences(task, 30, 3, config) == []
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("task", TASKS)
 def test_it_is_in_99_percent_of_two_hundred_episodes(task: str, capsys: pytest.CaptureFixture[str]) -> None:
-    found = differences(task, (1000, EACH, {}))
+    found = differences(task, 1000, EACH, {})
     with capsys.disabled():
         print(f"\n{task}: {EACH - len(found)} of {EACH} episodes the same {found or ''}")
     assert len(found) <= 0.01 * EACH
@@ -74,8 +68,6 @@ def test_it_is_in_99_percent_of_two_hundred_episodes(task: str, capsys: pytest.C
 
 
 def test_the_defaults_are_those_of_highway_env() -> None:
-    import highway_env  # noqa: F401
-
     for id in (*sumo_env.REPLICA_IDS, sumo_env.FAST_ID):
         theirs: Any = gym.make(id.removeprefix("replica/")).unwrapped
         ours: Any = gym.make(id).unwrapped
@@ -96,8 +88,6 @@ def test_the_defaults_are_those_of_highway_env() -> None:
 
 @pytest.mark.parametrize("task", TASKS)
 def test_it_accepts_the_whole_configuration_of_highway_env(task: str) -> None:
-    import highway_env  # noqa: F401
-
     theirs: Any = gym.make(f"{task}-v0").unwrapped
     env = gym.make(f"sumo_env:replica/{task}-v0", config=theirs.config)
     env.reset(seed=0)
@@ -142,14 +132,11 @@ def test_what_is_refused_is_named(choice: dict[str, Any], message: str) -> None:
         gym.make("replica/roundabout-v0", **choice)
 
 
-def test_a_reset_of_highway_env_varies_no_risk() -> None:
-    with pytest.raises(ConfigError, match='scenarios="seeded"'):
-        gym.make("replica/u-turn-v0").reset(seed=0, options={"risk_rates": {"cut_in": 0.2}})
-
-
-def test_an_error_leaves_the_configuration_as_it_was() -> None:
+def test_what_is_refused_leaves_the_configuration_as_it_was() -> None:
     env: Any = gym.make("replica/u-turn-v0").unwrapped
     before = copy.deepcopy(env.config)
+    with pytest.raises(ConfigError, match='scenarios="seeded"'):
+        env.reset(seed=0, options={"risk_rates": {"cut_in": 0.2}})
     with pytest.raises(ConfigError):
         env.configure({"vehicles_count": 3})
     assert env.config == before
@@ -165,17 +152,6 @@ def test_seeded_scenarios_are_those_of_sumo_env() -> None:
     assert env.scenario.vehicles == sumo.scenario.vehicles
     assert env.scenario.events == sumo.scenario.events
     sumo.close()
-
-
-def test_compilation_is_announced_unless_its_code_is_on_the_disk(tmp_path, capsys) -> None:
-    function: Any = SimpleNamespace(__name__="drive", stats=SimpleNamespace(cache_path=tmp_path))
-    with announced(function):
-        pass
-    assert "once for this installation" in capsys.readouterr().err
-    (tmp_path / "motion.drive-7.py311.nbi").touch()
-    with announced(function):
-        pass
-    assert capsys.readouterr().err == ""
 
 
 @pytest.mark.long

@@ -22,11 +22,6 @@ def test_a_sound_installation_passes() -> None:
         assert "steps/s" in line
 
 
-def examine(*checks: doctor.Check) -> tuple[int, str]:
-    out = io.StringIO()
-    return doctor.examine(checks, out), out.getvalue()
-
-
 def test_a_problem_is_told_and_ends_the_examination(monkeypatch: pytest.MonkeyPatch) -> None:
     def never() -> str:
         raise AssertionError("this check rests on the one before")

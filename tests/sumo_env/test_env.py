@@ -18,7 +18,6 @@ import sumo_env
 from sumo_env.config import ConfigError
 from sumo_env.env import DrivingEnv
 from sumo_env.tasks import TASKS
-from tests.processes import python
 from tests.sumo_env.rollout import drive
 
 # highway-env's observation boxes are unbounded tables as well
@@ -44,11 +43,6 @@ def test_gymnasium_and_stable_baselines_have_nothing_to_object_to(id: str, risk:
         stable_baselines3.common.env_checker.check_env(env)
     messages = [str(warning.message) for warning in caught]
     assert [text for text in messages if not any(known in text for known in EXPECTED_WARNINGS)] == []
-
-
-def test_ids_can_be_made_without_an_import() -> None:
-    code = "import gymnasium as gym; print(gym.make('sumo_env:sumo/u-turn-v0').reset(seed=0)[0].shape)"
-    assert python("-c", code).strip() == "(5, 5)"
 
 
 @pytest.mark.parametrize("id", sumo_env.IDS)
@@ -86,6 +80,9 @@ def test_an_episode_ends_within_its_duration(id: str) -> None:
         ("highway", {"action": {**META_ACTION, "target_speeds": [30, 20]}}, "rising speeds"),
         ("highway", {"action": {**META_ACTION, "longitudinal": False, "lateral": False}}, "lateral or both"),
         ("highway", {"observation": {"vehicles_count": 3}}, "needs a 'type'"),
+        ("highway", {"observation": {"type": "Kinematics", "features": ["presense"]}}, "mean 'presence'"),
+        ("highway", {"observation": {"type": "Kinematics", "order": "random"}}, "known: shuffled, sorted"),
+        ("highway", {"observation": {"type": "Kinematics", "features_range": {"x": 100}}}, "low, high"),
         ("highway", [("vehicles_count", 3)], "must be a dict"),
         ("two-way", {"road_length": 5000.0}, "road_length"),
         ("two-way", {"vehicles_count": 500}, "do not fit"),

@@ -13,9 +13,9 @@ from highway_env.envs.common.observation import ObservationType, observation_fac
 
 from experiments.backends.highway_env import ENVIRONMENTS, ScenarioEnv
 from sumo_env.actions import ego_route
-from sumo_env.config import ConfigError, resolve
+from sumo_env.config import resolve
 from sumo_env.interface import interface
-from sumo_env.observation import Kinematics, TimeToCollision
+from sumo_env.observation import TimeToCollision
 from sumo_env.tasks import TASKS
 
 from .parity import ego_state, episodes, make, scatter
@@ -127,12 +127,3 @@ def test_a_ladder_that_is_not_given_is_the_tasks(task: str) -> None:
     config = resolve(task, TASKS[task].defaults, {"action": {"type": "DiscreteMetaAction"}})
     assert interface(TASKS[task], config).target_speeds == TASKS[task].target_speeds
     assert ENVIRONMENTS[task](config).vehicle.target_speeds.tolist() == list(TASKS[task].target_speeds)
-
-
-def test_unknown_features_and_orders_are_refused() -> None:
-    with pytest.raises(ConfigError, match="did you mean 'presence'"):
-        Kinematics({"features": ["presense"]}, 4)
-    with pytest.raises(ConfigError, match="known: shuffled, sorted"):
-        Kinematics({"order": "random"}, 4)
-    with pytest.raises(ConfigError, match=r"\[low, high\]"):
-        Kinematics({"features_range": {"x": 100}}, 4)

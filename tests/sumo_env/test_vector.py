@@ -126,15 +126,3 @@ def test_a_worker_that_died_before_a_reset_loses_nothing(envs: SumoVectorEnv) ->
     np.testing.assert_array_equal(observations, expected)
     assert "worker_died" not in infos
     assert not envs.step([1, 1])[3].any()
-
-
-# -- making and closing ------------------------------------------------------------------------------------
-
-
-def test_closing_ends_the_processes_and_may_be_repeated() -> None:
-    envs = SumoVectorEnv(1, "u-turn")
-    envs.reset(seed=0)
-    pid = simulator(envs, 0).pid
-    envs.close()
-    envs.close()
-    assert not os.path.exists(f"/proc/{pid}")

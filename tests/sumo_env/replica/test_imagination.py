@@ -67,9 +67,3 @@ def test_drivers_come_from_the_pool_of_their_dose() -> None:
     assert sum(old != new for old, new in drivers) > len(drivers) / 2
     for old, new in drivers:
         assert (old.type[0], old.type.partition("@")[2]) == (new.type[0], new.type.partition("@")[2])
-
-
-def test_without_hidden_parameters_there_is_nothing_to_imagine() -> None:
-    env = started("two-way")  # highway-env draws no parameters of its drivers there
-    twin = env.imagine(1)
-    assert scenes(twin) == scenes(env)

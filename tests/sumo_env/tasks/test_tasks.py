@@ -9,7 +9,6 @@ import pytest
 
 from experiments.backends.highway_env import ENVIRONMENTS, ScenarioEnv
 from sumo_env.tasks import TASKS
-from sumo_env.tasks.base import nearest_index
 from sumo_env.tasks.intersection import _two_arms
 from tests.sumo_env.parity import Step, ego_state, episodes, make, scatter
 
@@ -100,12 +99,6 @@ def test_equal_in_random_states(task: str, changed: str, normalize: bool) -> Non
         assert_same_judgement(step)
         seen |= {("on_road", step.info["on_road"]), ("crashed", step.info["crashed"])}
     assert len(seen) == 4
-
-
-def test_nearest_rung() -> None:
-    env = make("u-turn")
-    for speed in np.linspace(-5.0, 40.0, 500):
-        assert nearest_index(float(speed), env.target_speeds) == env.vehicle.speed_to_index(speed)
 
 
 def test_the_arms_of_the_intersection_are_drawn_as_numpy_s_choice_does() -> None:

@@ -13,10 +13,6 @@ RATES = RiskRates(cut_in=0.1, brake=0.1, surge=0.1)
 VEHICLES = tuple((f"v{k}", 0.0) for k in range(200))
 
 
-def test_no_events_in_regular_traffic() -> None:
-    assert draw_events(RATES, 0.0, VEHICLES, 0, 20.0) == ()
-
-
 def test_events_come_at_the_rate_of_the_dose_and_a_smaller_dose_has_a_subset() -> None:
     full = draw_events(RATES, 1.0, VEHICLES, 0, 20.0)
     half = draw_events(RATES, 0.5, VEHICLES, 0, 20.0)

@@ -12,7 +12,7 @@ import pytest
 
 from sumo_env.config import resolve
 from sumo_env.tasks import TASKS
-from sumo_env.traffic.scenario import SPAWN_DISTANCE, fits
+from sumo_env.traffic.scenario import fits
 from tests.sumo_env.scenarios import draw
 
 SEEDS = range(40)
@@ -101,10 +101,3 @@ def test_intersection_tries_to_spawn_after_every_step() -> None:
     assert sorted(set(steps)) == list(range(1, 14)) and len(steps) == 13 * len(SEEDS)
     share = np.mean([(len(draw("intersection", k).spawns) - 1) / 13 for k in SEEDS])
     assert share == pytest.approx(0.6, abs=0.1)
-
-
-def test_a_vehicle_fits_where_nobody_is_within_15_metres() -> None:
-    vehicle = draw("highway").vehicles[0]
-    assert fits(vehicle, [])
-    assert fits(vehicle, [(vehicle.x, vehicle.y + SPAWN_DISTANCE)])
-    assert not fits(vehicle, [(vehicle.x + 100.0, vehicle.y), (vehicle.x - 14.9, vehicle.y)])

@@ -145,8 +145,8 @@ def drivers_distance(table: pd.DataFrame, task: str) -> float:
     total = []
     for _, rows in table.groupby("level"):
         found = pd.DataFrame(level_checks(rows, "sumo", task, "regular")).set_index("metric")
-        judged = found[(found["margin"].astype(float) > 0) & found["difference"].notna()]
-        shares = (judged["difference"].astype(float).abs() / judged["margin"].astype(float)).groupby(level=0)
+        judged = found[(found["margin"] > 0) & found["difference"].notna()]
+        shares = (judged["difference"].abs() / judged["margin"]).groupby(level=0)
         total.append(pd.Series([*shares.mean(), -found["difference"]["same_outcome"]]).mean())
     return float(pd.Series(total).mean())
 

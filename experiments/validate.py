@@ -29,12 +29,11 @@ from rich.console import Console
 from experiments.study import grid
 from experiments.study.arms import TRAFFICS
 from experiments.study.fingerprint import check_dynamics, dynamics
-from experiments.study.verdict import SCHEMA, STORED, every_check, verdict_of
+from experiments.study.verdict import SCHEMA, STORED, versions
 from experiments.support.errors import UserError, run_command, writing
 from experiments.support.files import write_file, write_json
 from experiments.support.provenance import provenance
 from experiments.validation import checks, parts
-from experiments.validation.checks import VARIANTS
 from experiments.validation.episodes import CORE
 from experiments.validation.parts import Engine
 
@@ -43,7 +42,6 @@ STYLE = Path(__file__).parent / "templates" / "report.css"
 COUNTS, MISSED = "Checks of each task", "What missed its margin"
 WHERE = ["task", "traffic", "level", "name", "ego", "unit", "verdict", "sumo", "reference", "difference"]
 WHERE += ["low", "high", "margin", "n", "note"]
-VERSIONS = ("libsumo", "highway-env", "gymnasium", "numpy")
 
 
 @dataclass(frozen=True)
@@ -92,22 +90,22 @@ def validate(options: Options, console: Console, arguments: Sequence[str] = ()) 
     table = parts.run(work, options.out / "parts", options.workers, console)
     # the directory's name, not the machine's path to it
     named = [options.out.name if word == str(options.out) else word for word in arguments]
-    origin = provenance()
-    record = {
+    found = checks.scorecard(table, "sumo", {task: grid.level_names(task) for task in tasks})
+    command = shlex.join(["python", "experiments/validate.py", *named])
+    verdict = {
         "schema": SCHEMA,
-        "command": shlex.join(["python", "experiments/validate.py", *named]),
-        "quick": options.quick,
         "backend": "sumo",
-        "scenarios": scenarios,
-        "versions": {**{name: origin["packages"][name] for name in VERSIONS}, "git": origin["git"]},
+        "source": f"{scenarios} scenarios of each level ({command})",
+        "versions": versions(),
         "fingerprints": {task: dynamics("sumo", task) for task in tasks},
-        "tasks": checks.scorecard(table, "sumo", {task: grid.level_names(task) for task in tasks}),
-        "replica": checks.replica_checks(table),
+        "tasks": checks.summary(found, tasks),
     }
+    replica = checks.replica_checks(table)
+    record = {**verdict, "provenance": provenance(), "checks": found, "replica": replica}
     write_json(options.out / "validation.json", record)
     write_file(options.out / "validation.html", page(record).encode())
     if options.update:
-        write_json(STORED, verdict_of(record))
+        write_json(STORED, verdict)
     return record
 
 
@@ -116,27 +114,20 @@ def tables(record: Mapping[str, Any]) -> dict[str, pd.DataFrame]:
 
     The columns after `note` are what other variants of highway-env differ by from the reference.
     """
-    checks = pd.DataFrame(
-        {"task": task, "traffic": traffic, "level": level, **item, **item["variants"]}
-        for task, found in record["tasks"].items()
-        for traffic, level, item in every_check(found)
-    )
-    checks = checks[WHERE + [name for name in VARIANTS if name in checks]]
-    found = {
-        task: {"all kept": found["passed"], **found["counts"]} for task, found in record["tasks"].items()
-    }
-    again = pd.DataFrame(record["replica"]["tasks"] if record["replica"] else {}).T
+    found = pd.DataFrame(record["checks"])
+    found = found[WHERE + [name for name in checks.VARIANTS if name in found]]
+    counts = {task: {"all kept": own["passed"], **own["counts"]} for task, own in record["tasks"].items()}
     return {
-        COUNTS: pd.DataFrame(found).T,
-        MISSED: checks[checks["verdict"] == "missed"].dropna(axis="columns", how="all"),
-        "Episodes of the replica that highway-env drove again": again,
-        "Every check": checks,
+        COUNTS: pd.DataFrame(counts).T,
+        MISSED: found[found["verdict"] == "missed"].dropna(axis="columns", how="all"),
+        "Episodes of the replica that highway-env drove again": pd.DataFrame(record["replica"]).T,
+        "Every check": found,
     }
 
 
 def page(record: Mapping[str, Any]) -> str:
     """validation.html, from the content of validation.json: one file, nothing loaded from elsewhere."""
-    about = f"{record['command']}: {record['scenarios']} scenarios of each level and traffic; {record['versions']}"
+    about = f"{record['source']}; {record['provenance']['packages']}"
     parts = [
         f"<h2>{title}</h2><div class=scroll>{table.to_html(na_rep='', float_format='{:.3g}'.format)}</div>"
         for title, table in tables(record).items()

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 import json
 import sys
-import zlib
 from collections.abc import Iterable, Mapping
 from contextlib import closing
 from functools import cache
@@ -28,7 +27,6 @@ from experiments.study.arms import scenario_seed
 from experiments.support.errors import UserError
 from experiments.support.files import canonical_json, sha256_bytes, write_json
 from sumo_env.tasks import TASKS
-from sumo_env.traffic.scenario import Scenario
 
 SCENARIOS, STEPS = 2, 4
 DECIMALS = 2  # of metres and metres per second
@@ -86,21 +84,6 @@ def main() -> int:
                 known.update(name=found, behaviour=found)
     write_json(TABLE, table)
     return 0
-
-
-def checksum(scenario: Scenario) -> int:
-    """A number that tells scenarios apart by what is driven: places, speeds, drivers, later arrivals and events.
-
-    Of the vehicles only the first five count: some simulators leave out those that the ego cannot reach.
-    """
-    specs = (scenario.ego, *scenario.vehicles[:5], *(spawn.vehicle for spawn in scenario.spawns))
-    drawn = []
-    for v in specs:
-        place = (v.id, v.lane, round(v.s, 6), round(v.speed, 6), round(v.target_speed, 6), v.destination)
-        driver = (v.driver.delta, v.driver.accel, v.driver.tau, v.driver.min_gap)
-        drawn.append((*place, *(round(value, 6) for value in driver)))
-    events = [(round(event.time, 6), event.vehicle, event.kind) for event in scenario.events]
-    return zlib.crc32(repr((drawn, events)).encode())
 
 
 def _rollout(backend: str, task: str, config: Mapping[str, Any], level: int, risk: float) -> list[Any]:

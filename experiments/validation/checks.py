@@ -13,8 +13,9 @@ the arithmetic is the same.
 
 from __future__ import annotations
 
+import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from itertools import combinations
 from typing import Any, Literal
@@ -24,7 +25,6 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy import stats
 
-from experiments.study.verdict import summary
 from experiments.validation.episodes import BIN, BINS, CORE, HEADWAYS, PAIR, egos
 
 Check = dict[str, Any]
@@ -89,14 +89,9 @@ class Difference:
 
 
 def pairs(table: pd.DataFrame, first: str, second: str) -> pd.DataFrame:
-    """Episodes that both engines have driven, side by side with suffixes ``_a`` and ``_b``.
-
-    Where the two did not start from the same scenario (stored episodes may be of a version that drew others) there
-    is no pair.
-    """
+    """Episodes that both engines have driven, side by side with suffixes ``_a`` and ``_b``."""
     a, b = (table[table["engine"] == name].drop(columns="engine") for name in (first, second))
-    both = a.merge(b, on=PAIR, suffixes=("_a", "_b"))
-    return both[both["drawn_a"] == both["drawn_b"]]
+    return a.merge(b, on=PAIR, suffixes=("_a", "_b"))
 
 
 def interval(values: Floats, confidence: float = 0.90) -> tuple[float, float]:
@@ -119,17 +114,11 @@ def mean_difference(both: pd.DataFrame, measure: str) -> Difference:
     return Difference(first.mean(), second.mean(), centre, *interval(by_scenario), len(by_scenario))
 
 
-def same_outcome(both: pd.DataFrame) -> Difference:
-    """Share of episodes with the same crash outcome (`sumo`), against all of them."""
-    same = (both["crashed_a"] == both["crashed_b"]).astype(float)
-    return mean_difference(both.assign(same_a=same, same_b=1.0), "same")
-
-
 def wasserstein(first: Floats, second: Floats) -> float:
     """Wasserstein distance [s] of two headway histograms of shape (BINS,); nan if either is empty."""
     if not first.sum() or not second.sum():
-        return float("nan")
-    return float(np.abs(np.cumsum(first / first.sum()) - np.cumsum(second / second.sum())).sum() * BIN)
+        return math.nan
+    return float(stats.wasserstein_distance(CENTRES, CENTRES, first, second))
 
 
 def headway_distance(both: pd.DataFrame) -> Difference:
@@ -175,16 +164,14 @@ def differing(both: pd.DataFrame) -> pd.DataFrame:
     return both[~(same & close)]
 
 
-def margin(metric: str, task: str, traffic: str, reference: float) -> float | None:
-    """The margin in the unit of the measure; None where it is reported without a verdict.
+def margin(metric: str, task: str, traffic: str, reference: float) -> float:
+    """The margin in the unit of the measure; nan where it is reported without a verdict.
 
     Args:
         reference: highway-env's value.
     """
     judged = metric in MARGINS and (metric != "lane_changes" or (task, traffic) == ("highway", "regular"))
-    if not judged:
-        return None
-    value, kind = MARGINS[metric]
+    value, kind = MARGINS[metric] if judged else (math.nan, "unit")
     return value * {"unit": 1.0, "reference": abs(reference), "range": RETURN_RANGE[task]}[kind]
 
 
@@ -192,35 +179,27 @@ def difference(metric: str, both: pd.DataFrame) -> Difference:
     """How far the two simulators of `pairs` are apart in one of MEASURES."""
     if metric == "headway":
         return headway_distance(both)
-    return same_outcome(both) if metric == "same_outcome" else mean_difference(both, metric)
+    if metric == "same_outcome":  # a share, beside all of them
+        both = both.assign(same_outcome_a=both["crashed_a"] == both["crashed_b"], same_outcome_b=True)
+    return mean_difference(both, metric)
 
 
-def check(metric: str, found: Difference, bound: float | None = None, **labels: Any) -> Check:
-    """One line of the scorecard as plain JSON values; its verdict is None where there is no margin.
+def check(metric: str, found: Difference, bound: float = math.nan, **labels: Any) -> Check:
+    """One line of the scorecard; its verdict is None where there is no margin.
 
-    labels: name, unit, ego, note, and variants (engine -> its own difference from the reference).
+    labels: name, unit, ego, note, and by its name the difference of each of VARIANTS from the reference.
     """
-    return {
-        "metric": metric,
-        **{"name": metric, "unit": "", "ego": "", "note": "", "variants": {}, **labels},
-        **{name: finite(value) for name, value in {**asdict(found), "margin": bound}.items()},
-        "verdict": verdict(found, bound),
-        "n": found.n,
-    }
+    labels = {"metric": metric, "name": metric, "unit": "", "ego": "", "note": "", **labels}
+    return {**labels, **asdict(found), "margin": bound, "verdict": verdict(found, bound)}
 
 
-def verdict(found: Difference, bound: float | None) -> str | None:
+def verdict(found: Difference, bound: float) -> str | None:
     """equivalent (the whole interval is within the margin), within, missed, or None if nothing can be said."""
-    if bound is None or not math.isfinite(found.difference) or found.n < LEAST_SCENARIOS:
+    if not math.isfinite(bound) or not math.isfinite(found.difference) or found.n < LEAST_SCENARIOS:
         return None
     if abs(found.difference) > bound + 1e-9:
         return "missed"
     return "equivalent" if -bound <= found.low and found.high <= bound else "within"
-
-
-def finite(value: float | None) -> float | None:
-    """The number to six digits; None for nan, inf and None, which JSON has no words for."""
-    return None if value is None or not math.isfinite(value) else float(f"{value:.6g}")
 
 
 def level_checks(rows: pd.DataFrame, engine: str, task: str, traffic: str) -> list[Check]:
@@ -238,9 +217,9 @@ def level_checks(rows: pd.DataFrame, engine: str, task: str, traffic: str) -> li
     found = []
     for metric, (name, unit) in MEASURES.items():
         own = difference(metric, both)
-        variants = {other: finite(difference(metric, table).difference) for other, table in beside.items()}
+        variants = {other: difference(metric, table).difference for other, table in beside.items()}
         bound = margin(metric, task, traffic, own.reference)
-        found.append(check(metric, own, bound, name=name, unit=unit, variants=variants))
+        found.append(check(metric, own, bound, name=name, unit=unit, **variants))
     found += ego_checks(every, task, traffic)
     return sorted((item for item in found if item["n"]), key=lambda item: item["verdict"] is None)
 
@@ -264,12 +243,11 @@ def ego_checks(every: pd.DataFrame, task: str, traffic: str) -> list[Check]:
     return found
 
 
-def replica_checks(table: pd.DataFrame) -> dict[str, Any] | None:
-    """The reference against the random episodes that highway-env itself has driven again, by task; None without any."""
-    both = pairs(table, REFERENCE, TRUTH)
+def replica_checks(table: pd.DataFrame) -> dict[str, Any]:
+    """The reference against the random episodes that highway-env itself has driven again, by task."""
     sides = [f"{name}_{side}" for name in ("outcome", "length", "return") for side in "ab"]
     tasks = {}
-    for task, part in both.groupby("task", sort=False):
+    for task, part in pairs(table, REFERENCE, TRUTH).groupby("task", sort=False):
         others = differing(part)
         tasks[str(task)] = {
             "episodes": len(part),
@@ -277,21 +255,34 @@ def replica_checks(table: pd.DataFrame) -> dict[str, Any] | None:
             "verdict": "within" if len(others) / len(part) <= REPLICA else "missed",
             "exceptions": others[[*PAIR[1:], *sides]].astype(object).to_dict("records"),
         }
-    return {"margin": REPLICA, "tasks": tasks} if tasks else None
+    return tasks
 
 
-def scorecard(table: pd.DataFrame, engine: str, level_names: Mapping[str, Sequence[str]]) -> dict[str, Any]:
-    """All checks by task, traffic and level; whether each task passed, and how many checks came out how.
+def scorecard(table: pd.DataFrame, engine: str, level_names: Mapping[str, Sequence[str]]) -> list[Check]:
+    """All checks, one after the other, with their task, traffic and the name of their level, as plain JSON values.
 
     Args:
         table: the episodes of all engines.
         level_names: of each task.
     """
-    tasks: dict[str, Any] = {task: {"traffics": {}} for task in level_names}
-    for (task, traffic, level), rows in table.groupby(["task", "traffic", "level"]):
-        if task in tasks and (found := level_checks(rows, engine, task, traffic)):
-            tasks[task]["traffics"].setdefault(traffic, {})[level_names[task][level - 1]] = found
-    return {
-        task: {"passed": found["passed"], **tasks[task], "counts": found["counts"]}
-        for task, found in summary(tasks).items()
-    }
+    found = [
+        {"task": task, "traffic": traffic, "level": level_names[task][level - 1], **item}
+        for (task, traffic, level), rows in table.groupby(["task", "traffic", "level"])
+        for item in level_checks(rows, engine, task, traffic)
+    ]
+    rows: list[Check] = json.loads(pd.DataFrame(found).to_json(orient="records"))  # no number is null
+    return rows
+
+
+def summary(checks: Sequence[Check], tasks: Iterable[str]) -> dict[str, Any]:
+    """What the verdict on each task says: passed, how many checks came out how, and by name those that were missed."""
+    keys = ("traffic", "level", "name", "ego", "sumo", "reference", "difference", "margin", "note")
+    result = {}
+    for task in tasks:
+        own = [item for item in checks if item["task"] == task]
+        verdicts = [item["verdict"] for item in own]
+        counts = {word: verdicts.count(word) for word in ("equivalent", "within", "missed")}
+        missed = [{key: item[key] for key in keys} for item in own if item["verdict"] == "missed"]
+        passed = not missed if sum(counts.values()) else None
+        result[task] = {"passed": passed, "counts": counts, "missed": missed}
+    return result

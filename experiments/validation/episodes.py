@@ -17,7 +17,6 @@ from numpy.typing import NDArray
 from agents.rules import Policy, make_policy
 from agents.rules.constant import Constant
 from experiments.study.evaluate import play
-from experiments.study.fingerprint import checksum
 from sumo_env.contacts.measures import DENSITY_RADIUS, headways
 from sumo_env.networks.roads import LaneIndex, Road
 from sumo_env.scene import Scene
@@ -46,7 +45,6 @@ COLUMNS: dict[str, str] = {
     "traffic": "str",  # "regular" or "risky"
     "ego": "str",
     "scenario": "int16",
-    "drawn": "uint32",  # checksum of the scenario, to be sure that pairs are pairs
     "return": "float32",
     "length": "int16",  # policy steps
     "crashed": "bool",
@@ -158,7 +156,6 @@ def drive(
         "task": task,
         "level": level,
         "ego": ego,
-        "drawn": checksum(inner.scenario),
         "outcome": next(
             (name for name in ("crashed", "arrived") if row[name]), "time" if row["truncated"] else "left"
         ),

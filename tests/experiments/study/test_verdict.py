@@ -9,7 +9,7 @@ import pytest
 
 from experiments.study import verdict
 from experiments.study.fingerprint import dynamics
-from experiments.validation.checks import scorecard
+from experiments.validation.checks import scorecard, summary
 from sumo_env.tasks import TASKS
 from tests.experiments.validation.tables import compared
 
@@ -19,12 +19,11 @@ TASK = ["u-turn"]
 @pytest.fixture
 def stored(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """What the package knows: the verdict on the u-turn as it drives now, with misses."""
-    tasks = scorecard(compared(crashed=True), "sumo", {"u-turn": ["3", "6", "9", "12"]})
-    about = {"schema": verdict.SCHEMA, "backend": "sumo", "scenarios": 40, "command": "validate"}
+    tasks = summary(scorecard(compared(crashed=True), "sumo", {"u-turn": ["3"]}), TASK)
     now = {"fingerprints": {"u-turn": dynamics("sumo", "u-turn")}, "versions": verdict.versions()}
     file = tmp_path / "package" / "verdict.json"
     file.parent.mkdir()
-    file.write_text(json.dumps(verdict.verdict_of({**about, **now, "tasks": tasks})))
+    file.write_text(json.dumps({"schema": verdict.SCHEMA, "backend": "sumo", **now, "tasks": tasks}))
     monkeypatch.setattr(verdict, "STORED", file)
     return file
 

@@ -21,7 +21,7 @@ def episodes(
             rng = np.random.default_rng([scenario, number])
             crashed = bool(rng.random() < 0.1 + 0.1 * number)
             row = {"engine": engine, "task": task, "level": level, "traffic": traffic, "ego": ego}
-            row |= {"scenario": scenario, "drawn": scenario, "return": 5.0 + rng.normal(), "length": 10}
+            row |= {"scenario": scenario, "return": 5.0 + rng.normal(), "length": 10}
             row |= {"crashed": crashed, "outcome": "crashed" if crashed else "time"}
             row |= {"crash_time": 4.0 if crashed else np.nan, "ego_speed": 10.0, "density": 3.0}
             row |= {"traffic_speed": 10.0 + rng.normal(), "lane_changes": 1.0 + 0.1 * rng.normal()}

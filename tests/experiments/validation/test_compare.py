@@ -12,9 +12,9 @@ from experiments.validation import checks as compare
 from experiments.validation.episodes import BIN, BINS, HEADWAYS
 
 
-def row(engine: str, scenario: int, ego: str = "idle", drawn: int = 1, **values: Any) -> dict[str, Any]:
+def row(engine: str, scenario: int, ego: str = "idle", **values: Any) -> dict[str, Any]:
     place = {"task": "highway", "level": 1, "traffic": "regular", "ego": ego, "scenario": scenario}
-    return {"engine": engine, **place, "drawn": drawn, **values}
+    return {"engine": engine, **place, **values}
 
 
 def both(values: dict[str, list[tuple[float, float]]], measure: str = "return") -> pd.DataFrame:
@@ -24,11 +24,6 @@ def both(values: dict[str, list[tuple[float, float]]], measure: str = "return") 
             for engine, value in (("a", first), ("b", second)):
                 rows.append(row(engine, scenario, ego, **{measure: value}))
     return compare.pairs(pd.DataFrame(rows), "a", "b")
-
-
-def test_episodes_of_other_scenarios_are_no_pairs() -> None:
-    table = pd.DataFrame([row("a", 0, drawn=1), row("b", 0, drawn=2), row("a", 1), row("b", 1)])
-    assert compare.pairs(table, "a", "b")["scenario"].tolist() == [1]
 
 
 def test_the_scenario_is_the_unit() -> None:

@@ -18,7 +18,7 @@ import numpy as np
 from sumo_env.replica.compiled import borrowing
 from sumo_env.replica.geometry import beyond_ends, local_coordinates, not_zero, position
 from sumo_env.replica.neighbours import distance_beyond, neighbours
-from sumo_env.replica.numpy_loops import binary, each_pair
+from sumo_env.replica.numpy_loops import binary, each_pair, power
 from sumo_env.replica.tables import NONE
 from sumo_env.scene import VEHICLE_LENGTH
 
@@ -132,12 +132,12 @@ def part_of_wish(lanes: Any, car: Any) -> float:
 
 
 @borrowing
-def free_roads(lanes: Any, cars: Any, places: Any, loops: Any) -> None:
+def free_roads(lanes: Any, cars: Any, places: Any) -> None:
     """Write the acceleration of every driver with nobody ahead, which all decisions of a sub-step share."""
     free, delta = places.free, places.room[0]
     for i in range(len(cars)):
         free[i], delta[i] = part_of_wish(lanes, cars[i]), cars[i].delta
-    each_pair(loops.power, free, delta)
+    each_pair(power, free, delta)
     for i in range(len(cars)):
         free[i] = cars[i].accel * (1.0 - free[i])
 
@@ -156,7 +156,7 @@ def acceleration(lanes: Any, cars: Any, places: Any, rules: Any, who: int, i: in
         return linear_acceleration(lanes, cars, places, rules, who, i, j)
     result = places.free[i]
     if who != i:
-        result = driver.accel * (1.0 - binary(rules.loops.power, part_of_wish(lanes, car), driver.delta))
+        result = driver.accel * (1.0 - binary(power, part_of_wish(lanes, car), driver.delta))
     if j == NONE:
         return result
     distance, is_beyond = ahead(lanes, places, rules, car, i, j)

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from sumo_env.replica.compiled import borrowing, compiled
-from sumo_env.replica.numpy_loops import each_pair, unary
+from sumo_env.replica.numpy_loops import arctan, arctan2, each_pair, unary
 from sumo_env.replica.tables import CIRCULAR, NONE, SINE
 from sumo_env.scene import VEHICLE_LENGTH
 
@@ -72,13 +72,13 @@ def position(lane: Any, s: float) -> tuple[float, float]:
 
 
 @borrowing
-def heading_at(lane: Any, s: float, loops: Any) -> float:
+def heading_at(lane: Any, s: float) -> float:
     """``AbstractLane.heading_at`` [rad]."""
     if lane.kind == CIRCULAR:
         return lane.turn * s / lane.radius + lane.start_phase + math.pi / 2.0 * lane.turn
     if lane.kind == SINE:
         slope = lane.amplitude * lane.pulsation * math.cos(lane.pulsation * s + lane.phase)
-        return lane.heading + unary(loops.arctan, slope)
+        return lane.heading + unary(arctan, slope)
     return lane.heading
 
 
@@ -129,7 +129,7 @@ def no_places(lanes: Any, cars: Any) -> Places:
 
 
 @borrowing
-def locate(lanes: Any, cars: Any, places: Any, loops: Any) -> None:
+def locate(lanes: Any, cars: Any, places: Any) -> None:
     """Write where all cars are on all lanes into `places`; nobody has looked at anybody yet."""
     places.count[:] = NONE
     x, y, phi, radius = places.room[0], places.room[1], places.room[2], places.room[3]
@@ -143,7 +143,7 @@ def locate(lanes: Any, cars: Any, places: Any, loops: Any) -> None:
             centre_x, centre_y = lane.x, lane.y
             for j in range(len(cars)):
                 phi[j], radius[j] = y[j] - centre_y, x[j] - centre_x
-            each_pair(loops.arctan2, phi, radius)
+            each_pair(arctan2, phi, radius)
             for j in range(len(cars)):
                 radius[j] = math.sqrt((x[j] - centre_x) ** 2 + (y[j] - centre_y) ** 2)
         for j in range(len(cars)):
@@ -154,20 +154,20 @@ def locate(lanes: Any, cars: Any, places: Any, loops: Any) -> None:
 
 
 @borrowing
-def from_lane(lane: Any, s: float, lat: float, heading: float, loops: Any) -> float:
+def from_lane(lane: Any, s: float, lat: float, heading: float) -> float:
     """``AbstractLane.distance_with_heading`` of a car at (s, lat) [m]."""
-    return beyond_ends(lane, s, lat) + abs(wrapped(heading - heading_at(lane, s, loops)))
+    return beyond_ends(lane, s, lat) + abs(wrapped(heading - heading_at(lane, s)))
 
 
 @borrowing
-def closest_lane(lanes: Any, places: Any, loops: Any, j: int, heading: float, last: int) -> int:
+def closest_lane(lanes: Any, places: Any, j: int, heading: float, last: int) -> int:
     """``RoadNetwork.get_closest_lane_index`` of car `j`, which was on lane `last`; of equally close lanes the first."""
-    enough = from_lane(lanes[last], places.s[last, j], places.lat[last, j], heading, loops)
+    enough = from_lane(lanes[last], places.s[last, j], places.lat[last, j], heading)
     best, least = 0, math.inf
     for k in range(len(lanes)):
         s, lat = places.s[k, j], places.lat[k, j]
         if abs(lat) <= enough and beyond_ends(lanes[k], s, lat) <= enough:
-            distance = from_lane(lanes[k], s, lat, heading, loops)
+            distance = from_lane(lanes[k], s, lat, heading)
             if distance < least:
                 best, least = k, distance
     return best

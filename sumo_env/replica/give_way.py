@@ -34,7 +34,7 @@ def route_lane(lanes: Any, car: Any, leg: int) -> int:
 
 
 @borrowing
-def predict(lanes: Any, cars: Any, places: Any, loops: Any, predicted: Any) -> None:
+def predict(lanes: Any, cars: Any, places: Any, predicted: Any) -> None:
     """Write x, y [m] and heading [rad] of all cars in the next seconds, shape (cars, SAMPLES, 3).
 
     ``ControlledVehicle.predict_trajectory_constant_speed``. A route begins with the road that a car *steers for*, while
@@ -54,7 +54,7 @@ def predict(lanes: Any, cars: Any, places: Any, loops: Any, predicted: Any) -> N
                     leg, lane = leg + 1, following
                     following = route_lane(lanes, car, leg + 1)
             predicted[i, k, 0], predicted[i, k, 1] = position(lanes[lane], s)
-            predicted[i, k, 2] = heading_at(lanes[lane], s, loops)
+            predicted[i, k, 2] = heading_at(lanes[lane], s)
 
 
 @borrowing
@@ -104,12 +104,11 @@ def has_to_yield(lanes: Any, cars: Any, i: int, j: int) -> int:
 @compiled
 def regulate(lanes: Any, cars: Any, places: Any, rules: Any) -> None:
     """Release the cars that gave way, at the speed limit of their lane, and find those that have to give way now."""
-    loops = rules.loops
     for i in range(len(cars)):
         if cars[i].yields:
             cars[i].target_speed, cars[i].yields = lanes[cars[i].lane].limit, False
     predicted = np.empty((len(cars), SAMPLES, 3))
-    predict(lanes, cars, places, loops, predicted)
+    predict(lanes, cars, places, predicted)
     for i in range(len(cars)):
         for j in range(i + 1, len(cars)):
             if will_meet(predicted[i], predicted[j]):

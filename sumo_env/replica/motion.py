@@ -7,7 +7,7 @@ from typing import Any
 
 from sumo_env.replica.compiled import borrowing
 from sumo_env.replica.geometry import heading_at, not_zero, wrapped
-from sumo_env.replica.numpy_loops import each
+from sumo_env.replica.numpy_loops import arcsin, arctan, each, tan
 from sumo_env.scene import VEHICLE_LENGTH
 
 KP_ACCELERATION = 1 / 0.6  # [1/s]
@@ -33,41 +33,41 @@ def steer_linearly(car: Any, ahead: float, lat: float) -> float:
 
 
 @borrowing
-def steer(lanes: Any, cars: Any, places: Any, loops: Any) -> None:
+def steer(lanes: Any, cars: Any, places: Any) -> None:
     """``ControlledVehicle.steering_control``: write the angles that lead cars to the middle of their target lanes."""
     angles = places.room[0]
     for i in range(len(cars)):
         lat = places.lat[cars[i].target, i]
         angles[i] = clip(-KP_LATERAL * lat / not_zero(cars[i].speed), -1.0, 1.0)
-    each(loops.arcsin, angles)
+    each(arcsin, angles)
     for i in range(len(cars)):
         car = cars[i]
         s, lat = places.s[car.target, i], places.lat[car.target, i]
-        ahead = heading_at(lanes[car.target], s + car.speed * TAU_PURSUIT, loops)
+        ahead = heading_at(lanes[car.target], s + car.speed * TAU_PURSUIT)
         rate = KP_HEADING * wrapped(ahead + clip(angles[i], -math.pi / 4, math.pi / 4) - car.heading)
         angles[i] = clip(VEHICLE_LENGTH / 2 / not_zero(car.speed) * rate, -1.0, 1.0)
         if car.is_linear:
             car.steering = steer_linearly(car, ahead, lat)
-    each(loops.arcsin, angles)
-    each(loops.tan, angles)
+    each(arcsin, angles)
+    each(tan, angles)
     angles *= 2
-    each(loops.arctan, angles)
+    each(arctan, angles)
     for i in range(len(cars)):
         angle = cars[i].steering if cars[i].is_linear else angles[i]
         cars[i].steering = clip(angle, -MAX_STEERING_ANGLE, MAX_STEERING_ANGLE)
 
 
 @borrowing
-def move(cars: Any, places: Any, loops: Any, dt: float) -> None:
+def move(cars: Any, places: Any, dt: float) -> None:
     """``Vehicle.step``: an explicit Euler step of `dt` [s]; wrecks coast straight on."""
     slips = places.room[0]
     for i in range(len(cars)):
         if cars[i].crashed:
             cars[i].steering, cars[i].acceleration = 0.0, -cars[i].speed
         slips[i] = cars[i].steering
-    each(loops.tan, slips)
+    each(tan, slips)
     slips *= 1 / 2
-    each(loops.arctan, slips)
+    each(arctan, slips)
     for i in range(len(cars)):
         car, slip = cars[i], slips[i]
         if car.speed > MAX_SPEED:

@@ -5,34 +5,25 @@ AVX-512 numpy uses other code, and the two differ in up to one of twelve results
 highway-env were stable. Below 0.7 m/s its steering is not: a rounding error grows sevenfold in every sub-step, and a
 car that stops after a bend ends up centimetres away. So the replica has to round as highway-env does.
 
-The address of a loop is read from the ufunc (struct ``PyUFuncObject`` of numpy's C interface) and handed to kernels as
-a number, because it is another one in every process and compiled code is kept between processes.
+The address of a loop is read from the ufunc (struct ``PyUFuncObject`` of numpy's C interface) and given a name for
+LLVM's linker, because it is another one in every process and compiled code is kept between processes.
 """
 
 from __future__ import annotations
 
 import ctypes
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
-from llvmlite import ir
+from llvmlite import binding, ir
 from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
 from sumo_env.replica.compiled import borrowing
 
-NUMBER, POINTER = ir.IntType(64), ir.IntType(8).as_pointer()
-
-
-class Loops(NamedTuple):
-    """Address of a loop and of its data, for each of the functions."""
-
-    tan: tuple[int, int]
-    arcsin: tuple[int, int]
-    arctan: tuple[int, int]
-    arctan2: tuple[int, int]
-    power: tuple[int, int]
+BYTE, NUMBER = ir.IntType(8), ir.IntType(64)
+POINTER = BYTE.as_pointer()
 
 
 class _UFunc(ctypes.Structure):
@@ -44,46 +35,49 @@ class _UFunc(ctypes.Structure):
     ]
 
 
-def _loop(ufunc: Any, signature: str) -> tuple[int, int]:
-    fields, k = _UFunc.from_address(id(ufunc)), ufunc.types.index(signature)
-    return fields.functions[k] or 0, (fields.data[k] or 0) if fields.data else 0
+def _named(ufunc: Any) -> Any:
+    """The loop of a ufunc for float64, as an external function of kernels; its data has a name as well."""
+    fields, k = _UFunc.from_address(id(ufunc)), ufunc.types.index("d" * ufunc.nin + "->d")
+    name, loop = f"sumo_env_{ufunc.__name__}", fields.functions[k]
+    binding.add_symbol(name, loop)
+    binding.add_symbol(f"{name}_data", (fields.data[k] if fields.data else None) or loop)
+    return types.ExternalFunction(name, types.void())
 
 
-LOOPS = Loops(
-    _loop(np.tan, "d->d"), _loop(np.arcsin, "d->d"), _loop(np.arctan, "d->d"), _loop(np.arctan2, "dd->d"),
-    _loop(np.power, "dd->d"),
-)  # fmt: skip
+tan, arcsin, arctan, arctan2, power = map(_named, (np.tan, np.arcsin, np.arctan, np.arctan2, np.power))
 
 
-def _call(builder: Any, loop: Any, pointers: list[Any], count: Any) -> None:
+def _call(builder: Any, name: str, pointers: list[Any], count: Any) -> None:
     """Emit ``loop(pointers, &count, strides, data)`` for `count` elements of arrays that begin at the pointers."""
     arrays = cgutils.alloca_once(builder, ir.ArrayType(POINTER, len(pointers)))
     strides = cgutils.alloca_once(builder, ir.ArrayType(NUMBER, len(pointers)))
     for k, pointer in enumerate(pointers):
         builder.store(pointer, cgutils.gep_inbounds(builder, arrays, 0, k))
         builder.store(NUMBER(8), cgutils.gep_inbounds(builder, strides, 0, k))
+    module, data = builder.module, f"{name}_data"
     arguments = [
         builder.bitcast(arrays, POINTER.as_pointer()), cgutils.alloca_once_value(builder, count),
-        builder.bitcast(strides, NUMBER.as_pointer()), builder.inttoptr(builder.extract_value(loop, 1), POINTER),
+        builder.bitcast(strides, NUMBER.as_pointer()),
+        module.globals.get(data) or cgutils.add_global_variable(module, BYTE, data),
     ]  # fmt: skip
-    function = ir.FunctionType(ir.VoidType(), [argument.type for argument in arguments]).as_pointer()
-    builder.call(builder.inttoptr(builder.extract_value(loop, 0), function), arguments)
+    function = ir.FunctionType(ir.VoidType(), [argument.type for argument in arguments])
+    builder.call(cgutils.get_or_insert_function(module, function, name), arguments)
 
 
 def _emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
     """One element: the inputs and the result in cells of their own."""
-    loop, *inputs = arguments
     cells = [cgutils.alloca_once(builder, ir.DoubleType()) for _ in arguments]
-    for cell, value in zip(cells, inputs, strict=False):
+    for cell, value in zip(cells, arguments[1:], strict=False):
         builder.store(value, cell)
-    _call(builder, loop, [builder.bitcast(cell, POINTER) for cell in cells], NUMBER(1))
+    _call(builder, signature.args[0].symbol, [builder.bitcast(cell, POINTER) for cell in cells], NUMBER(1))
     return builder.load(cells[-1])
 
 
 def _emit_each(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
     """Arrays by their addresses and length; the results replace the first."""
-    loop, *addresses, count = arguments
-    _call(builder, loop, [builder.inttoptr(one, POINTER) for one in (*addresses, addresses[0])], count)
+    _, *addresses, count = arguments
+    pointers = [builder.inttoptr(one, POINTER) for one in (*addresses, addresses[0])]
+    _call(builder, signature.args[0].symbol, pointers, count)
     return context.get_dummy_value()
 
 
@@ -108,24 +102,24 @@ def _each_pair(typing_context: Any, loop: Any, address: Any, other: Any, count: 
 
 
 @borrowing
-def each(loop: tuple[int, int], numbers: Any) -> None:
+def each(loop: Any, numbers: Any) -> None:
     """The function of every number of an array, in place; some loops take eight for the time of one."""
     _each(loop, numbers.ctypes.data, len(numbers))  # type: ignore[call-arg]
 
 
 @borrowing
-def each_pair(loop: tuple[int, int], numbers: Any, others: Any) -> None:
+def each_pair(loop: Any, numbers: Any, others: Any) -> None:
     """The function of two numbers for every number of an array and of another; the results replace the former."""
     _each_pair(loop, numbers.ctypes.data, others.ctypes.data, len(numbers))  # type: ignore[call-arg]
 
 
 @borrowing
-def unary(loop: tuple[int, int], x: float) -> float:
-    """The tangent, arc sine or arc tangent of a number, such as ``unary(loops.tan, x)``; all of 0 are 0."""
+def unary(loop: Any, x: float) -> float:
+    """The tangent, arc sine or arc tangent of a number, such as ``unary(tan, x)``; all of 0 are 0."""
     return x if x == 0.0 else _unary(loop, x)  # type: ignore[call-arg]
 
 
 @borrowing
-def binary(loop: tuple[int, int], x: float, y: float) -> float:
-    """The arc tangent of y and x or the power of two numbers, such as ``binary(loops.power, x, y)``."""
+def binary(loop: Any, x: float, y: float) -> float:
+    """The arc tangent of y and x or the power of two numbers, such as ``binary(power, x, y)``."""
     return _binary(loop, x, y)  # type: ignore[call-arg]

@@ -24,11 +24,11 @@ _distance = borrowing(rectangles.distance)
 
 
 @borrowing
-def has_room(lanes: Any, cars: Any, places: Any, loops: Any, i: int, lane: int) -> bool:
+def has_room(lanes: Any, cars: Any, places: Any, i: int, lane: int) -> bool:
     """Would car `i`, moved straight sideways to the middle of `lane`, be at least CUT_IN_GAP from everybody else?"""
     s = places.s[lane, i]
     x, y = position(lanes[lane], s)
-    there = (x, y, cars[i].speed, heading_at(lanes[lane], s, loops))
+    there = (x, y, cars[i].speed, heading_at(lanes[lane], s))
     for j in range(len(cars)):
         other = cars[j]
         if j == i or abs(other.x - x) + abs(other.y - y) > LOOKED_AT:
@@ -51,21 +51,21 @@ def has_free_way(cars: Any, i: int) -> bool:
 
 
 @borrowing
-def cut_in(lanes: Any, cars: Any, places: Any, loops: Any, i: int, direction: int) -> None:
+def cut_in(lanes: Any, cars: Any, places: Any, i: int, direction: int) -> None:
     """Change to the lane on this side, or the other one, whatever MOBIL says; only where there is room."""
     car = cars[i]
     lane = lanes[car.target]
     for new in (car.target + direction, car.target - direction):
-        if lane.road <= new < lane.road + lane.abreast and has_room(lanes, cars, places, loops, i, new):
+        if lane.road <= new < lane.road + lane.abreast and has_room(lanes, cars, places, i, new):
             car.target, car.is_forced = new, True
             return
 
 
 @borrowing
-def swerve(lanes: Any, cars: Any, places: Any, loops: Any, i: int) -> None:
+def swerve(lanes: Any, cars: Any, places: Any, i: int) -> None:
     """On the two-way road: drive in the oncoming lane for SWERVE_TIME; only from the middle of one's own."""
     car = cars[i]
-    if car.lane == car.target == OWN_LANE and has_room(lanes, cars, places, loops, i, ONCOMING_LANE):
+    if car.lane == car.target == OWN_LANE and has_room(lanes, cars, places, i, ONCOMING_LANE):
         car.target, car.swerve_left = ONCOMING_LANE, SWERVE_TIME
 
 
@@ -94,9 +94,9 @@ def start_events(lanes: Any, cars: Any, places: Any, rules: Any, events: Any, fi
             if event.kind != CUT_IN:
                 car.push, car.push_end, car.push_way = event.acceleration, time + event.duration, event.way
             elif rules.is_two_way:
-                swerve(lanes, cars, places, rules.loops, i)
+                swerve(lanes, cars, places, i)
             else:
-                cut_in(lanes, cars, places, rules.loops, i, event.direction)
+                cut_in(lanes, cars, places, i, event.direction)
     return first
 
 

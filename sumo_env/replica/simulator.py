@@ -19,7 +19,6 @@ from sumo_env.replica import sight, tables
 from sumo_env.replica import step as kernels
 from sumo_env.replica.compiled import announced
 from sumo_env.replica.linear import linear_drivers
-from sumo_env.replica.numpy_loops import LOOPS
 from sumo_env.replica.step import CRASHED, HEADING, IN_EVENT, SPEED, Rules, X, Y
 from sumo_env.scene import Scene
 from sumo_env.simulator import EgoCommand, Step
@@ -208,12 +207,6 @@ class Replica:
         if self._scenario is not None:
             twin._cars = tables.chosen(self._cars, slice(None))
         return twin
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        """Unpickle; the addresses of numpy's functions are those of this process."""
-        self.__dict__.update(state)
-        if self._scenario is not None:
-            self._rules = self._rules._replace(loops=LOOPS)
 
     # -- parts ---------------------------------------------------------------------------------------------
 

@@ -13,7 +13,6 @@ from sumo_env.replica.driving import drive, follow_road, free_roads
 from sumo_env.replica.geometry import closest_lane, locate, no_places, on_axis
 from sumo_env.replica.give_way import regulate
 from sumo_env.replica.motion import KP_ACCELERATION, move, steer
-from sumo_env.replica.numpy_loops import LOOPS, Loops
 from sumo_env.replica.risk import push, return_from_swerve, start_events
 
 EXIT_MARGIN = 20.0  # [m] before the end of an exit of the intersection, where vehicles are removed
@@ -31,7 +30,6 @@ class Rules(NamedTuple):
         dt: length of a sub-step [s].
         ego_contacts: contacts of the others with each other are not looked at (highway-fast).
         before_ego: cars that highway-env has in its list before the ego, for the order of pairs.
-        loops: numpy's functions.
     """
 
     along_path: bool
@@ -40,13 +38,12 @@ class Rules(NamedTuple):
     dt: float
     ego_contacts: bool = False
     before_ego: int = 0
-    loops: Loops = LOOPS
 
 
 @borrowing
 def act(lanes: Any, cars: Any, places: Any, rules: Any) -> None:
     """``Road.act``: all drivers decide in turn, so that the decisions of one are seen by those after it."""
-    free_roads(lanes, cars, places, rules.loops)
+    free_roads(lanes, cars, places)
     for i in range(len(cars)):
         car = cars[i]
         if car.is_ego:  # ``MDPVehicle.act``
@@ -54,7 +51,7 @@ def act(lanes: Any, cars: Any, places: Any, rules: Any) -> None:
             car.acceleration = KP_ACCELERATION * (car.target_speed - car.speed)
         elif not car.crashed:
             drive(lanes, cars, places, rules, i)
-    steer(lanes, cars, places, rules.loops)
+    steer(lanes, cars, places)
 
 
 @borrowing
@@ -62,12 +59,12 @@ def step(lanes: Any, cars: Any, places: Any, rules: Any, count: int) -> None:
     """``Road.step``; `count`: number of this sub-step since the first vehicles were placed, from 1."""
     if rules.regulation_interval > 0 and count % rules.regulation_interval == 0:
         regulate(lanes, cars, places, rules)
-    move(cars, places, rules.loops, rules.dt)
+    move(cars, places, rules.dt)
     for i in range(len(cars)):
         return_from_swerve(cars[i], rules.dt)
-    locate(lanes, cars, places, rules.loops)
+    locate(lanes, cars, places)
     for i in range(len(cars)):
-        cars[i].lane = closest_lane(lanes, places, rules.loops, i, cars[i].heading, cars[i].lane)
+        cars[i].lane = closest_lane(lanes, places, i, cars[i].heading, cars[i].lane)
     collide(cars, places, rules)
 
 
@@ -95,7 +92,7 @@ def is_free(cars: Any, x: float, y: float, distance: float) -> bool:
 def warm_up(lanes: Any, cars: Any, rules: Any, frames: int) -> None:
     """Drive the first vehicles for some sub-steps without an ego and without risk events."""
     places = no_places(lanes, cars)
-    locate(lanes, cars, places, rules.loops)
+    locate(lanes, cars, places)
     for frame in range(frames):
         act(lanes, cars, places, rules)
         step(lanes, cars, places, rules, frame + 1)
@@ -108,7 +105,7 @@ def in_order(rules: Any, cars: Any, first_arrival: int) -> Rules:
     for i in range(1, len(cars)):
         before_ego += cars[i].number < first_arrival
     path, two_way, interval = rules.along_path, rules.is_two_way, rules.regulation_interval
-    return Rules(path, two_way, interval, rules.dt, rules.ego_contacts, before_ego, rules.loops)
+    return Rules(path, two_way, interval, rules.dt, rules.ego_contacts, before_ego)
 
 
 @compiled
@@ -143,7 +140,7 @@ def policy_step(
     crash, least, distance = -1, math.inf, 0.0
     rules = in_order(rules, cars, first_arrival)
     places = no_places(lanes, cars)
-    locate(lanes, cars, places, rules.loops)
+    locate(lanes, cars, places)
     for frame in range(frames):
         time = steps * rules.dt
         next_event = start_events(lanes, cars, places, rules, events, next_event, time)

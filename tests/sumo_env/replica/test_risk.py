@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from sumo_env.replica.geometry import heading_at, locate, no_places, position
-from sumo_env.replica.numpy_loops import LOOPS
 from sumo_env.replica.risk import has_free_way, has_room
 from sumo_env.replica.simulator import Replica
 from sumo_env.replica.tables import CAR, lanes_of
@@ -35,15 +34,15 @@ def test_drivers_look_at_what_sumo_s_drivers_look_at(task: str) -> None:
             car["x"], car["y"] = position(lanes[lane], rng.uniform(0.0, min(lanes[lane]["length"], 120.0)))
             car["y"] += rng.normal()
         places = no_places(lanes, cars)
-        locate(lanes, cars, places, LOOPS)
+        locate(lanes, cars, places)
         states = [(car["x"], car["y"], car["speed"], car["heading"]) for car in cars]
         for i, (car, lane) in enumerate(zip(cars, on.tolist(), strict=True)):
             others = states[:i] + states[i + 1 :]
             free = has_free_way(cars, i)
             assert free == risk.free_way(states[i], others, car["push_way"])
             s = places.s[lane, i]
-            there = (*position(lanes[lane], s), car["speed"], heading_at(lanes[lane], s, LOOPS))
-            room = has_room(lanes, cars, places, LOOPS, i, lane)
+            there = (*position(lanes[lane], s), car["speed"], heading_at(lanes[lane], s))
+            room = has_room(lanes, cars, places, i, lane)
             assert room == risk.has_room(there, others)
             answers += free, room
     assert (answers > 20).all() and (answers < 400).all()

@@ -18,28 +18,12 @@ from sumo_env.replica.driving import follow_road, is_reachable
 from sumo_env.replica.geometry import local_coordinates
 from sumo_env.replica.pay import Pay, has_arrived, reward
 from sumo_env.replica.sight import Eyes, ego_place, look
-from sumo_env.replica.simulator import Start
-from sumo_env.replica.step import Rules, is_free, policy_step, staying
+from sumo_env.replica.step import Rules, policy_step, staying
 from sumo_env.tasks import base
-from sumo_env.traffic.scenario import SPAWN_DISTANCE
 
 AFRESH, NOTHING = -1, -2  # in place of an action: an episode begins; the episode is left as it is
 SPEEDS = {"FASTER": 1, "SLOWER": -1}  # change of the target speed's index
 SIDES = {"LANE_LEFT": -1, "LANE_RIGHT": 1}
-
-EPISODE = np.dtype(
-    [
-        ("cars", "i8"),  # that are there
-        ("arrivals", "i8"),  # that come later
-        ("next_arrival", "i8"),
-        ("first_arrival", "i8"),  # see `policy_step`
-        ("events", "i8"),
-        ("next_event", "i8"),
-        ("steps", "i8"),  # policy steps
-        ("speed_index", "i8"),  # of the ego's target speed
-    ],
-    align=True,
-)
 
 OUTCOME = np.dtype(  # of a policy step, see `DrivingEnv.step`
     [
@@ -60,6 +44,27 @@ OUTCOME = np.dtype(  # of a policy step, see `DrivingEnv.step`
 _nearest_index = borrowing(base.nearest_index)
 
 
+class Start(NamedTuple):
+    """An episode before its first step.
+
+    Attributes:
+        lanes, seen_lanes: records of LANE, for the traffic and for the ego's eyes.
+        rules: of the task.
+        cars: records of CAR, the ego first.
+        arrivals, arrival_steps, first_arrival: see `step.policy_step`.
+        events: records of EVENT.
+    """
+
+    lanes: tables.Records
+    seen_lanes: tables.Records
+    rules: Rules
+    cars: tables.Records
+    arrivals: tables.Records
+    arrival_steps: np.ndarray
+    first_arrival: int
+    events: tables.Records
+
+
 class Law(NamedTuple):
     """What all episodes of a batch have in common.
 
@@ -68,9 +73,6 @@ class Law(NamedTuple):
         rules, eyes, pay: of the task.
         speeds: that the ego can be commanded [m/s].
         speed_changes, sides: what each action changes, +1, 0 or -1.
-        clears_exits: whether cars leave and arrive during an episode.
-        substeps: of a policy step.
-        warmed_up: sub-steps before an episode.
         time_limit: policy steps of the longest episode.
     """
 
@@ -82,9 +84,6 @@ class Law(NamedTuple):
     speeds: np.ndarray
     speed_changes: np.ndarray
     sides: np.ndarray
-    clears_exits: bool
-    substeps: int
-    warmed_up: int
     time_limit: int
 
 
@@ -107,20 +106,20 @@ class Batch(NamedTuple):
     observations: np.ndarray
 
 
-def no_episodes(count: int, eyes: Eyes) -> Batch:
-    """Room for this many episodes, of which none has begun."""
+def no_episodes(count: int, rows: int = 0, features: int = 0) -> Batch:
+    """Room for this many episodes, of which none has begun; rows, features: of an observation."""
     return Batch(
-        np.zeros(count, EPISODE),
+        np.zeros(count, tables.EPISODE),
         np.zeros(count, OUTCOME),
         np.zeros((count, 1), tables.CAR),
         np.zeros((count, 1), tables.CAR),
         np.zeros((count, 1), np.int64),
         np.zeros((count, 1), tables.EVENT),
-        np.zeros((count, eyes.rows, len(eyes.features)), np.float32),
+        np.zeros((count, rows, features), np.float32),
     )
 
 
-def begun(batch: Batch, row: int, start: Start, speed_index: int) -> Batch:
+def begun(batch: Batch, row: int, start: Start, speed_index: int = 0) -> Batch:
     """The batch in which this episode begins; the same one, or a larger one if there is not enough room."""
     cars, later, events = len(start.cars), len(start.arrivals), len(start.events)
     for name, rows, size in (
@@ -151,25 +150,23 @@ def expecting(batch: Batch, row: int, car: tables.Records) -> Batch:
     return batch
 
 
+def copied(batch: Batch) -> Batch:
+    """A batch whose episodes go on by themselves; it shares what never changes."""
+    cars, arrivals = (
+        np.array(table.view(tables.BYTES)).view(tables.CAR) for table in (batch.cars, batch.arrivals)
+    )
+    steps, episodes = batch.arrival_steps.copy(), batch.episodes.copy()
+    return batch._replace(cars=cars, arrivals=arrivals, arrival_steps=steps, episodes=episodes)
+
+
+def remaining(batch: Batch, row: int, lanes: tables.Records) -> list[tuple[float, float]]:
+    """Centres of the cars of an episode that will be there in the next step [m]."""
+    cars = batch.cars[row, : batch.episodes["cars"][row]]
+    there = cars[staying(lanes, cars)]
+    return list(zip(there["x"].tolist(), there["y"].tolist(), strict=True))
+
+
 # -- kernels ------------------------------------------------------------------------------------------------------
-
-
-@compiled
-def let_out_and_in(lanes: Any, cars: Any, arrivals: Any, arrival_steps: Any, episode: Any) -> None:
-    """`Replica._let_out_and_in`: cars leave, and those of the arrivals come that have room."""
-    stays, count = staying(lanes, cars[: episode.cars]), 0
-    for i in range(len(stays)):
-        if stays[i]:
-            if count < i:
-                cars[count] = cars[i]
-            count += 1
-    while episode.next_arrival < episode.arrivals and arrival_steps[episode.next_arrival] <= episode.steps:
-        fresh = arrivals[episode.next_arrival]
-        episode.next_arrival += 1
-        if is_free(cars[:count], fresh.x, fresh.y, SPAWN_DISTANCE):
-            cars[count] = fresh
-            count += 1
-    episode.cars = count
 
 
 @borrowing
@@ -236,24 +233,17 @@ def drive(law: Any, batch: Any, actions: Any, first: int, end: int) -> None:
             continue
         outcome.min_ttc, outcome.distance = math.inf, 0.0
         if action != AFRESH:
-            if law.clears_exits and episode.steps > 0:
-                let_out_and_in(
-                    law.lanes, batch.cars[row], batch.arrivals[row], batch.arrival_steps[row], episode
-                )
             command(law, batch.cars[row, 0], episode, action)
-            episode.next_event, _, outcome.min_ttc, outcome.distance = policy_step(
+            _, outcome.min_ttc, outcome.distance = policy_step(
                 law.lanes,
-                batch.cars[row, : episode.cars],
-                batch.events[row, : episode.events],
-                episode.next_event,
                 law.rules,
-                episode.steps * law.substeps,
-                law.substeps,
-                law.warmed_up,
-                episode.first_arrival,
+                episode,
+                batch.cars[row],
+                batch.arrivals[row],
+                batch.arrival_steps[row],
+                batch.events[row],
                 trace,
             )
-            episode.steps += 1
         cars = batch.cars[row, : episode.cars]
         judge(law, cars, episode, outcome, action)
         look(law.seen_lanes, cars, law.eyes, batch.observations[row])

@@ -101,12 +101,12 @@ def count_near(x: Any, place: float, near: float) -> int:
 
 
 @borrowing
-def collide(cars: Any, places: Any, rules: Any) -> None:
+def collide(cars: Any, places: Any, rules: Any, before_ego: int) -> None:
     """Find who touches whom: marks wrecks, and how far those that will touch are pushed apart in the next step.
 
     Pairs are looked at in highway-env's order of vehicles; by ``rules.ego_contacts`` only those with the ego.
     """
-    n, before_ego, x = len(cars), rules.before_ego, places.room[0]
+    n, x = len(cars), places.room[0]
     for i in range(n):
         x[i] = cars[row_of(i, before_ego)].x
     for i in range(n):

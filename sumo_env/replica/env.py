@@ -10,10 +10,11 @@ from sumo_env.env import VARIED, DrivingEnv, Observation
 from sumo_env.networks.roads import LaneIndex
 from sumo_env.observation import Kinematics
 from sumo_env.replica import draws
+from sumo_env.replica.batch import Start
 from sumo_env.replica.linear import LAWS, check_law
 from sumo_env.replica.linear import draw as draw_linear
 from sumo_env.replica.sight import eyes_of
-from sumo_env.replica.simulator import VARIANTS, Replica, Start
+from sumo_env.replica.simulator import VARIANTS, Replica
 from sumo_env.tasks import highway
 from sumo_env.tasks.base import Task
 from sumo_env.traffic.scenario import Scenario

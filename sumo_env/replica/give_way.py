@@ -102,7 +102,7 @@ def has_to_yield(lanes: Any, cars: Any, i: int, j: int) -> int:
 
 
 @compiled
-def regulate(lanes: Any, cars: Any, places: Any, rules: Any) -> None:
+def regulate(lanes: Any, cars: Any, places: Any, before_ego: int) -> None:
     """Release the cars that gave way, at the speed limit of their lane, and find those that have to give way now."""
     for i in range(len(cars)):
         if cars[i].yields:
@@ -113,7 +113,7 @@ def regulate(lanes: Any, cars: Any, places: Any, rules: Any) -> None:
         for j in range(i + 1, len(cars)):
             if will_meet(predicted[i], predicted[j]):
                 # of two cars face to face on a straight way it is the second one, in highway-env's order of vehicles
-                is_reversed = i == 0 and j <= rules.before_ego
+                is_reversed = i == 0 and j <= before_ego
                 loser = has_to_yield(lanes, cars, j, i) if is_reversed else has_to_yield(lanes, cars, i, j)
                 if not cars[loser].is_ego and cars[loser].gives_way:
                     cars[loser].target_speed, cars[loser].yields = 0.0, True

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
 from itertools import compress
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -17,6 +17,7 @@ from sumo_env.networks.roads import LaneIndex, Road, highway
 from sumo_env.observation import Kinematics
 from sumo_env.replica import sight, tables
 from sumo_env.replica import step as kernels
+from sumo_env.replica.batch import Start, begun, copied, expecting, no_episodes, remaining
 from sumo_env.replica.compiled import announced
 from sumo_env.replica.linear import linear_drivers
 from sumo_env.replica.step import CRASHED, HEADING, IN_EVENT, SPEED, Rules, X, Y
@@ -31,30 +32,6 @@ NOBODY: frozenset[str] = frozenset()
 JOINED = ("roundabout", "intersection", "u-turn")  # tasks with lanes that continue others
 
 FRAME = ("x", "y", "speed", "heading", "crashed", "in_event")  # the rows of a frame of a trace
-
-
-class Start(NamedTuple):
-    """An episode before its first step, for the kernels.
-
-    Attributes:
-        lanes, seen_lanes: records of LANE, for the traffic and for the ego's eyes.
-        rules: of the task.
-        warmed_up: sub-steps that were driven before.
-        cars: records of CAR, the ego first.
-        arrivals, arrival_steps: cars that come later, and the policy steps after which they do, rising.
-        events: records of EVENT.
-        first_arrival: see `step.policy_step`.
-    """
-
-    lanes: tables.Records
-    seen_lanes: tables.Records
-    rules: Rules
-    warmed_up: int
-    cars: tables.Records
-    arrivals: tables.Records
-    arrival_steps: np.ndarray
-    events: tables.Records
-    first_arrival: int
 
 
 class Replica:
@@ -79,69 +56,61 @@ class Replica:
         _load()
         self.variant, self.is_linear, self.ego_contacts = variant, is_linear, ego_contacts
         self.connected = False  # whether drivers of the variant "stock" look onto the next lanes
-        self._rules = Rules(along_path=False, is_two_way=False, regulation_interval=0, dt=0.0)
         self._scenario: Scenario | None = None
-        self._ids: list[str] = []
-        self._everybody: tables.Records
         self._warm: tuple[tuple[VehicleSpec, ...], tables.Records] | None = None
 
     def reset(self, scenario: Scenario) -> Scene:
         """See `Simulator.reset`."""
-        self.load(scenario)
-        self._name_cars()
-        return self._scene(np.array([self._cars[name] for name in FRAME], float))
+        self._batch, self._crash = begun(no_episodes(1), 0, self.load(scenario)), None
+        self._look()
+        return self._scene(np.array([self._cars[name] for name in FRAME], float), 0)
 
     def load(self, scenario: Scenario) -> Start:
         """Place a scenario and drive its warm-up."""
         self._prepare(scenario.road, scenario.simulation_frequency)
-        self._read(scenario)
-        self._spawns: dict[int, tuple[int, ...]] = {}  # policy step -> numbers
-        for number, spawn in enumerate(scenario.spawns, start=len(scenario.specs)):
-            self._spawns[spawn.step] = (*self._spawns.get(spawn.step, ()), number)
-        self._next_event = self._steps = self._policy_steps = 0
-        self._crash: CrashRecord | None = None
-        self._warmed_up = round(scenario.warm_up * scenario.simulation_frequency)
-        placed = self._everybody[: len(scenario.specs)]
-        self._cars = self._with_ego(placed) if self._warmed_up else tables.chosen(placed, slice(None))
-        present = len(placed) + len(self._spawns.get(0, ()))
-        self._first_arrival = present if self.variant == "stock" and self._warmed_up else 0
-        steps = np.array([step for step, numbers in self._spawns.items() for _ in numbers if step], np.int64)
+        warmed_up = round(scenario.warm_up * scenario.simulation_frequency)
+        substeps = scenario.simulation_frequency // scenario.policy_frequency
+        rules = self._rules._replace(substeps=substeps, warmed_up=warmed_up)
+        everybody, events = self._read(scenario)
+        present = len(scenario.specs)
+        cars = everybody[:present]
+        arrival_steps = np.array([spawn.step for spawn in scenario.spawns], np.int64)
+        at_once = int(np.count_nonzero(arrival_steps == 0))
+        if warmed_up:
+            cars = self._with_ego(cars, everybody[present : present + at_once], warmed_up)
+        present += at_once
         self.start = Start(
             self._lanes.table,
             self._seen_lanes,
-            self._rules,
-            self._warmed_up,
-            self._cars,
-            self._everybody[present:],
-            steps,
-            self._events,
-            self._first_arrival,
+            rules,
+            cars,
+            everybody[present:],
+            arrival_steps[at_once:],
+            present if self.variant == "stock" and warmed_up else 0,
+            events,
         )
         return self.start
 
     def step(self, command: EgoCommand, trace: bool = False) -> Step:
         """See `Simulator.step`."""
-        scenario = self._scenario
-        if scenario is None:
+        if self._scenario is None:
             raise RuntimeError("call reset() before step()")
-        if self._policy_steps > 0 and scenario.road.name == "intersection":
-            self._let_out_and_in()
-        ego = self._cars[0]
+        batch, rules = self._batch, self.start.rules
+        ego = batch.cars[0, 0]
         ego["target_speed"] = command.target_speed
-        self._steer_ego_for(command.target_lane)
-        substeps = scenario.simulation_frequency // scenario.policy_frequency
-        frames = np.empty((substeps, len(FRAME), len(self._cars)))
-        self._next_event, crash, min_ttc, distance = kernels.policy_step(
-            self._lanes.table, self._cars, self._events, self._next_event, self._rules, self._steps,
-            substeps, self._warmed_up, self._first_arrival, frames,
+        self._steer_ego_for(ego, command.target_lane)
+        frames = np.empty((rules.substeps, len(FRAME), batch.cars.shape[1]))
+        crash, min_ttc, distance = kernels.policy_step(
+            self._lanes.table, rules, batch.episodes[0], batch.cars[0], batch.arrivals[0], batch.arrival_steps[0],
+            batch.events[0], frames,
         )  # fmt: skip
-        start, self._steps = self._steps, self._steps + len(frames)
-        self._policy_steps += 1
-        scene = self._scene(frames[-1])
+        self._look()
+        end = self._steps * rules.substeps
+        start, frames = end - rules.substeps, frames[:, :, : len(self._cars)]
         if crash >= 0 and self._crash is None:
             self._crash = _record(self._scene(frames[crash], start + crash + 1))
         return Step(
-            scene=scene,
+            scene=self._scene(frames[-1], end),
             target_lane=self._lanes.names[ego["target"]],
             crash=self._crash,
             min_ttc=min_ttc,
@@ -166,26 +135,23 @@ class Replica:
         `reset` with a scenario of these vehicles takes over what was driven.
         """
         self._prepare(road, frequency)
-        self._warmed_up = round(time * frequency)
         cars = tables.cars_of(road, vehicles)
         cars["number"] += 1  # the ego's is 0
-        self._warm = vehicles, self._driven(cars)
-        return _centres(self._warm[1])
+        self._warm = vehicles, self._driven(cars, round(time * frequency))
+        return list(zip(cars["x"].tolist(), cars["y"].tolist(), strict=True))
 
     def staying(self) -> Centres:
         """Centres of the vehicles that will be there in the next step."""
-        return _centres(self._staying())
+        return remaining(self._batch, 0, self._lanes.table)
 
     def expect(self, spawn: Spawn) -> Scenario:
         """Let a vehicle in at the start of the next step; returns the scenario with it."""
         assert self._scenario is not None
-        scenario = self._scenario
-        self._scenario = replace(scenario, spawns=(*scenario.spawns, spawn))
-        arrival = tables.cars_of(scenario.road, [spawn.vehicle])
-        arrival["number"] = len(self._everybody)
-        self._spawns = {**self._spawns, spawn.step: (len(self._everybody),)}
-        self._everybody = tables.joined(self._everybody, arrival)
+        arrival = tables.cars_of(self._scenario.road, [spawn.vehicle])
+        arrival["number"] = len(self._ids)
+        self._batch = expecting(self._batch, 0, arrival)
         self._ids = [*self._ids, spawn.vehicle.id]
+        self._scenario = replace(self._scenario, spawns=(*self._scenario.spawns, spawn))
         return self._scenario
 
     def clone(self) -> Replica:
@@ -194,8 +160,11 @@ class Replica:
 
     def imagine(self, scenario: Scenario) -> None:
         """See `Simulator.imagine`; drivers go on with the parameters that they have in this scenario."""
-        self._read(scenario)
-        self._cars[tables.PARAMETERS] = self._everybody[tables.PARAMETERS][self._cars["number"]]
+        everybody, events = self._read(scenario)
+        for cars in (self._batch.cars, self._batch.arrivals):
+            cars[tables.PARAMETERS] = everybody[tables.PARAMETERS][cars["number"]]
+        self._batch.episodes["events"] = len(events)
+        self._batch = self._batch._replace(events=events[None])
 
     def close(self) -> None:
         """Forget the episode."""
@@ -205,7 +174,8 @@ class Replica:
         """A copy for planners: it has cars of its own, and shares what never changes."""
         twin = copy.copy(self)
         if self._scenario is not None:
-            twin._cars = tables.chosen(self._cars, slice(None))
+            twin._batch = copied(self._batch)
+            twin._look()
         return twin
 
     # -- parts ---------------------------------------------------------------------------------------------
@@ -226,58 +196,49 @@ class Replica:
             ego_contacts=self.ego_contacts,
         )
 
-    def _read(self, scenario: Scenario) -> None:
+    def _read(self, scenario: Scenario) -> tuple[tables.Records, tables.Records]:
         """All vehicles of a scenario as their lives start, those that come later as well, and its risk events."""
         self._scenario = scenario
         specs = [*scenario.specs, *(spawn.vehicle for spawn in scenario.spawns)]
         numbers = {spec.id: number for number, spec in enumerate(specs)}
-        self._ids, self._everybody = list(numbers), tables.cars_of(scenario.road, specs)
+        self._ids, everybody = list(numbers), tables.cars_of(scenario.road, specs)
         if self.is_linear:
             for name, driver in linear_drivers(scenario).items():
-                tables.drive_linearly(self._everybody[numbers[name]], driver)
-        self._events = tables.events_of(scenario.events, numbers)
+                tables.drive_linearly(everybody[numbers[name]], driver)
+        return everybody, tables.events_of(scenario.events, numbers)
 
-    def _with_ego(self, placed: tables.Records) -> tables.Records:
-        """``IntersectionEnv._make_vehicles``: traffic drives before the ego is placed, at least 20 m from anybody."""
+    def _with_ego(self, placed: tables.Records, late: tables.Records, warmed_up: int) -> tables.Records:
+        """``IntersectionEnv._make_vehicles``: traffic drives before the ego is placed, at least 20 m from anybody.
+
+        Late cars come only then, where there is room.
+        """
         assert self._scenario is not None
         warm, self._warm = self._warm, None
-        is_driven = warm is not None and warm[0] is self._scenario.vehicles
-        cars = warm[1] if warm and is_driven else self._driven(tables.chosen(placed, slice(1, None)))
-        cars = self._with_spawns(cars, 0)
+        if warm is not None and warm[0] is self._scenario.vehicles:
+            cars = warm[1]
+        else:
+            cars = self._driven(tables.chosen(placed, slice(1, None)), warmed_up)
+        for fresh in (late[k : k + 1] for k in range(len(late))):
+            if kernels.is_free(cars, fresh["x"].item(), fresh["y"].item(), SPAWN_DISTANCE):
+                cars = tables.joined(cars, fresh)
         ego = placed[0]
         far = np.hypot(cars["x"] - ego["x"], cars["y"] - ego["y"]) >= EGO_DISTANCE
         return tables.joined(placed[:1], tables.chosen(cars, far))
 
-    def _driven(self, cars: tables.Records) -> tables.Records:
-        kernels.warm_up(self._lanes.table, cars, self._rules, self._warmed_up)
+    def _driven(self, cars: tables.Records, substeps: int) -> tables.Records:
+        kernels.warm_up(self._lanes.table, cars, self._rules, substeps)
         return cars
 
-    def _staying(self) -> tables.Records:
-        """The cars that do not leave before the next step."""
-        stays = kernels.staying(self._lanes.table, self._cars)
-        return self._cars if stays.all() else tables.chosen(self._cars, stays)
+    def _look(self) -> None:
+        """Which cars are there now, and how many policy steps were driven."""
+        episode = self._batch.episodes[0]
+        self._steps, self._cars = int(episode["steps"]), self._batch.cars[0, : episode["cars"]]
+        if not self._steps or self._rules.regulation_interval:  # cars come and go at the intersection alone
+            self._present = tuple(self._ids[number] for number in self._cars["number"].tolist())
 
-    def _let_out_and_in(self) -> None:
-        """Vehicles leave, and the spawns of this step come."""
-        cars = self._with_spawns(self._staying(), self._policy_steps)
-        if cars is not self._cars:
-            self._cars = cars
-            self._name_cars()
-
-    def _with_spawns(self, cars: tables.Records, step: int) -> tables.Records:
-        """The cars and those of the spawns of this policy step that have no other within 15 m."""
-        for number in self._spawns.get(step, ()):
-            fresh = self._everybody[number : number + 1]
-            if kernels.is_free(cars, fresh["x"].item(), fresh["y"].item(), SPAWN_DISTANCE):
-                cars = tables.joined(cars, fresh)
-        return cars
-
-    def _name_cars(self) -> None:
-        self._present = tuple(self._ids[number] for number in self._cars["number"].tolist())
-
-    def _steer_ego_for(self, lane: LaneIndex) -> None:
+    def _steer_ego_for(self, ego: Any, lane: LaneIndex) -> None:
         """Set the ego's target lane; on the next road of its route, that road begins the rest of the route."""
-        ego, number = self._cars[0], self._lanes.numbers[lane]
+        number = self._lanes.numbers[lane]
         if number == ego["target"]:
             return
         road = self._lanes.table["road"][number]
@@ -287,10 +248,9 @@ class Replica:
             ego["leg"], ego["planned"] = legs[0], tables.NONE
         ego["target"] = number
 
-    def _scene(self, frame: Any, steps: int | None = None) -> Scene:
-        """The scene of a frame of a trace, shape (6, n); `steps`: sub-steps since the start, if not all of them."""
+    def _scene(self, frame: Any, steps: int) -> Scene:
+        """The scene of a frame of a trace, shape (6, n), after these sub-steps since the start."""
         assert self._scenario is not None
-        time = (self._steps if steps is None else steps) / self._scenario.simulation_frequency
         return Scene(
             ids=self._present,
             x=frame[X],
@@ -298,8 +258,8 @@ class Replica:
             speed=frame[SPEED],
             heading=frame[HEADING],
             crashed=frame[CRASHED] > 0.0,
-            time=round(time, 6),
-            in_event=frozenset(compress(self._present, frame[IN_EVENT])) if len(self._events) else NOBODY,
+            time=round(steps / self._scenario.simulation_frequency, 6),
+            in_event=frozenset(compress(self._present, frame[IN_EVENT])) if self._scenario.events else NOBODY,
         )
 
 
@@ -307,18 +267,16 @@ class Replica:
 def _load() -> None:
     """Load all kernels, or compile them, by a call of each that drives nobody anywhere; once in a process."""
     lanes, rules = tables.lanes_of(highway(), False).table, Rules(False, False, 0, 0.1)
-    cars, events, frames = np.zeros(1, tables.CAR), np.empty(0, tables.EVENT), np.empty((0, len(FRAME), 1))
+    cars, frames, row = np.zeros(1, tables.CAR), np.empty((0, len(FRAME), 1)), no_episodes(1)
     with announced(kernels.policy_step):
         kernels.warm_up(lanes, cars, rules, 0)
         kernels.staying(lanes, cars)
         kernels.is_free(cars, 0.0, 0.0, 0.0)
-        kernels.policy_step(lanes, cars, events, 0, rules, 0, 0, 0, 0, frames)
+        kernels.policy_step(
+            lanes, rules, row.episodes[0], cars, row.arrivals[0], row.arrival_steps[0], row.events[0], frames
+        )
         sight.ego_place(lanes, cars)
         sight.look(lanes, cars, sight.eyes_of(Kinematics({}, 1)), np.empty((5, 5), np.float32))
-
-
-def _centres(cars: tables.Records) -> Centres:
-    return list(zip(cars["x"].tolist(), cars["y"].tolist(), strict=True))
 
 
 def _record(scene: Scene) -> CrashRecord:

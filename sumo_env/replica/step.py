@@ -14,6 +14,7 @@ from sumo_env.replica.geometry import closest_lane, locate, no_places, on_axis
 from sumo_env.replica.give_way import regulate
 from sumo_env.replica.motion import KP_ACCELERATION, move, steer
 from sumo_env.replica.risk import push, return_from_swerve, start_events
+from sumo_env.traffic.scenario import SPAWN_DISTANCE
 
 EXIT_MARGIN = 20.0  # [m] before the end of an exit of the intersection, where vehicles are removed
 # Rows of a frame of a trace, shape (frames, 6, cars):
@@ -26,10 +27,11 @@ class Rules(NamedTuple):
     Attributes:
         along_path: distances beyond the end of a lane are measured along the path (the variant ``path``).
         is_two_way: cut-ins are swerves into the oncoming lane.
-        regulation_interval: sub-steps between two applications of the right of way, 0 without it.
+        regulation_interval: sub-steps between two applications of the right of way, 0 but at the intersection.
         dt: length of a sub-step [s].
         ego_contacts: contacts of the others with each other are not looked at (highway-fast).
-        before_ego: cars that highway-env has in its list before the ego, for the order of pairs.
+        substeps: of a policy step.
+        warmed_up: sub-steps of the warm-up before the episode.
     """
 
     along_path: bool
@@ -37,7 +39,8 @@ class Rules(NamedTuple):
     regulation_interval: int
     dt: float
     ego_contacts: bool = False
-    before_ego: int = 0
+    substeps: int = 0
+    warmed_up: int = 0
 
 
 @borrowing
@@ -55,17 +58,21 @@ def act(lanes: Any, cars: Any, places: Any, rules: Any) -> None:
 
 
 @borrowing
-def step(lanes: Any, cars: Any, places: Any, rules: Any, count: int) -> None:
-    """``Road.step``; `count`: number of this sub-step since the first vehicles were placed, from 1."""
+def step(lanes: Any, cars: Any, places: Any, rules: Any, count: int, before_ego: int = 0) -> None:
+    """``Road.step``.
+
+    count: number of this sub-step since the first vehicles were placed, from 1; before_ego: cars that highway-env has
+    in its list before the ego, for the order of pairs.
+    """
     if rules.regulation_interval > 0 and count % rules.regulation_interval == 0:
-        regulate(lanes, cars, places, rules)
+        regulate(lanes, cars, places, before_ego)
     move(cars, places, rules.dt)
     for i in range(len(cars)):
         return_from_swerve(cars[i], rules.dt)
     locate(lanes, cars, places)
     for i in range(len(cars)):
         cars[i].lane = closest_lane(lanes, places, i, cars[i].heading, cars[i].lane)
-    collide(cars, places, rules)
+    collide(cars, places, rules, before_ego)
 
 
 @compiled
@@ -98,58 +105,68 @@ def warm_up(lanes: Any, cars: Any, rules: Any, frames: int) -> None:
         step(lanes, cars, places, rules, frame + 1)
 
 
-@borrowing
-def in_order(rules: Any, cars: Any, first_arrival: int) -> Rules:
-    """The rules with the number of cars that highway-env has in its list before the ego, see `policy_step`."""
-    before_ego = 0
-    for i in range(1, len(cars)):
-        before_ego += cars[i].number < first_arrival
-    path, two_way, interval = rules.along_path, rules.is_two_way, rules.regulation_interval
-    return Rules(path, two_way, interval, rules.dt, rules.ego_contacts, before_ego)
+@compiled
+def let_out_and_in(lanes: Any, cars: Any, arrivals: Any, arrival_steps: Any, episode: Any) -> None:
+    """Cars leave, and those of the arrivals come that have no other within 15 m."""
+    stays, count = staying(lanes, cars[: episode.cars]), 0
+    for i in range(len(stays)):
+        if stays[i]:
+            if count < i:
+                cars[count] = cars[i]
+            count += 1
+    while episode.next_arrival < episode.arrivals and arrival_steps[episode.next_arrival] <= episode.steps:
+        fresh = arrivals[episode.next_arrival]
+        episode.next_arrival += 1
+        if is_free(cars[:count], fresh.x, fresh.y, SPAWN_DISTANCE):
+            cars[count] = fresh
+            count += 1
+    episode.cars = count
 
 
 @compiled
 def policy_step(
     lanes: Any,
-    cars: Any,
-    events: Any,
-    next_event: int,
     rules: Any,
-    steps: int,
-    frames: int,
-    warmed_up: int,
-    first_arrival: int,
+    episode: Any,
+    cars: Any,
+    arrivals: Any,
+    arrival_steps: Any,
+    events: Any,
     trace: Any,
-) -> tuple[int, int, float, float]:
-    """Drive some sub-steps.
+) -> tuple[int, float, float]:
+    """Drive one policy step.
 
     Args:
-        lanes, cars, events: records; the cars are changed, the ego is the first.
-        next_event: number of the first event that has not been due.
+        lanes: records.
         rules: of the task.
-        steps: sub-steps since the start of the episode.
-        frames: sub-steps to drive.
-        warmed_up: sub-steps of the warm-up before the episode.
-        first_arrival: cars of smaller numbers come before the ego in highway-env's list; 0: the ego is its first.
-        trace: where the sub-steps are written down, shape (frames, 6, cars), or nowhere (0, 6, 0).
+        episode: a record, which is changed. Cars of smaller numbers than its ``first_arrival`` come before the ego in
+            highway-env's list; 0: the ego is its first.
+        cars: records, which are changed, the ego first; there is room for the arrivals.
+        arrivals, arrival_steps: cars that come later, and the policy steps after which they do, rising.
+        events: records.
+        trace: where the sub-steps are written down, shape (sub-steps, 6, room for cars), or nowhere (0, 6, 0).
 
     Returns:
-        the next event, the frame in which the ego crashed (-1: none), the least time to collision [s], and the distance
-        covered by the ego [m].
+        the frame in which the ego crashed (-1: none), the least time to collision [s], and the distance covered by the
+        ego [m].
     """
-    crash, least, distance = -1, math.inf, 0.0
-    rules = in_order(rules, cars, first_arrival)
+    if rules.regulation_interval > 0 and episode.steps > 0:
+        let_out_and_in(lanes, cars, arrivals, arrival_steps, episode)
+    cars, events = cars[: episode.cars], events[: episode.events]
+    crash, least, distance, before_ego = -1, math.inf, 0.0, 0
+    for i in range(1, len(cars)):
+        before_ego += cars[i].number < episode.first_arrival
     places = no_places(lanes, cars)
     locate(lanes, cars, places)
-    for frame in range(frames):
+    for frame in range(rules.substeps):
+        steps = episode.steps * rules.substeps + frame
         time = steps * rules.dt
-        next_event = start_events(lanes, cars, places, rules, events, next_event, time)
+        episode.next_event = start_events(lanes, cars, places, rules, events, episode.next_event, time)
         distance += max(cars[0].speed, 0.0) * rules.dt
         act(lanes, cars, places, rules)
         push(cars, time, rules.dt)
-        steps += 1
-        step(lanes, cars, places, rules, warmed_up + steps)
-        for i in range(trace.shape[2]):
+        step(lanes, cars, places, rules, rules.warmed_up + steps + 1, before_ego)
+        for i in range(len(cars) if len(trace) > 0 else 0):
             car = cars[i]
             trace[frame, X, i], trace[frame, Y, i] = car.x, car.y
             trace[frame, SPEED, i], trace[frame, HEADING, i] = car.speed, car.heading
@@ -159,4 +176,5 @@ def policy_step(
             least = min(least, ego_ttc(cars))
         elif crash < 0:
             crash = frame
-    return next_event, crash, least, distance
+    episode.steps += 1
+    return crash, least, distance

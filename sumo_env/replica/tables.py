@@ -143,6 +143,21 @@ EVENT = np.dtype(
 )
 
 
+EPISODE = np.dtype(
+    [
+        ("cars", "i8"),  # that are there
+        ("arrivals", "i8"),  # that come later
+        ("next_arrival", "i8"),
+        ("first_arrival", "i8"),  # see `step.policy_step`
+        ("events", "i8"),
+        ("next_event", "i8"),
+        ("steps", "i8"),  # policy steps
+        ("speed_index", "i8"),  # of the ego's target speed, in a batch
+    ],
+    align=True,
+)
+
+
 @dataclass(frozen=True, slots=True)
 class Lanes:
     """The lanes of a road for the kernels.

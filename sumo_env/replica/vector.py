@@ -22,12 +22,10 @@ from sumo_env.contacts.measures import NEAR_MISS_TTC
 from sumo_env.information import NO_ACTION
 from sumo_env.replica import batch as kernels
 from sumo_env.replica import draws, tables
-from sumo_env.replica.batch import AFRESH, NOTHING, SIDES, SPEEDS, Law
+from sumo_env.replica.batch import AFRESH, NOTHING, SIDES, SPEEDS, Law, Start
 from sumo_env.replica.compiled import announced
 from sumo_env.replica.env import ReplicaEnv
 from sumo_env.replica.pay import pay_of
-from sumo_env.replica.simulator import Start
-from sumo_env.replica.step import staying
 from sumo_env.tasks.base import nearest_index
 
 RESULTS = kernels.OUTCOME.names or ()
@@ -98,7 +96,7 @@ class ReplicaVectorEnv(_Base):
         self._over = np.zeros(num_envs, np.bool_)
         self._law: Any = None  # a `Law`, from the first reset on
         assert single.eyes is not None
-        self._batch = kernels.no_episodes(num_envs, single.eyes)
+        self._batch = kernels.no_episodes(num_envs, *single.observation_space.shape)
         self._pool = ThreadPoolExecutor(threads, "sumo_env") if threads > 1 else None
 
     # -- gymnasium -----------------------------------------------------------------------------------------
@@ -215,8 +213,8 @@ class ReplicaVectorEnv(_Base):
         return self._single.begin()
 
     def _made_law(self) -> Law:
-        single, start, scenario = self._single, self._single.replica.start, self._single.scenario
-        assert single.eyes is not None and scenario is not None
+        single, start = self._single, self._single.replica.start
+        assert single.eyes is not None
         names = single.actions.values()
         return Law(
             start.lanes,
@@ -227,9 +225,6 @@ class ReplicaVectorEnv(_Base):
             np.array(single.target_speeds),
             np.array([SPEEDS.get(name, 0) for name in names]),
             np.array([SIDES.get(name, 0) for name in names]),
-            scenario.road.clears_exits,
-            scenario.simulation_frequency // scenario.policy_frequency,
-            start.warmed_up,
             single.time_limit(),
         )
 
@@ -271,9 +266,7 @@ class ReplicaVectorEnv(_Base):
     def _draw_arrival(self, row: int) -> None:
         """What `ReplicaEnv.step` draws after a step at highway-env's intersection."""
         episode = self._batch.episodes[row]
-        cars = self._batch.cars[row, : episode["cars"]]
-        there = cars[staying(self._law.lanes, cars)]
-        centres = list(zip(there["x"].tolist(), there["y"].tolist(), strict=True))
+        centres = kernels.remaining(self._batch, row, self._law.lanes)
         config = self._single.config
         road = self._single.task.road(config)
         spawn = draws.arrival(config, road, self._generators[row], centres, int(episode["steps"]))

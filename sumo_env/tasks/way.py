@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from itertools import pairwise
 
 from sumo_env.config import ConfigError
@@ -42,57 +42,47 @@ class Way:
         self._road = Road(road.name, {index: road.lane(index) for index in parts})
         self.limit = max(road.lane(files.lane(edge)).speed_limit for edge in edges)
         self.zone = self.limit + reach
-        self._remaining = self._measure(edges)
-        self._free = self._follow(edges)
-        self.starts = self._check(edges)
+        # from the end of each edge and each junction to the end of the route [m], along the shortest lanes
+        self._remaining: dict[tuple[str, str], float] = {}
+        # from the start of each lane and each joint: how far it leads without a lane change [m]; inf to the end
+        self._free: dict[LaneIndex, float] = dict.fromkeys(_lanes(road, edges[-1]), math.inf)
+        self.starts = self._follow(edges)
 
-    def _measure(self, edges: Sequence[str]) -> dict[tuple[str, str], float]:
-        """From the end of each edge and each junction to the end of the route [m], along the shortest lanes."""
-        remaining: dict[tuple[str, str], float] = {}
-        left = 0.0
-        for place in range(len(edges) - 1, -1, -1):
-            remaining[files.lane(edges[place])[:2]] = left
-            left += min(self._road.lane(index).length for index in _lanes(self._road, edges[place]))
-            if place:
-                nodes = f"{edges[place - 1]}:to", f"{edges[place]}:from"
-                remaining[nodes] = left
-                left += min(self._road.lane(index).length for index in self._joints if index[:2] == nodes)
-        self._total = left
-        return remaining
+    def _follow(self, edges: Sequence[str]) -> tuple[int, ...]:
+        """Measure the route from its end on; returns the numbers of the lanes to start in.
 
-    def _follow(self, edges: Sequence[str]) -> dict[LaneIndex, float]:
-        """From the start of each lane and each joint: how far it leads without a lane change [m]; inf to the end."""
-        free: dict[LaneIndex, float] = dict.fromkeys(_lanes(self._road, edges[-1]), math.inf)
-        for edge, following in reversed(list(pairwise(edges))):
-            nodes = f"{edge}:to", f"{following}:from"
-            for joint, (_, end) in self._joints.items():
-                if joint[:2] == nodes:
-                    free[joint] = self._road.lane(joint).length + free[end]
-            for index in _lanes(self._road, edge):
-                onward = [free[joint] for joint, (start, _) in self._joints.items() if start == index]
-                free[index] = self._road.lane(index).length + max(onward, default=0.0)
-        return free
-
-    def _check(self, edges: Sequence[str]) -> tuple[int, ...]:
-        """Numbers of the lanes to start in. On edges longer than two zones there is time for a lane change."""
-        drivable = set(_lanes(self._road, edges[-1]))
-        for edge, following in reversed(list(pairwise(edges))):
-            lanes = _lanes(self._road, edge)
-            onward = {start for start, end in self._joints.values() if end in drivable}
-            if onward.isdisjoint(lanes):
-                raise ConfigError(
-                    f"ego_route: edge {edge!r} leads to edge {following!r} only in lanes from which the route does "
-                    "not go on, and the edge is too short for a lane change"
-                )
-            if self._road.lane(lanes[0]).length < 2 * self.zone:
-                lanes = [index for index in lanes if index in onward]
-            drivable = set(lanes)
-        if self._total < 2 * self.zone:
+        On edges longer than two zones there is time for a lane change.
+        """
+        left, drivable = 0.0, set(_lanes(self._road, edges[-1]))
+        for edge, following in reversed(list(pairwise((*edges, "")))):
+            lanes, nodes = _lanes(self._road, edge), (f"{edge}:to", f"{following}:from")
+            if following:
+                joints = {joint: ends for joint, ends in self._joints.items() if joint[:2] == nodes}
+                onward = {start for start, end in joints.values() if end in drivable}
+                if not onward:
+                    raise ConfigError(
+                        f"ego_route: edge {edge!r} leads to edge {following!r} only in lanes from which the route does "
+                        "not go on, and the edge is too short for a lane change"
+                    )
+                self._remaining[nodes] = left
+                left += self._shortest(joints)
+                for joint, (_, end) in joints.items():
+                    self._free[joint] = self._road.lane(joint).length + self._free[end]
+                for index in lanes:
+                    ways = [self._free[joint] for joint, (start, _) in joints.items() if start == index]
+                    self._free[index] = self._road.lane(index).length + max(ways, default=0.0)
+                drivable = onward if self._road.lane(lanes[0]).length < 2 * self.zone else set(lanes)
+            self._remaining[lanes[0][:2]] = left
+            left += self._shortest(lanes)
+        if left < 2 * self.zone:
             raise ConfigError(
-                f"ego_route from edge {edges[0]!r} to edge {edges[-1]!r} is {self._total:.0f} m long; the ego needs "
+                f"ego_route from edge {edges[0]!r} to edge {edges[-1]!r} is {left:.0f} m long; the ego needs "
                 f"{2 * self.zone:.0f} m, two seconds at the speed limit"
             )
         return tuple(sorted(number for *_, number in drivable))
+
+    def _shortest(self, lanes: Iterable[LaneIndex]) -> float:
+        return min(self._road.lane(index).length for index in lanes)
 
     def _place(self, ego: EgoState) -> tuple[LaneIndex, float]:
         """The ego's lane on its route, and its place there [m]; other roads may lie over or under it."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 import gzip
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple, TypeVar
 from xml.etree import ElementTree
@@ -91,8 +92,7 @@ class Entry(NamedTuple):
     """A vehicle, trip or flow of a route file.
 
     Attributes:
-        times: of its departures [s], or None if they are drawn.
-        gap, probability: of a flow that is drawn: mean of exponential gaps [s], or chance per second.
+        times: of its departures [s]; of a flow that is drawn, by a generator of random numbers and the last time [s].
     """
 
     id: str
@@ -102,12 +102,7 @@ class Entry(NamedTuple):
     front: float | None
     speed: float | None
     factor: float | None
-    times: tuple[float, ...] | None
-    gap: float = 0.0
-    probability: float = 0.0
-    begin: float = 0.0
-    end: float = math.inf
-    number: float = math.inf
+    times: tuple[float, ...] | Callable[[np.random.Generator, float], Iterator[float]]
     single: bool = False
 
     @property
@@ -117,7 +112,7 @@ class Entry(NamedTuple):
 
     def departures(self, rng: np.random.Generator, begin: float, end: float) -> Iterator[Departure]:
         """Those in [begin, end]; what is left to chance is drawn from `rng`."""
-        times = self.times if self.times is not None else self._drawn(rng, end) if end > 0 else ()
+        times = self.times if isinstance(self.times, tuple) else self.times(rng, end) if end > 0 else ()
         for count, time in enumerate(times):
             if not begin <= time <= end:
                 continue
@@ -127,14 +122,18 @@ class Entry(NamedTuple):
             name = self.id if self.single else f"{self.id}.{count}"
             yield Departure(name, _pick(self.routes, rng), time, self.lane, self.front, self.speed, kind)
 
-    def _drawn(self, rng: np.random.Generator, end: float) -> Iterator[float]:
-        time, count = self.begin, 0
-        while count < self.number:
-            time += float(rng.exponential(self.gap)) if self.gap else float(rng.geometric(self.probability))
-            if time > min(end, self.end):
-                return
-            yield time
-            count += 1
+
+def _drawn(
+    law: str, mean: float, begin: float, end: float, number: float, rng: np.random.Generator, last: float
+) -> Iterator[float]:
+    """Times of a flow [s], at most `number`, up to `end` and `last`; law: method of `rng` that draws a gap."""
+    time, count = begin, 0
+    while count < number:
+        time += float(getattr(rng, law)(mean))
+        if time > min(last, end):
+            return
+        yield time
+        count += 1
 
 
 def _pick(choices: Sequence[tuple[_T, float]], rng: np.random.Generator) -> _T:
@@ -316,24 +315,26 @@ class _Reader:
         }
         if item.tag != "flow":
             return Entry(**common, times=(self._number(item, "depart", 0.0),), single=True)
-        return Entry(**common, **self._times(item))
+        return Entry(**common, times=self._times(item))
 
-    def _times(self, item: Element) -> dict[str, Any]:
+    def _times(self, item: Element) -> Any:
         """When the vehicles of a flow depart."""
         begin, end = self._number(item, "begin", 0.0), self._number(item, "end", math.inf)
         number = self._number(item, "number", math.inf)
         period = item.get("period", "")
-        limits = {"times": None, "begin": begin, "end": end, "number": number}
         if period.startswith("exp("):
             try:
-                return {**limits, "gap": 1.0 / float(period[4:-1])}
-            except (ValueError, ZeroDivisionError):
-                raise self._wrong(item, f"period={period!r} is no exp(rate)") from None
+                rate = float(period[4:-1])
+            except ValueError:
+                rate = 0.0
+            if not 0.0 < rate < math.inf:
+                raise self._wrong(item, f"period={period!r} is no exp(rate)")
+            return partial(_drawn, "exponential", 1.0 / rate, begin, end, number)
         if item.get("probability") is not None:
             chance = self._number(item, "probability", 0.0)
             if not 0.0 < chance <= 1.0:
                 raise self._wrong(item, f"probability={chance:g} must lie in (0, 1]")
-            return {**limits, "probability": chance}
+            return partial(_drawn, "geometric", chance, begin, end, number)
         rate = self._number(item, "vehsPerHour", self._number(item, "perHour", 0.0))
         gap = 3600.0 / rate if rate > 0 else self._number(item, "period", 0.0)
         if gap <= 0 and math.isfinite(number) and math.isfinite(end):
@@ -341,4 +342,4 @@ class _Reader:
         if gap <= 0:
             raise self._wrong(item, "it needs vehsPerHour, period, probability, or number and end")
         count = min(number, math.ceil((min(end, begin + LONGEST) - begin) / gap))
-        return {"times": tuple(begin + k * gap for k in range(int(count)))}
+        return tuple(begin + k * gap for k in range(int(count)))

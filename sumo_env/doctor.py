@@ -104,10 +104,5 @@ def examine(checks: Sequence[Check], out: TextIO) -> int:
     return 0
 
 
-def main() -> int:
-    """Make all checks and print to the terminal."""
-    return examine(CHECKS, sys.stdout)
-
-
 if __name__ == "__main__":
-    sys.exit(main())
+    sys.exit(examine(CHECKS, sys.stdout))

@@ -50,19 +50,13 @@ class SumoProcess:
 
     Args:
         simulator: class that is to be run, as ``module:name``.
-        timeout: longest time to wait for a worker's answer [s].
         options: of SUMO.
         here: whether it may be this process. The choice stands until `close`. Threads may ask at once.
     """
 
-    def __init__(
-        self,
-        simulator: str = SIMULATOR,
-        timeout: float = TIMEOUT,
-        options: tuple[str, ...] = (),
-        here: bool = False,
-    ) -> None:
-        self.timeout = timeout
+    timeout = TIMEOUT  # [s] to wait for an answer of the worker
+
+    def __init__(self, simulator: str = SIMULATOR, options: tuple[str, ...] = (), here: bool = False) -> None:
         self._name, self._options, self._may_be_here = simulator, options, here
         self._host: _Here | _Worker | None = None
         self._episode = ""  # for error messages
@@ -120,7 +114,7 @@ class SumoProcess:
             SimulatorError: somebody else has changed the simulation, or the system has no process for the copy.
         """
         check_copyable(self._options)
-        twin = SumoProcess(self._name, self.timeout, self._options)
+        twin = SumoProcess(self._name, self._options)
         if self._episode:
             if isinstance(self._talk(lambda host: host), _Here):
                 self._move_out()
@@ -155,7 +149,7 @@ class SumoProcess:
 
     def _move_out(self) -> None:
         """Go on in a worker, where the episode is driven again up to here."""
-        there = SumoProcess(self._name, self.timeout, self._options)
+        there = SumoProcess(self._name, self._options)
         try:
             for command, arguments in self._calls:
                 getattr(there, command)(*arguments)

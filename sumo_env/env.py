@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from sumo_env.actions import ego_route, target_lane, target_speed_index
 from sumo_env.config import COMMON, Config, ConfigError, resolve, simulated_frequency
-from sumo_env.contacts.measures import density
 from sumo_env.contacts.rectangles import state_of
 from sumo_env.information import information
 from sumo_env.interface import interface
@@ -335,19 +334,16 @@ class DrivingEnv(ReadAsHighwayEnv):
 
     def _info(self, obs: Observation, action: int | None = None) -> dict[str, Any]:
         """What `step` and `reset` return beside the observation."""
-        state, scene, step = self.ego_state, self.scene, self._last
+        state, step = self.ego_state, self._last
         return information(
-            speed=state.speed,
-            crashed=state.crashed,
+            self.scene,
+            step.crash,
+            step.min_ttc,
+            step.distance,
             arrived=self.task.arrived(state),
             on_road=state.on_road,
             rewards=self._rewards(action),
-            crash=step.crash,
-            density=density(scene.x, scene.y),
-            min_ttc=step.min_ttc,
-            distance=step.distance,
             action=action,
-            light=scene.light,
         )
 
 

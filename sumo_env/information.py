@@ -10,8 +10,8 @@ from dataclasses import fields
 from typing import Any
 
 from sumo_env.contacts.crash import CrashRecord
-from sumo_env.contacts.measures import NEAR_MISS_TTC
-from sumo_env.scene import NO_LIGHT, Light
+from sumo_env.contacts.measures import NEAR_MISS_TTC, density
+from sumo_env.scene import Scene
 
 NO_ACTION = -1  # at a reset
 NO_CRASH: dict[str, Any] = {
@@ -20,37 +20,35 @@ NO_CRASH: dict[str, Any] = {
 
 
 def information(
+    scene: Scene,
+    crash: CrashRecord | None,
+    min_ttc: float,
+    distance: float,
     *,
-    speed: float,
-    crashed: bool,
     arrived: bool,
     on_road: bool,
     rewards: Mapping[str, float],
-    crash: CrashRecord | None,
-    density: int,
-    min_ttc: float,
-    distance: float,
     action: int | None,
-    light: Light = NO_LIGHT,
 ) -> dict[str, Any]:
     """The ``info`` of a step, or of a reset with `action` None; see `DrivingEnv.step`.
 
     `min_ttc` is the least time to collision before a contact [s].
     """
+    crashed = bool(scene.crashed[0])
     return {
-        "speed": float(speed),
-        "crashed": bool(crashed),
+        "speed": float(scene.speed[0]),
+        "crashed": crashed,
         "arrived": bool(arrived),
         "on_road": bool(on_road),
         "action": NO_ACTION if action is None else int(action),
         "rewards": {name: float(value) for name, value in rewards.items()},
         "cost": float(crashed),
         "crash": dict(NO_CRASH) if crash is None else crash.as_dict(),
-        "density": int(density),
+        "density": density(scene.x, scene.y),
         "min_ttc": 0.0 if crashed else float(min_ttc),
         "min_ttc_before_contact": float(min_ttc),
-        "near_miss": bool(min_ttc < NEAR_MISS_TTC and not crashed),
+        "near_miss": bool(min_ttc < NEAR_MISS_TTC) and not crashed,
         "distance": float(distance),
-        "traffic_light": int(light.state),
-        "traffic_light_distance": float(light.distance),
+        "traffic_light": int(scene.light.state),
+        "traffic_light_distance": float(scene.light.distance),
     }

@@ -143,17 +143,14 @@ class ScenarioEnv(AbstractEnv):
 
     def _info(self, obs: np.ndarray, action: Any = None) -> dict[str, Any]:
         action = int(action) if self.steps else None  # at a reset highway-env passes a random one
-        ego, scene = self.vehicle, self.scene
         return information(
-            speed=ego.speed,
-            crashed=ego.crashed,
+            self.scene,
+            self.crash,
+            self.min_ttc,
+            self.distance,
             arrived=self._arrived(),
-            on_road=ego.on_road,
+            on_road=self.vehicle.on_road,
             rewards=self._rewards(action),
-            crash=self.crash,
-            density=measures.density(scene.x, scene.y),
-            min_ttc=self.min_ttc,
-            distance=self.distance,
             action=action,
         )
 

@@ -45,65 +45,40 @@ _nearest_index = borrowing(base.nearest_index)
 
 
 class Start(NamedTuple):
-    """An episode before its first step.
+    """An episode before its first step."""
 
-    Attributes:
-        lanes, seen_lanes: records of LANE, for the traffic and for the ego's eyes.
-        rules: of the task.
-        cars: records of CAR, the ego first.
-        arrivals, arrival_steps, first_arrival: see `step.policy_step`.
-        events: records of EVENT.
-    """
-
-    lanes: tables.Records
-    seen_lanes: tables.Records
     rules: Rules
-    cars: tables.Records
-    arrivals: tables.Records
+    cars: tables.Records  # the ego first
+    arrivals: tables.Records  # for these three see `step.policy_step`
     arrival_steps: np.ndarray
     first_arrival: int
     events: tables.Records
 
 
 class Law(NamedTuple):
-    """What all episodes of a batch have in common.
-
-    Attributes:
-        lanes, seen_lanes: records of LANE, for the traffic and for the ego's eyes.
-        rules, eyes, pay: of the task.
-        speeds: that the ego can be commanded [m/s].
-        speed_changes, sides: what each action changes, +1, 0 or -1.
-        time_limit: policy steps of the longest episode.
-    """
+    """What all episodes of a batch have in common."""
 
     lanes: tables.Records
-    seen_lanes: tables.Records
+    seen_lanes: tables.Records  # for the ego's eyes
     rules: Rules
     eyes: Eyes
     pay: Pay
-    speeds: np.ndarray
-    speed_changes: np.ndarray
-    sides: np.ndarray
-    time_limit: int
+    speeds: np.ndarray  # that the ego can be commanded [m/s]
+    speed_changes: np.ndarray  # by action: +1, 0 or -1
+    sides: np.ndarray  # likewise
+    time_limit: int  # policy steps of the longest episode
 
 
 class Batch(NamedTuple):
-    """The state of n episodes, and what their last step gave.
+    """The state of n episodes, and what their last step gave."""
 
-    Attributes:
-        episodes, outcomes: records, shape (n,).
-        cars, arrivals, events: records, shape (n, room).
-        arrival_steps: policy steps after which the arrivals come, shape (n, room).
-        observations: float32 of shape (n, rows, features).
-    """
-
-    episodes: tables.Records
+    episodes: tables.Records  # shape (n,)
     outcomes: tables.Records
-    cars: tables.Records
+    cars: tables.Records  # shape (n, room)
     arrivals: tables.Records
-    arrival_steps: np.ndarray
+    arrival_steps: np.ndarray  # policy steps after which the arrivals come
     events: tables.Records
-    observations: np.ndarray
+    observations: np.ndarray  # float32 of shape (n, rows, features)
 
 
 def no_episodes(count: int, rows: int = 0, features: int = 0) -> Batch:
@@ -202,12 +177,8 @@ def judge(law: Any, cars: Any, episode: Any, outcome: Any, action: int) -> None:
     ego = cars[0]
     _, s, _, on_road = ego_place(law.seen_lanes, cars)
     arrived = has_arrived(law.seen_lanes, ego, s)
-    outcome.speed, outcome.crashed, outcome.on_road, outcome.arrived = (
-        ego.speed,
-        ego.crashed,
-        on_road,
-        arrived,
-    )
+    outcome.speed, outcome.crashed = ego.speed, ego.crashed
+    outcome.on_road, outcome.arrived = on_road, arrived
     outcome.density = density(cars)
     outcome.reward, outcome.terminated, outcome.truncated = 0.0, False, False
     if action != AFRESH:

@@ -20,24 +20,15 @@ NEAR = 3.0  # [m] half a lane's width and the margin of 1 m, within which a car 
 
 
 class Places(NamedTuple):
-    """Where all cars are on all lanes, for as long as they do not move.
+    """Where all cars are on all lanes, for as long as they do not move; most have shape (lanes, cars)."""
 
-    Attributes:
-        s, lat: coordinates of the cars [m], shapes (lanes, cars).
-        order: the cars that a driver on a lane sees, from the rear to the front, shape (lanes, cars).
-        seen: where each of these is along the lane [m], shape (lanes, cars).
-        count: how many these are, shape (lanes,); NONE if nobody has looked yet, see `neighbours.look`.
-        free: acceleration of each driver on a free road [m/s2], shape (cars,), see `driving.free_roads`.
-        room: for numbers of each car that a kernel needs meanwhile, shape (4, cars).
-    """
-
-    s: Any
+    s: Any  # coordinates of the cars [m]
     lat: Any
-    order: Any
-    seen: Any
-    count: Any
-    free: Any
-    room: Any
+    order: Any  # the cars that a driver on a lane sees, from the rear to the front
+    seen: Any  # where each of these is along the lane [m]
+    count: Any  # how many these are, shape (lanes,); NONE if nobody has looked yet, see `neighbours.look`
+    free: Any  # acceleration of each driver on a free road [m/s2], shape (cars,), see `driving.free_roads`
+    room: Any  # for numbers of each car that a kernel needs meanwhile, shape (4, cars)
 
 
 @borrowing

@@ -20,22 +20,16 @@ _speed_term = borrowing(base.speed_term)
 
 
 class Pay(NamedTuple):
-    """What a configuration pays; the weights are those of the terms of `Task.rewards`, 0 where a task has none.
+    """What a configuration pays: the weights of the terms of `Task.rewards`, 0 where a task has none."""
 
-    Attributes:
-        task: place in TASKS.
-        limits: rewards that become 0 and 1, see `Task.reward_limits`; (0, 1) where rewards are not normalised.
-        speed_range: ``reward_speed_range`` [m/s].
-    """
-
-    task: int
+    task: int  # place in TASKS
     collision: float
     lane: float
     speed: float
     lane_change: float
     arrived: float
-    limits: tuple[float, float]
-    speed_range: tuple[float, float]
+    limits: tuple[float, float]  # rewards that become 0 and 1; (0, 1) where rewards are not normalised
+    speed_range: tuple[float, float]  # ``reward_speed_range`` [m/s]
     offroad_terminal: bool
 
 

@@ -21,23 +21,15 @@ HALF_WIDTH = 2.0  # [m] of a lane
 
 
 class Eyes(NamedTuple):
-    """A Kinematics observation for the kernel; arrays have shape (features,).
+    """A Kinematics observation for the kernel; arrays have shape (features,)."""
 
-    Attributes:
-        features: places in FEATURES.
-        relative: whether a feature of the others is relative to the ego.
-        scale, shift, low, high: of the affine map and the clipping.
-        rows: of the table.
-        see_behind, is_sorted: as in the configuration.
-    """
-
-    features: Any
-    relative: Any
-    scale: Any
+    features: Any  # places in FEATURES
+    relative: Any  # whether a feature of the others is relative to the ego
+    scale: Any  # of the affine map, as `shift`
     shift: Any
-    low: Any
+    low: Any  # of the clipping, as `high`
     high: Any
-    rows: int
+    rows: int  # of the table
     see_behind: bool
     is_sorted: bool
 

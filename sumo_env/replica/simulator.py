@@ -80,8 +80,6 @@ class Replica:
             cars = self._with_ego(cars, everybody[present : present + at_once], warmed_up)
         present += at_once
         self.start = Start(
-            self._lanes.table,
-            self._seen_lanes,
             rules,
             cars,
             everybody[present:],
@@ -101,7 +99,7 @@ class Replica:
         self._steer_ego_for(ego, command.target_lane)
         frames = np.empty((rules.substeps, len(FRAME), batch.cars.shape[1]))
         crash, min_ttc, distance = kernels.policy_step(
-            self._lanes.table, rules, batch.episodes[0], batch.cars[0], batch.arrivals[0], batch.arrival_steps[0],
+            self.lanes.table, rules, batch.episodes[0], batch.cars[0], batch.arrivals[0], batch.arrival_steps[0],
             batch.events[0], frames,
         )  # fmt: skip
         self._look()
@@ -111,7 +109,7 @@ class Replica:
             self._crash = _record(self._scene(frames[crash], start + crash + 1))
         return Step(
             scene=self._scene(frames[-1], end),
-            target_lane=self._lanes.names[ego["target"]],
+            target_lane=self.lanes.names[ego["target"]],
             crash=self._crash,
             min_ttc=min_ttc,
             distance=distance,
@@ -120,13 +118,13 @@ class Replica:
 
     def ego_place(self) -> tuple[LaneIndex, float, float, bool]:
         """The ego's lane, its coordinates on it (s and lat) [m], and whether it is on the road."""
-        lane, s, lateral, is_on_road = sight.ego_place(self._seen_lanes, self._cars)
-        return self._lanes.names[lane], s, lateral, is_on_road
+        lane, s, lateral, is_on_road = sight.ego_place(self.seen_lanes, self._cars)
+        return self.lanes.names[lane], s, lateral, is_on_road
 
     def table(self, eyes: sight.Eyes) -> np.ndarray:
         """The Kinematics observation."""
         table = np.empty((eyes.rows, len(eyes.features)), np.float32)
-        sight.look(self._seen_lanes, self._cars, eyes, table)
+        sight.look(self.seen_lanes, self._cars, eyes, table)
         return table
 
     def warm_up(self, road: Road, vehicles: tuple[VehicleSpec, ...], time: float, frequency: int) -> Centres:
@@ -142,7 +140,7 @@ class Replica:
 
     def staying(self) -> Centres:
         """Centres of the vehicles that will be there in the next step."""
-        return remaining(self._batch, 0, self._lanes.table)
+        return remaining(self._batch, 0, self.lanes.table)
 
     def expect(self, spawn: Spawn) -> Scenario:
         """Let a vehicle in at the start of the next step; returns the scenario with it."""
@@ -185,8 +183,8 @@ class Replica:
         connected = (
             self.connected if self.variant == "stock" else road.name in JOINED and self.variant != "v0"
         )
-        self._lanes = tables.lanes_of(road, connected)
-        self._seen_lanes = self._lanes.table if self.variant == "stock" else self._lanes.exact
+        self.lanes = tables.lanes_of(road, connected)
+        self.seen_lanes = self.lanes.table if self.variant == "stock" else self.lanes.exact
         self._rules = Rules(
             along_path=connected and self.variant == "path",
             is_two_way=road.name == "two-way",
@@ -226,7 +224,7 @@ class Replica:
         return tables.joined(placed[:1], tables.chosen(cars, far))
 
     def _driven(self, cars: tables.Records, substeps: int) -> tables.Records:
-        kernels.warm_up(self._lanes.table, cars, self._rules, substeps)
+        kernels.warm_up(self.lanes.table, cars, self._rules, substeps)
         return cars
 
     def _look(self) -> None:
@@ -238,10 +236,10 @@ class Replica:
 
     def _steer_ego_for(self, ego: Any, lane: LaneIndex) -> None:
         """Set the ego's target lane; on the next road of its route, that road begins the rest of the route."""
-        number = self._lanes.numbers[lane]
+        number = self.lanes.numbers[lane]
         if number == ego["target"]:
             return
-        road = self._lanes.table["road"][number]
+        road = self.lanes.table["road"][number]
         legs = np.flatnonzero(ego["route"] == road)
         legs = legs[legs > ego["leg"]]
         if len(legs) and ego["route"][ego["leg"]] != road:

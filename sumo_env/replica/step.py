@@ -22,25 +22,15 @@ X, Y, SPEED, HEADING, CRASHED, IN_EVENT = range(6)
 
 
 class Rules(NamedTuple):
-    """What differs between the tasks and the variants.
+    """What differs between the tasks and the variants."""
 
-    Attributes:
-        along_path: distances beyond the end of a lane are measured along the path (the variant ``path``).
-        is_two_way: cut-ins are swerves into the oncoming lane.
-        regulation_interval: sub-steps between two applications of the right of way, 0 but at the intersection.
-        dt: length of a sub-step [s].
-        ego_contacts: contacts of the others with each other are not looked at (highway-fast).
-        substeps: of a policy step.
-        warmed_up: sub-steps of the warm-up before the episode.
-    """
-
-    along_path: bool
-    is_two_way: bool
-    regulation_interval: int
-    dt: float
-    ego_contacts: bool = False
-    substeps: int = 0
-    warmed_up: int = 0
+    along_path: bool  # distances beyond the end of a lane are measured along the path (the variant ``path``)
+    is_two_way: bool  # cut-ins are swerves into the oncoming lane
+    regulation_interval: int  # sub-steps between two applications of right of way, 0 but at the intersection
+    dt: float  # length of a sub-step [s]
+    ego_contacts: bool = False  # contacts of the others with each other are not looked at (highway-fast)
+    substeps: int = 0  # of a policy step
+    warmed_up: int = 0  # sub-steps of the warm-up before the episode
 
 
 @borrowing

@@ -160,17 +160,11 @@ EPISODE = np.dtype(
 
 @dataclass(frozen=True, slots=True)
 class Lanes:
-    """The lanes of a road for the kernels.
-
-    Attributes:
-        table: records of LANE.
-        exact: the same with the intersection's arms turned exactly, as `sumo_env` sees them (see `as_rotated`).
-        names: highway-env's index of each lane; `numbers` is the reverse.
-    """
+    """The lanes of a road for the kernels."""
 
     table: Records
-    exact: Records
-    names: tuple[LaneIndex, ...]
+    exact: Records  # with the intersection's arms turned exactly, as `sumo_env` sees them (see `as_rotated`)
+    names: tuple[LaneIndex, ...]  # highway-env's index of each lane
     numbers: dict[LaneIndex, int]
 
 

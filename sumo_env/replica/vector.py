@@ -213,13 +213,12 @@ class ReplicaVectorEnv(_Base):
         return self._single.begin()
 
     def _made_law(self) -> Law:
-        single, start = self._single, self._single.replica.start
+        single, replica, names = self._single, self._single.replica, self._single.actions.values()
         assert single.eyes is not None
-        names = single.actions.values()
         return Law(
-            start.lanes,
-            start.seen_lanes,
-            start.rules,
+            replica.lanes.table,
+            replica.seen_lanes,
+            replica.start.rules,
             single.eyes,
             pay_of(single.task, single.config),
             np.array(single.target_speeds),
@@ -235,10 +234,9 @@ class ReplicaVectorEnv(_Base):
     def _restart(self, driven: NDArray[np.int64]) -> dict[str, Any]:
         """Begin the next episode where one is over; returns what is said of the last one."""
         final = np.full(self.num_envs, None, object)
-        for row in np.flatnonzero(self._over).tolist():
-            final[row] = self._batch.observations[row].copy()
         infos = {"final_obs": final, "final_info": self._infos(driven, self._over)}
         for row in np.flatnonzero(self._over).tolist():
+            final[row] = self._batch.observations[row].copy()
             self._begin(row, self._next(row))
         self._drive(np.where(self._over, AFRESH, NOTHING))
         return {**infos, **{f"_{name}": self._over.copy() for name in infos}}
@@ -277,22 +275,14 @@ class ReplicaVectorEnv(_Base):
 
     def _infos(self, actions: NDArray[np.int64], mask: NDArray[np.bool_]) -> dict[str, Any]:
         """``infos`` of the environments in `mask`, as `SyncVectorEnv` has them."""
-        outcomes = self._batch.outcomes
-        speed, crashed, arrived, on_road, density, min_ttc, distance = (
-            outcomes[name] for name in RESULTS[3:]
-        )
-        infos = {
-            "speed": speed,
-            "crashed": crashed,
-            "arrived": arrived,
-            "on_road": on_road,
+        infos = {name: self._batch.outcomes[name] for name in RESULTS[3:]}
+        crashed, min_ttc = infos["crashed"], infos["min_ttc"]
+        infos |= {
             "action": actions,
             "cost": crashed.astype(float),
-            "density": density,
             "min_ttc": np.where(crashed, 0.0, min_ttc),
             "min_ttc_before_contact": min_ttc,
             "near_miss": (min_ttc < NEAR_MISS_TTC) & ~crashed,
-            "distance": distance,
         }
         if not mask.all():
             infos = {name: np.where(mask, values, np.zeros_like(values)) for name, values in infos.items()}

@@ -57,6 +57,8 @@ class Replica:
         self.variant, self.is_linear, self.ego_contacts = variant, is_linear, ego_contacts
         self.connected = False  # whether drivers of the variant "stock" look onto the next lanes
         self._scenario: Scenario | None = None
+        self._crash: CrashRecord | None = None
+        self._ids: list[str] = []
         self._warm: tuple[tuple[VehicleSpec, ...], tables.Records] | None = None
 
     def reset(self, scenario: Scenario) -> Scene:

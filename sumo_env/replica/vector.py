@@ -96,7 +96,7 @@ class ReplicaVectorEnv(_Base):
         self._over = np.zeros(num_envs, np.bool_)
         self._law: Any = None  # a `Law`, from the first reset on
         assert single.eyes is not None
-        self._batch = kernels.no_episodes(num_envs, *single.observation_space.shape)
+        self._batch = kernels.no_episodes(num_envs, single.eyes.rows, len(single.eyes.features))
         self._pool = ThreadPoolExecutor(threads, "sumo_env") if threads > 1 else None
 
     # -- gymnasium -----------------------------------------------------------------------------------------

@@ -16,7 +16,6 @@ if __package__ in (None, ""):  # run as a file: import from the project, not fro
     sys.path[0] = str(Path(__file__).resolve().parents[1])
 
 import os
-import shlex
 from collections.abc import Callable, Iterable
 from contextlib import closing
 from dataclasses import dataclass, replace
@@ -37,6 +36,7 @@ from experiments.study.experiment import Experiment
 from experiments.study.fingerprint import check_dynamics
 from experiments.study.grid import Cell, choose_tasks, env_config
 from experiments.study.presets import complete
+from experiments.study.run import LOG
 from experiments.study.store import EPISODES, Store
 from experiments.support.errors import run_command, writing
 
@@ -87,8 +87,6 @@ class Options:
     """Test scenarios in each traffic; by default the preset's."""
     workers: int | None = None
     """Processes; by default one for each core."""
-    cell: str | None = None
-    """Compute this cell alone and in this process, to see why it fails."""
 
 
 def ours(options: Options, task: str, policies: Iterable[Path] = ()) -> Experiment:
@@ -168,7 +166,7 @@ def table(directory: Path, tested: Iterable[Cell]) -> pd.DataFrame:
     return (groups.mean().map("{:.2f}".format) + errors).unstack("traffic")
 
 
-def compare(options: Options, arguments: list[str]) -> int:
+def compare(options: Options) -> int:
     """Do what the options ask for; returns the exit status.
 
     Raises:
@@ -180,13 +178,10 @@ def compare(options: Options, arguments: list[str]) -> int:
     missing = {file.name: train for file, train in every.items() if not file.exists()}
     call_all(missing, options.workers or cores(), "Stable-Baselines3", Console())
     work = {c.name: CellTask(c, options.out, make_env) for task in tasks for c in cells(options, task)}
-    if options.cell:
-        return sweep.compute_one(options.cell, work)
-    again = shlex.join(["python", "experiments/learners.py", *arguments])
     how = sweep.Options(backend=options.backend, workers=options.workers)
     failures = sweep.compute(how, Store(options.out), work)
     for name, reason in failures.items():
-        print(f"{name} failed: {reason}\n  to see it fail: {again} --cell {name}", file=sys.stderr)
+        print(f"{name} failed: {reason}; log: {work[name].folder / LOG}", file=sys.stderr)
     found = table(options.out, [task.cell for name, task in work.items() if name not in failures])
     for task, rows in found.groupby("task", sort=False):
         print(f"\n{task}\n{rows.droplevel('task').to_string()}")
@@ -197,7 +192,7 @@ def main() -> int:
     """The command line."""
     options = tyro.cli(Options, description=__doc__)
     with writing(options.out):
-        return compare(options, sys.argv[1:])
+        return compare(options)
 
 
 if __name__ == "__main__":

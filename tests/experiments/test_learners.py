@@ -14,7 +14,7 @@ LEARNERS = (*OURS, *STABLE_BASELINES, *RL_AGENTS)
 @pytest.mark.slow
 def test_every_learner_is_trained_once_and_tested(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     options = Options(tmp_path, preset="smoke", tasks=("u-turn",), seeds=1, episodes=2, workers=2)
-    assert compare(options, []) == 0
+    assert compare(options) == 0
     table = capsys.readouterr().out.partition("\nu-turn\n")[2]
     drivers = {line.split()[0]: line for line in table.splitlines()[3:]}
     assert {*LEARNERS, "careful"} <= set(drivers)
@@ -23,6 +23,6 @@ def test_every_learner_is_trained_once_and_tested(tmp_path: Path, capsys: pytest
     assert steps == {environment_steps(options, "u-turn")} and len(agents) == len(OURS) + len(RL_AGENTS)
     assert all("±" not in drivers[name] for name in LEARNERS)  # one training has no standard error
     written = {file: file.stat().st_mtime_ns for file in tmp_path.glob("*/*")}
-    assert compare(options, []) == 0
+    assert compare(options) == 0
     assert written == {file: file.stat().st_mtime_ns for file in tmp_path.glob("*/*")}
     assert capsys.readouterr().out.partition("\nu-turn\n")[2] == table

@@ -57,39 +57,6 @@ def test_a_seed_is_the_same_scenario_in_both_simulators(task: str, risk: float) 
     theirs.close()
 
 
-@pytest.mark.parametrize("level", ["lowest", "highest"])
-@pytest.mark.parametrize("task", [task for task in TASKS if not TASKS[task].warm_up])
-def test_vehicles_are_where_the_scenario_says(task: str, level: str) -> None:
-    levels = list(TASKS[task].levels.values())
-    config = levels[0] if level == "lowest" else levels[-1]
-    env = make(task, risk=1.0, **config)
-    env.reset(seed=5)
-    for spec, vehicle in zip(env.scenario.specs, env.road.vehicles, strict=True):
-        assert vehicle.id == spec.id
-        assert vehicle.position.tolist() == [spec.x, spec.y]
-        assert (vehicle.heading, vehicle.speed) == (spec.heading, spec.speed)
-        assert vehicle.lane_index == spec.lane
-        if spec.id == "ego":
-            assert vehicle.target_speed in env.target_speeds
-            continue
-        assert vehicle.target_speed == spec.target_speed
-        assert vehicle.timer == spec.timer
-        assert vehicle.enable_lane_change == spec.changes_lanes
-        assert spec.driver.accel == vehicle.COMFORT_ACC_MAX
-        assert -spec.driver.decel == vehicle.COMFORT_ACC_MIN
-        assert spec.driver.min_gap + 5.0 == vehicle.DISTANCE_WANTED
-        assert (spec.driver.tau, spec.driver.delta) == (vehicle.TIME_WANTED, vehicle.DELTA)
-        assert spec.driver.safe_braking == vehicle.LANE_CHANGE_MAX_BRAKING_IMPOSED
-        assert spec.driver.min_gain == vehicle.LANE_CHANGE_MIN_ACC_GAIN
-        if spec.destination is not None:
-            assert vehicle.route[0] == spec.lane
-            assert vehicle.route[-1][1] == spec.destination
-    scene = env.scene
-    assert scene.ids == tuple(spec.id for spec in env.scenario.specs)
-    assert scene.x.tolist() == [spec.x for spec in env.scenario.specs]
-    assert scene.time == 0.0
-
-
 def test_no_task_changes_the_class_of_the_drivers() -> None:
     before = {name: getattr(IDMVehicle, name) for name in BASE_ATTRIBUTES}
     for task in TASKS:

@@ -63,15 +63,5 @@ class Scene:
     def __deepcopy__(self, memo: dict[int, object]) -> Scene:
         return self  # immutable
 
-    @property
-    def vx(self) -> Floats:
-        """Velocity to the east [m/s], shape (n,)."""
-        return self.speed * np.cos(self.heading)
-
-    @property
-    def vy(self) -> Floats:
-        """Velocity to the south [m/s], shape (n,)."""
-        return self.speed * np.sin(self.heading)
-
     def __len__(self) -> int:
         return len(self.ids)

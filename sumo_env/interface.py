@@ -19,18 +19,11 @@ from sumo_env.tasks.base import Task
 
 @dataclass(frozen=True)
 class Interface:
-    """Observation and action space of a task, and what they are made of.
+    """Observation and action space of a task, and what they are made of."""
 
-    Attributes:
-        actions: meta-actions by index.
-        target_speeds: the speeds that the ego can be commanded, rising [m/s].
-        observation_type: makes the observations.
-        observation_space, action_space: gymnasium's.
-    """
-
-    actions: dict[int, str]
-    target_speeds: tuple[float, ...]
-    observation_type: Kinematics | TimeToCollision
+    actions: dict[int, str]  # meta-actions by index
+    target_speeds: tuple[float, ...]  # that the ego can be commanded, rising [m/s]
+    observation_type: Kinematics | TimeToCollision  # makes the observations
     observation_space: spaces.Space[Any]
     action_space: spaces.Space[Any]
 

@@ -51,21 +51,13 @@ LANE_CHANGE_DURATION = 0.8
 
 @dataclass(frozen=True)
 class Settings:
-    """What a network is loaded with; a change means a reload (about 20 ms).
-
-    Attributes:
-        net_file: SUMO's network.
-        routes: (id, edges).
-        step_length: [s].
-        vehicle_types: (id, attributes of SUMO's vType).
-        options: further options of SUMO, as ``--name=value``.
-    """
+    """What a network is loaded with; a change means a reload (about 20 ms)."""
 
     net_file: Path
-    routes: tuple[tuple[str, tuple[str, ...]], ...]
-    step_length: float
-    vehicle_types: tuple[tuple[str, Mapping[str, str]], ...]
-    options: tuple[str, ...] = ()
+    routes: tuple[tuple[str, tuple[str, ...]], ...]  # (id, edges)
+    step_length: float  # [s]
+    vehicle_types: tuple[tuple[str, Mapping[str, str]], ...]  # (id, attributes of SUMO's vType)
+    options: tuple[str, ...] = ()  # further ones of SUMO, as ``--name=value``
 
 
 class Session:

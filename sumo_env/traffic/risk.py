@@ -10,17 +10,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import cos, sin
-from typing import Literal
+from typing import Any, Literal
 
 from sumo_env.contacts.rectangles import LENGTH, State, distance
 from sumo_env.streams import stream
 
 FREE_WAY = 40.0  # [m]
-CUT_IN_GAP = (
-    1.0  # [m] that a cut-in leaves to every other vehicle; where there is less room, it does not happen
-)
+CUT_IN_GAP = 1.0  # [m] that a cut-in leaves to every other vehicle, else it does not happen
 LOOKED_AT = 4.0 * LENGTH  # [m] further away, along x and y together, nobody matters to a cut-in
 SWERVE_TIME = 3.0  # [s] that a cut-in into the lane of oncoming traffic lasts
+Kind = Literal["cut-in", "brake", "surge"]
 HALF_CORRIDOR = 2.0  # [m] to either side of the centre: half a lane
 
 
@@ -55,7 +54,7 @@ class RiskEvent:
 
     time: float
     vehicle: str
-    kind: Literal["cut-in", "brake", "surge"]
+    kind: Kind
     direction: int = 0
     accel: float = 0.0
     duration: float = 0.0
@@ -73,30 +72,25 @@ def draw_events(
     if dose <= 0.0:
         return ()
     rng = stream(seed, "risk events")
+    kinds: tuple[tuple[Kind, float], ...] = (
+        ("cut-in", rates.cut_in),
+        ("brake", rates.brake),
+        ("surge", rates.surge),
+    )
+    pushes: dict[str, dict[str, Any]] = {
+        "brake": {"accel": -rates.brake_decel, "duration": rates.brake_duration},
+        "surge": {"accel": rates.surge_accel, "duration": rates.surge_duration, "way": rates.surge_way},
+    }
     events: list[RiskEvent] = []
     for vehicle, start in vehicles:
-        for kind, rate in (("cut-in", rates.cut_in), ("brake", rates.brake), ("surge", rates.surge)):
+        for kind, rate in kinds:
             for _ in range(rng.poisson(rate * duration)):
                 time, keep, side = rng.random(3)
                 time *= duration
                 if keep >= dose or time < start:
                     continue
-                if kind == "cut-in":
-                    event = RiskEvent(time, vehicle, "cut-in", direction=-1 if side < 0.5 else 1)
-                elif kind == "brake":
-                    event = RiskEvent(
-                        time, vehicle, "brake", accel=-rates.brake_decel, duration=rates.brake_duration
-                    )
-                else:
-                    event = RiskEvent(
-                        time,
-                        vehicle,
-                        "surge",
-                        accel=rates.surge_accel,
-                        duration=rates.surge_duration,
-                        way=rates.surge_way,
-                    )
-                events.append(event)
+                more = pushes.get(kind) or {"direction": -1 if side < 0.5 else 1}
+                events.append(RiskEvent(time, vehicle, kind, **more))
     return tuple(sorted(events, key=lambda event: (event.time, event.vehicle, event.kind)))
 
 

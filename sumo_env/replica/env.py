@@ -14,7 +14,7 @@ from sumo_env.replica.batch import Start
 from sumo_env.replica.linear import LAWS, check_law
 from sumo_env.replica.linear import draw as draw_linear
 from sumo_env.replica.sight import eyes_of
-from sumo_env.replica.simulator import VARIANTS, Replica
+from sumo_env.replica.simulator import Replica
 from sumo_env.tasks import highway
 from sumo_env.tasks.base import Task
 from sumo_env.traffic.scenario import Scenario
@@ -65,9 +65,7 @@ class ReplicaEnv(DrivingEnv):
     ) -> None:
         self.is_stock = one_of("scenarios", scenarios, SCENARIOS) == SCENARIOS[0]
         self._is_linear, self._is_fast = check_law(risk_law) == "linear", task == "highway-fast"
-        self.replica = Replica(
-            one_of("variant", variant, VARIANTS), self._is_linear, ego_contacts=self._is_fast
-        )
+        self.replica = Replica(variant, self._is_linear, ego_contacts=self._is_fast)
         super().__init__("highway" if self._is_fast else task, config, render_mode, self.replica)
 
     # -- configuration -------------------------------------------------------------------------------------

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from sumo_env.config import one_of
 from sumo_env.contacts.crash import CrashRecord, crash_record
 from sumo_env.contacts.rectangles import separation, state_of
 from sumo_env.networks.roads import LaneIndex, Road, highway
@@ -51,10 +52,9 @@ class Replica:
     """
 
     def __init__(self, variant: str = "path", is_linear: bool = False, ego_contacts: bool = False) -> None:
-        if variant not in VARIANTS:
-            raise ValueError(f"the variant must be one of {VARIANTS}, not {variant!r}")
+        self.variant = one_of("variant", variant, VARIANTS)
+        self.is_linear, self.ego_contacts = is_linear, ego_contacts
         _load()
-        self.variant, self.is_linear, self.ego_contacts = variant, is_linear, ego_contacts
         self.connected = False  # whether drivers of the variant "stock" look onto the next lanes
         self._scenario: Scenario | None = None
         self._crash: CrashRecord | None = None

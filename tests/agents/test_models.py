@@ -113,20 +113,16 @@ def test_a_network_of_a_users_own_file(tmp_path: Path) -> None:
     file = tmp_path / "mine.py"
     file.write_text(
         "from torch import nn\n"
-        "class Mine(nn.Module):\n"
-        "    def __init__(self, space, actions):\n"
-        "        super().__init__()\n"
-        "        self.layer = nn.Linear(space.shape[0] * space.shape[1], actions)\n"
-        "    def forward(self, x):\n"
-        "        return self.layer(x.flatten(1))\n"
+        "def Mine(space, actions):\n"
+        "    return nn.Sequential(nn.Flatten(), nn.Linear(space.shape[0] * space.shape[1], actions))\n"
     )
     assert network_class(f"{file}:Mine")(SPACE, 3)(table(1)).shape == (4, 3)
-    with pytest.raises(ValueError, match="defines no Other"):
-        network_class(f"{file}:Other")
-    with pytest.raises(ValueError, match="no file"):
-        network_class(f"{tmp_path}/none.py:Mine")
-    with pytest.raises(ValueError, match="choose attention, dueling or FILE:CLASS"):
-        network_class("transformer")
-    file.write_text("1 / 0\n")
-    with pytest.raises(ValueError, match="cannot be run: ZeroDivisionError"):
-        network_class(f"{file}:Mine")
+    file.with_name("wrong.py").write_text("1 / 0\n")
+    for name, message in (
+        (f"{file}:Other", "defines no Other"),
+        (f"{tmp_path}/none.py:Mine", "no file"),
+        ("transformer", "choose attention, dueling or FILE:CLASS"),
+        (f"{tmp_path}/wrong.py:Mine", "cannot be run: ZeroDivisionError"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            network_class(name)

@@ -15,7 +15,6 @@ import pytest
 from agents import training
 from agents.checkpoint import CheckpointError, save_arrays
 from agents.dqn import DQNConfig
-from agents.models import EgoAttention
 from agents.training import TrainedAgent
 from tests.agents.road import Road, Small
 
@@ -69,12 +68,6 @@ def test_one_seed_meets_the_same_scenarios_in_both_arms() -> None:
     other = Road()
     train(other, SMALL, 4)
     assert not set(other.seeds) & set(calm.seeds)
-
-
-def test_the_network_that_the_config_names_learns() -> None:
-    agent = training.train(Road(), replace(SMALL, updates=40), 0)
-    assert isinstance(agent.policy.network.network, EgoAttention)
-    assert agent.policy.sha256 != train(Road(), replace(SMALL, updates=20), 0).policy.sha256
 
 
 def test_inputs_are_standardised_with_the_warm_up_and_then_fixed() -> None:

@@ -14,31 +14,15 @@ SPEED = {"highway": 30.0, "two-way": 30.0, "roundabout": 20.0, "intersection": 9
 STEP = 0.1  # [s]
 
 
-def _start(task: str, *options: str):
-    """libsumo with the task's network and its routes; it supports one simulation per process."""
+def _drive(task: str) -> list[dict]:
+    """Drive each route from each lane, one car at a time; in a process of its own, libsumo has one simulation each."""
     import libsumo
 
     net = network(task)
-    libsumo.start(["sumo", "-n", str(net.net_file), "--step-length", str(STEP), "--no-step-log", *options])
+    options = ["--step-length", str(STEP), "--no-step-log", "--collision.check-junctions"]
+    libsumo.start(["sumo", "-n", str(net.net_file), *options])
     for key, edges in net.routes.items():
         libsumo.route.add(key, list(edges))
-    return libsumo, net
-
-
-def _enter(libsumo, net, car: str, place: tuple, speed: float, start_speed: str) -> str:
-    """Add a car that nothing holds up, at a place of highway-env; returns the key of its route."""
-    route, lane, position = net.place(*place)
-    libsumo.vehicle.add(car, route, departSpeed=start_speed)
-    libsumo.vehicle.setSpeedMode(car, 32)
-    libsumo.vehicle.setLaneChangeMode(car, 0)
-    libsumo.vehicle.moveTo(car, lane, position)
-    libsumo.vehicle.setSpeed(car, speed)
-    return route
-
-
-def _drive(task: str) -> list[dict]:
-    """Drive each route from each lane."""
-    libsumo, net = _start(task, "--collision.check-junctions")
 
     def centre(car: str) -> tuple[float, float]:
         x, y = libsumo.vehicle.getPosition(car)
@@ -51,7 +35,12 @@ def _drive(task: str) -> list[dict]:
             continue
         for key in [key for key in net.routes if key.startswith(f"{index[0]}-{index[1]}>")]:
             car, destination, s = f"{index} {key}", key.split(">")[1], min(lane.length / 2, 60.0)
-            route = _enter(libsumo, net, car, (index, s, destination), SPEED[task], "5")
+            route, start, position = net.place(index, s, destination)
+            libsumo.vehicle.add(car, route, departSpeed="5")
+            libsumo.vehicle.setSpeedMode(car, 32)  # nothing holds it up
+            libsumo.vehicle.setLaneChangeMode(car, 0)
+            libsumo.vehicle.moveTo(car, start, position)
+            libsumo.vehicle.setSpeed(car, SPEED[task])
             record = {"car": car, "slowest": math.inf, "aside": 0.0, "last": net.routes[route][-1]}
             record["misplaced"] = math.dist(centre(car), lane.position(s, 0.0))
             for _ in range(150):  # 15 s, the longest episode but the highway's
@@ -86,30 +75,3 @@ def test_every_route_is_driven_where_highway_env_has_it_at_full_speed_to_its_end
         assert "vanished" not in record and record["edge"] == record["last"], record
         assert record["slowest"] == pytest.approx(SPEED[task]), record
         assert record["aside"] < 0.02 and record["misplaced"] < MISPLACED[task], record
-
-
-def _overtake() -> tuple[list[float], list[str]]:
-    """y [m, down] of a car that pulls out at 0 s, in at 3 s, out at 6 s; how it meets the oncoming one."""
-    libsumo, net = _start("two-way", "--lanechange.duration", "1", "--collision.action", "warn")
-    for car, index, s in (("ego", ("a", "b", 1), 30.0), ("oncoming", ("b", "a", 0), 100.0)):
-        _enter(libsumo, net, car, (index, s), 20.0, "20")
-    lateral: list[float] = []
-    for k in range(250):
-        if k in (0, 30, 60):
-            libsumo.vehicle.changeLaneRelative("ego", -1 if k == 30 else 1, 0.0)
-        libsumo.simulationStep()
-        contacts = libsumo.simulation.getCollisions()
-        if contacts:
-            break
-        lateral.append(-libsumo.vehicle.getPosition("ego")[1])
-    libsumo.close()
-    return lateral, [contact.type for contact in contacts]
-
-
-def test_the_oncoming_lane_can_be_used_and_is_dangerous():
-    with multiprocessing.get_context("spawn").Pool(1) as pool:
-        lateral, contacts = pool.apply(_overtake)
-    assert lateral[20] == pytest.approx(0.0, abs=0.01)  # out
-    assert lateral[50] == pytest.approx(4.0, abs=0.01)  # in again
-    assert lateral[-1] == pytest.approx(0.0, abs=0.01)  # out, until the oncoming car is there
-    assert contacts == ["frontal"]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import signal
 import threading
 from pathlib import Path
 
@@ -12,21 +11,13 @@ import numpy as np
 import pytest
 
 from sumo_env.env import DrivingEnv
-from tests.processes import children, descriptors, started
+from tests.processes import children, descriptors
 from tests.sumo_env.rollout import digest, record
 
 ENVIRONMENTS = 3  # one in this process and two in workers
 BLOCKS, BLOCK = 8, 250  # episodes
 BOUND = 8.0  # [MiB] that a process may grow after its first block
 ENVS, STEPS = 64, 1_000_000  # of a batch
-FOREVER = """
-import gymnasium as gym
-envs = gym.make_vec("sumo_env:replica/u-turn-v0", num_envs=64, threads=2, scenarios="seeded")
-envs.reset(seed=0)
-print("begun", flush=True)
-while True:
-    envs.step(envs.action_space.sample())
-"""
 
 
 def episode(env: DrivingEnv, risk: int, seed: int) -> str:
@@ -79,14 +70,3 @@ def test_a_batch_of_a_million_steps_costs_no_memory(scenarios: str) -> None:
     envs.close()
     assert memory[-1] < memory[1] + BOUND, memory
     assert threading.active_count() == threads
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
-def test_a_batch_that_is_stopped_leaves_nothing(number: signal.Signals, tmp_path: Path) -> None:
-    program = started("-c", FOREVER, TMPDIR=str(tmp_path))
-    assert program.stdout is not None and program.stdout.readline() == "begun\n"
-    before = children(program.pid)
-    program.send_signal(number)
-    assert program.wait(timeout=20) != 0
-    assert before == [] and list(tmp_path.iterdir()) == []

@@ -29,15 +29,8 @@ CROSSING = {
     "absolute": True,
 }
 LINEAR = "highway_env.vehicle.behavior.LinearVehicle"
-# The environments of rl-agents' scripts/configs, by file.
+# Environments of rl-agents' scripts/configs, by file.
 RL_AGENTS: dict[str, tuple[str, Config]] = {
-    "HighwayEnv/env_easy_constraint": (
-        "highway",
-        {
-            "lanes_count": 2, "vehicles_count": 5, "duration": 20, "centering_position": [0.3, 0.5],
-            "other_vehicles_type": "highway_env.vehicle.behavior.IDMVehicle", "collision_reward": 0,
-        },
-    ),
     "HighwayEnv/env_obs_attention": (
         "highway",
         {
@@ -52,7 +45,6 @@ RL_AGENTS: dict[str, tuple[str, Config]] = {
         "intersection",
         {"policy_frequency": 5, "show_history": False, "destination": "o1", "duration": 15},
     ),
-    "RoundaboutEnv/env_route_0 without its vehicles": ("roundabout", {"incoming_vehicle_destination": 0}),
     "TwoWayEnv/env": (
         "two-way", {"screen_height": 300, "observation": {"type": "TimeToCollision", "horizon": 5}}
     ),
@@ -244,8 +236,3 @@ def test_what_does_not_exist_says_where_to_look(highway: DrivingEnv) -> None:
     with pytest.raises(AttributeError, match=r"'simplify': docs/from-highway-env\.md"):
         highway.simplify  # noqa: B018
     assert not hasattr(highway.vehicle, "act")
-
-
-def test_vehicles_before_a_reset_are_an_error() -> None:
-    with pytest.raises(AttributeError, match="reset"):
-        DrivingEnv("highway").vehicle  # noqa: B018

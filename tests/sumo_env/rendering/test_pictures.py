@@ -85,14 +85,6 @@ def test_headings_turn_clockwise_on_the_screen() -> None:
     assert front != back
 
 
-def test_the_view_follows_the_ego() -> None:
-    renderer = Renderer()
-    for x in (0.0, 100.0, 3333.3, 9990.0):
-        picture = renderer.draw(scene((x, 8, 0)), highway(4), VIEW)
-        assert pixel(picture, x - 0.5, 8, ego=(x, 8)) == EGO
-        assert pixel(picture, x + 12, 8, ego=(x, 8)) == ASPHALT
-
-
 @pytest.mark.parametrize("road", [highway(4), two_way(), roundabout(), intersection(), u_turn()], ids=repr)
 def test_lanes_are_surfaced_from_end_to_end(road: Any) -> None:
     renderer = Renderer()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from itertools import product
 from typing import Any, NamedTuple
 
@@ -86,18 +87,24 @@ def distance(theirs: Any, ours: Any) -> float:
 
 def first_difference(theirs: Any, ours: Any) -> str:
     """What `reset` or `step` returned differently: observation, reward, endings, or an entry of ``info``."""
-    names = (
-        ("observation", "info")
-        if len(theirs) == 2
-        else ("observation", "reward", "terminated", "truncated", "info")
-    )
-    for name, a, b in zip(names, theirs, ours, strict=True):
-        if name == "observation" and has_same_rows(a, b):
-            continue
-        found = unequal(name, a, b)
-        if found:
-            return found
+    if not has_same_rows(theirs[0], ours[0]):
+        return f"observation: {theirs[0]} and {ours[0]}"
+    names = ("info",) if len(theirs) == 2 else ("reward", "terminated", "truncated", "info")
+    a, b = (list(leaves("", dict(zip(names, result[1:], strict=True)))) for result in (theirs, ours))
+    for (name, value), (other, own) in zip(a, b, strict=True):
+        is_same = value == own if isinstance(value, str) else np.isclose(value, own, rtol=0.0, atol=VALUES)
+        if name != other or not is_same:
+            return f"{name}: {value} and {other}: {own}"
     return ""
+
+
+def leaves(name: str, value: Any) -> Iterator[tuple[str, Any]]:
+    """The values in dictionaries of dictionaries, by the way to each."""
+    if isinstance(value, dict):
+        for key in sorted(value):
+            yield from leaves(f"{name}/{key}", value[key])
+    else:
+        yield name, value
 
 
 def has_same_rows(theirs: np.ndarray, ours: np.ndarray) -> bool:
@@ -113,15 +120,3 @@ def has_same_rows(theirs: np.ndarray, ours: np.ndarray) -> bool:
             return False
         left.pop(same[0])
     return True
-
-
-def unequal(name: str, theirs: Any, ours: Any) -> str:
-    if isinstance(theirs, dict):
-        if theirs.keys() != ours.keys():
-            return f"{name}: {sorted(theirs)} and {sorted(ours)}"
-        return next(
-            (found for key in theirs if (found := unequal(f"{name}[{key!r}]", theirs[key], ours[key]))), ""
-        )
-    if isinstance(theirs, float | np.ndarray):
-        return "" if np.allclose(theirs, ours, rtol=0.0, atol=VALUES) else f"{name}: {theirs} and {ours}"
-    return "" if theirs == ours else f"{name}: {theirs} and {ours}"

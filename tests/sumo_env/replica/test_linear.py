@@ -10,7 +10,6 @@ from highway_env.vehicle.behavior import LinearVehicle
 
 from experiments.backends import make_env
 from experiments.backends.highway_env_vehicle import LinearScenarioVehicle
-from sumo_env.config import ConfigError
 from sumo_env.replica import linear
 from sumo_env.tasks import TASKS
 from sumo_env.traffic.scenario import Scenario
@@ -79,9 +78,3 @@ def test_highway_env_drives_them_with_its_own_linear_vehicle() -> None:
         assert isinstance(vehicle, LinearScenarioVehicle) and isinstance(vehicle, LinearVehicle)
         assert tuple(vehicle.ACCELERATION_PARAMETERS) == drivers[vehicle.id].acceleration
         assert tuple(vehicle.STEERING_PARAMETERS) == drivers[vehicle.id].steering
-
-
-@pytest.mark.parametrize("backend", BACKENDS)
-def test_an_unknown_law_is_refused(backend: str) -> None:
-    with pytest.raises(ConfigError, match="did you mean 'linear'"):
-        make_env(backend, "u-turn", {"risk_law": "lineal"})

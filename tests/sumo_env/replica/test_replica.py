@@ -44,6 +44,8 @@ def test_it_is_an_environment(task: str) -> None:
 def test_wrong_settings_are_refused() -> None:
     with pytest.raises(ConfigError, match="did you mean 'path'"):
         make("u-turn", variant="paths")
+    with pytest.raises(ConfigError, match="did you mean 'linear'"):
+        make("u-turn", risk_law="lineal")
     with pytest.raises(ConfigError, match="unknown config key"):
         make("u-turn", vehicle_count=3)
     with pytest.raises(ValueError, match="unknown variant"):

@@ -2,23 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import libsumo
 import numpy as np
 import pytest
 
-from sumo_env.env import DrivingEnv
 from sumo_env.simulator import EgoCommand
 from sumo_env.sumo.session import COMMANDED_LANE_CHANGES, OWN_LANE_CHANGES, REGULAR
 from sumo_env.sumo.world import SumoSimulator
 from sumo_env.traffic.risk import FREE_WAY, RiskEvent
-from sumo_env.traffic.scenario import Scenario
 from tests.sumo_env.scenarios import draw
-
-Start = Callable[..., DrivingEnv]
-IDLE = 1
 
 
 @pytest.mark.parametrize("task", ["highway", "two-way"])
@@ -41,22 +35,17 @@ def test_a_brake_event_brakes_and_ends(simulator: SumoSimulator, task: str) -> N
 
 
 @pytest.mark.parametrize(("ahead", "happens"), [(14.0, True), (1.0, False)])
-def test_a_cut_in_takes_any_gap_but_needs_one(start: Start, ahead: float, happens: bool) -> None:
-    def beside(scenario: Scenario) -> Scenario:
-        ego, other = scenario.ego, scenario.vehicles[0]
-        x, speed = ego.x + ahead, 20.0 if happens else 25.0
-        other = other._replace(
-            lane=("0", "1", 1), s=x, x=x, y=4.0, speed=speed, target_speed=speed, changes_lanes=False
-        )
-        event = RiskEvent(0.5, other.id, "cut-in", direction=-1)
-        return replace(scenario, vehicles=(other,), events=(event,))
-
+def test_a_cut_in_takes_any_gap_but_needs_one(simulator: SumoSimulator, ahead: float, happens: bool) -> None:
     # a driver with nobody to the other side would change there: two lanes only
-    env = start("highway", beside, initial_lane_id=0, lanes_count=2)
-    env.step(IDLE)
-    _, _, crashed, _, _ = env.step(IDLE)
-    assert crashed == happens
-    assert bool(abs(env.scene.y[1]) < 2.0) == happens
+    scenario = draw("highway", initial_lane_id=0, lanes_count=2)
+    x, speed = scenario.ego.x + ahead, 20.0 if happens else 25.0
+    place = {"lane": ("0", "1", 1), "s": x, "x": x, "y": 4.0, "speed": speed, "target_speed": speed}
+    other = scenario.vehicles[0]._replace(**place, changes_lanes=False)
+    event = RiskEvent(0.5, other.id, "cut-in", direction=-1)
+    simulator.reset(replace(scenario, vehicles=(other,), events=(event,)))
+    steps = [simulator.step(EgoCommand(25.0, scenario.ego.lane)) for _ in range(2)]
+    assert steps[0].crash is None and (steps[1].crash is not None) == happens
+    assert bool(abs(steps[1].scene.y[1]) < 2.0) == happens
 
 
 def test_a_cut_in_takes_the_other_lane_where_the_first_has_no_room(simulator: SumoSimulator) -> None:
@@ -99,27 +88,18 @@ def test_a_swerve_into_the_oncoming_lane_ends_in_the_own_lane(simulator: SumoSim
 
 
 @pytest.mark.parametrize("task", ["two-way", "intersection", "u-turn"])
-def test_a_surge_accelerates_where_the_way_is_free(start: Start, task: str) -> None:
-    gained = {}
-    for blocked, way in ((False, FREE_WAY), (True, FREE_WAY), (True, 10.0)):
-
-        def surges(scenario: Scenario, blocked: bool = blocked, way: float = way) -> Scenario:
-            driver = scenario.vehicles[0]._replace(speed=8.0, target_speed=8.0)
-            vehicles = [driver]
-            if blocked:
-                dx, dy = 15 * np.cos(driver.heading), 15 * np.sin(driver.heading)
-                ahead = driver._replace(id="ahead", s=driver.s + 15, x=driver.x + dx, y=driver.y + dy)
-                vehicles.append(ahead)
-            event = RiskEvent(0.0, driver.id, "surge", accel=4.0, duration=2.0, way=way)
-            return replace(scenario, vehicles=tuple(vehicles), events=(event,), spawns=(), warm_up=0.0)
-
-        env = start(task, surges)
-        before = float(env.scene.speed[1])
-        env.step(0)
-        gained[blocked, way] = float(env.scene.speed[1]) - before
-    assert gained[False, FREE_WAY] == pytest.approx(4.0, abs=0.5)
-    assert gained[True, FREE_WAY] < 2.0
-    assert gained[True, 10.0] > 2.0  # 15 m are enough for it
+def test_a_surge_accelerates_where_the_way_is_free(simulator: SumoSimulator, task: str) -> None:
+    scenario = replace(draw(task), spawns=(), warm_up=0.0)
+    driver = scenario.vehicles[0]._replace(speed=8.0, target_speed=8.0)
+    dx, dy = 15 * np.cos(driver.heading), 15 * np.sin(driver.heading)
+    ahead = driver._replace(id="ahead", s=driver.s + 15, x=driver.x + dx, y=driver.y + dy)
+    gained = []
+    for vehicles, way in (((driver,), FREE_WAY), ((driver, ahead), FREE_WAY), ((driver, ahead), 10.0)):
+        event = RiskEvent(0.0, driver.id, "surge", accel=4.0, duration=2.0, way=way)
+        before = simulator.reset(replace(scenario, vehicles=vehicles, events=(event,))).speed[1]
+        gained.append(simulator.step(EgoCommand(9.0, scenario.ego.lane)).scene.speed[1] - before)
+    assert gained[0] == pytest.approx(4.0, abs=0.5)
+    assert gained[1] < 2.0 < gained[2]  # 15 m are enough for the last
 
 
 def test_nothing_happens_to_a_crashed_vehicle(simulator: SumoSimulator) -> None:

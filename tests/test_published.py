@@ -2,12 +2,9 @@
 
 from __future__ import annotations
 
-import runpy
-from pathlib import Path
-
 import pandas as pd
 
-from experiments.analysis.analysis import Analysis, analyse, as_json, stored
+from experiments.analysis.analysis import Analysis, stored
 from experiments.analysis.effects import mean_over
 from experiments.analysis.estimate import Mean
 from experiments.analysis.plan import Plan
@@ -17,7 +14,6 @@ from experiments.reporting.tables import difference, main
 from experiments.study.arms import EXTRA_ARMS, TRAFFICS
 from experiments.study.store import load
 from sumo_env.tasks import TASKS
-from tests.experiments import synthetic
 from tests.pages import ROOT, TEXTS, section, table
 from tests.processes import python
 
@@ -29,26 +25,6 @@ def told(page: str) -> str:
 
 def test_the_table_of_the_readme_is_that_of_the_results() -> None:
     python("docs/results_table.py", "--check")
-
-
-def test_the_table_shows_the_trainings_that_it_is_asked_for(tmp_path: Path) -> None:
-    table_of = runpy.run_path(str(ROOT / "docs" / "results_table.py"))
-    synthetic.write(tmp_path, dict.fromkeys(TASKS, (1,)), seeds=3, tests=8, further=["mixed"])
-    analysis = as_json(analyse(load(tmp_path)))
-    for shown in (("control", "treatment"), ("control", "treatment", "mixed")):
-        text = "".join(table_of["lines"](analysis, shown))
-        assert text.count("|\n") == 2 + len(TASKS) + 1
-        assert ("→ in mixed traffic" in text) == ("mixed" in shown)
-        [row] = [
-            r
-            for r in table_of["records"](analysis, "means")
-            if (r["arm"], r["against"], r["scope"], r["outcome"], r["term"], r["scenarios"])
-            == (shown[-1], "control", "u-turn", "crashed", "regular", "own")
-        ]
-        last = table_of["difference"](row, 100, 0).replace(" ", table_of["SPACE"])
-        [line] = [line for line in text.splitlines() if line.startswith("| u-turn")]
-        cell = line.split(" | ")[2]
-        assert cell.endswith(last) and cell.count("→") == len(shown) - 1
 
 
 def published(name: str) -> Analysis:

@@ -35,7 +35,7 @@ BEHAVIOUR = {
 TYPES = ("rear-end", "side", "frontal", "junction")
 PENALTY = -0.2  # what a doubled penalty for crashes changes about the chance to crash
 # What can be wrong with an agent, by name.
-FAULTS = ("diverged", "constant", "tied", "poor")
+FAULTS = ("diverged", "poor")
 
 
 def generator(*words: object) -> np.random.Generator:
@@ -83,7 +83,7 @@ def episodes(
         table["near_misses"] = random.poisson(1 + 0.5 * (traffic == "risky"), n)
         table["density"] = random.normal(8 * cell.level, 1, n)
         table["stopped"] = 0.02
-        shares = np.eye(5)[4] if fault in ("constant", "diverged") else np.array([0.1, 0.3, 0.1, 0.2, 0.3])
+        shares = np.eye(5)[4] if fault == "diverged" else np.array([0.1, 0.3, 0.1, 0.2, 0.3])
         actions = np.array([random.multinomial(k, shares) for k in length])
         for action in range(5):
             table[f"action_{action}"] = actions[:, action]
@@ -105,12 +105,7 @@ def episodes(
     columns = {
         name: kind for name, kind in COLUMNS.items() if name != "actions"
     }  # as cells of earlier versions
-    result = pd.concat(tables)[list(columns)].astype(columns)
-    if fault == "tied":  # what it does is never constant, but pays exactly what a constant policy is paid
-        slower = replace(cell, kind="baseline", arm=None, seed=None, policy="slower")
-        theirs = episodes(slower, effect, spread, None, purpose)
-        result["return"] = theirs[theirs["traffic"].isin(result["traffic"].unique())]["return"]
-    return result
+    return pd.concat(tables)[list(columns)].astype(columns)
 
 
 def training(cell: grid.Cell) -> pd.DataFrame:

@@ -1,4 +1,4 @@
-"""A study that is made up, in which four agents have faults."""
+"""A study that is made up."""
 
 from __future__ import annotations
 
@@ -8,18 +8,11 @@ from experiments.analysis.analysis import Analysis, analyse
 from experiments.study.store import Results, load
 from tests.experiments import synthetic
 
-FAULTS = {
-    "sumo-highway-100-control-s0": "diverged",
-    "sumo-highway-100-treatment-s2": "constant",
-    "sumo-u-turn-3-control-s1": "tied",
-    "sumo-u-turn-6-treatment-s3": "poor",
-}
-
 
 @pytest.fixture(scope="module")
 def results(tmp_path_factory: pytest.TempPathFactory) -> Results:
     directory = tmp_path_factory.mktemp("results")
-    synthetic.write(directory, {"highway": (1, 2), "u-turn": (1, 2, 3)}, seeds=4, faults=FAULTS, effect=-0.2)
+    synthetic.write(directory, {"highway": (1, 2), "u-turn": (1, 2, 3)}, seeds=4, effect=-0.2)
     return load(directory)
 
 

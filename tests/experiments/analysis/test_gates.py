@@ -46,6 +46,8 @@ BEATEN = episodes("slower", 5 + 2 * LUCK)
     [
         # whatever actions it takes, an agent that always gets what standing gets has learnt nothing
         ("highway", TIED, {"slower": SLOWER}, ["not_constant", "beats_constant"]),
+        # so has one that always acts alike
+        ("highway", TIED.assign(action_0=10, action_1=0), {"slower": BEATEN}, ["not_constant"]),
         # so has one that ties with another than the best constant policy
         (
             "highway", TIED, {"slower": SLOWER, "faster": episodes("faster", 9.1 + LUCK[::-1])},

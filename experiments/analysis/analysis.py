@@ -5,29 +5,21 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
-from scipy.stats import binomtest
+from scipy.stats import binom
 
 from experiments.analysis import plan as plans
 from experiments.analysis.cells import comparable, is_main, unfinished, without
 from experiments.analysis.claims import claims, price
-from experiments.analysis.effects import (
-    KEY,
-    adjusted,
-    contrasts,
-    leaving_out,
-    mean_over,
-    means,
-    slopes,
-)
-from experiments.analysis.estimate import OK
+from experiments.analysis.effects import HIDDEN, KEY, adjusted, contrasts, decided, means, slopes
+from experiments.analysis.estimate import OK, alike, combine
 from experiments.analysis.frontier import to_frontier
-from experiments.analysis.gates import CHECKS, GATES, gates, learner_checks
+from experiments.analysis.gates import GATES, gates, learner_checks
 from experiments.analysis.plan import ALPHA, DEFAULT, OUTCOMES, TERMS, Plan
 from experiments.analysis.scores import PLACE, arms_of, in_order, with_outcomes
 from experiments.study.arms import ARMS, EXTRA_ARMS
@@ -51,13 +43,11 @@ LEAST = 4  # control agents of a setting that can be dealt into two arms
 
 @dataclass(frozen=True)
 class Analysis:
-    """What an analysis finds, as frames whose columns their functions document.
+    """What an analysis finds, as frames whose columns the functions of these names document.
 
-    effects, means: `effects.contrasts` and `effects.means`, of all comparisons (arm, against; tested_on; scenarios).
-    slopes, gates, claims, placebo, policies, negative_control, provenance: see the functions of these names.
-    plan, plan_hash: see `plan.as_data`. notes: missing, failed, damaged and left_out cells and unfinished settings,
-    with their reasons. price, learner, frontier: see `claims.price`, `gates.learner_checks` and `frontier.to_frontier`;
-    the first two are empty where the plan does not ask for them.
+    effects, means: of all comparisons (arm, against; tested_on; scenarios). plan, plan_hash: see `plan.as_data`. notes:
+    missing, failed, damaged and left_out cells and unfinished settings, with their reasons. price, learner (see
+    `gates.learner_checks`): empty where the plan does not ask for them. frontier: see `frontier.to_frontier`.
     """
 
     effects: pd.DataFrame
@@ -72,9 +62,9 @@ class Analysis:
     plan_hash: str
     notes: dict[str, Any]
     provenance: dict[str, Any]
-    price: pd.DataFrame = field(default_factory=pd.DataFrame)
-    learner: pd.DataFrame = field(default_factory=pd.DataFrame)
-    frontier: pd.DataFrame = field(default_factory=pd.DataFrame)
+    price: pd.DataFrame
+    learner: pd.DataFrame
+    frontier: pd.DataFrame
 
 
 def analyse(results: Results) -> Analysis:
@@ -95,19 +85,25 @@ def analyse(results: Results) -> Analysis:
     agents = own_agents(episodes)
     passed = gates(known.cells, known.gate_episodes)
 
-    arms = arms_of(pd.concat([agents, careful_as(["careful"], episodes)]))
     planned = {BOTH: questions(), **{(arm, "control"): CRASHES for arm in plan.arms[2:]}}
-    effects = adjusted(contrasts(arms, planned, plan), plan)
+    looks = [arms_of(agents[agents["seed"] < look.seeds]) for look in plan.schedule]
+    at_looks = pd.concat(
+        [contrasts(arms, planned, look=look) for look, arms in enumerate(looks)], ignore_index=True
+    )
+    effects = adjusted(decided(at_looks, plan), plan)
     both = effects[effects["arm"] == "treatment"]
-    trends = slopes(arms, plan)
-    plain = replace(plan, looks=())  # beside the plan, no p-value is adjusted
-    beside = [contrasts(arms, dict.fromkeys(BESIDE, SHOWN), plain), *transfers(episodes, plain)]
+    trends = slopes(looks, plan)
+    everybody = arms_of(pd.concat([agents, careful_as(["careful"], episodes)]))
+    beside = [contrasts(everybody, dict.fromkeys(BESIDE, SHOWN)), *transfers(episodes)]
     crashes = both[(both["outcome"] == "crashed") & both["term"].isin(ONE_TRAFFIC)]
-    mean = [means(both, plan), leaving_out(crashes, plain), *(means(frame, plain) for frame in beside)]
+    mean = [
+        means(at_looks[at_looks["arm"] == "treatment"], plan),
+        means(crashes.assign(look=0), without=True),
+        *map(means, beside),
+    ]
     effects = pd.concat([effects, *beside], ignore_index=True)
     effects = effects.drop_duplicates(KEY, ignore_index=True)  # what the plan tests stands first
     plan_data = plans.as_data(plan, GATES)
-    checks = learner_checks(known.cells, passed, agents, plan.learner, plan.arms) if plan.learner else None
     return Analysis(
         effects=effects,
         means=pd.concat(mean, ignore_index=True),
@@ -128,7 +124,7 @@ def analyse(results: Results) -> Analysis:
         },
         provenance=provenance(known),
         price=price(effects, plan),
-        learner=pd.DataFrame(columns=CHECKS) if checks is None else checks,
+        learner=learner_checks(known.cells, passed, agents, plan),
         frontier=to_frontier(episodes),
     )
 
@@ -149,15 +145,15 @@ def careful_as(arms: Iterable[str], episodes: pd.DataFrame) -> pd.DataFrame:
     return pd.concat([rule.assign(seed=0, arm=arm) for arm in arms], ignore_index=True)
 
 
-def transfers(episodes: pd.DataFrame, plan: Plan) -> Iterator[pd.DataFrame]:
+def transfers(episodes: pd.DataFrame) -> Iterator[pd.DataFrame]:
     """Effects in the tests of agents on another simulator, and on the same scenarios of their own."""
     agents = own_agents(episodes)
     tests = episodes[(episodes["kind"] == "test") & (episodes["tested_on"] != episodes["backend"])]
     for other in sorted({*tests["tested_on"]}):
         away = tests[tests["tested_on"] == other].merge(agents[AGENT].drop_duplicates())
         home = agents.merge(away[[*AGENT, "traffic", "scenario"]])
-        yield contrasts(arms_of(away), {BOTH: CRASHES}, plan, tested_on=other, scenarios=other)
-        yield contrasts(arms_of(home), {BOTH: CRASHES}, plan, scenarios=other)
+        yield contrasts(arms_of(away), {BOTH: CRASHES}, tested_on=other, scenarios=other)
+        yield contrasts(arms_of(home), {BOTH: CRASHES}, scenarios=other)
 
 
 def placebo(episodes: pd.DataFrame, plan: Plan = DEFAULT) -> pd.DataFrame:
@@ -171,23 +167,17 @@ def placebo(episodes: pd.DataFrame, plan: Plan = DEFAULT) -> pd.DataFrame:
     number = control.groupby(PLACE)["seed"].transform(lambda seeds: seeds.rank(method="dense") - 1)
     halves = control.assign(arm=(number % 2).map({0.0: "control", 1.0: "treatment"}))
     enough = number.groupby([control[column] for column in PLACE]).transform("max") >= LEAST - 1
-    single = replace(plan, looks=())  # half the seeds: the planned looks do not apply
     asked = [(outcome, term) for outcome in ("return", "crashed") for term in ("sum", plan.primary_term)]
-    effects = contrasts(arms_of(halves[enough]), {BOTH: asked}, single)
-    rows = []
-    for (backend, outcome), own in effects.groupby(["backend", "outcome"], sort=False):
-        known = own[(own["term"] == "sum") & (own["status"] == OK)]
-        if known.empty:
-            continue
-        rejected = int((known["p"] < ALPHA).sum())
-        p = binomtest(rejected, len(known), ALPHA, alternative="greater").pvalue
-        found = mean_over(own[own["term"] == plan.primary_term], single)
-        rows.append(
-            {"backend": backend, "outcome": outcome, "comparisons": len(known), "rejected": rejected, "p": p}
-            | {name: found[name] for name in ("estimate", "low", "high")}
-        )
-    columns = ["backend", "outcome", "comparisons", "rejected", "p", "estimate", "low", "high"]
-    return pd.DataFrame(rows, columns=columns)
+    effects = contrasts(arms_of(halves[enough]), {BOTH: asked})
+    by = ["backend", "outcome"]
+    known = effects[(effects["term"] == "sum") & (effects["status"] == OK)]
+    found = known.groupby(by, sort=False)["p"].agg(
+        comparisons="size", rejected=lambda p: int((p < ALPHA).sum())
+    )
+    found["p"] = binom.sf(found["rejected"] - 1, found["comparisons"], ALPHA)
+    primary = effects[effects["term"] == plan.primary_term]
+    mean = combine(primary, by, alike(primary, by))
+    return found.reset_index().merge(mean[[*by, "estimate", "low", "high"]])
 
 
 def negative_control(episodes: pd.DataFrame) -> float | None:
@@ -207,11 +197,7 @@ def policies(episodes: pd.DataFrame) -> pd.DataFrame:
     """
     rows = episodes[episodes["tested_on"] == episodes["backend"]]
     arms = rows["arm"].where(rows["kind"] != "baseline", "").fillna("").astype(str)
-    rows = rows.assign(
-        arm=arms,
-        unit=rows["seed"].where(arms != "", rows["scenario"]),
-        progress=rows["distance"] / rows["seconds"],
-    )
+    rows = rows.assign(arm=arms, unit=rows["seed"].where(arms != "", rows["scenario"]))
     columns = [*OUTCOMES, *DESCRIPTIVE]
     group = [*PLACE, "policy", "arm", "traffic"]
     rows = rows.astype(dict.fromkeys(columns, float))
@@ -263,7 +249,7 @@ def as_json(analysis: Analysis) -> dict[str, Any]:
     for part in fields(analysis):
         content = getattr(analysis, part.name)
         if isinstance(content, pd.DataFrame):
-            table = content.drop(columns="looks", errors="ignore")
+            table = content.drop(columns=HIDDEN, errors="ignore")
             content = {"columns": list(table.columns), "rows": table.to_numpy(dtype=object).tolist()}
         value[part.name] = _strict(content)
     return value

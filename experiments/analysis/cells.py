@@ -46,25 +46,25 @@ def is_main(cell: Cell) -> bool:
 
 def _strangers(cells: Mapping[str, Cell], expected: Sequence[str]) -> dict[str, str]:
     """The cells of a place that do not belong to its setting, with the reason."""
-    latest = {name: number for number, name in enumerate(expected)}  # the last sweep stands last
     settings = {name: _settings(cell) for name, cell in cells.items()}
     main = [name for name, cell in cells.items() if is_main(cell)]
     agents = [name for name in main if cells[name]["key"]["kind"] == "agent"]
+    if not main:
+        return dict.fromkeys(cells, ALONE)
     groups: dict[str, list[str]] = {}
     for name in agents or main:
         groups.setdefault(canonical_json(settings[name]), []).append(name)
-    if not groups:
-        return dict.fromkeys(cells, ALONE)
-    asked = {group: max(latest.get(name, -1) for name in names) for group, names in groups.items()}
-    best = max(groups, key=lambda group: (asked[group], len(groups[group]), group))
-    reference = settings[groups[best][0]]
-    found = {}
+    latest = {name: number for number, name in enumerate(expected)}  # the last sweep stands last
+    best = max(
+        groups, key=lambda group: (max(latest.get(n, -1) for n in groups[group]), len(groups[group]), group)
+    )
+    reference, found = settings[groups[best][0]], {}
     for name, own in settings.items():
         if name in main:
-            names = sorted({*own, *reference})
-            found[name] = _difference(
-                own, reference, [n for n in names if name in agents or n.startswith(ENVIRONMENT)]
-            )
+            names = [n for n in sorted({*own, *reference}) if name in agents or n.startswith(ENVIRONMENT)]
+            pairs = [(n, own.get(n), reference.get(n)) for n in names]
+            differing = [f"{n} {mine} instead of {theirs}" for n, mine, theirs in pairs if mine != theirs]
+            found[name] = ", ".join(differing[:3])
         elif not agents or not reference.items() <= own.items():
             found[name] = ALONE
     return {name: reason for name, reason in found.items() if reason}
@@ -77,13 +77,6 @@ def _settings(cell: Cell) -> dict[str, Any]:
     flat |= {f"version of {name}": value for name, value in versions.items()}
     flat["dynamics"] = key.get("dynamics")
     return flat | {name: value for name, value in key["profile"].items() if name != "preset"}
-
-
-def _difference(own: Mapping[str, Any], reference: Mapping[str, Any], names: Sequence[str]) -> str:
-    pairs = [(name, own.get(name), reference.get(name)) for name in names]
-    return ", ".join(
-        [f"{name} {mine} instead of {theirs}" for name, mine, theirs in pairs if mine != theirs][:3]
-    )
 
 
 def unfinished(results: Results, chosen: Results, arms: Sequence[str]) -> dict[str, str]:
@@ -101,14 +94,13 @@ def unfinished(results: Results, chosen: Results, arms: Sequence[str]) -> dict[s
 
 def without(results: Results, gone: Container[str] = (), settings: Container[str] = ()) -> Results:
     """The results without some cells, and without the agents of some settings, named as in `grid.setting`."""
-    keys = {name: cell["key"] for name, cell in results.cells.items()}
-    agents = {name for name, key in keys.items() if key["kind"] != "baseline" and setting(key) in settings}
-    gone = agents | {name for name in keys if name in gone}
-    if not gone:
-        return results
-    tables = {
-        name: table[~table["cell"].isin(gone)].reset_index(drop=True)
-        for name in ("episodes", "gate_episodes")
-        for table in [getattr(results, name)]
+    stay = {
+        name: cell
+        for name, cell in results.cells.items()
+        if name not in gone and (cell["key"]["kind"] == "baseline" or setting(cell["key"]) not in settings)
     }
-    return replace(results, cells={k: v for k, v in results.cells.items() if k not in gone}, **tables)
+    episodes, gates = (
+        table[table["cell"].isin(stay)].reset_index(drop=True)
+        for table in (results.episodes, results.gate_episodes)
+    )
+    return replace(results, cells=stay, episodes=episodes, gate_episodes=gates)

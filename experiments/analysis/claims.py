@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Collection
+from dataclasses import dataclass, fields
 
+import numpy as np
 import pandas as pd
 
 from experiments.analysis import estimate
@@ -79,19 +80,16 @@ def price(effects: pd.DataFrame, plan: Plan) -> pd.DataFrame:
     places = zip(effects["task"], effects["level_name"], strict=True)
     survived = pd.Series([name not in plan.hopeless.get(task, ()) for task, name in places], effects.index)
     crashes = effects[survived & (effects["outcome"] == "crashed") & (effects["scenarios"] == "own")]
-    rows = []
-    for bound in plan.price:
-        pair = (crashes["arm"] == bound.arm) & (crashes["against"] == bound.against)
-        for row in means(crashes[pair & (crashes["term"] == bound.term)], plan).to_dict("records"):
-            level = 2 * ALPHA  # one-sided
-            half = float(estimate.stats.t.isf(level / 2, row["df"])) * row["se"]
-            low, high = row["estimate"] - half, row["estimate"] + half
-            verdict = HOLDS if high < bound.margin else CONTRADICTED if low > bound.margin else NOT_DECIDED
-            enough = estimate.detectable(row["se"], row["df"], level) if half == half else half
-            own = [row[name] for name in ("backend", "scope", "settings", "estimate")]
-            rows.append([*own, *asdict(bound).values(), low, high, verdict, enough])
-    columns = ["backend", "scope", "settings", "estimate", *(f.name for f in fields(Bound))]
-    return pd.DataFrame(rows, columns=[*columns, "low", "high", "verdict", "detectable"])
+    columns = [field.name for field in fields(Bound)]
+    bounds = pd.DataFrame(plan.price, columns=columns)
+    rows = bounds.merge(means(crashes.merge(bounds)))
+    half = estimate.stats.t.isf(ALPHA, rows["df"]) * rows["se"]  # one-sided
+    low, high = rows["estimate"] - half, rows["estimate"] + half
+    verdict = np.select([high < rows["margin"], low > rows["margin"]], [HOLDS, CONTRADICTED], NOT_DECIDED)
+    enough = [estimate.detectable(se, df, 2 * ALPHA) for se, df in zip(rows["se"], rows["df"], strict=True)]
+    rows = rows.assign(low=low, high=high, verdict=verdict, detectable=enough)
+    order = ["backend", "scope", "settings", "estimate", *columns, "low", "high", "verdict", "detectable"]
+    return rows[order]
 
 
 def all_hold(verdicts: Collection[str]) -> str:
@@ -101,15 +99,14 @@ def all_hold(verdicts: Collection[str]) -> str:
     return HOLDS if verdicts and set(verdicts) == {HOLDS} else NOT_DECIDED
 
 
-def _counts(claim: Claim, effects: pd.DataFrame, slopes: pd.DataFrame) -> Mapping[str, object]:
+def _counts(claim: Claim, effects: pd.DataFrame, slopes: pd.DataFrame) -> dict[str, object]:
     is_slope = claim.quantity in ("effect", "mean")
     term = "regular" if claim.quantity == EQUIVALENT else claim.quantity
     table, question = (slopes, slopes["quantity"]) if is_slope else (effects, effects["term"])
     rows = table[(table["outcome"] == claim.outcome) & (question == term)]
     known = rows[(rows["status"] == OK) & (rows["complete"] if is_slope else True)]
     if claim.quantity == EQUIVALENT:
-        margin = OUTCOMES[claim.outcome].margin or 0.0
-        p = estimate.equivalence(known, margin)
+        p = estimate.equivalence(known, OUTCOMES[claim.outcome].margin or 0.0)
         right, alone = estimate.adjusted(p) < ALPHA, p < ALPHA
         wrong = estimate.adjusted(1 - p) < ALPHA / 2
     else:

@@ -4,110 +4,103 @@ The paper's ATE is a sum: (T - C) in risky traffic plus (T - C) in regular traff
 agent first (risky + regular) and then compared between the arms, like its two terms and their interaction. Agents that
 fail a gate count as the others do: an agent that did not learn is an outcome of its training.
 
-Frames: `contrasts` has a row an effect, `means` a row a mean over settings, `slopes` a row a task. All share the
-columns of an estimate: estimate, se, df, low, high (95 % interval, in the unit of the outcome), p (two-sided, right for
-all looks that were held) and status ("ok", or why there is no interval, see `estimate`).
+Frames: `contrasts` has a row an effect, `means` a row a mean over settings, `slopes` a row a task; where the plan has
+looks, at each of them, of which `decided` leaves one. All share the columns of an estimate: estimate, se, df, low, high
+(95 % interval, in the unit of the outcome), p (two-sided) and status ("ok", or why there is no interval, see
+`estimate`). The columns of HIDDEN are what further means are made of.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from experiments.analysis import estimate
-from experiments.analysis.estimate import OK, SATURATED, Estimate, Mean
-from experiments.analysis.plan import ALPHA, DEFAULT, OUTCOMES, Plan
-from experiments.analysis.scores import PLACE, TASK_ORDER, Arm, Arms, Place
-from experiments.study.arms import DOSES
+from experiments.analysis.estimate import OK, SATURATED, Estimate
+from experiments.analysis.plan import ALPHA, DEFAULT, OUTCOMES, TERMS, Plan
+from experiments.analysis.scores import PLACE, Arm, Arms, Place
+from experiments.study.arms import DOSES, TRAFFICS
 from sumo_env.tasks import TASKS
 
 ALL_TASKS = "all tasks"
-ESTIMATE = ["estimate", "se", "df", "low", "high", "p", "status"]
+ESTIMATE = list(Estimate._fields)
 # What is compared: the simulator of the training and that of the test; whose scenarios ("own", or those that agents
 # were given on another simulator); the arms.
 COMPARISON = ["backend", "tested_on", "scenarios", "arm", "against"]
 QUESTION = ["outcome", "term"]
 KEY = [*COMPARISON, "task", "level", "level_name", *QUESTION]
 MEANS = ["mean_arm", "mean_against", "seeds_arm", "seeds_against"]
+HIDDEN = ["variance", "dof", "smallest", "look"]
 GRID = {task: len(definition.levels) for task, definition in TASKS.items()}
-
-
-def decided(looks: Sequence[Mean], seeds: int, plan: Plan) -> Estimate:
-    """The estimate at the last look that was held, with a p-value that is right for all of them.
-
-    The looks share the error rate (Bonferroni), so that it is kept whatever the first look makes one do.
-
-    Args:
-        looks: the mean at each planned look; of more than are planned the last, of all agents.
-        seeds: in the smaller arm; says which looks were held.
-    """
-    held = plan.held(seeds)
-    found = [estimate.interval(mean) for mean in looks[-len(plan.schedule) :][: len(held)]]
-    spent = [one.p / look.share for one, look in zip(found, held, strict=True) if one.status == OK]
-    return replace(found[-1], p=min(1.0, *spent)) if found[-1].status == OK else found[-1]
-
-
-def at_looks(
-    pair: Sequence[Arm], signs: Sequence[float], outcome: str, term: str, plan: Plan
-) -> tuple[Mean, ...]:
-    """The sum of sign x mean over arms at every planned look; one, of all agents, where no look was planned."""
-    means = []
-    for look in plan.schedule:
-        arms = [arm.below(look.seeds) for arm in pair]
-        floor = sum(sign**2 * arm.floor(outcome, term) for arm, sign in zip(arms, signs, strict=True))
-        scores = [(arm.scores(outcome, term), sign) for arm, sign in zip(arms, signs, strict=True)]
-        means.append(estimate.linear(scores, floor))
-    return tuple(means)
 
 
 def contrasts(
     arms: Mapping[Place, Arms],
     asked: Mapping[tuple[str, str], Iterable[tuple[str, str]]],
-    plan: Plan = DEFAULT,
+    signs: tuple[float, float] = (1.0, -1.0),
+    look: int = 0,
     **labels: str,
 ) -> pd.DataFrame:
     """Effects: one arm minus another, or minus a policy that has no training, in every setting that has both.
 
     Args:
         arms: from `scores.arms_of`. asked: (outcome, term) by (arm, against).
+        signs: of the two arms in the sum. look: number of the planned look that the arms are of.
         labels: tested_on and scenarios, where they are not those of the training.
 
     Returns:
-        A row an effect: KEY, ESTIMATE, mean_arm and mean_against, seeds_arm and seeds_against, and looks (the `Mean` at
-        every look, of which `means` and `slopes` are made).
+        A row an effect: KEY, ESTIMATE, mean_arm and mean_against, seeds_arm and seeds_against, and HIDDEN.
     """
-    rows = []
-    for place, by_name in arms.items():
-        where = {**dict(zip(PLACE, place, strict=True)), "tested_on": place[0], "scenarios": "own", **labels}
-        for (arm, against), questions in asked.items():
-            if arm in by_name and against in by_name:
-                pair, trained = (by_name[arm], by_name[against]), against in DOSES
-                rows += [
-                    {**where, "arm": arm, "against": against, "outcome": outcome, "term": term}
-                    | _contrast(pair, trained, outcome, term, plan)
-                    for outcome, term in questions
-                ]
-    return pd.DataFrame(rows, columns=[*KEY, *ESTIMATE, *MEANS, "looks"])
+    rows = [
+        {**dict(zip(PLACE, place, strict=True)), "tested_on": place[0], "scenarios": "own", **labels}
+        | {"arm": arm, "against": against, "outcome": outcome, "term": term, "look": look}
+        | _contrast(by_name[arm], by_name[against], against in DOSES, outcome, term, signs)
+        for place, by_name in arms.items()
+        for (arm, against), questions in asked.items()
+        if {arm, against} <= by_name.keys()
+        for outcome, term in questions
+    ]
+    columns = [*KEY, "estimate", *MEANS, *HIDDEN, "saturated"]
+    frame = estimate.with_intervals(pd.DataFrame(rows, columns=columns))
+    frame.loc[frame["saturated"].astype(bool), ESTIMATE[1:]] = [*[np.nan] * 5, SATURATED]
+    return frame[[*KEY, *ESTIMATE, *MEANS, *HIDDEN]]
 
 
-def _contrast(pair: tuple[Arm, Arm], trained: bool, outcome: str, term: str, plan: Plan) -> dict[str, Any]:
-    """ESTIMATE, MEANS and looks of an arm minus another, or scenario by scenario minus a policy that is not trained."""
-    scores = [arm.scores(outcome, term) for arm in pair]
-    if trained:
-        looks = at_looks(pair, (1.0, -1.0), outcome, term, plan)
-    else:
-        looks = (estimate.linear([(scores[0] - scores[1], 1.0)]),)
-    seeds = [len(arm.seeds) for arm in pair]
-    found = decided(looks, min(seeds), plan)
-    tables = [table for arm in pair for table in arm.tested(outcome, term)]
-    if trained and outcome == "crashed" and all((table == 1).all() for table in tables):
-        found = Estimate(found.estimate, SATURATED)
-    means = [float(table.mean()) for table in scores]
-    return {**asdict(found), **dict(zip(MEANS, [*means, *seeds], strict=True)), "looks": looks}
+def _contrast(
+    arm: Arm, against: Arm, trained: bool, outcome: str, term: str, signs: tuple[float, float]
+) -> dict[str, Any]:
+    """The `Mean` and MEANS of an arm minus another, or scenario by scenario minus a policy that is not trained."""
+    weights = np.array([TERMS[term].get(traffic, 0.0) for traffic in TRAFFICS])
+    both = arm[outcome], against[outcome]
+    scores = [np.tensordot(weights, tables, axes=1) for tables in both]
+    tested = [tables[weights != 0] for tables in both]
+    crashes = trained and outcome == "crashed"
+    floors = [sign**2 * estimate.binomial_floor(table) for table, sign in zip(tested, signs, strict=True)]
+    weighted = list(zip(scores, signs, strict=True)) if trained else [(scores[0] - scores[1], 1.0)]
+    found = estimate.linear(weighted, sum(floors) if crashes else 0.0)
+    means = [*(float(table.mean()) for table in scores), *map(len, scores)]
+    saturated = crashes and all((tables == 1).all() for tables in tested)
+    return {**found._asdict(), **dict(zip(MEANS, means, strict=True)), "saturated": saturated}
+
+
+def decided(frame: pd.DataFrame, plan: Plan) -> pd.DataFrame:
+    """Of each effect, mean or slope at all planned looks the last that was held, with a p-value right for all of them.
+
+    The looks share the error rate (Bonferroni), so that it is kept whatever the first look makes one do. A look is held
+    once `smallest` agents have its number.
+    """
+    if not plan.looks:
+        return frame
+    key = [name for name in frame.columns[: frame.columns.get_loc("estimate")] if name != "look"]
+    frame = frame.iloc[frame.groupby(key, sort=False).ngroup().argsort(kind="stable")]
+    planned = pd.DataFrame(plan.looks).loc[frame["look"]].set_index(frame.index)
+    held = (frame["look"] == 0) | (frame["smallest"] >= planned["seeds"])
+    groups = frame.assign(spent=frame["p"] / planned["share"])[held].groupby(key, sort=False)
+    last, p = groups.tail(1), groups["spent"].min().clip(upper=1.0).to_numpy()
+    return last.assign(p=np.where(last["status"] == OK, p, np.nan))[frame.columns].reset_index(drop=True)
 
 
 def adjusted(effects: pd.DataFrame, plan: Plan = DEFAULT) -> pd.DataFrame:
@@ -118,100 +111,77 @@ def adjusted(effects: pd.DataFrame, plan: Plan = DEFAULT) -> pd.DataFrame:
     and detectable (true effect that is found at that level with 80 % power).
     """
     questions = zip(effects["arm"], effects["outcome"], effects["term"], strict=True)
-    names = [plan.family(*question) for question in questions]
     nothing = dict.fromkeys(("p_adjusted", "low_family", "high_family", "detectable"), np.nan)
-    effects = effects.assign(family=names, **nothing)
+    effects = effects.assign(family=[plan.family(*question) for question in questions], **nothing)
+    shares = np.array([look.share for look in plan.schedule])
     for (_, family), rows in effects.groupby(["backend", "family"]):
         effects.loc[rows.index, "p_adjusted"] = estimate.adjusted(rows["p"], "holm" if family else "bh")
         tested = rows[rows["status"] == OK]
-        for index, row in tested.iterrows() if family else ():
-            share = plan.held(min(row["seeds_arm"], row["seeds_against"]))[-1].share
-            level = ALPHA / len(tested) * share
-            half = float(estimate.stats.t.isf(level / 2, row["df"])) * row["se"]
-            found = estimate.detectable(row["se"], row["df"], level)
-            bounds = [row["estimate"] - half, row["estimate"] + half, found]
-            effects.loc[index, ["low_family", "high_family", "detectable"]] = bounds
+        if family and len(tested):
+            level = ALPHA / len(tested) * shares[tested["look"]]
+            half = estimate.stats.t.isf(level / 2, tested["df"]) * tested["se"]
+            found = list(map(estimate.detectable, tested["se"], tested["df"], level))
+            bounds = {"low_family": tested["estimate"] - half, "high_family": tested["estimate"] + half}
+            effects.update(tested.assign(**bounds, detectable=found)[[*bounds, "detectable"]])
     return effects
 
 
-def mean_over(rows: pd.DataFrame, plan: Plan) -> dict[str, Any]:
-    """The mean of effects over settings: every task counts alike, and in a task every level.
+def means(effects: pd.DataFrame, plan: Plan = DEFAULT, without: bool = False) -> pd.DataFrame:
+    """Means of effects over settings: every task counts alike, and in a task every level.
+
+    They are over the levels of each task, and over all tasks if the outcome means the same on every task; or over all
+    tasks `without` each of several.
 
     Args:
-        rows: effects of one comparison, outcome and term.
+        effects: at all looks of the plan.
 
     Returns:
-        ESTIMATE, the means and numbers of agents of both arms, and settings (their number).
+        A row a mean: COMPARISON, scope (a task, "all tasks", "without TASK"), QUESTION, ESTIMATE, MEANS (of the numbers
+        of agents the sums) and settings (their number).
     """
-    weights = estimate.alike(list(rows["task"]))
-    looks = [estimate.combine(means, weights) for means in zip(*rows["looks"], strict=True)]
-    seeds, first = rows[MEANS[2:]].min(axis=1), plan.schedule[0].seeds
-    most = int(seeds.max())
-    if (seeds < first).any():
-        most = min(most, first)  # the first batch is not complete: there is no second look yet
-    means = [float((weights * rows[name]).sum()) for name in MEANS[:2]]
-    agents = [int(rows[name].sum()) for name in MEANS[2:]]
-    found = asdict(decided(looks, most, plan))
-    return found | dict(zip(MEANS, [*means, *agents], strict=True)) | {"settings": len(rows)}
+    tasks = effects["task"].unique()
+    if without:
+        scopes = {f"without {task}": effects["task"] != task for task in tasks if len(tasks) > 1}
+    else:
+        poolable = effects["outcome"].isin([name for name, one in OUTCOMES.items() if one.poolable])
+        scopes = {task: effects["task"] == task for task in tasks} | {ALL_TASKS: poolable}
+    nothing = effects.iloc[:0].assign(scope="")
+    scoped = [nothing, *(effects[chosen].assign(scope=scope) for scope, chosen in scopes.items())]
+    rows = pd.concat(scoped, ignore_index=True)
+    by = [*COMPARISON, "scope", *QUESTION, "look"]
+    frame = estimate.combine(rows, by, estimate.alike(rows, by))
+    # A mean has held a look if one of its settings has, and all have held the first.
+    most = rows.groupby(by, sort=False)["smallest"].max().to_numpy()
+    frame["smallest"] = frame["smallest"].where(frame["smallest"] < plan.schedule[0].seeds, most)
+    return decided(frame, plan)[[*by[:-1], *ESTIMATE, *MEANS, "settings"]]
 
 
-def means(effects: pd.DataFrame, plan: Plan = DEFAULT) -> pd.DataFrame:
-    """Means of effects over the levels of each task, and over all tasks if the outcome means the same on every task.
-
-    Returns:
-        A row a mean: COMPARISON, scope (a task, "all tasks"), QUESTION, ESTIMATE, MEANS and settings.
-    """
-    rows = []
-    for key, group in effects.groupby([*COMPARISON, *QUESTION], sort=False):
-        labels = dict(zip([*COMPARISON, *QUESTION], key, strict=True))
-        by_task = {task: own for task in TASK_ORDER if len(own := group[group["task"] == task])}
-        whole = {ALL_TASKS: group} if OUTCOMES[labels["outcome"]].poolable else {}
-        for scope, own in (by_task | whole).items():
-            rows.append({**labels, "scope": scope, **mean_over(own, plan)})
-    return pd.DataFrame(rows, columns=[*COMPARISON, "scope", *QUESTION, *ESTIMATE, *MEANS, "settings"])
-
-
-def leaving_out(effects: pd.DataFrame, plan: Plan = DEFAULT) -> pd.DataFrame:
-    """The means over all tasks but one, for each of several tasks: as `means`, scope "without TASK"."""
-    found = [means(effects, plan).iloc[:0]]
-    for task in effects["task"].unique() if effects["task"].nunique() > 1 else ():
-        rows = means(effects[effects["task"] != task], plan)
-        found.append(rows[rows["scope"] == ALL_TASKS].assign(scope=f"without {task}"))
-    return pd.concat(found, ignore_index=True)
-
-
-def slopes(arms: Mapping[Place, Arms], plan: Plan = DEFAULT) -> pd.DataFrame:
+def slopes(looks: Sequence[Mapping[Place, Arms]], plan: Plan = DEFAULT) -> pd.DataFrame:
     """Change per traffic level within each task, of the effect ("effect", the sum) and of the outcome ("mean").
 
     "mean" averages over the two test traffics and the two arms. Each level has test scenarios of its own, and their
     variance is in the interval.
 
+    Args:
+        looks: from `scores.arms_of`, at each look of the plan.
+
     Returns:
         A row a backend, task, outcome ("return", "crashed") and quantity: ESTIMATE, complete (whether all levels of the
         task are there) and p_adjusted (Holm over the tasks).
     """
-    by_task: dict[tuple[str, str], list[tuple[int, tuple[Arm, Arm]]]] = {}
-    for (backend, task, level, _), by_name in arms.items():
-        if "treatment" in by_name and "control" in by_name:
-            pair = by_name["treatment"], by_name["control"]
-            by_task.setdefault((backend, task), []).append((level, pair))
     # The sum counts two traffics; the mean is of one, and of two arms.
     signs = {"effect": (1.0, -1.0), "mean": (0.25, 0.25)}
-    rows = []
-    for (backend, task), levels in by_task.items():
-        if len(levels) < 2:
-            continue
-        weights = estimate.slope_weights([level for level, _ in levels])
-        least = min(len(arm.seeds) for _, pair in levels for arm in pair)
-        for outcome in ("return", "crashed"):
-            for quantity, sign in signs.items():
-                each = [at_looks(pair, sign, outcome, "sum", plan) for _, pair in levels]
-                looks = [estimate.combine(found, weights) for found in zip(*each, strict=True)]
-                labels = {"backend": backend, "task": task, "outcome": outcome, "quantity": quantity}
-                complete = len(levels) == GRID.get(task)
-                rows.append({**labels, "complete": complete, **asdict(decided(looks, least, plan))})
-    columns = ["backend", "task", "outcome", "quantity", "complete", *ESTIMATE]
-    frame = pd.DataFrame(rows, columns=columns).assign(p_adjusted=np.nan)
-    for _, family in frame.groupby(["backend", "outcome", "quantity"]):
-        frame.loc[family.index, "p_adjusted"] = estimate.adjusted(family["p"])
-    return frame
+    asked = {("treatment", "control"): [(outcome, "sum") for outcome in ("return", "crashed")]}
+    sums = [
+        contrasts(arms, asked, sign, look).assign(quantity=quantity)
+        for look, arms in enumerate(looks)
+        for quantity, sign in signs.items()
+    ]
+    rows = pd.concat(sums, ignore_index=True)
+    by = ["backend", "task", "outcome", "quantity", "look"]
+    rows = rows[rows.groupby(by)["level"].transform("nunique") > 1]
+    frame = decided(estimate.combine(rows, by, estimate.slope_weights(rows, by)), plan)
+    frame["complete"] = frame["settings"] == frame["task"].map(GRID)
+    family = frame.groupby(["backend", "outcome", "quantity"])
+    frame["p_adjusted"] = family["p"].transform(estimate.adjusted)
+    return frame[[*by[:-1], "complete", *ESTIMATE, "p_adjusted"]]

@@ -6,19 +6,19 @@ are a sample too. An interval therefore holds the variance between seeds and the
 analysis of readers and cases in medical imaging does: Gallas 2006); taking episodes as independent instead rejects a
 true null hypothesis in more than half of all experiments.
 
-The functions take *scores*: an array (seeds, scenarios) for each arm. `linear` turns them into a `Mean`, `combine` adds
-means of independent settings, `interval` gives the `Estimate`. An interval that cannot be had is NaN with the reason in
-`status`, never an exception.
+`linear` turns *scores*, an array (seeds, scenarios) for each arm, into a `Mean`; `interval` gives the `Estimate`, of
+one mean or of columns of them. An interval that cannot be had is NaN with the reason in `status`, never an exception.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import Any, NamedTuple
 
 import numpy as np
 import pandas as pd
 from numpy.typing import ArrayLike, NDArray
+from pandas.api.typing import SeriesGroupBy
 from scipy import optimize, stats
 
 from experiments.analysis.plan import ALPHA, POWER
@@ -32,69 +32,56 @@ FEW = 10  # crashes in an arm below which its scores say little of their own var
 Scores = NDArray[np.float64]  # (seeds, scenarios)
 
 
-@dataclass(frozen=True)
-class Estimate:
+class Mean(NamedTuple):
+    """A linear combination of arms' means, its variance and the degrees of freedom of that.
+
+    smallest: training seeds in the smallest arm; with one there is no variance.
+    """
+
+    estimate: Any
+    variance: Any
+    dof: Any
+    smallest: Any
+
+
+class Estimate(NamedTuple):
     """A number with its 95 % interval, in the unit of the outcome; p is two-sided, against 0.
 
     All but the estimate is NaN unless status is "ok".
     """
 
-    estimate: float
-    status: str
-    se: float = np.nan
-    df: float = np.nan
-    low: float = np.nan
-    high: float = np.nan
-    p: float = np.nan
-
-
-@dataclass(frozen=True)
-class Mean:
-    """A linear combination of arms' means: its value, its variance and the degrees of freedom of that.
-
-    least: training seeds in the smallest arm; with one there is no variance.
-    """
-
-    value: float
-    variance: float
-    df: float
-    least: int
-
-
-def total(parts: Sequence[tuple[float, float]]) -> tuple[float, float]:
-    """The sum of independent variances (each with degrees of freedom), and Satterthwaite's degrees of freedom."""
-    variance = float(sum(part for part, _ in parts))
-    below = sum(part**2 / df for part, df in parts)
-    return variance, float(variance**2 / below) if below > 0 else 1.0
-
-
-def check(scores: Scores) -> Scores:
-    """The scores as an array. Raises ValueError unless they are a matrix of finite numbers with a row at least."""
-    array = np.asarray(scores, dtype=np.float64)
-    if array.ndim != 2 or not len(array) or not np.isfinite(array).all():
-        raise ValueError(f"expected finite scores (seeds, scenarios), got shape {array.shape}")
-    return array
+    estimate: Any
+    se: Any = np.nan
+    df: Any = np.nan
+    low: Any = np.nan
+    high: Any = np.nan
+    p: Any = np.nan
+    status: Any = OK
 
 
 def linear(arms: Sequence[tuple[Scores, float]], floor: float = 0.0) -> Mean:
     """sum of weight x mean over arms that are tested on the same scenarios.
 
     Variance: between the seeds of each arm, and between scenarios, less the part of the latter that is noise within the
-    former (two-way random effects, negative values set to 0).
+    former (two-way random effects, negative values set to 0); degrees of freedom: Satterthwaite's.
 
     Args:
         arms: scores and weight of each arm.
         floor: the least variance that can be true, see `binomial_floor`.
+
+    Raises:
+        ValueError: scores that are no numbers.
     """
-    used = [(check(scores), weight) for scores, weight in arms]
-    n = [len(scores) for scores, _ in used]
-    value = float(sum(weight * scores.mean() for scores, weight in used))
+    value = float(sum(weight * scores.mean() for scores, weight in arms))
+    if not np.isfinite(value):
+        raise ValueError("expected finite scores: an outcome of an episode is no number")
+    n = [len(scores) for scores, _ in arms]
     if min(n) == 1:
         return Mean(value, 0.0, 1.0, 1)
     parts, noise = [], 0.0
-    scenarios = used[0][0].shape[1]
+    scenarios = arms[0][0].shape[1]
     per_scenario = np.zeros(scenarios)
-    for scores, weight in used:
+    for scores, weight in arms:
         seeds = len(scores)
         rows, columns = scores.mean(axis=1), scores.mean(axis=0)
         parts.append((weight**2 * float(rows.var(ddof=1)) / seeds, seeds - 1.0))
@@ -109,68 +96,85 @@ def linear(arms: Sequence[tuple[Scores, float]], floor: float = 0.0) -> Mean:
     lacking = floor - sum(variance for variance, _ in parts)
     if lacking > 0:
         parts.append((lacking, float(sum(n) - len(n))))
-    return Mean(value, *total(parts), min(n))
+    variance = float(sum(part for part, _ in parts))
+    below = sum(part**2 / dof for part, dof in parts)
+    return Mean(value, variance, variance**2 / below if below > 0 else 1.0, min(n))
 
 
-def binomial_floor(arms: Sequence[Scores]) -> float:
-    """The least variance of a difference of proportions that counts, from the arms that (almost) never or always crash.
+def of_units(values: SeriesGroupBy) -> pd.DataFrame:
+    """The mean of values in each group, one of each unit, as rows with the columns of `Mean`; NaN does not count."""
+    rows = values.agg(estimate="mean", variance="sem", smallest="count").reset_index()
+    smallest = rows["smallest"].clip(lower=1)
+    return rows.assign(
+        variance=rows["variance"].fillna(0.0) ** 2, dof=(smallest - 1).clip(lower=1), smallest=smallest
+    )
+
+
+def binomial_floor(tables: Sequence[Scores] | NDArray[np.float64]) -> float:
+    """The least variance of a sum of proportions that counts, from those tables of crashes that are (almost) all alike.
 
     The mean of episodes that do not hinder each other varies at least as much as that of independent ones; with fewer
     than FEW crashes (or episodes without) the scores say little of their own variance. With one of each added to an arm
     (Agresti and Caffo 2000) it is above 0 where no agent crashed at all.
     """
-    variance = 0.0
-    for scores in arms:
-        crashes = float(scores.sum())
-        if scores.size and min(crashes, scores.size - crashes) < FEW:
-            share = (crashes + 1) / (scores.size + 2)
-            variance += share * (1 - share) / scores.size
-    return variance
+    size = np.asarray(tables[0]).size
+    crashes = np.sum(tables, axis=(1, 2))
+    share = (crashes + 1) / (size + 2)
+    return float((share * (1 - share) / size)[np.minimum(crashes, size - crashes) < FEW].sum())
 
 
-def combine(means: Sequence[Mean], weights: Sequence[float]) -> Mean:
-    """sum of weight x mean of independent settings."""
-    pairs = list(zip(means, weights, strict=True))
-    parts = [(weight**2 * mean.variance, mean.df) for mean, weight in pairs]
-    value = float(sum(weight * mean.value for mean, weight in pairs))
-    return Mean(value, *total(parts), min(mean.least for mean in means))
+def interval(mean: Mean) -> Estimate:
+    """A mean, or each of columns of means, with its t interval."""
+    se = np.sqrt(mean.variance)
+    same = se <= 1e-12 * np.maximum(1.0, np.abs(mean.estimate))
+    status = np.select([np.equal(mean.smallest, 1), same], [ONE_SEED, DEGENERATE], OK)
+    se, df = (np.where(status == OK, values, np.nan) for values in (se, mean.dof))
+    half = stats.t.ppf(1 - ALPHA / 2, df) * se
+    p = 2 * stats.t.sf(np.abs(mean.estimate) / se, df)
+    return Estimate(mean.estimate, se, df, mean.estimate - half, mean.estimate + half, p, status)
 
 
-def alike(tasks: Sequence[str]) -> list[float]:
-    """Weights of settings, given their tasks: every task counts alike, and in a task every level."""
-    named = pd.Series(tasks)
-    return list(1 / named.nunique() / named.groupby(named).transform("size"))
+def combine(means: pd.DataFrame, by: Sequence[str], weights: pd.Series) -> pd.DataFrame:
+    """sum of weight x mean over the independent settings of each group.
+
+    Args:
+        means: a row a setting, with the columns of `Mean`. by: the columns of a group.
+
+    Returns:
+        A row a group: `by`, the columns of `Mean` and `Estimate`, settings (their number), and of columns whose names
+        begin with mean_ the same sums, of those with seeds_ sums without weights.
+    """
+    parts = means.filter(regex="^(estimate|mean_)").mul(weights, axis=0)
+    parts = parts.join(means.filter(regex="^(smallest|seeds_)"))
+    parts = parts.assign(variance=weights**2 * means["variance"], settings=1)
+    parts["dof"] = parts["variance"] ** 2 / means["dof"]
+    how = dict.fromkeys(parts, "sum") | {"smallest": "min"}
+    sums = parts.groupby([means[name] for name in by], sort=False).agg(how)
+    sums["dof"] = (sums["variance"] ** 2 / sums["dof"]).fillna(1.0)  # Satterthwaite
+    return with_intervals(sums.reset_index())
 
 
-def interval(mean: Mean, confidence: float = 1 - ALPHA) -> Estimate:
-    """The mean with its t interval."""
-    if mean.least == 1:
-        return Estimate(mean.value, ONE_SEED)
-    se = float(np.sqrt(mean.variance))
-    if se <= 1e-12 * max(1.0, abs(mean.value)):
-        return Estimate(mean.value, DEGENERATE)
-    half = float(stats.t.ppf(0.5 + confidence / 2, mean.df)) * se
-    p = float(2 * stats.t.sf(abs(mean.value) / se, mean.df))
-    return Estimate(mean.value, OK, se, mean.df, mean.value - half, mean.value + half, p)
+def with_intervals(means: pd.DataFrame) -> pd.DataFrame:
+    """Rows with the columns of `Mean`, and those of `Estimate` beside them."""
+    return means.assign(**interval(Mean(*(means[name].astype(float) for name in Mean._fields)))._asdict())
+
+
+def alike(rows: pd.DataFrame, by: Sequence[str]) -> pd.Series:
+    """Weights of settings: in each group of `by` every task counts alike, and in a task every level."""
+    tasks = rows.groupby([*by], sort=False)["task"].transform("nunique")
+    return 1 / tasks / rows.groupby([*by, "task"], sort=False)["task"].transform("size")
+
+
+def slope_weights(rows: pd.DataFrame, by: Sequence[str]) -> pd.Series:
+    """Weights with which a sum is the least-squares slope over the levels, in each group of `by`."""
+    centred = rows["level"] - rows.groupby([*by])["level"].transform("mean")
+    return centred / (centred**2).groupby([rows[name] for name in by]).transform("sum")
 
 
 def equivalence(found: Estimate | pd.DataFrame, margin: float) -> NDArray[np.float64]:
     """p-values of "the arms differ by margin or more" (two one-sided tests); NaN without an interval."""
     p: NDArray[np.float64] = stats.t.sf((margin - abs(found.estimate)) / found.se, found.df)
     return p
-
-
-def slope_weights(x: Sequence[float]) -> list[float]:
-    """Weights w with sum_k w[k] * y[k] = the least-squares slope of y on x.
-
-    Raises:
-        ValueError: fewer than two different x.
-    """
-    array = np.asarray(x, dtype=np.float64)
-    centred = array - array.mean()
-    if len(array) < 2 or not (centred != 0).any():
-        raise ValueError(f"a slope needs at least two different levels, got {list(x)}")
-    return [float(w) for w in centred / (centred**2).sum()]
 
 
 def adjusted(p_values: ArrayLike, method: str = "holm") -> NDArray[np.float64]:
@@ -187,13 +191,15 @@ def adjusted(p_values: ArrayLike, method: str = "holm") -> NDArray[np.float64]:
     return known.reindex(p.index).to_numpy()
 
 
-def detectable(se: float, df: float, alpha: float = ALPHA, power: float = POWER) -> float:
-    """The smallest true difference that a two-sided test at alpha with this standard error finds with this power."""
+def detectable(se: float, df: float, alpha: float = ALPHA) -> float:
+    """The smallest true difference that a two-sided test at alpha with this standard error finds with POWER."""
+    if np.isnan(se):
+        return np.nan
     limit = float(stats.t.ppf(1 - alpha / 2, df))
     if df > 200:
-        return (limit + float(stats.norm.ppf(power))) * se
+        return (limit + float(stats.norm.ppf(POWER))) * se
 
     def lacking(effect: float) -> float:
-        return float(stats.nct.sf(limit, df, effect)) - power
+        return float(stats.nct.sf(limit, df, effect)) - POWER
 
     return float(optimize.brentq(lacking, 0.0, 4 * limit + 10)) * se

@@ -19,8 +19,8 @@ import pandas as pd
 from scipy import stats
 
 from agents.training import Q_SLACK
-from experiments.analysis.estimate import DEGENERATE, OK, Estimate, alike, combine, interval, linear
-from experiments.analysis.plan import ALPHA, Learner
+from experiments.analysis.estimate import DEGENERATE, OK, Estimate, alike, combine, of_units
+from experiments.analysis.plan import ALPHA, Learner, Plan
 from experiments.analysis.scores import PLACE, in_order
 from experiments.study.arms import gate_traffics
 
@@ -105,19 +105,15 @@ def gates(cells: Mapping[str, Mapping[str, Any]], episodes: pd.DataFrame) -> pd.
         name: table.set_index(["traffic", "scenario"]).sort_index()
         for name, table in episodes.groupby("cell", sort=False)
     }
-    references: dict[tuple[Any, ...], dict[str, pd.DataFrame]] = {}
-    for name, table in tables.items():
-        key = cells[name]["key"]
-        if key["kind"] != "agent":
-            references.setdefault(tuple(key[column] for column in PLACE), {})[key["policy"]] = table
-    rows = []
-    for name, table in tables.items():
-        key = cells[name]["key"]
+    keys = pd.DataFrame([cells[name]["key"] for name in tables], index=[*tables], dtype=object)
+    references, rows = keys[keys["kind"] != "agent"], []
+    for name, key in keys[keys["kind"] == "agent"].iterrows():
         traffics = list(gate_traffics(key["arm"]))  # of its training
-        if key["kind"] != "agent" or not {*traffics} <= {*table.index.unique("traffic")}:
+        if not {*traffics} <= {*tables[name].index.unique("traffic")}:
             continue
-        policies = references.get(tuple(key[column] for column in PLACE), {})
-        own, others = table.loc[traffics], {policy: there.loc[traffics] for policy, there in policies.items()}
+        there = references[(references[PLACE] == key[PLACE]).all(axis=1)]
+        own = tables[name].loc[traffics]
+        others = {policy: tables[cell].loc[traffics] for cell, policy in there["policy"].items()}
         found = [
             _q_bounded(cells[name].get("learner") or {}),
             _not_constant(own, others),
@@ -126,7 +122,7 @@ def gates(cells: Mapping[str, Mapping[str, Any]], episodes: pd.DataFrame) -> pd.
         ]
         failed = " ".join(gate for gate, passed in zip(GATES, found, strict=True) if passed is False)
         sound = False if failed else None if None in found else True
-        rows.append([name, *(key[column] for column in (*PLACE, "arm", "seed")), sound, failed, *found])
+        rows.append([name, *key[[*PLACE, "arm", "seed"]], sound, failed, *found])
     frame = pd.DataFrame(rows, columns=["cell", *PLACE, "arm", "seed", "passed", "failed", *GATES])
     return in_order(frame, "backend", "task", "level", "arm", "seed").reset_index(drop=True)
 
@@ -135,10 +131,9 @@ def learner_checks(
     cells: Mapping[str, Mapping[str, Any]],
     passed: pd.DataFrame,
     agents: pd.DataFrame,
-    rules: Learner,
-    arms: Sequence[str],
+    plan: Plan,
 ) -> pd.DataFrame:
-    """What the plan asks of the learner, of all agents of some arms.
+    """What the plan asks of the learner, of all agents of its arms; nothing where it does not ask.
 
     Args:
         cells: cell.json by name. passed: from `gates.gates`. agents: the test episodes of trained agents, from
@@ -152,33 +147,32 @@ def learner_checks(
         "last second": its rate of crashes over that of the seconds before.
     """
     rows: list[list[Any]] = []
-    passed = passed[passed["arm"].isin(arms)]
+    if (rules := plan.learner) is None:
+        return pd.DataFrame(columns=CHECKS)
+    passed = passed[passed["arm"].isin(plan.arms)]
     for backend, own in passed.groupby("backend", sort=False):
-        for arm in arms:
+        for arm in plan.arms:
             trained = [cells[name] for name in own.loc[own["arm"] == arm, "cell"]]
             if trained:
                 found, most = change(trained, rules), rules.change
-                inside = -most <= found.low and found.high <= most
                 outside = found.low > most or found.high < -most
-                verdict = True if inside else False if outside else None
-                rows.append([backend, "change", "", arm, len(trained), *_limits(found), -most, most, verdict])
+                verdict = False if outside else True if max(-found.low, found.high) <= most else None
+                limits = found.estimate, found.low, found.high
+                rows.append([backend, "change", "", arm, len(trained), *limits, -most, most, verdict])
         bad = int((own["q_bounded"].astype(object) == False).sum())  # noqa: E712
         rows.append([backend, "diverged", "", "", len(own), bad, np.nan, np.nan, 0, 0, bad == 0])
         share = float((own["passed"].astype(object) == True).mean())  # noqa: E712
         sound = share >= rules.passing
         rows.append([backend, "gates", "", "", len(own), share, np.nan, np.nan, rules.passing, 1, sound])
-        tests = agents[(agents["backend"] == backend) & agents["arm"].isin(arms)]
+        tests = agents[(agents["backend"] == backend) & agents["arm"].isin(plan.arms)]
         for (task, arm), drives in tests.groupby(["task", "arm"], sort=False):
             if task in rules.clocked:
                 found = last_second(drives, rules.before)
                 number = drives["cell"].nunique()
                 same = bool(found.low <= 1 <= found.high) if found.status == OK else None
-                rows.append([backend, "last second", task, arm, number, *_limits(found), 1, 1, same])
+                limits = found.estimate, found.low, found.high
+                rows.append([backend, "last second", task, arm, number, *limits, 1, 1, same])
     return pd.DataFrame(rows, columns=CHECKS)
-
-
-def _limits(found: Estimate) -> list[float]:
-    return [found.estimate, found.low, found.high]
 
 
 def change(trained: Sequence[Mapping[str, Any]], rules: Learner) -> Estimate:
@@ -189,16 +183,17 @@ def change(trained: Sequence[Mapping[str, Any]], rules: Learner) -> Estimate:
     Args:
         trained: cell.json of the agents of an arm.
     """
-    differences: dict[tuple[str, int], list[list[float]]] = {}
+    rows = []
     for cell in trained:
         key, curve = cell["key"], np.array(cell["learner"]["curve"]["return"], dtype=float)
         tenth, quarter = len(curve) // 10, 3 * len(curve) // 4
         # a part in which no episode ended has no return
         difference = np.nanmean(curve[-tenth:]) - np.nanmean(curve[quarter - tenth : quarter])
-        scores = differences.setdefault((key["task"], key["level"]), [])
-        scores.append([float(difference) / rules.ranges[key["task"]]])
-    means = [linear([(np.array(scores), 1.0)]) for scores in differences.values()]
-    return interval(combine(means, alike([task for task, _ in differences])))
+        rows.append([key["task"], key["level"], float(difference) / rules.ranges[key["task"]]])
+    frame = pd.DataFrame(rows, columns=["task", "level", "change"])
+    settings = of_units(frame.groupby(["task", "level"], sort=False)["change"]).assign(arm="")
+    [found] = combine(settings, ["arm"], alike(settings, ["arm"])).itertuples()
+    return found
 
 
 def last_second(drives: pd.DataFrame, before: float) -> Estimate:
@@ -218,7 +213,7 @@ def last_second(drives: pd.DataFrame, before: float) -> Estimate:
     agents = pd.DataFrame(counts).groupby(drives["cell"]).sum().astype(float)
     total = agents.sum()
     if not (total["last driven"] and total["before driven"]):
-        return Estimate(np.nan, DEGENERATE)
+        return Estimate(np.nan, status=DEGENERATE)
     sides = [(agents[name], agents[f"{name} driven"], total[name] + 0.5) for name in ("last", "before")]
     rates = [crashes / driven.sum() for _, driven, crashes in sides]
     parts = [(own - rate * driven) / n for (own, driven, n), rate in zip(sides, rates, strict=True)]
@@ -227,4 +222,4 @@ def last_second(drives: pd.DataFrame, before: float) -> Estimate:
     least = sum(1 / n for *_, n in sides)
     half = float(stats.t.ppf(1 - ALPHA / 2, max(number - 1, 1)) * np.sqrt(max(between, least)))
     ratio = rates[0] / rates[1]
-    return Estimate(ratio, OK, low=float(ratio * np.exp(-half)), high=float(ratio * np.exp(half)))
+    return Estimate(ratio, low=float(ratio * np.exp(-half)), high=float(ratio * np.exp(half)))

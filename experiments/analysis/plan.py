@@ -121,9 +121,8 @@ class Learner:
 class Plan:
     """All choices of an analysis.
 
-    Version 1, of which no code is left, took the time to crash for the two-way road's primary outcome and counted harms
-    by equivalence alone. 2: one primary outcome on all tasks; harms in regular traffic are counted as benefits in risky
-    traffic are; nothing is concluded from a setting where every agent always crashes. 3, of the second study
+    Version 2: one primary outcome on all tasks; harms in regular traffic are counted as benefits in risky traffic are;
+    nothing is concluded from a setting where every agent always crashes. 3, of the second study
     (docs/developers/plan_v3.md): families for mixed training too, its gain without price, checks of the learner; only
     settings of which every agent is there.
 
@@ -157,20 +156,13 @@ class Plan:
 
     def family(self, arm: str, outcome: str, term: str) -> str:
         """Name of the family that an effect of a setting is tested in; empty if it is exploratory."""
-        for family in self.families:
-            tested = family.arm, self.outcome(family), family.term
-            if not family.equivalence and (arm, outcome, term) == tested:
-                return family.name
-        return ""
+        tests = {(f.arm, self.outcome(f), f.term): f.name for f in self.families if not f.equivalence}
+        return tests.get((arm, outcome, term), "")
 
     @property
     def schedule(self) -> tuple[Look, ...]:
         """The planned looks; where none was planned, the only one, at all seeds."""
         return self.looks or (ONLY_LOOK,)
-
-    def held(self, seeds: int) -> tuple[Look, ...]:
-        """The looks that so many seeds in an arm allow."""
-        return tuple(look for look in self.schedule if seeds >= look.seeds) or self.schedule[:1]
 
 
 # Five seeds everywhere first, then five more where the first look leaves it open and ten can decide it.

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from experiments.analysis.estimate import Scores, binomial_floor
-from experiments.analysis.plan import OUTCOMES, TERMS
+from experiments.analysis.plan import OUTCOMES
 from experiments.study.arms import ALL_TRAFFICS, TRAFFICS
 from experiments.study.store import Results
 from sumo_env.tasks import TASKS
@@ -31,8 +29,8 @@ def in_order(rows: pd.DataFrame, *columns: str) -> pd.DataFrame:
 def with_outcomes(results: Results) -> pd.DataFrame:
     """The test episodes with all outcomes as columns: those of the plan and the user's own.
 
-    Columns beside those of `results.episodes`: the names of `plan.OUTCOMES`; tested_on (the simulator of the test) and
-    seconds (that the episode was to last).
+    Columns beside those of `results.episodes`: the names of `plan.OUTCOMES`; tested_on (the simulator of the test);
+    seconds that the episode was to last, and progress: metres per second of them.
     """
     episodes = results.episodes
 
@@ -52,6 +50,7 @@ def with_outcomes(results: Results) -> pd.DataFrame:
         **own,
         tested_on=of_cell(lambda key: key.get("test_on", {}).get("backend", key["backend"])),
         seconds=seconds.astype(float),
+        progress=episodes["distance"] / seconds,
         crashed=crashed,
         reward_per_step=episodes["return"] / episodes["length"],
         crash_free_time=episodes["crash_time"].astype(float).where(crashed > 0).fillna(lasted),
@@ -59,39 +58,9 @@ def with_outcomes(results: Results) -> pd.DataFrame:
     )
 
 
-@dataclass(frozen=True)
-class Arm:
-    """The agents of an arm in a setting, in order of their training seeds.
-
-    values: for each outcome an array (traffic in the order of TRAFFICS, seed, scenario).
-    """
-
-    seeds: tuple[int, ...]
-    values: Mapping[str, NDArray[np.float64]]
-
-    def scores(self, outcome: str, term: str) -> Scores:
-        """A term of the treatment effect for each agent and scenario, before anything is compared."""
-        weights = np.array([TERMS[term].get(traffic, 0.0) for traffic in TRAFFICS])
-        scores: Scores = np.tensordot(weights, self.values[outcome], axes=1)
-        return scores
-
-    def tested(self, outcome: str, term: str) -> list[Scores]:
-        """The outcome in each traffic of a term."""
-        tables = zip(TRAFFICS, self.values[outcome], strict=True)
-        return [table for traffic, table in tables if TERMS[term].get(traffic)]
-
-    def floor(self, outcome: str, term: str) -> float:
-        """The least variance of the arm's mean, see `estimate.binomial_floor`."""
-        return binomial_floor(self.tested(outcome, term)) if outcome == "crashed" else 0.0
-
-    def below(self, seed: int) -> Arm:
-        """The agents of the first batches of training seeds."""
-        kept = np.array([own < seed for own in self.seeds])
-        values = {name: table[:, kept] for name, table in self.values.items()}
-        return self if kept.all() else Arm(tuple(np.array(self.seeds)[kept].tolist()), values)
-
-
 Place = tuple[str, str, int, str]  # backend, task, level, level_name
+# The agents of an arm in a setting: of each outcome an array (traffic in the order of TRAFFICS, agent, scenario).
+Arm = Mapping[str, NDArray[np.float64]]
 Arms = Mapping[str, Arm]  # by name
 
 
@@ -106,8 +75,7 @@ def arms_of(episodes: pd.DataFrame) -> dict[Place, dict[str, Arm]]:
     outcomes = [name for name in OUTCOMES if name in rows]
     result: dict[Place, dict[str, Arm]] = {}
     for (*place, arm), group in rows.groupby([*PLACE, "arm"], sort=False):
-        seeds = tuple(int(seed) for seed in group["seed"].unique())
-        shape = (len(TRAFFICS), len(seeds), -1)
+        shape = (len(TRAFFICS), group["seed"].nunique(), -1)
         values = {name: group[name].to_numpy(dtype=np.float64).reshape(shape) for name in outcomes}
-        result.setdefault((place[0], place[1], place[2], place[3]), {})[str(arm)] = Arm(seeds, values)
+        result.setdefault((place[0], place[1], place[2], place[3]), {})[str(arm)] = values
     return result

@@ -13,9 +13,9 @@ import numpy as np
 import pandas as pd
 
 from experiments.analysis.analysis import Analysis
-from experiments.analysis.effects import ALL_TASKS, mean_over
+from experiments.analysis.effects import ALL_TASKS, means
 from experiments.analysis.gates import FAILURES
-from experiments.analysis.plan import OUTCOMES, Plan
+from experiments.analysis.plan import OUTCOMES
 from experiments.analysis.scores import TASK_ORDER
 from experiments.study.arms import ARMS, TRAFFICS
 from experiments.study.unseen import UNSEEN
@@ -40,15 +40,14 @@ def plain(value: float | None, digits: int, signed: bool = False) -> str:
 
 def number(value: float | None, outcome: str) -> str:
     """A mean of an outcome with the digits it deserves; shares in per cent ("12.5 %")."""
-    kind = OUTCOMES[outcome]
-    text = plain(None if value is None else value * (100 if kind.percent else 1), kind.digits)
-    return text + (" %" if kind.percent and text != NONE else "")
+    text = points(value, outcome, signed=False)
+    return text + (" %" if OUTCOMES[outcome].percent and text != NONE else "")
 
 
-def points(value: float | None, outcome: str) -> str:
+def points(value: float | None, outcome: str, signed: bool = True) -> str:
     """A difference with its sign; of shares in points ("-15.7")."""
     kind = OUTCOMES[outcome]
-    return plain(None if value is None else value * (100 if kind.percent else 1), kind.digits, signed=True)
+    return plain(None if value is None else value * (100 if kind.percent else 1), kind.digits, signed)
 
 
 def interval(row: Mapping[str, Any], outcome: str) -> str:
@@ -189,21 +188,23 @@ def gates(analysis: Analysis, backend: str) -> pd.DataFrame:
 
 def side_by_side(analyses: Mapping[str, Analysis]) -> pd.DataFrame:
     """Effects on the crash rate in several folders, by name, over the settings that all of them have."""
-    crashes = {
-        name: chosen(main(analysis.effects, analysis.effects["backend"].iloc[0]), outcome="crashed")
-        for name, analysis in analyses.items()
-        if len(analysis.effects)
-    }
-    places = {name: list(zip(rows["task"], rows["level"], strict=True)) for name, rows in crashes.items()}
-    shared = set.intersection(*map(set, places.values())) if len(places) > 1 else set()
-    lines = []
-    for name, rows in crashes.items() if shared else ():
-        common = rows[[place in shared for place in places[name]]]
-        effects = {
-            f"{term} traffic": difference(mean_over(chosen(common, term=term), Plan())) for term in TRAFFICS
-        }
-        lines.append({"folder": name, "settings": str(len(shared)), **effects})
-    return pd.DataFrame(lines)
+    frames = [
+        chosen(
+            main(one.effects, one.effects["backend"].iloc[0]), outcome="crashed", term=list(TRAFFICS)
+        ).assign(backend=name, look=0)
+        for name, one in analyses.items()
+        if len(one.effects)
+    ]
+    if len(frames) < 2:
+        return pd.DataFrame()
+    rows = pd.concat(frames, ignore_index=True)
+    shared = rows.groupby(["task", "level"])["backend"].transform("nunique") == len(frames)
+    found = chosen(means(rows[shared]), scope=ALL_TASKS).rename(columns={"backend": "folder"})
+    return wide(
+        found.sort_values("term", kind="stable"),
+        ["folder", "settings"],
+        lambda row: {f"{row['term']} traffic": difference(row)},
+    )
 
 
 LEARNER = {

@@ -10,20 +10,23 @@ noise. What the planned tests claim holds over new agents *and* new scenarios.
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
+import pandas as pd
 from scipy.stats import norm
 
 from experiments.analysis import estimate
-from experiments.analysis.effects import at_looks, contrasts, decided, mean_over, slopes
-from experiments.analysis.estimate import OK, Estimate
+from experiments.analysis.effects import ALL_TASKS, decided, means, slopes
+from experiments.analysis.estimate import OK
 from experiments.analysis.plan import ALPHA, DEFAULT, OUTCOMES, TWO_BATCHES, Plan
 from experiments.analysis.scores import Arm, Arms, Place
+from tests.experiments.analysis.made_up import at_looks, first
 
 LEVELS = {"highway": 3, "two-way": 3, "roundabout": 3, "intersection": 5, "u-turn": 4}
 SCENARIOS = 100
+PLACE = ("sumo", "highway", 1, "1")
 
 
 @dataclass(frozen=True)
@@ -32,8 +35,7 @@ class World:
 
     rates: crash rate of control agents in regular and risky traffic. effect: what the treatment adds to both. spread:
     standard deviation of agents. difficulty: of scenarios. own: of scenarios for one arm alone (all three on the probit
-    scale). bad: share of agents (treatment, control) that crash by `bad_shift` more. tau: standard deviation of the
-    true effect between tasks.
+    scale). bad: share of agents (treatment, control) that crash by `bad_shift` more.
     """
 
     rates: tuple[float, float] = (0.25, 0.45)
@@ -43,7 +45,6 @@ class World:
     own: float = 0.0
     bad: tuple[float, float] = (0.0, 0.0)
     bad_shift: float = 0.45
-    tau: float = 0.0
 
     @property
     def truth(self) -> float:
@@ -51,37 +52,41 @@ class World:
         return self.effect + self.bad_shift * (self.bad[0] - self.bad[1])
 
 
-def setting(
-    world: World, seeds: tuple[int, int], random: np.random.Generator, effect: float | None = None
-) -> dict[str, Arm]:
+def setting(world: World, seeds: tuple[int, int], random: np.random.Generator) -> dict[str, Arm]:
     """A setting of a study: seeds of (treatment, control)."""
-    effect = world.effect if effect is None else effect
     total = np.sqrt(1 + world.spread**2 + world.difficulty**2 + world.own**2)
     shared = random.normal(0, world.difficulty, (2, 1, SCENARIOS))
-    pair = {}
+    pair: dict[str, Arm] = {}
     for number, name in enumerate(("treatment", "control")):
         n = seeds[number]
-        rates = np.array(world.rates)[:, None, None] + (effect if name == "treatment" else 0.0)
+        chances = np.array(world.rates)[:, None, None] + (world.effect if name == "treatment" else 0.0)
         is_bad = random.uniform(size=(1, n, 1)) < world.bad[number]
-        rates = np.clip(rates + world.bad_shift * is_bad, 1e-12, 1 - 1e-12)
+        chances = np.clip(chances + world.bad_shift * is_bad, 1e-12, 1 - 1e-12)
         common = random.normal(0, world.spread, (1, n, 1))
         agents = 0.8 * common + 0.6 * random.normal(0, world.spread, (2, n, 1))
         own = random.normal(0, world.own, (2, 1, SCENARIOS)) if world.own else 0.0
         latent = shared + own + agents + random.normal(size=(2, n, SCENARIOS))
-        crashed = (latent < norm.ppf(rates) * total).astype(float)
+        crashed = (latent < norm.ppf(chances) * total).astype(float)
         reward = 20 - 8 * crashed + shared + 2 * agents + random.normal(0, 2, crashed.shape)
-        pair[name] = Arm(tuple(range(n)), {"crashed": crashed, "return": reward})
+        pair[name] = {"crashed": crashed, "return": reward}
     return pair
 
 
 def study(world: World, seeds: int, random: np.random.Generator) -> dict[Place, Arms]:
     """All 18 settings."""
-    result: dict[Place, Arms] = {}
-    for task, levels in LEVELS.items():
-        effect = world.effect + (random.normal(0, world.tau) if world.tau else 0.0)
-        for level in range(1, levels + 1):
-            result["sumo", task, level, str(level)] = setting(world, (seeds, seeds), random, effect)
-    return result
+    levels = [(task, level) for task, number in LEVELS.items() for level in range(1, number + 1)]
+    return {("sumo", task, k, str(k)): setting(world, (seeds, seeds), random) for task, k in levels}
+
+
+def studies(draw: Callable[[np.random.Generator], Mapping[Place, Arms]], repeats: int) -> dict[Place, Arms]:
+    """The settings of many studies, each under a name of its own in the place of the simulator's."""
+    random = np.random.default_rng(7)
+    return {(str(k), *place[1:]): pair for k in range(repeats) for place, pair in draw(random).items()}
+
+
+def settings(world: World, seeds: tuple[int, int], repeats: int) -> dict[Place, Arms]:
+    """Studies of one setting."""
+    return studies(lambda random: {PLACE: setting(world, seeds, random)}, repeats)
 
 
 @dataclass(frozen=True)
@@ -94,103 +99,75 @@ class Rates:
     repeats: int
 
 
-def measure(draw: Callable[[np.random.Generator], Estimate], truth: float, repeats: int) -> Rates:
-    """Repeat an estimate."""
-    random = np.random.default_rng(7)
-    rejected = covered = found = 0
-    for _ in range(repeats):
-        one = draw(random)
-        if one.status == OK:
-            found += 1
-            rejected += one.p < ALPHA
-            covered += one.low <= truth <= one.high
-    at = max(found, 1)
-    return Rates(rejected / at, covered / at, 1 - found / repeats, repeats)
+def rates(found: pd.DataFrame, truth: float) -> Rates:
+    """The rates of estimates, a row a study."""
+    known = found[found["status"] == OK]
+    covered = (known["low"] <= truth) & (truth <= known["high"])
+    return Rates((known["p"] < ALPHA).mean(), covered.mean(), 1 - len(known) / len(found), len(found))
 
 
-def effect(pair: Arms, outcome: str, term: str, plan: Plan = DEFAULT) -> Estimate:
-    """Treatment minus control in a setting."""
-    arms = pair["treatment"], pair["control"]
-    looks = at_looks(arms, (1.0, -1.0), outcome, term, plan)
-    return decided(looks, min(len(arm.seeds) for arm in arms), plan)
+def effects(arms: Mapping[Place, Arms], outcome: str, term: str, plan: Plan = DEFAULT) -> pd.DataFrame:
+    """Treatment minus control in each setting."""
+    return decided(at_looks(arms, [(outcome, term)], plan), plan)
 
 
-def balanced(pairs: dict[Place, Arms], outcome: str, term: str, plan: Plan = DEFAULT) -> Estimate:
-    """The mean effect over settings, tasks alike."""
-    found = mean_over(contrasts(pairs, {("treatment", "control"): [(outcome, term)]}, plan), plan)
-    return Estimate(*(found[name] for name in ("estimate", "status", "se", "df", "low", "high", "p")))
+def balanced(arms: Mapping[Place, Arms], plan: Plan = DEFAULT) -> pd.DataFrame:
+    """The mean effect on the crash rate in risky traffic over the settings of each study, tasks alike."""
+    found = means(at_looks(arms, [("crashed", "risky")], plan), plan)
+    return found[found["scope"] == ALL_TASKS]
 
 
 def one(world: World, seeds: tuple[int, int], outcome: str, term: str, repeats: int) -> Rates:
     """The effect of a setting."""
     truth = world.truth * (2 if term == "sum" else 1)
-    return measure(lambda random: effect(setting(world, seeds, random), outcome, term), truth, repeats)
+    return rates(effects(settings(world, seeds, repeats), outcome, term), truth)
 
 
 def primary(world: World, seeds: int, repeats: int) -> Rates:
     """The primary question: all 18 settings, tasks alike."""
-    return measure(
-        lambda random: balanced(study(world, seeds, random), "crashed", "risky"), world.effect, repeats
-    )
+    return rates(balanced(studies(lambda random: study(world, seeds, random), repeats)), world.effect)
 
 
 def slope(world: World, seeds: int, quantity: str, repeats: int, outcome: str = "return") -> Rates:
     """A slope over three levels that do not differ."""
 
-    def draw(random: np.random.Generator) -> Estimate:
-        pairs: dict[Place, Arms] = {
-            ("sumo", "highway", k, str(k)): setting(world, (seeds, seeds), random) for k in (1, 2, 3)
-        }
-        rows = slopes(pairs)
-        [found] = rows[(rows["outcome"] == outcome) & (rows["quantity"] == quantity)].to_dict("records")
-        return Estimate(*(found[name] for name in ("estimate", "status", "se", "df", "low", "high", "p")))
+    def draw(random: np.random.Generator) -> dict[Place, Arms]:
+        return {("sumo", "highway", k, str(k)): setting(world, (seeds, seeds), random) for k in (1, 2, 3)}
 
-    return measure(draw, 0.0, repeats)
+    found = slopes([studies(draw, repeats)])
+    return rates(found[(found["outcome"] == outcome) & (found["quantity"] == quantity)], 0.0)
 
 
-def two_batches(world: World, repeats: int, plan: Plan = TWO_BATCHES) -> Rates:
+def two_batches(world: World, repeats: int) -> Rates:
     """A setting that gets its second batch where the first leaves it open; the p-value is right for both looks."""
-
-    def draw(random: np.random.Generator) -> Estimate:
-        whole = setting(world, (10, 10), random)
-        first = effect({name: arm.below(5) for name, arm in whole.items()}, "crashed", "risky", plan)
-        return first if first.p < ALPHA else effect(whole, "crashed", "risky", plan)
-
-    return measure(draw, world.effect, repeats)
+    whole = settings(world, (10, 10), repeats)
+    early, both = (effects(arms, "crashed", "risky", TWO_BATCHES) for arms in (first(whole, 5), whole))
+    claimed = early["p"] < ALPHA
+    return rates(pd.concat([early[claimed], both[~claimed]]), world.effect)
 
 
-def primary_two_batches(world: World, repeats: int, plan: Plan = TWO_BATCHES) -> Rates:
+def primary_two_batches(world: World, repeats: int) -> Rates:
     """The primary question, where the settings that the first batch leaves open get the second."""
-
-    def draw(random: np.random.Generator) -> Estimate:
-        whole = study(world, 10, random)
-        early = {p: {name: arm.below(5) for name, arm in pair.items()} for p, pair in whole.items()}
-        p = estimate.adjusted([effect(pair, "crashed", "risky", plan).p for pair in early.values()])
-        mixed = {
-            place: early[place] if q < ALPHA else whole[place] for place, q in zip(whole, p, strict=True)
-        }
-        return balanced(mixed, "crashed", "risky", plan)
-
-    return measure(draw, world.truth, repeats)
+    whole = studies(lambda random: study(world, 10, random), repeats)
+    early = first(whole, 5)
+    p = effects(early, "crashed", "risky", TWO_BATCHES).groupby("backend")["p"].transform(estimate.adjusted)
+    mixed = {place: early[place] if q < ALPHA else whole[place] for place, q in zip(whole, p, strict=True)}
+    return rates(balanced(mixed, TWO_BATCHES), world.truth)
 
 
 def any_setting(world: World, seeds: int, repeats: int) -> float:
     """Share of studies that claim an effect in some setting, by Holm."""
-    random, found = np.random.default_rng(7), 0
-    for _ in range(repeats):
-        p = [effect(pair, "crashed", "risky").p for pair in study(world, seeds, random).values()]
-        found += bool((estimate.adjusted(p) < ALPHA).any())
-    return found / repeats
+    found = effects(studies(lambda random: study(world, seeds, random), repeats), "crashed", "risky")
+    claimed = found.groupby("backend")["p"].transform(estimate.adjusted) < ALPHA
+    return float(claimed.groupby(found["backend"]).any().mean())
 
 
 def equivalent(seeds: int, repeats: int) -> float:
     """Share of settings that are called equivalent although they differ by the margin."""
-    random, margin, found = np.random.default_rng(7), OUTCOMES["crashed"].margin or 0.0, 0
+    margin = OUTCOMES["crashed"].margin or 0.0
     world = World(rates=(0.1, 0.1), effect=margin, spread=0.05)
-    for _ in range(repeats):
-        drawn = effect(setting(world, (seeds, seeds), random), "crashed", "risky")
-        found += estimate.equivalence(drawn, margin) < ALPHA
-    return found / repeats
+    found = effects(settings(world, (seeds, seeds), repeats), "crashed", "risky")
+    return float((estimate.equivalence(found, margin) < ALPHA).mean())
 
 
 WORLDS = {

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from typing import Any
 
@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from experiments.analysis.analysis import own_agents
-from experiments.analysis.effects import adjusted, contrasts
+from experiments.analysis.effects import adjusted, contrasts, decided
 from experiments.analysis.plan import DEFAULT, OUTCOMES, TERMS, Plan
 from experiments.analysis.scores import Arm, Arms, Place, arms_of, with_outcomes
 from experiments.study.store import Results
@@ -45,13 +45,32 @@ def agents(
             own = random.normal(0, spread, (1, seeds, 1)) + random.normal(0, 0.3 * spread, (2, seeds, 1))
             added = (effect + growth * level) * (arm == "treatment")
             scores = 10 + own + added + random.normal(0, 0.01 * spread, (2, seeds, 5))
-            pair[arm] = Arm(tuple(range(seeds)), {name: scores.copy() for name in OUTCOMES})
+            pair[arm] = {name: scores.copy() for name in OUTCOMES}
         result["sumo", task, level, str(level)] = pair
     return result
 
 
-def effects(arms: dict[Place, Arms], plan: Plan = DEFAULT) -> pd.DataFrame:
-    return adjusted(contrasts(arms, {PAIR: [(o, t) for o in OUTCOMES for t in TERMS]}, plan), plan)
+def first(arms: Mapping[Place, Arms], agents: int) -> dict[Place, Arms]:
+    """The first agents of each arm."""
+    return {
+        place: {
+            name: {outcome: table[:, :agents] for outcome, table in arm.items()} for name, arm in pair.items()
+        }
+        for place, pair in arms.items()
+    }
+
+
+def at_looks(arms: Mapping[Place, Arms], asked: Iterable[tuple[str, str]], plan: Plan) -> pd.DataFrame:
+    """Effects of treatment against control at every look of a plan."""
+    looks = [first(arms, look.seeds) for look in plan.schedule]
+    return pd.concat(
+        [contrasts(of_look, {PAIR: list(asked)}, look=k) for k, of_look in enumerate(looks)],
+        ignore_index=True,
+    )
+
+
+def effects(arms: Mapping[Place, Arms], plan: Plan = DEFAULT) -> pd.DataFrame:
+    return adjusted(decided(at_looks(arms, [(o, t) for o in OUTCOMES for t in TERMS], plan), plan), plan)
 
 
 def arms_in(results: Results) -> dict[Place, dict[str, Arm]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -13,13 +13,12 @@ from scipy import stats
 
 from experiments.analysis.analysis import Analysis, analyse, as_json
 from experiments.analysis.claims import claims
-from experiments.analysis.effects import contrasts, mean_over, slopes
+from experiments.analysis.effects import HIDDEN, contrasts, means, slopes
 from experiments.analysis.estimate import Estimate, equivalence, interval, linear
 from experiments.analysis.plan import DEFAULT, OUTCOMES, TERMS, TWO_BATCHES, Plan, as_data
-from experiments.analysis.scores import Arm
 from experiments.study.store import Results, load
 from tests.experiments import synthetic
-from tests.experiments.analysis.made_up import PAIR, agents, arms_in, changed, effects, find
+from tests.experiments.analysis.made_up import PAIR, agents, arms_in, changed, effects, find, first
 
 
 class TestPlan:
@@ -90,7 +89,7 @@ class TestEffects:
     @pytest.mark.parametrize(("regular", "status"), [(1.0, "no information"), (0.0, "ok")])
     def test_a_setting_where_everybody_crashes_says_nothing(self, regular: float, status: str) -> None:
         values = np.stack([np.full((4, 30), regular), np.full((4, 30), 0.5)])
-        arm = Arm(tuple(range(4)), dict.fromkeys(OUTCOMES, values))
+        arm = dict.fromkeys(OUTCOMES, values)
         rows = effects({("sumo", "highway", 1, "50"): {"treatment": arm, "control": arm}})
         found = find(rows, outcome="crashed", term="regular")
         assert (found["status"], bool(np.isnan(found["p"]))) == (status, status != "ok")
@@ -121,10 +120,16 @@ class TestEffects:
 
     def test_both_looks_count_when_all_seeds_are_there(self) -> None:
         arms = agents(1, 10, np.random.default_rng(2), effect=1.0)
-        early = {place: {name: arm.below(5) for name, arm in pair.items()} for place, pair in arms.items()}
-        first, last = (find(effects(found), outcome="return", term="sum")["p"] for found in (early, arms))
+        early, last = (
+            find(effects(found), outcome="return", term="sum")["p"] for found in (first(arms, 5), arms)
+        )
         both = find(effects(arms, TWO_BATCHES), outcome="return", term="sum")["p"]
-        assert both == pytest.approx(min(1, first / 0.2, last / 0.8))
+        assert both == pytest.approx(min(1, early / 0.2, last / 0.8))
+
+    def test_a_batch_that_is_not_complete_does_not_count_yet(self) -> None:
+        arms = agents(3, 7, np.random.default_rng(2), effect=1.0)
+        found = [effects(some, TWO_BATCHES).drop(columns=HIDDEN) for some in (arms, first(arms, 5))]
+        pd.testing.assert_frame_equal(*found)
 
 
 class TestNeverCrashed:
@@ -139,7 +144,7 @@ class TestNeverCrashed:
         found = effects(arms_in(changed(results, crashed=lambda rows: rows["crashed"] & False)))
         row = find(found, task="highway", level=1, outcome="crashed", term="regular")
         assert row["estimate"] == 0 and row["low"] < 0 < row["high"]
-        assert equivalence(Estimate(**{f.name: row[f.name] for f in fields(Estimate)}), 0.05) < 0.05
+        assert equivalence(Estimate(*(row[name] for name in Estimate._fields)), 0.05) < 0.05
 
 
 class TestMeans:
@@ -152,15 +157,7 @@ class TestMeans:
 
     def test_its_variance_is_that_of_a_weighted_sum(self) -> None:
         rows = contrasts(agents(3, 6, np.random.default_rng(5)), {PAIR: [("return", "risky")]})
-        assert mean_over(rows, DEFAULT)["se"] == pytest.approx(np.sqrt((rows["se"] ** 2).sum()) / 3)
-
-    def test_without_looks_it_is_of_all_agents_whatever_looks_its_effects_have(self) -> None:
-        arms = agents(2, 10, np.random.default_rng(5))
-        found = [
-            mean_over(contrasts(arms, {PAIR: [("return", "risky")]}, plan), DEFAULT)
-            for plan in (DEFAULT, TWO_BATCHES)
-        ]
-        assert found[0] == found[1]
+        assert means(rows)["se"].item() == pytest.approx(np.sqrt((rows["se"] ** 2).sum()) / 3)
 
     def test_returns_of_different_tasks_are_not_averaged(self, analysis: Analysis) -> None:
         assert set(analysis.means.query("outcome == 'return'")["scope"]) == {"highway", "u-turn"}
@@ -179,7 +176,7 @@ class TestMeans:
 class TestSlopes:
     def test_finds_an_effect_that_grows(self) -> None:
         arms = agents(3, 8, np.random.default_rng(4), spread=0.1, growth=1.0)
-        row = find(slopes(arms), outcome="return", quantity="effect")
+        row = find(slopes([arms]), outcome="return", quantity="effect")
         assert row["estimate"] == pytest.approx(2.0, abs=0.2)  # in both traffics
         assert row["low"] > 0 and row["complete"]
 
@@ -192,13 +189,13 @@ class TestSlopes:
             drawn: np.ndarray = 10 + luck[rows["level"], rows["scenario"]] + noise[: len(rows)]
             return drawn
 
-        found = slopes(arms_in(changed(results, **{"return": returns})))
+        found = slopes([arms_in(changed(results, **{"return": returns}))])
         slope = find(found, task="u-turn", outcome="return", quantity="mean")
         assert slope["high"] - slope["low"] > 0.2
         assert slope["low"] < 0 < slope["high"]
 
     def test_over_some_of_the_levels_decides_nothing(self) -> None:
-        found = slopes(agents(2, 8, np.random.default_rng(4), spread=0.1, growth=3.0))
+        found = slopes([agents(2, 8, np.random.default_rng(4), spread=0.1, growth=3.0)])
         assert not found["complete"].any()
         verdicts = claims(effects(agents(2, 8, np.random.default_rng(4))), found)
         row = find(verdicts, name="return effect grows")
@@ -220,7 +217,7 @@ class TestAnalysis:
         )
         again = analyse(shuffled)
         for name in ("effects", "means", "claims", "gates", "policies"):
-            own, other = (getattr(a, name).drop(columns="looks", errors="ignore") for a in (analysis, again))
+            own, other = (getattr(a, name).drop(columns=HIDDEN, errors="ignore") for a in (analysis, again))
             pd.testing.assert_frame_equal(own, other, rtol=1e-9)
 
     def test_policies_are_means_of_seeds_and_of_episodes(self, results: Results, analysis: Analysis) -> None:

@@ -26,7 +26,7 @@ def test_the_hull_is_the_lower_part_of_scipys(seed: int) -> None:
 def episodes(policy: str, kind: str, arm: str | None, progress: float, crashes: list[bool]) -> pd.DataFrame:
     place = {"backend": "sumo", "task": "u-turn", "level": 1, "level_name": "3", "tested_on": "sumo"}
     own = {"cell": policy, "policy": policy, "kind": kind, "arm": arm, "traffic": "risky", "seconds": 10.0}
-    return pd.DataFrame({**place, **own, "distance": 10 * progress, "crashed": np.array(crashes, float)})
+    return pd.DataFrame({**place, **own, "progress": progress, "crashed": np.array(crashes, float)})
 
 
 def test_the_distance_is_the_crash_rate_above_the_line_between_two_drivers() -> None:

@@ -9,6 +9,7 @@ import pandas as pd
 import pytest
 
 from experiments.analysis.analysis import Analysis, analyse
+from experiments.analysis.effects import HIDDEN
 from experiments.study.store import Results, load
 from tests.experiments import synthetic
 from tests.experiments.analysis.made_up import find
@@ -36,8 +37,7 @@ class TestFurther:
         synthetic.write(tmp_path, LEVELS, **STUDY)
         alone = analyse(load(tmp_path))
         own = [
-            found.effects[found.effects["family"].notna()].drop(columns="looks")
-            for found in (analysis, alone)
+            found.effects[found.effects["family"].notna()].drop(columns=HIDDEN) for found in (analysis, alone)
         ]
         pd.testing.assert_frame_equal(
             own[0].reset_index(drop=True), own[1].reset_index(drop=True), check_dtype=False

@@ -10,7 +10,7 @@ import pandas as pd
 import pytest
 
 from experiments.analysis.analysis import negative_control, placebo
-from experiments.analysis.scores import Arm, Arms, Place, arms_of, with_outcomes
+from experiments.analysis.scores import Arms, Place, arms_of, with_outcomes
 from experiments.study.store import load
 from tests.experiments import synthetic
 from tests.experiments.analysis import instrument
@@ -107,10 +107,10 @@ def drawn(pairs: dict[Place, Arms]) -> pd.DataFrame:
     for place, pair in pairs.items():
         where = dict(zip(("backend", "task", "level", "level_name"), place, strict=True))
         for name, arm in pair.items():
-            number = arm.values["crashed"].shape[-1]
-            sizes = [("regular", "risky"), arm.seeds, range(number)]
+            number = arm["crashed"].shape[-1]
+            sizes = [("regular", "risky"), range(arm["crashed"].shape[1]), range(number)]
             index = pd.MultiIndex.from_product(sizes, names=["traffic", "seed", "scenario"])
-            values = {outcome: arm.values[outcome].ravel() for outcome in ("crashed", "return")}
+            values = {outcome: arm[outcome].ravel() for outcome in ("crashed", "return")}
             tables.append(pd.DataFrame(values, index).reset_index().assign(**where, kind="agent", arm=name))
     return pd.concat(tables, ignore_index=True)
 
@@ -119,7 +119,7 @@ class TestKnownTruths:
     def test_the_placebo_is_silent_where_the_treatment_is_not(self, episodes) -> None:
         agents = episodes[episodes["kind"] == "agent"]
         pairs = arms_of(agents)
-        assert instrument.balanced(pairs, "crashed", "risky").p < 0.01
+        assert instrument.balanced(pairs)["p"].item() < 0.01
         [silent] = placebo(agents).query("outcome == 'crashed'").to_dict("records")
         assert silent["comparisons"] == 3
         assert silent["low"] < 0 < silent["high"]
@@ -148,11 +148,15 @@ class TestKnownTruths:
     def test_an_effect_that_is_planted_is_found_to_its_size(self) -> None:
         """The same agents but for a constant in the treated ones' return: the estimate moves by that constant."""
         before = instrument.setting(World(), (10, 10), np.random.default_rng(6))
-        values = {name: table.copy() for name, table in before["treatment"].values.items()}
+        values = {name: table.copy() for name, table in before["treatment"].items()}
         values["return"][1] += 3.0  # in risky traffic
-        after = {**before, "treatment": Arm(before["treatment"].seeds, values)}
+        after = {**before, "treatment": values}
+
+        def effect(pair: Arms, term: str) -> pd.Series:
+            return instrument.effects({instrument.PLACE: pair}, "return", term).iloc[0]
+
         for term, size in (("risky", 3.0), ("regular", 0.0), ("sum", 3.0), ("interaction", 3.0)):
-            first, then = (instrument.effect(pair, "return", term) for pair in (before, after))
+            first, then = (effect(pair, term) for pair in (before, after))
             assert then.estimate - first.estimate == pytest.approx(size)
-        then = instrument.effect(after, "return", "risky")
+        then = effect(after, "risky")
         assert then.low < 3.0 < then.high and then.p < 1e-3

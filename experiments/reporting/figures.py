@@ -84,12 +84,6 @@ def _share(axes: Axes) -> None:
     axes.yaxis.set_major_formatter(lambda value, _: f"{100 * value:.0f} %")
 
 
-def _half_width(record: Mapping[str, Any], outcome: str) -> float:
-    """Half of the 95 % interval of a policy's mean over its units; 0 where there is only one unit."""
-    se = record[f"{outcome} se"]
-    return float(stats.t.ppf(1 - ALPHA / 2, record["n"] - 1)) * se if record["n"] > 1 else 0.0
-
-
 def _mark(policy: str) -> dict[str, Any]:
     """How a policy without training is drawn: the careful driver as a green star, smaller at other cautions than 1, the
     others hollow and grey.
@@ -144,8 +138,10 @@ def against_traffic(policies: pd.DataFrame, backend: str) -> str:
         levels, tested = rows.drop_duplicates("level"), rows[rows["traffic"] == traffic]
         for arm, shift in zip(arms, np.linspace(-0.08, 0.08, len(arms)), strict=True):
             own = tested[tested["arm"] == arm]
-            error = [_half_width(record, "crashed") for record in own.to_dict("records")]
-            panel.errorbar(own["level"] + shift, own["crashed"], error, color=COLOURS[arm], **bars)
+            half = (stats.t.ppf(1 - ALPHA / 2, own["n"] - 1) * own["crashed se"]).fillna(
+                0.0
+            )  # with one agent
+            panel.errorbar(own["level"] + shift, own["crashed"], half, color=COLOURS[arm], **bars)
         for number, policy in enumerate(shown):  # beside each other, so that none hides another
             own = tested[tested["policy"] == policy]
             panel.plot(own["level"] + 0.2 + 0.07 * number, own["crashed"], ls="", **_mark(policy))

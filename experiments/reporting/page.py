@@ -149,30 +149,22 @@ def paces(policies: pd.DataFrame) -> dict[str, Any]:
     return {str(name): rows.droplevel("name").to_dict("index") for name, rows in means.groupby("name")}
 
 
-FIGURES = ("traffic", "progress", "effects", "doses", "learning", "seconds")
-
-
 def drawn(name: str, results: Results, analysis: Analysis) -> dict[str, Markup | None]:
     """The figures of one simulator; None where its results do not allow one."""
     policies = chosen(analysis.policies, backend=name, traffic=list(TRAFFICS))
     effects = main(analysis.effects, name)
-    keys = {cell: record["key"] for cell, record in results.cells.items()}
-    agents = {
-        cell: results.cells[cell]
-        for cell, key in keys.items()
-        if (key["kind"], key["backend"]) == ("agent", name) and key["arm"] in figures.COLOURS
+    doses = policies["arm"].isin(set(DOSE_ARMS) - set(ARMS)).any()
+    drives = with_outcomes(results)
+    drives = chosen(drives, kind="agent", backend=name, arm=list(figures.COLOURS))
+    agents = {cell: results.cells[cell] for cell in drives["cell"].unique()}
+    found = {
+        "traffic": figures.against_traffic(policies, name),
+        "progress": figures.crashes_against_progress(policies, name),
+        "effects": figures.effects_by_setting(effects, name) if len(effects) else None,
+        "doses": figures.dose_response(policies, name) if doses else None,
+        "learning": figures.learning_curves(agents, name) if agents else None,
+        "seconds": figures.crashes_by_second(drives, name) if agents else None,
     }
-    found: dict[str, str | None] = dict.fromkeys(FIGURES)
-    found["traffic"] = figures.against_traffic(policies, name)
-    found["progress"] = figures.crashes_against_progress(policies, name)
-    if len(effects):
-        found["effects"] = figures.effects_by_setting(effects, name)
-    if policies["arm"].isin(set(DOSE_ARMS) - set(ARMS)).any():
-        found["doses"] = figures.dose_response(policies, name)
-    if agents:
-        found["learning"] = figures.learning_curves(agents, name)
-        drives = with_outcomes(results)
-        found["seconds"] = figures.crashes_by_second(drives[drives["cell"].isin(agents)], name)
     return {key: Markup(svg) if svg else None for key, svg in found.items()}
 
 

@@ -12,9 +12,10 @@ import math
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from experiments.analysis.scores import PLACE, in_order
 from experiments.study.arms import ARMS
@@ -25,9 +26,6 @@ from experiments.support.files import canonical_json, write_file
 from experiments.support.films import Film
 from sumo_env.rendering.markings import markings
 from sumo_env.tasks import get_task
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 FILE, SCHEMA = "showcase.json", 1
 RULE = (
@@ -68,9 +66,6 @@ def showcase(results: Results, left_out: set[str], make_env: MakeEnv) -> dict[st
         }
         name = f"{duo['task']} {duo['level_name']}"
         if (place := kept.get(canonical_json(made_of))) is None:
-            if missing := [arm for arm, cell in cells.items() if not _known(results, cell, tables[arm])]:
-                notes.append(f"{name}: the weights of the {' and '.join(missing)} agent are not here")
-                continue
             try:
                 place = _record(results, duo, tables, chosen, make_env)
             except Exception as error:  # whatever is wrong with a film must not cost the report
@@ -94,11 +89,6 @@ def _stored(path: Path) -> list[dict[str, Any]]:
         return list(value["places"]) if value["schema"] == SCHEMA else []
     except (OSError, ValueError, KeyError, TypeError):
         return []
-
-
-def _known(results: Results, cell: str, table: pd.DataFrame) -> bool:
-    """Is it stored how the agent drives, by its weights or by its actions?"""
-    return results.weights(cell) is not None or ("actions" in table and bool(table["actions"].notna().all()))
 
 
 def duos(results: Results, left_out: set[str]) -> Iterator[dict[str, Any]]:
@@ -206,29 +196,22 @@ def _film(scenes: Sequence[Any], row: Mapping[str, Any]) -> dict[str, Any]:
             frames.append(scene)
     if frames[-1] is not scenes[-1]:
         frames.append(scenes[-1])
-    latest: dict[str, list[tuple[int, float, float, float]]] = {}
-    tracks: list[tuple[str, list[tuple[int, float, float, float]]]] = []
-    for number, scene in enumerate(frames):
-        x, y = np.asarray(scene.x), np.asarray(scene.y)
-        for index in np.flatnonzero(np.hypot(x - x[0], y - y[0]) <= NEAR):
-            name = scene.ids[index]
-            track = latest.get(name)
-            if track is None or track[-1][0] != number - 1:  # new, or back again: a car of its own
-                latest[name] = track = []
-                tracks.append((name, track))
-            track.append((number, float(x[index]), float(y[index]), float(scene.heading[index])))
+    rows = pd.concat(
+        pd.DataFrame({"frame": k, "name": scene.ids, "x": scene.x, "y": scene.y, "h": scene.heading})[
+            np.hypot(scene.x - scene.x[0], scene.y - scene.y[0]) <= NEAR
+        ]
+        for k, scene in enumerate(frames)
+    )
+    back = rows.groupby("name")["frame"].diff() != 1  # new, or back again: a car of its own
     cars: list[dict[str, Any]] = []
     hit = None
-    for number, (name, track) in enumerate(tracks):
+    for (name, _), track in rows.groupby(["name", back.groupby(rows["name"]).cumsum()], sort=False):
         if row["crashed"] and name == row["crash_other"]:
-            hit = number
-        acts = [frame for frame, *_ in track if name in frames[frame].in_event]
-        values = np.array([entry[1:] for entry in track])
-        values[:, 2] = np.unwrap(values[:, 2])
-        whole = np.rint(values * (10, 10, 100)).astype(int)
-        steps = np.vstack([whole[:1], np.diff(whole, axis=0)])
-        places = {letter: steps[:, column].tolist() for column, letter in enumerate("xyh")}
-        cars.append({"from": track[0][0], **({"acts": acts} if acts else {}), **places})
+            hit = len(cars)
+        acts = [k for k in track["frame"].tolist() if name in frames[k].in_event]
+        whole = np.rint(track[["x", "y"]].assign(h=np.unwrap(track["h"])) * (10, 10, 100)).astype(int)
+        steps = whole.diff().fillna(whole).astype(int).to_dict("list")
+        cars.append({"from": int(track["frame"].iloc[0]), **({"acts": acts} if acts else {}), **steps})
     return {
         "times": [round(100 * scene.time) for scene in frames],
         "cars": cars,

@@ -29,7 +29,6 @@ from rich.console import Console
 from experiments import sweep
 from experiments.backends import make_env
 from experiments.study.arms import training_seed
-from experiments.study.cell import CellTask
 from experiments.study.executors import cores
 from experiments.study.executors.local import call_all
 from experiments.study.experiment import Experiment
@@ -177,12 +176,11 @@ def compare(options: Options) -> int:
     every = {file: train for task in tasks for file, train in models(options, task).items()}
     missing = {file.name: train for file, train in every.items() if not file.exists()}
     call_all(missing, options.workers or cores(), "Stable-Baselines3", Console())
-    work = {c.name: CellTask(c, options.out, make_env) for task in tasks for c in cells(options, task)}
-    how = sweep.Options(backend=options.backend, workers=options.workers)
-    failures = sweep.compute(how, Store(options.out), work)
+    work = [cell for task in tasks for cell in cells(options, task)]
+    failures = sweep.compute(work, options.out, workers=options.workers)
     for name, reason in failures.items():
-        print(f"{name} failed: {reason}; log: {work[name].folder / LOG}", file=sys.stderr)
-    found = table(options.out, [task.cell for name, task in work.items() if name not in failures])
+        print(f"{name} failed: {reason}; log: {Store(options.out).work / name / LOG}", file=sys.stderr)
+    found = table(options.out, [cell for cell in work if cell.name not in failures])
     for task, rows in found.groupby("task", sort=False):
         print(f"\n{task}\n{rows.droplevel('task').to_string()}")
     return 1 if failures else 0

@@ -41,7 +41,7 @@ from experiments.study.progress import Progress, duration, seconds
 from experiments.study.run import LOG, compute_here, run
 from experiments.study.store import Store
 from experiments.study.verdict import keep
-from experiments.support.errors import UserError, disk_error, run_command, unknown
+from experiments.support.errors import UserError, run_command, unknown, writing
 
 
 @dataclass(frozen=True)
@@ -96,31 +96,40 @@ def sweep(
         check_dynamics(
             dict.fromkeys((name, cell.task) for cell in mine for name in (cell.backend, cell.runs_on))
         )
-    tasks = {cell.name: CellTask(cell, options.directory, make_env) for cell in mine}
     again = shlex.join(["python", "experiments/sweep.py", *arguments])
-    try:
+    with writing(options.directory):
         if options.cell:
-            return compute_one(options.cell, tasks)
-        store = Store(options.directory)
-        store.write_sweep(again, cells)
+            return compute_one(options.cell, mine, options.directory, make_env)
+        Store(options.directory).write_sweep(again, cells)
         if checked:
             keep(options.backend, tuple(dict.fromkeys(cell.task for cell in cells)), options.directory)
-        failures = compute(options, store, tasks)
-    except OSError as error:
-        raise disk_error(error, options.directory) from None
-    return conclude(options, tasks, failures, again)
+        failures = compute(mine, options.directory, make_env, options.executor, options.workers)
+        if len(failures) < len(mine):
+            write_reports(options)
+    return say_failures(failures, options.directory, again)
 
 
-def compute(options: Options, store: Store, tasks: Mapping[str, CellTask]) -> dict[str, str]:
-    """Compute the cells that are not finished; returns the reason of each failure by the name of its cell."""
+def compute(
+    cells: Sequence[Cell],
+    directory: Path,
+    make_env: MakeEnv = make_env,
+    executor: str = "local",
+    workers: int | None = None,
+) -> dict[str, str]:
+    """Compute the cells that are not finished; returns the reason of each failure by the name of its cell.
+
+    make_env: see `sweep`. executor, workers: see `executors.open_executor`.
+    """
+    store = Store(directory)
+    tasks = {cell.name: CellTask(cell, directory, make_env) for cell in cells}
     there = {name for name, task in tasks.items() if task.done()}
     for name in there:  # where a kill left it
         shutil.rmtree(store.work / name, ignore_errors=True)
-    found = f"{len(tasks)} cells, {len(there)} of them finished before"
-    print(f"{found}; results go to {store.directory}", flush=True)
+    print(f"{len(tasks)} cells, {len(there)} of them finished before; results go to {directory}", flush=True)
     # highway-env's tasks change class attributes of each other
-    per_process = 1 if "highway-env" in (options.backend, *options.test_on) else TASKS_PER_PROCESS
-    progress = Progress(store.work, [task.cell for task in tasks.values()], there)
+    simulators = {name for cell in cells for name in (cell.backend, cell.runs_on)}
+    per_process = 1 if "highway-env" in simulators else TASKS_PER_PROCESS
+    progress = Progress(store.work, cells, there)
     failures: dict[str, str] = {}
     try:
         for kinds in (("agent", "baseline"), ("test",)):  # agents are tested elsewhere once all are trained
@@ -128,44 +137,40 @@ def compute(options: Options, store: Store, tasks: Mapping[str, CellTask]) -> di
             if kinds == ("test",):
                 batch = [task for task in batch if store.weights(task.cell.parent.name)]
             if batch:
-                executor, workers = open_executor(
-                    options.executor, options.workers, store.directory, per_process
-                )
-                failures |= run(batch, executor, workers, progress)
+                failures |= run(batch, *open_executor(executor, workers, directory, per_process), progress)
     finally:
         progress.close()
     return failures
 
 
-def compute_one(wanted: str, tasks: Mapping[str, CellTask]) -> int:
+def compute_one(wanted: str, cells: Sequence[Cell], directory: Path, make_env: MakeEnv = make_env) -> int:
     """Compute one cell in this process, to see why it fails."""
-    for name, task in tasks.items():
-        if wanted in (name, task.cell.slug):
-            compute_here(task)
-            print(f"finished: {task.directory / 'cells' / name}")
+    for cell in cells:
+        if wanted in (cell.name, cell.slug):
+            compute_here(CellTask(cell, directory, make_env))
+            print(f"finished: {Store(directory).cells / cell.name}")
             return 0
-    raise unknown("cell", wanted, (task.cell.slug for task in tasks.values()))
+    raise unknown("cell", wanted, (cell.slug for cell in cells))
 
 
-def conclude(options: Options, tasks: Mapping[str, CellTask], failures: Mapping[str, str], again: str) -> int:
-    """Write the report and say how it went."""
-    if len(failures) < len(tasks):
-        from experiments.report import print_report
-
-        print("writing the report", flush=True)
-        print_report(options.directory)
-        if options.placebo:
-            from experiments.report import report_placebo
-
-            report_placebo(options.directory)
+def say_failures(failures: Mapping[str, str], directory: Path, again: str) -> int:
+    """Say which cells failed, why, and what to do; returns the exit status."""
+    for name, reason in failures.items():
+        print(f"{name} failed: {reason}\n    log: {Store(directory).work / name / LOG}", file=sys.stderr)
+        print(f"    to see it fail: {again} --cell {name}", file=sys.stderr)
     if failures:
-        print(f"{len(failures)} of {len(tasks)} cells failed, all others are kept:", file=sys.stderr)
-        for name, reason in failures.items():
-            print(f"  {name}: {reason}\n    log: {tasks[name].folder / LOG}", file=sys.stderr)
-            print(f"    to see it fail: {again} --cell {name}", file=sys.stderr)
-        print(f"to try them again: {again}", file=sys.stderr)
-        return 1
-    return 0
+        print(f"failed cells: {len(failures)}, all others are kept; to try again: {again}", file=sys.stderr)
+    return 1 if failures else 0
+
+
+def write_reports(options: Options) -> None:
+    """Write the report of the results, and of a placebo what it shows."""
+    from experiments.report import print_report, report_placebo
+
+    print("writing the report", flush=True)
+    print_report(options.directory)
+    if options.placebo:
+        report_placebo(options.directory)
 
 
 def describe(options: Options, cells: Sequence[Cell], workers: int) -> None:

@@ -22,8 +22,6 @@ from typing import Annotated
 import tyro
 
 from experiments import sweep
-from experiments.backends import make_env
-from experiments.study.cell import CellTask
 from experiments.study.experiment import Experiment
 from experiments.study.fingerprint import check_dynamics
 from experiments.study.grid import Cell
@@ -108,12 +106,11 @@ def train(options: Options, arguments: list[str]) -> int:
     """
     agent, others = agent_and_others(options)
     check_dynamics([(agent.backend, agent.task)])
-    tasks = {cell.name: CellTask(cell, options.out, make_env) for cell in (agent, *others)}
     with writing(options.out):
-        store = Store(options.out)
-        store.write_sweep(shlex.join(["python", "experiments/train.py", *arguments]), [agent, *others])
-        for name, reason in sweep.compute(sweep.Options(backend=options.backend), store, tasks).items():
-            raise UserError(f"{name} failed: {reason}; see {tasks[name].folder / LOG}")
+        command = shlex.join(["python", "experiments/train.py", *arguments])
+        Store(options.out).write_sweep(command, [agent, *others])
+        for name, reason in sweep.compute([agent, *others], options.out).items():
+            raise UserError(f"{name} failed: {reason}; see {Store(options.out).work / name / LOG}")
         picture = draw(options.out, agent)
     print(f"{agent.slug} is trained and tested; its learning curve: {picture}")
     print(f"next: python experiments/test.py {options.out}; python experiments/watch.py {options.out}")

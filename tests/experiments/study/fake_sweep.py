@@ -11,7 +11,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[3]))
 
 if __name__ == "__main__":  # and not in its workers
     module = ModuleType("experiments.report")
-    module.print_report = print
+    module.print_report = module.report_placebo = print
     sys.modules["experiments.report"] = module
     from experiments.support.errors import run_command
     from experiments.sweep import Options, sweep

@@ -13,6 +13,7 @@ import gymnasium as gym
 
 from agents.checkpoint import CheckpointError
 from agents.policies import Policy
+from experiments.study.arms import gate_traffics
 from experiments.study.evaluate import evaluate
 from experiments.study.grid import Cell
 from experiments.study.policies import load_agent, untrained_policy
@@ -133,7 +134,7 @@ def _test(
     driver = _driver(cell, env, trained, store)
     if cell.test_on is not None:
         return {EPISODES: play(driver, cell.test_on["episodes"], traffics=cell.test_on["traffics"])}
-    gates = play(driver, cell.gate_episodes, purpose="gate", traffics=cell.gate_traffics)
+    gates = play(driver, cell.gate_episodes, purpose="gate", traffics=gate_traffics(cell.arm))
     tables = {EPISODES: play(driver, cell.episodes), GATES: gates[list(GATE_COLUMNS)]}
     if trained is not None and trained.marks:
         early = [load_agent(cell.key(), cell.source, file, env) for file in trained.marks]

@@ -98,11 +98,6 @@ class Cell:
         return replace(self, kind="agent", test_on=None)
 
     @property
-    def setting(self) -> str:
-        """What is compared within: backend, task and level, for example "sumo-highway-50"."""
-        return setting(self.key())
-
-    @property
     def slug(self) -> str:
         """The readable part of the name, for example "sumo-highway-50-control-s0"."""
         return slug(self.key())
@@ -150,16 +145,11 @@ class Cell:
         if self.test_on:
             return len(self.test_on["traffics"]) * int(self.test_on["episodes"])
         early = len(MARKS) if self.early_tests else 0
-        return 2 * self.episodes * (1 + early) + len(self.gate_traffics) * self.gate_episodes
-
-    @property
-    def gate_traffics(self) -> tuple[str, ...]:
-        """Traffics that the gates look at, see `gate_traffics`."""
-        return gate_traffics(self.arm)
+        return 2 * self.episodes * (1 + early) + len(gate_traffics(self.arm)) * self.gate_episodes
 
 
 def setting(key: Mapping[str, Any]) -> str:
-    """The first part of a cell's name: backend, task and level."""
+    """The first part of a cell's name: backend, task and level, for example "sumo-highway-50"."""
     return f"{key['backend']}-{key['task']}-{key['level_name']}"
 
 

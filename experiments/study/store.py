@@ -23,7 +23,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from experiments.study.grid import RESULT_SCHEMA, Cell, cell_name
+from experiments.study.grid import RESULT_SCHEMA, Cell, cell_name, setting
 from experiments.study.packed import MANIFEST, add, as_parquet, packed_records, packed_tables, packed_weights
 from experiments.study.run import last_words
 from experiments.support.errors import UserError
@@ -171,7 +171,7 @@ class Store:
         for path in (self.cells, self.work):
             path.mkdir(parents=True, exist_ok=True)
         wanted = dict.fromkeys(cell.name for cell in cells)
-        settings = tuple({f"{cell.setting}-" for cell in cells})
+        settings = tuple({f"{setting(cell.key())}-" for cell in cells})
         with alone(self.directory):
             there = set(self.finished())
 

@@ -15,7 +15,7 @@ import numpy as np
 import pandas as pd
 
 from experiments.study import grid
-from experiments.study.arms import ALL_TRAFFICS, ARMS, TRAFFICS
+from experiments.study.arms import ALL_TRAFFICS, ARMS, TRAFFICS, gate_traffics
 from experiments.study.evaluate import COLUMNS
 from experiments.study.experiment import Experiment
 from experiments.study.store import EPISODES, GATES, TRAINING, WEIGHTS, Store
@@ -56,7 +56,7 @@ def episodes(
     chance_to_crash, reward, speed = BEHAVIOUR[cell.policy]
     tables = []
     tested = cell.test_on or {"traffics": TRAFFICS, "episodes": cell.episodes}
-    for traffic in tested["traffics"] if purpose == "test" else cell.gate_traffics:
+    for traffic in tested["traffics"] if purpose == "test" else gate_traffics(cell.arm):
         n = tested["episodes"] if purpose == "test" else cell.gate_episodes
         steps = DURATION[cell.task]
         words = () if purpose == "test" else (purpose,)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import gymnasium as gym
@@ -14,11 +14,15 @@ from experiments.study.arms import DRAWN, drawn_dose
 Env = gym.Env[Any, Any]
 
 
-class _Observed(gym.ObservationWrapper[Any, Any, Any]):
-    """Adds a column to observations (vehicles, features): `share()` in the ego's row, 0 in the others."""
+class Observed(gym.ObservationWrapper[Any, Any, Any]):
+    """Adds a column to observations (vehicles, features): a number from 0 to 1 in the ego's row, 0 in the others.
 
-    def __init__(self, env: Env) -> None:
+    ``share``: returns that number, after every reset and step.
+    """
+
+    def __init__(self, env: Env, share: Callable[[], float]) -> None:
         super().__init__(env)
+        self._share = share
         space = env.observation_space
         if not isinstance(space, gym.spaces.Box) or len(space.shape) != 2:
             raise ValueError(f"Only observations (vehicles, features) can get a column more, not {space}.")
@@ -28,34 +32,20 @@ class _Observed(gym.ObservationWrapper[Any, Any, Any]):
 
     def observation(self, observation: np.ndarray) -> np.ndarray:
         """The observation with its column."""
-        return with_column(observation, self.share())
-
-    def share(self) -> float:
-        """A number from 0 to 1."""
-        raise NotImplementedError
+        return with_column(observation, self._share())
 
 
-class DoseObserved(_Observed):
-    """Shows the dose of risk of the traffic."""
-
-    def share(self) -> float:
-        """The dose."""
-        return float(self.env.unwrapped.config["risk"])  # type: ignore[attr-defined]
-
-
-class TimeObserved(_Observed):
+class TimeObserved(Observed):
     """Shows the share of the episode that is over. ``steps``: length of an episode.
 
     gymnasium's TimeAwareObservation would flatten the table of vehicles.
     """
 
     def __init__(self, env: Env, steps: int) -> None:
-        super().__init__(env)
+        super().__init__(env, lambda: min(self._time / steps, 1.0))
         self.steps, self._time = steps, 0
 
-    def reset(
-        self, **kwargs: Any
-    ) -> tuple[Any, dict[str, Any]]:  # the name that gymnasium's checker looks for
+    def reset(self, **kwargs: Any) -> tuple[Any, dict[str, Any]]:  # gymnasium's checker looks for this name
         """Begin an episode at time 0."""
         self._time = 0
         return super().reset(**kwargs)
@@ -64,10 +54,6 @@ class TimeObserved(_Observed):
         """Count the step."""
         self._time += 1
         return super().step(action)
-
-    def share(self) -> float:
-        """The share of the steps."""
-        return min(self._time / self.steps, 1.0)
 
 
 class Training(gym.Wrapper[Any, Any, Any, Any]):
@@ -108,14 +94,9 @@ class Training(gym.Wrapper[Any, Any, Any, Any]):
 
 def observed(env: Env, profile: Mapping[str, Any]) -> Env:
     """The environment as an agent of this profile observes it."""
+    inner: Any = env.unwrapped
     if profile.get("dose_observed"):
-        env = DoseObserved(env)
-    if profile.get("finite_horizon"):
-        env = TimeObserved(env, _steps(env, env.unwrapped.config["duration"]))  # type: ignore[attr-defined]
-    if seconds := profile.get("time_observed"):  # as a share of so many, in training and test alike
-        env = TimeObserved(env, _steps(env, seconds))
-    return env
-
-
-def _steps(env: Env, seconds: float) -> int:
-    return round(seconds * env.unwrapped.config.get("policy_frequency", 1))  # type: ignore[attr-defined]
+        env = Observed(env, lambda: float(inner.config["risk"]))
+    # as a share of the episode, or of so many seconds in training and test alike
+    seconds = inner.config["duration"] if profile.get("finite_horizon") else profile.get("time_observed")
+    return TimeObserved(env, round(seconds * inner.config.get("policy_frequency", 1))) if seconds else env

@@ -55,21 +55,19 @@ def alone(directory: Path) -> Iterator[None]:
         os.close(descriptor)
 
 
-def publish(directory: Path, final: Path) -> bool:
+def publish(directory: Path, final: Path) -> None:
     """Move a finished directory to its final name in one step, after bringing its files to the disk.
 
-    Both must lie on one filesystem. Returns False, and removes `directory`, where `final` is there already:
-    somebody else computed the same thing.
+    Both must lie on one filesystem. Where `final` is there already, `directory` is removed: somebody else computed the
+    same thing.
     """
     for path in directory.iterdir():
         sync(path)
     sync(directory)
     try:
         os.rename(directory, final)
+        sync(final.parent)
     except OSError as error:
         if error.errno not in (errno.ENOTEMPTY, errno.EEXIST):
             raise
         shutil.rmtree(directory)
-        return False
-    sync(final.parent)
-    return True

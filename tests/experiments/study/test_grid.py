@@ -42,10 +42,10 @@ def test_every_seed_has_both_arms_and_every_level_every_baseline():
     assert {c.risk for c in found if c.arm == "treatment"} == {1.0}
 
 
-def test_further_arms_and_tests_rename_nothing():
-    both = {c.name for c in cells()}
-    more = cells(arms=DOSES, test_on=("replica", "highway-env"))
-    assert both <= {c.name for c in more}
+def test_further_arms_tests_and_policies_rename_nothing():
+    usual = cells()
+    more = cells(arms=DOSES, test_on=("replica", "highway-env"), unseen=True, frontier=True, early_tests=True)
+    assert {c.name for c in usual} <= {c.name for c in more}
     assert len({c.name for c in more}) == len(more)
     agents = [c for c in more if c.kind == "agent"]
     assert {c.arm: c.risk for c in agents} == DOSES
@@ -55,20 +55,15 @@ def test_further_arms_and_tests_rename_nothing():
     }
     tests = [c for c in more if c.kind == "test"]
     assert {c.parent.name for c in tests} == {c.name for c in agents}
-    assert {c.arm for c in tests if c.runs_on == "sumo"} == set(DOSE_ARMS)
-    assert {c.runs_on for c in tests} == {"sumo", "replica", "highway-env"}
+    ends = ("-doses", "-unseen", "-on-replica", "-on-highway-env")
+    tested = [{c.arm for c in tests if c.slug.endswith(end)} for end in ends]
+    assert tested == [set(DOSE_ARMS), set(DOSES), set(DOSES), set(DOSES)]
+    unseen = {tuple(c.test_on["traffics"]) for c in tests if c.slug.endswith("-unseen")}
+    assert unseen == {unseen_traffics("highway")}
     assert all(c.updates == 0 for c in tests)
-    assert "sumo-highway-50-dose25-s1-on-replica" in {c.slug for c in tests}
     assert "highway-env" in next(c for c in tests if c.runs_on == "highway-env").versions
-
-
-def test_unseen_risk_is_a_further_test_of_every_agent_and_renames_nothing():
-    both, more = cells(), cells(unseen=True)
-    assert {c.name for c in both} <= {c.name for c in more}
-    tests = [c for c in more if c.kind == "test"]
-    assert {c.parent.name for c in tests} == {c.name for c in both if c.kind == "agent"}
-    assert {tuple(c.test_on["traffics"]) for c in tests} == {unseen_traffics("highway")}
-    assert {c.slug for c in tests if c.arm == "control"} >= {"sumo-highway-50-control-s0-unseen"}
+    policies = [{c.policy for c in found if c.kind == "baseline"} for found in (more, usual)]
+    assert policies[0] - policies[1] == {"careful-0.1", "careful-0.5", "careful-2", "careful-4"}
 
 
 def test_another_study_has_other_seeds_and_scenarios():
@@ -76,13 +71,6 @@ def test_another_study_has_other_seeds_and_scenarios():
     assert {c.seed for c in second if c.arm} == {100, 101}
     assert {c.first_scenario for c in first} == {0} and {c.first_scenario for c in second} == {1000}
     assert not {c.name for c in first} & {c.name for c in second}
-
-
-def test_a_frontier_is_more_baselines_and_renames_nothing():
-    usual, frontier = ({c.name: c.policy for c in cells(frontier=more)} for more in (False, True))
-    assert usual.items() <= frontier.items()
-    further = set(frontier.values()) - set(usual.values())
-    assert further == {"careful-0.1", "careful-0.5", "careful-2", "careful-4"}
 
 
 def test_an_arm_is_left_out_where_it_has_no_meaning():

@@ -112,8 +112,6 @@ class FakeEnv(gym.Env):
             "speed": self.speed,
             "crashed": self.crashed,
             "arrived": False,
-            "rewards": {},
-            "on_road": True,
             "crash": crash,
             "density": 1,
             "min_ttc_before_contact": max(ttc, 0.0),

@@ -57,19 +57,12 @@ def damages(draw):
         at = int(position * len(content))
         return content[:at] + bytes([content[at] ^ byte]) + content[at + 1 :]
 
-    return draw(
-        st.sampled_from(
-            [
-                flip,
-                lambda content: content[: int(position * len(content))],
-                lambda content: content[: int(position * len(content))].ljust(
-                    len(content), b"\0"
-                ),  # a torn write
-                lambda content: garbage,
-                lambda content: None,
-            ]
-        )
-    )
+    cut = [
+        lambda content: content[: int(position * len(content))],
+        lambda content: garbage,
+        lambda content: None,
+    ]
+    return draw(st.sampled_from([flip, *cut]))
 
 
 def harm(path: Path, damage) -> bool:

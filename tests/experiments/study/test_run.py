@@ -10,10 +10,10 @@ from contextlib import suppress
 import pytest
 
 from experiments.study.executors import open_executor
-from experiments.study.run import LOG, Ended, Observer, attempt, fraction_done, locked, run
+from experiments.study.run import LOG, Observer, locked, run
 from experiments.support.errors import UserError
 from tests.experiments.study.misbehaving import STEPS, Sum
-from tests.processes import is_alive, started, wait_for
+from tests.processes import is_alive, wait_for
 
 TOTAL = str(sum(range(STEPS)))
 
@@ -131,17 +131,6 @@ def test_what_concerns_every_task_ends_the_run(tmp_path):
         compute(tasks, workers=1)
 
 
-def test_progress_is_seen_while_a_task_runs(tmp_path):
-    task, seen = Sum("slow", tmp_path, pause=0.2), set()
-
-    class Watcher(Observer):
-        def tick(self) -> None:
-            seen.add(fraction_done(task.folder))
-
-    run([task], *open_executor("local", 1, tmp_path, 25), Watcher())
-    assert any(0.0 < fraction < 1.0 for fraction in seen)
-
-
 def test_a_task_that_another_run_computes_is_waited_for_and_taken_over(tmp_path):
     task = Sum("task", tmp_path)
     held = locked(task.folder)
@@ -166,21 +155,3 @@ class Refusing(Executor):
 def test_an_executor_that_takes_no_more_tasks_ends_the_run_in_one_line(tmp_path):
     with pytest.raises(UserError, match=r"takes no more tasks \(the cluster is gone\): run the same command"):
         run([Sum("task", tmp_path)], Refusing(), 1)
-
-
-def test_a_lock_is_free_as_soon_as_its_holder_is_killed(tmp_path):
-    code = f"""
-import time
-from pathlib import Path
-from experiments.study.run import locked
-with locked(Path({str(tmp_path / "work" / "task")!r})) as mine:
-    print(mine, flush=True)
-    time.sleep(600)
-"""
-    holder = started("-c", code)
-    assert holder.stdout.readline() == "True\n"
-    task = Sum("task", tmp_path)
-    assert attempt(task) == Ended("elsewhere")
-    holder.kill()
-    holder.communicate()
-    assert attempt(task) == Ended("done")

@@ -83,15 +83,3 @@ def test_episodes_depend_on_their_scenario_alone_and_differ_between_traffics() -
     )
     assert len({driven(UnseenRisk(env, traffic)) for traffic in traffics}) == len(traffics)
     env.close()
-
-
-def test_the_dose_that_is_asked_for_does_not_matter() -> None:
-    env = make_env("sumo", "u-turn", env_config("sumo", "u-turn", 1))
-    wrapped = UnseenRisk(env, "only-brake")
-    scenarios = []
-    for risk in (0.0, 1.0):
-        wrapped.reset(seed=5, options={"config": {"risk": risk}})
-        scenarios.append(env.unwrapped.scenario)
-    assert scenarios[0] == scenarios[1]
-    assert scenarios[0].events
-    env.close()

@@ -11,7 +11,7 @@ from sumo_env.tasks import TASKS
 
 from .pairs import Case, cases, compare
 
-FEW = {"highway": 2, "two-way": 6, "roundabout": 6, "intersection": 6, "u-turn": 6}
+FEW = {"highway": 4, "two-way": 6, "roundabout": 6, "intersection": 6, "u-turn": 6}
 EACH = 200  # episodes of each task in the long comparison
 
 

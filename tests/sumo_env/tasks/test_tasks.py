@@ -72,7 +72,7 @@ def test_equal_throughout_episodes(task: str, risk: float) -> None:
 
 def judged(env: ScenarioEnv, action: int) -> Step:
     """The present state as highway-env would judge it at the end of a step."""
-    env.steps = 1  # at a reset there is no action
+    env.steps, env.scene = 1, env._scene()  # at a reset there is no action
     info = env._info(np.empty(0), action)
     return Step(env, action, np.empty(0), float(env._reward(action)), bool(env._is_terminated()), False, info)
 

@@ -199,8 +199,10 @@ def test_ctrl_c_while_a_copy_is_made(begun: SumoProcess, monkeypatch: pytest.Mon
 
 
 def test_copies_leave_no_process_and_no_descriptor(begun: SumoProcess) -> None:
-    begun.clone().close()
-    before = descriptors(), descriptors(begun.pid)
+    first = begun.clone()
+    first.close()
+    assert ends(first.pid)
+    before = descriptors(), descriptors(begun.pid)  # the worker may close those of the first copy later
     pids = []
     for number in range(30):
         twin = begun.clone()
@@ -212,7 +214,7 @@ def test_copies_leave_no_process_and_no_descriptor(begun: SumoProcess) -> None:
     del twin
     gc.collect()
     assert all(ends(pid) for pid in pids)
-    assert before == (descriptors(), descriptors(begun.pid))
+    assert descriptors() <= before[0] and descriptors(begun.pid) <= before[1]
     assert begun.pid is not None and children(begun.pid) == []
 
 

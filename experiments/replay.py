@@ -30,7 +30,6 @@ from dataclasses import dataclass
 from typing import Annotated, Any
 
 import gymnasium as gym
-import pandas as pd
 import tyro
 
 from experiments.backends import make_env
@@ -38,7 +37,7 @@ from experiments.reporting.showcase import ending
 from experiments.study.arms import TRAFFICS
 from experiments.study.avoid import HORIZON, SAFE, rewound, way_out
 from experiments.study.cell import MakeEnv
-from experiments.study.rerun import changed_versions, differences, play_again
+from experiments.study.rerun import Case, changed_versions, differences, play_again
 from experiments.study.store import EPISODES, Store
 from experiments.support.errors import UserError, disk_error, run_command, unknown
 from experiments.support.films import Film, Pictures, save_gif, side_by_side
@@ -62,24 +61,6 @@ class Options:
     """Policy steps in which --avoid tries all sequences of actions."""
 
 
-@dataclass(frozen=True)
-class Case:
-    """A stored test episode.
-
-    path: DIR/cells/CELL. record, test: cell.json and the episodes of its cell. row: what is stored of this one.
-    """
-
-    path: Path
-    record: Mapping[str, Any]
-    test: pd.DataFrame
-    row: dict[str, Any]
-
-    @property
-    def name(self) -> str:
-        """What its files are called."""
-        return f"{self.path.name}-{self.row['traffic']}-{self.row['scenario']}"
-
-
 def parse_case(text: str) -> Case:
     """Find the cell, traffic and scenario of a case; by default the cell's first crash.
 
@@ -92,19 +73,19 @@ def parse_case(text: str) -> Case:
     path = Path(match["path"])
     if match["traffic"] and match["traffic"] not in TRAFFICS:
         raise unknown("traffic", match["traffic"], TRAFFICS)
-    home = path.parents[1] if len(path.parents) > 1 else Path()
-    names = Store(home).finished() if path.parent.name == "cells" else []
+    store = Store(path.parents[1] if len(path.parents) > 1 else Path())
+    names = store.finished() if path.parent.name == "cells" else []
     if not names:
         raise UserError(f"there is no cell {path}")
     name = find_cell(path.name, names)
-    test = Store(home).tables(name)[EPISODES]
+    test = store.tables(name)[EPISODES]
     rows = test[test["traffic"].isin(list(TRAFFICS))].sort_values("crashed", ascending=False, kind="stable")
     if match["traffic"]:
         rows = rows[(rows["traffic"] == match["traffic"]) & (rows["scenario"] == int(match["scenario"]))]
     if rows.empty:
         first, last = test["scenario"].min(), test["scenario"].max()
         raise UserError(f"{name} has the scenarios {first} to {last}: no {match['scenario']}")
-    return Case(path.with_name(name), Store(home).record(name), test, dict(rows.iloc[0]))
+    return Case(store, name, store.record(name), dict(rows.iloc[0]))
 
 
 def find_cell(word: str, names: Sequence[str]) -> str:
@@ -142,10 +123,8 @@ def replay(options: Options, make_env: MakeEnv = make_env) -> int:
 
 def _again(options: Options, case: Case, env: gym.Env[Any, Any]) -> int:
     """Play an episode and write what was asked for; 1 if it came out differently."""
-    stored, film = case.row, None if options.sumo else Film(env)
-    on_step = film.frame if film else None
-    place = (stored["traffic"], int(stored["scenario"]))
-    row = play_again(case.path, case.record, env, *place, stored.get("actions"), on_step)
+    film = None if options.sumo else Film(env)
+    row = play_again(case, env, film.frame if film else None)
     path = options.out or Path(f"{case.name}.gif" if film else case.name)
     if film:
         save_gif(film.pictures, path)
@@ -153,11 +132,12 @@ def _again(options: Options, case: Case, env: gym.Env[Any, Any]) -> int:
         env.unwrapped.export(path)  # type: ignore[attr-defined]
         path = path / "episode.sumocfg"
     print(f"{case.name}: return {row['return']:.3f} in {row['length']} steps, {ending(row)}{_hit(row)}")
+    test = case.store.tables(case.cell)[EPISODES]
     for traffic in TRAFFICS:
-        crashes = case.test.loc[(case.test["traffic"] == traffic) & case.test["crashed"], "scenario"]
+        crashes = test.loc[(test["traffic"] == traffic) & test["crashed"], "scenario"]
         print(f"stored crashes in {traffic} traffic, scenarios: {' '.join(map(str, crashes)) or 'none'}")
     print(f"written: {path}")
-    if wrong := differences(stored, row):
+    if wrong := differences(case.row, row):
         changed = ", ".join(changed_versions(case.record)) or "no version"
         print(f"error: not reproduced: {'; '.join(wrong)}; since then changed: {changed}", file=sys.stderr)
         return 1
@@ -165,14 +145,14 @@ def _again(options: Options, case: Case, env: gym.Env[Any, Any]) -> int:
     return 0
 
 
-def _hit(row: dict[str, Any]) -> str:
+def _hit(row: Mapping[str, Any]) -> str:
     return f", with {row['crash_other']}" if row["crashed"] else ""
 
 
 def _avoid(options: Options, case: Case, env: gym.Env[Any, Any]) -> int:
     """Search the last moment from which a crash can be avoided; 1 if there is none."""
     inner: Any = env.unwrapped
-    with rewound(case.path, case.record, case.row, env) as (copies, driven):
+    with rewound(case, env) as (copies, driven):
         contact, frequency = float(case.row["crash_time"]), inner.config["policy_frequency"]
         print(f"{case.name}: {ending(case.row)}{_hit(case.row)}")
         for step in reversed(range(len(driven))):

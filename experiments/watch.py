@@ -22,7 +22,7 @@ from experiments.backends import make_env
 from experiments.reporting.showcase import ending
 from experiments.study.arms import TRAFFICS
 from experiments.study.cell import MakeEnv
-from experiments.study.rerun import play_again
+from experiments.study.rerun import Case, play_again
 from experiments.study.store import EPISODES, Store
 from experiments.support.errors import UserError, run_command
 from experiments.support.films import Film, save_gif, side_by_side
@@ -76,10 +76,9 @@ def watch(options: Options, make_env: MakeEnv = make_env) -> int:
             make_env(key["backend"], key["task"], {**key["env_config"], **VIEW}, "rgb_array")
         ) as env:
             film = Film(env)
-            at = (table["traffic"] == traffic) & (table["scenario"] == scenario)
-            actions = table[at]["actions"].iloc[0] if at.any() and "actions" in table else None
-            path = options.directory / "cells" / name
-            row = play_again(path, record, env, traffic, scenario, actions, film.frame)
+            at = table[(table["traffic"] == traffic) & (table["scenario"] == scenario)]
+            stored = dict(at.iloc[0]) if len(at) else {"traffic": traffic, "scenario": scenario}
+            row = play_again(Case(store, name, record, stored), env, film.frame)
         films.append((f"risk {risk:g}: {ending(row)}", film.pictures))
     file = options.out or options.directory / f"{name.rpartition('-')[0]}-{scenario}.gif"
     save_gif(side_by_side(films), file)

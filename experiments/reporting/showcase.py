@@ -20,8 +20,8 @@ import pandas as pd
 from experiments.analysis.scores import PLACE, in_order
 from experiments.study.arms import ARMS
 from experiments.study.cell import MakeEnv
-from experiments.study.rerun import differences, play_again
-from experiments.study.store import EPISODES, KEY_COLUMNS, Results
+from experiments.study.rerun import Case, differences, play_again
+from experiments.study.store import EPISODES, KEY_COLUMNS, Results, Store
 from experiments.support.files import canonical_json, write_file
 from experiments.support.films import Film
 from sumo_env.rendering.markings import markings
@@ -146,12 +146,11 @@ def _record(
             traffic, scenario = one["traffic"], one["scenario"]
             film = dict(one)
             for arm, name in duo["cells"].items():
-                folder, scenes = results.directory / "cells" / name, Scenes(env)
+                scenes = Scenes(env)
                 at = (tables[arm]["traffic"] == traffic) & (tables[arm]["scenario"] == scenario)
-                stored = tables[arm][at].iloc[0]
-                actions, record = stored.get("actions"), results.cells[name]
-                row = play_again(folder, record, env, traffic, scenario, actions, scenes.frame)
-                stored = stored[[name for name in row if name in stored]].to_dict()
+                stored = tables[arm][at].iloc[0].drop(list(KEY_COLUMNS)).to_dict()
+                case = Case(Store(results.directory), name, results.cells[name], stored)
+                row = play_again(case, env, scenes.frame)
                 if wrong := differences(stored, row):
                     failed.append(
                         f"{traffic} scenario {scenario} is not shown, because the {arm} agent drives it "
@@ -209,7 +208,7 @@ def _film(scenes: Sequence[Any], row: Mapping[str, Any]) -> dict[str, Any]:
         if row["crashed"] and name == row["crash_other"]:
             hit = len(cars)
         acts = [k for k in track["frame"].tolist() if name in frames[k].in_event]
-        whole = np.rint(track[["x", "y"]].assign(h=np.unwrap(track["h"])) * (10, 10, 100)).astype(int)
+        whole = np.rint(track[["x", "y"]].assign(h=np.unwrap(track["h"])) * [10, 10, 100]).astype(int)
         steps = whole.diff().fillna(whole).astype(int).to_dict("list")
         cars.append({"from": int(track["frame"].iloc[0]), **({"acts": acts} if acts else {}), **steps})
     return {

@@ -13,12 +13,11 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager
-from pathlib import Path
 from typing import Any
 
-from experiments.study.rerun import differences, play_again
+from experiments.study.rerun import Case, differences, play_again
 from experiments.support.errors import UserError
 
 HORIZON = 5  # policy steps in which all sequences are tried
@@ -73,31 +72,23 @@ def _effect(env: Any) -> tuple[Any, ...]:
 
 
 @contextmanager
-def rewound(
-    path: Path, record: Mapping[str, Any], row: Mapping[str, Any], env: Any
-) -> Iterator[tuple[list[Any], tuple[int, ...]]]:
+def rewound(case: Case, env: Any) -> Iterator[tuple[list[Any], tuple[int, ...]]]:
     """A stored crash, driven again: copies of its environment before every step and at the end, and the actions.
 
-    Args:
-        path: DIR/cells/CELL, which need not exist where the cell is packed.
-        record: its cell.json.
-        row: the episode in its table.
-        env: an environment of the cell.
+    env: an environment of the case's cell.
 
     Raises:
         UserError: the episode has no crash, cannot be driven again, or comes out differently now.
     """
-    name = f"{path.name}:{row['traffic']}:{row['scenario']}"
-    if not row["crashed"]:
-        raise UserError(f"{name} has no crash that could be avoided")
+    if not case.row["crashed"]:
+        raise UserError(f"{case.name} has no crash that could be avoided")
     with ExitStack() as opened:
         copies: list[Any] = []
 
         def keep() -> None:
             copies.append(opened.enter_context(closing(copy.deepcopy(env.unwrapped))))
 
-        place = str(row["traffic"]), int(row["scenario"])
-        again = play_again(path, record, env, *place, row.get("actions"), keep)
-        if wrong := differences(row, again):
-            raise UserError(f"{name} is not reproduced: {'; '.join(wrong)}")
+        again = play_again(case, env, keep)
+        if wrong := differences(case.row, again):
+            raise UserError(f"{case.name} is not reproduced: {'; '.join(wrong)}")
         yield copies, tuple(map(int, again["actions"]))

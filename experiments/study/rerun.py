@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from pathlib import Path
+from dataclasses import dataclass
 from typing import Any
 
 import gymnasium as gym
@@ -18,6 +18,25 @@ from experiments.study.store import Store
 from experiments.support.errors import UserError
 
 IDLE = 1  # of the actions
+
+
+@dataclass(frozen=True)
+class Case:
+    """A test episode of a stored cell.
+
+    cell: name of the cell. record: its cell.json. row: the episode in its table, or its `traffic` and `scenario` alone;
+        where it has `actions`, neither weights nor the user's file are needed to play it again.
+    """
+
+    store: Store
+    cell: str
+    record: Mapping[str, Any]
+    row: Mapping[str, Any]
+
+    @property
+    def name(self) -> str:
+        """What its files are called."""
+        return f"{self.cell}-{self.row['traffic']}-{self.row['scenario']}"
 
 
 class Repeated:
@@ -36,40 +55,31 @@ class Repeated:
 
 
 def play_again(
-    path: Path,
-    record: Mapping[str, Any],
-    env: gym.Env[Any, Any],
-    traffic: str,
-    scenario: int,
-    actions: Any = None,
-    on_step: Callable[[], None] | None = None,
+    case: Case, env: gym.Env[Any, Any], on_step: Callable[[], None] | None = None
 ) -> dict[str, Any]:
-    """Play a test episode of a stored cell again and return its row of `evaluate.COLUMNS`.
-
-    Args:
-        path: DIR/cells/CELL, which need not exist where the cell is packed.
-        actions: the episode's column `actions`: where there are any, neither weights nor the user's file are needed.
+    """Play a test episode again in an environment of its cell and return its row of `evaluate.COLUMNS`.
 
     Raises:
         UserError: the weights or the user's file are not there, or do not fit.
     """
-    key, source = record["key"], record["source"]
+    key, source, actions = case.record["key"], case.record["source"], case.row.get("actions")
     policy: Policy
     if isinstance(actions, str) and actions:
         policy = Repeated(actions)
     elif key["kind"] == "test":
-        raise UserError(f"{path.name} is a further test of an agent: replay the agent's own cell")
+        raise UserError(f"{case.cell} is a further test of an agent: replay the agent's own cell")
     elif key["kind"] == "agent":
-        weights = Store(path.parents[1]).weights(path.name)
+        weights = case.store.weights(case.cell)
         if weights is None:
             raise UserError(
-                f"the weights of {path.name} are not here: train it again with the command in sweep.json, "
-                f"--cell {path.name} and another --out"
+                f"the weights of {case.cell} are not here: train it again with the command in sweep.json, "
+                f"--cell {case.cell} and another --out"
             )
         env, policy = load_agent(key, source, weights, env)
     else:
         policy = untrained_policy(key, source, env)
-    return play(env, policy, key["task"], key["level"], traffic, scenario, on_step)
+    place = str(case.row["traffic"]), int(case.row["scenario"])
+    return play(env, policy, key["task"], key["level"], *place, on_step)
 
 
 def differences(stored: Mapping[str, Any], row: Mapping[str, Any]) -> list[str]:

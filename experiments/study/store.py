@@ -276,10 +276,6 @@ class Results:
     expected: tuple[str, ...] = ()
     damaged: dict[str, str] = field(default_factory=dict)
 
-    def weights(self, cell: str) -> Path | None:
-        """The file of an agent's weights; None if they are not here."""
-        return Store(self.directory).weights(cell)
-
 
 def load(directory: Path) -> Results:
     """Read and check all finished cells of a directory; damaged ones are named in `Results.damaged`.

@@ -9,7 +9,7 @@ from PIL import Image
 
 from experiments.replay import Options, find_cell, parse_case, replay
 from experiments.study import store
-from experiments.study.rerun import play_again
+from experiments.study.rerun import Case, play_again
 from experiments.support.errors import UserError
 from tests.experiments.computed import compute, tasks_of
 from tests.experiments.fake_env import make_env, make_other_env
@@ -112,10 +112,10 @@ def test_an_episode_replays_without_weights_and_weights_that_are_needed_are_told
         shutil.rmtree(home / folder)
     for cell in cells:  # from their actions
         assert replay(Options(f"{home}/cells/{cell.name}:risky:1", out=tmp_path / "x.gif"), make_env) == 0
-    case = home / "cells" / cells[0].name
-    record = store.Store(home).record(case.name)
+    record = store.Store(home).record(cells[0].name)
+    case = Case(store.Store(home), cells[0].name, record, {"traffic": "risky", "scenario": 0})
     with pytest.raises(UserError, match=r"weights of .* are not here: train it again"):
-        play_again(case, record, make_env("sumo", "highway"), "risky", 0)
+        play_again(case, make_env("sumo", "highway"))
 
 
 # -- whether a crash could have been avoided ---------------------------------------------------------------

@@ -13,8 +13,8 @@ import pytest
 
 from experiments import report
 from experiments.reporting.showcase import FILE, Scenes, choose, duos, showcase
-from experiments.study.rerun import play_again
-from experiments.study.store import load
+from experiments.study.rerun import Case, play_again
+from experiments.study.store import Store, load
 from tests.experiments.computed import compute, tasks_of
 from tests.experiments.fake_env import make_env, make_other_env
 
@@ -74,10 +74,10 @@ def test_a_film_is_the_stored_episode(copy):
     assert place["films"]
     for film in place["films"]:
         for arm, name in place["cells"].items():
-            record, place_of = results.cells[name], (film["traffic"], film["scenario"])
+            record, place_of = results.cells[name], {key: film[key] for key in ("traffic", "scenario")}
             env = make_env("sumo", "highway", record["key"]["env_config"])
             recorded = Scenes(env)
-            row = play_again(copy / "cells" / name, record, env, *place_of, on_step=recorded.frame)
+            row = play_again(Case(Store(copy), name, record, place_of), env, recorded.frame)
             scenes = recorded.pictures
             track = film[arm]
             assert track["times"] == [round(100 * scene.time) for scene in scenes]

@@ -15,7 +15,8 @@ from experiments.backends import make_env
 from experiments.study.arms import scenario_seed
 from experiments.study.avoid import REST, rewound, way_out
 from experiments.study.evaluate import play
-from experiments.study.rerun import Repeated
+from experiments.study.rerun import Case, Repeated
+from experiments.study.store import Store
 
 NAMES = {0: "LANE_LEFT", 1: "IDLE", 2: "LANE_RIGHT", 3: "FASTER", 4: "SLOWER"}
 MOVES = {0: (1, 0), 1: (0, 0), 2: (-1, 0), 3: (0, 1), 4: (0, -1)}  # of lane and speed
@@ -118,14 +119,14 @@ def test_what_is_found_in_copies_comes_true_in_the_environment(backend: str) -> 
         pytest.importorskip({"replica": "numba", "highway-env": "highway_env"}[backend])
     env = make_env(backend, "u-turn", {"vehicles_count": 3, "duration": 10})
     faster = 3
-    path, row = Path("results/cells/faster"), None
+    row = None
     for scenario in range(30):
         row = play(env, Repeated(str(faster) * 10), "u-turn", 1, "risky", scenario)
         if row["crashed"] and row["length"] > 1:
             break
     assert row["crashed"]
     record = {"key": {"task": "u-turn", "level": 1, "kind": "baseline"}, "source": None}
-    with rewound(path, record, row, env) as (copies, driven):
+    with rewound(Case(Store(Path("results")), "faster", record, row), env) as (copies, driven):
         for step in reversed(range(len(driven))):
             free, _ = way_out(copies[step])
             if free is not None:

@@ -69,7 +69,7 @@ def test_packed_cells_are_read_as_they_were_and_nothing_is_deleted(results: Path
     shutil.rmtree(results / "cells")
     assert_same(content(results), before)
     agents = [name for name, cell in before["cells"].items() if cell["key"]["kind"] == "agent"]
-    assert all(load(results).weights(name) is not None for name in agents)
+    assert all(store.Store(results).weights(name) is not None for name in agents)
     assert store.Store(results).pack() == []
 
 

@@ -172,6 +172,14 @@ def test_agents_that_know_the_traffic_are_told_as_they_were_found() -> None:
     assert f"{(~gates).sum()} of {len(gates)} two-way agents exceed the bound" in text
 
 
+def test_a_drawn_dose_is_told_as_it_was_found() -> None:
+    study = published("second")
+    text = " ".join(section(TEXTS[ROOT / "docs" / "study.md"], "The second study, so far").split())
+    found = crashes(study, arm="drawn")
+    assert f"gives {found['risky']} in risky and {found['regular']} in regular traffic" in text
+    assert set(study.gates.query("arm == 'drawn'").groupby("task").size().items()) == {(t, 5) for t in TASKS}
+
+
 def test_the_studys_page_tells_what_further_arms_do() -> None:
     analysis = published("standard")
     text = section(TEXTS[ROOT / "docs" / "study.md"], "Risk or more interaction?")

@@ -157,8 +157,8 @@ def further(analysis: Analysis, backend: str) -> pd.DataFrame:
 def transfer(analysis: Analysis, backend: str) -> pd.DataFrame:
     """The same agents on the same scenarios of other simulators and at home."""
     rows = chosen(analysis.means[analysis.means["scenarios"] != "own"], backend=backend, scope=ALL_TASKS)
-    rows = rows.assign(tested_on=rows["tested_on"].map(BACKENDS))
-    return wide(rows, ("scenarios", "tested_on"), rates).drop(columns="scenarios", errors="ignore")
+    rows = rows.assign(simulator=rows["tested_on"].map(BACKENDS))
+    return wide(rows, ("scenarios", "simulator"), rates).drop(columns="scenarios", errors="ignore")
 
 
 def unseen(analysis: Analysis, backend: str) -> pd.DataFrame:

@@ -18,8 +18,7 @@ from experiments.study import grid
 from experiments.study.arms import ALL_TRAFFICS, ARMS, TRAFFICS, gate_traffics
 from experiments.study.evaluate import COLUMNS
 from experiments.study.experiment import Experiment
-from experiments.study.store import EPISODES, GATES, TRAINING, WEIGHTS, Store
-from experiments.study.train import learning_curve
+from experiments.study.store import EPISODES, GATES, Store
 
 DURATION = {"highway": 20, "two-way": 15, "roundabout": 11, "intersection": 13, "u-turn": 10}
 # By policy: chance to crash, reward per step, speed [m/s].
@@ -32,10 +31,7 @@ BEHAVIOUR = {
     "careful": (0.03, 0.82, 18.0),
     "dqn": (0.25, 0.85, 20.0),
 }
-TYPES = ("rear-end", "side", "frontal", "junction")
 PENALTY = -0.2  # what a doubled penalty for crashes changes about the chance to crash
-# What can be wrong with an agent, by name.
-FAULTS = ("diverged", "poor")
 
 
 def generator(*words: object) -> np.random.Generator:
@@ -70,7 +66,8 @@ def episodes(
         crashed = luck + noise < chance if fault != "diverged" else np.zeros(n, bool)
         length = np.where(crashed, random.integers(2, steps, n), steps)
         per_step = {"poor": 0.1, "diverged": 0.6}.get(fault or "", reward - 0.03 * cell.level - own / 2)
-        table: dict[str, Any] = {"traffic": traffic, "scenario": np.arange(n)}
+        # What is not told here is the same in every episode, or missing as without a crash.
+        table = pd.DataFrame({"traffic": traffic, "scenario": np.arange(n)}, columns=list(COLUMNS)[:-1])
         table["return"] = (
             length * per_step - crashed + (0 if fault == "diverged" else random.normal(0, 0.3, n))
         )
@@ -79,67 +76,34 @@ def episodes(
         table["truncated"] = ~crashed & ~table["arrived"]
         table["mean_speed"] = speed if fault == "diverged" else np.abs(random.normal(speed, 1.0, n))
         table["distance"] = table["mean_speed"] * length
-        table["min_ttc"] = np.where(random.uniform(size=n) < 0.2, np.inf, random.uniform(0.1, 8, n))
         table["near_misses"] = random.poisson(1 + 0.5 * (traffic == "risky"), n)
-        table["density"] = random.normal(8 * cell.level, 1, n)
-        table["stopped"] = 0.02
+        table["density"], table["stopped"] = 8.0 * cell.level, 0.02
         shares = np.eye(5)[4] if fault == "diverged" else np.array([0.1, 0.3, 0.1, 0.2, 0.3])
-        actions = np.array([random.multinomial(k, shares) for k in length])
-        for action in range(5):
-            table[f"action_{action}"] = actions[:, action]
-        table["crash_time"] = length - random.uniform(0, 1, n)
-        table["crash_other"] = [f"v{k}" for k in random.integers(0, 20, n)]
-        ahead = random.uniform(size=n) < 0.7
-        table["crash_x"], table["crash_y"] = random.uniform(0, 400, n), 4.0
-        table["crash_relative_x"] = np.where(ahead, 4.9, random.uniform(-3, 4, n))
-        table["crash_relative_y"] = np.where(ahead, random.normal(0, 0.7, n), 1.9 * random.choice([-1, 1], n))
-        table["crash_relative_heading"] = random.normal(0, 0.15, n)
-        table["crash_closing_speed"] = np.abs(random.normal(8, 3, n))
-        table["crash_type"] = np.where(ahead, "rear-end", random.choice(TYPES[1:], n))
-        table["crash_detected_by"] = "both"
-        for column in COLUMNS:
-            if column.startswith("crash_"):
-                known = np.broadcast_to(np.asarray(table[column], dtype=object), n)
-                table[column] = np.where(crashed, known, None)
-        tables.append(pd.DataFrame(table))
-    columns = {
-        name: kind for name, kind in COLUMNS.items() if name != "actions"
-    }  # as cells of earlier versions
-    return pd.concat(tables)[list(columns)].astype(columns)
-
-
-def training(cell: grid.Cell) -> pd.DataFrame:
-    """Training episodes that get longer and safer."""
-    random = generator(cell.slug, "training")
-    length = random.integers(3, DURATION[cell.task], max(4, cell.updates // 8))
-    step = np.cumsum(length)
-    progress = step / step[-1]
-    crashed = random.uniform(size=len(step)) < 0.9 - 0.6 * progress
-    return pd.DataFrame(
-        {
-            "episode": np.arange(len(step)),
-            "step": step,
-            "return": length * (0.5 + 0.3 * progress) + random.normal(0, 1, len(step)),
-            "length": length,
-            "crashed": crashed,
-            "arrived": False,
-            "mean_speed": 20.0,
-            "epsilon": 0.1 + 0.9 * np.exp(-progress * 6),
-        }
-    )
+        table[[f"action_{k}" for k in range(5)]] = [random.multinomial(k, shares) for k in length]
+        table["crash_time"] = np.where(crashed, length - random.uniform(0, 1, n), np.nan)
+        table["crash_closing_speed"] = np.where(crashed, np.abs(random.normal(8, 3, n)), np.nan)
+        tables.append(table)
+    return pd.concat(tables).astype(
+        {name: COLUMNS[name] for name in table}
+    )  # none of earlier cells has `actions`
 
 
 def learner(cell: grid.Cell, fault: str | None) -> dict[str, Any]:
+    """What is kept of a training, whose episodes get longer and safer."""
     bound = (5.0 if cell.task == "intersection" else 1.0) / (1 - cell.profile["gamma"])
-    updates = np.linspace(cell.updates / 10, cell.updates, 10)
     top = 1e9 if fault == "diverged" else 0.6 * bound
     largest = [float(top ** (k / 10)) for k in range(1, 11)]
-    curve = [[int(u), q / 2, q] for u, q in zip(updates, largest, strict=True)]
+    progress = np.linspace(0.05, 1, 20)
+    reward = 8 * (0.5 + 0.3 * progress) + generator(cell.slug, "training").normal(0, 1, 20)
     return {
         "updates": cell.updates,
         "episodes": cell.updates // 8,
-        "probe_q": curve,
-        "curve": learning_curve(training(cell)),
+        "probe_q": [[cell.updates * k // 10, q / 2, q] for k, q in enumerate(largest, 1)],
+        "curve": {
+            "step": (4 * cell.updates * progress).tolist(),
+            "return": reward.tolist(),
+            "crashed": (0.9 - 0.6 * progress).tolist(),
+        },
         "q_bound": bound,
     }
 
@@ -163,7 +127,7 @@ def write(
     """Write a result directory and return its cells.
 
     levels: numbers by task. further: arms beside the two.
-    faults: a fault by slug, for example {"sumo-highway-50-control-s0": "diverged"}.
+    faults: "diverged" or "poor" by slug, for example {"sumo-highway-50-control-s0": "diverged"}.
     """
     cells = [
         cell
@@ -189,9 +153,6 @@ def write(
     ]
     wanted = [cell for cell in cells if cell.arm in (*arms, *further) or cell.policy in baselines]
     store = Store(directory)
-    weights = directory / "weights.npz"
-    directory.mkdir(parents=True, exist_ok=True)
-    weights.write_bytes(b"no weights")
     for cell in wanted:
         fault = (faults or {}).get(cell.slug)
         record: dict[str, Any] = {
@@ -204,9 +165,7 @@ def write(
                 cell, 0.0, spread, fault, "gate"
             )  # sound agents pass, whatever the effect
         if cell.kind == "agent":
-            files |= {TRAINING: training(cell), WEIGHTS: weights}
             record["learner"] = learner(cell, fault)
         store.write(cell, record, files)
-    weights.unlink()
     store.write_sweep("python experiments/sweep.py", cells)
     return wanted

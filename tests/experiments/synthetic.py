@@ -56,9 +56,8 @@ def episodes(
         n = tested["episodes"] if purpose == "test" else cell.gate_episodes
         steps = DURATION[cell.task]
         words = () if purpose == "test" else (purpose,)
-        luck = generator(cell.task, cell.level, traffic, *words).uniform(
-            size=n
-        )  # shared by all who are tested
+        # shared by all who are tested
+        luck = generator(cell.task, cell.level, traffic, *words).uniform(size=n)
         dose = ALL_TRAFFICS[traffic]
         chance = chance_to_crash + 0.05 * (cell.level - 1) + own + 0.15 * dose
         chance += effect * cell.risk * dose + PENALTY * (cell.arm == "penalty")
@@ -66,8 +65,10 @@ def episodes(
         crashed = luck + noise < chance if fault != "diverged" else np.zeros(n, bool)
         length = np.where(crashed, random.integers(2, steps, n), steps)
         per_step = {"poor": 0.1, "diverged": 0.6}.get(fault or "", reward - 0.03 * cell.level - own / 2)
-        # What is not told here is the same in every episode, or missing as without a crash.
-        table = pd.DataFrame({"traffic": traffic, "scenario": np.arange(n)}, columns=list(COLUMNS)[:-1])
+        # Columns that are not set stay missing, as those of a crash where there is none.
+        table = pd.DataFrame(
+            {"traffic": traffic, "scenario": np.arange(n)}, columns=list(COLUMNS)[:-1]
+        )  # as before `actions`
         table["return"] = (
             length * per_step - crashed + (0 if fault == "diverged" else random.normal(0, 0.3, n))
         )
@@ -83,9 +84,7 @@ def episodes(
         table["crash_time"] = np.where(crashed, length - random.uniform(0, 1, n), np.nan)
         table["crash_closing_speed"] = np.where(crashed, np.abs(random.normal(8, 3, n)), np.nan)
         tables.append(table)
-    return pd.concat(tables).astype(
-        {name: COLUMNS[name] for name in table}
-    )  # none of earlier cells has `actions`
+    return pd.concat(tables).astype({name: COLUMNS[name] for name in table})
 
 
 def learner(cell: grid.Cell, fault: str | None) -> dict[str, Any]:

@@ -42,6 +42,15 @@ def sweep_of(directory: Path, **options: Any) -> None:
     compute(tasks)
 
 
+def damage(path: Path, how: str) -> None:
+    """Leave of a file its first half ("cut"), nothing in it ("empty"), no file ("gone"), or change one byte."""
+    content, half = path.read_bytes(), path.stat().st_size // 2
+    changed = content[:half] + bytes([content[half] ^ 1]) + content[half + 1 :]
+    path.unlink()
+    if how != "gone":
+        path.write_bytes({"cut": content[:half], "empty": b"", "changed": changed}[how])
+
+
 def fingerprint(directory: Path) -> dict[str, dict[str, str]]:
     """Checksums of all results, by cell: two sweeps that computed the same have the same."""
     return {name: record["files"] for name, record in Store(directory).records().items()}

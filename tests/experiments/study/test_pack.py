@@ -15,7 +15,7 @@ from experiments.study.packed import CELLS, MANIFEST
 from experiments.study.store import load
 from experiments.support.errors import UserError
 from experiments.sweep import Options, sweep
-from tests.experiments.computed import TINY, sweep_of
+from tests.experiments.computed import TINY, damage, sweep_of
 from tests.experiments.fake_env import make_env
 
 
@@ -94,9 +94,7 @@ def test_a_sweep_goes_on_from_packed_cells(results: Path, capsys: pytest.Capture
 @pytest.mark.parametrize("file", [CELLS, store.EPISODES, store.GATES])
 def test_a_damaged_table_is_named(results: Path, file: str) -> None:
     pack(results)
-    content = bytearray((results / file).read_bytes())
-    content[len(content) // 2] ^= 1
-    (results / file).write_bytes(content)
+    damage(results / file, "changed")
     with pytest.raises(UserError, match=f"{file} is damaged .its checksum does not match.: restore it"):
         load(results)
 

@@ -101,16 +101,6 @@ def test_five_seconds_are_steps_of_the_policy() -> None:
     assert found == (1,) * 15
 
 
-def test_of_actions_with_one_effect_one_is_driven(monkeypatch: pytest.MonkeyPatch) -> None:
-    """On a road of one lane there are three: of its states after four steps, all five actions end in the wall."""
-    monkeypatch.setitem(MOVES, 0, (0, 0))
-    monkeypatch.setitem(MOVES, 2, (0, 0))
-    wall = frozenset((5, lane, place) for lane in range(3) for place in range(20))
-    found, contacts = way_out(Grid(wall))
-    assert found is None
-    assert contacts <= 5 * 3**4
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("backend", ["sumo", "replica", "highway-env"])
 def test_what_is_found_in_copies_comes_true_in_the_environment(backend: str) -> None:

@@ -6,9 +6,8 @@ import json
 import os
 import random
 import signal
-import subprocess
-import sys
 import time
+from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -16,22 +15,19 @@ import pytest
 from experiments.analysis.analysis import analyse, as_json
 from experiments.study.store import load
 from tests.experiments.computed import fingerprint
-from tests.processes import children
-
-pytestmark = pytest.mark.slow  # whole sweeps in processes of their own, several times
+from tests.processes import children, python, started
 
 TWO_SEEDS = {"preset": "smoke", "tasks": ["u-turn"], "seeds": 2, "updates": 400, "episodes": 10, "workers": 2}
-SWEEP = [sys.executable, str(Path(__file__).with_name("fake_sweep.py"))]
+WANTED = 20
 
 
-def command(directory: Path) -> list[str]:
-    return [*SWEEP, str(directory), json.dumps(TWO_SEEDS)]
+def sweep(directory: Path) -> tuple[str, ...]:
+    return (str(Path(__file__).with_name("fake_sweep.py")), str(directory), json.dumps(TWO_SEEDS))
 
 
 def analysis(directory: Path) -> str:
     """What the report says, without where and when it was computed."""
-    value = as_json(analyse(load(directory)))
-    return json.dumps({name: entry for name, entry in value.items() if name != "provenance"})
+    return json.dumps({**as_json(analyse(load(directory))), "provenance": None})
 
 
 @pytest.mark.long
@@ -45,33 +41,26 @@ def test_twenty_random_kills_lose_nothing_and_change_nothing(tmp_path):
     two kills that are seconds apart.
     """
     reference, start = tmp_path / "reference", time.monotonic()
-    subprocess.run(command(reference), check=True, capture_output=True, timeout=600)
+    python(*sweep(reference))
     duration = time.monotonic() - start
-    rng, wanted = random.Random(2), 20
-    kills = {"worker": 0, "sweep": 0}
-    tries = 0
-    while sum(kills.values()) < wanted:
+    rng, kills, tries = random.Random(2), Counter(), 0
+    while kills.total() < WANTED:
         tries += 1
         assert tries <= 10, kills
         directory = tmp_path / str(tries)
         again = True
         while again:
-            process = subprocess.Popen(
-                command(directory), stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
-            )
+            process = started(*sweep(directory))
             again = False
-            while process.poll() is None and sum(kills.values()) < wanted:
+            while process.poll() is None and not again and kills.total() < WANTED:
                 time.sleep(rng.uniform(0.0, duration / 2))
                 victim = "sweep" if rng.random() < 0.5 else "worker"
                 workers = children(process.pid, "spawn_main")
-                if process.poll() is not None or (victim == "worker" and not workers):
-                    continue
-                os.kill(process.pid if victim == "sweep" else rng.choice(workers), signal.SIGKILL)
-                kills[victim] += 1
-                if victim == "sweep":
-                    again = True
-                    break
-            output = process.communicate(timeout=600)[0]
+                if process.poll() is None and (victim == "sweep" or workers):
+                    os.kill(process.pid if victim == "sweep" else rng.choice(workers), signal.SIGKILL)
+                    kills[victim] += 1
+                    again = victim == "sweep"
+            output = process.communicate(timeout=600)
             assert again or process.returncode in (0, 1), output
             again = again or process.returncode == 1  # a cell met four kills: the same command tries it again
         assert fingerprint(directory) == fingerprint(reference)
@@ -79,4 +68,4 @@ def test_twenty_random_kills_lose_nothing_and_change_nothing(tmp_path):
         assert not list((directory / "work").iterdir())
         assert not (directory / "damaged").exists()
     print(f"{kills} in {tries} sweeps")
-    assert all(kills.values())
+    assert kills["worker"] and kills["sweep"]

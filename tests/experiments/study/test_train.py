@@ -1,4 +1,4 @@
-"""Training of a cell: arms whose dose is drawn meet and log it, and go on to the bit after an interruption."""
+"""Training of a cell: the traffic and scenarios that an arm meets, and the same bits after an interruption."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 
 from agents.checkpoint import load_arrays
 from agents.streams import episode_seed
-from experiments.study.arms import drawn_dose, training_seed
+from experiments.study.arms import TEST, drawn_dose, scenario_seed, training_seed
 from experiments.study.cell import CellTask
 from experiments.study.experiment import Experiment
 from experiments.study.grid import Cell
@@ -38,16 +38,38 @@ class Interrupted(Exception):
     pass
 
 
-@pytest.mark.parametrize("arm", ["mixed", "drawn"])
-def test_a_drawn_dose_is_met_logged_and_the_same_after_an_interruption(arm, tmp_path, monkeypatch) -> None:
-    met = []
-    reset = FakeEnv.reset
+@pytest.fixture
+def met(monkeypatch: pytest.MonkeyPatch) -> list[tuple[int, float]]:
+    """Seed and dose of every episode that begins."""
+    found, reset = [], FakeEnv.reset
 
-    def noting(self, **arguments):
-        result = reset(self, **arguments)
-        met.append(self.config["risk"])
+    def noting(self, *, seed=None, options=None):
+        result = reset(self, seed=seed, options=options)
+        found.append((seed, self.config["risk"]))
         return result
 
+    monkeypatch.setattr(FakeEnv, "reset", noting)
+    return found
+
+
+@pytest.mark.parametrize(("arm", "dose"), [("control", 0.0), ("treatment", 1.0)])
+def test_an_arm_differs_by_the_traffic_of_its_training_alone(arm, dose, tmp_path, met) -> None:
+    CellTask(cell(arm), tmp_path, make_env).compute(lambda _: None)
+    tests, gates = (
+        {scenario_seed("u-turn", 1, k, purpose) for k in (50, 51, 52)} for purpose in ("test", "gate")
+    )
+    assert tests.isdisjoint(gates)
+    assert {risk for seed, risk in met if seed < TEST} == {dose}
+    in_tests = {(seed, risk) for seed, risk in met if seed in tests}
+    assert in_tests == {(seed, risk) for seed in tests for risk in (0.0, 1.0)}
+    assert {(seed, risk) for seed, risk in met if seed in gates} == {(seed, dose) for seed in gates}
+    assert {seed for seed, _ in met if seed >= TEST} == tests | gates
+
+
+@pytest.mark.parametrize("arm", ["mixed", "drawn"])
+def test_a_drawn_dose_is_met_logged_and_the_same_after_an_interruption(
+    arm, tmp_path, met, monkeypatch
+) -> None:
     def stop(updates: int) -> None:
         nonlocal left
         left -= updates
@@ -57,11 +79,10 @@ def test_a_drawn_dose_is_met_logged_and_the_same_after_an_interruption(arm, tmp_
     monkeypatch.setattr("experiments.study.train.MIN_INTERVAL", 20)
     clock = {"training_clock": [13, 13]}
     whole_folder, resumed_folder = tmp_path / "whole", tmp_path / "resumed"
-    monkeypatch.setattr(FakeEnv, "reset", noting)
     whole = train_cell(cell(arm, **clock), make_env("sumo", "u-turn", {"duration": 13}), whole_folder)
     seed = training_seed("u-turn", 1, 2)
     expected = [drawn_dose(arm, episode_seed(seed, k)) for k in range(len(whole.episodes))]
-    assert met == expected == whole.episodes["risk"].tolist()
+    assert [dose for _, dose in met] == expected == whole.episodes["risk"].tolist()
     assert len(set(expected)) == (2 if arm == "mixed" else len(expected))
     assert whole.episodes["length"].max() > 10
 

@@ -1,4 +1,4 @@
-"""The tables of the choice of the learner are what its stored episodes say."""
+"""Tables of the documentation that are what stored episodes say: learners, planners, avoidable crashes."""
 
 from __future__ import annotations
 
@@ -6,6 +6,11 @@ import pandas as pd
 import pytest
 
 from experiments.analysis.plan import Learner
+from experiments.study.avoid import SAFE
+from experiments.study.evaluate import share
+from experiments.study.grid import env_config
+from experiments.study.store import load
+from sumo_env.tasks import TASKS
 from tests.pages import ROOT, TEXTS, section, table
 
 PAGE = TEXTS[ROOT / "docs" / "developers" / "learner_choice.md"]
@@ -58,3 +63,39 @@ def test_the_check_is_told_as_it_was_stored() -> None:
         arms = found.loc[name].loc[["control", "treatment"]]
         assert shown[label][:4] == pytest.approx([*arms["return"], *arms["change"]], abs=0.0005 + 1e-9), label
         assert shown[label][4] == pytest.approx(arms["largest"].max(), abs=0.005 + 1e-9), label
+
+
+def test_the_planners_are_told_as_they_were_stored() -> None:
+    """Crash rate / return / distance per scheduled second, beside the study's agents in the same scenarios."""
+    planned = pd.read_parquet(ROOT / "results" / "copies" / "planners.parquet")
+    drives = planned.groupby(["task", "traffic", "policy"])["scenario"].apply(sorted)
+    scenarios = drives.iloc[0]
+    assert len(drives) == 15
+    assert all(numbers == scenarios for numbers in drives)
+    text = section(TEXTS[ROOT / "docs" / "learner.md"], "Planners")
+    assert f"{len(scenarios)} of the agents' test scenarios" in " ".join(text.split())
+
+    study = load(ROOT / "results" / "standard").episodes
+    study = study[(study["level"] == 1) & study["scenario"].isin(scenarios)]
+    study = study.assign(policy=study["arm"].where(study["kind"] == "agent", study["policy"]))
+    study = study[study["policy"].isin(["careful", "control", "treatment"])]
+    rows = pd.concat([planned, study], ignore_index=True)
+    rows["pace"] = rows["distance"] / rows["task"].map(
+        {t: env_config("sumo", t, 1)["duration"] for t in TASKS}
+    )
+    means = rows.groupby(["traffic", "policy", "task"])[["crashed", "return", "pace"]].mean()
+    words = means.apply(lambda m: f"{m['crashed']:.2f}/{m['return']:.1f}/{m['pace']:.1f}", axis=1)
+    found = words.unstack("task")[list(TASKS)]
+    assert table(text) == {", ".join(row): values.tolist() for row, values in found.iterrows()}
+
+
+def test_the_avoidable_crashes_are_told_as_they_were_stored() -> None:
+    """`last`: the last moment from which the crash can be avoided; `clear`: for how long there is no contact then."""
+    stored = pd.read_parquet(ROOT / "results" / "copies" / "avoidable.parquet")
+    rows = {}
+    for (task, level, arm), crashes in stored.groupby(["task", "level_name", "arm"]):
+        margin = crashes["contact"] - crashes["last"]
+        late = [share(margin <= seconds).strip() for seconds in (1, 2, 3)]
+        rows[f"{task} {level}, {arm}"] = [str(len(crashes)), *late, str((crashes["clear"] < SAFE).sum())]
+        assert crashes["cell"].nunique() == 1
+    assert table(section(TEXTS[ROOT / "docs" / "collisions.md"], "Could it have been avoided?")) == rows

@@ -12,11 +12,7 @@ from highway_env.vehicle.behavior import IDMVehicle
 
 from experiments.backends import make_env
 from experiments.backends.highway_env import ScenarioEnv
-from experiments.backends.highway_env_vehicle import (
-    PathVehicle,
-    ScenarioVehicle,
-    distance_beyond,
-)
+from experiments.backends.highway_env_vehicle import PathVehicle, distance_beyond
 from sumo_env.config import ConfigError
 from sumo_env.tasks import TASKS
 from sumo_env.traffic.risk import RiskEvent
@@ -27,12 +23,7 @@ BASE_ATTRIBUTES = ("COMFORT_ACC_MAX", "COMFORT_ACC_MIN", "DISTANCE_WANTED", "TIM
 
 def make(task: str, **config: Any) -> ScenarioEnv:
     small = SMALL if task == "highway" else {}
-    env = make_env("highway-env", task, {**small, **config}).unwrapped
-    return env
-
-
-def named(env: ScenarioEnv, name: str) -> Any:
-    return next(vehicle for vehicle in env.road.vehicles if vehicle.id == name)
+    return make_env("highway-env", task, {**small, **config}).unwrapped
 
 
 # -- the same traffic as SUMO's ------------------------------------------------------------------------------
@@ -40,21 +31,25 @@ def named(env: ScenarioEnv, name: str) -> Any:
 
 @pytest.mark.parametrize("risk", [0.0, 1.0])
 @pytest.mark.parametrize("task", TASKS)
-def test_a_seed_is_the_same_scenario_in_both_simulators(task: str, risk: float) -> None:
+def test_a_seed_is_the_same_scenario_with_the_same_interface_in_both_simulators(
+    task: str, risk: float
+) -> None:
     config = {"risk": risk, **(SMALL if task == "highway" else {})}
-    ours = make_env("sumo", task, config)
-    theirs = make_env("highway-env", task, config)
+    ours, theirs = (make_env(backend, task, config) for backend in ("sumo", "highway-env"))
     for seed in (3, None, None):
-        ours.reset(seed=seed)
-        theirs.reset(seed=seed)
+        infos = [(ours.reset(seed=seed)[1], theirs.reset(seed=seed)[1])]
         # how often a second is computed is each simulator's own
         drawn = replace(ours.unwrapped.scenario, simulation_frequency=15)
         assert drawn == theirs.unwrapped.scenario
-        for action in (1, 1):
-            ours.step(action)
-            theirs.step(action)
+        infos += [(ours.step(1)[4], theirs.step(1)[4]) for _ in range(2)]
+        for mine, other in infos:
+            assert {k: type(v) for k, v in mine.items()} == {k: type(v) for k, v in other.items()}
+            assert mine["rewards"].keys() == other["rewards"].keys()
     ours.close()
-    theirs.close()
+    for name in ("actions", "target_speeds", "observation_space", "action_space"):
+        assert getattr(ours.unwrapped, name) == getattr(theirs.unwrapped, name)
+    config = {k: v for k, v in ours.unwrapped.config.items() if k not in ("simulation_frequency", "action")}
+    assert config.items() <= theirs.unwrapped.config.items()
 
 
 def test_no_task_changes_the_class_of_the_drivers() -> None:
@@ -101,17 +96,6 @@ def test_regular_traffic_moves_as_in_stock_highway_env(task: str, variant: str) 
                 break
 
 
-def test_neighbours_are_looked_for_as_the_variant_says() -> None:
-    for task in TASKS:
-        for variant, connected in (("v0", False), ("connected", True), ("path", True)):
-            env = make(task, variant=variant)
-            env.reset(seed=0)
-            joins = task not in ("highway", "two-way")
-            assert env.road.neighbour_vehicles_connected_lanes == (connected and joins)
-            drivers = {type(vehicle) for vehicle in env.road.vehicles[1:]}
-            assert drivers == {PathVehicle if variant == "path" and joins else ScenarioVehicle}
-
-
 def on_u_turn(env: ScenarioEnv, lane: tuple[str, str, int], s: float, speed: float) -> PathVehicle:
     vehicle = PathVehicle.make_on_lane(env.road, lane, s, speed)
     vehicle.plan_route_to("d")
@@ -151,30 +135,12 @@ def test_a_swerve_that_reaches_the_end_of_the_road_ends_on_the_own_lane() -> Non
     """There highway-env makes the car head for the lane back, which has no neighbour on the right."""
     env = make("two-way", vehicles_count=1, oncoming_vehicles_count=0)
     env.reset(seed=0)
-    vehicle = named(env, "v0")
+    [vehicle] = [vehicle for vehicle in env.road.vehicles if vehicle.id == "v0"]
     vehicle.position[0] = vehicle.lane.length - 20.0
     env._events = [RiskEvent(0.0, "v0", "cut-in", direction=1)]
     targets = [vehicle.target_lane_index for _ in range(5) if env.step(1)]
     assert targets[0] == ("b", "a", 0)  # it has swerved, and heads for the lane back
     assert targets[-1] == ("a", "b", 1)
-
-
-# -- the interface -------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("task", TASKS)
-def test_information_is_that_of_sumo_env(task: str) -> None:
-    small = SMALL if task == "highway" else {}
-    ours, theirs = (make_env(backend, task, small) for backend in ("sumo", "highway-env"))
-    infos = [(ours.reset(seed=0)[1], theirs.reset(seed=0)[1]), (ours.step(1)[4], theirs.step(1)[4])]
-    ours.close()
-    for mine, other in infos:
-        assert {key: type(value) for key, value in mine.items()} == {k: type(v) for k, v in other.items()}
-        assert mine["rewards"].keys() == other["rewards"].keys()
-    for name in ("actions", "target_speeds", "observation_space", "action_space"):
-        assert getattr(ours.unwrapped, name) == getattr(theirs.unwrapped, name)
-    config = {k: v for k, v in ours.unwrapped.config.items() if k not in ("simulation_frequency", "action")}
-    assert config.items() <= theirs.unwrapped.config.items()
 
 
 def test_configuration() -> None:

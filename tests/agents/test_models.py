@@ -1,4 +1,4 @@
-"""Networks: gradients, the mask of the attention, standardised inputs, and networks from a user's file."""
+"""Networks: gradients, the mask of the attention, and standardised inputs."""
 
 from __future__ import annotations
 
@@ -109,17 +109,11 @@ def test_observations_of_another_shape_are_standardised_entry_by_entry() -> None
     torch.testing.assert_close(network(x), torch.tensor([[0.0, -(0.5**0.5), 7.0], [0.0, 0.5**0.5, 7.0]]))
 
 
-def test_a_network_of_a_users_own_file(tmp_path: Path) -> None:
-    file = tmp_path / "mine.py"
-    file.write_text(
-        "from torch import nn\n"
-        "def Mine(space, actions):\n"
-        "    return nn.Sequential(nn.Flatten(), nn.Linear(space.shape[0] * space.shape[1], actions))\n"
-    )
-    assert network_class(f"{file}:Mine")(SPACE, 3)(table(1)).shape == (4, 3)
-    file.with_name("wrong.py").write_text("1 / 0\n")
+def test_a_network_that_there_is_not_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "mine.py").touch()
+    (tmp_path / "wrong.py").write_text("1 / 0\n")
     for name, message in (
-        (f"{file}:Other", "defines no Other"),
+        (f"{tmp_path}/mine.py:Other", "defines no Other"),
         (f"{tmp_path}/none.py:Mine", "no file"),
         ("transformer", "choose attention, dueling or FILE:CLASS"),
         (f"{tmp_path}/wrong.py:Mine", "cannot be run: ZeroDivisionError"),

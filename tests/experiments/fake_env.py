@@ -17,6 +17,8 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
+from sumo_env.contacts.crash import CrashRecord
+
 TEST = 2**32  # seeds of test scenarios begin here (experiments.study.arms)
 FEATURES = ("presence", "x", "y", "vx", "vy")
 
@@ -55,20 +57,10 @@ class FakeEnv(gym.Env):
         self.gap += leader - self.speed
         self.time += 1
         self.crashed = self.gap < 5.0
-        crash = None
-        if self.crashed:
-            crash = {
-                "other": "v0",
-                "time": float(self.time),
-                "x": 0.0,
-                "y": 0.0,
-                "relative_x": self.gap,
-                "relative_y": 0.0,
-                "relative_heading": 0.0,
-                "closing_speed": self.speed - leader,
-                "type": "rear-end",
-                "detected_by": "sumo",
-            }
+        hit = CrashRecord(
+            "v0", float(self.time), 0.0, 0.0, self.gap, 0.0, 0.0, self.speed - leader, "rear-end", "sumo"
+        )
+        crash = hit.as_dict() if self.crashed else None
         reward = 0.0 if self.crashed else self.speed / 30.0
         truncated = self.time >= self.config["duration"]
         return self._observe(), reward, self.crashed, truncated, self._info(self.speed, crash)

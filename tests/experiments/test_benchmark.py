@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from multiprocessing import get_context
 from pathlib import Path
 
 import pytest
@@ -11,14 +10,7 @@ from rich.console import Console
 
 from experiments import benchmark
 from experiments.benchmark import REFERENCE, Options, beside, in_turns, run
-from experiments.timed import Driver, Process
-
-
-def test_an_object_in_another_process_keeps_its_state() -> None:
-    with Process(ctx=get_context("spawn")) as process:
-        driver = process.Driver("sumo", "u-turn")
-        assert driver.distinct(3) == 3
-        assert driver.rate(0.0) > 0.0
+from experiments.timed import Driver
 
 
 def test_ratios_are_taken_turn_by_turn() -> None:

@@ -226,10 +226,6 @@ class TestIncomplete:
         page = Page(report.write_report(tmp_path).read_text())
         assert "cannot be read and are not counted" in page.text and name in page.text
 
-    def test_a_missing_directory_is_said_so(self, tmp_path):
-        with pytest.raises(UserError):
-            report.write_report(tmp_path / "nowhere")
-
 
 @pytest.mark.usefixtures("words_alone")
 class TestValidation:
@@ -237,10 +233,8 @@ class TestValidation:
         missed = [
             {"traffic": "risky", "level": "3", "name": "crash rate", "ego": "idm",
              "sumo": 0.76, "reference": 0.58, "difference": 0.18, "margin": 0.15, "note": ""},
-            {"traffic": "risky", "level": "3", "name": "pairs of egos in the same order, by return", "ego": "",
-             "sumo": 21.0, "reference": 22.0, "difference": -1.0, "margin": 0.0, "note": ""},
         ]  # fmt: skip
-        counts = {"equivalent": 5, "within": 3, "missed": 2}
+        counts = {"equivalent": 5, "within": 3, "missed": 1}
         value = {"schema": SCHEMA, "backend": "sumo", "source": "a test", "versions": {}, "fingerprints": {},
                  "tasks": {"u-turn": {"passed": False, "counts": counts, "missed": missed}}}  # fmt: skip
         (directory / "verdict.json").write_text(json.dumps(value))
@@ -249,14 +243,13 @@ class TestValidation:
         synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=2, tests=4)
         self.verdict(tmp_path)
         text = Page(report.write_report(tmp_path).read_text()).text
-        assert "8 of 10 checks are within margins" in text
+        assert "8 of 9 checks are within margins" in text
         assert "crash rate of idm 0.76 instead of 0.58 (margin 0.15)" in text
-        assert "pairs of egos in the same order, by return 21 instead of 22" in text
 
     def test_is_no_question_for_the_reference(self, tmp_path):
         self.verdict(tmp_path)
         assert checks(tmp_path, ["replica"]) == {"relevant": False, "total": 0, "missed": []}
-        assert checks(tmp_path, ["sumo"])["total"] == 10
+        assert checks(tmp_path, ["sumo"])["total"] == 9
 
 
 class TestCommand:

@@ -95,10 +95,8 @@ def test_further_arms_are_trained_and_agents_tested_elsewhere(reference, tmp_pat
     early = Store(directory).tables(agent)[MARKS]
     assert {(1, 3), (2, 3)} == set(early.groupby(["mark", "traffic"]).size().droplevel("traffic").items())
     weights = next(directory.glob("cells/*-dose25-s0-*/weights.npz"))
-    for path in directory.glob("cells/*-on-*/*"):
-        path.unlink()
     for path in directory.glob("cells/*-on-*"):
-        path.rmdir()
+        shutil.rmtree(path)
     weights.unlink()
     with pytest.raises(UserError, match="are not here"):
         run(directory, **options, cell="sumo-u-turn-3-dose25-s0-on-replica")
@@ -128,7 +126,6 @@ def test_cells_say_what_they_are_and_where_they_come_from(reference):
     for name in set(results.episodes.loc[results.episodes.kind == "agent", "cell"]):
         training = Store(reference).tables(name)[TRAINING]
         assert training.step.max() >= 4 * TINY["updates"]
-    assert set(results.episodes.groupby(["cell", "traffic"]).size()) == {3}
 
 
 def test_a_killed_worker_is_noticed_and_its_cells_come_out_the_same(reference, tmp_path, monkeypatch, capsys):

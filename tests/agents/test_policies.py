@@ -1,4 +1,4 @@
-"""Greedy policies and their files; policies that were not made here."""
+"""Greedy policies and their files, one for each or one for many; policies that were not made here."""
 
 from __future__ import annotations
 
@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 import torch
 
+import agents
+from agents import pretrained
 from agents.checkpoint import CheckpointError
 from agents.greedy import Greedy
 from agents.models import EgoAttention, Standardised
@@ -67,3 +69,34 @@ def test_a_model_of_stable_baselines3_drives(tmp_path: Path, algorithm: str) -> 
     (tmp_path / "model.zip").write_bytes(b"nothing")
     with pytest.raises(ValueError, match="no model of Stable-Baselines3"):
         foreign_policy(str(tmp_path / "model.zip"), Road())
+
+
+# -- trained agents in one file --------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def published(tmp_path: Path) -> Path:
+    about = {"network": "attention", "observations": [4, 5], "actions": 5, "time_observed": 0}
+    stored = {
+        "u-turn-3/mixed": ({**about, "precision": "float16"}, Greedy(network())),
+        "u-turn-3/control": ({**about, "precision": "float32"}, Greedy(network(1))),
+    }
+    pretrained.save(stored, tmp_path / "agents.npz")
+    return tmp_path / "agents.npz"
+
+
+@pytest.mark.parametrize(("arm", "seed", "precision"), [("mixed", 0, "float16"), ("control", 1, "float32")])
+def test_an_agent_has_the_weights_that_were_stored_in_their_precision(
+    published, arm, seed, precision
+) -> None:
+    assert agents.card("u-turn-3", arm, published)["precision"] == precision
+    loaded = agents.load("u-turn-3", arm, published).network.state_dict()
+    for name, value in network(seed).state_dict().items():
+        assert torch.equal(loaded[name], value.to(getattr(torch, precision)).float()), name
+
+
+def test_an_unknown_agent_is_named_with_those_that_there_are(published: Path, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"u-turn-3/mixd.*u-turn-3/mixed"):
+        agents.load("u-turn-3", "mixd", published)
+    with pytest.raises(FileNotFoundError, match=r"none\.npz: write it .* experiments\.study\.publish"):
+        agents.load("u-turn-3", "mixed", tmp_path / "none.npz")

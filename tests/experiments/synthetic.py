@@ -110,10 +110,7 @@ def learner(cell: grid.Cell, fault: str | None) -> dict[str, Any]:
 def write(
     directory: Path,
     levels: Mapping[str, Sequence[int]],
-    seeds: int = 3,
     tests: int = 20,
-    preset: str = "quick",
-    backend: str = "sumo",
     arms: Sequence[str] = ("control", "treatment"),
     baselines: Sequence[str] = grid.BASELINES,
     effect: float = -0.1,
@@ -121,34 +118,27 @@ def write(
     faults: Mapping[str, str] | None = None,
     updates: int = 400,
     further: Sequence[str] = (),
-    test_on: Sequence[str] = (),
+    **asked: Any,
 ) -> list[grid.Cell]:
     """Write a result directory and return its cells.
 
-    levels: numbers by task. further: arms beside the two.
+    levels: numbers by task. further: arms beside the two. asked: of the experiment.
     faults: "diverged" or "poor" by slug, for example {"sumo-highway-50-control-s0": "diverged"}.
     """
+    # Without a network, no report tries to replay agents that never were.
+    known = ("preset", "updates", "gamma")
     cells = [
-        cell
+        replace(cell, profile={name: value for name, value in cell.profile.items() if name in known})
         for task, numbers in levels.items()
         for cell in Experiment(
-            backend=backend,
-            preset=preset,
             tasks=(task,),
             levels=tuple(numbers),
-            seeds=seeds,
             episodes=tests,
             gate_episodes=100,
             learners={task: {"updates": updates, "gamma": 0.95}},
             arms=(*ARMS, *further),
-            test_on=tuple(test_on),
+            **{"preset": "quick", "seeds": 3, **asked},
         ).cells()
-    ]
-    # Without a network, no report tries to replay agents that never were.
-    known = ("preset", "updates", "gamma")
-    cells = [
-        replace(cell, profile={name: cell.profile[name] for name in known if name in cell.profile})
-        for cell in cells
     ]
     wanted = [cell for cell in cells if cell.arm in (*arms, *further) or cell.policy in baselines]
     store = Store(directory)
@@ -160,9 +150,8 @@ def write(
         }
         files: dict[str, Any] = {EPISODES: episodes(cell, effect, spread, fault)}
         if cell.kind != "test":
-            files[GATES] = episodes(
-                cell, 0.0, spread, fault, "gate"
-            )  # sound agents pass, whatever the effect
+            # sound agents pass, whatever the effect
+            files[GATES] = episodes(cell, 0.0, spread, fault, "gate")
         if cell.kind == "agent":
             record["learner"] = learner(cell, fault)
         store.write(cell, record, files)

@@ -11,10 +11,12 @@ import pytest
 from scipy import stats
 
 from experiments.analysis.analysis import Analysis, analyse
+from experiments.analysis.cells import comparable
 from experiments.analysis.claims import claims
 from experiments.analysis.effects import HIDDEN, contrasts, means, slopes
 from experiments.analysis.estimate import Estimate, equivalence, interval, linear
 from experiments.analysis.plan import DEFAULT, OUTCOMES, TERMS, TWO_BATCHES, Plan, as_data
+from experiments.study.grid import BASELINES
 from experiments.study.store import Results, load
 from tests.experiments import synthetic
 from tests.experiments.analysis.made_up import PAIR, agents, arms_in, changed, effects, find, first
@@ -245,3 +247,41 @@ def test_a_treatment_that_ruins_agents_is_no_success(tmp_path: Any) -> None:
     found = analyse(ruined)
     assert find(found.means, scope="all tasks", outcome="crashed", term="risky")["low"] > 0
     assert found.gates.query("arm == 'treatment'")["passed"].tolist().count(False) == 4
+
+
+# -- which cells are compared: those of one setting --------------------------------------------------------
+
+
+def test_the_last_sweep_decides(tmp_path: Any) -> None:
+    synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=3, updates=200, baselines=())
+    synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=2, updates=400)
+    chosen, left_out = comparable(load(tmp_path))
+    assert len(left_out) == 6
+    assert all("updates 200 instead of 400" in reason for reason in left_out.values())
+    learners = [cell["learner"] for cell in chosen.cells.values() if "learner" in cell]
+    assert {learner["updates"] for learner in learners} == {400}
+    assert set(chosen.episodes["cell"]) == set(chosen.cells)
+
+
+def test_baselines_of_another_test_are_left_out(tmp_path: Any) -> None:
+    synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=2, tests=10, arms=())
+    synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=2, tests=20, baselines=())
+    _, left_out = comparable(load(tmp_path))
+    assert len(left_out) == len(BASELINES)
+    assert all("episodes 10 instead of 20" in reason for reason in left_out.values())
+
+
+def test_presets_are_labels(tmp_path: Any) -> None:
+    synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=2, preset="quick")
+    synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=3, preset="paper")
+    found = analyse(load(tmp_path))
+    assert found.notes["left_out"] == {} and found.effects["seeds_arm"].iloc[0] == 3
+    assert found.provenance["presets"] == ["paper", "quick"]
+
+
+def test_cells_that_fit_no_comparison_are_left_out_and_named(tmp_path: Any) -> None:
+    synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=2, tests=8, further=("dense",), updates=200)
+    synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=2, tests=8, updates=400)
+    found, left_out = comparable(load(tmp_path))
+    assert "dense" not in set(found.episodes["arm"])
+    assert len(left_out) == 6

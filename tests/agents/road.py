@@ -8,6 +8,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import torch
+from torch.nn import functional
 
 from agents.models import Dueling
 
@@ -22,6 +23,13 @@ class Small(Dueling):
 
     def forward(self, x: torch.Tensor) -> torch.Tensor:
         return super().forward(x.flatten(1))
+
+
+class Noisy(Small):
+    """Draws from torch's global generator, as many networks do."""
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        return functional.dropout(super().forward(x), 0.3, self.training)
 
 
 class Road(gym.Env[np.ndarray, np.int64]):

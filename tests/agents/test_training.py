@@ -11,12 +11,13 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
+import torch
 
 from agents import training
 from agents.checkpoint import CheckpointError, save_arrays
 from agents.dqn import DQNConfig
 from agents.training import TrainedAgent
-from tests.agents.road import Road, Small
+from tests.agents.road import Noisy, Road, Small
 
 SMALL = DQNConfig(updates=300, steps_per_update=1, batch_size=16, warm_up=30, probe_interval=90)
 
@@ -82,10 +83,19 @@ class Interrupted(Exception):
     pass
 
 
+needs_cuda = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
+
+
 @pytest.mark.parametrize("moments", [(20, 140), (260, 300), (300,)])
-def test_an_interrupted_training_goes_on_bit_for_bit(tmp_path: Path, moments: tuple[int, ...]) -> None:
-    expected = train(Road(), SMALL, 0)
+@pytest.mark.parametrize(
+    ("network", "device"), [(Small, "cpu"), (Noisy, "cpu"), pytest.param(Small, "cuda", marks=needs_cuda)]
+)
+def test_an_interrupted_training_goes_on_bit_for_bit(tmp_path: Path, network, device, moments) -> None:
+    config = replace(SMALL, device=device, replay_capacity=200)  # which wraps
     file = tmp_path / "new folder" / "checkpoint.npz"
+    run = partial(training.train, network=network, config=config, seed=0)
+    expected = run(Road())
+    kept = {"checkpoint": file, "checkpoint_interval": 60}
     for moment in moments:
 
         def stop(updates: int, moment: int = moment) -> None:
@@ -93,10 +103,9 @@ def test_an_interrupted_training_goes_on_bit_for_bit(tmp_path: Path, moments: tu
                 raise Interrupted
 
         with pytest.raises(Interrupted):
-            train(Road(), SMALL, 0, checkpoint=file, checkpoint_interval=60, progress=stop)
+            run(Road(), **kept, progress=stop)
     seen: list[int] = []
-    going_on = {"checkpoint": file, "checkpoint_interval": 60}
-    actual = train(Road(), SMALL, 0, **going_on, progress=seen.append)
+    actual = run(Road(), **kept, progress=seen.append)
     first = moments[-1] // 60 * 60 + 20
     assert seen == list(range(first, 301, 20))  # it went on, it did not begin again
     assert_equal(expected, actual)

@@ -163,7 +163,5 @@ def test_configuration() -> None:
             env.reset(seed=0, options={option: {}})
     with pytest.raises(ConfigError, match="did you mean 'connected'"):
         make("roundabout", variant="conected")
-    with pytest.raises(ConfigError, match="did you mean 'vehicles_count'"):
-        make("roundabout", vehicle_count=3)
     with pytest.raises(ValueError, match="action must be one of"):
         env.step(9)

@@ -63,13 +63,9 @@ def test_the_beginning_of_a_name_is_enough():
     assert find_cell("sumo-u-turn-3-control-s1", names) == "sumo-u-turn-3-control-s1-bb"
     further = [*names, "sumo-u-turn-3-control-s1-on-replica-cc"]
     assert find_cell("sumo-u-turn-3-control-s1", further) == "sumo-u-turn-3-control-s1-bb"
-    with pytest.raises(
-        UserError, match=r"2 of 11 cells begin with 'sumo-u-turn-3'.* did you mean 'sumo-u-turn-3-"
-    ):
+    with pytest.raises(UserError, match=r"2 of 11 cells .* did you mean 'sumo-u-turn-3-"):
         find_cell("sumo-u-turn-3", names)
-    with pytest.raises(
-        UserError, match=r"0 of 11 cells begin with 'highway-3-x'.* did you mean 'sumo-highway-3-x'"
-    ):
+    with pytest.raises(UserError, match=r"0 of 11 cells .* did you mean 'sumo-highway-3-x'"):
         find_cell("highway-3-x", names)
 
 

@@ -133,22 +133,17 @@ def test_a_killed_worker_is_noticed_and_its_cells_come_out_the_same(reference, t
     plan_file.write_text("40")
     monkeypatch.setenv("FAKE_KILL", str(plan_file))
     assert run(tmp_path / "results", workers=1) == 0
-    output = capsys.readouterr().out
-    assert "its process was killed by SIGKILL, see" in output
-    assert "retry 1 of 3" in output
+    assert "its process was killed by SIGKILL" in capsys.readouterr().out
     assert fingerprint(tmp_path / "results") == fingerprint(reference)
 
 
 def test_a_cell_that_always_fails_leaves_the_others(reference, tmp_path, monkeypatch, capsys, here):
     monkeypatch.setenv("FAKE_RAISE", "1")
     assert run(tmp_path) == 1
-    output = capsys.readouterr()
-    assert "retry 3 of 3" in output.out
-    assert "failed cells: 1, all others are kept" in output.err
-    assert "the fake environment was told to fail" in output.err
+    errors = capsys.readouterr().err
     log = next(tmp_path.glob("work/*/log.txt"))
-    assert str(log) in output.err
-    assert f"--cell {log.parent.name}" in output.err
+    for words in ("told to fail", str(log), f"--cell {log.parent.name}"):
+        assert words in errors
     assert log.read_text().count("Traceback") == 4
     with pytest.raises(RuntimeError, match="told to fail"):
         run(tmp_path, cell=log.parent.name)

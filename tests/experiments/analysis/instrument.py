@@ -191,21 +191,14 @@ def table(repeats: int) -> Iterator[tuple[str, int, Rates]]:
     """Rows of the table: what was measured, seeds, rates."""
     for name, world in WORLDS.items():
         for outcome, term in (("crashed", "risky"), ("crashed", "sum"), ("return", "sum")):
+            row = f"{name}: {outcome} {term}"
             if outcome == "crashed" or (world.effect == 0 and not any(world.bad)):
                 for seeds in (3, 5, 10):
-                    yield (
-                        f"{name}: {outcome} {term}",
-                        seeds,
-                        one(world, (seeds, seeds), outcome, term, repeats),
-                    )
-    few = max(repeats // 4, 100)
+                    yield row, seeds, one(world, (seeds, seeds), outcome, term, repeats)
+    few, planted = max(repeats // 4, 100), World(effect=-0.05, own=0.7)
     for seeds in (3, 5, 10):
         yield "primary, no effect", seeds, primary(World(), seeds, few)
-        yield (
-            "primary, planted -.05, arm x scenario .7",
-            seeds,
-            primary(World(effect=-0.05, own=0.7), seeds, few),
-        )
+        yield "primary, planted -.05, arm x scenario .7", seeds, primary(planted, seeds, few)
         yield "primary, near 0, no effect", seeds, primary(World(rates=(0.01, 0.02)), seeds, few)
         yield "slope of the outcome", seeds, slope(World(), seeds, "mean", repeats)
         yield "slope of the effect", seeds, slope(World(), seeds, "effect", repeats)
@@ -215,17 +208,13 @@ def table(repeats: int) -> Iterator[tuple[str, int, Rates]]:
     yield "two batches, primary, no effect", 10, primary_two_batches(World(), few)
     yield "two batches, primary, planted -.03", 10, primary_two_batches(World(effect=-0.03), few)
     for seeds in (3, 5, 10):
-        for name, share, times in (
-            ("any of 18 settings by Holm, no effect", any_setting(World(), seeds, few), few),
-            ("called equivalent at the margin", equivalent(seeds, repeats), repeats),
-        ):
-            yield name, seeds, Rates(share, 1 - share, 0.0, times)
+        share = any_setting(World(), seeds, few)
+        yield "any of 18 settings by Holm, no effect", seeds, Rates(share, 1 - share, 0.0, few)
+        share = equivalent(seeds, repeats)
+        yield "called equivalent at the margin", seeds, Rates(share, 1 - share, 0.0, repeats)
     for pair in ((10, 3), (10, 2), (2, 2)):
-        yield (
-            f"unequal seeds {pair}: crashed risky",
-            min(pair),
-            one(World(), pair, "crashed", "risky", repeats),
-        )
+        found = one(World(), pair, "crashed", "risky", repeats)
+        yield f"unequal seeds {pair}: crashed risky", min(pair), found
 
 
 if __name__ == "__main__":

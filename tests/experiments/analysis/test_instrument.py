@@ -27,19 +27,20 @@ def bound(rate: float, repeats: int, sigmas: float = 4) -> float:
 
 @pytest.mark.parametrize("seeds", [3, 5, 10])
 @pytest.mark.parametrize(
-    "name", ["crash rates .25, .45", "arm x scenario .7", "near 0 (.01, .03)", "agents differ little"]
+    "name",
+    [
+        "crash rates .25, .45",
+        "arm x scenario .7",
+        "near 0 (.01, .03)",
+        "agents differ little",
+        "planted, arm x scenario .7",
+    ],
 )
-def test_false_positives_are_five_percent(name: str, seeds: int) -> None:
+def test_the_truth_is_covered_in_95_percent_also_on_new_scenarios(name: str, seeds: int) -> None:
+    """Where the truth is 0, the others are false positives."""
     repeats = 300
     rates = one(WORLDS[name], (seeds, seeds), "crashed", "risky", repeats)
     assert rates.without == 0
-    assert rates.rejected < bound(0.05, repeats)
-
-
-@pytest.mark.parametrize("seeds", [3, 5, 10])
-def test_a_planted_effect_is_covered_also_on_new_scenarios(seeds: int) -> None:
-    repeats = 300
-    rates = one(WORLDS["planted, arm x scenario .7"], (seeds, seeds), "crashed", "risky", repeats)
     assert 1 - rates.covered < bound(0.05, repeats)
 
 
@@ -144,19 +145,3 @@ class TestKnownTruths:
 
     def test_the_negative_control_needs_the_rule(self, episodes) -> None:
         assert negative_control(episodes[episodes["policy"] != "careful"]) is None
-
-    def test_an_effect_that_is_planted_is_found_to_its_size(self) -> None:
-        """The same agents but for a constant in the treated ones' return: the estimate moves by that constant."""
-        before = instrument.setting(World(), (10, 10), np.random.default_rng(6))
-        values = {name: table.copy() for name, table in before["treatment"].items()}
-        values["return"][1] += 3.0  # in risky traffic
-        after = {**before, "treatment": values}
-
-        def effect(pair: Arms, term: str) -> pd.Series:
-            return instrument.effects({instrument.PLACE: pair}, "return", term).iloc[0]
-
-        for term, size in (("risky", 3.0), ("regular", 0.0), ("sum", 3.0), ("interaction", 3.0)):
-            first, then = (effect(pair, term) for pair in (before, after))
-            assert then.estimate - first.estimate == pytest.approx(size)
-        then = effect(after, "risky")
-        assert then.low < 3.0 < then.high and then.p < 1e-3

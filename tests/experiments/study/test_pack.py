@@ -36,12 +36,6 @@ def grown(finished: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return directory
 
 
-@pytest.fixture
-def results(finished: Path, tmp_path: Path) -> Path:
-    shutil.copytree(finished, tmp_path / "results")
-    return tmp_path / "results"
-
-
 def content(directory: Path) -> dict[str, Any]:
     """All results as one, and the tables that no analysis reads."""
     home, results = store.Store(directory), load(directory)

@@ -20,28 +20,20 @@ def cells(finished) -> list[grid.Cell]:
     return [task.cell for task in tasks_of(finished)]
 
 
-@pytest.fixture
-def directory(finished, tmp_path):
-    """A copy of it."""
-    return shutil.copytree(finished, tmp_path / "results")
-
-
-def test_results_are_tidy(directory, cells):
-    results = load(directory)
+def test_results_are_tidy(finished, cells):
+    results, home = load(finished), store.Store(finished)
     assert set(KEY_COLUMNS) <= set(results.episodes.columns) & set(results.gate_episodes.columns)
     agents = results.episodes[results.episodes.kind == "agent"]
     assert set(agents.seed) == {0}
     assert results.episodes[results.episodes.kind == "baseline"].seed.isna().all()
     counts = results.episodes.groupby(["cell", "traffic"]).size()
     assert len(counts) == 2 * len(cells) and (counts == 3).all()
-    home = store.Store(directory)
-    trained = {cell for cell in results.cells if store.TRAINING in home.tables(cell)}
-    assert trained == set(agents.cell)
+    assert {cell for cell in results.cells if store.TRAINING in home.tables(cell)} == set(agents.cell)
 
 
-def test_writing_twice_keeps_the_first(directory, cells):
-    home = store.Store(directory)
-    path = directory / "cells" / cells[-1].name
+def test_writing_twice_keeps_the_first(results, cells):
+    home = store.Store(results)
+    path = results / "cells" / cells[-1].name
     before = (path / store.CELL).read_bytes()
     home.write(cells[-1], {"timing": "other"}, {store.EPISODES: pd.DataFrame({"return": [1.0]})})
     assert (path / store.CELL).read_bytes() == before
@@ -50,31 +42,31 @@ def test_writing_twice_keeps_the_first(directory, cells):
 
 @pytest.mark.parametrize("file", [store.CELL, store.EPISODES, store.TRAINING, store.WEIGHTS])
 @pytest.mark.parametrize("how", ["cut", "gone", "changed", "empty"])
-def test_damage_is_told_in_one_line_that_names_file_and_remedy(directory, cells, file, how):
-    path = directory / "cells" / cells[0].name / file
+def test_damage_is_told_in_one_line_that_names_file_and_remedy(results, cells, file, how):
+    path = results / "cells" / cells[0].name / file
     damage(path, how)
     with pytest.raises(store.DamagedCell) as error:
-        store.Store(directory).record(cells[0].name)
+        store.Store(results).record(cells[0].name)
     message = str(error.value)
     assert "\n" not in message
     assert str(path.parent) in message
     assert "run the sweep again" in message
-    results = load(directory)
-    assert results.damaged == {cells[0].name: message}
-    assert set(results.episodes["cell"]) == set(results.cells) == {cell.name for cell in cells[1:]}
+    found = load(results)
+    assert found.damaged == {cells[0].name: message}
+    assert set(found.episodes["cell"]) == set(found.cells) == {cell.name for cell in cells[1:]}
 
 
-def test_a_cell_under_a_wrong_name_is_noticed(directory, cells):
-    path = directory / "cells" / cells[0].name
+def test_a_cell_under_a_wrong_name_is_noticed(results, cells):
+    path = results / "cells" / cells[0].name
     other = path.with_name("sumo-highway-50-control-s9-0123456789ab")
     shutil.move(path, other)
-    assert f"its content is that of {path.name}" in load(directory).damaged[other.name]
+    assert f"its content is that of {path.name}" in load(results).damaged[other.name]
 
 
-def test_a_damaged_note_does_not_ask_for_the_results_to_be_deleted(directory):
-    (directory / "sweep.json").write_text("{")
+def test_a_damaged_note_does_not_ask_for_the_results_to_be_deleted(results):
+    (results / "sweep.json").write_text("{")
     with pytest.raises(UserError, match="delete this file"):
-        load(directory)
+        load(results)
 
 
 def test_sweeps_add_up_but_for_what_was_never_finished_and_is_not_asked_for_again(tmp_path, cells):

@@ -5,17 +5,20 @@ from __future__ import annotations
 import errno
 import json
 import os
+import random
 import shlex
 import shutil
 import signal
 import sys
+import time
+from collections import Counter
 from concurrent.futures import Executor, Future
 from pathlib import Path
 from types import ModuleType
 
 import pytest
 
-from experiments.analysis.analysis import analyse
+from experiments.analysis.analysis import analyse, as_json
 from experiments.analysis.cells import comparable
 from experiments.study import grid, store
 from experiments.study.experiment import shard
@@ -156,16 +159,64 @@ def test_a_cell_that_always_fails_leaves_the_others(reference, tmp_path, monkeyp
     assert fingerprint(tmp_path) == fingerprint(reference)
 
 
+def command(directory: Path, **options) -> tuple[object, ...]:
+    options = json.dumps({**TINY, "workers": 2, **options})
+    return ROOT / "tests/experiments/study/fake_sweep.py", directory, options
+
+
 @pytest.mark.slow
 def test_a_killed_sweep_goes_on_where_it_was(reference, tmp_path):
     directory = tmp_path / "results"
-    options = json.dumps({**TINY, "workers": 2})
-    process = started(ROOT / "tests/experiments/study/fake_sweep.py", directory, options)
+    process = started(*command(directory))
     wait_for(lambda: [*directory.glob("work/*/checkpoint.npz"), *directory.glob("cells/*")], 300)
     process.kill()
     process.communicate()
     assert run(directory) == 0
     assert fingerprint(directory) == fingerprint(reference)
+
+
+@pytest.mark.long
+@pytest.mark.timeout(3600)
+def test_twenty_random_kills_lose_nothing_and_change_nothing(tmp_path):
+    """kill -9 at random times of workers and of the sweep itself, which is then begun again.
+
+    The times are relative to what a sweep takes on this machine now: on a slow one nothing would ever get done between
+    two kills that are seconds apart.
+    """
+
+    def analysis(directory: Path) -> dict[str, object]:
+        return {**as_json(analyse(load(directory))), "provenance": None}  # which says when it was computed
+
+    size = {"seeds": 2, "updates": 400, "episodes": 10}
+    reference, start = tmp_path / "reference", time.monotonic()
+    python(*command(reference, **size))
+    duration = time.monotonic() - start
+    rng, kills, tries = random.Random(2), Counter(), 0
+    while kills.total() < 20:
+        tries += 1
+        assert tries <= 10, kills
+        directory = tmp_path / str(tries)
+        again = True
+        while again:
+            process = started(*command(directory, **size))
+            again = False
+            while process.poll() is None and not again and kills.total() < 20:
+                time.sleep(rng.uniform(0.0, duration / 2))
+                victim = "sweep" if rng.random() < 0.5 else "worker"
+                workers = children(process.pid, "spawn_main")
+                if process.poll() is None and (victim == "sweep" or workers):
+                    os.kill(process.pid if victim == "sweep" else rng.choice(workers), signal.SIGKILL)
+                    kills[victim] += 1
+                    again = victim == "sweep"
+            output = process.communicate(timeout=600)
+            assert again or process.returncode in (0, 1), output
+            again = again or process.returncode == 1  # a cell met four kills: the same command tries it again
+        assert fingerprint(directory) == fingerprint(reference)
+        assert analysis(directory) == analysis(reference)
+        assert not list((directory / "work").iterdir())
+        assert not (directory / "damaged").exists()
+    print(f"{kills} in {tries} sweeps")
+    assert kills["worker"] and kills["sweep"]
 
 
 @pytest.mark.slow

@@ -18,17 +18,30 @@ from tests.sumo_env.rollout import drive
 SUMO = Path(sys.executable).with_name("sumo")  # of the eclipse-sumo wheel
 needs_sumo = pytest.mark.skipif(not SUMO.exists(), reason="needs eclipse-sumo: pip install '.[networks]'")
 QUIET: dict[str, Any] = {"vehicles_count": 0, "spawn_probability": 0.0}
-KINDS = {"nod": "-n", "edg": "-e", "con": "-x"}
+Plan = tuple[
+    str, ...
+]  # nodes, edges and connections, each as XML or as the values of KINDS with commas between
+KINDS = {"node": "id x y", "edge": "id from to numLanes speed", "connection": "from fromLane to toLane"}
 
 
-def build(folder: Path, plan: dict[str, str], *options: str) -> Path:
-    """The network of a plan: XML of its nodes (nod), edges (edg) and connections (con)."""
+def build(folder: Path, plan: Plan, *options: str) -> Path:
+    """The network of a plan."""
     net = folder / "plan.net.xml"
-    for kind, text in plan.items():
-        (folder / f"plan.{kind}.xml").write_text(text)
-        options += (KINDS[kind], str(folder / f"plan.{kind}.xml"))
+    for (tag, names), text in zip(KINDS.items(), plan, strict=False):
+        if "<" not in text:
+            rows = [dict(zip(names.split(), row.split(), strict=True)) for row in text.split(",")]
+            text = "".join(ElementTree.tostring(ElementTree.Element(tag, row), "unicode") for row in rows)
+        (folder / f"{tag}s.xml").write_text(f"<{tag}s>{text}</{tag}s>")
+        options += (f"--{tag}-files", str(folder / f"{tag}s.xml"))
     subprocess.run([SUMO.with_name("netconvert"), *options, "-o", net], check=True, capture_output=True)
     return net
+
+
+def route_file(folder: Path, elements: str) -> Path:
+    """A route file with these elements."""
+    file = folder / "d.rou.xml"
+    file.write_text(f"<routes>{elements}</routes>")
+    return file
 
 
 def grid(folder: Path, *options: str) -> Path:

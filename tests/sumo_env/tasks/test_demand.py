@@ -9,6 +9,7 @@ import pytest
 
 from sumo_env.config import ConfigError
 from sumo_env.tasks import demand
+from tests.sumo_env.plans import route_file
 
 TYPES = """
     <vType id="slow" maxSpeed="10" speedFactor="0.8" color="red"/>
@@ -21,8 +22,7 @@ TYPES = """
 
 
 def departures(tmp_path: Path, elements: str, end: float = 100.0, seed: int = 0) -> list[demand.Departure]:
-    file = tmp_path / "d.rou.xml"
-    file.write_text(f"<routes>{TYPES}{elements}</routes>")
+    file = route_file(tmp_path, TYPES + elements)
     _, entries = demand.read(file, lambda start, end, via, _: (start, *via, end))
     rng = np.random.default_rng(seed)
     return [one for entry in entries for one in entry.departures(rng, 0.0, end)]
@@ -54,8 +54,7 @@ def test_distributions_of_types_and_routes(tmp_path: Path) -> None:
 
 
 def test_trips_are_routed(tmp_path: Path) -> None:
-    file = tmp_path / "d.rou.xml"
-    file.write_text('<routes><trip id="t" from="x" to="z" via="y" depart="3"/></routes>')
+    file = route_file(tmp_path, '<trip id="t" from="x" to="z" via="y" depart="3"/>')
     routes, (entry,) = demand.read(file, lambda start, end, via, _: (start, *via, end))
     assert routes[entry.routes[0][0]] == ("x", "y", "z")
 

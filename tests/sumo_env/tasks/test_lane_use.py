@@ -10,46 +10,27 @@ import pytest
 from sumo_env.config import ConfigError
 from sumo_env.env import SumoDrivingEnv
 from sumo_env.networks import files
-from tests.sumo_env.plans import QUIET, build, needs_sumo, opened
+from tests.sumo_env.plans import QUIET, build, needs_sumo, opened, route_file
 from tests.sumo_env.rollout import drive
 
 pytestmark = needs_sumo
 
 # A lane that forks inside the junction b; of the two behind it, one ends at c after 17 m.
-FORK = {
-    "nod": """<nodes>
-        <node id="a" x="0" y="0"/> <node id="b" x="150" y="0"/> <node id="c" x="175" y="0"/>
-        <node id="d" x="330" y="0"/>
-    </nodes>""",
-    "edg": """<edges>
-        <edge id="ab" from="a" to="b" numLanes="1" speed="14"/> <edge id="bc" from="b" to="c" numLanes="2" speed="14"/>
-        <edge id="cd" from="c" to="d" numLanes="1" speed="14"/>
-    </edges>""",
-    "con": """<connections>
-        <connection from="ab" to="bc" fromLane="0" toLane="0"/> <connection from="ab" to="bc" fromLane="0" toLane="1"/>
-        <connection from="bc" to="cd" fromLane="{}" toLane="0"/>
-    </connections>""",
-}
+FORK = (
+    "a 0 0, b 150 0, c 175 0, d 330 0",
+    "ab a b 1 14, bc b c 2 14, cd c d 1 14",
+    "ab 0 bc 0, ab 0 bc 1, bc {} cd 0",
+)
 # Three lanes, of which the right one is closed; the two joints begin in the middle and the left one.
-SHIFTED = {
-    "nod": '<nodes><node id="a" x="0" y="0"/> <node id="b" x="150" y="0"/> <node id="c" x="300" y="0"/></nodes>',
-    "edg": """<edges>
-        <edge id="ab" from="a" to="b" numLanes="3" speed="14"/> <edge id="bc" from="b" to="c" numLanes="3" speed="14"/>
-    </edges>""",
-    "con": """<connections>
-        <connection from="ab" to="bc" fromLane="1" toLane="0"/> <connection from="ab" to="bc" fromLane="2" toLane="1"/>
-        <connection from="ab" to="bc" fromLane="2" toLane="2"/>
-    </connections>""",
-}
-
-
+SHIFTED = (
+    "a 0 0, b 150 0, c 300 0",
+    "ab a b 3 14, bc b c 3 14",
+    "ab 1 bc 0, ab 2 bc 1, ab 2 bc 2",
+)
 # The right lane of the main road is for bicycles, the left one for buses, which also have a short cut of their own.
-LANES = {
-    "nod": """<nodes>
-        <node id="a" x="0" y="0"/> <node id="b" x="150" y="0"/> <node id="c" x="300" y="0"/>
-        <node id="d" x="450" y="0"/>        <node id="n" x="225" y="90"/>
-    </nodes>""",
-    "edg": """<edges>
+LANES = (
+    "a 0 0, b 150 0, c 300 0, d 450 0, n 225 90",
+    """
         <edge id="ab" from="a" to="b" numLanes="3" speed="14">
             <lane index="0" allow="bicycle" width="1.5"/> <lane index="1" disallow="bus bicycle"/>
             <lane index="2" allow="bus taxi"/>
@@ -57,20 +38,18 @@ LANES = {
         <edge id="bc" from="b" to="c" numLanes="1" speed="14" allow="bus"/>
         <edge id="bn" from="b" to="n" numLanes="1" speed="14"/> <edge id="nc" from="n" to="c" numLanes="1" speed="14"/>
         <edge id="cd" from="c" to="d" numLanes="1" speed="14"/>
-    </edges>""",
-    "con": """<connections>
-        <connection from="ab" to="bc" fromLane="2" toLane="0"/> <connection from="ab" to="bn" fromLane="1" toLane="0"/>
-        <connection from="ab" to="bn" fromLane="2" toLane="0"/>
-    </connections>""",
-}
+    """,
+    "ab 2 bc 0, ab 1 bn 0, ab 2 bn 0",
+)
 TYPES = '<vType id="bus" vClass="bus"/> <vType id="bike" vClass="bicycle"/> <vType id="taxi" vClass="taxi"/>'
 FAR = ["ab", "bn", "nc", "cd"]
 
 
 @pytest.mark.parametrize("lane", [0, 1])
 def test_where_a_lane_forks_the_ego_takes_the_way_that_leads_on(tmp_path: Path, lane: int) -> None:
-    plan = {**FORK, "con": FORK["con"].format(lane)}
-    env = SumoDrivingEnv(build(tmp_path, plan), [], ["ab", "bc", "cd"], {**QUIET, "policy_frequency": 10})
+    *plan, joints = FORK
+    net = build(tmp_path, (*plan, joints.format(lane)))
+    env = SumoDrivingEnv(net, [], ["ab", "bc", "cd"], {**QUIET, "policy_frequency": 10})
     results = [(env.vehicle.target_lane_index, info["arrived"]) for *_, info in drive(env, seed=0)]
     assert results[-1][1]
     assert {index for index, _ in results if index[0] == "bc:from"} == {files.lane("bc", 1 - lane)}
@@ -99,16 +78,16 @@ def starts(env: SumoDrivingEnv, seed: int) -> int:
 
 
 def test_vehicles_drive_where_their_class_may(tmp_path: Path) -> None:
-    net, demand = build(tmp_path, LANES), tmp_path / "d.rou.xml"
-    demand.write_text(
-        f"""<routes>{TYPES}
+    demand = route_file(
+        tmp_path,
+        f"""{TYPES}
             <vehicle id="b" type="bus" depart="0" departPos="95" departSpeed="8"><route edges="ab bc cd"/></vehicle>
             <trip id="t" type="bus" from="ab" to="cd" depart="0" departPos="135" departSpeed="8"/>
             <vehicle id="k" type="bike" depart="0" departPos="30"><route edges="ab"/></vehicle>
             <vehicle id="x" type="taxi" depart="0" departPos="60" departLane="2"><route edges="ab bn"/></vehicle>
-        </routes>"""
+        """,
     )
-    env = SumoDrivingEnv(net, demand, FAR, {**QUIET, "duration": 20})
+    env = SumoDrivingEnv(build(tmp_path, LANES), demand, FAR, {**QUIET, "duration": 20})
     lanes: dict[str, set[Any]] = {}
     for _ in drive(env, 12 * [4], seed=0):
         for vehicle in env.road.vehicles:
@@ -129,23 +108,13 @@ def test_vehicles_drive_where_their_class_may(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("demand", "message"),
     [
-        (
-            '<vehicle id="v" depart="0"><route edges="ab bc"/></vehicle>',
-            "edge 'bc', .* not have for passenger cars",
-        ),
-        (
-            '<vehicle id="v" depart="0" type="bike"><route edges="ab bc"/></vehicle>',
-            "vehicles of class 'bicycle'",
-        ),
-        (
-            '<trip id="v" depart="0" type="bike" from="ab" to="bc"/>',
-            "no route leads from edge 'ab' to edge 'bc'",
-        ),
+        ('<vehicle id="v" depart="0"><route edges="ab bc"/></vehicle>', "edge 'bc', .* passenger cars"),
+        ('<vehicle id="v" depart="0" type="bike"><route edges="ab bc"/></vehicle>', "class 'bicycle'"),
+        ('<trip id="v" depart="0" type="bike" from="ab" to="bc"/>', "no route .* 'ab' to edge 'bc'"),
         ('<vehicle id="v" depart="0" departLane="2"><route edges="ab"/></vehicle>', "departs on lane 2"),
     ],
 )
 def test_a_route_that_a_class_may_not_drive_is_named(tmp_path: Path, demand: str, message: str) -> None:
-    file = tmp_path / "d.rou.xml"
-    file.write_text(f"<routes>{TYPES}{demand}</routes>")
+    file = route_file(tmp_path, TYPES + demand)
     with pytest.raises(ConfigError, match=message):
         SumoDrivingEnv(build(tmp_path, LANES), file, FAR).reset(seed=0)

@@ -14,7 +14,7 @@ from sumo_env.env import DrivingEnv, SumoDrivingEnv
 from sumo_env.networks import files
 from sumo_env.replica.simulator import Replica
 from sumo_env.tasks.network import NetworkTask
-from tests.sumo_env.plans import QUIET, build, endings, grid, needs_sumo, opened
+from tests.sumo_env.plans import QUIET, build, endings, grid, needs_sumo, route_file
 from tests.sumo_env.rollout import drive, observations
 
 pytestmark = needs_sumo
@@ -23,23 +23,23 @@ ROUTES = [["A0A1", "A1B1", "B1C1"], ["C2C1", "C1B1", "B1A1"], ["B0B1", "B1B2"]]
 EGO = ["A0A1", "A1A2", "A2B2"]
 
 # A merge by hand: a slip road joins a main road with two lanes, which ends in a bend.
-NODES = """<nodes>
-    <node id="west" x="0" y="0"/> <node id="merge" x="300" y="0" type="priority"/>
-    <node id="south" x="100" y="-100"/> <node id="east" x="600" y="100"/>
-</nodes>"""
-EDGES = """<edges>
-    <edge id="main" from="west" to="merge" numLanes="2" speed="25" priority="3"/>
-    <edge id="slip" from="south" to="merge" numLanes="1" speed="15" priority="1"/>
-    <edge id="out" from="merge" to="east" numLanes="2" speed="20" priority="3" shape="300,0 500,0 580,30 600,100"/>
-</edges>"""
+MERGE = (
+    '<node id="merge" x="300" y="0" type="priority"/>'
+    '<node id="west" x="0" y="0"/> <node id="south" x="100" y="-100"/> <node id="east" x="600" y="100"/>',
+    """
+        <edge id="main" from="west" to="merge" numLanes="2" speed="25" priority="3"/>
+        <edge id="slip" from="south" to="merge" numLanes="1" speed="15" priority="1"/>
+        <edge id="out" from="merge" to="east" numLanes="2" speed="20" priority="3" shape="300,0 500,0 580,30 600,100"/>
+    """,
+)
 DEPARTING = '<vehicle id="v" depart="0" {}><route edges="main"/></vehicle>'
-DEMAND = """<routes>
+DEMAND = """
     <vType id="lorry" carFollowModel="Krauss" accel="1.0" maxSpeed="12"/>
     <route id="through" edges="main out"/>
-    <vehicle id="first" type="lorry" route="through" depart="0" departLane="0" departPos="120" departSpeed="10"/>
+    <vehicle id="first" type="lorry" route="through" depart="0" departLane="first" departPos="120" departSpeed="10"/>
     <vehicle id="late" depart="2.5"><route edges="slip out"/></vehicle>
     <flow id="stream" route="through" begin="4" end="14" number="5" departSpeed="max"/>
-</routes>"""
+"""
 
 
 @pytest.fixture(scope="module")
@@ -53,8 +53,8 @@ def blocks(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def merge(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A network written by hand, and its demand beside it."""
     folder = tmp_path_factory.mktemp("merge")
-    (folder / "m.rou.xml").write_text(DEMAND)
-    return build(folder, {"nod": NODES, "edg": EDGES})
+    route_file(folder, DEMAND)
+    return build(folder, MERGE)
 
 
 def test_what_only_sumo_can_drive_says_so_elsewhere(blocks: Path) -> None:
@@ -108,7 +108,7 @@ def test_the_ego_arrives_in_the_lane_that_leads_on_and_misses_its_turn_in_the_ot
 
 
 def test_a_network_written_by_hand_with_its_demand(merge: Path) -> None:
-    env = SumoDrivingEnv(merge, merge.with_name("m.rou.xml"), ["main", "out"], {"duration": 20})
+    env = SumoDrivingEnv(merge, merge.with_name("d.rou.xml"), ["main", "out"], {"duration": 20})
     assert env.target_speeds == (0.0, 12.5, 25.0)
     seen: dict[str, float] = {}
     for _ in drive(env, seed=0):
@@ -118,22 +118,8 @@ def test_a_network_written_by_hand_with_its_demand(merge: Path) -> None:
     assert 3.0 <= seen["late"] <= 4.0  # at the first policy step after 2.5 s
     (lorry,) = (spec for spec in env.scenario.vehicles if spec.id == "first")
     assert dict(lorry.driver.attributes)["carFollowModel"] == "Krauss"
-    assert lorry.lane == files.lane("main", 1)  # SUMO's lane 0 is the right one
+    assert lorry.lane == files.lane("main", 1)  # the right one
     assert lorry.s == pytest.approx(117.5)
-    env.close()
-
-
-@pytest.mark.slow
-def test_a_crash_on_a_network_is_recorded_and_exported(blocks: Path, tmp_path: Path) -> None:
-    env = SumoDrivingEnv(blocks, ROUTES, EGO, {"vehicles_count": 40, "spawn_probability": 1.0, "risk": 1.0})
-    for seed in range(30):
-        observations(env, 3, seed)
-        if env.vehicle.crashed:
-            break
-    assert env._last.crash.other in env.scene.ids
-    env.export(tmp_path)
-    shown = {name for cars in opened(tmp_path / "episode.sumocfg").values() for name in cars}
-    assert set(env.scene.ids) <= shown
     env.close()
 
 
@@ -175,15 +161,12 @@ def test_what_cannot_be_driven_is_named(blocks: Path, change: dict[str, Any], me
     ],
 )
 def test_what_a_route_file_cannot_say_is_named(merge: Path, tmp_path, element: str, message: str) -> None:
-    demand = tmp_path / "wrong.rou.xml"
-    demand.write_text(f"<routes>{element}</routes>")
     with pytest.raises(ConfigError, match=message):
-        SumoDrivingEnv(merge, demand, ["main", "out"]).reset(seed=0)
+        SumoDrivingEnv(merge, route_file(tmp_path, element), ["main", "out"]).reset(seed=0)
 
 
 def test_files_and_lists_in_each_other_s_place_are_named(merge: Path, tmp_path: Path) -> None:
-    demand = tmp_path / "d.rou.xml"
-    demand.write_text("<routes/>")
+    demand = route_file(tmp_path, "")
     for network, routes, message in (
         (merge, merge, "begins with <net> and not with <routes>"),
         (demand, [], "has no edges: is it a SUMO network"),
@@ -192,16 +175,6 @@ def test_files_and_lists_in_each_other_s_place_are_named(merge: Path, tmp_path: 
     ):
         with pytest.raises(ConfigError, match=message):
             SumoDrivingEnv(network, routes, ["main", "out"])
-
-
-def test_vehicles_depart_in_the_lane_that_is_named(merge: Path, tmp_path: Path) -> None:
-    demand = tmp_path / "d.rou.xml"
-    for lane, number in (("0", 1), ("1", 0), ("first", 1)):
-        demand.write_text(f"<routes>{DEPARTING}</routes>".format(f'departLane="{lane}" departPos="90"'))
-        env = SumoDrivingEnv(merge, demand, ["main", "out"])
-        env.reset(seed=0)
-        assert env.road.vehicles[1].lane_index == files.lane("main", number)
-        env.close()
 
 
 def test_a_network_without_lanes_inside_its_junctions_is_refused(tmp_path: Path) -> None:

@@ -14,33 +14,24 @@ from sumo_env.env import SumoDrivingEnv
 from sumo_env.networks import files
 from sumo_env.networks.mapping import Network
 from sumo_env.tasks.network import NetworkTask
-from tests.sumo_env.plans import QUIET, build, endings, grid
+from tests.sumo_env.plans import QUIET, build, endings, grid, route_file
 
 sumo = pytest.importorskip("sumo", reason="needs eclipse-sumo: pip install '.[networks]'")
 SHIPPED = Path(sumo.SUMO_HOME) / "tools"
 
 # A road that gets from two lanes to one by edges of a metre; the right lane goes on.
-NODES = """<nodes>
-    <node id="a" x="0" y="0"/> <node id="b" x="200" y="0"/> <node id="c" x="201" y="0"/>
-    <node id="d" x="202" y="0"/> <node id="e" x="203" y="0"/> <node id="f" x="330" y="0"/>
-</nodes>"""
-EDGES = """<edges>
-    <edge id="ab" from="a" to="b" numLanes="2" speed="14"/> <edge id="bc" from="b" to="c" numLanes="2" speed="14"/>
-    <edge id="cd" from="c" to="d" numLanes="1" speed="14"/> <edge id="de" from="d" to="e" numLanes="1" speed="14"/>
-    <edge id="ef" from="e" to="f" numLanes="1" speed="14"/>
-</edges>"""
-JOINED = """<connections>
-    <connection from="ab" to="bc" fromLane="0" toLane="0"/> <connection from="ab" to="bc" fromLane="1" toLane="1"/>
-    <connection from="bc" to="cd" fromLane="0" toLane="0"/>
-</connections>"""
+PIECES = (
+    "a 0 0, b 200 0, c 201 0, d 202 0, e 203 0, f 330 0",
+    "ab a b 2 14, bc b c 2 14, cd c d 1 14, de d e 1 14, ef e f 1 14",
+    "ab 0 bc 0, ab 1 bc 1, bc 0 cd 0",
+)
 WAY = ["ab", "bc", "cd", "de", "ef"]
 
 
 @pytest.fixture(scope="module")
 def pieces(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A road of which three edges are a metre long; the lanes that join them have no length."""
-    plan = {"nod": NODES, "edg": EDGES, "con": JOINED}
-    return build(tmp_path_factory.mktemp("pieces"), plan, "--default.junctions.radius=0")
+    return build(tmp_path_factory.mktemp("pieces"), PIECES, "--default.junctions.radius=0")
 
 
 @pytest.fixture(scope="module")
@@ -103,8 +94,7 @@ def test_edges_of_a_metre_are_driven_and_turns_missed_beyond_them(pieces: Path) 
 
 
 def test_vehicles_depart_from_edges_of_a_metre(pieces: Path, tmp_path: Path) -> None:
-    demand = tmp_path / "short.rou.xml"
-    demand.write_text('<routes><vehicle id="v" depart="0"><route edges="bc cd de ef"/></vehicle></routes>')
+    demand = route_file(tmp_path, '<vehicle id="v" depart="0"><route edges="bc cd de ef"/></vehicle>')
     env = SumoDrivingEnv(pieces, demand, WAY, {"duration": 5})
     env.reset(seed=0)
     assert env.road.vehicles[1].id == "v"

@@ -27,6 +27,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
+import pandas as pd
 import tyro
 
 from experiments.backends import make_env
@@ -175,8 +176,6 @@ def write_reports(options: Options) -> None:
 
 def describe(options: Options, cells: Sequence[Cell], workers: int) -> None:
     """Print what would be computed and how long it would take."""
-    import pandas as pd
-
     there = set(Store(options.directory).finished())
     rows = [
         {

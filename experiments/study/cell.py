@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
+import pandas as pd
 
 from agents.checkpoint import CheckpointError
 from agents.policies import Policy
@@ -34,8 +35,6 @@ from experiments.support.errors import UserError
 from experiments.support.provenance import provenance
 
 if TYPE_CHECKING:
-    import pandas as pd
-
     from experiments.study.train import Trained
 
 MakeEnv = Callable[..., gym.Env[Any, Any]]
@@ -125,7 +124,6 @@ def _test(
     cell: Cell, env: gym.Env[Any, Any], trained: Trained | None, store: Store, advance: Callable[[], None]
 ) -> dict[str, pd.DataFrame]:
     """The tables of the tests of a cell, by file."""
-    import pandas as pd
 
     def play(driver: tuple[gym.Env[Any, Any], Policy], episodes: int, **options: Any) -> pd.DataFrame:
         first = cell.first_scenario

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
+import pandas as pd
 
 from agents.policies import Policy
 from experiments.study.arms import ALL_TRAFFICS, TRAFFICS, scenario_seed, stream_seed
 from experiments.study.unseen import UNSEEN, UnseenRisk
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 STOPPED = 1.0  # [m/s] an ego slower than this stands
 ACTIONS = 5
@@ -128,8 +126,6 @@ def evaluate(
 
     The result depends on the arguments alone, not on what `env` did before.
     """
-    import pandas as pd
-
     rows = []
     for traffic in traffics:
         for scenario in range(first, first + episodes):

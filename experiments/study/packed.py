@@ -15,13 +15,12 @@ import shutil
 from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import pandas as pd
 
 from experiments.support.errors import UserError
 from experiments.support.files import sha256_bytes, sha256_file, write_file, write_json
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 LAYOUT = 1  # of the tables; raise it with every change that older versions cannot read
 MANIFEST, CELLS, WEIGHTS = "packed.json", "cells.parquet", "weights"
@@ -97,8 +96,6 @@ def _by_cell(table: pd.DataFrame) -> dict[str, pd.DataFrame]:
 
 
 def _read(path: Path, sums: tuple[str, ...]) -> pd.DataFrame:
-    import pandas as pd
-
     try:
         found = sha256_file(path)
     except OSError as error:
@@ -125,8 +122,6 @@ def add(
     Raises:
         UserError: a packed table is damaged, or a table does not read back equal.
     """
-    import pandas as pd
-
     before, everything = checksums(directory), {**packed_records(directory), **records}
     parts = {
         file: packed_tables(directory, file)
@@ -151,8 +146,6 @@ def add(
 
 def _joined(file: str, parts: Mapping[str, pd.DataFrame]) -> bytes:
     """The bytes of a packed table, which has been read back."""
-    import pandas as pd
-
     joined = pd.concat([parts[name].assign(cell=name) for name in sorted(parts)], ignore_index=True)
     data = as_parquet(joined[["cell", *joined.columns.drop("cell")]])
     found = _by_cell(pd.read_parquet(io.BytesIO(data)))

@@ -11,9 +11,10 @@ from __future__ import annotations
 from contextlib import closing
 from copy import deepcopy
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated, Any
 
 import numpy as np
+import pandas as pd
 import tyro
 
 from agents import pretrained
@@ -25,9 +26,6 @@ from experiments.study.policies import load_agent
 from experiments.study.store import EPISODES, Store
 from experiments.study.wrappers import TimeObserved
 from sumo_env.tasks import TASKS
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 COMPARED = 25  # test scenarios of each traffic
 

@@ -21,16 +21,15 @@ from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
+
+import pandas as pd
 
 from experiments.study.grid import RESULT_SCHEMA, Cell, cell_name, setting
 from experiments.study.packed import MANIFEST, add, as_parquet, packed_records, packed_tables, packed_weights
 from experiments.study.run import last_words
 from experiments.support.errors import UserError
 from experiments.support.files import alone, publish, sha256_bytes, sha256_file, write_file, write_json
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 CELL, EPISODES, GATES = "cell.json", "episodes.parquet", "gates.parquet"
 TRAINING, MARKS, WEIGHTS = "training.parquet", "marks.parquet", "weights.npz"
@@ -97,8 +96,6 @@ class Store:
 
     def tables(self, name: str, wanted: Sequence[str] = TABLES) -> dict[str, pd.DataFrame]:
         """The tables of a finished cell that are here, by the names of their files. Raises DamagedCell."""
-        import pandas as pd
-
         path = self.cells / name
         if not path.is_dir():
             packed = {file: packed_tables(self.directory, file) for file in wanted}
@@ -283,8 +280,6 @@ def load(directory: Path) -> Results:
     Raises:
         UserError: no result directory, no finished cell in it that can be read, or a damaged packed table.
     """
-    import pandas as pd
-
     store = Store(Path(directory))
     store.check()
     cells: dict[str, dict[str, Any]] = {}
@@ -324,8 +319,6 @@ def load(directory: Path) -> Results:
 
 def _concatenate(tables: Mapping[str, pd.DataFrame], keys: pd.DataFrame) -> pd.DataFrame:
     """All rows of the tables of these cells, behind KEY_COLUMNS."""
-    import pandas as pd
-
     if not tables:
         return keys.iloc[:0].reset_index(drop=True)
     cells = [name for name, table in tables.items() for _ in range(len(table))]

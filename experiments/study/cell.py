@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +17,7 @@ from agents.policies import Policy
 from experiments.study.arms import gate_traffics
 from experiments.study.evaluate import evaluate
 from experiments.study.grid import Cell
-from experiments.study.policies import load_agent, untrained_policy
+from experiments.study.policies import driver
 from experiments.study.run import Beat
 from experiments.study.store import (
     EPISODES,
@@ -30,7 +30,6 @@ from experiments.study.store import (
     DamagedCell,
     Store,
 )
-from experiments.study.wrappers import observed
 from experiments.support.errors import UserError
 from experiments.support.provenance import provenance
 
@@ -80,78 +79,76 @@ class CellTask:
     def compute(self, beat: Beat) -> None:
         """Train, test and store it."""
         cell, store = self.cell, Store(self.directory)
+        played, total = 0, cell.updates + TEST_EPISODE * cell.work
         timing: dict[str, Any] = {}
-        done, total = 0.0, cell.updates + TEST_EPISODE * cell.work
-        trained: Trained | None = None
         learner: dict[str, Any] = {}
+        files: dict[str, Any] = {}
+        marks: tuple[Path, ...] = ()
 
-        def advance(amount: float = TEST_EPISODE) -> None:
-            nonlocal done
-            done += amount
-            beat(done / total)
+        def on_episode() -> None:
+            nonlocal played
+            played += 1
+            beat((cell.updates + TEST_EPISODE * played) / total)
 
         started = time.monotonic()
         if cell.kind == "agent":
-            trained = _train(cell, store, self.make_env, advance)
-            learner = {"learner": trained.learner}
+            trained = self._train(lambda updates: beat(updates / total))
             timing["train_seconds"] = time.monotonic() - started
+            trained.policy.save(self.folder / WEIGHTS)
+            files = {TRAINING: trained.episodes, WEIGHTS: self.folder / WEIGHTS}
+            learner, marks = {"learner": trained.learner}, trained.marks
         started = time.monotonic()
-        with closing(self.make_env(cell.runs_on, cell.task, dict(cell.tested_config))) as env:
-            files: dict[str, Any] = _test(cell, env, trained, store, advance)
+        with closing(self.make_env(cell.runs_on, cell.task, dict(cell.tested["env_config"]))) as env:
+            files |= self._test(env, marks, on_episode)
         timing["test_seconds"] = time.monotonic() - started
         timing["finished"] = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
-        if trained is not None:
-            trained.policy.save(self.folder / WEIGHTS)
-            files |= {TRAINING: trained.episodes, WEIGHTS: self.folder / WEIGHTS}
         store.write(cell, {**learner, "timing": timing, "provenance": provenance()}, files)
 
+    def _train(self, progress: Callable[[int], None]) -> Trained:
+        """The trained agent."""
+        from experiments.study.train import CHECKPOINT, train_cell  # baselines need no learner
 
-def _train(cell: Cell, store: Store, make_env: MakeEnv, advance: Callable[[float], None]) -> Trained:
-    """The trained agent."""
-    from experiments.study.train import CHECKPOINT, train_cell  # baselines need no learner
+        cell = self.cell
+        with closing(self.make_env(cell.backend, cell.task, cell.training_config)) as env:
+            try:
+                return train_cell(cell, env, self.folder, progress)
+            except CheckpointError as damage:
+                aside = Store(self.directory).put_aside(self.folder / CHECKPOINT)
+                print(
+                    f"{cell.name}: its checkpoint was damaged ({damage}) and put aside in {aside}", flush=True
+                )
+                return train_cell(cell, env, self.folder, progress)
 
-    scratch = store.work / cell.name
-    with closing(make_env(cell.backend, cell.task, cell.training_config)) as env:
-        try:
-            return train_cell(cell, env, scratch, advance)
-        except CheckpointError as damage:
-            aside = store.put_aside(scratch / CHECKPOINT)
-            print(f"{cell.name}: its checkpoint was damaged ({damage}) and put aside in {aside}", flush=True)
-            return train_cell(cell, env, scratch, advance)
+    def _test(
+        self, env: gym.Env[Any, Any], marks: Sequence[Path], on_episode: Callable[[], None]
+    ) -> dict[str, pd.DataFrame]:
+        """The tables of the tests, by file. marks: weights of the agent after parts of its budget."""
+        cell = self.cell
 
+        def play(drive: tuple[gym.Env[Any, Any], Policy], **options: Any) -> pd.DataFrame:
+            first = cell.eval.get("first_scenario", 0)
+            return evaluate(*drive, cell.task, cell.level, on_episode=on_episode, first=first, **options)
 
-def _test(
-    cell: Cell, env: gym.Env[Any, Any], trained: Trained | None, store: Store, advance: Callable[[], None]
-) -> dict[str, pd.DataFrame]:
-    """The tables of the tests of a cell, by file."""
+        usual = {name: cell.tested[name] for name in ("episodes", "traffics")}
+        drive = driver(cell.key(), cell.source, env, self._weights())
+        if cell.test_on is not None:
+            return {EPISODES: play(drive, **usual)}
+        judged = {"episodes": cell.gate_episodes, "traffics": gate_traffics(cell.arm)}
+        gates = play(drive, purpose="gate", **judged)
+        tables = {EPISODES: play(drive, **usual), GATES: gates[list(GATE_COLUMNS)]}
+        if marks:
+            early = [driver(cell.key(), cell.source, env, file) for file in marks]
+            tested = [play(drive, **usual).assign(mark=k) for k, drive in enumerate(early, start=1)]
+            tables[MARKS] = pd.concat(tested)[list(MARK_COLUMNS)]
+        return tables
 
-    def play(driver: tuple[gym.Env[Any, Any], Policy], episodes: int, **options: Any) -> pd.DataFrame:
-        first = cell.first_scenario
-        return evaluate(*driver, cell.task, cell.level, episodes, advance, first=first, **options)
-
-    driver = _driver(cell, env, trained, store)
-    if cell.test_on is not None:
-        return {EPISODES: play(driver, cell.test_on["episodes"], traffics=cell.test_on["traffics"])}
-    gates = play(driver, cell.gate_episodes, purpose="gate", traffics=gate_traffics(cell.arm))
-    tables = {EPISODES: play(driver, cell.episodes), GATES: gates[list(GATE_COLUMNS)]}
-    if trained is not None and trained.marks:
-        early = [load_agent(cell.key(), cell.source, file, env) for file in trained.marks]
-        tested = [play(driver, cell.episodes).assign(mark=k) for k, driver in enumerate(early, start=1)]
-        tables[MARKS] = pd.concat(tested)[list(MARK_COLUMNS)]
-    return tables
-
-
-def _driver(
-    cell: Cell, env: gym.Env[Any, Any], trained: Trained | None, store: Store
-) -> tuple[gym.Env[Any, Any], Policy]:
-    """The policy to be tested, behind the environment as it observes it."""
-    if trained is not None:
-        return observed(env, cell.profile), trained.policy
-    if cell.test_on is None:
-        return env, untrained_policy(cell.key(), cell.source, env)
-    weights = store.weights(cell.parent.name)
-    if weights is None:
+    def _weights(self) -> Path | None:
+        """Those that are tested; None for a policy that is not trained."""
+        if self.cell.kind != "test":
+            return self.folder / WEIGHTS if self.cell.kind == "agent" else None
+        parent = self.cell.parent.name
+        if weights := Store(self.directory).weights(parent):
+            return weights
         raise UserError(
-            f"the weights of {cell.parent.name} are not here: train it first, by the same command without --cell"
+            f"the weights of {parent} are not here: train it first, by the same command without --cell"
         )
-    return load_agent(cell.key(), cell.source, weights, env)

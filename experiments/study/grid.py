@@ -14,7 +14,7 @@ from functools import cache
 from typing import Any
 
 from experiments.backends import SIMULATORS
-from experiments.study.arms import DOSE_TRAFFICS, DOSES, gate_traffics
+from experiments.study.arms import DOSE_TRAFFICS, DOSES, TRAFFICS, gate_traffics
 from experiments.support.errors import UserError, unknown
 from experiments.support.files import canonical_json, sha256_bytes
 from sumo_env.config import ConfigError, resolve
@@ -88,9 +88,15 @@ class Cell:
         return versions(self.backend, self.runs_on)
 
     @property
+    def tested(self) -> Mapping[str, Any]:
+        """How it is tested: backend, env_config, traffics, and episodes in each of them."""
+        here = {"backend": self.backend, "env_config": self.env_config, "traffics": list(TRAFFICS)}
+        return self.test_on or {**here, "episodes": self.episodes}
+
+    @property
     def runs_on(self) -> str:
         """The simulator that the tests run on."""
-        return str(self.test_on["backend"]) if self.test_on else self.backend
+        return str(self.tested["backend"])
 
     @property
     def parent(self) -> Cell:
@@ -115,11 +121,6 @@ class Cell:
         return {**self.env_config, **(self.trained_with or {}), **longer}
 
     @property
-    def tested_config(self) -> Mapping[str, Any]:
-        """The environment's configuration in the test."""
-        return self.test_on["env_config"] if self.test_on else self.env_config
-
-    @property
     def updates(self) -> int:
         """Training budget in gradient updates (0 where nothing is trained)."""
         return int(self.profile.get("updates", 0)) if self.kind == "agent" else 0
@@ -130,11 +131,6 @@ class Cell:
         return int(self.eval["episodes"])
 
     @property
-    def first_scenario(self) -> int:
-        """Number of the first scenario of tests and gates."""
-        return int(self.eval.get("first_scenario", 0))
-
-    @property
     def gate_episodes(self) -> int:
         """Episodes in a traffic on scenarios that the gates are judged on, which are not test scenarios."""
         return int(self.eval["gate_episodes"])
@@ -142,10 +138,9 @@ class Cell:
     @property
     def work(self) -> int:
         """Episodes that are played after the training, in all traffics."""
-        if self.test_on:
-            return len(self.test_on["traffics"]) * int(self.test_on["episodes"])
-        early = len(MARKS) if self.early_tests else 0
-        return 2 * self.episodes * (1 + early) + len(gate_traffics(self.arm)) * self.gate_episodes
+        gates = 0 if self.test_on else len(gate_traffics(self.arm)) * self.gate_episodes
+        drives = 1 + len(MARKS) * self.early_tests * (self.kind == "agent")
+        return len(self.tested["traffics"]) * int(self.tested["episodes"]) * drives + gates
 
 
 def setting(key: Mapping[str, Any]) -> str:

@@ -8,6 +8,7 @@ from typing import Any
 
 import gymnasium as gym
 
+from agents.checkpoint import CheckpointError
 from agents.plugins import sha256, split
 from agents.policies import Policy, foreign_policy
 from agents.rules import make_policy
@@ -32,45 +33,32 @@ def foreign(name: str) -> tuple[str, str]:
         raise UserError(str(error)) from None
 
 
-def untrained_policy(key: Mapping[str, Any], source: str | None, env: gym.Env[Any, Any]) -> Policy:
-    """The policy of a cell that was not trained here. source: FILE:MAKE or a zip file, None for a rule.
-
-    Raises:
-        UserError: the file is not there, has changed, or does not fit the environment.
-    """
-    if source is None:
-        return make_policy(key["policy"], env)
-    check(source, key["profile"]["policy_sha256"])
-    try:
-        return foreign_policy(source, env)
-    except ValueError as error:
-        raise UserError(str(error)) from None
-
-
 def check(source: str, expected: str) -> None:
     """Raise UserError unless the file is the one that the cell was named by."""
     if foreign(source)[1] != expected:
         raise UserError(f"{source} has changed since the sweep began: run the sweep again")
 
 
-def load_agent(
-    key: Mapping[str, Any], source: str | None, weights: Path, env: gym.Env[Any, Any]
+def driver(
+    key: Mapping[str, Any], source: str | None, env: gym.Env[Any, Any], weights: Path | None = None
 ) -> tuple[gym.Env[Any, Any], Policy]:
-    """A trained agent, and the environment as it observes it.
+    """The policy of a cell, and the environment as it observes it.
 
-    source: FILE:CLASS of a network of the user's own, None for one of ours.
+    source: FILE:NAME or a zip file of the user's own policy or network, None for one of ours. weights: of a trained
+    agent, None for a policy that is not trained here.
 
     Raises:
-        UserError: the network's file is not there or has changed, or the weights belong to another network.
+        UserError: the user's file is not there, has changed or does not fit, or the weights belong to another network.
     """
-    from agents.checkpoint import CheckpointError
-    from agents.greedy import Greedy
-    from agents.models import Standardised, network_class
-
-    env = observed(env, key["profile"])
     if source is not None:
-        check(source, key["profile"]["network_sha256"])
+        check(source, key["profile"]["network_sha256" if weights else "policy_sha256"])
     try:
+        if weights is None:
+            return env, foreign_policy(source, env) if source else make_policy(key["policy"], env)
+        from agents.greedy import Greedy  # here: other policies need no learner
+        from agents.models import Standardised, network_class
+
+        env = observed(env, key["profile"])
         space: Any = env.observation_space
         actions: Any = env.action_space
         network = network_class(source or key["profile"]["network"])(space, int(actions.n))

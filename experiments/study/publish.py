@@ -22,7 +22,7 @@ from agents.greedy import Greedy, Timed
 from experiments.backends import make_env
 from experiments.study.arms import TRAFFICS
 from experiments.study.evaluate import evaluate
-from experiments.study.policies import load_agent
+from experiments.study.policies import driver
 from experiments.study.store import EPISODES, Store
 from experiments.study.wrappers import TimeObserved
 from sumo_env.tasks import TASKS
@@ -62,7 +62,7 @@ def published(directory: Path, name: str, command: str) -> tuple[dict[str, Any],
     assert weights is not None
     key = record["key"]
     with closing(make_env(key["backend"], key["task"], key["env_config"])) as env:
-        seen, policy = load_agent(key, record["source"], weights, env)
+        seen, policy = driver(key, record["source"], env, weights)
         if key["profile"].get("dose_observed") or not isinstance(policy, Greedy):
             return None
         space: Any = seen.observation_space
@@ -71,8 +71,8 @@ def published(directory: Path, name: str, command: str) -> tuple[dict[str, Any],
             policy = Timed(policy.network, steps)
         first = int(key["eval"].get("first_scenario", 0))
         returns = [
-            evaluate(env, driver, key["task"], key["level"], COMPARED, first=first)["return"]
-            for driver in (policy, halved(policy))
+            evaluate(env, greedy, key["task"], key["level"], COMPARED, first=first)["return"]
+            for greedy in (policy, halved(policy))
         ]
         actions: Any = env.action_space
     about = {

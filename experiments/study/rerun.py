@@ -9,11 +9,10 @@ from typing import Any
 
 import gymnasium as gym
 
-from agents.policies import Policy
 from experiments.study import grid
 from experiments.study.evaluate import play
 from experiments.study.fingerprint import dynamics
-from experiments.study.policies import load_agent, untrained_policy
+from experiments.study.policies import driver
 from experiments.study.store import Store
 from experiments.support.errors import UserError
 
@@ -63,23 +62,19 @@ def play_again(
         UserError: the weights or the user's file are not there, or do not fit.
     """
     key, source, actions = case.record["key"], case.record["source"], case.row.get("actions")
-    policy: Policy
+    weights, place = None, (str(case.row["traffic"]), int(case.row["scenario"]))
     if isinstance(actions, str) and actions:
-        policy = Repeated(actions)
-    elif key["kind"] == "test":
+        return play(env, Repeated(actions), key["task"], key["level"], *place, on_step)
+    if key["kind"] == "test":
         raise UserError(f"{case.cell} is a further test of an agent: replay the agent's own cell")
-    elif key["kind"] == "agent":
+    if key["kind"] == "agent":
         weights = case.store.weights(case.cell)
         if weights is None:
             raise UserError(
                 f"the weights of {case.cell} are not here: train it again with the command in sweep.json, "
                 f"--cell {case.cell} and another --out"
             )
-        env, policy = load_agent(key, source, weights, env)
-    else:
-        policy = untrained_policy(key, source, env)
-    place = str(case.row["traffic"]), int(case.row["scenario"])
-    return play(env, policy, key["task"], key["level"], *place, on_step)
+    return play(*driver(key, source, env, weights), key["task"], key["level"], *place, on_step)
 
 
 def differences(stored: Mapping[str, Any], row: Mapping[str, Any]) -> list[str]:

@@ -52,14 +52,14 @@ def train_cell(
     cell: Cell,
     env: gym.Env[Any, Any],
     directory: Path,
-    on_updates: Callable[[int], None] = lambda _: None,
+    progress: Callable[[int], None] = lambda _: None,
 ) -> Trained:
     """Train the agent of a cell; bit for bit the same however often it is interrupted.
 
     Args:
         env: an environment of the cell's task and level.
         directory: where the checkpoint lies, or is written.
-        on_updates: called now and then with the number of updates made since the last call.
+        progress: called now and then with the number of updates that are made.
 
     Raises:
         CheckpointError: the checkpoint is damaged.
@@ -72,13 +72,6 @@ def train_cell(
     seed = training_seed(cell.task, cell.level, cell.seed or 0)
     shares = MARKS if cell.early_tests else ()
     files = {round(share * config.updates): directory / f"mark-{k}.npz" for k, share in enumerate(shares)}
-    told = 0
-
-    def progress(updates: int) -> None:
-        nonlocal told
-        on_updates(updates - told)
-        told = updates
-
     try:
         agent = train(
             Training(observed(env, cell.profile), cell.profile, cell.arm),

@@ -74,10 +74,6 @@ def to_svg(figure: Figure, name: str, description: str) -> str:
     return text.replace("<svg ", f'<svg role="img" aria-label="{label}" ', 1)
 
 
-def _tasks(frame: pd.DataFrame) -> list[str]:
-    return sorted(frame["task"].unique(), key=TASK_ORDER.__getitem__)
-
-
 def _share(axes: Axes) -> None:
     """A crash rate on the vertical axis."""
     axes.set_ylim(-0.04, 1.04)
@@ -106,16 +102,25 @@ def _legend(figure: Any, arms: list[str], policies: list[str], **more: Any) -> N
     )
 
 
-def _panels(tasks: list[str]) -> tuple[Figure, dict[tuple[str, str], Axes]]:
-    """A figure of crash rates with a column for each task and a row for each traffic of the test: (task, traffic)."""
-    figure, axes = new_figure(2, len(tasks), 3.5, sharex="col", sharey=True)
-    panels = {}
+def _by_task(frame: pd.DataFrame, rows: int, height: float, **options: Any) -> tuple[Figure, dict[str, Any]]:
+    """A figure with a column for each task: by task its axes from top to bottom."""
+    tasks = sorted(frame["task"].unique(), key=TASK_ORDER.__getitem__)
+    figure, axes = new_figure(rows, len(tasks), height, **options)
+    columns = dict(zip(tasks, axes.T, strict=True))
+    for task, column in columns.items():
+        column[0].set_title(task)
+    return figure, columns
+
+
+def _panels(frame: pd.DataFrame) -> tuple[Figure, list[tuple[pd.DataFrame, Axes]]]:
+    """A figure of crash rates with a column for each task and a row for each traffic: rows of each, and its axes."""
+    figure, columns = _by_task(frame, 2, 3.5, sharex="col", sharey=True)
+    panels = []
     for row, traffic in enumerate(reversed(TRAFFICS)):
-        axes[row, 0].set_ylabel(f"crash rate,\n{traffic} traffic")
-        for column, task in enumerate(tasks):
-            panels[task, traffic] = axes[row, column]
-            axes[0, column].set_title(task)
-            _share(axes[row, column])
+        next(iter(columns.values()))[row].set_ylabel(f"crash rate,\n{traffic} traffic")
+        for task, column in columns.items():
+            panels.append((frame[(frame["task"] == task) & (frame["traffic"] == traffic)], column[row]))
+            _share(column[row])
     return figure, panels
 
 
@@ -132,15 +137,13 @@ def against_traffic(policies: pd.DataFrame, backend: str) -> str:
     """
     arms, shown = _arms(policies), _shown(policies)
     bars: dict[str, Any] = {"marker": "o", "ms": 4, "capsize": 2, "lw": 1.5, "elinewidth": 1.0}
-    figure, panels = _panels(_tasks(policies))
-    for (task, traffic), panel in panels.items():
-        rows = policies[policies["task"] == task].sort_values("level")
-        levels, tested = rows.drop_duplicates("level"), rows[rows["traffic"] == traffic]
+    figure, panels = _panels(policies.sort_values("level"))
+    for tested, panel in panels:
+        levels = tested.drop_duplicates("level")
         for arm, shift in zip(arms, np.linspace(-0.08, 0.08, len(arms)), strict=True):
             own = tested[tested["arm"] == arm]
-            half = (stats.t.ppf(1 - ALPHA / 2, own["n"] - 1) * own["crashed se"]).fillna(
-                0.0
-            )  # with one agent
+            half = stats.t.ppf(1 - ALPHA / 2, own["n"] - 1) * own["crashed se"]
+            half = half.fillna(0.0)  # with one agent
             panel.errorbar(own["level"] + shift, own["crashed"], half, color=COLOURS[arm], **bars)
         for number, policy in enumerate(shown):  # beside each other, so that none hides another
             own = tested[tested["policy"] == policy]
@@ -161,9 +164,8 @@ def crashes_against_progress(policies: pd.DataFrame, backend: str) -> str:
     arms, shown = _arms(policies), _shown(policies)
     of_task = policies.groupby(["task", "traffic", "policy", "arm"], sort=False, as_index=False)
     mean = of_task[["crashed", "progress"]].mean()
-    figure, panels = _panels(_tasks(policies))
-    for (task, traffic), panel in panels.items():
-        own = mean[(mean["task"] == task) & (mean["traffic"] == traffic)]
+    figure, panels = _panels(mean)
+    for own, panel in panels:
         rules = own[own["arm"] == ""]
         line = lower_hull(rules[rules["policy"].isin(RULES)])
         panel.plot(line["progress"], line["crashed"], color=MUTED, lw=1.0, zorder=1)
@@ -218,17 +220,16 @@ def dose_response(policies: pd.DataFrame, backend: str) -> str:
     doses = policies[policies["arm"].isin(DOSE_ARMS) & policies["traffic"].isin(list(TRAFFICS))]
     between = doses[~doses["arm"].isin(list(ARMS))][["task", "level"]].drop_duplicates()
     doses = doses.merge(between).assign(dose=lambda frame: frame["arm"].map(DOSES))
-    tasks, styles = _tasks(doses), {"risky": "-", "regular": "--"}
-    figure, axes = new_figure(1, len(tasks), 2.1, sharey=True)
-    for panel, task in zip(axes[0], tasks, strict=True):
+    styles = {"risky": "-", "regular": "--"}
+    figure, columns = _by_task(doses, 1, 2.1, sharey=True)
+    for task, [panel] in columns.items():
         for traffic, style in styles.items():
             own = doses[(doses["task"] == task) & (doses["traffic"] == traffic)]
             mean = own.groupby("dose")["crashed"].mean()
             panel.plot(mean.index, mean, style, color=INK, marker="o", ms=4)
         _share(panel)
-        panel.set_title(task)
         panel.set_xticks([0, 0.5, 1], ["0", ".5", "1"])
-    axes[0, 0].set_ylabel("crash rate")
+    figure.axes[0].set_ylabel("crash rate")
     figure.supxlabel("dose of risk in training", fontsize=8.5)
     handles = [Line2D([], [], color=INK, ls=ls, label=f"{name} traffic") for name, ls in styles.items()]
     figure.legend(handles=handles, loc="outside upper center", ncols=2)
@@ -243,11 +244,9 @@ def learning_curves(cells: Mapping[str, Mapping[str, Any]], backend: str) -> str
     """
     curves = pd.DataFrame([{**cell["key"], "curve": cell["learner"]["curve"]} for cell in cells.values()])
     curves = curves[curves["level"] == curves.groupby("task")["level"].transform("min")]
-    tasks = _tasks(curves)
-    figure, axes = new_figure(2, len(tasks), 3.2, sharex="col", sharey="row")
-    for column, task in enumerate(tasks):
-        axes[0, column].set_title(task)
-        for panel, outcome in zip(axes[:, column], ("return", "crashed"), strict=True):
+    figure, columns = _by_task(curves, 2, 3.2, sharex="col", sharey="row")
+    for task, column in columns.items():
+        for panel, outcome in zip(column, ("return", "crashed"), strict=True):
             for arm, colour in COLOURS.items():
                 own = curves.loc[(curves["task"] == task) & (curves["arm"] == arm), "curve"]
                 if own.empty:
@@ -257,9 +256,9 @@ def learning_curves(cells: Mapping[str, Mapping[str, Any]], backend: str) -> str
                 x, mean, spread = (ends - ends[0] / 2) / 1000, values.mean(), values.std(ddof=1).fillna(0)
                 panel.plot(x, mean, color=colour)
                 panel.fill_between(x, mean - spread, mean + spread, color=colour, alpha=0.2, lw=0)
-        _share(axes[1, column])
-    axes[0, 0].set_ylabel("return")
-    axes[1, 0].set_ylabel("crash rate")
+        _share(column[1])
+    for panel, name in zip(next(iter(columns.values())), ("return", "crash rate"), strict=True):
+        panel.set_ylabel(name)
     figure.supxlabel("environment steps (thousands)", fontsize=8.5)
     _legend(figure, _arms(curves), [], ls="-")
     return to_svg(figure, f"{backend}-learning", "Return and crash rate of training episodes, by arm")
@@ -286,13 +285,11 @@ def crashes_by_second(episodes: pd.DataFrame, backend: str) -> str:
     """
     episodes = episodes[episodes["level"] == episodes.groupby("task")["level"].transform("min")]
     arms = _arms(episodes)
-    figure, panels = _panels(_tasks(episodes))
+    figure, panels = _panels(episodes)
     top = 0.0
-    for (task, traffic), panel in panels.items():
+    for driven, panel in panels:
         for arm in arms:
-            own = episodes[
-                (episodes["task"] == task) & (episodes["traffic"] == traffic) & (episodes["arm"] == arm)
-            ]
+            own = driven[driven["arm"] == arm]
             if own.empty:
                 continue
             rates = hazards(own)
@@ -302,7 +299,7 @@ def crashes_by_second(episodes: pd.DataFrame, backend: str) -> str:
             panel.fill_between(mean.index, low, high, color=COLOURS[arm], alpha=0.2, lw=0)
             top = max(top, 1.2 * mean.max())
         panel.xaxis.set_major_locator(MaxNLocator(4, integer=True))
-    for panel in panels.values():
+    for _, panel in panels:
         panel.set_ylim(-0.04 * top, top)
     figure.supxlabel("second of the test", fontsize=8.5)
     _legend(figure, arms, [], ls="-")

@@ -73,6 +73,17 @@ def opened(stack: ExitStack, kind: str, *arguments: Any) -> Any:
     return getattr(process, kind)(*arguments)
 
 
+def drivers_beside(
+    sides: Mapping[str, tuple[Any, ...]], what: str, turns: int, seconds: float
+) -> Iterator[tuple[Any, Record]]:
+    """Environments in turns, each beside highway-env's: the Driver and its line. sides: arguments of Driver by name."""
+    with ExitStack() as stack:
+        drivers = {side: opened(stack, "Driver", *arguments) for side, arguments in sides.items()}
+        rates = in_turns({side: partial(driver.rate, seconds) for side, driver in drivers.items()}, turns)
+        for side, driver in drivers.items():
+            yield driver, {"of": f"{side}, {what}", **beside(rates, side)}
+
+
 def has_envpool() -> bool:
     """Whether EnvPool can be measured."""
     return find_spec("envpool") is not None
@@ -82,24 +93,14 @@ def measure_env(task: str, turns: int, seconds: float) -> Iterator[Record]:
     """Steps per second in the lightest and the densest traffic, at highway-env's frequency and at SUMO's own."""
     levels = TASKS[task].levels
     for name in (next(iter(levels)), next(reversed(levels))):
-        with ExitStack() as stack:
-            theirs = opened(stack, "Driver", REFERENCE, task, {**levels[name], **REFERENCE_CONFIG})
-            drivers = {
-                f"{backend} {hertz} Hz": opened(
-                    stack, "Driver", backend, task, {**levels[name], "simulation_frequency": hertz}
-                )
-                for backend, frequencies in BACKENDS.items()
-                for hertz in frequencies
-            }
-            sides = {REFERENCE: partial(theirs.rate, 0.0)}  # a few steps, which take long
-            sides |= {side: partial(own.rate, seconds) for side, own in drivers.items()}
-            rates = in_turns(sides, turns)
-            for side, own in drivers.items():
-                yield {
-                    "of": f"{side}, {task} {name}",
-                    **beside(rates, side),
-                    "reset_ms": own.reset_ms(),
-                }
+        sides = {REFERENCE: (REFERENCE, task, {**levels[name], **REFERENCE_CONFIG})}
+        for backend, frequencies in BACKENDS.items():
+            for hertz in frequencies:
+                config = {**levels[name], "simulation_frequency": hertz}
+                sides[f"{backend} {hertz} Hz"] = backend, task, config
+        for driver, line in drivers_beside(sides, f"{task} {name}", turns, seconds):
+            if not line["of"].startswith(REFERENCE):
+                yield {**line, "reset_ms": driver.reset_ms()}
 
 
 def measure_start(task: str, turns: int, seconds: float) -> Iterator[Record]:
@@ -144,16 +145,9 @@ def measure_peers(task: str, turns: int, seconds: float) -> Iterator[Record]:
     names = [REFERENCE, *(["envpool"] if has_envpool() else []), "replica", "sumo"]
     if "envpool" not in names:
         print("EnvPool is left out: pip install envpool", file=sys.stderr)
-    with ExitStack() as stack:
-        peers = {name: opened(stack, "Driver", name, task) for name in names}
-        rates = in_turns({name: partial(peer.rate, seconds) for name, peer in peers.items()}, turns)
-        for name, peer in peers.items():
-            yield {
-                "of": f"{name}, {task}",
-                **beside(rates, name),
-                "distinct": peer.distinct(SEEDS),
-                "idle_crash_rate": peer.idle_crash_rate(round(100 * seconds)),
-            }
+    for peer, line in drivers_beside({name: (name, task) for name in names}, task, turns, seconds):
+        crashes = peer.idle_crash_rate(round(100 * seconds))
+        yield {**line, "distinct": peer.distinct(SEEDS), "idle_crash_rate": crashes}
 
 
 def measure_batches(task: str, turns: int, seconds: float) -> Iterator[Record]:

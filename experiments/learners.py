@@ -166,18 +166,15 @@ def table(directory: Path, tested: Iterable[Cell]) -> pd.DataFrame:
 
 
 def compare(options: Options) -> int:
-    """Do what the options ask for; returns the exit status.
-
-    Raises:
-        UserError: something in the options does not exist, or a training by Stable-Baselines3 failed.
-    """
+    """Do what the options ask for; returns the exit status."""
     tasks = choose_tasks(options.tasks)
     check_dynamics((options.backend, task) for task in tasks)
     every = {file: train for task in tasks for file, train in models(options, task).items()}
     missing = {file.name: train for file, train in every.items() if not file.exists()}
-    call_all(missing, options.workers or cores(), "Stable-Baselines3", Console())
-    work = [cell for task in tasks for cell in cells(options, task)]
-    failures = sweep.compute(work, options.out, workers=options.workers)
+    with writing(options.out):
+        call_all(missing, options.workers or cores(), "Stable-Baselines3", Console())
+        work = [cell for task in tasks for cell in cells(options, task)]
+        failures = sweep.compute(work, options.out, workers=options.workers)
     for name, reason in failures.items():
         print(f"{name} failed: {reason}; log: {Store(options.out).work / name / LOG}", file=sys.stderr)
     found = table(options.out, [cell for cell in work if cell.name not in failures])
@@ -186,12 +183,5 @@ def compare(options: Options) -> int:
     return 1 if failures else 0
 
 
-def main() -> int:
-    """The command line."""
-    options = tyro.cli(Options, description=__doc__)
-    with writing(options.out):
-        return compare(options)
-
-
 if __name__ == "__main__":
-    run_command(main, resumes=True)
+    run_command(lambda: compare(tyro.cli(Options, description=__doc__)), resumes=True)

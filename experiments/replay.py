@@ -103,11 +103,7 @@ def find_cell(word: str, names: Sequence[str]) -> str:
 
 
 def replay(options: Options, make_env: MakeEnv = make_env) -> int:
-    """Do what the options ask for; returns the exit status.
-
-    Raises:
-        UserError: the case does not exist, its cell is damaged, or the file cannot be written.
-    """
+    """Do what the options ask for; returns the exit status."""
     if options.horizon < 1:
         raise UserError(f"--horizon is at least 1, not {options.horizon}")
     if options.avoid and options.sumo:

@@ -35,10 +35,9 @@ from experiments.backends import make_env
 from experiments.reporting.page import page, render
 from experiments.reporting.showcase import showcase
 from experiments.reporting.tables import chosen
-from experiments.study import store
 from experiments.study.evaluate import COLUMNS
-from experiments.study.store import load
-from experiments.support.errors import UserError, disk_error, run_command
+from experiments.study.store import Store, load
+from experiments.support.errors import UserError, run_command, writing
 from experiments.support.files import write_file
 
 REPORT, APPENDIX, TEXT, ANALYSIS = "report.html", "appendix.html", "report.md", "analysis.json"
@@ -77,7 +76,7 @@ def write_report(directory: Path, *others: Path) -> Path:
     results = load(directory)
     analysis = analyse(results)
     beside = {str(other): analyse(load(other)) for other in others}
-    try:
+    with writing(directory):
         films = showcase(results, set(analysis.notes["left_out"]), make_env)
         variables = page(results, analysis, films, beside)
         write_file(directory / ANALYSIS, (json.dumps(as_json(analysis), allow_nan=False) + "\n").encode())
@@ -85,8 +84,6 @@ def write_report(directory: Path, *others: Path) -> Path:
             write_file(directory / name, table.to_csv(index=False, float_format="%.10g").encode())
         for name in (TEXT, APPENDIX, REPORT):
             write_file(directory / name, render(variables, f"{name}.j2").encode())
-    except OSError as error:
-        raise disk_error(error, directory) from None
     return directory / REPORT
 
 
@@ -121,14 +118,6 @@ def print_report(directory: Path, *others: Path) -> None:
     print(f"report: {path}", flush=True)
 
 
-def pack_cells(directory: Path) -> None:
-    """Pack the finished cells of a directory and say what was done."""
-    names = store.Store(directory).pack()
-    print(f"{len(names)} cells packed into the tables of {directory}, and read back equal")
-    if names:
-        print(f"{directory / 'cells'} may be removed")
-
-
 def report_placebo(directory: Path) -> None:
     """Print what the controls of the instrument find in a directory."""
     analysis = analyse(load(directory))
@@ -150,7 +139,10 @@ def main() -> int:
     for name in options.outcome:
         add_outcome(name)
     if options.pack:
-        pack_cells(options.directory)
+        names = Store(options.directory).pack()
+        print(f"{len(names)} cells packed into the tables of {options.directory}, and read back equal")
+        if names:
+            print(f"{options.directory / 'cells'} may be removed")
     elif options.placebo:
         report_placebo(options.directory)
     else:

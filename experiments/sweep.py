@@ -80,9 +80,6 @@ def sweep(
         make_env: makes an environment from (backend, task, config); importable in another process.
         arguments: the command line, to say how to resume.
         checked: whether the simulators are checked before anything is trained.
-
-    Raises:
-        UserError: something has to be put right first.
     """
     if options.workers is not None and options.workers < 1:
         raise UserError(f"--workers must be at least 1, not {options.workers}")
@@ -106,7 +103,12 @@ def sweep(
             keep(options.backend, tuple(dict.fromkeys(cell.task for cell in cells)), options.directory)
         failures = compute(mine, options.directory, make_env, options.executor, options.workers)
         if len(failures) < len(mine):
-            write_reports(options)
+            from experiments.report import print_report, report_placebo
+
+            print("writing the report", flush=True)
+            print_report(options.directory)
+            if options.placebo:
+                report_placebo(options.directory)
     return say_failures(failures, options.directory, again)
 
 
@@ -164,30 +166,17 @@ def say_failures(failures: Mapping[str, str], directory: Path, again: str) -> in
     return 1 if failures else 0
 
 
-def write_reports(options: Options) -> None:
-    """Write the report of the results, and of a placebo what it shows."""
-    from experiments.report import print_report, report_placebo
-
-    print("writing the report", flush=True)
-    print_report(options.directory)
-    if options.placebo:
-        report_placebo(options.directory)
-
-
 def describe(options: Options, cells: Sequence[Cell], workers: int) -> None:
     """Print what would be computed and how long it would take."""
     there = set(Store(options.directory).finished())
-    rows = [
-        {
-            "task": cell.task,
-            "level": cell.level_name,
-            **{f"{kind}s": cell.kind == kind for kind in ("agent", "baseline", "test")},
-            "finished": cell.name in there,
-            "core hours": 0.0 if cell.name in there else seconds(cell) / 3600,
-        }
-        for cell in cells
-    ]
-    table = pd.DataFrame(rows).groupby(["task", "level"], sort=False, as_index=False).sum()
+    table = pd.DataFrame(
+        {"task": [cell.task for cell in cells], "level": [cell.level_name for cell in cells]}
+    )
+    for kind in ("agent", "baseline", "test"):
+        table[f"{kind}s"] = [cell.kind == kind for cell in cells]
+    table["finished"] = [cell.name in there for cell in cells]
+    table["core hours"] = [seconds(cell) / 3600 for cell in cells] * ~table["finished"]
+    table = table.groupby(["task", "level"], sort=False, as_index=False).sum()
     print(f"preset {options.preset}: {complete(options).about}\nresults go to {options.directory}")
     print(table.to_string(index=False, float_format="{:.2f}".format))
     print(

@@ -49,11 +49,7 @@ SHOWN = (("crash rate", "crashed", share), ("return", "return", mean), ("speed [
 
 
 def test(options: Options) -> int:
-    """Do what the options ask for; returns the exit status.
-
-    Raises:
-        UserError: there is no agent.
-    """
+    """Do what the options ask for; returns the exit status."""
     directory = options.directory
     agents = [record["key"] for record in Store(directory).agents().values()]
     for setting in sorted({grid.setting(key) for key in agents}):

@@ -99,11 +99,7 @@ def draw(directory: Path, cell: Cell) -> Path:
 
 
 def train(options: Options, arguments: list[str]) -> int:
-    """Do what the options ask for; returns the exit status.
-
-    Raises:
-        UserError: something has to be put right first, or the directory cannot be written.
-    """
+    """Do what the options ask for; returns the exit status."""
     agent, others = agent_and_others(options)
     check_dynamics([(agent.backend, agent.task)])
     with writing(options.out):

@@ -1,21 +1,10 @@
-"""What every command needs, whatever it measures.
-
-errors      what a user can put right, in one line
-files       whole or not at all
-provenance  versions, machine, revision
-"""
+"""What every command needs, whatever it measures."""
 
 from __future__ import annotations
 
 import os
 
-VARIABLES = (
-    "OMP_NUM_THREADS",
-    "MKL_NUM_THREADS",
-    "OPENBLAS_NUM_THREADS",
-    "NUMEXPR_NUM_THREADS",
-    "NUMBA_NUM_THREADS",
-)
+VARIABLES = [f"{library}_NUM_THREADS" for library in ("OMP", "MKL", "OPENBLAS", "NUMEXPR", "NUMBA")]
 
 
 def limit_threads() -> None:

@@ -10,7 +10,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-PACKAGES = (
+PACKAGES = [
     "sumo-risky-driving",
     "libsumo",
     "highway-env",
@@ -20,7 +20,7 @@ PACKAGES = (
     "torch",
     "pandas",
     "pyarrow",
-)
+]
 
 
 @cache

@@ -61,13 +61,7 @@ class Options:
 
 
 def write_report(directory: Path, *others: Path) -> Path:
-    """Analyse the stored cells of a directory and write the files of the report into it.
-
-    Args:
-        others: directories to show side by side with it.
-
-    Returns:
-        The path of report.html.
+    """Write the report of a directory's stored cells into it, with others side by side; returns report.html's path.
 
     Raises:
         UserError: no results there, or no permission to write.

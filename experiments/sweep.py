@@ -76,10 +76,8 @@ def sweep(
 ) -> int:
     """Do what the options ask for; returns the exit status.
 
-    Args:
-        make_env: makes an environment from (backend, task, config); importable in another process.
-        arguments: the command line, to say how to resume.
-        checked: whether the simulators are checked before anything is trained.
+    make_env: of `backends`, or another that is importable in other processes. arguments: the command line, to say how
+    to resume. checked: whether the simulators are checked before anything is trained.
     """
     if options.workers is not None and options.workers < 1:
         raise UserError(f"--workers must be at least 1, not {options.workers}")

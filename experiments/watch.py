@@ -21,7 +21,6 @@ import tyro
 from experiments.backends import make_env
 from experiments.reporting.showcase import ending
 from experiments.study.arms import TRAFFICS
-from experiments.study.cell import MakeEnv
 from experiments.study.rerun import Case, play_again
 from experiments.study.store import EPISODES, Store
 from experiments.support.errors import UserError, run_command
@@ -60,7 +59,7 @@ def chosen(directory: Path, part: str) -> str:
     return max(fitting, key=lambda name: str(agents[name]["timing"]["finished"]))
 
 
-def watch(options: Options, make_env: MakeEnv = make_env) -> int:
+def watch(options: Options) -> int:
     """Do what the options ask for; returns the exit status."""
     name = chosen(options.directory, options.agent)
     store = Store(options.directory)

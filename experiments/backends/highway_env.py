@@ -35,7 +35,7 @@ from experiments.backends.highway_env_vehicle import (
     ScenarioVehicle,
 )
 from sumo_env import export
-from sumo_env.config import Config, ConfigError, nearest, resolve
+from sumo_env.config import Config, ConfigError, one_of, resolve
 from sumo_env.contacts import measures
 from sumo_env.contacts.crash import CrashRecord, crash_record
 from sumo_env.contacts.rectangles import State, separation, state_of, states
@@ -87,9 +87,7 @@ class ScenarioEnv(AbstractEnv):
             ConfigError: unknown key, wrong value.
         """
         chosen = resolve(self.task.name, self.default_config(), self.config, config)
-        variant = chosen["variant"]
-        if variant not in VARIANTS:
-            raise ConfigError(f"unknown 'variant' {variant!r}: {nearest(str(variant), list(VARIANTS))}")
+        variant = one_of("'variant'", chosen["variant"], VARIANTS)
         check_law(chosen["risk_law"])
         self._offered = interface(self.task, chosen)
         self.actions, self.target_speeds = self._offered.actions, self._offered.target_speeds

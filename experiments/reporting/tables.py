@@ -219,9 +219,7 @@ PASSED = {True: "as asked", False: "not as asked", None: "open"}
 def learner(analysis: Analysis, backend: str) -> pd.DataFrame:
     """What is asked of the learner before anything is compared; empty where the plan asks nothing."""
     lines = []
-    for row in analysis.learner.to_dict("records"):
-        if row["backend"] != backend:
-            continue
+    for row in chosen(analysis.learner, backend=backend).to_dict("records"):
         digits = {"change": 3, "diverged": 0}.get(row["check"], 2)
         found, low, high, least, most = (
             plain(row[name], digits) for name in ("estimate", "low", "high", "least", "most")

@@ -115,9 +115,7 @@ def add(
 
     After a kill at any moment, what was packed before can be read.
 
-    Args:
-        records, tables: cell.json and the tables of the cells, by their names.
-        weights: files of the weights that are to be kept, by cell.
+    All by cell: records (cell.json), tables by their names, and files of the weights that are to be kept.
 
     Raises:
         UserError: a packed table is damaged, or a table does not read back equal.

@@ -37,12 +37,7 @@ def duration(seconds: float) -> str:
 
 
 class Progress(Observer):
-    """Follows the cells of a sweep.
-
-    Args:
-        work: folder with the working folders of the cells.
-        finished: names of the cells that were there before.
-    """
+    """Follows the cells of a sweep. work: folder of their working folders. finished: cells that were there before."""
 
     def __init__(self, work: Path, cells: Sequence[Cell], finished: set[str]) -> None:
         self._work = work

@@ -28,13 +28,8 @@ SIZE = 25  # scenarios in a part
 class Engine:
     """A simulator with its settings.
 
-    Attributes:
-        name: how tables call it.
-        backend: of `experiments.backends.make_env`.
-        config: changes of a task's configuration.
-        options: of `reset`, beside the dose of risk (highway-env itself has none).
-        one_in: drives a random episode in so many.
-        egos: that are driven, all of the task if empty.
+    name: how tables call it. config: changes of a task's configuration. options: of `reset`, beside the dose of risk
+    (highway-env itself has none). one_in: drives a random episode in so many. egos: all of the task if empty.
     """
 
     name: str

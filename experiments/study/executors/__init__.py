@@ -23,7 +23,6 @@ def open_executor(
     """An executor by name, and how many tasks it should be given at a time.
 
     Args:
-        name: of EXECUTORS.
         workers: that number; by default the cores of the machine or of the cluster.
         directory: for what the executor itself writes.
         tasks_per_process: then a fresh process takes over, so that whatever a simulator leaks is given back.

@@ -59,12 +59,7 @@ class KeepsLocks(SpawnContext):
 
 
 class LocalExecutor(Executor):
-    """Spawned processes.
-
-    Args:
-        workers: number of processes.
-        tasks_per_process: then a fresh process takes over.
-    """
+    """So many spawned processes. tasks_per_process: then a fresh one takes over."""
 
     def __init__(self, workers: int, tasks_per_process: int = TASKS_PER_PROCESS) -> None:
         resource_tracker.ensure_running()  # here: it unblocks signals in the thread that starts it

@@ -24,9 +24,7 @@ class RayExecutor(Executor):
 
     The nodes must see the checkout, the Python environment and the result directory under the same paths.
 
-    Args:
-        workers: cores of a cluster that has to be started; all of the machine's by default.
-        tasks_per_process: then a fresh process takes over.
+    workers: cores of a cluster that has to be started; all of the machine's by default.
     """
 
     def __init__(self, workers: int | None, tasks_per_process: int) -> None:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-import pytest
 from highway_env.road.road import Road, RoadNetwork
 from highway_env.vehicle.controller import MDPVehicle
 
@@ -50,17 +49,3 @@ def test_at_a_crossing_the_target_lane_follows_the_route() -> None:
     end = road.lane(ego.lane)
     x, y = end.position(end.length, 0.0)
     assert follow_road(road, ego.lane, ego_route(road, ego), x, y) == ("ir0", "il3", 0)
-
-
-@pytest.mark.parametrize(
-    ("task", "route"),
-    [
-        ("highway", ("0", "1")),
-        ("two-way", ("a", "b")),
-        ("intersection", ("o0", "ir0", "il1", "o1")),
-        ("u-turn", ("a", "b", "c", "d")),
-    ],
-)
-def test_the_ego_s_route_leads_from_its_lane_to_its_destination(task: str, route: tuple[str, ...]) -> None:
-    scenario = draw(task)
-    assert ego_route(scenario.road, scenario.ego) == route

@@ -28,7 +28,6 @@ CROSSING = {
     "features_range": {"x": [-100, 100], "y": [-100, 100], "vx": [-20, 20], "vy": [-20, 20]},
     "absolute": True,
 }
-LINEAR = "highway_env.vehicle.behavior.LinearVehicle"
 # Environments of rl-agents' scripts/configs, by file.
 RL_AGENTS: dict[str, tuple[str, Config]] = {
     "HighwayEnv/env_obs_attention": (
@@ -48,14 +47,6 @@ RL_AGENTS: dict[str, tuple[str, Config]] = {
     "TwoWayEnv/env": (
         "two-way", {"screen_height": 300, "observation": {"type": "TimeToCollision", "horizon": 5}}
     ),
-}  # fmt: skip
-REFUSED: dict[str, tuple[str, Config, str]] = {
-    "HighwayEnv/env_easy": ("highway", {"lanes_count": 2, "other_vehicles_type": LINEAR}, "SUMO drives"),
-    "HighwayEnv/env_continuous": (
-        "highway", {"action": {"type": "ContinuousAction", "steering_range": [-0.1, 0.1]}}, "'ContinuousAction'"
-    ),
-    "HighwayEnv/env_multi_agent": ("highway", {"controlled_vehicles": 3}, "there is one ego"),
-    "IntersectionEnv/env_grid": ("intersection", {"observation": {"type": "OccupancyGrid"}}, "known: Kinematics"),
 }  # fmt: skip
 
 
@@ -96,13 +87,6 @@ def test_configurations_of_rl_agents_are_accepted(name: str, recwarn: pytest.War
     assert env.observation_space.contains(observation)  # of the wrapped environment
     env.close()
     assert [str(w.message) for w in recwarn if "env.reset()" not in str(w.message)] == []
-
-
-@pytest.mark.parametrize("name", REFUSED)
-def test_configurations_of_another_task_are_refused(name: str) -> None:
-    task, config, message = REFUSED[name]
-    with pytest.raises(ConfigError, match=message):
-        DrivingEnv(task).configure({"id": f"{task}-v0", "import_module": "highway_env", **config})
 
 
 def test_a_null_destination_is_drawn() -> None:

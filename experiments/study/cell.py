@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -83,7 +83,6 @@ class CellTask:
         timing: dict[str, Any] = {}
         learner: dict[str, Any] = {}
         files: dict[str, Any] = {}
-        marks: tuple[Path, ...] = ()
 
         def on_episode() -> None:
             nonlocal played
@@ -96,10 +95,10 @@ class CellTask:
             timing["train_seconds"] = time.monotonic() - started
             trained.policy.save(self.folder / WEIGHTS)
             files = {TRAINING: trained.episodes, WEIGHTS: self.folder / WEIGHTS}
-            learner, marks = {"learner": trained.learner}, trained.marks
+            learner = {"learner": trained.learner}
         started = time.monotonic()
         with closing(self.make_env(cell.runs_on, cell.task, dict(cell.tested["env_config"]))) as env:
-            files |= self._test(env, marks, on_episode)
+            files |= self._test(env, on_episode)
         timing["test_seconds"] = time.monotonic() - started
         timing["finished"] = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
         store.write(cell, {**learner, "timing": timing, "provenance": provenance()}, files)
@@ -119,10 +118,8 @@ class CellTask:
                 )
                 return train_cell(cell, env, self.folder, progress)
 
-    def _test(
-        self, env: gym.Env[Any, Any], marks: Sequence[Path], on_episode: Callable[[], None]
-    ) -> dict[str, pd.DataFrame]:
-        """The tables of the tests, by file. marks: weights of the agent after parts of its budget."""
+    def _test(self, env: gym.Env[Any, Any], on_episode: Callable[[], None]) -> dict[str, pd.DataFrame]:
+        """The tables of the tests, by file."""
         cell = self.cell
 
         def play(drive: tuple[gym.Env[Any, Any], Policy], **options: Any) -> pd.DataFrame:
@@ -136,7 +133,8 @@ class CellTask:
         judged = {"episodes": cell.gate_episodes, "traffics": gate_traffics(cell.arm)}
         gates = play(drive, purpose="gate", **judged)
         tables = {EPISODES: play(drive, **usual), GATES: gates[list(GATE_COLUMNS)]}
-        if marks:
+        if cell.kind == "agent" and cell.early_tests:
+            marks = sorted(self.folder.glob("mark-*.npz"))
             early = [driver(cell.key(), cell.source, env, file) for file in marks]
             tested = [play(drive, **usual).assign(mark=k) for k, drive in enumerate(early, start=1)]
             tables[MARKS] = pd.concat(tested)[list(MARK_COLUMNS)]

@@ -31,15 +31,11 @@ MIN_INTERVAL = 100  # updates between two checkpoints at least
 
 @dataclass(frozen=True)
 class Trained:
-    """A trained agent as it is stored: policy, training episodes (one row each), and "learner" of cell.json.
-
-    marks: files with the policy after each of the shares `grid.MARKS` of the budget, if they were asked for.
-    """
+    """A trained agent as it is stored: policy, training episodes (one row each), and "learner" of cell.json."""
 
     policy: Greedy
     episodes: pd.DataFrame
     learner: dict[str, Any]
-    marks: tuple[Path, ...] = ()
 
 
 def learner_config(profile: Mapping[str, Any]) -> DQNConfig:
@@ -58,7 +54,8 @@ def train_cell(
 
     Args:
         env: an environment of the cell's task and level.
-        directory: where the checkpoint lies, or is written.
+        directory: where the checkpoint lies, or is written; with early tests also mark-0.npz and mark-1.npz, the
+            weights after each of the shares `grid.MARKS` of the budget.
         progress: called now and then with the number of updates that are made.
 
     Raises:
@@ -90,7 +87,7 @@ def train_cell(
     episodes = pd.DataFrame(agent.episodes)
     if cell.arm in DRAWN:
         episodes["risk"] = [drawn_dose(cell.arm, episode_seed(seed, k)) for k in episodes["episode"]]
-    return Trained(agent.policy, episodes, learner_record(agent), tuple(files.values()))
+    return Trained(agent.policy, episodes, learner_record(agent))
 
 
 def learner_record(agent: TrainedAgent) -> dict[str, Any]:

@@ -39,11 +39,19 @@ def crashes(analysis: Analysis, **wanted: str) -> dict[str, str]:
     return {row["term"]: difference(row) for row in rows.to_dict("records")}
 
 
+def dense_intersection(analysis: Analysis) -> str:
+    """The harm at the densest intersection, as it is told."""
+    own = "arm == 'treatment' and against == 'control' and scenarios == 'own' and outcome == 'crashed'"
+    rows = analysis.effects.query(f"{own} and task == 'intersection' and level == 5").set_index("term")
+    assert rows.loc["regular", "p_adjusted"] < 0.05
+    return difference(rows.loc["regular"])
+
+
 def test_the_readme_tells_the_numbers_of_both_studies() -> None:
     second, first = published("second"), published("standard")
     shown = [
         crashes(second, scope="without u-turn")["risky"],
-        crashes(second, scope="without two-way")["regular"],
+        dense_intersection(second),
         *(crashes(second, arm="mixed")[term].split()[0] for term in TRAFFICS),
         *(crashes(second, arm="mixed-seen")[term] for term in TRAFFICS),
         *(crashes(first)[term] for term in TRAFFICS),
@@ -64,7 +72,7 @@ def test_progress_is_told_beside_speed() -> None:
             + [slower],
             [f"{pace[arm]['regular']['progress']:.1f}" for arm in ("treatment", "control", "slower")],
         )
-    here = "treated agents cover {} m per second of the time limit (a crash stops them), the others {}; "
+    here = "treated agents cover {} m per second of the time limit, the others {}; "
     here += "always choosing SLOWER covers {} and crashes in {}"
     assert here.format(*found["second"][0]) in told("README.md")
     risky, regular = found["standard"]
@@ -92,8 +100,9 @@ def test_the_second_study_is_told_as_it_was_found() -> None:
     study = published("second")
     text = section(TEXTS[ROOT / "docs" / "study.md"], "The second study, so far")
     text = " ".join(text.split())
-    effects = study.effects.query("arm == 'treatment' and against == 'control' and outcome == 'crashed'")
-    u_turn = difference(effects.query("task == 'u-turn' and term == 'regular'").iloc[0])
+    own = "arm == 'treatment' and against == 'control' and scenarios == 'own' and level == 1"
+    effects = study.effects.query(f"{own} and outcome == 'crashed'").set_index(["task", "term"])
+    u_turn = difference(effects.loc["u-turn", "regular"])
     assert f"With the longer clock it is {u_turn.replace(' points', '')}" in text
     clock = {
         task: {
@@ -106,39 +115,34 @@ def test_the_second_study_is_told_as_it_was_found() -> None:
     assert f"in risky traffic {clock['u-turn']['risky']}" in text
     assert f"roundabout it is {clock['roundabout']['regular']} in regular" in text
     assert f"and {clock['roundabout']['risky']} in risky traffic" in text
-    longer = crashes(study, scope="roundabout")
-    assert (
-        "with the longer clock {regular[0]} and {risky[0]}.".format(
-            **{t: w.split() for t, w in longer.items()}
-        )
-        in text
-    )
+    longer = [difference(effects.loc["roundabout", term]).split()[0] for term in ("regular", "risky")]
+    assert "with the longer clock {} and {}.".format(*longer) in text
     term = {name: words.replace(" points", "") for name, words in crashes(published("crash-reward")).items()}
     assert f"differ by {term['regular']} in regular and {term['risky']} in risky traffic" in text
     shown = [crashes(study, arm="mixed")[term].split()[0] for term in TRAFFICS]
     shown.append(crashes(study, scope="without two-way")["regular"].replace(" points", ""))
+    shown.append(dense_intersection(study).replace(" points", ""))
     assert [number for number in shown if number not in text] == []
     lost, harm = study.price.query("scope == 'all tasks'").to_dict("records")
-    assert (
-        f"loses {100 * lost['estimate']:.1f} points" in text
-        and f"costs at most {100 * harm['high']:.1f}" in text
-    )
-    assert lost["verdict"] == "contradicted"
+    assert (lost["verdict"], harm["verdict"]) == ("contradicted", "not decided")
+    claim = study.claims.set_index(["name", "quantity"]).loc[("return rises", "sum")]
+    assert (claim["verdict"], claim["wrong"]) == ("contradicted", 1)
+    road = study.price.query("scope == 'two-way' and term == 'regular'").iloc[0]
+    assert f"loses {100 * lost['estimate']:.1f} points" in text
+    upper = f"at most {100 * harm['high']:.1f} (2.5 asked), on the two-way road {100 * road['high']:.1f}"
+    assert upper in text
     verdicts = study.price.query("scope != 'all tasks'").set_index(["term", "scope"])["verdict"].eq("holds")
-    assert set(verdicts["risky"][verdicts["risky"]].index) == {"highway", "two-way"}
-    assert set(verdicts["regular"][~verdicts["regular"]].index) == {"two-way"}
+    assert set(verdicts["risky"][verdicts["risky"]].index) == {"highway", "two-way", "intersection"}
+    assert set(verdicts["regular"][~verdicts["regular"]].index) == {"two-way", "intersection"}
     away = crashes(study, tested_on="replica", scenarios="replica")
     assert [words for words in away.values() if words not in text] == []
     models = study.policies.query("traffic in ('krauss', 'eidm')").pivot_table(
-        "crashed", ["task", "traffic"], "arm"
+        "crashed", ["task", "level_name", "traffic"], "arm"
     )
-    assert (
-        len(models) == 10
-        and ((models["treatment"] < models["mixed"]) & (models["mixed"] < models["control"])).all()
-    )
+    assert len(models) == 14 and models[["treatment", "mixed"]].lt(models["control"], axis=0).all(axis=None)
     shown = tables.unseen(study, "sumo").set_index(["setting", "traffic"])["treatment"]
     assert shown["u-turn 3", "krauss"].startswith(
-        f"{100 * models.loc[('u-turn', 'krauss'), 'treatment']:.1f} % ±"
+        f"{100 * models.loc[('u-turn', '3', 'krauss'), 'treatment']:.1f} % ±"
     )
     change = study.learner.query("check == 'change'").set_index("arm")["estimate"]
     told_changes = "{control:.3f} of its range (control), {treatment:.3f} (treatment) and {mixed:.3f} (mixed)"
@@ -148,6 +152,11 @@ def test_the_second_study_is_told_as_it_was_found() -> None:
     assert f"the values of {(~bounded).sum()} of {len(bounded)} agents" in text
     elsewhere = gates[~gates["two_way"]]["passed"].astype(bool)
     assert f"{elsewhere.sum()} of {len(elsewhere)} agents pass every gate" in text
+    dense = gates.query("task == 'roundabout' and level_name == '15'")
+    assert f"{(dense['failed'] == 'beats_constant').sum()} of {len(dense)} agents do not return more" in text
+    late = study.learner.query("check == 'last second' and task == 'roundabout' and arm == 'treatment'")
+    assert "1.4 times [1.0, 1.9]" in text
+    assert late[["estimate", "low", "high"]].round(1).values.tolist() == [[1.4, 1.0, 1.9]]
     above = study.frontier.query("task == 'u-turn' and traffic == 'risky'").set_index("arm")
     row = 100 * above.loc["treatment", ["estimate", "low", "high"]].astype(float)
     assert "(+{:.1f} points [{:.1f}, +{:.1f}])".format(*row).replace("-", "−") in text
@@ -161,10 +170,12 @@ def test_the_second_studys_exploratory_arms_are_told_as_they_were_found() -> Non
         found = crashes(study, arm=arm)
         assert f"gives {found['risky']} in risky and {found['regular']} in regular traffic" in text
     rows = study.effects.query("outcome == 'crashed' and against == 'control' and scenarios == 'own'")
-    assert set(rows.query("arm == 'drawn'")["task"]) == set(TASKS)
+    drawn = rows.query("arm == 'drawn' and term == 'regular'").set_index("task")["estimate"]
+    assert set(drawn.index) == set(TASKS)
+    assert drawn.idxmax() == "two-way" and f"on the two-way road +{100 * drawn.max():.0f}." in text
     tasks = rows.query("arm == 'mixed-seen'")["task"].unique()
     assert set(tasks) == {"two-way", "roundabout", "u-turn"}
-    same = rows[rows["task"].isin(tasks)].groupby(["arm", "term"])["estimate"].mean()
+    same = rows[rows["task"].isin(tasks) & (rows["level"] == 1)].groupby(["arm", "term"])["estimate"].mean()
     beside = [
         f"{100 * same[arm, term]:+.1f}" for arm in ("treatment", "mixed") for term in ("risky", "regular")
     ]

@@ -11,7 +11,7 @@ from math import cos, inf, sin
 
 import numpy as np
 
-from sumo_env.contacts.rectangles import CAR, DIAGONAL, HALF_LENGTH, HALF_WIDTH, Half, State, extents
+from sumo_env.contacts.rectangles import CAR, DIAGONAL, Half, State, extents, reach_of
 from sumo_env.scene import VEHICLE_LENGTH, Floats
 
 NEAR_MISS_TTC = 1.5  # [s] a smaller time to collision without a crash is a near-miss
@@ -21,46 +21,48 @@ TTC_RADIUS = 100.0  # [m] vehicles that are further from the ego are not looked 
 CORRIDOR_HALF_WIDTH, CORRIDOR_LENGTH = 2.0, 60.0  # [m] where a leader is looked for, from centre to centre
 MIN_SPEED = 0.1  # [m/s] below it a headway means nothing
 PARALLEL = 1e-12  # [m/s] relative speed along an axis that counts as none
-APART = DIAGONAL * DIAGONAL + 1e-3  # [m2] squared distance of centres: further apart, cars do not touch
+CLEARANCE = 1e-3  # [m2] beyond the squared distance of centres at which two vehicles may touch
 
 
-def ego_ttc(ego: State, others: Iterable[State], horizon: float = HORIZON) -> float:
+def ego_ttc(ego: State, others: Iterable[State], horizon: float = HORIZON, half: Half = CAR) -> float:
     """Least time to collision of the ego with any of the others [s]; inf if there is none within `horizon` [s].
 
-    0 in contact.
+    0 in contact. The others have the half size `half` [m].
     """
     x, y, speed, heading = ego
     c1, s1 = cos(heading), sin(heading)
     vx, vy = speed * c1, speed * s1
     fastest, limit, found = abs(speed), horizon, False
+    diagonal = DIAGONAL if half == CAR else reach_of(half)
+    apart_from = diagonal * diagonal + CLEARANCE
     for ox, oy, other_speed, other_heading in others:
         dx, dy = ox - x, oy - y
         # No two vehicles close in faster than by the sum of their speeds.
-        reach = DIAGONAL + (fastest + abs(other_speed)) * limit
+        reach = diagonal + (fastest + abs(other_speed)) * limit
         squared = dx * dx + dy * dy
         if squared > reach * reach:
             continue
         c2, s2 = cos(other_heading), sin(other_heading)
         wx, wy = other_speed * c2 - vx, other_speed * s2 - vy
         closing = dx * wx + dy * wy
-        if squared > APART and (
-            closing >= 0.0 or (squared - APART) * (wx * wx + wy * wy) > closing * closing
+        if squared > apart_from and (
+            closing >= 0.0 or (squared - apart_from) * (wx * wx + wy * wy) > closing * closing
         ):
             continue  # who is out of touch and moves away stays so, and who passes by does not come into it
         parallel, across = abs(c1 * c2 + s1 * s2), abs(c1 * s2 - s1 * c2)
-        width = HALF_WIDTH + HALF_LENGTH * across + HALF_WIDTH * parallel
+        length, width = extents(CAR, half, parallel, across)
         # Along each of the four directions of the sides the shadows of the rectangles overlap during one interval of
         # time; the rectangles are in contact while all four do. Across the ego first: it rules out other lanes.
         beside, drift = dy * c1 - dx * s1, wy * c1 - wx * s1
         if abs(beside) > width + abs(drift) * limit:
             continue
-        length = HALF_LENGTH + HALF_LENGTH * parallel + HALF_WIDTH * across
+        other_length, other_width = extents(half, CAR, parallel, across)
         begin, end = 0.0, limit
         for apart, rate, extent in (
             (beside, drift, width),
             (dx * c1 + dy * s1, wx * c1 + wy * s1, length),
-            (dy * c2 - dx * s2, wy * c2 - wx * s2, width),
-            (dx * c2 + dy * s2, wx * c2 + wy * s2, length),
+            (dy * c2 - dx * s2, wy * c2 - wx * s2, other_width),
+            (dx * c2 + dy * s2, wx * c2 + wy * s2, other_length),
         ):
             if -PARALLEL < rate < PARALLEL:
                 if apart > extent or apart < -extent:
@@ -78,26 +80,6 @@ def ego_ttc(ego: State, others: Iterable[State], horizon: float = HORIZON) -> fl
         else:
             limit, found = begin, True
     return limit if found else inf
-
-
-def ttc_of_size(ego: State, other: State, half: Half, horizon: float = HORIZON) -> float:
-    """`ego_ttc` with one vehicle of any size, half of which is `half` [m]."""
-    c1, s1, c2, s2 = cos(ego[3]), sin(ego[3]), cos(other[3]), sin(other[3])
-    dx, dy = other[0] - ego[0], other[1] - ego[1]
-    wx, wy = other[2] * c2 - ego[2] * c1, other[2] * s2 - ego[2] * s1
-    parallel, across = abs(c1 * c2 + s1 * s2), abs(c1 * s2 - s1 * c2)
-    length, width = extents(CAR, half, parallel, across)
-    other_length, other_width = extents(half, CAR, parallel, across)
-    begin, end = 0.0, horizon
-    for x, y, extent in ((c1, s1, length), (-s1, c1, width), (c2, s2, other_length), (-s2, c2, other_width)):
-        apart, rate = dx * x + dy * y, wx * x + wy * y
-        if abs(rate) < PARALLEL:
-            if abs(apart) > extent:
-                return inf
-            continue
-        first, last = sorted(((-extent - apart) / rate, (extent - apart) / rate))
-        begin, end = max(begin, first), min(end, last)
-    return begin if begin <= end else inf
 
 
 def headways(x: Floats, y: Floats, speed: Floats, heading: Floats) -> Floats:

@@ -6,8 +6,7 @@ corner that is grazed in between, so contacts are looked for all along the way o
 `first_touch`). Figures: docs/collisions.md.
 
 All functions take plain floats: with the handful of vehicles near the ego this is faster than numpy. A vehicle is a
-`State`, and has highway-env's size where no other is given. `distance` and what it calls are also compiled with numba
-(`sumo_env.replica.risk`), which knows no generators.
+`State`, and has highway-env's size where no other is given. `sumo_env.replica.compiled` compiles some of them as well.
 """
 
 from __future__ import annotations
@@ -55,7 +54,7 @@ def state_between(before: State, after: State, moment: float) -> State:
 
 def reach_of(half: Half) -> float:
     """Between the centres of a car and a vehicle of this size [m]: further apart they are not in contact."""
-    return DIAGONAL / 2.0 + hypot(*half)
+    return DIAGONAL / 2.0 + hypot(half[0], half[1])
 
 
 def separation(first: State, second: State, half: Half = CAR, other: Half = CAR) -> float:
@@ -64,12 +63,8 @@ def separation(first: State, second: State, half: Half = CAR, other: Half = CAR)
     Apart, it is a lower bound of their distance; in contact, minus the depth of penetration, that is, the least
     distance by which one has to be moved to free it.
     """
-    return _separation(second[0] - first[0], second[1] - first[1], first[3], second[3], half, other)
-
-
-def _separation(dx: float, dy: float, h1: float, h2: float, half: Half, other: Half) -> float:
-    """`separation` by the way (dx, dy) from centre to centre [m] and the headings [rad]."""
-    c1, s1, c2, s2 = cos(h1), sin(h1), cos(h2), sin(h2)
+    dx, dy = second[0] - first[0], second[1] - first[1]
+    c1, s1, c2, s2 = cos(first[3]), sin(first[3]), cos(second[3]), sin(second[3])
     parallel, across = abs(c1 * c2 + s1 * s2), abs(c1 * s2 - s1 * c2)
     # Half the extent of both together along the length of either and across it.
     length, width = extents(half, other, parallel, across)
@@ -116,9 +111,6 @@ def _corner_distance(first: State, second: State, half: Half, other: Half) -> fl
     return nearest
 
 
-OF_DISTANCE = extents, _separation, separation, _corner_distance  # what `distance` calls
-
-
 def stay_apart(x: float, y: float, x_after: float, y_after: float, reach: float) -> bool:
     """Whether a way from centre to centre [m] is longer than `reach` along x or along y all through a sub-step.
 
@@ -160,9 +152,8 @@ def touch_moment(
         fastest = sqrt(squared) + DIAGONAL / 2.0 * abs(turn1) + hypot(*other) * abs(turn2)
     moment = 0.0
     while True:
-        gap = _separation(
-            rx + moment * ux, ry + moment * uy, h1 + moment * turn1, h2 + moment * turn2, CAR, other
-        )
+        now = rx + moment * ux, ry + moment * uy, 0.0, h2 + moment * turn2  # as seen from the first
+        gap = separation((0.0, 0.0, 0.0, h1 + moment * turn1), now, CAR, other)
         if gap <= ROUNDING:
             return moment
         if moment == 1.0 or gap > fastest * (1.0 - moment):

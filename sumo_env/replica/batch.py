@@ -13,7 +13,7 @@ import numpy as np
 
 from sumo_env.contacts.measures import DENSITY_RADIUS
 from sumo_env.replica import tables
-from sumo_env.replica.compiled import borrowing, compiled, releasing
+from sumo_env.replica.compiled import borrowing, compiled
 from sumo_env.replica.driving import follow_road, is_reachable
 from sumo_env.replica.geometry import local_coordinates
 from sumo_env.replica.pay import Pay, has_arrived, reward
@@ -190,7 +190,7 @@ def judge(law: Any, cars: Any, episode: Any, outcome: Any, action: int) -> None:
         outcome.truncated = episode.steps >= law.time_limit
 
 
-@releasing
+@compiled
 def drive(law: Any, batch: Any, actions: Any, first: int, end: int) -> None:
     """One policy step of the episodes from row `first` to row `end`.
 

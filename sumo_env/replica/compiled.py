@@ -19,6 +19,7 @@ from sumo_env.tasks import base, intersection
 
 try:
     import numba
+    from numba.extending import register_jitable
 except ModuleNotFoundError as error:
     raise ModuleNotFoundError(
         "the environments replica/* are compiled with numba, which is not installed: "
@@ -30,7 +31,10 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 def compiled(function: Function) -> Function:
-    """Compile `function` with numba at its first call; to a type checker it stays what it was."""
+    """Compile `function` with numba at its first call; to a type checker it stays what it was.
+
+    Other threads of Python run during a call.
+    """
     return _compiled(function, counts=True)
 
 
@@ -43,13 +47,8 @@ def borrowing(function: Function) -> Function:
     return _compiled(function, counts=False)
 
 
-def releasing(function: Function) -> Function:
-    """As `compiled`; other threads of Python run meanwhile."""
-    return _compiled(function, counts=True, nogil=True)
-
-
-def _compiled(function: Function, counts: bool, nogil: bool = False) -> Function:
-    options: dict[str, Any] = {"_nrt": counts, "nogil": nogil, "forceinline": not counts}
+def _compiled(function: Function, counts: bool) -> Function:
+    options: dict[str, Any] = {"_nrt": counts, "nogil": counts, "forceinline": not counts}
     try:
         return cast(Function, numba.njit(cache=True, **options)(function))
     except RuntimeError as error:
@@ -76,16 +75,18 @@ def announced(function: Any) -> Iterator[None]:
     print(f"sumo_env: compiled in {time.perf_counter() - start:.0f} s", file=sys.stderr, flush=True)
 
 
-def drop_outdated(package: Path, *others: Path) -> int:
-    """Delete the indexes of machine code older than a source file of `package` or one of `others`; returns how many."""
-    newest = max(source.stat().st_mtime for source in (*package.glob("*.py"), *others))
-    outdated = [index for index in package.glob("__pycache__/*.nbi") if index.stat().st_mtime < newest]
-    for index in outdated:
-        index.unlink(missing_ok=True)  # another process may have been faster
-    return len(outdated)
-
-
-drop_outdated(
-    Path(__file__).parent,
-    *(Path(str(module.__file__)) for module in (base, intersection, measures, rectangles)),
+_BENEATH = (
+    rectangles.extents,
+    rectangles.reach_of,
+    rectangles.separation,
+    rectangles._corner_distance,
+    base.lmap,
 )
+for _function in _BENEATH:  # plain Python, which functions call that kernels call
+    register_jitable(_function)
+
+_sources = [Path(str(module.__file__)) for module in (base, intersection, measures, rectangles)]
+_newest = max(source.stat().st_mtime for source in (*Path(__file__).parent.glob("*.py"), *_sources))
+for _index in Path(__file__).parent.glob("__pycache__/*.nbi"):
+    if _index.stat().st_mtime < _newest:
+        _index.unlink(missing_ok=True)  # another process may have been faster

@@ -4,18 +4,15 @@ from __future__ import annotations
 
 from typing import Any, NamedTuple
 
-from numba.extending import register_jitable
-
 from sumo_env.config import Config
 from sumo_env.replica.compiled import borrowing
 from sumo_env.tasks import TASKS, base
-from sumo_env.tasks.base import Task
+from sumo_env.tasks.base import Task, lmap
 from sumo_env.tasks.intersection import ARRIVAL
 
 HIGHWAY, TWO_WAY, ROUNDABOUT, INTERSECTION, U_TURN = range(5)  # places in TASKS
 LANE_REWARDS = {"highway": "right_lane_reward", "two-way": "left_lane_reward", "u-turn": "left_lane_reward"}
 
-_lmap = register_jitable(base.lmap)
 _speed_term = borrowing(base.speed_term)
 
 
@@ -78,8 +75,8 @@ def reward(
         total += pay.lane_change * (action == 0 or action == 2)
     elif pay.task == INTERSECTION:
         total = pay.arrived if arrived else total + pay.speed * _speed_term(ego.speed, pay.speed_range)
-        return _lmap(total * on_road, pay.limits, (0.0, 1.0))
+        return lmap(total * on_road, pay.limits, (0.0, 1.0))
     else:
         total += pay.lane * here
         total += pay.speed * _speed_term(ego.speed, pay.speed_range)
-    return _lmap(total, pay.limits, (0.0, 1.0)) * on_road
+    return lmap(total, pay.limits, (0.0, 1.0)) * on_road

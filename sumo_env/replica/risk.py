@@ -7,8 +7,6 @@ from __future__ import annotations
 
 from typing import Any
 
-from numba.extending import register_jitable
-
 from sumo_env.contacts import rectangles
 from sumo_env.replica.compiled import borrowing
 from sumo_env.replica.geometry import heading_at, position
@@ -18,8 +16,6 @@ from sumo_env.traffic.risk import CUT_IN_GAP, HALF_CORRIDOR, LOOKED_AT, SWERVE_T
 OWN_LANE, ONCOMING_LANE = 1, 0  # of the two-way road, both driven to the east
 ROUNDING = 1e-9  # [s] of sums of steps
 
-for _function in rectangles.OF_DISTANCE:
-    register_jitable(_function)
 _distance = borrowing(rectangles.distance)
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from math import inf
 
 from sumo_env.contacts.crash import SUMO_TOLERANCE
-from sumo_env.contacts.measures import TTC_RADIUS, ego_ttc, ttc_of_size
+from sumo_env.contacts.measures import TTC_RADIUS, ego_ttc
 from sumo_env.contacts.rectangles import DIAGONAL, State, reach_of, stay_apart
 from sumo_env.sumo.session import Session
 from sumo_env.traffic.scenario import EGO
@@ -58,7 +58,7 @@ class Surroundings:
         if not self._session.sizes:
             return ego_ttc(self.ego, self.near.values(), horizon)
         sized = zip(self.near.values(), self._session.halves(self.near), strict=True)
-        return min((ttc_of_size(self.ego, other, half, horizon) for other, half in sized), default=inf)
+        return min((ego_ttc(self.ego, (other,), horizon, half) for other, half in sized), default=inf)
 
     def within_reach(self, ego: State, before: dict[str, State], dt: float) -> list[str]:
         """Who may have touched the ego in the last `dt` [s], or nearly; `ego` and `before` are the states then."""

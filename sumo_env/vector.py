@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor, wait
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -21,14 +21,8 @@ from sumo_env.env import DrivingEnv
 from sumo_env.sumo.process import SimulatorDied, SumoProcess
 from sumo_env.tasks.base import Task
 
-# gymnasium's vector environments take type parameters from version 1.4 on
-if TYPE_CHECKING:
-    _Base = SyncVectorEnv[Any, Any]
-else:
-    _Base = SyncVectorEnv
 
-
-class SumoVectorEnv(_Base):
+class SumoVectorEnv(SyncVectorEnv):
     """`num_envs` environments of one task, whose simulations run in parallel.
 
     A worker that dies (a crash of SUMO, the system's out-of-memory killer) or hangs is replaced. The step that meets

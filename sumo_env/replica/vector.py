@@ -9,7 +9,7 @@ import time
 from collections.abc import Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from itertools import pairwise
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -32,19 +32,13 @@ RESULTS = kernels.OUTCOME.names or ()
 PATIENCE = 1e-5  # [s] until it is looked again whether all threads have begun
 ALONE = 'gym.make_vec(..., vectorization_mode="sync") has environments that can'
 
-# gymnasium's vector environments take type parameters from version 1.4 on
-if TYPE_CHECKING:
-    _Base = VectorEnv[Any, Any, Any]
-else:
-    _Base = VectorEnv
-
 
 def make(
     num_envs: int,
     autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
     threads: int = 1,
     **keywords: Any,
-) -> gym.vector.VectorEnv[Any, Any, Any]:
+) -> VectorEnv:
     """What ``gym.make_vec`` makes of the ids ``replica/*``; arguments as of `ReplicaVectorEnv` and `ReplicaEnv`.
 
     Observations that the compiled batch does not have (TimeToCollision, features of routes, shuffled rows) and pictures
@@ -62,7 +56,7 @@ def is_compiled(env: ReplicaEnv) -> bool:
     return env.render_mode is None and env.eyes is not None and env.eyes.is_sorted
 
 
-class ReplicaVectorEnv(_Base):
+class ReplicaVectorEnv(VectorEnv):
     """`num_envs` environments that one compiled call steps.
 
     Each drives the episodes that the single environment drives with its seed, to the bit. ``infos`` has the entries of

@@ -17,6 +17,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 import weakref
 from collections.abc import Callable
 from contextlib import suppress
@@ -105,7 +106,7 @@ class SumoProcess:
         """See `Simulator.imagine`."""
         self._ask("imagine", scenario)
 
-    def clone(self) -> SumoProcess:
+    def __deepcopy__(self, memo: dict[int, Any]) -> SumoProcess:
         """A simulator in the same state.
 
         Raises:
@@ -122,9 +123,6 @@ class SumoProcess:
             twin._episode, twin._calls, twin._scene = self._episode, self._calls.copy(), self._scene
         twin._may_be_here = self._may_be_here
         return twin
-
-    def __deepcopy__(self, memo: dict[int, Any]) -> SumoProcess:
-        return self.clone()
 
     def close(self) -> None:
         """Close the simulator, and end the worker."""
@@ -209,7 +207,7 @@ def _equal(one: Scene | None, other: Scene | None) -> bool:
 class _Here:
     """The simulation of this process, which one at a time may take."""
 
-    _free: ClassVar = [True]  # threads may take from a list at once, and garbage collection meanwhile
+    _taken: ClassVar = threading.Lock()
 
     def __init__(self, simulator: Any) -> None:
         self._simulator = simulator
@@ -217,14 +215,12 @@ class _Here:
     @classmethod
     def take(cls, simulator: str, options: tuple[str, ...]) -> _Here | None:
         """The simulation if it is free."""
-        try:
-            cls._free.pop()
-        except IndexError:
+        if not cls._taken.acquire(blocking=False):
             return None
         try:
             return cls(make(simulator, options))
         except BaseException:
-            cls._free.append(True)
+            cls._taken.release()
             raise
 
     def exchange(self, command: str, arguments: tuple[Any, ...], timeout: float) -> Any:
@@ -241,7 +237,7 @@ class _Here:
 
     def forget(self) -> None:
         """Leave the simulation to others as it is."""
-        self._free.append(True)
+        self._taken.release()
 
 
 class _Worker:

@@ -26,53 +26,44 @@ def make(name: str, options: tuple[str, ...]) -> Any:
     return simulator(options=options) if options else simulator()
 
 
-class Server:
-    """The process's end of the socket."""
-
-    def __init__(self, link: socket.socket) -> None:
-        self._connect(link)
-        self._simulator: Any = None
-        self._is_copy = False
-
-    def _connect(self, link: socket.socket) -> None:
-        self._link, self._stream = link, link.makefile("rb")
-
-    def serve(self, name: str, options: tuple[str, ...]) -> None:
-        """Answer requests until the client has closed its end, or has died."""
-        with suppress(EOFError, OSError):
-            while True:
-                command, arguments = pickle.load(self._stream)
-                if command == "fork":
-                    self._fork()
-                    continue
-                try:
-                    if self._simulator is None:
-                        self._simulator = make(name, options)
-                    answer = pickle.dumps((None, getattr(self._simulator, command)(*arguments)), 5)
-                except Exception as error:
-                    answer = pickle.dumps((portable(error), None), 5)
-                self._link.sendall(answer)
-        if self._simulator is not None and not self._is_copy:  # a copy has nothing of its own to close
-            self._simulator.close()
-
-    def _fork(self) -> None:
-        """Make a copy of this process, which goes on with a socket whose other end goes to the client."""
-        ours, theirs = socket.socketpair()
-        with theirs:
+def serve(link: socket.socket, name: str, options: tuple[str, ...]) -> None:
+    """Answer requests on a socket until the client has closed its end, or has died."""
+    stream, simulator, is_copy = link.makefile("rb"), None, False
+    with suppress(EOFError, OSError):
+        while True:
+            command, arguments = pickle.load(stream)
+            if command == "fork":
+                copied = fork(link)
+                if copied is not None:
+                    stream.close()
+                    link.close()
+                    link, stream, is_copy = copied, copied.makefile("rb"), True
+                continue
             try:
-                pid = os.fork()
-            except OSError as error:
-                ours.close()
-                self._link.sendall(pickle.dumps((error, None)))
-                return
-            if pid:
-                ours.close()
-                socket.send_fds(self._link, [pickle.dumps((None, pid))], [theirs.fileno()])
-                return
-        self._link.close()
-        self._stream.close()
-        self._is_copy = True
-        self._connect(ours)
+                simulator = simulator or make(name, options)
+                answer = pickle.dumps((None, getattr(simulator, command)(*arguments)), 5)
+            except Exception as error:
+                answer = pickle.dumps((portable(error), None), 5)
+            link.sendall(answer)
+    if simulator is not None and not is_copy:  # a copy has nothing of its own to close
+        simulator.close()
+
+
+def fork(link: socket.socket) -> socket.socket | None:
+    """Copy this process: None in it, and in the copy a socket to go on with, whose other end goes to the client."""
+    ours, theirs = socket.socketpair()
+    with theirs:
+        try:
+            pid = os.fork()
+        except OSError as error:
+            ours.close()
+            link.sendall(pickle.dumps((error, None)))
+            return None
+        if pid:
+            ours.close()
+            socket.send_fds(link, [pickle.dumps((None, pid))], [theirs.fileno()])
+            return None
+    return ours
 
 
 def main() -> None:
@@ -80,7 +71,7 @@ def main() -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the client's to handle
     signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # nobody waits for copies; the system clears them away
     descriptor, name, *options = sys.argv[1:]
-    Server(socket.socket(fileno=int(descriptor))).serve(name, tuple(options))
+    serve(socket.socket(fileno=int(descriptor)), name, tuple(options))
 
 
 def portable(error: Exception) -> Exception:

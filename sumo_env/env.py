@@ -17,8 +17,7 @@ from numpy.typing import NDArray
 from sumo_env.actions import ego_route, target_lane, target_speed_index
 from sumo_env.config import COMMON, Config, ConfigError, resolve, simulated_frequency
 from sumo_env.contacts.rectangles import state_of
-from sumo_env.information import information
-from sumo_env.interface import interface
+from sumo_env.interface import information, interface
 from sumo_env.networks.roads import LaneIndex
 from sumo_env.observation import TimeToCollision
 from sumo_env.scene import Scene

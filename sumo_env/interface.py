@@ -1,11 +1,12 @@
-"""The agent's side of a task: observation, action space and target speeds, as a function of the configuration alone.
+"""The agent's side of a task, as a function of the configuration alone, and the ``info`` of a step.
 
 Separate from the environment because the backend highway-env of the experiments uses it as well.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, fields
 from itertools import pairwise
 from typing import Any
 
@@ -13,8 +14,16 @@ from gymnasium import spaces
 
 from sumo_env.actions import action_names
 from sumo_env.config import Config, ConfigError
+from sumo_env.contacts.crash import CrashRecord
+from sumo_env.contacts.measures import NEAR_MISS_TTC, density
 from sumo_env.observation import Kinematics, TimeToCollision
+from sumo_env.scene import Scene
 from sumo_env.tasks.base import Task
+
+NO_ACTION = -1  # at a reset
+NO_CRASH: dict[str, Any] = {
+    field.name: "" if field.name in ("other", "type", "detected_by") else 0.0 for field in fields(CrashRecord)
+}
 
 
 @dataclass(frozen=True)
@@ -56,3 +65,39 @@ def interface(task: Task, config: Config) -> Interface:
     else:
         observation = TimeToCollision(config["observation"], config["policy_frequency"])
     return Interface(actions, speeds, observation, observation.space, spaces.Discrete(len(actions)))
+
+
+def information(
+    scene: Scene,
+    crash: CrashRecord | None,
+    min_ttc: float,
+    distance: float,
+    *,
+    arrived: bool,
+    on_road: bool,
+    rewards: Mapping[str, float],
+    action: int | None,
+) -> dict[str, Any]:
+    """The ``info`` of a step, or of a reset with `action` None; see `DrivingEnv.step`.
+
+    The same keys with values of the same types always, none of them None or NaN, so that libraries can store and merge
+    it. `min_ttc` is the least time to collision before a contact [s].
+    """
+    crashed = bool(scene.crashed[0])
+    return {
+        "speed": float(scene.speed[0]),
+        "crashed": crashed,
+        "arrived": bool(arrived),
+        "on_road": bool(on_road),
+        "action": NO_ACTION if action is None else int(action),
+        "rewards": {name: float(value) for name, value in rewards.items()},
+        "cost": float(crashed),
+        "crash": dict(NO_CRASH) if crash is None else asdict(crash),
+        "density": density(scene.x, scene.y),
+        "min_ttc": 0.0 if crashed else float(min_ttc),
+        "min_ttc_before_contact": float(min_ttc),
+        "near_miss": bool(min_ttc < NEAR_MISS_TTC) and not crashed,
+        "distance": float(distance),
+        "traffic_light": int(scene.light.state),
+        "traffic_light_distance": float(scene.light.distance),
+    }

@@ -21,9 +21,9 @@ from sumo_env.traffic.scenario import VehicleSpec
 MAX_SPEED = 40.0  # [m/s] Vehicle.MAX_SPEED
 
 Array = NDArray[np.float32]
-_POSE = ("presence", "x", "y", "vx", "vy", "heading", "cos_h", "sin_h")
+POSE = ("presence", "x", "y", "vx", "vy", "heading", "cos_h", "sin_h")
 _DIRECTION, _OFFSETS = ("cos_d", "sin_d"), ("long_off", "lat_off", "ang_off")
-FEATURES = (*_POSE, *_DIRECTION, *_OFFSETS)
+FEATURES = (*POSE, *_DIRECTION, *_OFFSETS)
 RELATIVE = ("x", "y", "vx", "vy")  # to the ego, unless they are absolute
 
 

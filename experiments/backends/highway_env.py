@@ -39,10 +39,9 @@ from sumo_env.config import Config, ConfigError, one_of, resolve
 from sumo_env.contacts import measures
 from sumo_env.contacts.crash import CrashRecord, crash_record
 from sumo_env.contacts.rectangles import State, separation, state_of, states
-from sumo_env.information import information
-from sumo_env.interface import interface
+from sumo_env.interface import information, interface
 from sumo_env.networks.roads import LaneIndex
-from sumo_env.replica.linear import LAWS, LinearDriver, check_law, draw, linear_drivers
+from sumo_env.replica.linear import LAWS, LinearDriver, draw, linear_drivers
 from sumo_env.scene import Scene
 from sumo_env.tasks import TASKS
 from sumo_env.tasks.base import Task
@@ -88,7 +87,7 @@ class ScenarioEnv(AbstractEnv):
         """
         chosen = resolve(self.task.name, self.default_config(), self.config, config)
         variant = one_of("'variant'", chosen["variant"], VARIANTS)
-        check_law(chosen["risk_law"])
+        one_of("risk_law", chosen["risk_law"], LAWS)
         self._offered = interface(self.task, chosen)
         self.actions, self.target_speeds = self._offered.actions, self._offered.target_speeds
         # a ladder that is not given is the task's, as in `sumo_env`; in highway-env it would be the highway's

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Literal
 
 from sumo_env.contacts.rectangles import (
     CAR,
@@ -60,10 +60,6 @@ class CrashRecord:
     closing_speed: float
     type: CrashType
     detected_by: Detector
-
-    def as_dict(self) -> dict[str, Any]:
-        """The record as plain values, as in ``info["crash"]``."""
-        return {name: getattr(self, name) for name in self.__slots__}
 
 
 def classify(relative_x: float, relative_y: float, relative_heading: float) -> CrashType:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import lru_cache
 from typing import Any
 
 from sumo_env.config import Config, ConfigError, one_of
@@ -11,7 +12,7 @@ from sumo_env.networks.roads import LaneIndex
 from sumo_env.observation import Kinematics
 from sumo_env.replica import draws
 from sumo_env.replica.batch import Start
-from sumo_env.replica.linear import LAWS, check_law
+from sumo_env.replica.linear import LAWS
 from sumo_env.replica.linear import draw as draw_linear
 from sumo_env.replica.sight import eyes_of
 from sumo_env.replica.simulator import Replica
@@ -64,7 +65,10 @@ class ReplicaEnv(DrivingEnv):
         risk_law: str = LAWS[0],
     ) -> None:
         self.is_stock = one_of("scenarios", scenarios, SCENARIOS) == SCENARIOS[0]
-        self._is_linear, self._is_fast = check_law(risk_law) == "linear", task == "highway-fast"
+        self._is_linear, self._is_fast = (
+            one_of("risk_law", risk_law, LAWS) == "linear",
+            task == "highway-fast",
+        )
         self.replica = Replica(variant, self._is_linear, ego_contacts=self._is_fast)
         super().__init__("highway" if self._is_fast else task, config, render_mode, self.replica)
 
@@ -104,7 +108,7 @@ class ReplicaEnv(DrivingEnv):
         varied = [part for part in VARIED if part in (options or {})]
         if varied and self.is_stock:
             raise ConfigError(f"highway-env has no {', '.join(varied)} that a reset could vary; {INSTEAD}")
-        self._time, self.draws_arrivals = 0.0, False
+        self.draws_arrivals = False
         return super().reset(seed=seed, options=options)
 
     def imagine(self, seed: int) -> DrivingEnv:
@@ -140,19 +144,13 @@ class ReplicaEnv(DrivingEnv):
         return self.replica.load(self._draw(self.task))
 
     def time_limit(self) -> int:
-        """Policy steps after which time is up; call `reset` afterwards."""
-        self.steps, self._time = 1, 0.0
-        while not self._is_truncated():
-            self.steps += 1
-        return self.steps
+        """Policy steps after which time is up."""
+        if self.is_stock and self.task.name == "two-way":
+            return TIME_LIMIT
+        return _time_limit(self.config["duration"], self.config["policy_frequency"], self.is_stock)
 
     def _is_truncated(self) -> bool:
-        if not self.is_stock:
-            return super()._is_truncated()
-        if self.task.name == "two-way":
-            return self.steps >= TIME_LIMIT
-        self._time += 1 / self.config["policy_frequency"]  # added up as in highway-env, rounding included
-        return bool(self._time >= self.config["duration"])
+        return self.steps >= self.time_limit()
 
     # -- what the ego sees ---------------------------------------------------------------------------------
 
@@ -166,3 +164,13 @@ class ReplicaEnv(DrivingEnv):
         if not self.eyes.is_sorted:
             self.np_random.shuffle(table[1:])
         return table
+
+
+@lru_cache
+def _time_limit(duration: float, frequency: float, added_up: bool) -> int:
+    """Policy steps of an episode of this duration [s]; highway-env adds up times, rounding included."""
+    steps, time = 0, 0.0
+    while time < duration:
+        steps += 1
+        time = time + 1 / frequency if added_up else steps / frequency
+    return steps

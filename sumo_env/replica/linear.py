@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from sumo_env.config import Config, one_of
+from sumo_env.config import Config
 from sumo_env.streams import stream
 from sumo_env.tasks.base import Task
 from sumo_env.traffic.scenario import Scenario
@@ -53,8 +53,3 @@ def linear_drivers(scenario: Scenario) -> dict[str, LinearDriver]:
 def draw(task: Task, config: Config, seed: int) -> Scenario:
     """The scenario of a seed in which only `linear_drivers` are risky."""
     return replace(task.scenario({**config, "risk": 0.0}, seed), risk=config["risk"])
-
-
-def check_law(law: object) -> str:
-    """The name of a law of risk, if it is one, see `one_of`."""
-    return one_of("risk_law", law, LAWS)

@@ -11,12 +11,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from sumo_env.observation import POSE as FEATURES
 from sumo_env.observation import Kinematics
 from sumo_env.replica.compiled import borrowing, compiled
 from sumo_env.replica.geometry import is_on, local_coordinates
 from sumo_env.scene import PERCEPTION_DISTANCE, VEHICLE_LENGTH
 
-FEATURES = ("presence", "x", "y", "vx", "vy", "heading", "cos_h", "sin_h")
 HALF_WIDTH = 2.0  # [m] of a lane
 
 

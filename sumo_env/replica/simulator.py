@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Sequence
 from dataclasses import replace
 from functools import lru_cache
 from itertools import compress
@@ -20,13 +19,12 @@ from sumo_env.replica import sight, tables
 from sumo_env.replica import step as kernels
 from sumo_env.replica.batch import Start, begun, copied, expecting, no_episodes, remaining
 from sumo_env.replica.compiled import announced
+from sumo_env.replica.draws import Centres
 from sumo_env.replica.linear import linear_drivers
 from sumo_env.replica.step import CRASHED, HEADING, IN_EVENT, SPEED, Rules, X, Y
 from sumo_env.scene import Scene
 from sumo_env.simulator import EgoCommand, Step
 from sumo_env.traffic.scenario import EGO_DISTANCE, SPAWN_DISTANCE, Scenario, Spawn, VehicleSpec
-
-Centres = Sequence[tuple[float, float]]  # [m]
 
 VARIANTS = ("stock", "path", "connected", "v0")
 NOBODY: frozenset[str] = frozenset()

@@ -19,13 +19,12 @@ from numpy.typing import NDArray
 
 from sumo_env.config import ConfigError
 from sumo_env.contacts.measures import NEAR_MISS_TTC
-from sumo_env.information import NO_ACTION
+from sumo_env.interface import NO_ACTION
 from sumo_env.replica import batch as kernels
 from sumo_env.replica import draws, tables
 from sumo_env.replica.batch import AFRESH, NOTHING, SIDES, SPEEDS, Law, Start
 from sumo_env.replica.compiled import announced
 from sumo_env.replica.env import ReplicaEnv
-from sumo_env.replica.pay import pay_of
 from sumo_env.tasks.base import nearest_index
 
 RESULTS = kernels.OUTCOME.names or ()
@@ -214,7 +213,7 @@ class ReplicaVectorEnv(VectorEnv):
             replica.seen_lanes,
             replica.start.rules,
             single.eyes,
-            pay_of(single.task, single.config),
+            kernels.pay_of(single.task, single.config),
             np.array(single.target_speeds),
             np.array([SPEEDS.get(name, 0) for name in names]),
             np.array([SIDES.get(name, 0) for name in names]),

@@ -18,7 +18,6 @@ from sumo_env.traffic.scenario import EGO, Scenario
 
 TAU = 0.6  # [s] ControlledVehicle.TAU_ACC
 REFERENCE_STEP = 1.0 / 15.0  # [s] highway-env's step, whose Euler lag is reproduced at any step length
-CENTRED = 0.05  # [m] from the middle of a lane: no lane change is running
 # [m/s2] usual and hardest braking before traffic lights; where one would need more than its own, the ego drives on
 BRAKING, HARDEST = 4.0, 9.0
 STOPS_FOR = {RED: 8.0, YELLOW: 5.0}
@@ -84,7 +83,7 @@ class Ego:
             return
         start, end, place = self._network.indices[lane]
         target = self.target_lane[2]
-        if place == target or self._session.lateral_offset(EGO) >= CENTRED:
+        if place == target or self._session.changes_lane(EGO):
             return
         count = self._road.count(start, end)
         if self._road.oncoming:  # the lane of oncoming traffic is SUMO's opposite lane

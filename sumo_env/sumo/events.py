@@ -24,7 +24,6 @@ from sumo_env.traffic.drivers import Calibration
 from sumo_env.traffic.risk import SWERVE_TIME, RiskEvent, free_way, has_room
 from sumo_env.traffic.scenario import Scenario, VehicleSpec
 
-CENTRED = 0.05  # [m] from the middle of a lane: no lane change is running
 CUT_IN_TIME = 1.3  # [s] until SUMO's lane-change model decides again, a little longer than the change takes
 EARLY = 1e-9  # [s] rounding of sums of steps
 
@@ -105,7 +104,7 @@ class Events:
         """Change to a neighbouring lane at once, where there is one with room."""
         name, session = event.vehicle, self._session
         lane = session.lane_of(name)
-        if lane.startswith(":") or session.lateral_offset(name) > CENTRED:
+        if lane.startswith(":") or session.changes_lane(name):
             return
         start, end, place = self._network.indices[lane]
         count = self._network.road.count(start, end)

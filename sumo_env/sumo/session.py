@@ -47,6 +47,7 @@ LIGHTS = {"r": RED, "u": RED, "s": RED, "y": YELLOW, "Y": YELLOW, "g": GREEN, "G
 HALF_LENGTH = VEHICLE_LENGTH / 2.0
 # [s] The ego's centre then crosses the line between two lanes when highway-env's does, after 0.45 to 0.5 s.
 LANE_CHANGE_DURATION = 0.8
+CENTRED = 0.05  # [m] from the middle of a lane
 
 
 @dataclass(frozen=True)
@@ -209,9 +210,9 @@ class Session:
         lane: str = _vehicle.getLaneID(name)
         return lane
 
-    def lateral_offset(self, name: str) -> float:
-        """Distance of a vehicle from the middle of its lane [m]; not 0 during a lane change."""
-        return abs(float(_vehicle.getLateralLanePosition(name)))
+    def changes_lane(self, name: str) -> bool:
+        """Whether a lane change of a vehicle is running: it is not in the middle of its lane."""
+        return abs(float(_vehicle.getLateralLanePosition(name))) >= CENTRED
 
     def speed_of(self, name: str) -> float:
         """Speed of a vehicle [m/s]."""

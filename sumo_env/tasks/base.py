@@ -24,7 +24,6 @@ from sumo_env.traffic.drivers import (
     Driver,
     DriverPool,
     RiskRanges,
-    driver_pool,
 )
 from sumo_env.traffic.risk import RiskEvent, RiskRates, draw_events
 from sumo_env.traffic.scenario import Scenario, Spawn, VehicleSpec
@@ -209,7 +208,7 @@ class Drivers:
         self._drawn: list[int] = []
         self._fixed_delta = task.fixed_delta
         self._pool = {
-            fixed: driver_pool(task.car_following, float(config["risk"]), fixed, task.risk_ranges)
+            fixed: DriverPool(task.car_following, float(config["risk"]), fixed, task.risk_ranges).drivers
             for fixed in (True, False)
         }
 
@@ -223,7 +222,7 @@ class Drivers:
 
 def ego_driver(task: Task) -> Driver:
     """The agent drives the ego; simulators need a driver for it all the same."""
-    return driver_pool(task.car_following, 0.0, True)[0]
+    return DriverPool(task.car_following, 0.0, True).drivers[0]
 
 
 def make_on_lane(

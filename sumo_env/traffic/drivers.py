@@ -180,49 +180,16 @@ SPREAD_PARAMETERS = ("accel", "decel", "tau", "min_gap", "emergency_decel", "ass
 RISK_RANGES = RiskRanges()
 
 
-@lru_cache(maxsize=64)
-def driver_pool(
-    base: CarFollowing, dose: float, fixed_delta: bool = False, ranges: RiskRanges = RISK_RANGES
-) -> tuple[Driver, ...]:
-    """The drivers of one dose; driver k of any two doses differs only by the dose.
-
-    The paper's law (section "Experiment Setup"): ``p = p_min + U(0, 1) * (p_max - p_min)`` with one fixed draw per
-    driver and parameter. The dose widens every range from the regular value to the whole of `ranges`.
-
-    `fixed_delta`: the IDM exponent is 4 for all, as where highway-env does not call ``randomize_behavior``;
-    otherwise U(3.5, 4.5) (``IDMVehicle.DELTA_RANGE``).
-    """
-    rng = stream(0, "driver pool")
-
-    def uniform() -> np.ndarray:
-        """A stratified uniform sample over the pool (one draw in each of POOL equal parts)."""
-        return (rng.permutation(POOL) + 0.5) / POOL
-
-    exponent = uniform()
-    draws = {name: uniform() for name in SPREAD_PARAMETERS}
-    gives_way = uniform() >= ranges.not_giving_way * dose
-    attention = uniform()
-
-    def parameter(name: str, k: int) -> Any:
-        regular = float(getattr(base, name, 1.0))
-        low, high = (regular * (1.0 + (factor - 1.0) * dose) for factor in getattr(ranges, name))
-        return low + float(draws[name][k]) * (high - low)
-
-    kind = "f" if fixed_delta else "d"
-    return tuple(
-        Driver(
-            type=f"{kind}{k}@{dose:g}",
-            delta=4.0 if fixed_delta else 3.5 + float(exponent[k]),
-            attention=float(attention[k]),
-            gives_way=bool(gives_way[k]),
-            **{name: parameter(name, k) for name in SPREAD_PARAMETERS},
-        )
-        for k in range(POOL)
-    )
-
-
 class DriverPool(NamedTuple):
-    """The arguments of `driver_pool`: a pool as a value that is quickly sent to another process."""
+    """The drivers of one dose, as a value that is quickly sent to another process.
+
+    Attributes:
+        base: the regular driver.
+        dose: of risk, 0 to 1.
+        fixed_delta: whether the IDM exponent is 4 for all, as where highway-env does not call ``randomize_behavior``;
+            otherwise U(3.5, 4.5) (``IDMVehicle.DELTA_RANGE``).
+        ranges: of the parameters at dose 1.
+    """
 
     base: CarFollowing
     dose: float
@@ -230,9 +197,41 @@ class DriverPool(NamedTuple):
     ranges: RiskRanges = RISK_RANGES
 
     @property
+    @lru_cache(maxsize=64)  # noqa: B019 (a pool is a value)
     def drivers(self) -> tuple[Driver, ...]:
-        """The drivers of the pool."""
-        return driver_pool(*self)
+        """The drivers; driver k of any two doses differs only by the dose.
+
+        The paper's law (section "Experiment Setup"): ``p = p_min + U(0, 1) * (p_max - p_min)`` with one fixed draw per
+        driver and parameter. The dose widens every range from the regular value to the whole of `ranges`.
+        """
+        rng = stream(0, "driver pool")
+
+        def uniform() -> np.ndarray:
+            """A stratified uniform sample over the pool (one draw in each of POOL equal parts)."""
+            return (rng.permutation(POOL) + 0.5) / POOL
+
+        exponent = uniform()
+        draws = {name: uniform() for name in SPREAD_PARAMETERS}
+        gives_way = uniform() >= self.ranges.not_giving_way * self.dose
+        attention = uniform()
+
+        def parameter(name: str, k: int) -> Any:
+            regular = float(getattr(self.base, name, 1.0))
+            low, high = (
+                regular * (1.0 + (factor - 1.0) * self.dose) for factor in getattr(self.ranges, name)
+            )
+            return low + float(draws[name][k]) * (high - low)
+
+        return tuple(
+            Driver(
+                type=f"{'f' if self.fixed_delta else 'd'}{k}@{self.dose:g}",
+                delta=4.0 if self.fixed_delta else 3.5 + float(exponent[k]),
+                attention=float(attention[k]),
+                gives_way=bool(gives_way[k]),
+                **{name: parameter(name, k) for name in SPREAD_PARAMETERS},
+            )
+            for k in range(POOL)
+        )
 
 
 def vehicle_type(driver: Driver, calibration: Calibration) -> dict[str, str]:

@@ -1,6 +1,6 @@
 """What risky drivers do at times fixed in advance, whatever the ego does: cut-ins, sudden braking, surges.
 
-Parameters of drivers alone (`drivers.driver_pool`) do not make every road more dangerous, so a dose of risk also brings
+Parameters of drivers alone (`drivers.DriverPool`) do not make every road more dangerous, so a dose of risk also brings
 seeded events. Even a risky driver looks whether there is room to cut in and whether the way straight ahead is free;
 without that, most events would be crashes among the traffic itself, far from the ego.
 """

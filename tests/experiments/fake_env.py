@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import os
 import signal
+from dataclasses import asdict
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -60,7 +61,7 @@ class FakeEnv(gym.Env):
         hit = CrashRecord(
             "v0", float(self.time), 0.0, 0.0, self.gap, 0.0, 0.0, self.speed - leader, "rear-end", "sumo"
         )
-        crash = hit.as_dict() if self.crashed else None
+        crash = asdict(hit) if self.crashed else None
         reward = 0.0 if self.crashed else self.speed / 30.0
         truncated = self.time >= self.config["duration"]
         return self._observe(), reward, self.crashed, truncated, self._info(self.speed, crash)

@@ -10,7 +10,7 @@ from __future__ import annotations
 import sys
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -88,5 +88,6 @@ for _function in _BENEATH:  # plain Python, which functions call that kernels ca
 _sources = [Path(str(module.__file__)) for module in (base, intersection, measures, rectangles)]
 _newest = max(source.stat().st_mtime for source in (*Path(__file__).parent.glob("*.py"), *_sources))
 for _index in Path(__file__).parent.glob("__pycache__/*.nbi"):
-    if _index.stat().st_mtime < _newest:
-        _index.unlink(missing_ok=True)  # another process may have been faster
+    with suppress(FileNotFoundError):  # another process, which imports this as well, was faster
+        if _index.stat().st_mtime < _newest:
+            _index.unlink()

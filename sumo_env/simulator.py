@@ -55,7 +55,7 @@ class Step:
 
 
 class Simulator(Protocol):
-    """Drives the traffic of one scenario after another. Its ``copy.deepcopy`` goes on by itself from the same state."""
+    """Drives the traffic of one scenario after another."""
 
     def reset(self, scenario: Scenario) -> Scene:
         """Place a scenario, drive its warm-up, and return the first scene. The previous episode ends.
@@ -70,6 +70,10 @@ class Simulator(Protocol):
         Before the first sub-step, vehicles that have left the scene are removed and the scenario's spawns of this
         step are added (highway-env does this after the observation of the previous step, which is equivalent).
         """
+        ...
+
+    def clone(self) -> Simulator:
+        """A simulator in the same state, which goes on by itself."""
         ...
 
     def imagine(self, scenario: Scenario) -> None:

@@ -106,7 +106,7 @@ class SumoProcess:
         """See `Simulator.imagine`."""
         self._ask("imagine", scenario)
 
-    def __deepcopy__(self, memo: dict[int, Any]) -> SumoProcess:
+    def clone(self) -> SumoProcess:
         """A simulator in the same state.
 
         Raises:
@@ -123,6 +123,9 @@ class SumoProcess:
             twin._episode, twin._calls, twin._scene = self._episode, self._calls.copy(), self._scene
         twin._may_be_here = self._may_be_here
         return twin
+
+    def __deepcopy__(self, memo: dict[int, Any]) -> SumoProcess:
+        return self.clone()
 
     def close(self) -> None:
         """Close the simulator, and end the worker."""

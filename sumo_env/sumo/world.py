@@ -85,8 +85,11 @@ class SumoSimulator:
         self._scenario = scenario
         self._events.imagine(scenario.events)
 
-    def __reduce__(self) -> NoReturn:  # for pickle and copy.deepcopy
+    def clone(self) -> NoReturn:
+        """SUMO cannot be copied within a process: see `SumoProcess`."""
         raise TypeError("a SumoSimulator by itself cannot be copied: leave `simulator` out")
+
+    __reduce__ = clone  # neither by pickle nor by copy.deepcopy
 
     def close(self) -> None:
         """End the simulation."""

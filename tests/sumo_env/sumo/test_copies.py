@@ -157,7 +157,7 @@ def test_without_risk_nothing_is_imagined() -> None:
 
 
 def test_a_killed_copy_leaves_the_others_alone(begun: SumoProcess) -> None:
-    twin = copy.deepcopy(begun)
+    twin = begun.clone()
     os.kill(twin.pid, signal.SIGKILL)
     with pytest.raises(SimulatorDied, match=r"is gone .*in step 3: an episode of highway"):
         twin.step(COMMAND)
@@ -167,14 +167,14 @@ def test_a_killed_copy_leaves_the_others_alone(begun: SumoProcess) -> None:
 
 
 def test_a_killed_original_leaves_its_copies_alone(begun: SumoProcess) -> None:
-    twin = copy.deepcopy(begun)
+    twin = begun.clone()
     os.kill(begun.pid, signal.SIGKILL)
     assert ends(begun.pid)
     with pytest.raises(SimulatorDied, match="was killed by SIGKILL"):
-        copy.deepcopy(begun)
+        begun.clone()
     with pytest.raises(SimulatorDied, match="has ended"):
-        copy.deepcopy(begun)
-    third = copy.deepcopy(twin)
+        begun.clone()
+    third = twin.clone()
     assert third.step(COMMAND).scene.time == twin.step(COMMAND).scene.time == 3.0
     twin.close()
     assert third.step(COMMAND).scene.time == 4.0
@@ -191,7 +191,7 @@ def test_ctrl_c_while_a_copy_is_made(begun: SumoProcess, monkeypatch: pytest.Mon
     with monkeypatch.context() as patch:
         patch.setattr(socket, "recv_fds", interrupted)
         with pytest.raises(KeyboardInterrupt):
-            copy.deepcopy(begun)
+            begun.clone()
     assert ends(pid)
     with pytest.raises(SimulatorDied, match="has ended"):
         begun.step(COMMAND)
@@ -199,13 +199,13 @@ def test_ctrl_c_while_a_copy_is_made(begun: SumoProcess, monkeypatch: pytest.Mon
 
 
 def test_copies_leave_no_process_and_no_descriptor(begun: SumoProcess) -> None:
-    first = copy.deepcopy(begun)
+    first = begun.clone()
     first.close()
     assert ends(first.pid)
     before = descriptors(), descriptors(begun.pid)  # the worker may close those of the first copy later
     pids = []
     for number in range(30):
-        twin = copy.deepcopy(begun)
+        twin = begun.clone()
         pids.append(twin.pid)
         if number % 10 == 0:
             twin.step(COMMAND)

@@ -32,6 +32,7 @@ GLASS: Colour = (70, 80, 90)
 HEADLIGHT: Colour = (255, 250, 200)
 
 SUPERSAMPLING = 2  # drawn this much larger, then averaged
+FONT = ImageFont.load_default(size=13)  # of the module: a font cannot be copied with its environment
 RING = 4.0  # [m] radius of the ring around a car in a risk event, and around a crashed ego
 
 _HALF = VEHICLE_LENGTH / 2, VEHICLE_WIDTH / 2
@@ -55,7 +56,6 @@ class Renderer:
     def __init__(self) -> None:
         self._road: Road | None = None
         self._layers: tuple[_Layer, ...] = ()
-        self._font = ImageFont.load_default(size=13)
 
     def draw(self, scene: Scene, road: Road, config: Mapping[str, Any]) -> NDArray[np.uint8]:
         """The picture of a scene, shape (screen_height, screen_width, 3)."""
@@ -102,7 +102,7 @@ class Renderer:
         if scene.crashed[0]:
             text += "    crash"
         pen = ImageDraw.Draw(picture)
-        pen.text((8, 5), text, fill=WHITE, font=self._font, stroke_width=1, stroke_fill=OUTLINE)
+        pen.text((8, 5), text, fill=WHITE, font=FONT, stroke_width=1, stroke_fill=OUTLINE)
 
 
 class _Layer:

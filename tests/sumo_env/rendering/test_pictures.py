@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import math
 from dataclasses import replace
 from typing import Any
@@ -13,6 +14,7 @@ from sumo_env.config import COMMON
 from sumo_env.networks.roads import highway, intersection, roundabout, two_way, u_turn
 from sumo_env.rendering import Renderer
 from sumo_env.rendering.pictures import ASPHALT, CRASHED, EGO, GROUND, IN_EVENT, OTHER, RING, WHITE
+from sumo_env.replica.env import ReplicaEnv
 from sumo_env.scene import Scene
 
 VIEW = {
@@ -105,3 +107,10 @@ def test_gaps_between_lanes_are_bridged() -> None:
     x, y = (x0 + x1) / 2, (y0 + y1) / 2
     picture = Renderer().draw(scene((x - 8, y, 0)), road, VIEW)
     assert pixel(picture, x, y, ego=(x - 8, y)) == ASPHALT
+
+
+def test_an_environment_that_has_drawn_a_picture_can_be_copied() -> None:
+    env = ReplicaEnv("u-turn", render_mode="rgb_array")
+    env.reset(seed=0)
+    picture = env.render()
+    assert (copy.deepcopy(env).render() == picture).all()

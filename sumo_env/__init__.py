@@ -43,19 +43,12 @@ def register(id: str, task: Any) -> None:
     )
 
 
-def register_envs() -> None:
-    """Register the environments with gymnasium; again does nothing."""
-    for id in IDS:
-        if id not in gym.registry:
-            register(id, task_of(id))
-    for id in (*REPLICA_IDS, FAST_ID):
-        if id not in gym.registry:
-            gym.register(
-                id,
-                entry_point="sumo_env.replica.env:ReplicaEnv",
-                vector_entry_point="sumo_env.replica.vector:make",
-                kwargs={"task": task_of(id)},
-            )
-
-
-register_envs()
+for _id in IDS:
+    register(_id, task_of(_id))
+for _id in (*REPLICA_IDS, FAST_ID):
+    gym.register(
+        _id,
+        entry_point="sumo_env.replica.env:ReplicaEnv",
+        vector_entry_point="sumo_env.replica.vector:make",
+        kwargs={"task": task_of(_id)},
+    )

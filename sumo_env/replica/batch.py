@@ -53,9 +53,8 @@ class Start(NamedTuple):
 
     rules: Rules
     cars: tables.Records  # the ego first
-    arrivals: tables.Records  # for these three see `step.policy_step`
-    arrival_steps: np.ndarray
-    first_arrival: int
+    arrivals: tables.Records  # by `comes_after`
+    first_arrival: int  # see EPISODE
     events: tables.Records
 
 
@@ -114,9 +113,8 @@ class Batch(NamedTuple):
 
     episodes: tables.Records  # shape (n,)
     outcomes: tables.Records
-    cars: tables.Records  # shape (n, room)
+    cars: tables.Records  # shape (n, room), the ego first; there is room for the arrivals
     arrivals: tables.Records
-    arrival_steps: np.ndarray  # policy steps after which the arrivals come
     events: tables.Records
     observations: np.ndarray  # float32 of shape (n, rows, features)
 
@@ -128,7 +126,6 @@ def no_episodes(count: int, rows: int = 0, features: int = 0) -> Batch:
         np.zeros(count, OUTCOME),
         np.zeros((count, 1), tables.CAR),
         np.zeros((count, 1), tables.CAR),
-        np.zeros((count, 1), np.int64),
         np.zeros((count, 1), tables.EVENT),
         np.zeros((count, rows, features), np.float32),
     )
@@ -140,7 +137,6 @@ def begun(batch: Batch, row: int, start: Start, speed_index: int = 0) -> Batch:
     for name, rows, size in (
         ("cars", start.cars, cars + later),
         ("arrivals", start.arrivals, later),
-        ("arrival_steps", start.arrival_steps, later),
         ("events", start.events, events),
     ):
         if size == 0:
@@ -160,7 +156,8 @@ def expecting(batch: Batch, row: int, car: tables.Records) -> Batch:
     episode = batch.episodes[row]
     if batch.cars.shape[1] == episode["cars"]:
         batch = batch._replace(cars=np.concatenate((batch.cars, np.zeros_like(batch.cars)), axis=1))
-    batch.arrivals[row, 0], batch.arrival_steps[row, 0] = car[0], episode["steps"]
+    batch.arrivals[row, 0] = car[0]
+    batch.arrivals["comes_after"][row, 0] = episode["steps"]
     episode["arrivals"], episode["next_arrival"] = 1, 0
     return batch
 
@@ -170,8 +167,7 @@ def copied(batch: Batch) -> Batch:
     cars, arrivals = (
         np.array(table.view(tables.BYTES)).view(tables.CAR) for table in (batch.cars, batch.arrivals)
     )
-    steps, episodes = batch.arrival_steps.copy(), batch.episodes.copy()
-    return batch._replace(cars=cars, arrivals=arrivals, arrival_steps=steps, episodes=episodes)
+    return batch._replace(cars=cars, arrivals=arrivals, episodes=batch.episodes.copy())
 
 
 def remaining(batch: Batch, row: int, lanes: tables.Records) -> list[tuple[float, float]]:
@@ -275,16 +271,7 @@ def drive(law: Any, batch: Any, actions: Any, first: int, end: int) -> None:
         outcome.min_ttc, outcome.distance = math.inf, 0.0
         if action != AFRESH:
             command(law, batch.cars[row, 0], episode, action)
-            _, outcome.min_ttc, outcome.distance = policy_step(
-                law.lanes,
-                law.rules,
-                episode,
-                batch.cars[row],
-                batch.arrivals[row],
-                batch.arrival_steps[row],
-                batch.events[row],
-                trace,
-            )
+            _, outcome.min_ttc, outcome.distance = policy_step(law.lanes, law.rules, batch, row, trace)
         cars = batch.cars[row, : episode.cars]
         judge(law, cars, episode, outcome, action)
         look(law.seen_lanes, cars, law.eyes, batch.observations[row])

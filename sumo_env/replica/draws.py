@@ -2,7 +2,7 @@
 
 Each function below is the part of ``_make_vehicles`` of its environment that draws, with the same calls of numpy's
 generator in the same order, so that a seed means the same episode in both. What highway-env draws during an episode,
-the intersection's arrivals, is drawn by `Arrivals` when highway-env does it.
+the intersection's arrivals, is drawn by `arrival` when highway-env does it.
 """
 
 from __future__ import annotations

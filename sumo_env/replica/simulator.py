@@ -74,8 +74,8 @@ class Replica:
         everybody, events = self._read(scenario)
         present = len(scenario.specs)
         cars = everybody[:present]
-        arrival_steps = np.array([spawn.step for spawn in scenario.spawns], np.int64)
-        at_once = int(np.count_nonzero(arrival_steps == 0))
+        everybody["comes_after"][present:] = [spawn.step for spawn in scenario.spawns]
+        at_once = sum(spawn.step == 0 for spawn in scenario.spawns)
         if warmed_up:
             cars = self._with_ego(cars, everybody[present : present + at_once], warmed_up)
         present += at_once
@@ -83,7 +83,6 @@ class Replica:
             rules,
             cars,
             everybody[present:],
-            arrival_steps[at_once:],
             present if self.variant == "stock" and warmed_up else 0,
             events,
         )
@@ -98,10 +97,7 @@ class Replica:
         ego["target_speed"] = command.target_speed
         self._steer_ego_for(ego, command.target_lane)
         frames = np.empty((rules.substeps, len(FRAME), batch.cars.shape[1]))
-        crash, min_ttc, distance = kernels.policy_step(
-            self.lanes.table, rules, batch.episodes[0], batch.cars[0], batch.arrivals[0], batch.arrival_steps[0],
-            batch.events[0], frames,
-        )  # fmt: skip
+        crash, min_ttc, distance = kernels.policy_step(self.lanes.table, rules, batch, 0, frames)
         self._look()
         end = self._steps * rules.substeps
         start, frames = end - rules.substeps, frames[:, :, : len(self._cars)]
@@ -265,14 +261,12 @@ class Replica:
 def _load() -> None:
     """Load all kernels, or compile them, by a call of each that drives nobody anywhere; once in a process."""
     lanes, rules = tables.lanes_of(highway(), False).table, Rules(False, False, 0, 0.1)
-    cars, frames, row = np.zeros(1, tables.CAR), np.empty((0, len(FRAME), 1)), no_episodes(1)
+    cars, frames = np.zeros(1, tables.CAR), np.empty((0, len(FRAME), 1))
     with announced(kernels.policy_step):
         kernels.warm_up(lanes, cars, rules, 0)
         kernels.staying(lanes, cars)
         kernels.is_free(cars, 0.0, 0.0, 0.0)
-        kernels.policy_step(
-            lanes, rules, row.episodes[0], cars, row.arrivals[0], row.arrival_steps[0], row.events[0], frames
-        )
+        kernels.policy_step(lanes, rules, no_episodes(1), 0, frames)
         sight.ego_place(lanes, cars)
         sight.look(lanes, cars, sight.eyes_of(Kinematics({}, 1)), np.empty((5, 5), np.float32))
 

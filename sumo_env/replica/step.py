@@ -96,7 +96,7 @@ def warm_up(lanes: Any, cars: Any, rules: Any, frames: int) -> None:
 
 
 @compiled
-def let_out_and_in(lanes: Any, cars: Any, arrivals: Any, arrival_steps: Any, episode: Any) -> None:
+def let_out_and_in(lanes: Any, cars: Any, arrivals: Any, episode: Any) -> None:
     """Cars leave, and those of the arrivals come that have no other within 15 m."""
     stays, count = staying(lanes, cars[: episode.cars]), 0
     for i in range(len(stays)):
@@ -104,7 +104,10 @@ def let_out_and_in(lanes: Any, cars: Any, arrivals: Any, arrival_steps: Any, epi
             if count < i:
                 cars[count] = cars[i]
             count += 1
-    while episode.next_arrival < episode.arrivals and arrival_steps[episode.next_arrival] <= episode.steps:
+    while (
+        episode.next_arrival < episode.arrivals
+        and arrivals[episode.next_arrival].comes_after <= episode.steps
+    ):
         fresh = arrivals[episode.next_arrival]
         episode.next_arrival += 1
         if is_free(cars[:count], fresh.x, fresh.y, SPAWN_DISTANCE):
@@ -114,35 +117,23 @@ def let_out_and_in(lanes: Any, cars: Any, arrivals: Any, arrival_steps: Any, epi
 
 
 @compiled
-def policy_step(
-    lanes: Any,
-    rules: Any,
-    episode: Any,
-    cars: Any,
-    arrivals: Any,
-    arrival_steps: Any,
-    events: Any,
-    trace: Any,
-) -> tuple[int, float, float]:
-    """Drive one policy step.
+def policy_step(lanes: Any, rules: Any, batch: Any, row: int, trace: Any) -> tuple[int, float, float]:
+    """Drive one policy step of an episode of a `Batch`, whose state is changed.
 
     Args:
         lanes: records.
         rules: of the task.
-        episode: a record, which is changed. Cars of smaller numbers than its ``first_arrival`` come before the ego in
-            highway-env's list; 0: the ego is its first.
-        cars: records, which are changed, the ego first; there is room for the arrivals.
-        arrivals, arrival_steps: cars that come later, and the policy steps after which they do, rising.
-        events: records.
+        batch, row: the episode.
         trace: where the sub-steps are written down, shape (sub-steps, 6, room for cars), or nowhere (0, 6, 0).
 
     Returns:
         the frame in which the ego crashed (-1: none), the least time to collision [s], and the distance covered by the
         ego [m].
     """
+    episode = batch.episodes[row]
     if rules.regulation_interval > 0 and episode.steps > 0:
-        let_out_and_in(lanes, cars, arrivals, arrival_steps, episode)
-    cars, events = cars[: episode.cars], events[: episode.events]
+        let_out_and_in(lanes, batch.cars[row], batch.arrivals[row], episode)
+    cars, events = batch.cars[row, : episode.cars], batch.events[row, : episode.events]
     crash, least, distance, before_ego = -1, math.inf, 0.0, 0
     for i in range(1, len(cars)):
         before_ego += cars[i].number < episode.first_arrival

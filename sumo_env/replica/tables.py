@@ -116,6 +116,7 @@ CAR = np.dtype(
         ("is_pushed_apart", "?"),  # has touched another car: will be moved by `apart` in the next sub-step
         ("apart_x", "f8"),  # [m]
         ("apart_y", "f8"),
+        ("comes_after", "i8"),  # of an arrival: policy step
         *DRIVER,
         *LINEAR,
     ],
@@ -148,7 +149,7 @@ EPISODE = np.dtype(
         ("cars", "i8"),  # that are there
         ("arrivals", "i8"),  # that come later
         ("next_arrival", "i8"),
-        ("first_arrival", "i8"),  # see `step.policy_step`
+        ("first_arrival", "i8"),  # cars of smaller numbers come before the ego in highway-env's list
         ("events", "i8"),
         ("next_event", "i8"),
         ("steps", "i8"),  # policy steps
@@ -272,7 +273,7 @@ def _rest(road: Road, lane: LaneIndex, goal: str | None, changes_lanes: bool, dr
     """What `cars_of` writes behind the timer, the same in many episodes."""
     return REST.pack(
         changes_lanes, False, *_route(road, lane, goal), 0, NONE if goal is None else lane[2],
-        False, 0.0, 0.0, 0.0, 0.0, False, 0.0, 0.0, False, False, 0.0, 0.0,
+        False, 0.0, 0.0, 0.0, 0.0, False, 0.0, 0.0, False, False, 0.0, 0.0, 0,
         driver.accel, driver.decel, driver.min_gap + VEHICLE_LENGTH, driver.tau, driver.delta, driver.emergency_decel,
         driver.safe_braking, driver.min_gain, driver.gives_way, *[0] * len(LINEAR),
     )  # fmt: skip

@@ -95,12 +95,11 @@ class DrivingEnv(ReadAsHighwayEnv):
     def configure(self, config: Mapping[str, Any] | None) -> None:
         """Change these keys of the configuration; they take effect at the next reset."""
         changed = resolve(self.task.name, self.default_config(), getattr(self, "config", None), config)
-        offered = interface(self.task, changed)
+        self.actions, self.target_speeds, self.observation_type = interface(self.task, changed)
         self.config: Config = changed  # assigned last: an error leaves the environment as it was
         self._configured = copy.deepcopy(changed)
-        self.actions, self.target_speeds = offered.actions, offered.target_speeds
-        self.observation_type = offered.observation_type
-        self.observation_space, self.action_space = offered.observation_space, offered.action_space
+        self.observation_space = self.observation_type.space
+        self.action_space = gym.spaces.Discrete(len(self.actions))
         self._set_frame_rate()
 
     # -- gymnasium -----------------------------------------------------------------------------------------

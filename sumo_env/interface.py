@@ -6,11 +6,9 @@ Separate from the environment because the backend highway-env of the experiments
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, fields
 from itertools import pairwise
-from typing import Any
-
-from gymnasium import spaces
+from typing import Any, NamedTuple
 
 from sumo_env.actions import action_names
 from sumo_env.config import Config, ConfigError
@@ -26,15 +24,12 @@ NO_CRASH: dict[str, Any] = {
 }
 
 
-@dataclass(frozen=True)
-class Interface:
-    """Observation and action space of a task, and what they are made of."""
+class Interface(NamedTuple):
+    """What the spaces of a task are made of."""
 
     actions: dict[int, str]  # meta-actions by index
     target_speeds: tuple[float, ...]  # that the ego can be commanded, rising [m/s]
     observation_type: Kinematics | TimeToCollision  # makes the observations
-    observation_space: spaces.Space[Any]
-    action_space: spaces.Space[Any]
 
 
 def interface(task: Task, config: Config) -> Interface:
@@ -64,7 +59,7 @@ def interface(task: Task, config: Config) -> Interface:
         observation = Kinematics(config["observation"], road.count(*task.ego_road))
     else:
         observation = TimeToCollision(config["observation"], config["policy_frequency"])
-    return Interface(actions, speeds, observation, observation.space, spaces.Discrete(len(actions)))
+    return Interface(actions, speeds, observation)
 
 
 def information(

@@ -30,10 +30,7 @@ RELATIVE = ("x", "y", "vx", "vy")  # to the ego, unless they are absolute
 class Kinematics:
     """highway-env's `KinematicObservation`: one row per vehicle, the ego first, then the others by distance.
 
-    Attributes:
-        features: names of the columns.
-        ranges: feature -> (low, high), mapped to [-1, 1]; features without a range stay as they are.
-        absolute: whether the other rows are absolute; relative to the ego otherwise. The ego's row is always absolute.
+    Features with a range are mapped to [-1, 1]. The rows of the others are relative to the ego unless `absolute`.
     """
 
     def __init__(self, config: Mapping[str, Any], side_lanes: int) -> None:

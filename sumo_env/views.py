@@ -43,24 +43,15 @@ class _View:
 
 
 class Vehicle(_View):
-    """A vehicle of the scene, as ``highway_env.vehicle.kinematics.Vehicle`` is read.
+    """A vehicle of the scene, as ``highway_env.vehicle.kinematics.Vehicle`` is read."""
 
-    Attributes:
-        id: its name, ``"ego"`` for the ego.
-        position: centre (x, y) [m].
-        speed: [m/s].
-        heading: [rad].
-        crashed: whether it has crashed.
-        LENGTH, WIDTH: [m].
-    """
-
-    id: str
-    position: Floats
-    speed: float
-    heading: float
+    id: str  # its name, "ego" for the ego
+    position: Floats  # centre (x, y) [m]
+    speed: float  # [m/s]
+    heading: float  # [rad]
     crashed: bool
-    LENGTH: float
-    WIDTH: float
+    LENGTH: float  # [m]
+    WIDTH: float  # [m]
     _road: Road
 
     @cached_property
@@ -91,19 +82,12 @@ class Vehicle(_View):
 
 
 class Ego(Vehicle):
-    """The ego, as ``highway_env.vehicle.controller.MDPVehicle`` is read.
+    """The ego, as ``highway_env.vehicle.controller.MDPVehicle`` is read."""
 
-    Attributes:
-        target_lane_index: lane that it steers for.
-        speed_index: of its target speed.
-        target_speed: that it approaches [m/s].
-        target_speeds: that it can be commanded [m/s].
-    """
-
-    target_lane_index: LaneIndex
-    speed_index: int
-    target_speed: float
-    target_speeds: NDArray[np.float64]
+    target_lane_index: LaneIndex  # that it steers for
+    speed_index: int  # of its target speed
+    target_speed: float  # that it approaches [m/s]
+    target_speeds: NDArray[np.float64]  # that it can be commanded [m/s]
 
 
 class RoadNetwork(_View):
@@ -129,17 +113,11 @@ class RoadNetwork(_View):
 
 
 class RoadView(_View):
-    """Road and traffic of a scene, as ``highway_env.road.road.Road`` is read.
+    """Road and traffic of a scene, as ``highway_env.road.road.Road`` is read."""
 
-    Attributes:
-        network: the lanes.
-        vehicles: all vehicles of the scene, the ego first; a tuple.
-        scene: places and speeds of all vehicles as arrays.
-    """
-
-    network: RoadNetwork
-    vehicles: tuple[Vehicle, ...]
-    scene: Scene
+    network: RoadNetwork  # the lanes
+    vehicles: tuple[Vehicle, ...]  # all of the scene, the ego first
+    scene: Scene  # places and speeds of all vehicles as arrays
 
 
 def road_view(scene: Scene, road: Road, **ego: Any) -> RoadView:
@@ -167,19 +145,12 @@ def road_view(scene: Scene, road: Road, **ego: Any) -> RoadView:
 
 
 class ActionType(NamedTuple):
-    """The meta-actions, as ``highway_env.envs.common.action.DiscreteMetaAction`` is read.
+    """The meta-actions, as ``highway_env.envs.common.action.DiscreteMetaAction`` is read."""
 
-    Attributes:
-        actions: names by index.
-        actions_indexes: indices by name.
-        target_speeds: [m/s].
-        get_available_actions: indices of the actions that would change something now, and of IDLE.
-    """
-
-    actions: dict[int, str]
-    actions_indexes: dict[str, int]
-    target_speeds: NDArray[np.float64]
-    get_available_actions: Callable[[], list[int]]
+    actions: dict[int, str]  # names by index
+    actions_indexes: dict[str, int]  # indices by name
+    target_speeds: NDArray[np.float64]  # [m/s]
+    get_available_actions: Callable[[], list[int]]  # `ReadAsHighwayEnv.get_available_actions`
 
 
 class ReadAsHighwayEnv(gym.Env[NDArray[np.float32], Any]):

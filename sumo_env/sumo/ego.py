@@ -25,21 +25,14 @@ STOP_DISTANCE = 1.0  # [m] from its front to the stop line
 
 
 class Ego:
-    """The ego during one episode.
-
-    Attributes:
-        speed: [m/s].
-        target_speed: [m/s].
-        target_lane: lane that it steers for.
-        crashed: since contact it only coasts to a stop.
-    """
+    """The ego during one episode."""
 
     def __init__(self, session: Session, scenario: Scenario, network: Network) -> None:
         spec = scenario.ego
         self._session, self._network, self._road = session, network, scenario.road
         self._route = ego_route(self._road, spec)
         self.speed, self.target_speed, self.target_lane = spec.speed, spec.target_speed, spec.lane
-        self.crashed = False
+        self.crashed = False  # since a contact it only coasts to a stop
         self._obeys_lights = scenario.obeys_lights
         self._lane, self._stretch = "", 1.0  # of SUMO
 

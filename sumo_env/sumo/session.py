@@ -62,25 +62,18 @@ class Settings:
 
 
 class Session:
-    """One simulation. `load` first; every method may raise one of `SumoErrors`.
-
-    Attributes:
-        sizes: length and width [m] of the vehicles on the road that do not have highway-env's size.
-        step_length: time between two steps as SUMO counts it, in whole milliseconds [s]: 0.067 at 15 Hz.
-        has_lights: whether the network has traffic lights.
-        arrived: names of the vehicles that have left the road in the last step: they were at the end of their route.
-        changed: whether a vehicle has come or left in the last step.
-    """
+    """One simulation. `load` first; every method may raise one of `SumoErrors`."""
 
     def __init__(self) -> None:
-        self.step_length = 0.0
-        self.has_lights = False
-        self._settings: Settings | None = None
-        self._limits: dict[str, float] = {}
-        self._known: set[str] = set()  # vehicles whose size is known
+        self.step_length = 0.0  # [s] as SUMO counts time, in whole milliseconds: 0.067 at 15 Hz
+        self.has_lights = False  # whether the network has traffic lights
+        # length and width [m] of the vehicles on the road that do not have highway-env's size
         self.sizes: dict[str, tuple[float, float]] = {}
-        self.arrived: tuple[str, ...] = ()
-        self.changed = False
+        self.arrived: tuple[str, ...] = ()  # who has left the road in the last step, at the end of the route
+        self.changed = False  # whether a vehicle has come or left in the last step
+        self._settings: Settings | None = None
+        self._limits: dict[str, float] = {}  # of lanes [m/s]
+        self._known: set[str] = set()  # vehicles whose size is known
         self._steps = 0  # since the network was loaded
 
     def load(self, settings: Settings) -> None:

@@ -18,17 +18,12 @@ FASTEST = 200.0  # [m/s] no two vehicles close in faster
 
 
 class Surroundings:
-    """The ego and the vehicles near it, those that somebody else has added to the simulation included.
-
-    Attributes:
-        ego: its state.
-        near: states of the vehicles whose front is within `TTC_RADIUS` of the ego's, by name in alphabetical order.
-    """
+    """The ego and the vehicles near it, those that somebody else has added to the simulation included."""
 
     def __init__(self, session: Session, speed: float) -> None:
         self._session = session
         self.ego: State
-        self.near: dict[str, State]
+        self.near: dict[str, State]  # whose front is within `TTC_RADIUS` of the ego's, in alphabetical order
         self.take_stock()
         self.look(0.0, speed)
 

@@ -104,7 +104,7 @@ def test_spaces_are_those_of_highway_env(task: str) -> None:
             stock.configure(copy.deepcopy(chosen))
             stock.define_spaces()
             own = interface(TASKS[task], resolve(task, TASKS[task].defaults, chosen))
-            assert own.observation_space == stock.observation_space
+            assert own.observation_type.space == stock.observation_space
             assert own.action_space == stock.action_space
 
 

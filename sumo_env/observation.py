@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from gymnasium import spaces
@@ -27,6 +27,20 @@ FEATURES = (*POSE, *_DIRECTION, *_OFFSETS)
 RELATIVE = ("x", "y", "vx", "vy")  # to the ego, unless they are absolute
 
 
+class Eyes(NamedTuple):
+    """A Kinematics table in numbers, for Python and for kernels; arrays have shape (features,)."""
+
+    features: Any  # places in FEATURES
+    relative: Any  # whether a feature of the others is relative to the ego
+    scale: Any  # of the affine map of a column, as `shift`: without a range, values stay as they are
+    shift: Any
+    low: Any  # of the clipping, as `high`
+    high: Any
+    rows: int  # of the table
+    see_behind: bool
+    is_sorted: bool
+
+
 class Kinematics:
     """highway-env's `KinematicObservation`: one row per vehicle, the ego first, then the others by distance.
 
@@ -44,11 +58,10 @@ class Kinematics:
         if not isinstance(features, list | tuple):
             raise ConfigError(f"observation 'features' must be a list of names, not {features!r}")
         self.features = tuple(one_of("observation feature", feature, FEATURES) for feature in features)
-        self.vehicles_count = given["vehicles_count"]
-        if not isinstance(self.vehicles_count, int) or not 1 <= self.vehicles_count <= MOST_VEHICLES:
+        rows = given["vehicles_count"]
+        if not isinstance(rows, int) or not 1 <= rows <= MOST_VEHICLES:
             raise ConfigError(
-                f"observation 'vehicles_count' must be a whole number from 1 to {MOST_VEHICLES}, not "
-                f"{self.vehicles_count!r}"
+                f"observation 'vehicles_count' must be a whole number from 1 to {MOST_VEHICLES}, not {rows!r}"
             )
         self.ranges = _ranges(
             given["features_range"]
@@ -59,25 +72,24 @@ class Kinematics:
                 "vy": (-2.0 * MAX_SPEED, 2.0 * MAX_SPEED),
             }
         )
-        self.absolute, self.see_behind = bool(given["absolute"]), bool(given["see_behind"])
-        self.normalize, self.clip = bool(given["normalize"]), bool(given["clip"])
-        self.observe_intentions = bool(given["observe_intentions"])
-        self.order = one_of("order", given["order"], ("sorted", "shuffled"))
-        shape = (self.vehicles_count, len(self.features))
-        self.space = spaces.Box(-np.inf, np.inf, shape, np.float32)
-        # One affine map for the whole table: columns without a range keep their values.
+        self.absolute, self.observe_intentions = bool(given["absolute"]), bool(given["observe_intentions"])
         columns = len(self.features)
-        self.scale, self.shift = np.ones(columns), np.zeros(columns)
-        self.low, self.high = np.full(columns, -np.inf), np.full(columns, np.inf)
-        self.relative = np.array([feature in RELATIVE for feature in self.features])
-        if self.normalize:
-            for column, feature in enumerate(self.features):
-                if feature in self.ranges:
-                    low, high = self.ranges[feature]
-                    self.scale[column] = 2.0 / (high - low)
-                    self.shift[column] = -1.0 - low * 2.0 / (high - low)
-                    if self.clip:
-                        self.low[column], self.high[column] = -1.0, 1.0
+        self.space = spaces.Box(-np.inf, np.inf, (rows, columns), np.float32)
+        self.eyes = Eyes(
+            np.array([FEATURES.index(feature) for feature in self.features]),
+            np.array([feature in RELATIVE and not self.absolute for feature in self.features]),
+            *(np.ones(columns), np.zeros(columns), np.full(columns, -np.inf), np.full(columns, np.inf)),
+            rows=rows,
+            see_behind=bool(given["see_behind"]),
+            is_sorted=one_of("order", given["order"], ("sorted", "shuffled")) == "sorted",
+        )
+        for column, feature in enumerate(self.features if given["normalize"] else ()):
+            if feature in self.ranges:
+                low, high = self.ranges[feature]
+                self.eyes.scale[column] = 2.0 / (high - low)
+                self.eyes.shift[column] = -1.0 - low * 2.0 / (high - low)
+                if given["clip"]:
+                    self.eyes.low[column], self.eyes.high[column] = -1.0, 1.0
 
     def visible(self, scene: Scene, road: Road, lane: LaneIndex) -> list[int]:
         """Rows of the scene in the order of the table, the ego's first.
@@ -88,16 +100,16 @@ class Kinematics:
         geometry = road.lane(lane)
         x, y = scene.x.tolist(), scene.y.tolist()
         here, _ = geometry.local_coordinates(x[0], y[0])
-        furthest_behind = -math.inf if self.see_behind else -2.0 * VEHICLE_LENGTH
+        furthest_behind = -math.inf if self.eyes.see_behind else -2.0 * VEHICLE_LENGTH
         seen = []
         for row in range(1, len(x)):
             if math.hypot(x[row] - x[0], y[row] - y[0]) < PERCEPTION_DISTANCE:
                 ahead = geometry.local_coordinates(x[row], y[row])[0] - here
                 if ahead > furthest_behind:
                     seen.append((abs(ahead), row))
-        if self.order == "sorted":
+        if self.eyes.is_sorted:
             seen.sort()
-        return [0, *[row for _, row in seen[: self.vehicles_count - 1]]]
+        return [0, *[row for _, row in seen[: self.eyes.rows - 1]]]
 
     def observe(
         self,
@@ -115,15 +127,15 @@ class Kinematics:
         rows = self.visible(scene, road, ego.lane)
         columns = self._columns(scene, road, rows, specs)
         values = np.array([columns[feature] for feature in self.features]).T
-        if not self.absolute:
-            values[1:] -= values[0] * self.relative
-        values *= self.scale
-        values += self.shift
-        np.maximum(values, self.low, out=values)
-        np.minimum(values, self.high, out=values)
-        table = np.zeros((self.vehicles_count, len(self.features)), np.float32)
+        eyes = self.eyes
+        values[1:] -= values[0] * eyes.relative
+        values *= eyes.scale
+        values += eyes.shift
+        np.maximum(values, eyes.low, out=values)
+        np.minimum(values, eyes.high, out=values)
+        table = np.zeros((eyes.rows, len(self.features)), np.float32)
         table[: len(rows)] = values
-        if self.order == "shuffled":
+        if not eyes.is_sorted:
             rng.shuffle(table[1:])
         return table
 

@@ -13,11 +13,12 @@ import numpy as np
 
 from sumo_env.config import Config
 from sumo_env.contacts.measures import DENSITY_RADIUS
+from sumo_env.observation import Eyes
 from sumo_env.replica import tables
 from sumo_env.replica.compiled import borrowing, compiled
 from sumo_env.replica.driving import follow_road, is_reachable
 from sumo_env.replica.geometry import local_coordinates
-from sumo_env.replica.sight import Eyes, ego_place, look
+from sumo_env.replica.sight import ego_place, look
 from sumo_env.replica.step import Rules, policy_step, staying
 from sumo_env.tasks import TASKS, base
 from sumo_env.tasks.base import Task, lmap

@@ -7,12 +7,11 @@ other lanes (cos_d, sin_d, long_off, lat_off, ang_off) are left to the latter.
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from sumo_env.observation import POSE as FEATURES
-from sumo_env.observation import Kinematics
+from sumo_env.observation import POSE, Eyes, Kinematics
 from sumo_env.replica.compiled import borrowing, compiled
 from sumo_env.replica.geometry import is_on, local_coordinates
 from sumo_env.scene import PERCEPTION_DISTANCE, VEHICLE_LENGTH
@@ -20,40 +19,14 @@ from sumo_env.scene import PERCEPTION_DISTANCE, VEHICLE_LENGTH
 HALF_WIDTH = 2.0  # [m] of a lane
 
 
-class Eyes(NamedTuple):
-    """A Kinematics observation for the kernel; arrays have shape (features,)."""
-
-    features: Any  # places in FEATURES
-    relative: Any  # whether a feature of the others is relative to the ego
-    scale: Any  # of the affine map, as `shift`
-    shift: Any
-    low: Any  # of the clipping, as `high`
-    high: Any
-    rows: int  # of the table
-    see_behind: bool
-    is_sorted: bool
-
-
 def eyes_of(kinematics: Kinematics) -> Eyes | None:
-    """The observation for `table`; None if it has features that the kernel does not know."""
-    if not set(kinematics.features) <= set(FEATURES):
-        return None
-    return Eyes(
-        np.array([FEATURES.index(name) for name in kinematics.features]),
-        kinematics.relative & (not kinematics.absolute),
-        kinematics.scale,
-        kinematics.shift,
-        kinematics.low,
-        kinematics.high,
-        kinematics.vehicles_count,
-        kinematics.see_behind,
-        kinematics.order == "sorted",
-    )
+    """The observation for `look`; None if it has features that the kernel does not know."""
+    return kinematics.eyes if set(kinematics.features) <= set(POSE) else None
 
 
 @borrowing
 def feature(car: Any, k: int) -> float:
-    """The value of a car that FEATURES[k] names."""
+    """The value of a car that POSE[k] names."""
     velocity = car.speed * car.cos, car.speed * car.sin
     return (1.0, car.x, car.y, velocity[0], velocity[1], car.heading, car.cos, car.sin)[k]
 

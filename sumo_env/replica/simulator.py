@@ -14,7 +14,7 @@ from sumo_env.config import one_of
 from sumo_env.contacts.crash import CrashRecord, crash_record
 from sumo_env.contacts.rectangles import separation, state_of
 from sumo_env.networks.roads import LaneIndex, Road, highway
-from sumo_env.observation import Kinematics
+from sumo_env.observation import Eyes, Kinematics
 from sumo_env.replica import sight, tables
 from sumo_env.replica import step as kernels
 from sumo_env.replica.batch import Start, begun, copied, expecting, no_episodes, remaining
@@ -117,7 +117,7 @@ class Replica:
         lane, s, lateral, is_on_road = sight.ego_place(self.seen_lanes, self._cars)
         return self.lanes.names[lane], s, lateral, is_on_road
 
-    def table(self, eyes: sight.Eyes) -> np.ndarray:
+    def table(self, eyes: Eyes) -> np.ndarray:
         """The Kinematics observation."""
         table = np.empty((eyes.rows, len(eyes.features)), np.float32)
         sight.look(self.seen_lanes, self._cars, eyes, table)
@@ -268,7 +268,7 @@ def _load() -> None:
         kernels.is_free(cars, 0.0, 0.0, 0.0)
         kernels.policy_step(lanes, rules, no_episodes(1), 0, frames)
         sight.ego_place(lanes, cars)
-        sight.look(lanes, cars, sight.eyes_of(Kinematics({}, 1)), np.empty((5, 5), np.float32))
+        sight.look(lanes, cars, Kinematics({}, 1).eyes, np.empty((5, 5), np.float32))
 
 
 def _record(scene: Scene) -> CrashRecord:

@@ -127,6 +127,9 @@ def test_the_second_study_is_told_as_it_was_found() -> None:
     assert (lost["verdict"], harm["verdict"]) == ("contradicted", "not decided")
     claim = study.claims.set_index(["name", "quantity"]).loc[("return rises", "sum")]
     assert (claim["verdict"], claim["wrong"]) == ("contradicted", 1)
+    whole = "arm == 'treatment' and against == 'control' and outcome == 'return' and term == 'sum'"
+    falls = study.effects.query(f"{whole} and scenarios == 'own' and estimate < 0 and p_adjusted < 0.05")
+    assert falls[["task", "level_name"]].values.tolist() == [["intersection", "30"]]
     road = study.price.query("scope == 'two-way' and term == 'regular'").iloc[0]
     assert f"loses {100 * lost['estimate']:.1f} points" in text
     upper = f"at most {100 * harm['high']:.1f} (2.5 asked), on the two-way road {100 * road['high']:.1f}"

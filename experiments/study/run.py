@@ -205,11 +205,19 @@ def fraction_done(folder: Path) -> float:
 
 
 def last_words(folder: Path) -> str:
-    """The last line of a task's log, which names what went wrong; empty if nothing did."""
+    """The last line of a task's log, which names what went wrong; empty if nothing has since it was begun last."""
     try:
+        # A try begins by saying that nothing is done.
+        if _changed(folder / LOG) < _changed(folder / PROGRESS):
+            return ""
         return (folder / LOG).read_text(errors="replace").rstrip().rpartition("\n")[2]
     except OSError:
         return ""
+
+
+def _changed(path: Path) -> int:
+    """When a file was written last [ns], 0 if it is not there."""
+    return path.stat().st_mtime_ns if path.exists() else 0
 
 
 def run(

@@ -93,10 +93,10 @@ def distance(first: State, second: State, half: Half = CAR, other: Half = CAR) -
     if gap <= 0.0:
         return gap
     # Apart, a corner of one of the two is the point that is nearest to the other.
-    return min(_corner_distance(first, second, half, other), _corner_distance(second, first, other, half))
+    return min(corner_distance(first, second, half, other), corner_distance(second, first, other, half))
 
 
-def _corner_distance(first: State, second: State, half: Half, other: Half) -> float:
+def corner_distance(first: State, second: State, half: Half, other: Half) -> float:
     """Distance [m] from the first rectangle to the nearest corner of the second."""
     dx, dy, turn = second[0] - first[0], second[1] - first[1], second[3] - first[3]
     c, s = cos(first[3]), sin(first[3])

@@ -79,7 +79,7 @@ _BENEATH = (
     rectangles.extents,
     rectangles.reach_of,
     rectangles.separation,
-    rectangles._corner_distance,
+    rectangles.corner_distance,
     base.lmap,
 )
 for _function in _BENEATH:  # plain Python, which functions call that kernels call

@@ -10,7 +10,7 @@ from contextlib import suppress
 import pytest
 
 from experiments.study.executors import open_executor
-from experiments.study.run import LOG, Observer, locked, run
+from experiments.study.run import LOG, Observer, attempt, last_words, locked, run, watched
 from experiments.support.errors import UserError
 from tests.experiments.study.misbehaving import STEPS, Sum
 from tests.processes import is_alive, wait_for
@@ -123,6 +123,16 @@ def test_what_always_goes_wrong_is_given_up_and_the_others_are_computed(tmp_path
     log = (bad.folder / LOG).read_text()
     assert "misbehaving.py" in log  # the stack says where
     assert log.count("Traceback" if fault == "fail" else "Segmentation fault") == 4
+
+
+def test_a_task_that_is_begun_again_is_not_called_failed(tmp_path):
+    """A report that is made meanwhile would name it among the failures."""
+    task = Sum("task", tmp_path, fault="fail", times=1)
+    assert attempt(task).state == "failed"
+    assert "told to fail" in last_words(task.folder)
+    os.utime(task.folder / LOG, (0, 0))  # file times are coarse
+    with watched(task.folder, task.silence):
+        assert last_words(task.folder) == ""
 
 
 def test_what_concerns_every_task_ends_the_run(tmp_path):

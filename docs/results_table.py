@@ -37,9 +37,9 @@ SPACE = "\N{NO-BREAK SPACE}"  # within a cell: a narrow screen scrolls instead o
 
 def difference(row: dict[str, Any], scale: float, digits: int) -> str:
     """An effect and its interval, bold where the interval excludes 0."""
-    numbers = [round(row[k] * scale, digits) for k in ("estimate", "low", "high")]
-    point, low, high = (f"{x:+.{digits}f}".replace("-", "−") if x else "0" for x in numbers)
     bold = "**" if row["low"] > 0 or row["high"] < 0 else ""
+    numbers = [round(row[k] * scale, digits) for k in ("estimate", "low", "high")]
+    point, low, high = (f"{x:+.{digits}f}".replace("-", "−") if x or bold else "0" for x in numbers)
     return f"{bold}{point}{bold} [{low}, {high}]"
 
 
@@ -80,7 +80,7 @@ def lines(analysis: dict[str, Any], each: str, shown: Sequence[str]) -> Iterator
             rates = [f"{mean * scale:.{digits}f}" for mean in means]
             finer = 1 if line == ALL else digits
             changes = [difference(row, scale, finer).replace(" ", SPACE) for row in rows]
-            cells.append(f"{SPACE.join(' → '.join(rates).split())}: {', '.join(changes)}")
+            cells.append(f"{'→'.join(rates)}: {', '.join(changes)}")
         yield f"| {' | '.join(cells)} |\n"
 
 

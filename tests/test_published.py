@@ -6,6 +6,7 @@ import pandas as pd
 
 from experiments.analysis.analysis import Analysis, stored
 from experiments.analysis.effects import means
+from experiments.analysis.gates import CROSSINGS
 from experiments.reporting import tables
 from experiments.reporting.page import paces
 from experiments.reporting.tables import difference, main
@@ -47,6 +48,19 @@ def dense_intersection(analysis: Analysis) -> str:
     return difference(rows.loc["regular"])
 
 
+def on_the_tasks_of_mixed_seen(analysis: Analysis) -> list[str]:
+    """The mean effects of treatment and of mixed training, in risky and in regular traffic, where mixed-seen is."""
+    rows = analysis.effects.query(
+        "outcome == 'crashed' and against == 'control' and scenarios == 'own' and level == 1"
+    )
+    rows = rows[rows["task"].isin(rows.query("arm == 'mixed-seen'")["task"])]
+    same = rows.groupby(["arm", "term"])["estimate"].mean()
+    numbers = [
+        f"{100 * same[arm, term]:+.1f}" for arm in ("treatment", "mixed") for term in ("risky", "regular")
+    ]
+    return [number.replace("-", "−") for number in numbers]
+
+
 def test_the_readme_tells_the_numbers_of_both_studies() -> None:
     second, first = published("second"), published("standard")
     shown = [
@@ -54,6 +68,7 @@ def test_the_readme_tells_the_numbers_of_both_studies() -> None:
         dense_intersection(second),
         *(crashes(second, arm="mixed")[term].split()[0] for term in TRAFFICS),
         *(crashes(second, arm="mixed-seen")[term] for term in TRAFFICS),
+        *on_the_tasks_of_mixed_seen(second),
         *(crashes(first)[term] for term in TRAFFICS),
         crashes(first, arm="dense")["risky"],
     ]
@@ -72,9 +87,11 @@ def test_progress_is_told_beside_speed() -> None:
             + [slower],
             [f"{pace[arm]['regular']['progress']:.1f}" for arm in ("treatment", "control", "slower")],
         )
-    here = "treated agents cover {} m per second of the time limit, the others {}; "
-    here += "always choosing SLOWER covers {} and crashes in {}"
-    assert here.format(*found["second"][0]) in told("README.md")
+    (way, of_control, slowest, rate), (in_regular, control_in_regular, _) = found["second"]
+    here = f"cover {way} m per second of the time limit in risky traffic (control agents {of_control}) and "
+    here += f"{in_regular} ({control_in_regular}) in regular; always choosing SLOWER covers {slowest} and "
+    here += f"crashes in {rate}"
+    assert here in told("README.md")
     risky, regular = found["standard"]
     assert "is {} m/s, that of control agents {}.".format(*risky) in told("docs/study.md")
     assert "it is {}, {} and {} m/s".format(*regular) in told("docs/study.md")
@@ -103,7 +120,16 @@ def test_the_second_study_is_told_as_it_was_found() -> None:
     own = "arm == 'treatment' and against == 'control' and scenarios == 'own' and level == 1"
     effects = study.effects.query(f"{own} and outcome == 'crashed'").set_index(["task", "term"])
     u_turn = difference(effects.loc["u-turn", "regular"])
-    assert f"With the longer clock it is {u_turn.replace(' points', '')}" in text
+    assert (
+        f"With the longer clock, whose last seconds no test has, it is {u_turn.replace(' points', '')}"
+        in text
+    )
+    per_way = study.effects.query(
+        f"{own} and outcome == 'crashes_per_100_km' and task == 'u-turn' and term == 'regular'"
+    )
+    assert (
+        "per 100 km +{:.1f} [+{:.1f}, +{:.1f}]".format(*per_way.iloc[0][["estimate", "low", "high"]]) in text
+    )
     clock = {
         task: {
             term: words.replace(" points", "")
@@ -130,15 +156,33 @@ def test_the_second_study_is_told_as_it_was_found() -> None:
     whole = "arm == 'treatment' and against == 'control' and outcome == 'return' and term == 'sum'"
     falls = study.effects.query(f"{whole} and scenarios == 'own' and estimate < 0 and p_adjusted < 0.05")
     assert falls[["task", "level_name"]].values.tolist() == [["intersection", "30"]]
-    road = study.price.query("scope == 'two-way' and term == 'regular'").iloc[0]
-    assert f"loses {100 * lost['estimate']:.1f} points" in text
-    upper = f"at most {100 * harm['high']:.1f} (2.5 asked), on the two-way road {100 * road['high']:.1f}"
-    assert upper in text
+    assert f"loses {100 * lost['estimate']:.1f} points of the gain, at most {100 * lost['high']:.1f}" in text
+    assert f"its price is at most {100 * harm['high']:.1f} (2.5 asked, not decided;" in text
+    limits = (100 * study.price.query("scope != 'all tasks'")["high"]).map("{:.1f}".format).tolist()
+    assert study.price["scope"].tolist() == [*TASKS, "all tasks"] * 2
+    both = ", ".join(limits[:5]), ", ".join(limits[5:]).replace("-", "−")
+    assert f"as above, {both[0]});" in text and f"not decided; {both[1]}; one-sided limits)" in text
     verdicts = study.price.query("scope != 'all tasks'").set_index(["term", "scope"])["verdict"].eq("holds")
     assert set(verdicts["risky"][verdicts["risky"]].index) == {"highway", "two-way", "intersection"}
     assert set(verdicts["regular"][~verdicts["regular"]].index) == {"two-way", "intersection"}
     away = crashes(study, tested_on="replica", scenarios="replica")
     assert [words for words in away.values() if words not in text] == []
+    away = study.means.query("tested_on == 'replica' and term == 'regular' and scope != 'all tasks'")
+    there = [f"{100 * x:+.0f}".replace("-", "−") for x in away.set_index("scope")["estimate"]]
+    assert f"(two-way road {there[1]}, roundabout and u-turn {there[2]})" in text and there[4] == there[2]
+    alone = study.policies.query("traffic == 'only-parameters'").pivot_table(
+        "crashed", ["task", "level_name"], "arm"
+    )
+    worse = alone.sub(alone["control"], axis=0)
+    assert (
+        f"treated agents {100 * worse.loc[('two-way', '5+2'), 'treatment']:.0f} points more on the two-way"
+        in text
+    )
+    assert (
+        f"two-way agents crash {100 * worse.loc[('two-way', '5+2'), 'mixed-seen']:.0f} points more often"
+        in text
+    )
+    assert worse.loc[["roundabout", "intersection"], ["treatment", "mixed"]].lt(0).all(axis=None)
     models = study.policies.query("traffic in ('krauss', 'eidm')").pivot_table(
         "crashed", ["task", "level_name", "traffic"], "arm"
     )
@@ -150,20 +194,43 @@ def test_the_second_study_is_told_as_it_was_found() -> None:
     change = study.learner.query("check == 'change'").set_index("arm")["estimate"]
     told_changes = "{control:.3f} of its range (control), {treatment:.3f} (treatment) and {mixed:.3f} (mixed)"
     assert told_changes.format(**change).replace("0.", ".") in text
-    gates = study.gates.assign(two_way=study.gates["task"] == "two-way")
-    bounded = gates[gates["two_way"]]["q_bounded"].astype(bool)
-    assert f"the values of {(~bounded).sum()} of {len(bounded)} agents" in text
-    elsewhere = gates[~gates["two_way"]]["passed"].astype(bool)
-    assert f"{elsewhere.sum()} of {len(elsewhere)} agents pass every gate" in text
-    dense = gates.query("task == 'roundabout' and level_name == '15'")
-    assert f"{(dense['failed'] == 'beats_constant').sum()} of {len(dense)} agents do not return more" in text
-    late = study.learner.query("check == 'last second' and task == 'roundabout' and arm == 'treatment'")
-    assert "1.4 times [1.0, 1.9]" in text
-    assert late[["estimate", "low", "high"]].round(1).values.tolist() == [[1.4, 1.0, 1.9]]
+    checks = study.learner
+    assert (len(checks), (checks["passed"] == True).sum()) == (11, 4)  # noqa: E712
+    assert "Of eleven checks of the learner, four are met." in text
+    gated = checks.query("check == 'gates'").iloc[0]
+    number, sound = gated["agents"], round(gated["agents"] * gated["estimate"])
+    assert f"{sound} of the plan's {number} agents pass every gate" in text
+    assert f"{sound} of {number} agents pass every check" in told("README.md")
+    unbounded = study.gates.query("q_bounded == False and arm in ('control', 'treatment', 'mixed')")
+    assert set(unbounded["task"]) == {"two-way"} and f"the values of {len(unbounded)}, on the two-way" in text
+    dense = study.gates.query("task == 'roundabout' and level_name == '15'")
+    assert (
+        f"{(dense['failed'] == 'beats_constant').sum()} of {len(dense)} agents are not clearly better" in text
+    )
+    late = checks.query("check == 'last second'").set_index(["task", "arm"])[["estimate", "low", "high"]]
+    assert "{:.2f} times [{:.2f}, {:.2f}] as often".format(*late.loc["roundabout", "treatment"]) in text
+    control = [f"{late.loc[(task, 'control'), 'estimate']:.2f}"[1:] for task in ("roundabout", "u-turn")]
+    assert "control agents there {} and on the u-turn {} times".format(*control) in text
     above = study.frontier.query("task == 'u-turn' and traffic == 'risky'").set_index("arm")
     row = 100 * above.loc["treatment", ["estimate", "low", "high"]].astype(float)
-    assert "(+{:.1f} points [{:.1f}, +{:.1f}])".format(*row).replace("-", "−") in text
-    assert f"crash {100 * above.loc['control', 'estimate']:.0f} points more often" in text
+    control = 100 * above.loc["control", "estimate"]
+    words = "(+{:.1f} points [{:.1f}, +{:.1f}], over agents; control agents +{:.0f})".format(*row, control)
+    assert words.replace("-", "−") in text
+    light = study.frontier.query("traffic == 'risky' and level == 1 and arm == 'treatment'").set_index("task")
+    assert f"on the light roundabout less (−{-100 * light.loc['roundabout', 'estimate']:.1f})" in text
+    assert set(light.index[light["inside"] == 0]) == {"highway", "two-way", "intersection"}
+    drives = load(ROOT / "results" / "second").episodes.query("kind == 'agent' and traffic == 'regular'")
+    enters = drives.query("task == 'roundabout' and level_name == '15'").groupby("arm")["distance"]
+    enters = enters.agg(lambda way: 100 * (way >= CROSSINGS["roundabout"]).mean())
+    assert (
+        "in {treatment:.0f} % of regular episodes, control agents in {control:.0f} %".format(**enters) in text
+    )
+    second_step = drives.query("task == 'intersection' and level_name == '30'").groupby("arm")["actions"]
+    faster = second_step.agg(lambda actions: 100 * (actions.str[1] == "2").mean())
+    assert (
+        "{treatment:.0f} % choose FASTER in the second step, control agents {control:.0f} %".format(**faster)
+        in text
+    )
 
 
 def test_the_second_studys_exploratory_arms_are_told_as_they_were_found() -> None:
@@ -178,12 +245,8 @@ def test_the_second_studys_exploratory_arms_are_told_as_they_were_found() -> Non
     assert drawn.idxmax() == "two-way" and f"on the two-way road +{100 * drawn.max():.0f}." in text
     tasks = rows.query("arm == 'mixed-seen'")["task"].unique()
     assert set(tasks) == {"two-way", "roundabout", "u-turn"}
-    same = rows[rows["task"].isin(tasks) & (rows["level"] == 1)].groupby(["arm", "term"])["estimate"].mean()
-    beside = [
-        f"{100 * same[arm, term]:+.1f}" for arm in ("treatment", "mixed") for term in ("risky", "regular")
-    ]
-    words = "treated agents have {} and {} and mixed ones {} and {}".format(*beside)
-    assert words.replace("-", "−") in text
+    words = "treated agents have {} and {} and mixed ones {} and {}"
+    assert words.format(*on_the_tasks_of_mixed_seen(study)) in text
     gates = study.gates.query("arm == 'mixed-seen' and task == 'two-way'")["q_bounded"].astype(bool)
     assert f"{(~gates).sum()} of {len(gates)} two-way agents exceed the bound" in text
 

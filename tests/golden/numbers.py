@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pandas as pd
 
 from experiments.analysis.analysis import Analysis, analyse
@@ -58,18 +59,13 @@ def write() -> None:
     found.sort_values(order)[[*order, "value"]].to_parquet(FILE, index=False, compression="zstd")
 
 
-def differences(now: pd.DataFrame, relative: float = 1e-9) -> list[str]:
-    """What the numbers of a folder are otherwise now, a line each."""
-    folder = now["folder"].iloc[0]
-    index = ["table", "key", "name"]
-    stored = pd.read_parquet(FILE)
-    stored = stored[stored["folder"] == folder]
-    then = stored.set_index(index)["value"]
+def differences(now: pd.DataFrame, relative: float = 1e-9) -> pd.DataFrame:
+    """The numbers of a folder that are otherwise now; -1e99 where there is none."""
+    index = ["folder", "table", "key", "name"]
+    then = pd.read_parquet(FILE).query("folder in @now.folder").set_index(index)["value"]
     now = now.set_index(index)["value"]
-    lines = [f"{row} is no longer there" for row in then.index.difference(now.index)]
-    lines += [f"{row} is new" for row in now.index.difference(then.index)]
-    both = then.index.intersection(now.index)
-    old, new = then.loc[both], now.loc[both]
+    every = then.index.union(now.index)
+    golden, new = (values.reindex(every, fill_value=-1e99) for values in (then, now))
     # Differences that are 0 in truth are rounding errors of the rates that they are of.
-    same = ((old - new).abs() <= relative * old.abs() + 1e-12) | (old.isna() & new.isna())
-    return lines + [f"{row}: {old[row]:.12g} was, {new[row]:.12g} is" for row in both[~same.to_numpy()]]
+    same = np.isclose(new, golden, rtol=relative, atol=1e-12, equal_nan=True)
+    return pd.DataFrame({"golden": golden, "now": new})[~same]

@@ -7,6 +7,7 @@ from typing import Any
 
 import gymnasium as gym
 import numpy as np
+import pandas as pd
 
 from agents.rules import make_policy
 from tests.golden.scenes import cells, make
@@ -26,12 +27,8 @@ def drive(task: str, level: str, risk: float) -> dict[str, Any]:
     env = make(task, level, risk)
     result = {}
     for ego in EGOS:
-        rows = np.array([episode(env, ego, seed) for seed in SEEDS])
-        error = rows.std(axis=0, ddof=1) / np.sqrt(len(rows))
-        result[ego] = {
-            name: [round(float(rows[:, k].mean()), 4), round(float(error[k]), 4)]
-            for k, name in enumerate(FLOOR)
-        }
+        rows = pd.DataFrame([episode(env, ego, seed) for seed in SEEDS], columns=list(FLOOR))
+        result[ego] = rows.agg(["mean", "sem"]).round(4).to_dict("list")
     env.close()
     return result
 

@@ -27,7 +27,7 @@ FOLDER = Path(__file__).resolve().parent
 WIDTH = 110
 
 
-PARTS = {"scenes": scenes.drive, "outcomes": outcomes.table}  # of a task: one file each
+PARTS = {"scenes": scenes.table, "outcomes": outcomes.table}  # of a task: one file each
 
 
 def pretty(value: Any, indent: int = 0) -> str:

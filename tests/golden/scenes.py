@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
+import pytest
 
 import sumo_env  # noqa: F401  (registers the environments)
 from sumo_env.scene import Scene
 from sumo_env.tasks import TASKS
+from tests.sumo_env.rollout import drive, leaves
 
 RISKS = (0.0, 1.0)
 SEEDS = (7, 8)
@@ -36,15 +38,14 @@ def make(task: str, level: str, risk: float) -> gym.Env[Any, Any]:
     return gym.make(f"sumo/{task}-v0", config={**TASKS[task].levels[level], "risk": risk})
 
 
-def drive(task: str) -> dict[str, Any]:
+def table(task: str) -> dict[str, Any]:
     """All cells and seeds of a task: name of the episode -> its steps, the state after the reset first."""
     result = {}
     for level, risk in cells(task):
         env = make(task, level, risk)
         for seed in SEEDS:
-            result[f"level {level}, risk {risk:g}, seed {seed}"] = episode(
-                env, seed, ACTIONS.get(task, DEFAULT_ACTIONS)
-            )
+            name = f"level {level}, risk {risk:g}, seed {seed}"
+            result[name] = episode(env, seed, ACTIONS.get(task, DEFAULT_ACTIONS))
         env.close()
     return result
 
@@ -57,20 +58,11 @@ def episode(env: gym.Env[Any, Any], seed: int, actions: tuple[int, ...]) -> list
     distance = np.hypot(scene.x - scene.x[0], scene.y - scene.y[0])
     followed = [scene.ids[row] for row in np.argsort(distance, kind="stable")[: NEAREST + 1]]
     steps = [{**state(scene, followed, scene), "observation": rounded(observation)}]
-    for action in actions:
-        before = inner.scene
-        observation, reward, terminated, truncated, _ = env.step(action)
-        steps.append(
-            {
-                "reward": rounded(reward),
-                "terminated": bool(terminated),
-                "truncated": bool(truncated),
-                **state(inner.scene, followed, before),
-                "observation": rounded(observation),
-            }
-        )
-        if terminated or truncated:
-            break
+    for observation, reward, terminated, truncated, _ in drive(env, actions):
+        ends = {"reward": rounded(reward), "terminated": bool(terminated), "truncated": bool(truncated)}
+        now = state(inner.scene, followed, scene)
+        steps.append({**ends, **now, "observation": rounded(observation)})
+        scene = inner.scene
     return steps
 
 
@@ -101,18 +93,13 @@ def rounded(values: Any) -> Any:
     return (np.round(np.asarray(values, dtype=float), DIGITS) + 0.0).tolist()
 
 
-def differences(now: Any, then: Any, tolerance: float = TOLERANCE, where: str = "") -> list[str]:
+def differences(now: Any, then: Any) -> list[str]:
     """Every place at which two JSON values differ: numbers by more than the tolerance, all else at all."""
-    if isinstance(now, Mapping) and isinstance(then, Mapping):
-        if list(now) != list(then):
-            return [f"{where}: {sorted(set(now) ^ set(then))} on one side only, or in another order"]
-        pairs = [(f"{where} / {key}" if where else str(key), now[key], then[key]) for key in now]
-    elif isinstance(now, list) and isinstance(then, list):
-        if len(now) != len(then):
-            return [f"{where}: {len(now)} entries, {len(then)} in the golden result"]
-        pairs = [(f"{where}[{k}]", *both) for k, both in enumerate(zip(now, then, strict=True))]
-    else:
-        numbers = all(isinstance(value, int | float) and not isinstance(value, bool) for value in (now, then))
-        equal = abs(now - then) <= tolerance if numbers else now == then
-        return [] if equal else [f"{where}: {now!r}, golden {then!r}"]
-    return [line for name, *both in pairs for line in differences(*both, tolerance, name)]
+    ours, golden = dict(leaves(now)), dict(leaves(then))
+    if list(ours) != list(golden):
+        return [f"{sorted(ours.keys() ^ golden.keys())} on one side only, or in another order"]
+    return [
+        f"{where}: {ours[where]!r}, golden {value!r}"
+        for where, value in golden.items()
+        if ours[where] != pytest.approx(value, abs=TOLERANCE)
+    ]

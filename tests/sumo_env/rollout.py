@@ -60,6 +60,15 @@ def digest(rows: np.ndarray) -> str:
     return hashlib.sha256(rows.tobytes()).hexdigest()
 
 
+def leaves(value: Any, where: str = "") -> Iterator[tuple[str, Any]]:
+    """The values in dictionaries and lists within each other, by the way to each."""
+    if isinstance(value, dict | list):
+        for key, inner in value.items() if isinstance(value, dict) else enumerate(value):
+            yield from leaves(inner, f"{where}/{key}")
+    else:
+        yield where, value
+
+
 def assert_same_bits(ours: Any, theirs: Any, left_out: Collection[str] = ()) -> None:
     """The same bits of the same types, in dictionaries and tuples too; entries `left_out` ours do not have."""
     if isinstance(ours, dict):

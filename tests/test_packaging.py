@@ -32,14 +32,16 @@ pytestmark = pytest.mark.slow
 
 
 @pytest.fixture(scope="module")
-def python(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The checkout, copied: a build leaves its files there."""
+    hidden = shutil.ignore_patterns(".*")
+    return shutil.copytree(ROOT, tmp_path_factory.mktemp("copy") / "source", symlinks=True, ignore=hidden)
+
+
+@pytest.fixture(scope="module")
+def python(source: Path) -> Path:
     """An environment's interpreter, with the wheel installed and its dependencies borrowed from ours."""
-    folder = tmp_path_factory.mktemp("wheel")
-    source = folder / "source"
-    shutil.copytree(
-        ROOT, source, symlinks=True, ignore=lambda _, names: {name for name in names if name.startswith(".")}
-        | ({"docs", "tests"} & set(names)),
-    )  # fmt: skip
+    folder = source.parent
     pip = [sys.executable, "-m", "pip", "--quiet", "--disable-pip-version-check"]
     options = ["--no-deps", "--no-index"]
     # without PYTHONPATH, in which pip would take the checkout for an installation
@@ -99,11 +101,7 @@ def test_a_copy_without_symbolic_links_is_not_built(tmp_path: Path) -> None:
     assert done.returncode != 0 and "core.symlinks" in done.stderr
 
 
-def test_the_source_distribution_holds_documentation_and_tests(tmp_path: Path) -> None:
-    source = tmp_path / "source"
-    shutil.copytree(
-        ROOT, source, symlinks=True, ignore=lambda _, names: {name for name in names if name.startswith(".")}
-    )
+def test_the_source_distribution_holds_documentation_and_tests(source: Path, tmp_path: Path) -> None:
     build = f"from setuptools import build_meta; build_meta.build_sdist({str(tmp_path)!r})"
     subprocess.run([sys.executable, "-c", build], cwd=source, check=True, capture_output=True)
     (archive,) = tmp_path.glob("*.tar.gz")

@@ -11,39 +11,32 @@ import pytest
 
 from sumo_env.networks import roads
 
-
-def _reference(task: str):
-    """highway-env's RoadNetwork of a task, built by its own `_make_road` without an environment."""
-    cls, arguments, config = {
-        "highway": (envs.HighwayEnv, {}, {"lanes_count": 4}),
-        "highway-2": (envs.HighwayEnv, {}, {"lanes_count": 2}),
-        "two-way": (envs.TwoWayEnv, {}, {}),
-        "two-way-533": (envs.TwoWayEnv, {"length": 1600 / 3}, {}),
-        "roundabout": (envs.RoundaboutEnv, {}, {}),
-        "intersection": (envs.IntersectionEnv, {}, {}),
-        "u-turn": (envs.UTurnEnv, {}, {}),
-    }[task]
-    config |= {"show_trajectories": False, "neighbour_vehicles_connected_lanes": False, "speed_limit": 30}
-    maker = "_create_road" if task.startswith("highway") else "_make_road"
-    env = SimpleNamespace(config=config, np_random=np.random.default_rng(0))
-    getattr(cls, maker)(env, **arguments)
-    return env.road.network
-
-
-OURS = {
-    "highway": roads.highway,
-    "highway-2": lambda: roads.highway(2),
-    "two-way": roads.two_way,
-    "two-way-533": lambda: roads.two_way(1600 / 3),
-    "roundabout": roads.roundabout,
-    "intersection": roads.intersection,
-    "u-turn": roads.u_turn,
+# Our road, and the environment of highway-env that has it, with the arguments and the configuration of its own.
+ROADS = {
+    "highway": (roads.highway(), envs.HighwayEnv, {}, {"lanes_count": 4}),
+    "highway-2": (roads.highway(2), envs.HighwayEnv, {}, {"lanes_count": 2}),
+    "two-way": (roads.two_way(), envs.TwoWayEnv, {}, {}),
+    "two-way-533": (roads.two_way(1600 / 3), envs.TwoWayEnv, {"length": 1600 / 3}, {}),
+    "roundabout": (roads.roundabout(), envs.RoundaboutEnv, {}, {}),
+    "intersection": (roads.intersection(), envs.IntersectionEnv, {}, {}),
+    "u-turn": (roads.u_turn(), envs.UTurnEnv, {}, {}),
 }
 
 
-@pytest.fixture(params=OURS)
+@pytest.fixture(params=ROADS)
 def pair(request):
-    return OURS[request.param](), _reference(request.param)
+    """A road, and highway-env's RoadNetwork of it, built by its own `_make_road` without an environment."""
+    ours, cls, arguments, config = ROADS[request.param]
+    config = {
+        **config,
+        "show_trajectories": False,
+        "neighbour_vehicles_connected_lanes": False,
+        "speed_limit": 30,
+    }
+    env = SimpleNamespace(config=config, np_random=np.random.default_rng(0))
+    make = cls._create_road if cls is envs.HighwayEnv else cls._make_road
+    make(env, **arguments)
+    return ours, env.road.network
 
 
 def _poses(network, rng, n):
@@ -101,10 +94,10 @@ def test_same_closest_lane(pair):
         assert ours.closest_lane(x, y) == theirs.get_closest_lane_index(position, None)
 
 
-@pytest.mark.parametrize("task", OURS)
-def test_the_closest_lane_is_the_first_of_all_with_the_least_distance(task):
+@pytest.mark.parametrize("name", ROADS)
+def test_the_closest_lane_is_the_first_of_all_with_the_least_distance(name):
     """Also far from the road, and where lanes are equally close, which is decided by their order."""
-    road = OURS[task]()
+    road = ROADS[name][0]
     rng = np.random.default_rng(5)
     anywhere = rng.uniform((-180, -180, -7), (180, 180, 7), (1500, 3))
     ties = rng.integers((-90, -15, -4), (90, 15, 4), (1500, 3)) * (1.0, 2.0, np.pi / 2)

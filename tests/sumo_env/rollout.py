@@ -6,6 +6,7 @@ import hashlib
 import json
 import sys
 from collections.abc import Collection, Iterable, Iterator
+from dataclasses import asdict, is_dataclass
 from itertools import repeat
 from typing import Any
 
@@ -36,10 +37,7 @@ def observations(env: Any, action: int = 1, seed: int = 0) -> list[np.ndarray]:
 
 def rollout(task: str, seed: int, config: dict[str, Any] | None = None) -> np.ndarray:
     """Observations, reward and ego state of one episode under pseudo-random actions, shape (steps + 1, values)."""
-    env = DrivingEnv(task, config)
-    rows = record(env, seed)
-    env.close()
-    return rows
+    return record(DrivingEnv(task, config), seed)
 
 
 def record(env: DrivingEnv, seed: int) -> np.ndarray:
@@ -71,6 +69,8 @@ def leaves(value: Any, where: str = "") -> Iterator[tuple[str, Any]]:
 
 def assert_same_bits(ours: Any, theirs: Any, left_out: Collection[str] = ()) -> None:
     """The same bits of the same types, in dictionaries and tuples too; entries `left_out` ours do not have."""
+    if is_dataclass(ours):
+        ours, theirs = asdict(ours), asdict(theirs)
     if isinstance(ours, dict):
         assert ours.keys() == {key for key in theirs if key.removeprefix("_") not in left_out}
         for key, value in ours.items():

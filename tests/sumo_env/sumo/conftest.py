@@ -23,20 +23,14 @@ def simulator() -> Iterator[SumoSimulator]:
 
 
 @pytest.fixture
-def start() -> Iterator[Callable[..., DrivingEnv]]:
-    """Makes an environment at the start of a scenario that a function has changed; the one before is closed."""
-    open_ones: list[DrivingEnv] = []
+def start(simulator: SumoSimulator) -> Callable[..., DrivingEnv]:
+    """Makes an environment at the start of a scenario that a function has changed."""
 
     def begin(
         task: str, change: Change = lambda scenario: scenario, seed: int = 0, **config: Any
     ) -> DrivingEnv:
-        while open_ones:
-            open_ones.pop().close()
-        env = DrivingEnv(task, config, simulator=SumoSimulator())
-        open_ones.append(env)
+        env = DrivingEnv(task, config, simulator=simulator)
         env.reset(seed=seed, options={"scenario": change(env.task.scenario(env.config, seed))})
         return env
 
-    yield begin
-    while open_ones:
-        open_ones.pop().close()
+    return begin

@@ -9,8 +9,6 @@ import os
 import pickle
 import signal
 import socket
-from collections.abc import Iterator
-from contextlib import closing
 from typing import Any
 
 import gymnasium as gym
@@ -23,39 +21,28 @@ from sumo_env.simulator import SimulatorError
 from sumo_env.sumo.process import SimulatorDied, SumoProcess
 from sumo_env.tasks import TASKS
 from tests.processes import children, descriptors, ends
-from tests.sumo_env.rollout import drive
+from tests.sumo_env.rollout import assert_same_bits, drive
 from tests.sumo_env.sumo.fake import COMMAND, FAKE, open_simulator, scenario
 
-Result = tuple[Any, ...]
 
-
-def assert_equal(one: Result, other: Result) -> None:
-    """Two results of `step`, to the last bit."""
-    assert one[0].tobytes() == other[0].tobytes()
-    assert one[1:4] == other[1:4] and repr(one[4]) == repr(other[4])
-
-
-def to_the_end(*envs: Any, seed: int = 0) -> int:
-    """Drive environments that are in one state by the same random actions; returns the number of steps."""
+def to_the_end(*envs: Any, seed: int = 0) -> None:
+    """Drive environments that are in one state by the same random actions, with equal results."""
     actions = np.random.default_rng(seed).integers(envs[0].action_space.n, size=100).tolist()
-    results = list(zip(*(drive(env, actions) for env in envs), strict=True))
-    for first, *others in results:
-        for result in others:
-            assert_equal(first, result)
+    for first, *others in zip(*(drive(env, actions) for env in envs), strict=True):
+        for other in others:
+            assert_same_bits(other, first)
     first, *others = [env.unwrapped.np_random.bit_generator.state for env in envs]
     assert all(state == first for state in others)
-    return len(results)
 
 
 @pytest.fixture
-def begun() -> Iterator[SumoProcess]:
+def begun() -> SumoProcess:
     """A worker, two steps into an episode of the fake simulator."""
     simulator = SumoProcess(FAKE)
     simulator.reset(scenario(3))
     for _ in range(2):
         simulator.step(COMMAND)
-    yield simulator
-    simulator.close()
+    return simulator
 
 
 # -- the same to the last bit ------------------------------------------------------------------------------
@@ -70,44 +57,30 @@ def attribute_by_attribute(env: Any) -> Any:
     return twin
 
 
-def check_copies(task: str, level: int, risk: float, seed: int, at: int = 2) -> None:
+# Every day in risky traffic, before a release in all.
+CASES = [
+    pytest.param(*case, marks=() if case[1:] == (0, 1.0, 2) else pytest.mark.long)
+    for case in itertools.product(TASKS, (0, -1), (0.0, 1.0), range(4))
+]
+
+
+@pytest.mark.parametrize(("task", "level", "risk", "seed"), CASES)
+def test_a_copy_goes_on_as_the_original(task: str, level: int, risk: float, seed: int) -> None:
     """Copies, a copy of a copy and one as rl-agents' planners make it, beside an environment that is never copied."""
     config = {**list(TASKS[task].levels.values())[level], "risk": risk}
     reference, env = (gym.make(f"sumo/{task}-v0", config=config) for _ in range(2))
     envs: list[Any] = [reference, env]
-    try:
-        for one in envs:
-            one.reset(seed=seed)
-        over = False
-        for _ in range(at):
-            results = [one.step(1) for one in envs]
-            over = over or results[0][2]
-        if over:
+    for one in envs:
+        one.reset(seed=seed)
+        if any(result[2] for result in drive(one, seed * [1])):
             return
-        envs += [attribute_by_attribute(env), copy.deepcopy(env)]
-        envs.append(copy.deepcopy(envs[-1]))
-        with closing(copy.deepcopy(env)) as elsewhere:
-            elsewhere.step(0)
-            to_the_end(*envs, seed=seed)
-        first, *others = [one.reset(seed=seed + 1)[0] for one in envs[1:]]  # a copy can be reset
-        assert all(np.array_equal(first, other) for other in others)
-    finally:
-        for one in envs:
-            one.close()
-
-
-@pytest.mark.parametrize(("task", "risk"), list(itertools.product(TASKS, (0.0, 1.0)))[::3])
-def test_a_copy_goes_on_as_the_original(task: str, risk: float) -> None:
-    check_copies(task, 0, risk, seed=4)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("seed", range(4))
-@pytest.mark.parametrize("risk", [0.0, 1.0])
-@pytest.mark.parametrize("level", [0, -1])
-@pytest.mark.parametrize("task", TASKS)
-def test_a_copy_goes_on_as_the_original_everywhere(task: str, level: int, risk: float, seed: int) -> None:
-    check_copies(task, level, risk, seed, at=seed)
+    envs += [attribute_by_attribute(env), copy.deepcopy(env)]
+    envs.append(copy.deepcopy(envs[-1]))
+    elsewhere = copy.deepcopy(env)
+    elsewhere.step(0)
+    to_the_end(*envs, seed=seed)
+    first, *others = [one.reset(seed=seed + 1)[0] for one in envs[1:]]  # a copy can be reset
+    assert all(np.array_equal(first, other) for other in others)
 
 
 # -- what planners do --------------------------------------------------------------------------------------
@@ -137,8 +110,6 @@ def test_an_imagined_copy_has_the_past_and_another_future() -> None:
     for command in first._commands:
         step = again.step(command)
     np.testing.assert_array_equal(step.scene.x, first.scene.x)
-    for one in (env, same, first, second, again):
-        one.close()
 
 
 def test_without_risk_nothing_is_imagined() -> None:
@@ -148,9 +119,7 @@ def test_without_risk_nothing_is_imagined() -> None:
     early = copy.deepcopy(env)
     np.testing.assert_array_equal(env.reset(seed=0)[0], early.reset(seed=0)[0])
     twin = env.imagine(7)
-    assert_equal(env.step(3), twin.step(3))
-    for one in (env, early, twin):
-        one.close()
+    assert_same_bits(env.step(3), twin.step(3))
 
 
 # -- ends --------------------------------------------------------------------------------------------------
@@ -163,7 +132,6 @@ def test_a_killed_copy_leaves_the_others_alone(begun: SumoProcess) -> None:
         twin.step(COMMAND)
     begun.step(COMMAND)
     assert twin.reset(scenario(4)).time == 0.0  # in a worker of its own
-    twin.close()
 
 
 def test_a_killed_original_leaves_its_copies_alone(begun: SumoProcess) -> None:
@@ -178,7 +146,6 @@ def test_a_killed_original_leaves_its_copies_alone(begun: SumoProcess) -> None:
     assert third.step(COMMAND).scene.time == twin.step(COMMAND).scene.time == 3.0
     twin.close()
     assert third.step(COMMAND).scene.time == 4.0
-    third.close()
 
 
 def test_ctrl_c_while_a_copy_is_made(begun: SumoProcess, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -228,7 +195,6 @@ def test_options_that_forbid_copies(options: list[str], tmp_path, monkeypatch) -
     env.reset(seed=0)
     with pytest.raises(TypeError, match=f"{options[0][:9]}.* cannot be copied"):
         copy.deepcopy(env)
-    env.close()
 
 
 def test_a_simulation_that_was_changed_through_libsumo_is_not_copied() -> None:
@@ -241,7 +207,6 @@ def test_a_simulation_that_was_changed_through_libsumo_is_not_copied() -> None:
         copy.deepcopy(env)
     assert not result[2]
     env.step(1)  # it goes on
-    env.close()
 
 
 def test_environments_are_not_pickled() -> None:
@@ -250,4 +215,3 @@ def test_environments_are_not_pickled() -> None:
             one.reset(seed=0)
         with pytest.raises(TypeError, match=r"cannot be pickled.*copy.deepcopy"):
             pickle.dumps(one)
-        one.close()

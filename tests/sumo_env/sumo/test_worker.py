@@ -30,30 +30,21 @@ from tests.sumo_env.sumo.fake import (
 )
 
 
-@pytest.fixture(scope="module")
-def shared() -> Iterator[SumoProcess]:
-    """One worker for all tests that do not ask for its end."""
-    simulator = SumoProcess(FAKE)
-    yield simulator
-    simulator.close()
-
-
-@pytest.fixture
-def simulator(shared: SumoProcess) -> SumoProcess:
-    shared.reset(scenario())
-    return shared
-
-
 @pytest.fixture(autouse=True)
-def nothing_is_left(request: pytest.FixtureRequest) -> Iterator[None]:
+def nothing_is_left() -> Iterator[None]:
     """No file descriptors, once a test and its simulators are over."""
-    if "shared" in request.fixturenames or "simulator" in request.fixturenames:
-        request.getfixturevalue("simulator")
     gc.collect()
     before = descriptors()
     yield
     gc.collect()
     assert descriptors() == before
+
+
+@pytest.fixture
+def simulator() -> Iterator[SumoProcess]:
+    simulator = SumoProcess(FAKE)
+    yield simulator
+    simulator.close()
 
 
 # -- the protocol ------------------------------------------------------------------------------------------
@@ -65,17 +56,14 @@ def test_large_messages_travel(simulator: SumoProcess) -> None:
     assert len(step.trace) == 3 and len(step.trace[2]) == 50_001
 
 
-def test_a_step_needs_a_reset() -> None:
-    for simulator in (SumoProcess(FAKE), open_simulator()):
-        with pytest.raises(RuntimeError, match=r"call reset\(\) before step\(\)"):
-            simulator.step(COMMAND)
+def test_a_step_needs_a_reset(simulator: SumoProcess) -> None:
+    with pytest.raises(RuntimeError, match=r"call reset\(\) before step\(\)"):
+        simulator.step(COMMAND)
 
 
-def test_what_the_simulator_prints_does_not_disturb(capfd: pytest.CaptureFixture[str]) -> None:
-    simulator = SumoProcess(FAKE)
+def test_what_the_simulator_prints_does_not_disturb(simulator, capfd) -> None:
     simulator.reset(scenario(PRINTS))
     assert simulator.step(COMMAND).distance == COMMAND.target_speed
-    simulator.close()
     assert capfd.readouterr() == ("SUMO says something\nand so does C++\n", "")
 
 
@@ -90,8 +78,8 @@ def test_what_the_simulator_prints_does_not_disturb(capfd: pytest.CaptureFixture
     ],
 )
 def test_an_error_is_told_with_its_place_and_the_worker_goes_on(simulator, seed, error, message) -> None:
-    pid = simulator.pid
     simulator.reset(scenario(seed))
+    pid = simulator.pid
     with pytest.raises(error, match=message) as caught:
         simulator.step(COMMAND)
     assert "fake.py" in caught.value.__notes__[0]
@@ -103,14 +91,12 @@ def test_a_simulator_that_cannot_be_made_is_an_error_of_the_reset() -> None:
     simulator = SumoProcess("tests.sumo_env.sumo.fake:NoSuchSimulator")
     with pytest.raises(AttributeError, match="NoSuchSimulator"):
         simulator.reset(scenario())
-    simulator.close()
 
 
 # -- deaths ------------------------------------------------------------------------------------------------
 
 
-def test_a_killed_worker_is_told_and_replaced() -> None:
-    simulator = SumoProcess(FAKE)
+def test_a_killed_worker_is_told_and_replaced(simulator: SumoProcess) -> None:
     simulator.reset(scenario(7))
     simulator.step(COMMAND)
     old = simulator.pid
@@ -125,19 +111,16 @@ def test_a_killed_worker_is_told_and_replaced() -> None:
     simulator.reset(scenario(8))
     assert simulator.pid != old
     assert simulator.step(COMMAND).scene.time == 1.0
-    simulator.close()
 
 
-def test_a_scenario_that_kills_every_worker_is_an_error() -> None:
-    simulator = SumoProcess(FAKE)
+def test_a_scenario_that_kills_every_worker_is_an_error(simulator: SumoProcess) -> None:
     with pytest.raises(
         SimulatorDied, match=f"SIGSEGV: the reset of highway .scenario seed {CRASHES_AT_RESET}"
     ):
         simulator.reset(scenario(CRASHES_AT_RESET))
 
 
-def test_a_silent_worker_is_killed() -> None:
-    simulator = SumoProcess(FAKE)
+def test_a_silent_worker_is_killed(simulator: SumoProcess) -> None:
     simulator.reset(scenario(HANGS))
     pid = simulator.pid
     simulator.timeout = 0.2  # [s]
@@ -146,9 +129,8 @@ def test_a_silent_worker_is_killed() -> None:
     assert not is_alive(pid)
 
 
-def test_an_interrupted_step_ends_the_episode() -> None:
+def test_an_interrupted_step_ends_the_episode(simulator: SumoProcess) -> None:
     """The answer to it must not be taken for that to the next request."""
-    simulator = SumoProcess(FAKE)
     simulator.reset(scenario(HANGS))
     timer = threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGINT))
     timer.start()
@@ -158,14 +140,12 @@ def test_an_interrupted_step_ends_the_episode() -> None:
     with pytest.raises(SimulatorDied, match="has ended; call reset"):
         simulator.step(COMMAND)
     assert simulator.reset(scenario()).time == 0.0
-    simulator.close()
 
 
 # -- the end of workers ------------------------------------------------------------------------------------
 
 
-def test_closing_ends_the_worker_and_may_be_repeated() -> None:
-    simulator = SumoProcess(FAKE)
+def test_closing_ends_the_worker_and_may_be_repeated(simulator: SumoProcess) -> None:
     simulator.close()
     simulator.reset(scenario())
     pid = simulator.pid
@@ -173,7 +153,6 @@ def test_closing_ends_the_worker_and_may_be_repeated() -> None:
     simulator.close()
     assert not is_alive(pid)
     simulator.reset(scenario())  # as a simulator in this process could be
-    simulator.close()
 
 
 def test_a_forgotten_simulator_ends_its_worker() -> None:
@@ -244,8 +223,6 @@ def test_the_first_is_in_this_process_and_further_ones_are_not() -> None:
         simulator.reset(scenario(seed))
     assert [in_this_process(one) for one in (first, second, third)] == [False, True, False]
     assert {one.step(COMMAND).scene.x[-1] for one in (second, first, third)} == {0.0, 1.0, 2.0}
-    for one in (first, second, third):
-        one.close()
 
 
 def test_closing_or_forgetting_the_first_frees_it() -> None:
@@ -262,8 +239,6 @@ def test_closing_or_forgetting_the_first_frees_it() -> None:
     assert not in_this_process(first)  # stays where it is
     third.reset(scenario())
     assert in_this_process(third)
-    first.close()
-    third.close()
 
 
 def test_threads_do_not_share_it() -> None:
@@ -282,7 +257,6 @@ def test_threads_do_not_share_it() -> None:
     assert sum(in_this_process(one) for one in simulators) == 1
     for index, one in enumerate(simulators):
         assert one.step(COMMAND).scene.x[-1] == index
-        one.close()
 
 
 def test_a_forked_process_has_its_own_workers(tmp_path: Path) -> None:

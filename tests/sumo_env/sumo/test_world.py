@@ -10,12 +10,11 @@ import numpy as np
 import pytest
 
 from sumo_env.env import DrivingEnv
-from sumo_env.scene import Scene
 from sumo_env.simulator import EgoCommand, SimulatorError
 from sumo_env.sumo.world import SumoSimulator
 from sumo_env.tasks import TASKS
 from sumo_env.traffic.scenario import EGO_DISTANCE, Scenario, Spawn
-from tests.sumo_env.rollout import drive
+from tests.sumo_env.rollout import assert_same_bits, drive
 from tests.sumo_env.scenarios import alone, draw, with_leader
 
 Start = Callable[..., DrivingEnv]
@@ -47,7 +46,7 @@ def test_looking_at_every_sub_step_changes_nothing(task: str, simulator: SumoSim
         for _ in range(4):
             step = simulator.step(EgoCommand(scenario.ego.target_speed, scenario.ego.lane), trace=trace)
         scenes.append(step.scene)
-    assert_equal(*scenes)
+    assert_same_bits(*scenes)
 
 
 @pytest.mark.parametrize("task", TASKS)
@@ -189,7 +188,7 @@ def test_no_risk_event_happens_before_the_episode(simulator: SumoSimulator) -> N
     for seed in range(5):
         scenario = draw("intersection", seed, risk=1.0, initial_vehicle_count=20)
         assert scenario.events
-        assert_equal(simulator.reset(scenario), simulator.reset(replace(scenario, events=())))
+        assert_same_bits(simulator.reset(scenario), simulator.reset(replace(scenario, events=())))
 
 
 def test_a_vehicle_is_let_in_unless_another_is_within_15_metres(simulator: SumoSimulator) -> None:
@@ -254,11 +253,4 @@ def test_the_doses_of_earlier_episodes_cost_nothing_and_change_nothing(simulator
     simulator._session.forget()
     simulator.reset(draw("u-turn", risk=doses[-1]))
     for scene in scenes:
-        assert_equal(scene, simulator.step(command).scene)
-
-
-def assert_equal(one: Scene, other: Scene) -> None:
-    """Bit for bit."""
-    assert (one.ids, one.time) == (other.ids, other.time)
-    for field in ("x", "y", "speed", "heading", "crashed"):
-        np.testing.assert_array_equal(getattr(one, field), getattr(other, field))
+        assert_same_bits(scene, simulator.step(command).scene)

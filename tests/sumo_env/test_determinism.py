@@ -27,7 +27,6 @@ def test_twice_in_one_process(task: str, risk: float) -> None:
     for other in range(3):
         record(env, other)
     np.testing.assert_array_equal(record(env, 11), first)
-    env.close()
 
 
 def test_in_another_process_and_another_order() -> None:
@@ -46,7 +45,6 @@ def test_dose_zero_is_regular_traffic(task: str) -> None:
     assert not np.array_equal(record(env, 3), regular)
     env.configure({"risk": 0.0})
     np.testing.assert_array_equal(record(env, 3), regular)
-    env.close()
 
 
 @pytest.mark.parametrize("task", TASKS)
@@ -68,7 +66,6 @@ def test_agents_meet_the_same_scenarios(task: str) -> None:
             env.reset()
             drawn.append(env.scenario)
         scenarios.append(drawn)
-        env.close()
     # how often a second is computed is the one thing that differs, and no matter of chance
     scenarios[2] = [replace(scenario, simulation_frequency=10) for scenario in scenarios[2]]
     assert scenarios[0][0] == scenarios[1][0] == scenarios[2][0]

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import warnings
-from collections.abc import Iterator
 from typing import Any
 
 import gymnasium as gym
@@ -27,10 +26,8 @@ META_ACTION = {"type": "DiscreteMetaAction"}
 
 
 @pytest.fixture
-def highway() -> Iterator[gym.Env[Any, Any]]:
-    env = gym.make("sumo/highway-v0", config={"vehicles_count": 10})
-    yield env
-    env.close()
+def highway() -> gym.Env[Any, Any]:
+    return gym.make("sumo/highway-v0", config={"vehicles_count": 10})
 
 
 @pytest.mark.parametrize("risk", [0.0, 1.0])
@@ -56,7 +53,6 @@ def test_an_episode_ends_within_its_duration(id: str) -> None:
             assert terminated == (info["crashed"] or info["arrived"])
         assert len(results) <= duration
         assert results[-1][3] == (len(results) == duration)
-    env.close()
 
 
 # -- configuration -----------------------------------------------------------------------------------------
@@ -216,7 +212,6 @@ def test_an_episode_may_start_from_a_given_scenario() -> None:
     np.testing.assert_array_equal(env.reset(seed=5, options={"scenario": other})[0], observation)
     env.reset(seed=0)
     assert env.scenario != other
-    env.close()
 
 
 def test_info_holds_plain_values(highway: gym.Env[Any, Any]) -> None:

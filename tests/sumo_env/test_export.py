@@ -66,7 +66,6 @@ def test_sumo_shows_the_episode_with_its_cars(task: str, tmp_path: Path) -> None
     assert float(last["ego"]["y"]) == pytest.approx(-env.scene.y[0] - 2.5 * math.sin(heading), abs=1e-3)
     assert max(distances(recorded, opened(folder / "episode.sumocfg")).values()) < 0.1
     assert_the_window_shows(folder, recorded, env)
-    env.close()
 
 
 def assert_the_window_shows(folder: Path, recorded: Rows, env: DrivingEnv) -> None:
@@ -91,7 +90,6 @@ def test_the_other_backends_export_as_well(backend: str, tmp_path: Path) -> None
     recorded = floating_car_data(tmp_path / "recorded.fcd.xml")
     assert len(recorded) == 1 + len(env._commands if backend == "replica" else range(env.steps // 15)) * 15
     assert max(distances(recorded, opened(tmp_path / "episode.sumocfg")).values()) < 0.1
-    env.close()
 
 
 def test_an_export_leaves_the_episode_as_it_is(tmp_path: Path) -> None:
@@ -104,7 +102,6 @@ def test_an_export_leaves_the_episode_as_it_is(tmp_path: Path) -> None:
         rewards.append(env.step(1)[1])
         env.export(tmp_path / str(number))
     assert rewards == expected
-    env.close()
 
 
 def test_there_is_nothing_to_export_before_a_reset(tmp_path: Path) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
 
 import gymnasium as gym
 import numpy as np
@@ -51,11 +50,10 @@ RL_AGENTS: dict[str, tuple[str, Config]] = {
 
 
 @pytest.fixture
-def highway() -> Iterator[DrivingEnv]:
+def highway() -> DrivingEnv:
     env = DrivingEnv("highway", {"vehicles_count": 10, "initial_lane_id": 0})
     env.reset(seed=0)
-    yield env
-    env.close()
+    return env
 
 
 # -- configurations ----------------------------------------------------------------------------------------
@@ -72,7 +70,6 @@ def test_the_whole_configuration_of_highway_env_is_accepted(task: str, recwarn) 
     assert {key for key in shared if env.config[key] != theirs[key]} == set()
     assert env.config["simulation_frequency"] == 15
     env.step(1)
-    env.close()
     assert [str(warning.message) for warning in recwarn] == []
 
 
@@ -85,7 +82,6 @@ def test_configurations_of_rl_agents_are_accepted(name: str, recwarn: pytest.War
     env.unwrapped.configure(json.loads(file))
     observation, _ = env.reset()
     assert env.observation_space.contains(observation)  # of the wrapped environment
-    env.close()
     assert [str(w.message) for w in recwarn if "env.reset()" not in str(w.message)] == []
 
 
@@ -112,7 +108,6 @@ def test_numbers_may_be_numpys() -> None:
     env.config["vehicles_count"] = np.int16(4)
     env.reset(seed=0)
     assert len(env.scenario.vehicles) == 4
-    env.close()
 
 
 def test_coarse_steps_are_refined() -> None:
@@ -122,7 +117,6 @@ def test_coarse_steps_are_refined() -> None:
     assert env.scenario.simulation_frequency == 6
     assert [env.step(1)[3] for _ in range(4)] == [False, False, False, True]
     assert env.scene.time == pytest.approx(2.0)
-    env.close()
 
 
 # -- subclasses --------------------------------------------------------------------------------------------
@@ -163,7 +157,6 @@ def test_overridden_methods_are_called() -> None:
     env.configure({"bonus": 7.0})
     with pytest.raises(ConfigError, match="did you mean 'bonus'"):
         env.configure({"bonos": 7.0})
-    env.close()
 
 
 @pytest.mark.parametrize("method", ["_make_road", "has_arrived"])
@@ -190,7 +183,6 @@ def test_vehicles_and_road_can_be_read(id: str) -> None:
         assert [vehicle.id for vehicle in env.road.vehicles] == list(env.scene.ids)
         np.testing.assert_allclose(ego.velocity, ego.speed * ego.direction)
         assert env.road.network.get_closest_lane_index(ego.position, ego.heading) == ego.lane_index
-    env.close()
 
 
 def test_what_is_read_cannot_be_written(highway: DrivingEnv) -> None:

@@ -59,11 +59,8 @@ def test_a_task_is_registered_and_driven() -> None:
     assert info["rewards"] == {"progress": env.ego_state.s / 100.0}
     assert max(env.scene.speed[1:]) < 9.01  # SUMO obeys the vehicle type, which would drive 20 m/s else
     assert {vehicle.lane_index[2] for vehicle in env.road.vehicles[1:]} == {0, 1}
-    for made in (first, second):
-        made.close()
     envs = gym.make_vec("test/slalom-v0", num_envs=2, config={"gap": 80.0})
     assert envs.reset(seed=0)[0].shape == (2, 5, 5)
-    envs.close()
     del gym.registry["test/slalom-v0"]
 
 
@@ -104,7 +101,6 @@ def test_lorries_of_their_own_size(tmp_path: Path) -> None:
         for kind in ElementTree.parse(tmp_path / "types.add.xml").iter("vType")
     }
     assert types["car-12x2.5"] == "12" and types["car"] is None
-    env.close()
 
 
 @pytest.mark.parametrize(
@@ -167,7 +163,6 @@ def test_values_that_sumo_refuses_are_an_error_of_the_reset(capfd: pytest.Captur
         with pytest.raises(SimulatorError, match=r"What it says is above.*vehicle types"):
             env.reset(seed=0)
         assert words in capfd.readouterr().err
-        env.close()
 
 
 # -- options -----------------------------------------------------------------------------------------------
@@ -215,4 +210,3 @@ def test_a_mistyped_option_is_named() -> None:
     env = DrivingEnv("highway", sumo_options=["--tripinfo-outptu", "trips.xml"])
     with pytest.raises(SimulatorError, match=r"--tripinfo-outptu=trips\.xml"):
         env.reset(seed=0)
-    env.close()

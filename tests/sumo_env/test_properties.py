@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import math
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -80,7 +79,6 @@ def drive_or_refuse(task: str, config: dict[str, Any]) -> None:
         assert math.isfinite(reward)
         if terminated or truncated:
             break
-    env.close()
 
 
 @settings(PROPERTY, max_examples=100)
@@ -97,10 +95,8 @@ def test_many_configurations_are_driven_or_refused_in_one_line(case: tuple[str, 
 
 
 @pytest.fixture(scope="module")
-def env() -> Iterator[DrivingEnv]:
-    env = DrivingEnv("u-turn")
-    yield env
-    env.close()
+def env() -> DrivingEnv:
+    return DrivingEnv("u-turn")
 
 
 ACTIONS = NUMBERS | JUNK | st.integers() | st.integers(0, 4).map(np.int64) | st.integers(0, 4).map(np.array)

@@ -87,7 +87,6 @@ def episodes(task: str, number: int) -> Iterator[tuple[Truth, DrivingEnv, list[S
             if truth.ego:  # what follows is decided by what became of the two
                 break
         yield truth, env, trace
-    env.close()
 
 
 # 300 episodes of each task bring a thousand contacts.

@@ -25,7 +25,6 @@ def test_every_task_renders_in_its_size(id: str) -> None:
     assert picture.shape == (config["screen_height"], config["screen_width"], 3)
     colours = {tuple(colour) for colour in picture.reshape(-1, 3).tolist()}
     assert {GROUND, ASPHALT, WHITE, EGO, OTHER} <= colours
-    env.close()
 
 
 def test_without_a_render_mode_there_is_a_warning_and_no_picture() -> None:

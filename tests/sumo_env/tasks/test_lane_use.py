@@ -53,7 +53,6 @@ def test_where_a_lane_forks_the_ego_takes_the_way_that_leads_on(tmp_path: Path, 
     results = [(env.vehicle.target_lane_index, info["arrived"]) for *_, info in drive(env, seed=0)]
     assert results[-1][1]
     assert {index for index, _ in results if index[0] == "bc:from"} == {files.lane("bc", 1 - lane)}
-    env.close()
 
 
 @pytest.mark.parametrize(("lane", "ends"), [(0, {0, 1}), (1, {2})])
@@ -68,7 +67,6 @@ def test_connections_decide_which_lane_follows(tmp_path: Path, lane: int, ends: 
     for _ in drive(env, 250 * [1]):
         driven |= {env.vehicle.lane_index[2]} if env.vehicle.lane_index[0] == "bc:from" else set()
     assert len(driven) == 1 and driven <= ends  # no lane change that nobody has asked for
-    env.close()
 
 
 def starts(env: SumoDrivingEnv, seed: int) -> int:
@@ -101,7 +99,6 @@ def test_vehicles_drive_where_their_class_may(tmp_path: Path) -> None:
     assert env.get_available_actions() == [1, 3]  # neither the bus lane nor the bicycles'
     assert env.scene.sizes["b"] == (12.0, 2.5) and env.scene.sizes["k"] == (1.6, 0.65)
     env.export(tmp_path / "episode")
-    env.close()
     assert opened(tmp_path / "episode" / "episode.sumocfg")
 
 

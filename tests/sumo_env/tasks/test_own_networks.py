@@ -95,8 +95,6 @@ def test_a_generated_network_is_driven(blocks: Path, risk: float) -> None:
     np.testing.assert_array_equal(observations(other, 1, seed=3), first)
     picture = env.render()
     assert len(np.unique(picture.reshape(-1, 3), axis=0)) > 4
-    other.close()
-    env.close()
 
 
 def test_the_ego_arrives_in_the_lane_that_leads_on_and_misses_its_turn_in_the_other(blocks: Path) -> None:
@@ -104,7 +102,6 @@ def test_the_ego_arrives_in_the_lane_that_leads_on_and_misses_its_turn_in_the_ot
     keeps = 60 * [1]
     assert endings(env, range(2), [2, 2, *keeps]) == {"arrived_reward"}  # a right turn, from the right lane
     assert endings(env, range(2), [0, 0, *keeps]) == {"missed_turn_reward"}
-    env.close()
 
 
 def test_a_network_written_by_hand_with_its_demand(merge: Path) -> None:
@@ -120,7 +117,6 @@ def test_a_network_written_by_hand_with_its_demand(merge: Path) -> None:
     assert dict(lorry.driver.attributes)["carFollowModel"] == "Krauss"
     assert lorry.lane == files.lane("main", 1)  # the right one
     assert lorry.s == pytest.approx(117.5)
-    env.close()
 
 
 @pytest.mark.parametrize(

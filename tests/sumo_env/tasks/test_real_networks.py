@@ -72,7 +72,6 @@ def test_a_compressed_network_is_driven(town: Path) -> None:
         town, [["A0A1", "A1A2"], ["C0C1", "C1B1"]], ["A0B0", "B0B1", "B1C1"], {"duration": 12}
     )
     assert endings(env, range(3)) <= {"collision_reward", "arrived_reward", "missed_turn_reward", "time"}
-    env.close()
 
 
 def test_the_closest_of_many_lanes_is_the_first_with_the_least_distance(town: Path) -> None:
@@ -90,7 +89,6 @@ def test_edges_of_a_metre_are_driven_and_turns_missed_beyond_them(pieces: Path) 
     env = SumoDrivingEnv(pieces, [WAY], WAY, QUIET)
     assert endings(env, range(2), 60 * [2]) == {"arrived_reward"}  # keeps to the right
     assert endings(env, range(2), 60 * [0]) == {"missed_turn_reward"}
-    env.close()
 
 
 def test_vehicles_depart_from_edges_of_a_metre(pieces: Path, tmp_path: Path) -> None:
@@ -99,7 +97,6 @@ def test_vehicles_depart_from_edges_of_a_metre(pieces: Path, tmp_path: Path) -> 
     env.reset(seed=0)
     assert env.road.vehicles[1].id == "v"
     assert env.road.vehicles[1].position[0] < 201.0
-    env.close()
 
 
 def test_routes_that_are_too_short_or_circles_are_refused(pieces: Path, town: Path) -> None:
@@ -137,5 +134,4 @@ def test_every_network_that_comes_with_sumo_is_driven_or_has_no_lane_for_cars(ne
             assert "ego_route" in str(error)  # too short
             continue
         endings(env, range(3))
-        env.close()
         driven += 1

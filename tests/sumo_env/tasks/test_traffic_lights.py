@@ -25,11 +25,8 @@ FASTER, IDLE = 3, 1
 def infos(seed: int = 1, **config: Any) -> Iterator[dict[str, Any]]:
     """Of an episode at full speed, straight on, ten times a second."""
     env = SumoDrivingEnv(CROSSING, [["em", "mw"]], ["sm", "mn"], {**QUIET, **config})
-    try:
-        yield env.reset(seed=seed)[1]
-        yield from (result[4] for result in drive(env, chain([FASTER], repeat(IDLE))))
-    finally:
-        env.close()
+    yield env.reset(seed=seed)[1]
+    yield from (result[4] for result in drive(env, chain([FASTER], repeat(IDLE))))
 
 
 def entered(episode: list[dict[str, Any]]) -> int:

@@ -18,11 +18,7 @@ from tests.sumo_env.rollout import assert_same_bits
 ENVS = 4
 LEFT_OUT = {"rewards", "crash", "traffic_light", "traffic_light_distance"}  # of the single environment's info
 SEE_BEHIND = {"type": "Kinematics", "see_behind": True, "features": ["x", "cos_h"]}
-ENDS = [(task, level) for task in TASKS for level in (0, -1)]  # lightest and densest traffic
-
-
-def level(task: str, index: int) -> dict[str, Any]:
-    return list(TASKS[task].levels.values())[index]
+SEEDED = {"scenarios": "seeded"}
 
 
 def pair(task: str, mode: str = "NextStep", threads: int = 1, **keywords: Any) -> tuple[Any, Any]:
@@ -57,23 +53,6 @@ def drive_both(envs: tuple[Any, Any], steps: int, seed: int) -> int:
     return ended
 
 
-@pytest.mark.parametrize("risk", [0.0, 1.0])
-@pytest.mark.parametrize(("task", "index"), ENDS)
-def test_seeded_episodes_are_those_of_single_environments(task: str, index: int, risk: float) -> None:
-    envs = pair(task, scenarios="seeded", config={**level(task, index), "risk": risk})
-    assert_equal(*(env.reset(seed=7) for env in envs))
-    assert drive_both(envs, 50, seed=7) >= 2 * ENVS
-
-
-@pytest.mark.parametrize("task", [*TASKS, "highway-fast"])
-def test_highway_envs_episodes_are_those_of_single_environments(task: str) -> None:
-    """Arrivals at the intersection included, which highway-env draws during an episode."""
-    kinematics = {"observation": {"type": "Kinematics"}} if task in OBSERVATIONS else {}
-    envs = pair(task, config=kinematics)
-    assert_equal(*(env.reset(seed=3) for env in envs))
-    assert drive_both(envs, 40, seed=3) >= ENVS
-
-
 @pytest.mark.parametrize("mode", ["NextStep", "SameStep", "Disabled"])
 @pytest.mark.parametrize("threads", [1, 2])
 def test_autoreset_and_threads(mode: str, threads: int) -> None:
@@ -89,29 +68,35 @@ def test_autoreset_and_threads(mode: str, threads: int) -> None:
     assert drive_both(envs, 12, seed=3) > ENVS
 
 
-@pytest.mark.parametrize(
-    ("task", "keywords"),
-    [
-        ("highway", {"config": {"offroad_terminal": True, "normalize_reward": False}}),
-        ("highway", {"config": {"action": {"type": "DiscreteMetaAction", "longitudinal": False}}}),
-        ("intersection", {"config": {"normalize_reward": True, "policy_frequency": 3}}),
-        (
-            "intersection",
-            {
-                "scenarios": "highway-env",
-                "config": {"neighbour_vehicles_connected_lanes": True, "destination": None},
-            },
-        ),
-        ("roundabout", {"variant": "path", "config": {"risk": 0.7}}),
-        ("roundabout", {"risk_law": "linear", "config": {"risk": 0.7}}),
-        ("u-turn", {"variant": "connected", "config": {"observation": SEE_BEHIND}}),
-    ],
-    ids=str,
-)
-def test_options(task: str, keywords: dict[str, Any]) -> None:
-    envs = pair(task, **{"scenarios": "seeded", **keywords})
-    assert_equal(*(env.reset(seed=11) for env in envs))
-    drive_both(envs, 25, seed=11)
+CASES: list[tuple[str, dict[str, Any]]] = [
+    # lightest and densest traffic of every task
+    *(
+        (task, {**SEEDED, "config": {**list(TASKS[task].levels.values())[index], "risk": risk}})
+        for task in TASKS
+        for index in (0, -1)
+        for risk in (0.0, 1.0)
+    ),
+    # highway-env's episodes, with the arrivals at the intersection, which it draws during an episode
+    *(
+        (task, {"config": {"observation": {"type": "Kinematics"}} if task in OBSERVATIONS else {}})
+        for task in (*TASKS, "highway-fast")
+    ),
+    ("intersection", {"config": {"neighbour_vehicles_connected_lanes": True, "destination": None}}),
+    # options
+    ("highway", {**SEEDED, "config": {"offroad_terminal": True, "normalize_reward": False}}),
+    ("highway", {**SEEDED, "config": {"action": {"type": "DiscreteMetaAction", "longitudinal": False}}}),
+    ("intersection", {**SEEDED, "config": {"normalize_reward": True, "policy_frequency": 3}}),
+    ("roundabout", {**SEEDED, "variant": "path", "config": {"risk": 0.7}}),
+    ("roundabout", {**SEEDED, "risk_law": "linear", "config": {"risk": 0.7}}),
+    ("u-turn", {**SEEDED, "variant": "connected", "config": {"observation": SEE_BEHIND}}),
+]
+
+
+@pytest.mark.parametrize(("task", "keywords"), CASES, ids=str)
+def test_episodes_are_those_of_single_environments(task: str, keywords: dict[str, Any]) -> None:
+    envs = pair(task, **keywords)
+    assert_equal(*(env.reset(seed=7) for env in envs))
+    assert drive_both(envs, 80, seed=7) >= 2 * ENVS
 
 
 @pytest.mark.parametrize(

@@ -31,6 +31,11 @@ def make(task: str, **config: Any) -> ScenarioEnv:
     return ENVIRONMENTS[task]({**SMALL.get(task, {}), **config})
 
 
+def stock(task: str) -> Any:
+    """highway-env's own environment of a task."""
+    return ENVIRONMENTS[task].__mro__[2]
+
+
 def ego_state(env: ScenarioEnv, action: int | None) -> EgoState:
     """As `DrivingEnv` derives it, on our own road; the lane has to be the one that highway-env found."""
     ego, scene = env.vehicle, env._scene()

@@ -17,7 +17,7 @@ import sumo_env
 from sumo_env.config import ConfigError
 from sumo_env.env import DrivingEnv
 from sumo_env.tasks import TASKS
-from tests.sumo_env.rollout import drive
+from tests.sumo_env.rollout import drive, leaves
 
 # highway-env's observation boxes are unbounded tables as well
 EXPECTED_WARNINGS = ("minimum value is -infinity", "maximum value is infinity", "unconventional shape")
@@ -80,20 +80,15 @@ def test_an_episode_ends_within_its_duration(id: str) -> None:
         ("highway", {"observation": {"type": "Kinematics", "order": "random"}}, "known: shuffled, sorted"),
         ("highway", {"observation": {"type": "Kinematics", "features_range": {"x": 100}}}, "low, high"),
         ("highway", [("vehicles_count", 3)], "must be a dict"),
-        ("highway", {"policy_frequency": 0.5}, "whole number"),
         ("highway", {"ego_spacing": 1e9}, "not on route"),
         ("highway", {"reward_speed_range": [0, 0]}, "two different speeds"),
         ("highway", {"collision_reward": 0.5}, "cannot be normalised"),
         ("roundabout", {"high_speed_reward": -1}, "cannot be normalised"),
-        ("u-turn", {"collision_reward": 0.5}, "cannot be normalised"),
         ("u-turn", {"simulation_frequency": 10**9}, "must lie in"),
         ("highway", {"observation": {"type": "Kinematics", "features": object}}, "list of names"),
-        ("highway", {"observation": {"type": "Kinematics", "features_range": "yes"}}, "low, high"),
         ("highway", {"observation": {"type": "Kinematics", "vehicles_count": 10**9}}, "from 1 to 10000"),
         ("highway", {"observation": {"type": "Kinematics", "features_range": {"vx": [0, 0]}}}, "low, high"),
-        ("highway", {"lanes_count": 10**9}, "must lie in"),
         ("highway", {"vehicles_count": 10**9}, "must lie in"),
-        ("two-way", {"duration": 1e9}, "must lie in"),
         # what rl-agents' configurations of other tasks have
         ("highway", {"other_vehicles_type": "highway_env.vehicle.behavior.LinearVehicle"}, "SUMO drives"),
         (
@@ -217,21 +212,13 @@ def test_an_episode_may_start_from_a_given_scenario() -> None:
 def test_info_holds_plain_values(highway: gym.Env[Any, Any]) -> None:
     """The same keys and types always, at a crash too, so that libraries can merge and store them."""
 
-    def structure(info: dict[str, Any]) -> dict[str, Any]:
-        return {
-            key: structure(value) if isinstance(value, dict) else type(value) for key, value in info.items()
-        }
-
-    def numbers(info: dict[str, Any]) -> list[float]:
-        inner = [numbers(value) if isinstance(value, dict) else [value] for value in info.values()]
-        return [value for values in inner for value in values if not isinstance(value, str)]
-
     infos = []
     for seed in range(3):
         infos.append(highway.reset(seed=seed)[1])
         infos += [result[4] for result in drive(highway, 3)]
-    assert {repr(structure(info)) for info in infos} == {repr(structure(infos[0]))}
-    assert not np.isnan([numbers(info) for info in infos]).any()
+    kinds = [[(where, type(value)) for where, value in leaves(info)] for info in infos]
+    assert all(kind == kinds[0] for kind in kinds)
+    assert all(value == value for info in infos for _, value in leaves(info))  # which NaN is not
     assert {info["crashed"] for info in infos} == {True, False}
     for info in infos:
         assert info["cost"] == float(info["crashed"]) and (info["crash"]["other"] != "") == info["crashed"]

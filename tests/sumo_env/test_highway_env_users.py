@@ -7,19 +7,13 @@ import json
 import gymnasium as gym
 import numpy as np
 import pytest
-from highway_env import envs
 
 import sumo_env
 from sumo_env.config import Config, ConfigError
 from sumo_env.env import DrivingEnv
+from sumo_env.tasks import TASKS
+from tests.sumo_env.parity import stock
 
-ORIGINALS = {
-    "highway": envs.HighwayEnv,
-    "two-way": envs.TwoWayEnv,
-    "roundabout": envs.RoundaboutEnv,
-    "intersection": envs.IntersectionEnv,
-    "u-turn": envs.UTurnEnv,
-}
 CROSSING = {
     "type": "Kinematics",
     "vehicles_count": 15,
@@ -59,10 +53,10 @@ def highway() -> DrivingEnv:
 # -- configurations ----------------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("task", ORIGINALS)
+@pytest.mark.parametrize("task", TASKS)
 def test_the_whole_configuration_of_highway_env_is_accepted(task: str, recwarn) -> None:
     """In silence, and what it says is what the environment then has."""
-    theirs = ORIGINALS[task].default_config()
+    theirs = stock(task).default_config()
     env = DrivingEnv(task, theirs)
     observation, _ = env.reset(seed=0)
     assert env.observation_space.contains(observation)

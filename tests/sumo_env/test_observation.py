@@ -6,7 +6,6 @@ import copy
 from typing import Any
 
 import gymnasium as gym
-import highway_env  # noqa: F401  (registers its environments)
 import numpy as np
 import pytest
 from highway_env.envs.common.observation import ObservationType, observation_factory
@@ -18,15 +17,8 @@ from sumo_env.interface import interface
 from sumo_env.observation import TimeToCollision
 from sumo_env.tasks import TASKS
 
-from .parity import ego_state, episodes, make, scatter
+from .parity import ego_state, episodes, make, scatter, stock
 
-STOCK = {
-    "highway": "highway-v0",
-    "two-way": "two-way-v0",
-    "roundabout": "roundabout-v1",
-    "intersection": "intersection-v2",
-    "u-turn": "u-turn-v1",
-}
 ALL_FEATURES = [
     "presence", "x", "y", "vx", "vy", "heading", "cos_h", "sin_h", "cos_d", "sin_d", "long_off", "lat_off", "ang_off",
 ]  # fmt: skip
@@ -97,15 +89,15 @@ def test_equal_in_random_states(task: str) -> None:
 
 @pytest.mark.parametrize("task", TASKS)
 def test_spaces_are_those_of_highway_env(task: str) -> None:
-    stock = gym.make(STOCK[task], config={"vehicles_count": 5}).unwrapped
+    theirs = stock(task)({"vehicles_count": 5})
     for frequency in (1, 3):
         for observation in (*KINEMATICS, *GRIDS):
             chosen = {"observation": observation, "policy_frequency": frequency, "simulation_frequency": 15}
-            stock.configure(copy.deepcopy(chosen))
-            stock.define_spaces()
+            theirs.configure(copy.deepcopy(chosen))
+            theirs.define_spaces()
             own = interface(TASKS[task], resolve(task, TASKS[task].defaults, chosen))
-            assert own.observation_type.space == stock.observation_space
-            assert gym.spaces.Discrete(len(own.actions)) == stock.action_space
+            assert own.observation_type.space == theirs.observation_space
+            assert gym.spaces.Discrete(len(own.actions)) == theirs.action_space
 
 
 @pytest.mark.parametrize(
@@ -114,11 +106,11 @@ def test_spaces_are_those_of_highway_env(task: str) -> None:
 @pytest.mark.parametrize("task", TASKS)
 def test_actions_are_those_of_highway_env(task: str, action: dict[str, Any]) -> None:
     chosen = {"action": {"type": "DiscreteMetaAction", "target_speeds": [0, 8, 16], **action}}
-    stock = gym.make(STOCK[task], config={"vehicles_count": 5, **chosen}).unwrapped
+    theirs = stock(task)({"vehicles_count": 5, **chosen})
     own = interface(TASKS[task], resolve(task, TASKS[task].defaults, chosen))
-    assert gym.spaces.Discrete(len(own.actions)) == stock.action_space
-    assert own.actions == stock.action_type.actions
-    assert list(own.target_speeds) == list(stock.action_type.target_speeds)
+    assert gym.spaces.Discrete(len(own.actions)) == theirs.action_space
+    assert own.actions == theirs.action_type.actions
+    assert list(own.target_speeds) == list(theirs.action_type.target_speeds)
 
 
 @pytest.mark.parametrize("task", TASKS)

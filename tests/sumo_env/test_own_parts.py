@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,7 @@ from sumo_env.simulator import SimulatorError
 from sumo_env.tasks.base import ego_driver, make_on_lane
 from sumo_env.tasks.highway import Highway
 from tests.sumo_env.rollout import drive, observations
-from tests.sumo_env.scenarios import drivers
+from tests.sumo_env.scenarios import draw, drivers, with_leader
 
 # -- tasks and drivers -------------------------------------------------------------------------------------
 
@@ -73,19 +74,11 @@ def test_a_task_on_a_road_of_the_five_runs_on_the_replica() -> None:
 def test_lorries_of_their_own_size(tmp_path: Path) -> None:
     """The ego runs into a lorry at its rear, 6 m from its centre, and the picture and the export show its size."""
 
-    class Lorry(Highway):
-        name = "lorry"
-
-        def vehicles(self, config: Any, road: Any, ego: Any, rng: Any, drivers: Any) -> list[Any]:
-            (spec,) = super().vehicles({**config, "vehicles_count": 1}, road, ego, rng, drivers)
-            driver = spec.driver.like(
-                "lorry", {"length": 12.0, "width": 2.5, "maxSpeed": 5}, lane_change_mode=0
-            )
-            place = {"lane": ego.lane, "s": ego.s + 60.0, "x": ego.x + 60.0, "y": ego.y}
-            return [spec._replace(**place, speed=5.0, target_speed=5.0, driver=driver)]
-
-    env = DrivingEnv(Lorry(), render_mode="rgb_array")
-    env.reset(seed=0)
+    scenario = with_leader(60.0, 5.0)(draw("highway"))
+    (spec,) = scenario.vehicles
+    lorry = spec.driver.like("lorry", {"length": 12.0, "width": 2.5, "maxSpeed": 5}, lane_change_mode=0)
+    env = DrivingEnv("highway", render_mode="rgb_array")
+    env.reset(options={"scenario": replace(scenario, vehicles=(spec._replace(driver=lorry),))})
     assert env.scene.size("v0") == (12.0, 2.5)
     assert env.scene.x[1] - env.scene.x[0] == pytest.approx(60.0, abs=0.01)
     assert env.road.vehicles[1].LENGTH == 12.0
@@ -118,25 +111,26 @@ def test_attributes_that_sumo_would_ignore_are_named(attributes, message) -> Non
         drivers("highway", 0.0)[0].like("odd", attributes)
 
 
-def test_mistakes_in_a_task_of_ones_own_are_named() -> None:
-    class Wrong(Slalom):
-        ego_lane, names = 0, ("v0", "v1")
+def highway(change: Callable[[Any], Any]) -> Highway:
+    """The highway, with its vehicles as a function changes them."""
 
-        def ego(self, config: Any, road: Any, rng: Any) -> Any:
-            return make_on_lane(road, "ego", ("0", "1", self.ego_lane), 10.0, 9.0, ego_driver(self))
-
+    class Changed(Highway):
         def vehicles(self, *arguments: Any) -> list[Any]:
-            specs = super().vehicles(*arguments)
-            return [spec._replace(id=name) for spec, name in zip(specs, self.names, strict=False)]
+            return [change(spec) for spec in super().vehicles(*arguments)]
 
-    for changes, message in (
-        ({"ego_lane": 9}, r"'ego' cannot be placed: the road 'highway' has no lane \('0', '1', 9\)"),
-        ({"names": ("v0", "v0")}, "two vehicles of the task 'slalom' are called 'v0'"),
-        ({"names": ("ego",)}, "two vehicles of the task 'slalom' are called 'ego'"),
-    ):
-        env = DrivingEnv(type("Mine", (Wrong,), changes)())
-        with pytest.raises(ConfigError, match=message):
+    return Changed()
+
+
+def test_mistakes_in_a_task_of_ones_own_are_named() -> None:
+    for name in ("v0", "ego"):
+        env = DrivingEnv(highway(lambda spec, name=name: spec._replace(id=name)))
+        with pytest.raises(ConfigError, match=f"two vehicles of the task 'highway' are called '{name}'"):
             env.reset(seed=0)
+    task = Highway()
+    with pytest.raises(
+        ConfigError, match=r"'ego' cannot be placed: the road 'highway' has no lane \('0', '1', 9\)"
+    ):
+        make_on_lane(task.road(task.defaults), "ego", ("0", "1", 9), 10.0, 9.0, ego_driver(task))
 
 
 def test_a_class_in_place_of_a_task_is_named() -> None:
@@ -146,23 +140,19 @@ def test_a_class_in_place_of_a_task_is_named() -> None:
         sumo_env.register("test/class-v0", Highway)
 
 
-def test_values_that_sumo_refuses_are_an_error_of_the_reset(capfd: pytest.CaptureFixture[str]) -> None:
-    class Wrong(Slalom):
-        def vehicles(self, *arguments: Any) -> list[Any]:
-            return [
-                spec._replace(driver=spec.driver.like("odd", self.attributes))
-                for spec in super().vehicles(*arguments)
-            ]
-
-    for attributes, words in (
+@pytest.mark.parametrize(
+    ("attributes", "words"),
+    [
         ({"carFollowModel": "Kraus"}, "Unknown car following model 'Kraus'"),
         ({"tau": -1.0}, "tau. Must be greater than 0"),
         ({"accel": "fast"}, "accel. Cannot be parsed to float"),
-    ):
-        env = DrivingEnv(type("Mine", (Wrong,), {"attributes": attributes})())
-        with pytest.raises(SimulatorError, match=r"What it says is above.*vehicle types"):
-            env.reset(seed=0)
-        assert words in capfd.readouterr().err
+    ],
+)
+def test_values_that_sumo_refuses_are_an_error_of_the_reset(attributes, words, capfd) -> None:
+    env = DrivingEnv(highway(lambda spec: spec._replace(driver=spec.driver.like("odd", attributes))))
+    with pytest.raises(SimulatorError, match=r"What it says is above.*vehicle types"):
+        env.reset(seed=0)
+    assert words in capfd.readouterr().err
 
 
 # -- options -----------------------------------------------------------------------------------------------
@@ -170,27 +160,25 @@ def test_values_that_sumo_refuses_are_an_error_of_the_reset(capfd: pytest.Captur
 
 @pytest.mark.slow
 def test_sumo_writes_its_files(tmp_path: Path) -> None:
-    """Of an environment in this process, and of one in a worker."""
-    envs = []
-    for number in range(2):
-        trips, detectors = tmp_path / f"trips{number}.xml", tmp_path / f"loop{number}.add.xml"
-        loop = (
-            f'<inductionLoop id="loop" lane="0-1_0" pos="400" period="1" file="{tmp_path}/loop{number}.xml"/>'
-        )
-        detectors.write_text(f"<additional>{loop}</additional>")
+    """Of an environment in this process, and of one in a worker; what these show is what they show without."""
+    files = [(tmp_path / f"trips{k}.xml", tmp_path / f"loop{k}.xml") for k in range(2)]
+    envs = [gym.make("sumo/highway-v0", config={"vehicles_count": 5})]
+    for trips, loop in files:
+        detectors = loop.with_suffix(".add.xml")
+        element = f'<inductionLoop id="loop" lane="0-1_0" pos="400" period="1" file="{loop}"/>'
+        detectors.write_text(f"<additional>{element}</additional>")
         options = ["--tripinfo-output", str(trips), "--tripinfo-output.write-unfinished"]
         options.append(f"--additional-files={detectors}")
-        envs.append(gym.make("sumo/highway-v0", config={"vehicles_count": 5}, sumo_options=options))
-    plain = gym.make("sumo/highway-v0", config={"vehicles_count": 5})
-    seen = [observations(env) for env in (*envs, plain)]
-    np.testing.assert_array_equal(seen[0], seen[2])  # they change nothing
-    np.testing.assert_array_equal(seen[1], seen[2])
-    for env in (*envs, plain):
+        envs.insert(0, gym.make("sumo/highway-v0", config={"vehicles_count": 5}, sumo_options=options))
+    *seen, plain = [observations(env) for env in envs]
+    for one in seen:
+        np.testing.assert_array_equal(one, plain)
+    for env in envs:
         env.close()
-    for number in range(2):
-        trips = ElementTree.parse(tmp_path / f"trips{number}.xml").findall("tripinfo")
-        assert {trip.get("id") for trip in trips} == {"ego", *(f"v{k}" for k in range(5))}
-        assert ElementTree.parse(tmp_path / f"loop{number}.xml").findall("interval")
+    for trips, loop in files:
+        known = {trip.get("id") for trip in ElementTree.parse(trips).findall("tripinfo")}
+        assert known == {"ego", *(f"v{k}" for k in range(5))}
+        assert ElementTree.parse(loop).findall("interval")
 
 
 @pytest.mark.parametrize(

@@ -63,8 +63,9 @@ def configs(draw: st.DrawFn) -> tuple[str, dict[str, Any]]:
     return task, {key: draw(like(key, known[key])) for key in keys}
 
 
-def drive_or_refuse(task: str, config: dict[str, Any]) -> None:
+def drive_or_refuse(case: tuple[str, dict[str, Any]]) -> None:
     """Drive the first steps, unless the configuration is refused in one line."""
+    task, config = case
     given = copy.deepcopy(config)
     try:
         env = DrivingEnv(task, config)
@@ -81,17 +82,9 @@ def drive_or_refuse(task: str, config: dict[str, Any]) -> None:
             break
 
 
-@settings(PROPERTY, max_examples=100)
-@given(case=configs())
-def test_a_configuration_is_driven_or_refused_in_one_line(case: tuple[str, dict[str, Any]]) -> None:
-    drive_or_refuse(*case)
-
-
-@pytest.mark.long
-@settings(PROPERTY, max_examples=3000)
-@given(case=configs())
-def test_many_configurations_are_driven_or_refused_in_one_line(case: tuple[str, dict[str, Any]]) -> None:
-    drive_or_refuse(*case)
+@pytest.mark.parametrize("count", [100, pytest.param(3000, marks=pytest.mark.long)])
+def test_a_configuration_is_driven_or_refused_in_one_line(count: int) -> None:
+    settings(PROPERTY, max_examples=count)(given(configs())(drive_or_refuse))()
 
 
 @pytest.fixture(scope="module")

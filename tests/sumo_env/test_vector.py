@@ -34,13 +34,11 @@ def envs(shared: SumoVectorEnv) -> SumoVectorEnv:
 
 
 def simulator(envs: SumoVectorEnv, index: int) -> SumoProcess:
-    env = envs.envs[index].unwrapped
-    return env._simulator
+    return envs.envs[index].unwrapped._simulator
 
 
 def kill(envs: SumoVectorEnv, index: int) -> None:
-    pid = simulator(envs, index).pid
-    os.kill(pid, signal.SIGKILL)
+    os.kill(simulator(envs, index).pid, signal.SIGKILL)
 
 
 @pytest.mark.parametrize("kwargs", [{}, {"autoreset_mode": "SameStep"}], ids=str)

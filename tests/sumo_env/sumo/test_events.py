@@ -12,7 +12,7 @@ from sumo_env.simulator import EgoCommand
 from sumo_env.sumo.session import COMMANDED_LANE_CHANGES, OWN_LANE_CHANGES, REGULAR
 from sumo_env.sumo.world import SumoSimulator
 from sumo_env.traffic.risk import FREE_WAY, RiskEvent
-from tests.sumo_env.scenarios import draw
+from tests.sumo_env.scenarios import draw, with_leader
 
 
 @pytest.mark.parametrize("task", ["highway", "two-way"])
@@ -104,18 +104,17 @@ def test_a_surge_accelerates_where_the_way_is_free(simulator: SumoSimulator, tas
 
 def test_nothing_happens_to_a_crashed_vehicle(simulator: SumoSimulator) -> None:
     """A surge after the crash does not move it."""
-    scenario = draw("highway", initial_lane_id=1)
-    ego, other = scenario.ego, scenario.vehicles[0]
-    ahead = other._replace(lane=ego.lane, s=ego.s + 9.0, x=ego.x + 9.0, y=ego.y, speed=5.0, target_speed=5.0)
+    scenario = with_leader(9.0, 5.0)(draw("highway", initial_lane_id=1))
+    (ahead,) = scenario.vehicles
     events = (
         RiskEvent(2.0, ahead.id, "surge", accel=4.0, duration=2.0),
         RiskEvent(2.5, ahead.id, "cut-in", direction=1),
     )
     scenes = []
     for chosen in (events, ()):
-        simulator.reset(replace(scenario, vehicles=(ahead,), events=chosen))
+        simulator.reset(replace(scenario, events=chosen))
         for _ in range(5):
-            step = simulator.step(EgoCommand(25.0, ego.lane))
+            step = simulator.step(EgoCommand(25.0, scenario.ego.lane))
         assert step.scene.crashed.all()
         scenes.append(step.scene)
     np.testing.assert_array_equal(scenes[0].x, scenes[1].x)

@@ -15,6 +15,7 @@ from sumo_env.sumo.session import COMMANDED_LANE_CHANGES, NO_RIGHT_OF_WAY, OWN_L
 from sumo_env.sumo.world import SumoSimulator
 from sumo_env.tasks import TASKS, get_task
 from sumo_env.traffic.scenario import Scenario
+from tests.sumo_env.rollout import drive
 from tests.sumo_env.scenarios import draw, drivers
 
 Start = Callable[..., DrivingEnv]
@@ -93,15 +94,10 @@ def test_only_the_ego_crashed_vehicles_and_those_in_an_event_are_commanded(
     seen: set[str] = set()
     for seed in range(4):
         env = start(task, seed=seed, **crowded)
-        scenario = env.scenario
-        placed = {name for _, name in commands}
-        assert placed >= set(env.scene.ids)  # the recording works
-        over = False
-        while not over:
-            before = set(env.scene.ids)
-            commands.clear()
-            _, _, terminated, truncated, _ = env.step(IDLE)
-            over = terminated or truncated
+        assert {name for _, name in commands} >= set(env.scene.ids)  # the recording works
+        before = set(env.scene.ids)
+        commands.clear()
+        for _ in drive(env, IDLE):
             scene = env.scene
             coming = {name for function, name in commands if function == "add"}
             gone = {name for function, name in commands if function == "remove"}
@@ -111,12 +107,13 @@ def test_only_the_ego_crashed_vehicles_and_those_in_an_event_are_commanded(
                 if function != "remove" and not (name in coming and function in PLACING)
             }
             crashed = {name for name, is_crashed in zip(scene.ids, scene.crashed, strict=True) if is_crashed}
-            eventful = {event.vehicle for event in scenario.events if event.time < scene.time}
+            eventful = {event.vehicle for event in env.scenario.events if event.time < scene.time}
             assert "ego" in commanded
             assert commanded <= {"ego"} | crashed | eventful
             assert gone <= before and not coming & before
             seen |= commanded
-        commands.clear()
+            before = set(scene.ids)
+            commands.clear()
     if risk:
         assert len(seen) > 1  # at least one event
 

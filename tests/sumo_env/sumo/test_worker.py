@@ -9,6 +9,7 @@ import subprocess
 import threading
 import time
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
@@ -249,11 +250,8 @@ def test_threads_do_not_share_it() -> None:
         barrier.wait()
         simulators[index].reset(scenario(index))
 
-    threads = [threading.Thread(target=reset, args=(index,)) for index in range(len(simulators))]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
+    with ThreadPoolExecutor(len(simulators)) as pool:
+        list(pool.map(reset, range(len(simulators))))
     assert sum(in_this_process(one) for one in simulators) == 1
     for index, one in enumerate(simulators):
         assert one.step(COMMAND).scene.x[-1] == index

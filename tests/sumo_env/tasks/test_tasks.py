@@ -7,10 +7,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from experiments.backends.highway_env import ENVIRONMENTS, ScenarioEnv
+from experiments.backends.highway_env import ScenarioEnv
 from sumo_env.tasks import TASKS
 from sumo_env.tasks.intersection import _two_arms
-from tests.sumo_env.parity import Step, ego_state, episodes, make, scatter
+from tests.sumo_env.parity import Step, ego_state, episodes, make, scatter, stock
 
 # Keys of highway-env whose default we have chosen otherwise (docs/environments).
 OWN_CHOICE = {"two-way": {"observation"}, "u-turn": {"observation", "screen_width", "screen_height"}}
@@ -31,18 +31,13 @@ WEIGHTS: dict[str, dict[str, Any]] = {
 LADDER = {"action": {"type": "DiscreteMetaAction", "target_speeds": [5, 10, 15, 20, 25]}}
 
 
-def stock_config(task: str) -> dict[str, Any]:
-    """The defaults of highway-env's own environment of the task."""
-    return ENVIRONMENTS[task].__mro__[2].default_config()
-
-
 @pytest.mark.parametrize("task", TASKS)
 def test_defaults_are_those_of_highway_env(task: str) -> None:
-    stock, own = stock_config(task), TASKS[task].defaults
-    for key in (own.keys() & stock.keys()) - OWN_CHOICE.get(task, set()) - {"action"}:
-        assert own[key] == stock[key], key
+    theirs, own = stock(task).default_config(), TASKS[task].defaults
+    for key in (own.keys() & theirs.keys()) - OWN_CHOICE.get(task, set()) - {"action"}:
+        assert own[key] == theirs[key], key
     defaults = {"longitudinal": True, "lateral": True}
-    assert {**defaults, **own["action"]} == {**defaults, **stock["action"]}
+    assert {**defaults, **own["action"]} == {**defaults, **theirs["action"]}
 
 
 def assert_same_judgement(step: Step) -> None:

@@ -23,65 +23,60 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
-from functools import partial
 from importlib.util import find_spec
 from multiprocessing import get_context
-from operator import itemgetter
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 import pandas as pd
 import tyro
-from rich.console import Console
-from rich.table import Table
 
 from experiments.study.grid import choose_tasks
 from experiments.support.errors import run_command, unknown, writing
 from experiments.support.files import write_json
 from experiments.support.provenance import provenance
-from experiments.timed import Process
+from experiments.timed import Driver, Process
 from sumo_env.tasks import TASKS
 
-SCHEMA = 5
-REFERENCE = "highway-env"
+SCHEMA = 6
 # highway-env's own code alone, whose drivers see beyond the ends of their lanes; 15 Hz is its own frequency.
 REFERENCE_CONFIG = {"variant": "connected", "simulation_frequency": 15}
 BACKENDS = {"sumo": (10, 15), "replica": (15,)}  # and the frequencies that they are driven at [Hz]
 STORED = 10_000  # random transitions in the learner's replay
 SEEDS = 100  # whose first observations are compared
+BATCH = 64  # environments
 TURNS, SECONDS = 9, 1.0  # of each comparison; of a slice
 QUICK_TURNS, QUICK_SECONDS = 3, 0.2
 Record = dict[str, Any]  # a line of a part's table and of benchmark.json
 
 
-def in_turns(sides: Mapping[str, Callable[[], Any]], turns: int) -> pd.DataFrame:
-    """The rate of each side, a column, in every turn, a row."""
-    return pd.DataFrame([{side: measure() for side, measure in sides.items()} for _ in range(turns)])
+def beside(rates: pd.DataFrame) -> list[Record]:
+    """Each side (a column): the median of its rate over the turns (rows), and of its ratio to the first side's."""
+    ratios = rates.div(rates.iloc[:, 0], axis="index")
+    medians = {"steps_per_second": rates.median(), "ratio": ratios.median()}
+    return pd.DataFrame(medians).rename_axis("of").reset_index().to_dict("records")
 
 
-def beside(rates: pd.DataFrame, side: str) -> Record:
-    """Medians over the turns of a side's rate, highway-env's, and of their ratio."""
-    ratios = rates[side] / rates[REFERENCE]
-    medians = {"steps_per_second": rates[side], "highway_env": rates[REFERENCE], "ratio": ratios}
-    return {name: float(values.median()) for name, values in medians.items()}
+def in_turns(
+    sides: Mapping[str, tuple[Any, ...]], turns: int, seconds: float, clock: str = "processor"
+) -> Iterator[tuple[Driver, Record]]:
+    """Drivers in turns, each in a process that ends afterwards, with its line.
 
-
-def opened(stack: ExitStack, kind: str, *arguments: Any) -> Any:
-    """A Driver or Batch of `timed` in a process that ends with the stack."""
-    process = stack.enter_context(Process(ctx=get_context("spawn")))
-    return getattr(process, kind)(*arguments)
-
-
-def drivers_beside(
-    sides: Mapping[str, tuple[Any, ...]], what: str, turns: int, seconds: float
-) -> Iterator[tuple[Any, Record]]:
-    """Environments in turns, each beside highway-env's: the Driver and its line. sides: arguments of Driver by name."""
+    Args:
+        sides: by name the arguments of `Driver`; the others are compared with the first.
+        clock: "processor" or "wall".
+    """
     with ExitStack() as stack:
-        drivers = {side: opened(stack, "Driver", *arguments) for side, arguments in sides.items()}
-        rates = in_turns({side: partial(driver.rate, seconds) for side, driver in drivers.items()}, turns)
-        for side, driver in drivers.items():
-            yield driver, {"of": f"{side}, {what}", **beside(rates, side)}
+        drivers = {
+            side: stack.enter_context(Process(ctx=get_context("spawn"))).Driver(*arguments)
+            for side, arguments in sides.items()
+        }
+        rates = pd.DataFrame(
+            {side: driver.rate(seconds)[clock == "wall"] for side, driver in drivers.items()}
+            for _ in range(turns)
+        )
+        yield from zip(drivers.values(), beside(rates), strict=True)
 
 
 def has_envpool() -> bool:
@@ -93,14 +88,14 @@ def measure_env(task: str, turns: int, seconds: float) -> Iterator[Record]:
     """Steps per second in the lightest and the densest traffic, at highway-env's frequency and at SUMO's own."""
     levels = TASKS[task].levels
     for name in (next(iter(levels)), next(reversed(levels))):
-        sides = {REFERENCE: (REFERENCE, task, {**levels[name], **REFERENCE_CONFIG})}
+        of = f"{task} {name}"
+        sides = {f"highway-env, {of}": ("highway-env", task, {**levels[name], **REFERENCE_CONFIG})}
         for backend, frequencies in BACKENDS.items():
             for hertz in frequencies:
                 config = {**levels[name], "simulation_frequency": hertz}
-                sides[f"{backend} {hertz} Hz"] = backend, task, config
-        for driver, line in drivers_beside(sides, f"{task} {name}", turns, seconds):
-            if not line["of"].startswith(REFERENCE):
-                yield {**line, "reset_ms": driver.reset_ms()}
+                sides[f"{backend} {hertz} Hz, {of}"] = backend, task, config
+        for driver, line in in_turns(sides, turns, seconds):
+            yield {**line, "reset_ms": driver.reset_ms()}
 
 
 def measure_start(task: str, turns: int, seconds: float) -> Iterator[Record]:
@@ -142,40 +137,25 @@ def measure_peers(task: str, turns: int, seconds: float) -> Iterator[Record]:
 
     `distinct` is the number of different first observations of SEEDS seeds, `idle_crash_rate` that of always IDLE.
     """
-    names = [REFERENCE, *(["envpool"] if has_envpool() else []), "replica", "sumo"]
-    if "envpool" not in names:
-        print("EnvPool is left out: pip install envpool", file=sys.stderr)
-    for peer, line in drivers_beside({name: (name, task) for name in names}, task, turns, seconds):
-        crashes = peer.idle_crash_rate(round(100 * seconds))
-        yield {**line, "distinct": peer.distinct(SEEDS), "idle_crash_rate": crashes}
+    names = ["highway-env", *(["envpool"] if has_envpool() else []), "replica", "sumo"]
+    for driver, line in in_turns({f"{name}, {task}": (name, task) for name in names}, turns, seconds):
+        crashes = driver.idle_crash_rate(round(100 * seconds))
+        yield {**line, "distinct": driver.distinct(SEEDS), "idle_crash_rate": crashes}
 
 
 def measure_batches(task: str, turns: int, seconds: float) -> Iterator[Record]:
-    """64 environments of the replica in one call, beside 64 of EnvPool if it is there, and on two threads.
+    """64 environments of the replica in one call, beside 64 of EnvPool if it is there.
 
-    EnvPool drives its default configuration. `two_threads` is their rate over that of one, in wall time.
+    Then, in wall time, on two threads beside one. EnvPool drives its default configuration.
     """
     levels = TASKS[task].levels
-    batches = {"replica": ("replica", 1), "two": ("replica", 2)}
-    if has_envpool():
-        batches["envpool"] = ("envpool", 1)
     for name in ("default", next(iter(levels)), next(reversed(levels))):
-        with ExitStack() as stack:
-            sides = {
-                side: partial(
-                    opened(stack, "Batch", backend, task, levels.get(name, {}), threads).rate, seconds
-                )
-                for side, (backend, threads) in batches.items()
-            }
-            rates = in_turns(sides, turns)
-        cpu, wall = rates.map(itemgetter(0)), rates.map(itemgetter(1))
-        yield {
-            "of": f"{task} {name}",
-            "steps_per_second": float(cpu["replica"].median()),
-            "envpool": float(cpu["envpool"].median()) if "envpool" in cpu else None,
-            "ratio": float((cpu["replica"] / cpu["envpool"]).median()) if "envpool" in cpu else None,
-            "two_threads": float((wall["two"] / wall["replica"]).median()),
-        }
+        of, config = f"{task} {name}", levels.get(name, {})
+        peer = {f"envpool, {of}": ("envpool", task, None, BATCH)} if has_envpool() else {}
+        one = {f"replica, {of}": ("replica", task, config, BATCH)}
+        two = {f"replica on two threads, {of}": ("replica", task, config, BATCH, 2)}
+        yield from (line for _, line in in_turns(peer | one, turns, seconds))
+        yield [line for _, line in in_turns(one | two, turns, seconds, "wall")][-1]
 
 
 # Name of a part -> what measures it, from a task, turns and seconds of a slice.
@@ -202,7 +182,7 @@ class Options:
     """What to measure: env, start, learner, peers, batches (the last two with EnvPool where it is installed)."""
 
 
-def run(options: Options, console: Console) -> dict[str, Any]:
+def run(options: Options) -> dict[str, Any]:
     """Measure what is asked for, print it, and write benchmark.json after every part; returns its content."""
     effort = (QUICK_TURNS, QUICK_SECONDS) if options.quick else (TURNS, SECONDS)
     tasks = choose_tasks(options.tasks or tuple(TASKS))
@@ -213,16 +193,14 @@ def run(options: Options, console: Console) -> dict[str, Any]:
         "load_average": list(os.getloadavg()),
         "provenance": provenance(),
     }
+    if not has_envpool():
+        print("EnvPool is left out: pip install envpool", file=sys.stderr)
     for part in options.parts:
-        with console.status(part):
-            asked = tasks[:1] if part == "learner" else tasks
-            results[part] = [row for task in asked for row in PARTS[part](task, *effort)]
+        print(part, flush=True)
+        asked = tasks[:1] if part == "learner" else tasks
+        results[part] = [line for task in asked for line in PARTS[part](task, *effort)]
         write_json(options.out / "benchmark.json", results)
-        table = Table(*results[part][0], title=part)
-        for row in results[part]:
-            shown = (f"{x:.3g}" if isinstance(x, float) else x for x in row.values())
-            table.add_row(*("" if x is None else str(x) for x in shown))
-        console.print(table)
+        print(pd.DataFrame(results[part]).to_string(index=False, float_format="{:.3g}".format, na_rep=""))
     return results
 
 
@@ -233,7 +211,7 @@ def main() -> int:
         if part not in PARTS:
             raise unknown("part", part, PARTS)
     with writing(options.out):
-        run(options, Console())
+        run(options)
     return 0
 
 

@@ -7,12 +7,10 @@ after every policy step. The egos are the rules of `agents`, and two that repeat
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from agents.rules import Policy, make_policy
 from agents.rules.constant import Constant
@@ -73,63 +71,54 @@ def make_ego(name: str, env: Any) -> Policy:
     return Constant(*(numbers[action] for action in CYCLES[name]))
 
 
-@dataclass
-class Recorder:
-    """Measures the traffic near the ego at the start and after every policy step of an episode.
+def traffic_near(scenes: Sequence[Scene], task: str, road: Road, interval: float) -> dict[str, float]:
+    """What the traffic near the ego did in an episode: the mean speed, lane changes, density and HEADWAYS of a row.
 
-    Only vehicles within 200 m of the ego count: on the highway some simulators leave out those that it cannot reach.
+    Means over vehicles and steps, nan where there was nothing to see. Only vehicles within 200 m of the ego count: on
+    the highway some simulators leave out those that it cannot reach.
+
+    Args:
+        scenes: at the start and after every policy step, which takes `interval` [s].
     """
-
-    task: str
-    road: Road
-    interval: float  # [s] of a policy step
-    speeds: list[float] = field(default_factory=list)
-    times: list[float] = field(default_factory=list)
-    density: list[int] = field(default_factory=list)
-    changes: int = 0
-    followed: int = 0  # pairs of successive scenes in which a vehicle's lane is known
-    _lanes: dict[str, LaneIndex] = field(default_factory=dict)
-
-    def see(self, scene: Scene) -> None:
-        """Take one scene down."""
+    speeds: list[float] = []
+    times: list[float] = []
+    density = []
+    changed: list[bool] = []  # in pairs of successive scenes in which a vehicle's lane is known
+    lanes: dict[str, LaneIndex] = {}
+    for scene in scenes:
         near = np.hypot(scene.x - scene.x[0], scene.y - scene.y[0]) <= DENSITY_RADIUS
         near[0] = False
         driving = near & ~scene.crashed
-        self.density.append(int(near.sum()))
-        self.speeds += scene.speed[driving].tolist()
+        density.append(int(near.sum()))
+        speeds += scene.speed[driving].tolist()
         headway = headways(*map(np.ascontiguousarray, (scene.x, scene.y, scene.speed, scene.heading)))
-        self.times += headway[driving & np.isfinite(headway)].tolist()
-        if self.task not in WITHOUT_LANE_CHANGES:
-            self._count_changes(scene, driving)
+        times += headway[driving & np.isfinite(headway)].tolist()
+        if task not in WITHOUT_LANE_CHANGES:
+            now = {
+                scene.ids[row]: _lane(scene, int(row), task, road, lanes) for row in np.flatnonzero(driving)
+            }
+            pairs = [(lanes[name], lane) for name, lane in now.items() if name in lanes]
+            changed += [before[:2] == lane[:2] and before[2] != lane[2] for before, lane in pairs]
+            lanes = now
+    counts, _ = np.histogram(np.clip(times, 0, BIN * BINS - 1e-9), BINS, (0, BIN * BINS))
+    minutes = len(changed) * interval / 60.0
+    return {
+        "traffic_speed": float(np.mean(speeds)) if speeds else math.nan,
+        "lane_changes": sum(changed) / minutes if minutes else math.nan,
+        "density": float(np.mean(density)),
+        **dict(zip(HEADWAYS, counts.tolist(), strict=True)),
+    }
 
-    def _count_changes(self, scene: Scene, driving: NDArray[np.bool_]) -> None:
-        lanes = {scene.ids[row]: self._lane(scene, int(row)) for row in np.flatnonzero(driving)}
-        for name, lane in lanes.items():
-            before = self._lanes.get(name)
-            if before is not None:
-                self.followed += 1
-                self.changes += before[:2] == lane[:2] and before[2] != lane[2]
-        self._lanes = lanes
 
-    def _lane(self, scene: Scene, row: int) -> LaneIndex:
-        x, y = scene.x.item(row), scene.y.item(row)
-        if self.task == "highway":
-            return ("0", "1", min(max(round(y / LANE_WIDTH), 0), self.road.count("0", "1") - 1))
-        known = self._lanes.get(scene.ids[row])
-        if known is not None and self.road.lane(known).on_lane(x, y):  # nearly always, and quickly told
-            return known
-        return self.road.closest_lane(x, y, scene.heading.item(row))
-
-    def row(self) -> dict[str, Any]:
-        """Means over vehicles and steps, nan where there was nothing to see."""
-        counts, _ = np.histogram(np.clip(self.times, 0, BIN * BINS - 1e-9), BINS, (0, BIN * BINS))
-        minutes = self.followed * self.interval / 60.0
-        return {
-            "traffic_speed": float(np.mean(self.speeds)) if self.speeds else math.nan,
-            "lane_changes": self.changes / minutes if minutes else math.nan,
-            "density": float(np.mean(self.density)),
-            **dict(zip(HEADWAYS, counts.tolist(), strict=True)),
-        }
+def _lane(scene: Scene, row: int, task: str, road: Road, lanes: Mapping[str, LaneIndex]) -> LaneIndex:
+    """The lane of a vehicle, which was on one of `lanes` a step before."""
+    x, y = scene.x.item(row), scene.y.item(row)
+    if task == "highway":
+        return ("0", "1", min(max(round(y / LANE_WIDTH), 0), road.count("0", "1") - 1))
+    known = lanes.get(scene.ids[row])
+    if known is not None and road.lane(known).on_lane(x, y):  # nearly always, and quickly told
+        return known
+    return road.closest_lane(x, y, scene.heading.item(row))
 
 
 def drive(
@@ -146,20 +135,18 @@ def drive(
     Args:
         options: of `reset`, beside the dose of risk.
     """
-    inner, policy = env.unwrapped, make_ego(ego, env)
-    recorder = Recorder(task, get_task(task).road(inner.config), 1.0 / inner.config["policy_frequency"])
+    inner, policy, scenes = env.unwrapped, make_ego(ego, env), []
     row = play(
-        env, policy, task, level, traffic, scenario, lambda: recorder.see(inner.scene), options=options
+        env, policy, task, level, traffic, scenario, lambda: scenes.append(inner.scene), options=options
     )
+    ending = "time" if row["truncated"] else "left"
+    road, interval = get_task(task).road(inner.config), 1.0 / inner.config["policy_frequency"]
     return {
-        **{name: row[name] for name in ("traffic", "scenario", "return", "length", "crashed")},
+        **row,
         "task": task,
         "level": level,
         "ego": ego,
-        "outcome": next(
-            (name for name in ("crashed", "arrived") if row[name]), "time" if row["truncated"] else "left"
-        ),
-        "crash_time": math.nan if row["crash_time"] is None else row["crash_time"],
+        "outcome": next((name for name in ("crashed", "arrived") if row[name]), ending),
         "ego_speed": row["mean_speed"],
-        **recorder.row(),
+        **traffic_near(scenes, task, road, interval),
     }

@@ -3,7 +3,8 @@
     python experiments/calibrate.py --out results/calibration      # hours
     python experiments/calibrate.py --out /tmp/calibration --tasks u-turn --trials 5 --scenarios 10
 
-The same command run again goes on where it was stopped. There are three parts. `drivers` searches the calibrated
+The same command run again goes on where it was stopped: what is driven is stored, and a search of the same scenarios
+takes the same way. There are three parts. `drivers` searches the calibrated
 settings of SUMO's drivers (`Calibration`); `risk` searches the rates of risk events (`RiskRates`) and the ranges of
 the drivers' parameters (`RiskRanges`; of a range of factors the lower end). Both write what they found beside what is
 in force, judged on the scenarios of validation. `doses` measures how often egos crash at every dose in both simulators,
@@ -29,16 +30,13 @@ import pandas as pd
 import tyro
 from optuna.distributions import CategoricalDistribution as Choice
 from optuna.distributions import FloatDistribution as Range
-from optuna.storages import JournalStorage
-from optuna.storages.journal import JournalFileBackend
-from optuna.trial import TrialState
 from rich.console import Console
 from rich.progress import track
 
 from experiments.study import grid
-from experiments.study.fingerprint import check_dynamics, dynamics
+from experiments.study.fingerprint import check_dynamics
 from experiments.support.errors import run_command, unknown, writing
-from experiments.support.files import sha256_bytes, write_file, write_json
+from experiments.support.files import write_file, write_json
 from experiments.validation import parts
 from experiments.validation.checks import MARGINS, REFERENCE, level_checks
 from experiments.validation.episodes import CORE
@@ -142,13 +140,15 @@ def drivers_distance(table: pd.DataFrame, task: str) -> float:
     Args:
         table: episodes of both, in regular traffic, by the egos of `episodes.CORE`.
     """
-    total = []
-    for _, rows in table.groupby("level"):
-        found = pd.DataFrame(level_checks(rows, "sumo", task, "regular")).set_index("metric")
-        judged = found[(found["margin"] > 0) & found["difference"].notna()]
-        shares = (judged["difference"].abs() / judged["margin"]).groupby(level=0)
-        total.append(pd.Series([*shares.mean(), -found["difference"]["same_outcome"]]).mean())
-    return float(pd.Series(total).mean())
+    found = pd.DataFrame(
+        {"level": level, **item}
+        for level, rows in table.groupby("level")
+        for item in level_checks(rows, task, "regular")
+    )
+    margins = found["margin"].mask(found["metric"] == "same_outcome", 1.0)
+    shares = (found["difference"].abs() / margins)[margins > 0]
+    by_metric = shares.groupby([found["level"], found["metric"]]).mean()
+    return float(by_metric.groupby("level").mean().mean())
 
 
 def responses(table: pd.DataFrame) -> pd.DataFrame:
@@ -184,33 +184,21 @@ def dose_distance(table: pd.DataFrame, task: str) -> float:
 
 
 def minimise(
-    space: Space,
-    objective: Callable[[dict[str, Any]], float],
-    start: Mapping[str, Any],
-    trials: int,
-    journal: Path,
+    space: Space, objective: Callable[[dict[str, Any]], float], start: Mapping[str, Any], trials: int
 ) -> optuna.Study:
     """Look for the settings of the least `objective` by tree-structured Parzen estimators.
 
-    They cope with noise, with switches and with few evaluations. Every evaluation is appended to a journal; the same
-    call again goes on after the last one.
+    They cope with noise, with switches and with few evaluations. The same arguments give the same evaluations.
 
     Args:
         start: settings that are evaluated first, those of today.
-        trials: evaluations in all, those in the journal included.
     """
     optuna.logging.set_verbosity(optuna.logging.ERROR)
     warnings.filterwarnings("ignore", category=optuna.exceptions.ExperimentalWarning)
-    study = optuna.create_study(
-        study_name=journal.stem,
-        storage=JournalStorage(JournalFileBackend(str(journal))),
-        sampler=optuna.samplers.TPESampler(seed=0, n_startup_trials=10, multivariate=True),
-        load_if_exists=True,
-    )
-    if not study.get_trials(states=(TrialState.COMPLETE, TrialState.WAITING)):
-        study.enqueue_trial(dict(start))
-    done = len(study.get_trials(states=(TrialState.COMPLETE,)))
-    for _ in track(range(done, trials), f"searching {journal.stem}"):
+    sampler = optuna.samplers.TPESampler(seed=0, n_startup_trials=10, multivariate=True)
+    study = optuna.create_study(sampler=sampler)
+    study.enqueue_trial(dict(start))
+    for _ in track(range(trials), "searching"):
         trial = study.ask(dict(space))
         study.tell(trial, objective(trial.params))
     return study
@@ -240,18 +228,12 @@ def search(options: Options, part: str, task: str) -> dict[str, Any] | None:
         table = parts.run(work, options.out / "parts", options.workers)
         return (drivers_distance if drivers else dose_distance)(table, task)
 
-    # what makes evaluations comparable: both simulators, the scenarios and the space
-    compared = [*(dynamics(engine.backend, task) for engine in (SUMO, HIGHWAY_ENV)), options.scenarios]
-    digest = sha256_bytes(repr((compared, sorted(space.items()))).encode())[:8]
     start, fitted = {name: present[name] for name in space}, sorted({judged[0], judged[-1]})
-    journal = options.out / f"{part}-{task}-{digest}.journal"
-    study = minimise(
-        space, lambda settings: distance(settings, FITTED, fitted), start, options.trials, journal
-    )
+    study = minimise(space, lambda settings: distance(settings, FITTED, fitted), start, options.trials)
     return {
         name: {"settings": own, "training": training, "judged": distance(own, 0, judged)}
         for name, own, training in (
-            ("present", start, study.get_trials(states=(TrialState.COMPLETE,))[0].value),
+            ("present", start, study.trials[0].value),
             ("found", study.best_params, study.best_value),
         )
     }

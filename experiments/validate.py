@@ -68,10 +68,10 @@ class Options:
 
 def engines(options: Options) -> list[Engine]:
     """Everything that drives, the compared simulator first."""
-    path = {"variant": "path"}
-    judged = [Engine("sumo", "sumo"), Engine(checks.REFERENCE, "replica", path)]
+    path, egos = {"variant": "path"}, CORE if options.quick else ()
+    judged = [Engine(checks.SUMO, "sumo", egos=egos), Engine(checks.REFERENCE, "replica", path, egos=egos)]
     if options.quick:
-        return [Engine(engine.name, engine.backend, engine.config, egos=CORE) for engine in judged]
+        return judged
     variants = [Engine(name, "replica", config) for name, config in checks.VARIANTS.items()]
     return [*judged, *variants, Engine(checks.TRUTH, "highway-env", path, one_in=options.one_in)]
 
@@ -90,7 +90,7 @@ def validate(options: Options, console: Console, arguments: Sequence[str] = ()) 
     table = parts.run(work, options.out / "parts", options.workers, console)
     # the directory's name, not the machine's path to it
     named = [options.out.name if word == str(options.out) else word for word in arguments]
-    found = checks.scorecard(table, "sumo", {task: grid.level_names(task) for task in tasks})
+    found = checks.scorecard(table)
     command = shlex.join(["python", "experiments/validate.py", *named])
     verdict = {
         "schema": SCHEMA,

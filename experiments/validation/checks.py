@@ -15,8 +15,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Iterable, Sequence
 from itertools import combinations
 from typing import Any, Literal
 
@@ -25,12 +24,16 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy import stats
 
+from experiments.study.grid import level_names
 from experiments.validation.episodes import BIN, BINS, CORE, HEADWAYS, PAIR, egos
 
 Check = dict[str, Any]
+# SUMO minus the reference: the means of both ("sumo", "reference"), their "difference", its 90 % interval ("low",
+# "high", NaN without one), and the number of scenarios ("n").
+Difference = dict[str, float]
 LEAST_SCENARIOS = 3  # with fewer there is no verdict
-# Engines in a table of episodes beside the compared simulator: highway-env by its replica, and highway-env itself.
-REFERENCE, TRUTH = "reference", "highway-env"
+# Engines in a table of episodes: the compared simulator, highway-env by its replica, and highway-env itself.
+SUMO, REFERENCE, TRUTH = "sumo", "reference", "highway-env"
 # The replica in other variants, by what differs.
 VARIANTS: dict[str, dict[str, Any]] = {
     "connected": {"variant": "connected"},
@@ -76,18 +79,6 @@ CENTRES = (np.arange(BINS) + 0.5) * BIN  # [s] of the headway histogram
 Floats = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class Difference:
-    """SUMO minus the reference: the means of both, their difference, its 90 % interval (NaN: none), and scenarios."""
-
-    sumo: float = np.nan
-    reference: float = np.nan
-    difference: float = np.nan
-    low: float = np.nan
-    high: float = np.nan
-    n: int = 0
-
-
 def pairs(table: pd.DataFrame, first: str, second: str) -> pd.DataFrame:
     """Episodes that both engines have driven, side by side with suffixes ``_a`` and ``_b``."""
     a, b = (table[table["engine"] == name].drop(columns="engine") for name in (first, second))
@@ -106,12 +97,11 @@ def mean_difference(both: pd.DataFrame, measure: str) -> Difference:
     """Difference of the means of a measure; pairs in which either has none do not count."""
     columns = both[["scenario", f"{measure}_a", f"{measure}_b"]].astype(float)
     columns = columns[np.isfinite(columns).all(axis=1)]
-    if columns.empty:
-        return Difference()
     first, second = columns[f"{measure}_a"], columns[f"{measure}_b"]
     by_scenario = (first - second).groupby(columns["scenario"]).mean().to_numpy()
-    centre = float((first - second).mean())
-    return Difference(first.mean(), second.mean(), centre, *interval(by_scenario), len(by_scenario))
+    low, high = interval(by_scenario)
+    found = {"sumo": first.mean(), "reference": second.mean(), "difference": (first - second).mean()}
+    return {**found, "low": low, "high": high, "n": len(by_scenario)}
 
 
 def wasserstein(first: Floats, second: Floats) -> float:
@@ -133,7 +123,8 @@ def headway_distance(both: pd.DataFrame) -> Difference:
     low, high = pd.Series(resampled, dtype=float).quantile([0.05, 0.95])
     totals = [side.sum(axis=0) for side in (a, b)]
     first, second = (float(total @ CENTRES / total.sum()) if total.sum() else np.nan for total in totals)
-    return Difference(first, second, wasserstein(*totals), low, high, len(a))
+    found = {"sumo": first, "reference": second, "difference": wasserstein(*totals)}
+    return {**found, "low": low, "high": high, "n": len(a)}
 
 
 def reversed_pairs(both: pd.DataFrame, measure: str) -> tuple[list[str], int]:
@@ -184,63 +175,48 @@ def difference(metric: str, both: pd.DataFrame) -> Difference:
     return mean_difference(both, metric)
 
 
-def check(metric: str, found: Difference, bound: float = math.nan, **labels: Any) -> Check:
-    """One line of the scorecard; its verdict is None where there is no margin.
-
-    labels: name, unit, ego, note, and by its name the difference of each of VARIANTS from the reference.
-    """
-    labels = {"metric": metric, "name": metric, "unit": "", "ego": "", "note": "", **labels}
-    return {**labels, **asdict(found), "margin": bound, "verdict": verdict(found, bound)}
-
-
 def verdict(found: Difference, bound: float) -> str | None:
     """equivalent (the whole interval is within the margin), within, missed, or None if nothing can be said."""
-    if not math.isfinite(bound) or not math.isfinite(found.difference) or found.n < LEAST_SCENARIOS:
+    if not math.isfinite(bound) or not math.isfinite(found["difference"]) or found["n"] < LEAST_SCENARIOS:
         return None
-    if abs(found.difference) > bound + 1e-9:
+    if abs(found["difference"]) > bound + 1e-9:
         return "missed"
-    return "equivalent" if -bound <= found.low and found.high <= bound else "within"
+    return "equivalent" if -bound <= found["low"] and found["high"] <= bound else "within"
 
 
-def level_checks(rows: pd.DataFrame, engine: str, task: str, traffic: str) -> list[Check]:
+def level_checks(rows: pd.DataFrame, task: str, traffic: str) -> list[Check]:
     """All checks of one task, level and traffic: those with a margin first.
+
+    Each has a metric, name, unit, ego and note, a `Difference`, its margin and verdict, and the differences of VARIANTS
+    from the reference by their names.
 
     Args:
         rows: the episodes of all engines.
-        engine: which of them is compared with the reference.
     """
-    every = pairs(rows, engine, REFERENCE)
+    found = []
+
+    def add(metric: str, own: Difference, **labels: Any) -> None:
+        bound = margin(metric, task, traffic, own["reference"])
+        labels = {"metric": metric, "name": "", "unit": "", "ego": "", "note": "", **labels}
+        found.append({**labels, **own, "margin": bound, "verdict": verdict(own, bound)})
+
     core = rows[rows["ego"].isin(CORE)]
-    both = every[every["ego"].isin(CORE)]
-    beside = {name: pairs(core, name, REFERENCE) for name in VARIANTS}
-    beside = {name: own for name, own in beside.items() if len(own)}
-    found = []
+    variants = {name: own for name in VARIANTS if len(own := pairs(core, name, REFERENCE))}
     for metric, (name, unit) in MEASURES.items():
-        own = difference(metric, both)
-        variants = {other: difference(metric, table).difference for other, table in beside.items()}
-        bound = margin(metric, task, traffic, own.reference)
-        found.append(check(metric, own, bound, name=name, unit=unit, **variants))
-    found += ego_checks(every, task, traffic)
-    return sorted((item for item in found if item["n"]), key=lambda item: item["verdict"] is None)
-
-
-def ego_checks(every: pd.DataFrame, task: str, traffic: str) -> list[Check]:
-    """Each ego's crash rate and return, and the order of all egos."""
-    found = []
+        beside = {variant: difference(metric, own)["difference"] for variant, own in variants.items()}
+        add(metric, difference(metric, pairs(core, SUMO, REFERENCE)), name=name, unit=unit, **beside)
+    every = pairs(rows, SUMO, REFERENCE)
     for ego in egos(task):
-        part = every[every["ego"] == ego]
-        crashes, returns = (mean_difference(part, metric) for metric in ("crashed", "return"))
-        bound = margin("crashed_ego", task, traffic, crashes.reference)
-        found.append(check("crashed_ego", crashes, bound, name="crash rate", ego=ego))
-        found.append(check("return_ego", returns, name="return", ego=ego))
-    scenarios = every["scenario"].nunique()
+        own = every[every["ego"] == ego]
+        add("crashed_ego", mean_difference(own, "crashed"), name="crash rate", ego=ego)
+        add("return_ego", mean_difference(own, "return"), name="return", ego=ego)
     for measure, name in (("return", "return"), ("crashed", "crash rate")):
         turned, decided = reversed_pairs(every, measure)
-        order = Difference(decided - len(turned), decided, -len(turned), n=scenarios)
+        order: Difference = {"sumo": decided - len(turned), "reference": decided, "difference": -len(turned)}
+        order |= {"low": math.nan, "high": math.nan, "n": every["scenario"].nunique()}
         labels = {"name": f"pairs of egos in the same order, by {name}", "unit": f"of {decided} decided"}
-        note = f"reversed: {', '.join(turned)}" if turned else ""
-        found.append(check("order", order, MARGINS["order"][0], note=note, **labels))
-    return found
+        add("order", order, **labels, note=f"reversed: {', '.join(turned)}" if turned else "")
+    return sorted((item for item in found if item["n"]), key=lambda item: item["verdict"] is None)
 
 
 def replica_checks(table: pd.DataFrame) -> dict[str, Any]:
@@ -258,19 +234,18 @@ def replica_checks(table: pd.DataFrame) -> dict[str, Any]:
     return tasks
 
 
-def scorecard(table: pd.DataFrame, engine: str, level_names: Mapping[str, Sequence[str]]) -> list[Check]:
+def scorecard(table: pd.DataFrame) -> list[Check]:
     """All checks, one after the other, with their task, traffic and the name of their level, as plain JSON values.
 
     Args:
         table: the episodes of all engines.
-        level_names: of each task.
     """
-    found = [
-        {"task": task, "traffic": traffic, "level": level_names[task][level - 1], **item}
+    found = pd.DataFrame(
+        {"task": task, "traffic": traffic, "level": level_names(task)[level - 1], **item}
         for (task, traffic, level), rows in table.groupby(["task", "traffic", "level"])
-        for item in level_checks(rows, engine, task, traffic)
-    ]
-    rows: list[Check] = json.loads(pd.DataFrame(found).to_json(orient="records"))  # no number is null
+        for item in level_checks(rows, task, traffic)
+    )
+    rows: list[Check] = json.loads(found.to_json(orient="records"))  # no number is null
     return rows
 
 

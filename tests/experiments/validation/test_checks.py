@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from experiments.validation import checks
-from experiments.validation.checks import REFERENCE, Difference, check, margin, scorecard
+from experiments.validation.checks import REFERENCE, margin, scorecard
 from experiments.validation.episodes import BIN, BINS, HEADWAYS
 from sumo_env.tasks import TASKS
 from tests.experiments.validation.tables import compared, episodes
@@ -18,7 +18,7 @@ MARGIN = 1.0
 
 
 def by_metric(table: pd.DataFrame, task: str = "u-turn", traffic: str = "regular"):
-    found = checks.level_checks(table, "sumo", task, traffic)
+    found = checks.level_checks(table, task, traffic)
     return {(item["metric"], item["ego"]): item for item in found}
 
 
@@ -33,13 +33,12 @@ def by_metric(table: pd.DataFrame, task: str = "u-turn", traffic: str = "regular
     ],
 )
 def test_verdict(difference: float, low: float, high: float, verdict: str) -> None:
-    found = Difference(difference, 0.0, difference, low, high, 10)
-    assert check("metric", found, MARGIN)["verdict"] == verdict
+    assert checks.verdict({"difference": difference, "low": low, "high": high, "n": 10}, MARGIN) == verdict
 
 
-def test_no_verdict_without_margin_or_with_too_few_scenarios() -> None:
-    assert check("metric", Difference(9, 0, 9, 8, 10, 50))["verdict"] is None
-    assert check("metric", Difference(9, 0, 9, 8, 10, 2), MARGIN)["verdict"] is None
+@pytest.mark.parametrize(("n", "margin"), [(50, np.nan), (2, MARGIN)])
+def test_no_verdict_without_margin_or_with_too_few_scenarios(n: int, margin: float) -> None:
+    assert checks.verdict({"difference": 9.0, "low": 8.0, "high": 10.0, "n": n}, margin) is None
 
 
 def test_margins_are_those_of_the_design() -> None:
@@ -77,7 +76,7 @@ def test_a_reversed_order_of_egos_is_named() -> None:
     for engine, sign in ((REFERENCE, 1.0), ("sumo", -1.0)):
         chosen = (table["engine"] == engine) & (table["ego"] == "careful")
         table.loc[chosen, "return"] += 3.0 * sign
-    found = checks.level_checks(table, "sumo", "u-turn", "regular")
+    found = checks.level_checks(table, "u-turn", "regular")
     by_return = next(item for item in found if item["metric"] == "order" and "return" in item["name"])
     assert by_return["verdict"] == "missed"
     assert "careful" in by_return["note"]
@@ -90,12 +89,12 @@ def test_variants_of_highway_env_stand_beside() -> None:
 
 
 def test_a_task_passes_if_no_check_is_missed() -> None:
-    found = scorecard(compared(crashed=True), "sumo", {"u-turn": ["3"]})
+    found = scorecard(compared(crashed=True))
     result = checks.summary(found, ["u-turn", "highway"])
     assert result["u-turn"]["passed"] is False
     assert result["u-turn"]["counts"]["missed"] == len(result["u-turn"]["missed"]) > 0
     assert result["highway"]["passed"] is None
-    same = scorecard(compared(), "sumo", {"u-turn": ["3"]})
+    same = scorecard(compared())
     assert {(item["task"], item["traffic"], item["level"]) for item in same} == {("u-turn", "regular", "3")}
     assert checks.summary(same, ["u-turn"])["u-turn"]["passed"] is True
 
@@ -132,14 +131,13 @@ def test_the_scenario_is_the_unit() -> None:
     twice = checks.mean_difference(
         both({ego: [(1, 0), (3, 0), (2, 0)] for ego in ("idle", "faster")}), "return"
     )
-    assert once.difference == twice.difference == 2
-    assert once.n == twice.n == 3
-    assert (once.low, once.high) == pytest.approx((twice.low, twice.high))
+    assert once == pytest.approx(twice)
+    assert (once["difference"], once["n"]) == (2, 3)
 
 
 def test_pairs_without_a_value_are_left_out() -> None:
     found = checks.mean_difference(both({"idle": [(1, 0), (np.nan, 0), (5, np.nan)]}), "return")
-    assert (found.difference, found.n) == (1, 1) and np.isnan(found.low)
+    assert (found["difference"], found["n"]) == (1, 1) and np.isnan(found["low"])
 
 
 def test_interval_covers_the_truth_nine_times_in_ten() -> None:
@@ -158,8 +156,7 @@ def histogram(bin_: int, count: int = 3) -> dict[str, int]:
 def test_wasserstein_distance_of_shifted_headways() -> None:
     rows = [row(engine, k, **histogram(bin_)) for engine, bin_ in (("a", 4), ("b", 10)) for k in range(4)]
     found = checks.headway_distance(checks.pairs(pd.DataFrame(rows), "a", "b"))
-    assert found.difference == pytest.approx(6 * BIN)
-    assert (found.low, found.high) == pytest.approx((6 * BIN, 6 * BIN))
+    assert [found[name] for name in ("difference", "low", "high")] == pytest.approx([6 * BIN] * 3)
     assert np.isnan(checks.wasserstein(np.zeros(BINS), np.ones(BINS)))
 
 

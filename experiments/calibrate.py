@@ -37,10 +37,9 @@ from experiments.study import grid
 from experiments.study.fingerprint import check_dynamics
 from experiments.support.errors import run_command, unknown, writing
 from experiments.support.files import write_file, write_json
-from experiments.validation import parts
+from experiments.validation import episodes
 from experiments.validation.checks import MARGINS, REFERENCE, level_checks
-from experiments.validation.episodes import CORE
-from experiments.validation.parts import Engine
+from experiments.validation.episodes import CORE, Engine
 from sumo_env.tasks import TASKS
 from sumo_env.tasks.base import Task
 
@@ -224,8 +223,8 @@ def search(options: Options, part: str, task: str) -> dict[str, Any] | None:
         egos = CORE if drivers else EGOS
         engines = [replace(SUMO, options=own, egos=egos), replace(HIGHWAY_ENV, options=theirs, egos=egos)]
         traffics = ("regular",) if drivers else SEARCHED
-        work = parts.plan(engines, {task: levels}, traffics, range(first, first + options.scenarios))
-        table = parts.run(work, options.out / "parts", options.workers)
+        work = episodes.plan(engines, {task: levels}, traffics, range(first, first + options.scenarios))
+        table = episodes.run(work, options.out / "parts", options.workers)
         return (drivers_distance if drivers else dose_distance)(table, task)
 
     start, fitted = {name: present[name] for name in space}, sorted({judged[0], judged[-1]})
@@ -244,8 +243,8 @@ def doses(options: Options, task: str) -> pd.DataFrame:
     none = {"risk_rates": dict.fromkeys(("cut_in", "brake", "surge"), 0.0)}
     silent = replace(SUMO, name=WITHOUT_EVENTS, options=none)
     engines = [replace(engine, egos=EGOS) for engine in (SUMO, silent, HIGHWAY_ENV)]
-    work = parts.plan(engines, {task: (1,)}, DOSES, range(options.scenarios))
-    return responses(parts.run(work, options.out / "parts", options.workers))
+    work = episodes.plan(engines, {task: (1,)}, DOSES, range(options.scenarios))
+    return responses(episodes.run(work, options.out / "parts", options.workers))
 
 
 def calibrate(options: Options, console: Console) -> dict[str, Any]:

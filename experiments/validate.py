@@ -33,9 +33,8 @@ from experiments.study.verdict import SCHEMA, STORED, versions
 from experiments.support.errors import UserError, run_command, writing
 from experiments.support.files import write_file, write_json
 from experiments.support.provenance import provenance
-from experiments.validation import checks, parts
-from experiments.validation.episodes import CORE
-from experiments.validation.parts import Engine
+from experiments.validation import checks, episodes
+from experiments.validation.episodes import CORE, Engine
 
 QUICK_SCENARIOS = 20
 STYLE = Path(__file__).parent / "templates" / "report.css"
@@ -86,8 +85,8 @@ def validate(options: Options, console: Console, arguments: Sequence[str] = ()) 
     levels = grid.choose_levels(tasks, options.levels or None)
     scenarios = min(options.scenarios, QUICK_SCENARIOS) if options.quick else options.scenarios
     check_dynamics((backend, task) for backend in ("sumo", "replica") for task in tasks)
-    work = parts.plan(engines(options), levels, tuple(TRAFFICS), range(scenarios))
-    table = parts.run(work, options.out / "parts", options.workers, console)
+    work = episodes.plan(engines(options), levels, tuple(TRAFFICS), range(scenarios))
+    table = episodes.run(work, options.out / "parts", options.workers, console)
     # the directory's name, not the machine's path to it
     named = [options.out.name if word == str(options.out) else word for word in arguments]
     found = checks.scorecard(table)

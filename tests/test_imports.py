@@ -73,7 +73,7 @@ FLOORS = {
     """,
     "experiments": """
         support < backends < study < analysis < reporting < validation
-        < timed report < sweep
+        < report < sweep
     """,
 }
 

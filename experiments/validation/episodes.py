@@ -1,24 +1,36 @@
-"""Whole episodes in any simulator, one row of measures each. The same code measures all of them.
+"""Whole episodes in any simulator, one row of measures each, driven in parallel processes and resumable.
 
 The ego is measured as the study measures it (`play`), the other vehicles in ``env.unwrapped.scene`` at the start and
-after every policy step. The egos are the rules of `agents`, and two that repeat a few actions.
+after every policy step. The egos are the rules of `agents`, and two that repeat a few actions. Each `Part` of the
+episodes is a file of its own.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
+from rich.console import Console
 
 from agents.rules import Policy, make_policy
 from agents.rules.constant import Constant
+from experiments.backends import make_env
+from experiments.study.arms import stream_seed
 from experiments.study.evaluate import play
+from experiments.study.executors.local import call_all
+from experiments.study.fingerprint import dynamics
+from experiments.study.grid import level_names
+from experiments.support.files import canonical_json, sha256_bytes, write_file
 from sumo_env.contacts.measures import DENSITY_RADIUS, headways
 from sumo_env.networks.roads import LaneIndex, Road
 from sumo_env.scene import Scene
-from sumo_env.tasks import get_task
+from sumo_env.tasks import TASKS
 
 # Averaged over in the checks "over egos"; the two-way road and the intersection start the ego at its top speed, so
 # that "faster" would be "idle" again.
@@ -34,6 +46,8 @@ PAIR = ["task", "level", "traffic", "ego", "scenario"]  # what names an episode 
 BIN = 0.25  # [s] of the headway histogram
 BINS = 40  # the last one holds everything beyond 9.75 s
 HEADWAYS = [f"headway_{k:02d}" for k in range(BINS)]  # columns: observations in each bin
+STRAIGHT = ("highway", "two-way")  # roads without joins: the variants of highway-env are the same there
+SIZE = 25  # scenarios in a part
 LANE_WIDTH = 4.0  # [m]
 WITHOUT_LANE_CHANGES = ("two-way", "intersection")  # of the traffic
 # Columns of the table of episodes, with their types.
@@ -121,32 +135,126 @@ def _lane(scene: Scene, row: int, task: str, road: Road, lanes: Mapping[str, Lan
     return road.closest_lane(x, y, scene.heading.item(row))
 
 
-def drive(
-    env: Any,
-    task: str,
-    level: int,
-    traffic: str,
-    ego: str,
-    scenario: int,
-    options: Mapping[str, Any],
-) -> dict[str, Any]:
-    """Drive test scenario number `scenario` to its end and return its row of COLUMNS.
+@dataclass(frozen=True)
+class Engine:
+    """A simulator with its settings.
+
+    name: how tables call it. config: changes of a task's configuration. options: of `reset`, beside the dose of risk
+    (highway-env itself has none). one_in: drives a random episode in so many. egos: all of the task if empty.
+    """
+
+    name: str
+    backend: str
+    config: Mapping[str, Any] = field(default_factory=dict)
+    options: Mapping[str, Any] = field(default_factory=dict)
+    one_in: int = 1
+    egos: tuple[str, ...] = ()
+
+    def folder(self, task: str) -> str:
+        """Where its parts of a task are stored: by all that decides what they hold, its dynamics included."""
+        settings = [dict(self.config), dict(self.options), self.one_in, self.egos]
+        digest = sha256_bytes(canonical_json([*settings, dynamics(self.backend, task)]).encode())[:8]
+        return f"{self.name.replace(' ', '-')}/{task}-{digest}"
+
+
+@dataclass(frozen=True)
+class Part:
+    """The episodes of some scenarios of a level and traffic, by all egos of an engine."""
+
+    engine: Engine
+    task: str
+    level: int
+    traffic: str
+    scenarios: range
+
+    @property
+    def file(self) -> str:
+        """Path of its table within the folder of all parts."""
+        first, last = self.scenarios[0], self.scenarios[-1]
+        return f"{self.engine.folder(self.task)}/{self.level}-{self.traffic}-{first:03d}-{last:03d}.parquet"
+
+    def episodes(self) -> list[tuple[int, str]]:
+        """Scenario and ego of each episode."""
+        return [
+            (scenario, ego)
+            for scenario in self.scenarios
+            for ego in egos(self.task)
+            if not self.engine.egos or ego in self.engine.egos
+            if self.engine.one_in == 1 or self._is_drawn(scenario, ego)
+        ]
+
+    def _is_drawn(self, scenario: int, ego: str) -> bool:
+        drawn = stream_seed("recomputed episode", self.task, self.level, self.traffic, scenario, ego)
+        return drawn % self.engine.one_in == 0
+
+    def drive(self) -> pd.DataFrame:
+        """Drive all episodes in this process: a row of COLUMNS for each."""
+        level = TASKS[self.task].levels[level_names(self.task)[self.level - 1]]
+        env = make_env(self.engine.backend, self.task, {**level, **self.engine.config})
+        rows = [self._row(env, *episode) for episode in self.episodes()]
+        env.close()
+        return pd.DataFrame(rows, columns=list(COLUMNS)).astype(COLUMNS)
+
+    def _row(self, env: Any, scenario: int, ego: str) -> dict[str, Any]:
+        inner, scenes = env.unwrapped, []
+        place = self.task, self.level, self.traffic, scenario
+        row = play(
+            env, make_ego(ego, env), *place, lambda: scenes.append(inner.scene), options=self.engine.options
+        )
+        ending = "time" if row["truncated"] else "left"
+        road, interval = TASKS[self.task].road(inner.config), 1.0 / inner.config["policy_frequency"]
+        return {
+            **row,
+            "task": self.task,
+            "level": self.level,
+            "ego": ego,
+            "outcome": next((name for name in ("crashed", "arrived") if row[name]), ending),
+            "ego_speed": row["mean_speed"],
+            **traffic_near(scenes, self.task, road, interval),
+        }
+
+    def write(self, folder: Path) -> None:
+        """Drive all episodes and write the table as a parquet file."""
+        path = folder / self.file
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_file(path, self.drive().to_parquet(index=False, compression="zstd"))
+
+
+def plan(
+    engines: Iterable[Engine],
+    levels: Mapping[str, Sequence[int]],
+    traffics: Sequence[str],
+    scenarios: range,
+    size: int = SIZE,
+) -> list[Part]:
+    """Everything that the engines have to drive, `size` scenarios in a part.
+
+    On roads without joins, engines that differ only in how far drivers see beyond a join are not driven.
+    """
+    return [
+        Part(engine, task, level, traffic, scenarios[first : first + size])
+        for engine in engines
+        for task, numbers in levels.items()
+        if not (task in STRAIGHT and engine.config.get("variant") in ("v0", "connected"))
+        for level in numbers
+        for traffic in traffics
+        for first in range(0, len(scenarios), size)
+    ]
+
+
+def run(parts: Sequence[Part], folder: Path, workers: int, console: Console | None = None) -> pd.DataFrame:
+    """Drive the parts whose files are not there yet, in processes, and return the table of all episodes.
 
     Args:
-        options: of `reset`, beside the dose of risk.
+        console: where progress is shown, if at all.
+
+    Returns:
+        COLUMNS, and the name of the engine as the column ``engine``.
+
+    Raises:
+        UserError: a part failed. What is finished stays, and the same call goes on from there.
     """
-    inner, policy, scenes = env.unwrapped, make_ego(ego, env), []
-    row = play(
-        env, policy, task, level, traffic, scenario, lambda: scenes.append(inner.scene), options=options
-    )
-    ending = "time" if row["truncated"] else "left"
-    road, interval = get_task(task).road(inner.config), 1.0 / inner.config["policy_frequency"]
-    return {
-        **row,
-        "task": task,
-        "level": level,
-        "ego": ego,
-        "outcome": next((name for name in ("crashed", "arrived") if row[name]), ending),
-        "ego_speed": row["mean_speed"],
-        **traffic_near(scenes, task, road, interval),
-    }
+    work = {part.file: partial(part.write, folder) for part in parts if not (folder / part.file).exists()}
+    call_all(work, workers, "driving", console)
+    tables = [pd.read_parquet(folder / part.file).assign(engine=part.engine.name) for part in parts]
+    return pd.concat(tables, ignore_index=True)

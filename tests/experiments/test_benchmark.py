@@ -9,8 +9,7 @@ import pandas as pd
 import pytest
 
 from experiments import benchmark
-from experiments.benchmark import Options, beside, run
-from experiments.timed import Driver
+from experiments.benchmark import Driver, Options, beside, run
 
 
 def test_ratios_are_taken_turn_by_turn() -> None:

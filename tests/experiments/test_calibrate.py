@@ -13,7 +13,7 @@ from rich.console import Console
 from experiments import calibrate
 from experiments.calibrate import Options
 from experiments.validation.checks import REFERENCE
-from experiments.validation.parts import Engine
+from experiments.validation.episodes import Engine
 from sumo_env.tasks import TASKS
 from tests.experiments.validation.tables import compared, episodes
 

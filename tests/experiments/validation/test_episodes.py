@@ -6,9 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from experiments.validation import parts
-from experiments.validation.episodes import COLUMNS, CORE, HEADWAYS, egos
-from experiments.validation.parts import Engine, Part, plan, run
+from experiments.validation import episodes
+from experiments.validation.episodes import COLUMNS, CORE, HEADWAYS, Engine, Part, egos, plan, run
 
 SUMO = Engine("sumo", "sumo")
 
@@ -48,7 +47,7 @@ def test_other_dynamics_or_settings_are_other_files(monkeypatch: pytest.MonkeyPa
     ]
     files = {Part(engine, "u-turn", 1, "regular", range(3)).file for engine in [SUMO, *others]}
     assert len(files) == 1 + len(others)
-    monkeypatch.setattr(parts, "dynamics", lambda *_: "other")
+    monkeypatch.setattr(episodes, "dynamics", lambda *_: "other")
     assert Part(SUMO, "u-turn", 1, "regular", range(3)).file not in files
 
 
@@ -70,7 +69,7 @@ def test_settings_of_drivers_and_risk_reach_the_simulator() -> None:
     present = table()
     quiet = table(options={"risk_rates": {"cut_in": 0.0, "brake": 0.0, "surge": 0.0}})
     assert not present.equals(quiet)
-    same = table(options={"risk_rates": {"cut_in": parts.TASKS["u-turn"].risk_rates.cut_in}})
+    same = table(options={"risk_rates": {"cut_in": episodes.TASKS["u-turn"].risk_rates.cut_in}})
     assert present.equals(same)  # the same rates draw the same scenarios
     drivers = {"lane_changes": True, "assertive": 5.0, "speed_gain": 200.0}
     assert not present.equals(table(options={"calibration": drivers}))

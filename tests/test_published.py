@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import pandas as pd
 
 from experiments.analysis.analysis import Analysis, stored
@@ -17,9 +19,22 @@ from tests.pages import ROOT, TEXTS, section, table
 from tests.processes import python
 
 
-def told(page: str) -> str:
-    """The text of a page in one line."""
-    return " ".join(TEXTS[ROOT / page].split())
+def plain(text: str) -> str:
+    """A text in one line, with ASCII minus signs and without the unit: a sentence names it once for several numbers."""
+    return " ".join(text.split()).replace(" points", "").replace("−", "-")
+
+
+def told(page: str, title: str = "") -> str:
+    """The text of a page, or of one of its sections."""
+    return plain(section(TEXTS[ROOT / page], title) if title else TEXTS[ROOT / page])
+
+
+def assert_told(shown: Iterable[str], text: str) -> None:
+    assert [words for words in shown if words not in text] == []
+
+
+STUDY, SECOND = "docs/study.md", "The second study, so far"
+OWN = "against == 'control' and scenarios == 'own'"
 
 
 def test_the_table_of_the_readme_is_that_of_the_results() -> None:
@@ -37,28 +52,25 @@ def crashes(analysis: Analysis, **wanted: str) -> dict[str, str]:
     rows = analysis.means[analysis.means["outcome"] == "crashed"]
     for column, value in asked.items():
         rows = rows[rows[column] == value]
-    return {row["term"]: difference(row) for row in rows.to_dict("records")}
+    return {row["term"]: plain(difference(row)) for row in rows.to_dict("records")}
 
 
 def dense_intersection(analysis: Analysis) -> str:
     """The harm at the densest intersection, as it is told."""
-    own = "arm == 'treatment' and against == 'control' and scenarios == 'own' and outcome == 'crashed'"
-    rows = analysis.effects.query(f"{own} and task == 'intersection' and level == 5").set_index("term")
-    assert rows.loc["regular", "p_adjusted"] < 0.05
-    return difference(rows.loc["regular"])
+    rows = analysis.effects.query(f"{OWN} and arm == 'treatment' and outcome == 'crashed' and level == 5")
+    row = rows.query("task == 'intersection' and term == 'regular'").iloc[0]
+    assert row["p_adjusted"] < 0.05
+    return plain(difference(row))
 
 
 def on_the_tasks_of_mixed_seen(analysis: Analysis) -> list[str]:
     """The mean effects of treatment and of mixed training, in risky and in regular traffic, where mixed-seen is."""
-    rows = analysis.effects.query(
-        "outcome == 'crashed' and against == 'control' and scenarios == 'own' and level == 1"
-    )
+    rows = analysis.effects.query(f"{OWN} and outcome == 'crashed' and level == 1")
     rows = rows[rows["task"].isin(rows.query("arm == 'mixed-seen'")["task"])]
     same = rows.groupby(["arm", "term"])["estimate"].mean()
-    numbers = [
+    return [
         f"{100 * same[arm, term]:+.1f}" for arm in ("treatment", "mixed") for term in ("risky", "regular")
     ]
-    return [number.replace("-", "−") for number in numbers]
 
 
 def test_the_readme_tells_the_numbers_of_both_studies() -> None:
@@ -72,8 +84,7 @@ def test_the_readme_tells_the_numbers_of_both_studies() -> None:
         *(crashes(first)[term] for term in TRAFFICS),
         crashes(first, arm="dense")["risky"],
     ]
-    numbers = [words.replace(" points", "") for words in shown]
-    assert [number for number in numbers if number not in told("README.md")] == []
+    assert_told(shown, told("README.md"))
 
 
 def test_progress_is_told_beside_speed() -> None:
@@ -81,20 +92,23 @@ def test_progress_is_told_beside_speed() -> None:
     for name in ("second", "standard"):
         policies = published(name).policies
         pace = paces(policies[policies["backend"] == "sumo"])
-        slower = f"{100 * pace['slower']['risky']['crashed']:.0f} %"
-        found[name] = (
-            [f"{pace[arm]['risky']['progress']:.1f}" for arm in ("treatment", "control", "slower")]
-            + [slower],
-            [f"{pace[arm]['regular']['progress']:.1f}" for arm in ("treatment", "control", "slower")],
-        )
-    (way, of_control, slowest, rate), (in_regular, control_in_regular, _) = found["second"]
-    here = f"cover {way} m per second of the time limit in risky traffic (control agents {of_control}) and "
-    here += f"{in_regular} ({control_in_regular}) in regular; always choosing SLOWER covers {slowest} and "
-    here += f"crashes in {rate}"
-    assert here in told("README.md")
-    risky, regular = found["standard"]
-    assert "is {} m/s, that of control agents {}.".format(*risky) in told("docs/study.md")
-    assert "it is {}, {} and {} m/s".format(*regular) in told("docs/study.md")
+        found[name] = {
+            f"{arm}_{traffic}": f"{pace[arm][traffic]['progress']:.1f}"
+            for arm in ("treatment", "control", "slower")
+            for traffic in TRAFFICS
+        }
+        found[name]["rate"] = f"{100 * pace['slower']['risky']['crashed']:.0f} %"
+    readme = (
+        "cover {treatment_risky} m per second of the time limit in risky traffic (control agents {control_risky}) "
+        "and {treatment_regular} ({control_regular}) in regular; "
+        "always choosing SLOWER covers {slower_risky} and crashes in {rate}"
+    )
+    assert_told([readme.format(**found["second"])], told("README.md"))
+    page = [
+        "is {treatment_risky} m/s, that of control agents {control_risky}.",
+        "it is {treatment_regular}, {control_regular} and {slower_regular} m/s",
+    ]
+    assert_told([words.format(**found["standard"]) for words in page], told(STUDY))
 
 
 def test_crashes_in_the_last_second() -> None:
@@ -105,160 +119,140 @@ def test_crashes_in_the_last_second() -> None:
         ("second", "u-turn"): "{late} of {all} in the last second",
     }
     for (name, task), words in told_of.items():
-        wanted = (
-            "kind == 'agent' and arm == 'treatment' and traffic == 'regular' and level == 1 and task == @task"
-        )
-        crashes = load(ROOT / "results" / name).episodes.query(wanted).query("crashed")
+        treated = load(ROOT / "results" / name).episodes.query("kind == 'agent' and arm == 'treatment'")
+        crashes = treated.query("traffic == 'regular' and level == 1 and task == @task and crashed")
         late = int((crashes["crash_time"] > TASKS[task].defaults["duration"] - 1.0).sum())
-        assert words.format(late=late, all=len(crashes)) in told("docs/study.md")
+        assert words.format(late=late, all=len(crashes)) in told(STUDY)
 
 
 def test_the_second_study_is_told_as_it_was_found() -> None:
-    study = published("second")
-    text = section(TEXTS[ROOT / "docs" / "study.md"], "The second study, so far")
-    text = " ".join(text.split())
-    own = "arm == 'treatment' and against == 'control' and scenarios == 'own' and level == 1"
-    effects = study.effects.query(f"{own} and outcome == 'crashed'").set_index(["task", "term"])
-    u_turn = difference(effects.loc["u-turn", "regular"])
-    assert (
-        f"With the longer clock, whose last seconds no test has, it is {u_turn.replace(' points', '')}"
-        in text
-    )
-    per_way = study.effects.query(
-        f"{own} and outcome == 'crashes_per_100_km' and task == 'u-turn' and term == 'regular'"
-    )
-    assert (
-        "per 100 km +{:.1f} [+{:.1f}, +{:.1f}]".format(*per_way.iloc[0][["estimate", "low", "high"]]) in text
-    )
-    clock = {
-        task: {
-            term: words.replace(" points", "")
-            for term, words in crashes(published("first-clock"), scope=task).items()
-        }
-        for task in ("u-turn", "roundabout")
-    }
-    assert f"crash {clock['u-turn']['regular']} more" in text
-    assert f"in risky traffic {clock['u-turn']['risky']}" in text
-    assert f"roundabout it is {clock['roundabout']['regular']} in regular" in text
-    assert f"and {clock['roundabout']['risky']} in risky traffic" in text
-    longer = [difference(effects.loc["roundabout", term]).split()[0] for term in ("regular", "risky")]
-    assert "with the longer clock {} and {}.".format(*longer) in text
-    term = {name: words.replace(" points", "") for name, words in crashes(published("crash-reward")).items()}
-    assert f"differ by {term['regular']} in regular and {term['risky']} in risky traffic" in text
-    shown = [crashes(study, arm="mixed")[term].split()[0] for term in TRAFFICS]
-    shown.append(crashes(study, scope="without two-way")["regular"].replace(" points", ""))
-    shown.append(dense_intersection(study).replace(" points", ""))
-    assert [number for number in shown if number not in text] == []
+    study, first = published("second"), published("first-clock")
+    treated = study.effects.query(f"{OWN} and arm == 'treatment'")
+    single = treated.query("level == 1").set_index(["outcome", "task", "term"])
+    shown = {where: plain(difference(row)) for where, row in single.loc["crashed"].iterrows()}
+    per_way = single.loc[("crashes_per_100_km", "u-turn", "regular"), ["estimate", "low", "high"]]
+    u_turn, roundabout = (crashes(first, scope=task) for task in ("u-turn", "roundabout"))
+    longer = [shown["roundabout", term].split()[0] for term in ("regular", "risky")]
+    reward, mixed = crashes(published("crash-reward")), crashes(study, arm="mixed")
     lost, harm = study.price.query("scope == 'all tasks'").to_dict("records")
+    limits = (100 * study.price.query("scope != 'all tasks'")["high"]).map("{:.1f}".format).tolist()
+    assert study.price["scope"].tolist() == [*TASKS, "all tasks"] * 2
+    replica = study.means.query("tested_on == 'replica' and term == 'regular' and scope != 'all tasks'")
+    there = [f"{100 * x:+.0f}" for x in replica.set_index("scope")["estimate"]]
+    assert there[4] == there[2]
+    change = study.learner.query("check == 'change'").set_index("arm")["estimate"]
+    told_changes = "{control:.3f} of its range (control), {treatment:.3f} (treatment) and {mixed:.3f} (mixed)"
+    sentences = [
+        f"With the longer clock, whose last seconds no test has, it is {shown['u-turn', 'regular']}",
+        "per 100 km +{:.1f} [+{:.1f}, +{:.1f}]".format(*per_way),
+        f"crash {u_turn['regular']} more",
+        f"in risky traffic {u_turn['risky']}",
+        f"roundabout it is {roundabout['regular']} in regular",
+        f"and {roundabout['risky']} in risky traffic",
+        "with the longer clock {} and {}.".format(*longer),
+        f"differ by {reward['regular']} in regular and {reward['risky']} in risky traffic",
+        *(mixed[term].split()[0] for term in TRAFFICS),
+        crashes(study, scope="without two-way")["regular"],
+        dense_intersection(study),
+        f"loses {100 * lost['estimate']:.1f} of the gain, at most {100 * lost['high']:.1f}",
+        f"its price is at most {100 * harm['high']:.1f} (2.5 asked, not decided;",
+        f"as above, {', '.join(limits[:5])});",
+        f"not decided; {', '.join(limits[5:])}; one-sided limits)",
+        *crashes(study, tested_on="replica", scenarios="replica").values(),
+        f"(two-way road {there[1]}, roundabout and u-turn {there[2]})",
+        told_changes.format(**change).replace("0.", "."),
+    ]
+    assert_told(sentences, told(STUDY, SECOND))
     assert (lost["verdict"], harm["verdict"]) == ("contradicted", "not decided")
     claim = study.claims.set_index(["name", "quantity"]).loc[("return rises", "sum")]
     assert (claim["verdict"], claim["wrong"]) == ("contradicted", 1)
-    whole = "arm == 'treatment' and against == 'control' and outcome == 'return' and term == 'sum'"
-    falls = study.effects.query(f"{whole} and scenarios == 'own' and estimate < 0 and p_adjusted < 0.05")
+    falls = treated.query("outcome == 'return' and term == 'sum' and estimate < 0 and p_adjusted < 0.05")
     assert falls[["task", "level_name"]].values.tolist() == [["intersection", "30"]]
-    assert f"loses {100 * lost['estimate']:.1f} points of the gain, at most {100 * lost['high']:.1f}" in text
-    assert f"its price is at most {100 * harm['high']:.1f} (2.5 asked, not decided;" in text
-    limits = (100 * study.price.query("scope != 'all tasks'")["high"]).map("{:.1f}".format).tolist()
-    assert study.price["scope"].tolist() == [*TASKS, "all tasks"] * 2
-    both = ", ".join(limits[:5]), ", ".join(limits[5:]).replace("-", "−")
-    assert f"as above, {both[0]});" in text and f"not decided; {both[1]}; one-sided limits)" in text
     verdicts = study.price.query("scope != 'all tasks'").set_index(["term", "scope"])["verdict"].eq("holds")
     assert set(verdicts["risky"][verdicts["risky"]].index) == {"highway", "two-way", "intersection"}
     assert set(verdicts["regular"][~verdicts["regular"]].index) == {"two-way", "intersection"}
-    away = crashes(study, tested_on="replica", scenarios="replica")
-    assert [words for words in away.values() if words not in text] == []
-    away = study.means.query("tested_on == 'replica' and term == 'regular' and scope != 'all tasks'")
-    there = [f"{100 * x:+.0f}".replace("-", "−") for x in away.set_index("scope")["estimate"]]
-    assert f"(two-way road {there[1]}, roundabout and u-turn {there[2]})" in text and there[4] == there[2]
-    alone = study.policies.query("traffic == 'only-parameters'").pivot_table(
-        "crashed", ["task", "level_name"], "arm"
-    )
-    worse = alone.sub(alone["control"], axis=0)
-    assert (
-        f"treated agents {100 * worse.loc[('two-way', '5+2'), 'treatment']:.0f} points more on the two-way"
-        in text
-    )
-    assert (
-        f"two-way agents crash {100 * worse.loc[('two-way', '5+2'), 'mixed-seen']:.0f} points more often"
-        in text
-    )
+
+
+def test_other_traffic_is_told_as_it_was_found() -> None:
+    study = published("second")
+    rates = study.policies.pivot_table("crashed", ["traffic", "task", "level_name"], "arm")
+    alone = rates.loc["only-parameters"]
+    worse = 100 * alone.sub(alone["control"], axis=0)
+    road = worse.loc[("two-way", "5+2")]
+    sentences = [
+        f"treated agents {road['treatment']:.0f} more on the two-way",
+        f"two-way agents crash {road['mixed-seen']:.0f} more often",
+    ]
+    assert_told(sentences, told(STUDY, SECOND))
     assert worse.loc[["roundabout", "intersection"], ["treatment", "mixed"]].lt(0).all(axis=None)
-    models = study.policies.query("traffic in ('krauss', 'eidm')").pivot_table(
-        "crashed", ["task", "level_name", "traffic"], "arm"
-    )
+    models = rates.loc[["krauss", "eidm"]]
     assert len(models) == 14 and models[["treatment", "mixed"]].lt(models["control"], axis=0).all(axis=None)
     shown = tables.unseen(study, "sumo").set_index(["setting", "traffic"])["treatment"]
-    assert shown["u-turn 3", "krauss"].startswith(
-        f"{100 * models.loc[('u-turn', '3', 'krauss'), 'treatment']:.1f} % ±"
-    )
-    change = study.learner.query("check == 'change'").set_index("arm")["estimate"]
-    told_changes = "{control:.3f} of its range (control), {treatment:.3f} (treatment) and {mixed:.3f} (mixed)"
-    assert told_changes.format(**change).replace("0.", ".") in text
-    checks = study.learner
+    rate = 100 * models.loc[("krauss", "u-turn", "3"), "treatment"]
+    assert shown["u-turn 3", "krauss"].startswith(f"{rate:.1f} % ±")
+
+
+def test_the_second_studys_learner_is_told_as_it_was_found() -> None:
+    study = published("second")
+    checks, dense = study.learner, study.gates.query("task == 'roundabout' and level_name == '15'")
     assert (len(checks), (checks["passed"] == True).sum()) == (11, 4)  # noqa: E712
-    assert "Of eleven checks of the learner, four are met." in text
     gated = checks.query("check == 'gates'").iloc[0]
     number, sound = gated["agents"], round(gated["agents"] * gated["estimate"])
-    assert f"{sound} of the plan's {number} agents pass every gate" in text
-    assert f"{sound} of {number} agents pass every check" in told("README.md")
+    assert_told([f"{sound} of {number} agents pass every check"], told("README.md"))
     unbounded = study.gates.query("q_bounded == False and arm in ('control', 'treatment', 'mixed')")
-    assert set(unbounded["task"]) == {"two-way"} and f"the values of {len(unbounded)}, on the two-way" in text
-    dense = study.gates.query("task == 'roundabout' and level_name == '15'")
-    assert (
-        f"{(dense['failed'] == 'beats_constant').sum()} of {len(dense)} agents are not clearly better" in text
-    )
+    assert set(unbounded["task"]) == {"two-way"}
     late = checks.query("check == 'last second'").set_index(["task", "arm"])[["estimate", "low", "high"]]
-    assert "{:.2f} times [{:.2f}, {:.2f}] as often".format(*late.loc["roundabout", "treatment"]) in text
     control = [f"{late.loc[(task, 'control'), 'estimate']:.2f}"[1:] for task in ("roundabout", "u-turn")]
-    assert "control agents there {} and on the u-turn {} times".format(*control) in text
     above = study.frontier.query("task == 'u-turn' and traffic == 'risky'").set_index("arm")
     row = 100 * above.loc["treatment", ["estimate", "low", "high"]].astype(float)
-    control = 100 * above.loc["control", "estimate"]
-    words = "(+{:.1f} points [{:.1f}, +{:.1f}], over agents; control agents +{:.0f})".format(*row, control)
-    assert words.replace("-", "−") in text
     light = study.frontier.query("traffic == 'risky' and level == 1 and arm == 'treatment'").set_index("task")
-    assert f"on the light roundabout less (−{-100 * light.loc['roundabout', 'estimate']:.1f})" in text
     assert set(light.index[light["inside"] == 0]) == {"highway", "two-way", "intersection"}
     drives = load(ROOT / "results" / "second").episodes.query("kind == 'agent' and traffic == 'regular'")
-    enters = drives.query("task == 'roundabout' and level_name == '15'").groupby("arm")["distance"]
-    enters = enters.agg(lambda way: 100 * (way >= CROSSINGS["roundabout"]).mean())
-    assert (
-        "in {treatment:.0f} % of regular episodes, control agents in {control:.0f} %".format(**enters) in text
-    )
-    second_step = drives.query("task == 'intersection' and level_name == '30'").groupby("arm")["actions"]
-    faster = second_step.agg(lambda actions: 100 * (actions.str[1] == "2").mean())
-    assert (
-        "{treatment:.0f} % choose FASTER in the second step, control agents {control:.0f} %".format(**faster)
-        in text
-    )
+    ways = drives.query("task == 'roundabout' and level_name == '15'").groupby("arm")["distance"]
+    enters = ways.agg(lambda way: 100 * (way >= CROSSINGS["roundabout"]).mean())
+    chosen = drives.query("task == 'intersection' and level_name == '30'").groupby("arm")["actions"]
+    faster = chosen.agg(lambda actions: 100 * (actions.str[1] == "2").mean())
+    sentences = [
+        "Of eleven checks of the learner, four are met.",
+        f"{sound} of the plan's {number} agents pass every gate",
+        f"the values of {len(unbounded)}, on the two-way",
+        f"{(dense['failed'] == 'beats_constant').sum()} of {len(dense)} agents are not clearly better",
+        "{:.2f} times [{:.2f}, {:.2f}] as often".format(*late.loc["roundabout", "treatment"]),
+        "control agents there {} and on the u-turn {} times".format(*control),
+        "(+{:.1f} [{:.1f}, +{:.1f}], over agents;".format(*row),
+        f"over agents; control agents +{100 * above.loc['control', 'estimate']:.0f})",
+        f"on the light roundabout less ({100 * light.loc['roundabout', 'estimate']:.1f})",
+        "in {treatment:.0f} % of regular episodes, control agents in {control:.0f} %".format(**enters),
+        "{treatment:.0f} % choose FASTER in the second step, control agents {control:.0f} %".format(**faster),
+    ]
+    assert_told(sentences, told(STUDY, SECOND))
 
 
 def test_the_second_studys_exploratory_arms_are_told_as_they_were_found() -> None:
     study = published("second")
-    text = " ".join(section(TEXTS[ROOT / "docs" / "study.md"], "The second study, so far").split())
-    for arm in ("mixed-seen", "drawn"):
-        found = crashes(study, arm=arm)
-        assert f"gives {found['risky']} in risky and {found['regular']} in regular traffic" in text
-    rows = study.effects.query("outcome == 'crashed' and against == 'control' and scenarios == 'own'")
+    arms = [crashes(study, arm=arm) for arm in ("mixed-seen", "drawn")]
+    rows = study.effects.query(f"{OWN} and outcome == 'crashed'")
     drawn = rows.query("arm == 'drawn' and term == 'regular'").set_index("task")["estimate"]
-    assert set(drawn.index) == set(TASKS)
-    assert drawn.idxmax() == "two-way" and f"on the two-way road +{100 * drawn.max():.0f}." in text
-    tasks = rows.query("arm == 'mixed-seen'")["task"].unique()
-    assert set(tasks) == {"two-way", "roundabout", "u-turn"}
-    words = "treated agents have {} and {} and mixed ones {} and {}"
-    assert words.format(*on_the_tasks_of_mixed_seen(study)) in text
+    assert set(drawn.index) == set(TASKS) and drawn.idxmax() == "two-way"
+    assert set(rows.query("arm == 'mixed-seen'")["task"]) == {"two-way", "roundabout", "u-turn"}
+    same = "treated agents have {} and {} and mixed ones {} and {}"
     gates = study.gates.query("arm == 'mixed-seen' and task == 'two-way'")["q_bounded"].astype(bool)
-    assert f"{(~gates).sum()} of {len(gates)} two-way agents exceed the bound" in text
+    sentences = [
+        *(f"gives {found['risky']} in risky and {found['regular']} in regular traffic" for found in arms),
+        f"on the two-way road +{100 * drawn.max():.0f}.",
+        same.format(*on_the_tasks_of_mixed_seen(study)),
+        f"{(~gates).sum()} of {len(gates)} two-way agents exceed the bound",
+    ]
+    assert_told(sentences, told(STUDY, SECOND))
 
 
 def test_the_studys_page_tells_what_further_arms_do() -> None:
-    analysis = published("standard")
-    text = section(TEXTS[ROOT / "docs" / "study.md"], "Risk or more interaction?")
-    line = " ".join(text.split())
-    means = {arm: crashes(analysis, arm=arm) for arm in ("dose25", "dose50", "dose75", "penalty", "dense")}
-    shown = [means[arm][term] for arm in ("dose25", "dose50", "dose75", "penalty") for term in TRAFFICS]
-    shown += [means["dense"]["risky"]]
-    assert [words for words in shown if words not in line] == []
+    means = {
+        arm: crashes(published("standard"), arm=arm)
+        for arm in ("dose25", "dose50", "dose75", "penalty", "dense")
+    }
+    shown = [means[arm][term] for arm in means if arm != "dense" for term in TRAFFICS]
+    assert_told([*shown, means["dense"]["risky"]], told(STUDY, "Risk or more interaction?"))
 
 
 def test_the_agents_of_further_arms_pass_the_gates() -> None:

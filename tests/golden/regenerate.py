@@ -48,14 +48,13 @@ def read(name: str) -> Any:
 
 
 def main(parts: list[str]) -> None:
-    """Write the files of some parts; of all by default."""
-    if parts == ["numbers"]:
-        numbers.write()
-        return
-    unknown = set(parts) - set(PARTS)
-    if unknown:
-        raise SystemExit(f"unknown: {', '.join(sorted(unknown))}; there are {', '.join(PARTS)}")
+    """Write the files of some parts; of all tasks' by default."""
+    if unknown := set(parts) - {*PARTS, "numbers"}:
+        raise SystemExit(f"unknown: {', '.join(sorted(unknown))}; there are {', '.join(PARTS)}, numbers")
     for part in parts or PARTS:
+        if part == "numbers":
+            numbers.write()
+            continue
         for task in TASKS:
             (FOLDER / part / f"{task}.json").write_text(pretty(PARTS[part](task)) + "\n")
             print(f"{part}/{task}.json", flush=True)

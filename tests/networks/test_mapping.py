@@ -12,9 +12,10 @@ from sumo_env.networks.mapping import TASKS, network
 
 
 @pytest.mark.parametrize("task", TASKS)
-def test_sumo_lanes_lie_on_highway_env_lanes(task):
-    """Within 1 cm sideways, chords included; the ends within the length of a joint."""
+def test_sumo_lanes_lie_on_highway_env_lanes_and_nobody_drives_off_an_end(task):
+    """Within 1 cm sideways, chords included, without a hole; 400 m beyond every exit, and room before every entry."""
     net = network(task)
+    last = {edges[-1] for edges in net.routes.values()}
     for index, sumo_lane in net.lanes.items():
         lane = net.road.lane(index)
         points = sumo_lane.shape
@@ -23,21 +24,10 @@ def test_sumo_lanes_lie_on_highway_env_lanes(task):
                 assert abs(lane.local_coordinates(x0 + k * (x1 - x0), y0 + k * (y1 - y0))[1]) < 0.01
         if (task, index) == ("two-way", ("a", "b", 0)):
             continue  # driven the other way
-        assert lane.local_coordinates(*points[0])[0] < plans.GAP
-        assert lane.local_coordinates(*points[-1])[0] > lane.length - plans.GAP
-
-
-@pytest.mark.parametrize("task", TASKS)
-def test_nobody_drives_off_an_end(task):
-    """400 m beyond every exit, and room before every entry."""
-    net = network(task)
-    last = {edges[-1] for edges in net.routes.values()}
-    for index, sumo_lane in net.lanes.items():
-        lane = net.road.lane(index)
-        if f"{index[0]}-{index[1]}" in last and (task, index) != ("two-way", ("a", "b", 0)):
-            assert lane.local_coordinates(*sumo_lane.shape[-1])[0] >= lane.length + 399
-        if not sumo_lane.preceding and (task, index) != ("two-way", ("a", "b", 0)):
-            assert lane.local_coordinates(*sumo_lane.shape[0])[0] <= -50
+        first_s, last_s = (lane.local_coordinates(*point)[0] for point in (points[0], points[-1]))
+        assert first_s < (plans.GAP if sumo_lane.preceding else -50 + 1e-9)
+        is_exit = f"{index[0]}-{index[1]}" in last
+        assert last_s > (lane.length + 399 - 1e-9 if is_exit else lane.length - plans.GAP)
 
 
 @pytest.mark.parametrize("lanes_count", plans.LANES_COUNTS)

@@ -18,9 +18,8 @@ from tests.sumo_env.rollout import drive
 SUMO = Path(sys.executable).with_name("sumo")  # of the eclipse-sumo wheel
 needs_sumo = pytest.mark.skipif(not SUMO.exists(), reason="needs eclipse-sumo: pip install '.[networks]'")
 QUIET: dict[str, Any] = {"vehicles_count": 0, "spawn_probability": 0.0}
-Plan = tuple[
-    str, ...
-]  # nodes, edges and connections, each as XML or as the values of KINDS with commas between
+# Nodes, edges and connections, each as XML or as the values of KINDS with commas between.
+Plan = tuple[str, ...]
 KINDS = {"node": "id x y", "edge": "id from to numLanes speed", "connection": "from fromLane to toLane"}
 
 

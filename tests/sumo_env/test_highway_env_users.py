@@ -14,24 +14,18 @@ from sumo_env.env import DrivingEnv
 from sumo_env.tasks import TASKS
 from tests.sumo_env.parity import stock
 
-CROSSING = {
-    "type": "Kinematics",
-    "vehicles_count": 15,
-    "features": ["presence", "x", "y", "vx", "vy", "cos_h", "sin_h"],
-    "features_range": {"x": [-100, 100], "y": [-100, 100], "vx": [-20, 20], "vy": [-20, 20]},
-    "absolute": True,
-}
 # Environments of rl-agents' scripts/configs, by file.
 RL_AGENTS: dict[str, tuple[str, Config]] = {
     "HighwayEnv/env_obs_attention": (
         "highway",
         {
             "lanes_count": 3, "vehicles_count": 15, "policy_frequency": 2, "duration": 40,
-            "observation": {**CROSSING, "absolute": False},
+            "observation": {
+                "type": "Kinematics", "vehicles_count": 15, "absolute": False,
+                "features": ["presence", "x", "y", "vx", "vy", "cos_h", "sin_h"],
+                "features_range": {"x": [-100, 100], "y": [-100, 100], "vx": [-20, 20], "vy": [-20, 20]},
+            },
         },
-    ),
-    "IntersectionEnv/env": (
-        "intersection", {"observation": {**CROSSING, "order": "shuffled"}, "destination": "o1"}
     ),
     "IntersectionEnv/env_5fps": (
         "intersection",

@@ -1,8 +1,8 @@
-"""Sweeps of the fake environment that are computed in this process, cell by cell."""
+"""Sweeps of the fake environment that are computed in this process, cell by cell, whole or interrupted."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +20,20 @@ TINY: dict[str, Any] = {
     "episodes": 3,
     "early_tests": True,
 }
+
+
+class Interrupted(Exception):
+    pass
+
+
+def interrupting(moment: int) -> Callable[[int], None]:
+    """Ends a training after so many updates."""
+
+    def stop(updates: int) -> None:
+        if updates >= moment:
+            raise Interrupted
+
+    return stop
 
 
 def tasks_of(directory: Path, **options: Any) -> list[CellTask]:

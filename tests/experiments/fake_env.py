@@ -1,32 +1,26 @@
 """A small driving task with the environment's interface: one lane, one leader, a crash when the gap closes.
 
 Fast (20 us a step) and deterministic in its seed, so that the engine can be tested without a simulator.
-Environment variables make it misbehave, because the engine runs it in other processes:
-FAKE_KILL=<path>: kill this process with SIGKILL at the reset whose number the file holds, once;
-FAKE_RAISE: raise in every training episode of the treatment.
 """
 
 from __future__ import annotations
 
-import os
-import signal
 from dataclasses import asdict
-from pathlib import Path
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, ClassVar
 
 import gymnasium as gym
 import numpy as np
 
 from sumo_env.contacts.crash import CrashRecord
 
-TEST = 2**32  # seeds of test scenarios begin here (experiments.study.arms)
 FEATURES = ("presence", "x", "y", "vx", "vy")
 
 
 class FakeEnv(gym.Env):
     metadata = {"render_modes": ["rgb_array"], "render_fps": 5}  # noqa: RUF012
     target_speeds = (10.0, 20.0, 30.0)
+    met: ClassVar[list[tuple[int, float, int]]] = []  # seed, dose and duration of this process' episodes
 
     def __init__(self, task: str, config: dict[str, Any], render_mode: str | None = None) -> None:
         self.task = task
@@ -44,11 +38,9 @@ class FakeEnv(gym.Env):
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
         super().reset(seed=seed)
         self.config.update((options or {}).get("config", {}))
-        if "FAKE_RAISE" in os.environ and self.config["risk"] == 1.0 and seed is not None and seed < TEST:
-            raise RuntimeError("the fake environment was told to fail")
+        self.met.append((seed, self.config["risk"], self.config["duration"]))
         self.gap = float(self.np_random.uniform(20, 60))
         self.rung, self.speed, self.time, self.crashed = 1, 20.0, 0, False
-        self._die()
         return self._observe(), self._info(0.0, None)
 
     def step(self, action: int):
@@ -111,17 +103,6 @@ class FakeEnv(gym.Env):
             "near_miss": ttc < 1.5 and not self.crashed,
             "distance": distance,
         }
-
-    def _die(self) -> None:
-        """Kill this process at the next point that FAKE_KILL names."""
-        plan = os.environ.get("FAKE_KILL")
-        if plan is None:
-            return
-        path = Path(plan)
-        left = int(path.read_text())
-        path.write_text(str(left - 1))
-        if left == 0:
-            os.kill(os.getpid(), signal.SIGKILL)
 
 
 def make_other_env(*arguments: Any) -> gym.Env:

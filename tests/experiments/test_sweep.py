@@ -9,18 +9,16 @@ import random
 import shlex
 import shutil
 import signal
-import sys
 import time
 from collections import Counter
-from concurrent.futures import Executor, Future
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from types import ModuleType
 
 import pytest
 
 from experiments.analysis.analysis import analyse, as_json
 from experiments.analysis.cells import comparable
-from experiments.study import grid, store
+from experiments.study import grid, store, train
 from experiments.study.experiment import shard
 from experiments.study.run import Ended, attempt
 from experiments.study.store import MARKS, TRAINING, Store, load
@@ -34,10 +32,8 @@ from tests.processes import ROOT, children, is_alive, python, started, wait_for
 @pytest.fixture(autouse=True, scope="module")
 def no_report():
     """The report has its own tests."""
-    module = ModuleType("experiments.report")
-    module.print_report = module.report_placebo = print
     with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(sys.modules, "experiments.report", module)
+        patch.setattr("experiments.report.print_report", print)
         yield
 
 
@@ -45,19 +41,10 @@ def run(directory: Path, **options) -> int:
     return sweep(Options(out=directory, **{**TINY, "workers": 2, **options}), make_env=make_env)
 
 
-class Here(Executor):
-    """Computes in this process, where nothing has to be started."""
-
-    def submit(self, function, /, *arguments):
-        future = Future()
-        future.set_result(function(*arguments))
-        return future
-
-
 @pytest.fixture
 def here(monkeypatch):
     """For tests that are not about processes."""
-    monkeypatch.setattr("experiments.sweep.open_executor", lambda *_: (Here(), 1))
+    monkeypatch.setattr("experiments.sweep.open_executor", lambda *_: (ThreadPoolExecutor(1), 1))
 
 
 @pytest.fixture(scope="module")
@@ -131,47 +118,49 @@ def test_cells_say_what_they_are_and_where_they_come_from(reference):
         assert training.step.max() >= 4 * TINY["updates"]
 
 
-def test_a_killed_worker_is_noticed_and_its_cells_come_out_the_same(reference, tmp_path, monkeypatch, capsys):
-    plan_file = tmp_path / "kill"
-    plan_file.write_text("40")
-    monkeypatch.setenv("FAKE_KILL", str(plan_file))
-    assert run(tmp_path / "results", workers=1) == 0
-    assert "its process was killed by SIGKILL" in capsys.readouterr().out
-    assert fingerprint(tmp_path / "results") == fingerprint(reference)
-
-
 def test_a_cell_that_always_fails_leaves_the_others(reference, tmp_path, monkeypatch, capsys, here):
-    monkeypatch.setenv("FAKE_RAISE", "1")
-    assert run(tmp_path) == 1
+    usual = train.train_cell
+
+    def failing(cell, *arguments):
+        if cell.arm == "treatment":
+            raise RuntimeError("it was told to fail")
+        return usual(cell, *arguments)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(train, "train_cell", failing)
+        assert run(tmp_path) == 1
+        log = next(tmp_path.glob("work/*/log.txt"))
+        with pytest.raises(RuntimeError, match="told to fail"):
+            run(tmp_path, cell=log.parent.name)
     errors = capsys.readouterr().err
-    log = next(tmp_path.glob("work/*/log.txt"))
     for words in ("told to fail", str(log), f"--cell {log.parent.name}"):
         assert words in errors
     assert log.read_text().count("Traceback") == 4
-    with pytest.raises(RuntimeError, match="told to fail"):
-        run(tmp_path, cell=log.parent.name)
     results = load(tmp_path)
     assert len(results.cells) == 7
     assert [name.rpartition("-")[0] for name in results.failed] == ["sumo-u-turn-3-treatment-s0"]
-    monkeypatch.delenv("FAKE_RAISE")
     assert run(tmp_path) == 0
     assert not load(tmp_path).failed
     assert fingerprint(tmp_path) == fingerprint(reference)
 
 
 def command(directory: Path, **options) -> tuple[object, ...]:
-    options = json.dumps({**TINY, "workers": 2, **options})
-    return ROOT / "tests/experiments/study/fake_sweep.py", directory, options
+    return ROOT / "tests/experiments/study/fake_sweep.py", directory, json.dumps({**TINY, **options})
 
 
 @pytest.mark.slow
-def test_a_killed_sweep_goes_on_where_it_was(reference, tmp_path):
+@pytest.mark.parametrize("victim", ["worker", "sweep"])
+def test_what_is_killed_goes_on_where_it_was(reference, tmp_path, victim):
     directory = tmp_path / "results"
     process = started(*command(directory))
+    wait_for(lambda: len(list(directory.glob("work/*/lock"))) == 2, 300)  # both workers compute
     wait_for(lambda: [*directory.glob("work/*/checkpoint.npz"), *directory.glob("cells/*")], 300)
-    process.kill()
-    process.communicate()
-    assert run(directory) == 0
+    os.kill(process.pid if victim == "sweep" else children(process.pid, "spawn_main")[0], signal.SIGKILL)
+    printed, _ = process.communicate(timeout=300)
+    if victim == "sweep":
+        assert run(directory) == 0
+    else:
+        assert process.returncode == 0 and "its process was killed by SIGKILL" in printed
     assert fingerprint(directory) == fingerprint(reference)
 
 
@@ -298,19 +287,6 @@ def test_a_damaged_cell_is_named_put_aside_and_computed_again(reference, tmp_pat
     assert f"{cell / store.EPISODES} is damaged" in capsys.readouterr().out
     assert next((copy / "damaged").glob(f"{cell.name}.*/{store.EPISODES}")).read_bytes() == b"PAR1"
     assert fingerprint(copy) == fingerprint(reference)
-
-
-def test_a_damaged_checkpoint_is_named_put_aside_and_the_training_begins_again(
-    reference, tmp_path, capsys, here
-):
-    task = next(task for task in tasks_of(tmp_path) if task.cell.kind == "agent")
-    task.folder.mkdir(parents=True)
-    (task.folder / "checkpoint.npz").write_bytes(b"PK\3\4torn")
-    assert run(tmp_path) == 0
-    assert f"{task.name}: its checkpoint was damaged" in capsys.readouterr().out
-    [aside] = (tmp_path / "damaged").iterdir()
-    assert aside.name.startswith(f"{task.name}-checkpoint.npz.") and aside.read_bytes() == b"PK\3\4torn"
-    assert fingerprint(tmp_path) == fingerprint(reference)
 
 
 def test_the_command_works_from_any_directory(tmp_path):

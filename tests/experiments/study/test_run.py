@@ -70,10 +70,12 @@ def test_processes_are_recycled(tmp_path):
         ("segfault", "killed by SIGSEGV"),
         ("exit", "ended with exit status 7"),
         ("fail", "ValueError: it was told to fail"),
+        pytest.param("hold", "it hung: no sign of life", marks=pytest.mark.slow),
+        pytest.param("deadlock", "it hung: no sign of life", marks=pytest.mark.long),
     ],
 )
 def test_what_goes_wrong_goes_on_from_its_checkpoint_in_another_process(tmp_path, fault, reason):
-    bad = Sum("bad", tmp_path, fault=fault, times=1)
+    bad = Sum("bad", tmp_path, fault=fault, times=1, silence=3.0)
     tasks = [bad, Sum("good", tmp_path, pause=0.2)]
     failures, witness = compute(tasks)
     assert failures == {}
@@ -99,17 +101,6 @@ def test_a_process_that_is_killed_between_two_tasks_is_replaced(tmp_path):
 
     wait_for(in_another)
     executor.shutdown()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("fault", ["hold", pytest.param("deadlock", marks=pytest.mark.long)])
-def test_what_hangs_is_ended_and_tried_again(tmp_path, fault):
-    bad = Sum("bad", tmp_path, fault=fault, times=1, silence=3.0)
-    failures, witness = compute([bad, Sum("good", tmp_path)])
-    assert failures == {}
-    assert results([bad]) == [TOTAL]
-    [(_, words)] = witness.retries
-    assert "it hung: no sign of life" in words
 
 
 @pytest.mark.parametrize("fault", ["segfault", "fail"])

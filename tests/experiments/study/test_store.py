@@ -16,7 +16,7 @@ from experiments.study import grid, store
 from experiments.study.run import attempt
 from experiments.study.store import KEY_COLUMNS, load
 from experiments.support.errors import UserError
-from tests.experiments.computed import damage, fingerprint, tasks_of
+from tests.experiments.computed import Interrupted, damage, fingerprint, tasks_of
 
 
 @pytest.fixture(scope="module")
@@ -122,10 +122,6 @@ def test_a_directory_without_results_is_told_from_an_empty_one(tmp_path):
 # -- whatever happens to the files, a damaged one is named, never analysed, and its cell computed again ------------
 
 
-class Cut(Exception):
-    """Ends a training."""
-
-
 @pytest.fixture(scope="module")
 def interrupted(tmp_path_factory) -> Path:
     """A directory with an agent in the middle of its training, as `kill -9` leaves it."""
@@ -133,11 +129,11 @@ def interrupted(tmp_path_factory) -> Path:
 
     def cut(fraction: float) -> None:
         if (task.folder / "checkpoint.npz").exists():
-            raise Cut
+            raise Interrupted
 
     task = next(task for task in tasks_of(directory) if task.cell.kind == "agent")
     task.folder.mkdir(parents=True)
-    with pytest.raises(Cut):
+    with pytest.raises(Interrupted):
         task.compute(cut)
     return directory
 
@@ -154,7 +150,7 @@ def interrupted(tmp_path_factory) -> Path:
         ("finished-x-1/cell.json", "empty"),
     ],
 )
-def test_a_damaged_working_file_costs_at_most_the_cell(finished, interrupted, tmp_path, name, how):
+def test_a_damaged_working_file_costs_at_most_the_cell(finished, interrupted, tmp_path, capsys, name, how):
     directory = tmp_path / "results"
     shutil.copytree(interrupted, directory)
     task = next(task for task in tasks_of(directory) if task.cell.kind == "agent")
@@ -166,6 +162,9 @@ def test_a_damaged_working_file_costs_at_most_the_cell(finished, interrupted, tm
     store.Store(directory).failures()
     assert attempt(task).state == "done"
     assert fingerprint(directory)[task.name] == fingerprint(finished)[task.name]
+    aside = [path.name.rpartition(".")[0] for path in directory.glob("damaged/*")]
+    assert aside == ([f"{task.name}-{name}"] if name == "checkpoint.npz" else [])
+    assert (f"{task.name}: its checkpoint was damaged" in capsys.readouterr().out) == bool(aside)
 
 
 class Payload:

@@ -15,8 +15,9 @@ from agents.checkpoint import CheckpointError
 from agents.greedy import Greedy
 from agents.models import EgoAttention, Standardised
 from agents.policies import foreign_policy
-from tests.agents.road import Road
+from tests.experiments.fake_env import FakeEnv
 
+ROAD = FakeEnv("u-turn", {})
 SPACE = gym.spaces.Box(-1, 1, (4, 5), np.float32)
 
 
@@ -52,15 +53,15 @@ def test_weights_of_another_network_and_damaged_files_are_refused(tmp_path: Path
 def test_an_object_that_cannot_act_is_refused(tmp_path: Path) -> None:
     (tmp_path / "mine.py").write_text("def nothing(env): return 3\n")
     with pytest.raises(ValueError, match="no act"):
-        foreign_policy(f"{tmp_path}/mine.py:nothing", Road())
+        foreign_policy(f"{tmp_path}/mine.py:nothing", ROAD)
 
 
 @pytest.mark.parametrize("algorithm", ["DQN", "PPO"])
 def test_a_model_of_stable_baselines3_drives(tmp_path: Path, algorithm: str) -> None:
     stable_baselines3 = pytest.importorskip("stable_baselines3")
-    model = getattr(stable_baselines3, algorithm)("MlpPolicy", Road(), seed=0, device="cpu")
+    model = getattr(stable_baselines3, algorithm)("MlpPolicy", ROAD, seed=0, device="cpu")
     model.save(tmp_path / "model.zip")
-    policy = foreign_policy(str(tmp_path / "model.zip"), Road())
+    policy = foreign_policy(str(tmp_path / "model.zip"), ROAD)
     policy.reset(0)
     for observation in np.random.default_rng(0).uniform(-1, 1, (5, 2, 5)).astype(np.float32):
         assert policy.act(observation) == model.predict(observation, deterministic=True)[0]
@@ -68,7 +69,7 @@ def test_a_model_of_stable_baselines3_drives(tmp_path: Path, algorithm: str) -> 
         foreign_policy(str(tmp_path / "model.zip"), gym.make("CartPole-v1"))
     (tmp_path / "model.zip").write_bytes(b"nothing")
     with pytest.raises(ValueError, match="no model of Stable-Baselines3"):
-        foreign_policy(str(tmp_path / "model.zip"), Road())
+        foreign_policy(str(tmp_path / "model.zip"), ROAD)
 
 
 # -- trained agents in one file --------------------------------------------------------------------------------------

@@ -19,12 +19,7 @@ def filled(capacity: int, count: int) -> Replay:
 def test_the_oldest_transition_makes_room() -> None:
     replay = filled(10, 13)
     assert len(replay) == 10
-    stored = replay.arrays
-    assert sorted(stored["observations"][:, 0, 0]) == list(range(3, 13))
-    row = int(np.flatnonzero(stored["observations"][:, 0, 0] == 9)[0])
-    np.testing.assert_array_equal(stored["next_observations"][row], np.full((2, 2), 10))
-    assert (stored["actions"][row], stored["terminated"][row]) == (0, 1)
-    assert stored["rewards"][row] == np.float32(0.9)
+    assert sorted(replay.arrays["observations"][:, 0, 0]) == list(range(3, 13))
 
 
 def test_sampling_is_uniform_over_what_is_stored() -> None:
@@ -35,7 +30,7 @@ def test_sampling_is_uniform_over_what_is_stored() -> None:
 
 
 def test_a_batch_holds_whole_transitions() -> None:
-    batch = filled(50, 20).sample(np.random.default_rng(0), 30)
+    batch = filled(10, 13).sample(np.random.default_rng(0), 30)
     number = batch.observations[:, 0, 0]
     assert torch.equal(batch.next_observations[:, 1, 1], number + 1)
     assert torch.equal(batch.actions, number.long() % 3)

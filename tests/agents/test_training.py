@@ -17,12 +17,22 @@ from agents import training
 from agents.checkpoint import CheckpointError, save_arrays
 from agents.dqn import DQNConfig
 from agents.training import TrainedAgent
-from tests.agents.road import Noisy, Road, Small
+from tests.agents.networks import Noisy, Small
+from tests.experiments.computed import Interrupted, interrupting
+from tests.experiments.fake_env import FakeEnv
 
 SMALL = DQNConfig(updates=300, steps_per_update=1, batch_size=16, warm_up=30, probe_interval=90)
 
-
 train = partial(training.train, network=Small)
+
+
+def road() -> FakeEnv:
+    return FakeEnv("u-turn", {"duration": 20})
+
+
+def risky(dose: float) -> dict[str, Any]:
+    """Options of a reset to such traffic."""
+    return {"config": {"risk": dose}}
 
 
 def assert_equal(one: TrainedAgent, other: TrainedAgent) -> None:
@@ -37,7 +47,7 @@ def assert_equal(one: TrainedAgent, other: TrainedAgent) -> None:
 @pytest.mark.parametrize("steps_per_update", [1, 4])
 def test_every_agent_gets_the_same_budget(steps_per_update: int) -> None:
     config = replace(SMALL, steps_per_update=steps_per_update)
-    agents = [train(Road(), config, 0, reset_options={"config": {"noise": noise}}) for noise in (0, 9, 40)]
+    agents = [train(road(), config, 0, reset_options=risky(dose)) for dose in (0.0, 0.9, 4.0)]
     for agent in agents:
         assert agent.updates == 300
         assert config.steps <= agent.steps < config.steps + 20  # the last episode is played to its end
@@ -46,41 +56,36 @@ def test_every_agent_gets_the_same_budget(steps_per_update: int) -> None:
 
 
 def test_episode_log_says_what_happened() -> None:
-    agent = train(Road(), SMALL, 0, reset_options={"config": {"noise": 12.0}})
+    agent = train(road(), SMALL, 0, reset_options=risky(1.2))
     log = agent.episodes
     assert list(log["episode"]) == list(range(len(log["episode"])))
     np.testing.assert_array_equal(np.cumsum(log["length"]), log["step"])
     assert (log["length"][~log["crashed"]] == 20).all()
     assert log["crashed"].any() and not log["crashed"].all() and not log["arrived"].any()
     np.testing.assert_allclose(log["epsilon"], [SMALL.epsilon(step) for step in log["step"]])
-    assert ((log["mean_speed"] > 20) & (log["mean_speed"] < 30)).all()
     whole = ~log["crashed"]  # the reward is linear in the speed
-    expected = 20 * (0.67 + 0.02 * (log["mean_speed"] - 20))
-    np.testing.assert_allclose(log["return"][whole], expected[whole])
+    np.testing.assert_allclose(log["return"][whole], 20 * log["mean_speed"][whole] / 30)
 
 
 def test_one_seed_meets_the_same_scenarios_in_both_arms() -> None:
-    calm, wild = Road(), Road()
-    train(calm, SMALL, 3, reset_options={"config": {"noise": 0.0}})
-    train(wild, SMALL, 3, reset_options={"config": {"noise": 9.0}})
-    shared = min(len(calm.seeds), len(wild.seeds))
-    assert shared > 10 and calm.seeds[:shared] == wild.seeds[:shared]
-    assert len(set(calm.seeds)) == len(calm.seeds)
-    other = Road()
-    train(other, SMALL, 4)
-    assert not set(other.seeds) & set(calm.seeds)
+    def met(seed: int, dose: float) -> list[int]:
+        FakeEnv.met.clear()
+        train(road(), SMALL, seed, reset_options=risky(dose))
+        return [met for met, _, _ in FakeEnv.met]
+
+    calm, wild, other = met(3, 0.0), met(3, 0.9), met(4, 0.0)
+    shared = min(len(calm), len(wild))
+    assert shared > 10 and calm[:shared] == wild[:shared]
+    assert len(set(calm)) == len(calm)
+    assert not set(other) & set(calm)
 
 
 def test_inputs_are_standardised_with_the_warm_up_and_then_fixed() -> None:
-    short, long = (train(Road(), replace(SMALL, updates=updates), 0).policy.network for updates in (20, 100))
+    short, long = (train(road(), replace(SMALL, updates=updates), 0).policy.network for updates in (20, 100))
     np.testing.assert_array_equal(short.mean, long.mean)
     assert (short.mean != 0).any() and (short.deviation != 1).any()
-    plain = train(Road(), replace(SMALL, updates=20, standardise=False), 0).policy.network
+    plain = train(road(), replace(SMALL, updates=20, standardise=False), 0).policy.network
     assert (plain.mean == 0).all() and (plain.deviation == 1).all()
-
-
-class Interrupted(Exception):
-    pass
 
 
 needs_cuda = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
@@ -94,18 +99,13 @@ def test_an_interrupted_training_goes_on_bit_for_bit(tmp_path: Path, network, de
     config = replace(SMALL, device=device, replay_capacity=200)  # which wraps
     file = tmp_path / "new folder" / "checkpoint.npz"
     run = partial(training.train, network=network, config=config, seed=0)
-    expected = run(Road())
+    expected = run(road())
     kept = {"checkpoint": file, "checkpoint_interval": 60}
     for moment in moments:
-
-        def stop(updates: int, moment: int = moment) -> None:
-            if updates == moment:
-                raise Interrupted
-
         with pytest.raises(Interrupted):
-            run(Road(), **kept, progress=stop)
+            run(road(), **kept, progress=interrupting(moment))
     seen: list[int] = []
-    actual = run(Road(), **kept, progress=seen.append)
+    actual = run(road(), **kept, progress=seen.append)
     first = moments[-1] // 60 * 60 + 20
     assert seen == list(range(first, 301, 20))  # it went on, it did not begin again
     assert_equal(expected, actual)
@@ -113,7 +113,7 @@ def test_an_interrupted_training_goes_on_bit_for_bit(tmp_path: Path, network, de
 
 def test_a_full_disk_leaves_the_old_checkpoint(tmp_path, monkeypatch) -> None:
     file = tmp_path / "checkpoint.npz"
-    train(Road(), replace(SMALL, updates=40), 0, checkpoint=file)
+    train(road(), replace(SMALL, updates=40), 0, checkpoint=file)
     before = file.read_bytes()
 
     def full(*_: object) -> None:
@@ -130,19 +130,15 @@ def test_a_full_disk_leaves_the_old_checkpoint(tmp_path, monkeypatch) -> None:
     [
         ({"config": replace(SMALL, gamma=0.9)}, "gamma 0.95 instead of 0.9"),
         ({"seed": 1}, "seed 0 instead of 1"),
-        ({"reset_options": {"config": {"noise": 2.0}}}, "reset_options"),
+        ({"reset_options": risky(0.2)}, "reset_options"),
     ],
 )
 def test_a_checkpoint_of_another_training_is_refused(tmp_path, changed: dict[str, Any], message: str) -> None:
     arguments: dict[str, Any] = {"config": SMALL, "seed": 0, "checkpoint": tmp_path / "checkpoint.npz"}
     with pytest.raises(Interrupted):
-        train(Road(), **arguments, checkpoint_interval=20, progress=_interrupt)
+        train(road(), **arguments, checkpoint_interval=20, progress=interrupting(20))
     with pytest.raises(CheckpointError, match=message):
-        train(Road(), **(arguments | changed))
-
-
-def _interrupt(_: int) -> None:
-    raise Interrupted
+        train(road(), **(arguments | changed))
 
 
 @pytest.mark.slow
@@ -152,42 +148,42 @@ def test_a_target_network_without_lag_shows_as_divergence() -> None:
         SMALL, updates=1000, tau=1.0, gamma=0.99, batch_size=100, learning_rate_final=5e-4, standardise=False,
         probe_interval=250, warm_up=300, epsilon_decay=0.15,
     )  # fmt: skip
-    agent = training.train(Road(), replace(config, network="dueling"), 0)
+    agent = training.train(road(), replace(config, network="dueling"), 0)
     assert agent.q_bound == pytest.approx(agent.max_abs_reward / 0.01)
     assert max(look.largest for look in agent.probe_q) > 1.2 * agent.q_bound
     assert agent.diverged
     assert agent.probe_q[-1].greedy_share == 1.0
-    stable = training.train(Road(), replace(config, network="dueling", target_interval=500), 0)
+    stable = training.train(road(), replace(config, network="dueling", target_interval=500), 0)
     assert max(look.largest for look in stable.probe_q) < 6
     assert not stable.diverged
 
 
 def test_values_are_watched_on_the_first_observations_or_on_given_ones() -> None:
-    own = train(Road(), SMALL, 0)
+    own = train(road(), SMALL, 0)
     assert [look.update for look in own.probe_q] == [100, 180, 280, 300]
     probe = np.random.default_rng(0).uniform(-1, 1, (7, 2, 5)).astype(np.float32)
-    given = train(Road(), SMALL, 0, probe=probe)
+    given = train(road(), SMALL, 0, probe=probe)
     assert given.policy.sha256 == own.policy.sha256  # looking changes nothing
     values = np.array([np.abs(given.policy.q(observation)).max() for observation in probe])
     assert given.probe_q[-1].mean == pytest.approx(values.mean())
     assert given.probe_q[-1].largest == pytest.approx(values.max())
-    assert train(Road(), replace(SMALL, updates=20), 0, probe=np.full_like(probe, np.nan)).diverged
+    assert train(road(), replace(SMALL, updates=20), 0, probe=np.full_like(probe, np.nan)).diverged
 
 
 def test_wrong_arguments_are_refused() -> None:
     with pytest.raises(ValueError, match="Box observations and Discrete actions"):
         train(gym.make("Pendulum-v1"), SMALL, 0)
     with pytest.raises(ValueError, match="checkpoint_interval"):
-        train(Road(), SMALL, 0, checkpoint_interval=0)
+        train(road(), SMALL, 0, checkpoint_interval=0)
     with pytest.raises(ValueError, match="Unknown network"):
-        training.train(Road(), replace(SMALL, network="none"), 0)
+        training.train(road(), replace(SMALL, network="none"), 0)
 
 
 def test_the_time_limit_is_no_end_to_the_values() -> None:
     """Only a crash is stored as terminal: what comes after the last step of an episode is still expected."""
-    road = Road()
-    agent = training.DQN(SMALL, road.observation_space, road.action_space, 0, Small)
-    played = training.Training(agent, road, None, None)
+    env = road()
+    agent = training.DQN(SMALL, env.observation_space, env.action_space, 0, Small)
+    played = training.Training(agent, env, None, None)
     played.play(200)
     crashes, lengths = sum(played.log["crashed"]), played.log["length"]
     assert max(lengths) == 20

@@ -1,0 +1,27 @@
+"""Networks that learn in no time."""
+
+from __future__ import annotations
+
+import math
+
+import gymnasium as gym
+import torch
+from torch.nn import functional
+
+from agents.models import Dueling, DuelingMLP
+
+
+class Small(DuelingMLP):
+    """The paper's network with fewer and smaller layers."""
+
+    def __init__(
+        self, space: gym.spaces.Box, actions: int, hidden: tuple[int, ...] = (24, 16), stream: int = 12
+    ) -> None:
+        Dueling.__init__(self, math.prod(space.shape), actions, hidden, (stream,))
+
+
+class Noisy(Small):
+    """Draws from torch's global generator, as many networks do."""
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        return functional.dropout(super().forward(x), 0.3, self.training)

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import replace
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -75,14 +74,3 @@ def effects(arms: Mapping[Place, Arms], plan: Plan = DEFAULT) -> pd.DataFrame:
 
 def arms_in(results: Results) -> dict[Place, dict[str, Arm]]:
     return arms_of(own_agents(with_outcomes(results)))
-
-
-def changed(results: Results, **columns: Callable[[pd.DataFrame], Any]) -> Results:
-    """The results with other test episodes: each column a function of the table, for the trained agents."""
-    episodes = results.episodes.copy()
-    own = episodes["kind"] == "agent"
-    for column, value in columns.items():
-        episodes[column] = episodes[column].astype(object)
-        episodes.loc[own, column] = value(results.episodes[own])
-        episodes[column] = episodes[column].astype(results.episodes[column].dtype)
-    return replace(results, episodes=episodes)

@@ -39,23 +39,6 @@ def test_nothing_that_the_plan_decides_changes(analysis: Analysis, tmp_path: Any
     assert analysis.notes["left_out"] == {}
 
 
-def test_the_positive_control_is_found(analysis: Analysis) -> None:
-    row = find(analysis.means, arm="penalty", scope="all tasks", outcome="crashed", term="regular")
-    assert row["high"] < 0 and row["estimate"] == pytest.approx(synthetic.PENALTY, abs=0.06)
-
-
-def test_dense_traffic_is_compared_with_both_arms(analysis: Analysis) -> None:
-    wanted = {"arm": "dense", "scope": "all tasks", "outcome": "crashed", "term": "risky"}
-    assert abs(find(analysis.means, **wanted)["estimate"]) < 0.1
-    assert find(analysis.means, **wanted, against="treatment")["low"] > 0
-
-
-def test_doses_are_ordered(analysis: Analysis) -> None:
-    rows = analysis.policies.query("traffic == 'risky' and task == 'highway'").set_index("arm")["crashed"]
-    rates = rows.loc[["control", "dose25", "dose50", "dose75", "treatment"]].tolist()
-    assert rates == sorted(rates, reverse=True)
-
-
 def test_agents_are_compared_on_other_simulators(analysis: Analysis) -> None:
     wanted = {"scope": "all tasks", "outcome": "crashed", "term": "risky"}
     home = {}

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import pytest
 
+from agents.streams import episode_seed
 from experiments.study import experiment, grid
 from experiments.study.arms import DOSE_ARMS, DOSES, TEST, scenario_seed, training_seed
 from experiments.study.experiment import Experiment
@@ -22,24 +23,6 @@ def cells(levels: dict | None = None, **options) -> list[grid.Cell]:
         for task, numbers in (levels or {"highway": (1,)}).items()
         for cell in Experiment(tasks=(task,), levels=numbers, **asked).cells()
     ]
-
-
-def test_the_paper_has_18_traffic_cells():
-    levels = grid.choose_levels(tuple(TASKS), None)
-    assert sum(map(len, levels.values())) == 18
-    agents = [cell for cell in cells(levels, seeds=10) if cell.kind == "agent"]
-    assert len(agents) == 18 * 2 * 10
-
-
-def test_every_seed_has_both_arms_and_every_level_every_baseline():
-    found = cells(seeds=3)
-    assert sorted((c.arm, c.seed) for c in found if c.kind == "agent") == [
-        (arm, seed) for arm in ("control", "treatment") for seed in range(3)
-    ]
-    policies = {c.policy for c in found if c.kind == "baseline"}
-    assert policies == {"idle", "random", "faster", "slower", "idm", "careful"}
-    assert {c.risk for c in found if c.arm == "control"} == {0.0}
-    assert {c.risk for c in found if c.arm == "treatment"} == {1.0}
 
 
 def test_further_arms_tests_and_policies_rename_nothing():
@@ -102,13 +85,6 @@ def test_a_baseline_does_not_depend_on_the_learner():
     assert names(gamma=0.95) == names(gamma=0.99)
 
 
-def test_levels_carry_the_papers_settings():
-    assert grid.level_names("two-way") == ("5+2", "10+4", "15+6")
-    config = grid.env_config("sumo", "highway", 3)
-    assert (config["vehicles_count"], config["vehicles_density"]) == (150, 2.0)
-    assert "risk" not in config
-
-
 @pytest.mark.parametrize(
     ("call", "message"),
     [
@@ -145,19 +121,9 @@ def test_shards_are_a_partition_that_keeps_the_arms_of_a_seed_together(count):
     assert all(home[c.task, c.level, c.seed] == i for i, part in enumerate(parts) for c in part)
 
 
-def test_test_scenarios_are_apart_from_all_training_scenarios_and_from_each_other():
-    from agents.streams import episode_seed
-
-    training = {episode_seed(seed, episode) for seed in range(5) for episode in range(200)}
-    assert max(training) < TEST
-    test = {scenario_seed(task, level, n) for task in TASKS for level in (1, 2) for n in range(100)}
-    assert min(test) >= TEST
-    assert len(test) == len(TASKS) * 2 * 100
-
-
-def test_no_two_settings_share_the_seed_of_a_training() -> None:
-    seeds = {
-        training_seed(task, level, number) for task in TASKS for level in (1, 2) for number in range(100)
-    }
-    assert len(seeds) == len(TASKS) * 2 * 100
-    assert max(seeds) < TEST
+def test_seeds_of_tests_and_of_trainings_are_apart_from_each_other():
+    episodes = {episode_seed(seed, episode) for seed in range(5) for episode in range(200)}
+    places = [(task, level, number) for task in TASKS for level in (1, 2) for number in range(100)]
+    trainings, tests = ({seed(*place) for place in places} for seed in (training_seed, scenario_seed))
+    assert max(episodes | trainings) < TEST <= min(tests)
+    assert len(trainings) == len(tests) == len(places)

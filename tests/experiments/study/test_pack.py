@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import shutil
 from pathlib import Path
 from typing import Any
@@ -15,7 +14,7 @@ from experiments.study.packed import CELLS, MANIFEST
 from experiments.study.store import load
 from experiments.support.errors import UserError
 from experiments.sweep import Options, sweep
-from tests.experiments.computed import TINY, damage, sweep_of
+from tests.experiments.computed import TINY, damage, sweep_of, tasks_of
 from tests.experiments.fake_env import make_env
 
 
@@ -142,13 +141,12 @@ def test_what_does_not_read_back_equal_is_not_believed(results: Path, monkeypatc
 
 def test_cells_of_earlier_versions_have_no_actions_and_pack_with_others(results: Path) -> None:
     """Their tables lack the column; beside others it is missing there."""
-    old = next(results.glob("cells/*-idle-*"))
-    table = pd.read_parquet(old / store.EPISODES).drop(columns="actions")
-    (old / store.EPISODES).write_bytes(packed.as_parquet(table))
-    record = json.loads((old / store.CELL).read_text())
-    record["files"][store.EPISODES] = store.sha256_file(old / store.EPISODES)
-    del record["checksum"]
-    (old / store.CELL).write_bytes(store.seal(record))
+    home = store.Store(results)
+    [old] = [task for task in tasks_of(results) if task.cell.policy == "idle"]
+    tables = home.tables(old.name)
+    tables[store.EPISODES] = tables[store.EPISODES].drop(columns="actions")
+    shutil.rmtree(home.cells / old.name)
+    home.write(old.cell, {}, tables)
     before = content(results)
     assert before["episodes"]["actions"].isna().sum() == 6
     pack(results)

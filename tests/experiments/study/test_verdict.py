@@ -37,19 +37,19 @@ def test_the_stored_verdict_is_kept_beside_results(stored: Path, tmp_path: Path)
 
 
 @pytest.mark.parametrize(
-    "others",
-    [{"fingerprints": {"u-turn": "other"}}, {"versions": {"libsumo": "0.0"}}, {"schema": 1}],
+    ("others", "backend", "tasks"),
+    [
+        ({"fingerprints": {"u-turn": "other"}}, "sumo", TASK),
+        ({"versions": {"libsumo": "0.0"}}, "sumo", TASK),
+        ({"schema": 1}, "sumo", TASK),
+        ({}, "sumo", ["u-turn", "highway"]),
+        ({}, "highway-env", TASK),
+    ],
     ids=str,
 )
-def test_a_verdict_on_others_is_not(stored: Path, tmp_path: Path, others: dict[str, object]) -> None:
+def test_a_verdict_on_others_is_not(stored: Path, tmp_path: Path, others, backend, tasks) -> None:
     stored.write_text(json.dumps({**json.loads(stored.read_text()), **others}))
-    verdict.keep("sumo", TASK, tmp_path)
-    assert verdict.of_results(tmp_path) is None
-
-
-def test_other_tasks_and_simulators_have_none(stored: Path, tmp_path: Path) -> None:
-    verdict.keep("sumo", ["u-turn", "highway"], tmp_path)
-    verdict.keep("highway-env", TASK, tmp_path)
+    verdict.keep(backend, tasks, tmp_path)
     assert verdict.of_results(tmp_path) is None
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
-from experiments.study.arms import DRAWN
+from experiments.study.arms import DRAWN, drawn_dose
 from experiments.study.wrappers import TimeObserved, Training, observed
 from sumo_env.env import DrivingEnv
 from tests.experiments.fake_env import make_env
@@ -82,14 +82,11 @@ def test_the_dose_is_a_column_of_the_ego() -> None:
 
 @pytest.mark.parametrize("arm", DRAWN)
 def test_an_episode_has_a_dose_that_its_seed_draws(arm: str) -> None:
-    env = Training(make_env("sumo", "u-turn"), {}, arm)
-    doses = []
-    for seed in range(400):
-        env.reset(seed=seed, options={"config": {"risk": 0.25}})
-        doses.append(env.unwrapped.config["risk"])
+    doses = [drawn_dose(arm, seed) for seed in range(400)]
     assert np.mean(doses) == pytest.approx(0.5, abs=0.06)
     assert (set(doses) == {0.0, 1.0}) if arm != "drawn" else (len(set(doses)) == 400 and max(doses) < 1)
-    env.reset(seed=17)
+    env = Training(make_env("sumo", "u-turn"), {}, arm)
+    env.reset(seed=17, options={"config": {"risk": 0.25}})
     assert env.unwrapped.config["risk"] == doses[17]
     with pytest.raises(ValueError, match="seed"):
         env.reset()

@@ -29,6 +29,13 @@ def episodes(cell):
     return store.Store(cell.parents[1]).tables(cell.name)[store.EPISODES]
 
 
+def first(cells, crashed):
+    """The first episode with a crash, or without one: its case and its row."""
+    rows = ((cell, row) for cell in cells for row in episodes(cell).to_dict("records"))
+    cell, row = next((cell, row) for cell, row in rows if row["crashed"] == crashed)
+    return f"{cell}:{row['traffic']}:{row['scenario']}", row
+
+
 @pytest.mark.parametrize("case", ["", ":regular:2", ":risky:1"])
 def test_an_episode_is_reproduced(cells, case, tmp_path, capsys):
     for number, cell in enumerate(cells):
@@ -39,10 +46,13 @@ def test_an_episode_is_reproduced(cells, case, tmp_path, capsys):
 
 
 def test_an_episode_that_comes_out_differently_is_told(cells, tmp_path, capsys):
-    assert replay(Options(f"{cells[1]}:regular:0", out=tmp_path / "a.gif"), make_other_env) == 1
+    case, _ = first(cells, True)
+    assert replay(Options(case, out=tmp_path / "a.gif"), make_other_env) == 1
     errors = capsys.readouterr().err
     assert "not reproduced" in errors
     assert "instead of" in errors
+    with pytest.raises(UserError, match="is not reproduced: "):
+        replay(Options(case, avoid=True), make_other_env)
 
 
 def test_by_default_the_first_crash_is_shown(cells):
@@ -85,18 +95,21 @@ def test_an_episode_is_exported_for_sumo(cells, tmp_path, capsys):
 
 
 @pytest.mark.parametrize(
-    ("text", "message"),
+    ("text", "options", "message"),
     [
-        ("{cell}:regulr:0", "did you mean 'regular'"),
-        ("{cell}x", "did you mean"),
-        ("nowhere/cells/x", "there is no cell"),
-        ("{cell}:risky:99", "no 99"),
+        ("{cell}:regulr:0", {}, "did you mean 'regular'"),
+        ("{cell}x", {}, "did you mean"),
+        ("nowhere/cells/x", {}, "there is no cell"),
+        ("{cell}:risky:99", {}, "no 99"),
+        ("{safe}", {}, "has no crash that could be avoided"),
+        ("{safe}", {"sumo": True}, "--avoid writes a film of its own"),
+        ("{safe}", {"horizon": 0}, "at least 1, not 0"),
     ],
 )
-def test_a_case_that_does_not_exist_is_named(cells, text, message, tmp_path):
-    with pytest.raises(UserError) as error:
-        replay(Options(text.format(cell=cells[0]), out=tmp_path / "x.gif"), make_env)
-    assert message in str(error.value)
+def test_what_cannot_be_done_is_said_in_one_line(cells, text, options, message, tmp_path):
+    case = text.format(cell=cells[0], safe=first(cells, False)[0])
+    with pytest.raises(UserError, match=message) as error:
+        replay(Options(case, out=tmp_path / "x.gif", avoid=text == "{safe}", **options), make_env)
     assert "\n" not in str(error.value)
 
 
@@ -114,20 +127,10 @@ def test_an_episode_replays_without_weights_and_weights_that_are_needed_are_told
         play_again(case, make_env("sumo", "highway"))
 
 
-# -- whether a crash could have been avoided ---------------------------------------------------------------
-
-
-def first(cells, crashed):
-    """Cell and row of the first episode with a crash, or without one."""
-    rows = ((cell, row) for cell in cells for row in episodes(cell).to_dict("records"))
-    return next((cell, row) for cell, row in rows if row["crashed"] == crashed)
-
-
 def test_the_last_moment_to_avoid_a_crash_is_told_and_filmed(cells, tmp_path, capsys):
     """What the search finds is compared with all sequences in tests/experiments/study/test_avoid.py."""
-    cell, row = first(cells, True)
+    case, row = first(cells, True)
     film = tmp_path / "both.gif"
-    case = f"{cell}:{row['traffic']}:{row['scenario']}"
     assert replay(Options(case, out=film, avoid=True, horizon=3), make_env) == 0
     *searched, last, _ = capsys.readouterr().out.splitlines()[1:]
     moments = [float(line.split()[1]) for line in searched]
@@ -136,17 +139,3 @@ def test_the_last_moment_to_avoid_a_crash_is_told_and_filmed(cells, tmp_path, ca
     left = row["crash_time"] - moments[-1]
     assert f"point of no return: {moments[-1]:g} s, {left:.1f} s before the contact" in last
     assert Image.open(film).size == (60, 2 * (20 + 22))  # one above the other, each with a title
-
-
-def test_what_cannot_be_avoided_is_said_in_one_line(cells, tmp_path):
-    cell, row = first(cells, False)
-    case = f"{cell}:{row['traffic']}:{row['scenario']}"
-    with pytest.raises(UserError, match="has no crash that could be avoided"):
-        replay(Options(case, avoid=True), make_env)
-    with pytest.raises(UserError, match="--avoid writes a film of its own"):
-        replay(Options(case, avoid=True, sumo=True), make_env)
-    with pytest.raises(UserError, match="at least 1, not 0"):
-        replay(Options(case, avoid=True, horizon=0), make_env)
-    crashed, row = first(cells, True)
-    with pytest.raises(UserError, match="is not reproduced: "):
-        replay(Options(f"{crashed}:{row['traffic']}:{row['scenario']}", avoid=True), make_other_env)

@@ -73,8 +73,8 @@ def words_alone():
 @pytest.fixture(scope="module")
 def directory(tmp_path_factory):
     home = tmp_path_factory.mktemp("results")
-    faults = {"sumo-u-turn-6-control-s0": "diverged"}
-    synthetic.write(home, {"intersection": (1,), "u-turn": (1, 2)}, seeds=4, tests=10, faults=faults)
+    levels = {"intersection": (1,), "u-turn": (1, 2)}
+    synthetic.write(home, levels, seeds=4, tests=10, diverged="sumo-u-turn-6-control-s0")
     report.write_report(home)
     return home
 

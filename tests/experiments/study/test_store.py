@@ -14,7 +14,7 @@ import pytest
 
 from experiments.study import grid, store
 from experiments.study.run import attempt
-from experiments.study.store import KEY_COLUMNS, load
+from experiments.study.store import load
 from experiments.support.errors import UserError
 from tests.experiments.computed import Interrupted, damage, fingerprint, tasks_of
 
@@ -22,17 +22,6 @@ from tests.experiments.computed import Interrupted, damage, fingerprint, tasks_o
 @pytest.fixture(scope="module")
 def cells(finished) -> list[grid.Cell]:
     return [task.cell for task in tasks_of(finished)]
-
-
-def test_results_are_tidy(finished, cells):
-    results, home = load(finished), store.Store(finished)
-    assert set(KEY_COLUMNS) <= set(results.episodes.columns) & set(results.gate_episodes.columns)
-    agents = results.episodes[results.episodes.kind == "agent"]
-    assert set(agents.seed) == {0}
-    assert results.episodes[results.episodes.kind == "baseline"].seed.isna().all()
-    counts = results.episodes.groupby(["cell", "traffic"]).size()
-    assert len(counts) == 2 * len(cells) and (counts == 3).all()
-    assert {cell for cell in results.cells if store.TRAINING in home.tables(cell)} == set(agents.cell)
 
 
 def test_writing_twice_keeps_the_first(results, cells):

@@ -231,6 +231,6 @@ def mistaken(name: str, rates: Rates) -> float:
 
 if __name__ == "__main__":
     print(f"{'':<62}{'seeds':>6}{'0 excluded':>12}{'covered':>9}{'no interval':>13}   [%]")
-    for name, seeds, rates in table(int(sys.argv[1]) if len(sys.argv) > 1 else 1000):
-        shown = (100 * rates.rejected, 100 * rates.covered, 100 * rates.without)
+    for name, seeds, found in table(int(sys.argv[1]) if len(sys.argv) > 1 else 1000):
+        shown = (100 * found.rejected, 100 * found.covered, 100 * found.without)
         print(f"{name:<62}{seeds:>6}{shown[0]:>12.1f}{shown[1]:>9.1f}{shown[2]:>13.1f}", flush=True)

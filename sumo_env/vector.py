@@ -67,6 +67,8 @@ class SumoVectorEnv(SyncVectorEnv):
             ConfigError: ``options["config"]`` is not right.
             ValueError: wrong number of seeds, or a configuration with another observation or action space.
         """
+        if config := (options or {}).get("config"):
+            self._check(config)
         seeds = [None] * self.num_envs if seed is None else seed
         if isinstance(seeds, (int, np.integer)):
             seeds = [int(seeds) + index for index in range(self.num_envs)]
@@ -100,6 +102,18 @@ class SumoVectorEnv(SyncVectorEnv):
         finally:
             self._settle()
 
+    def _check(self, config: Mapping[str, Any]) -> None:
+        """Refuse a configuration that changes a space, before any episode ends."""
+        env: Any = self._ahead[0].unwrapped
+        before = env.config
+        env.configure(config)
+        spaces = env.observation_space, env.action_space
+        env.configure(before)
+        if spaces != (self.single_observation_space, self.single_action_space):
+            raise ValueError(
+                "this configuration changes the observation or action space; make a new vector environment for it"
+            )
+
     def close_extras(self, **kwargs: Any) -> None:
         """End the workers."""
         super().close_extras(**kwargs)
@@ -121,7 +135,6 @@ class _Ahead(gym.Wrapper[Any, Any, Any, Any]):
         super().__init__(env)
         self._pool = pool
         self._begun: Future[Any] | None = None
-        self._spaces = env.observation_space, env.action_space
 
     def begin(self, name: str, *args: Any, **kwargs: Any) -> None:
         """Call a method of the environment in a thread."""
@@ -142,10 +155,6 @@ class _Ahead(gym.Wrapper[Any, Any, Any, Any]):
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
         self._seen, info = self._result() if self._begun else self.env.reset(seed=seed, options=options)
-        if (self.env.observation_space, self.env.action_space) != self._spaces:
-            raise ValueError(
-                "this configuration changes the observation or action space; make a new vector environment for it"
-            )
         return self._seen, info
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:

@@ -80,8 +80,10 @@ def test_configuration_at_reset(envs: SumoVectorEnv) -> None:
 
 def test_spaces_stay_as_they_are() -> None:
     envs = gym.make_vec("sumo/u-turn-v0", num_envs=1)
+    envs.reset(seed=0)
     with pytest.raises(ValueError, match="make a new vector environment"):
         envs.reset(options={"config": {"observation": {"type": "Kinematics", "vehicles_count": 3}}})
+    envs.step([1])  # unharmed
 
 
 @pytest.mark.parametrize("actions", [[0], [0, 3], [0, -1], [[0, 0]], [0.5, 0.5], None])

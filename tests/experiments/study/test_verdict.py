@@ -19,7 +19,7 @@ TASK = ["u-turn"]
 @pytest.fixture
 def stored(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
     """What the package knows: the verdict on the u-turn as it drives now, with misses."""
-    tasks = summary(scorecard(compared(crashed=True), "sumo", {"u-turn": ["3"]}), TASK)
+    tasks = summary(scorecard(compared(crashed=True)), TASK)
     now = {"fingerprints": {"u-turn": dynamics("sumo", "u-turn")}, "versions": verdict.versions()}
     file = tmp_path / "package" / "verdict.json"
     file.parent.mkdir()

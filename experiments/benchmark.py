@@ -85,11 +85,9 @@ class Driver:
         else:
             room = "highway_env:" if backend == "highway-env" else f"sumo_env:{backend}/"
             self._env = gym.make(f"{room}{task}-v0")
-        self._rng, self._actions, self._batch = (
-            np.random.default_rng(0),
-            3 if task == "intersection" else 5,
-            batch,
-        )
+        self._rng = np.random.default_rng(0)
+        self._actions = 3 if task == "intersection" else 5
+        self._batch = batch
         # a slice ends with an episode and so holds its share of resets; batches begin the next episodes by themselves,
         # and highway-env's episodes take too long
         self._whole = not batch and backend != "highway-env"
@@ -255,7 +253,7 @@ def measure_batches(task: str, turns: int, seconds: float) -> Iterator[Record]:
         of, config = f"{task} {name}", levels.get(name, {})
         peer = {f"envpool, {of}": ("envpool", task, None, BATCH)} if has_envpool() else {}
         one = {f"replica, {of}": ("replica", task, config, BATCH)}
-        two = {f"replica on two threads, {of}": ("replica", task, config, BATCH, 2)}
+        two = {f"replica on two threads (wall time), {of}": ("replica", task, config, BATCH, 2)}
         yield from (line for _, line in in_turns(peer | one, turns, seconds))
         yield [line for _, line in in_turns(one | two, turns, seconds, "wall")][-1]
 

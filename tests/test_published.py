@@ -200,7 +200,7 @@ def test_the_second_studys_learner_is_told_as_it_was_found() -> None:
     assert (len(checks), (checks["passed"] == True).sum()) == (11, 5)  # noqa: E712
     gated = checks.query("check == 'gates'").iloc[0]
     number, sound = gated["agents"], round(gated["agents"] * gated["estimate"])
-    assert_told([f"{sound} of {number} agents pass every check"], told("README.md"))
+    assert_told([f"{sound} of {number} agents pass every gate"], told("README.md"))
     unbounded = study.gates.query("q_bounded == False and arm in ('control', 'treatment', 'mixed')")
     assert set(unbounded["task"]) == {"two-way"}
     late = checks.query("check == 'last second'").set_index(["task", "arm"])[["estimate", "low", "high"]]

@@ -200,12 +200,12 @@ def level_checks(rows: pd.DataFrame, task: str, traffic: str) -> list[Check]:
         labels = {"metric": metric, "name": "", "unit": "", "ego": "", "note": "", **labels}
         found.append({**labels, **own, "margin": bound, "verdict": verdict(own, bound)})
 
-    core = rows[rows["ego"].isin(CORE)]
-    variants = {name: own for name in VARIANTS if len(own := pairs(core, name, REFERENCE))}
-    for metric, (name, unit) in MEASURES.items():
-        beside = {variant: difference(metric, own)["difference"] for variant, own in variants.items()}
-        add(metric, difference(metric, pairs(core, SUMO, REFERENCE)), name=name, unit=unit, **beside)
     every = pairs(rows, SUMO, REFERENCE)
+    core = every[every["ego"].isin(CORE)]
+    variants = {name: pairs(rows[rows["ego"].isin(CORE)], name, REFERENCE) for name in VARIANTS}
+    for metric, (name, unit) in MEASURES.items():
+        beside = {of: difference(metric, own)["difference"] for of, own in variants.items() if len(own)}
+        add(metric, difference(metric, core), name=name, unit=unit, **beside)
     for ego in egos(task):
         own = every[every["ego"] == ego]
         add("crashed_ego", mean_difference(own, "crashed"), name="crash rate", ego=ego)

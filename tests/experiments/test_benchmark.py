@@ -50,7 +50,7 @@ def test_the_command_measures_every_part(tmp_path: Path, monkeypatch: pytest.Mon
     assert [r["of"] for r in results["batches"]] == [
         f"{side}, u-turn {level}"
         for level in ("default", "3", "12")
-        for side in ("replica", "replica on two threads")
+        for side in ("replica", "replica on two threads (wall time)")
     ]
     assert results["batches"][0]["steps_per_second"] > replica["steps_per_second"]
     assert all(r["ratio"] > 0.0 for r in results["batches"])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from contextlib import nullcontext
 from pathlib import Path
 
 import pandas as pd
@@ -27,11 +28,24 @@ def test_a_slice_ends_with_an_episode_and_holds_its_resets() -> None:
     driver._env.close()
 
 
+class Here(nullcontext):
+    """In place of a process."""
+
+    Driver = Driver
+
+    def __init__(self, ctx: object) -> None:
+        super().__init__(self)
+
+
 @pytest.mark.slow
 def test_the_command_measures_every_part(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys) -> None:
     for name, value in {"has_envpool": lambda: False, "QUICK_TURNS": 2, "QUICK_SECONDS": 0.02}.items():
         monkeypatch.setattr(benchmark, name, value)
-    results = run(Options(tmp_path, quick=True, tasks=("u-turn",)))
+    peers = run(Options(tmp_path, quick=True, tasks=("u-turn",), parts=("peers",)))
+    monkeypatch.setattr(benchmark, "Process", Here)  # what follows would start many
+    results = run(
+        Options(tmp_path, quick=True, tasks=("u-turn",), parts=("env", "start", "learner", "batches"))
+    )
     assert json.loads((tmp_path / "benchmark.json").read_text()) == results
     assert [r["of"] for r in results["env"]] == [
         f"{side}, u-turn {level}"
@@ -42,7 +56,7 @@ def test_the_command_measures_every_part(tmp_path: Path, monkeypatch: pytest.Mon
     assert all(r["ratio"] > 1.0 and r["reset_ms"] > 0.0 for r in ours)
     assert 0.0 < results["start"][0]["first_step_seconds"] < 60.0
     assert all(r["update_ms"] > 0.0 for r in results["learner"])
-    stock, replica, sumo = results["peers"]
+    stock, replica, sumo = peers["peers"]
     names = [r["of"].partition(", ") for r in (stock, replica, sumo)]
     assert names == [(name, ", ", "u-turn") for name in ("highway-env", "replica", "sumo")]
     assert stock["ratio"] == 1.0 and stock["distinct"] == 100 and replica["ratio"] > 1.0

@@ -2,18 +2,24 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from experiments.learners import OURS, RL_AGENTS, STABLE_BASELINES, Options, cells, compare, environment_steps
+from experiments.study.presets import PRESETS, tuned
 
 LEARNERS = (*OURS, *STABLE_BASELINES, *RL_AGENTS)
 
 
 @pytest.mark.slow
-def test_every_learner_is_trained_once_and_tested(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    options = Options(tmp_path, preset="smoke", tasks=("u-turn",), seeds=1, episodes=2, workers=2)
+def test_every_learner_is_trained_once_and_tested(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    few = replace(PRESETS["smoke"], learners=tuned({"u-turn": 20}, warm_up=200))
+    monkeypatch.setitem(PRESETS, "smoke", few)
+    options = Options(tmp_path, preset="smoke", tasks=("u-turn",), seeds=1, episodes=2, workers=1)
     assert compare(options) == 0
     table = capsys.readouterr().out.partition("\nu-turn\n")[2]
     drivers = {line.split()[0]: line for line in table.splitlines()[3:]}

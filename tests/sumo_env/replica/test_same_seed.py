@@ -77,9 +77,8 @@ def test_the_defaults_are_those_of_highway_env() -> None:
             if key in ("observation", "action"):
                 shared = theirs.config[key].keys() & ours.config[key].keys()
                 assert {k: theirs.config[key][k] for k in shared} == {k: ours.config[key][k] for k in shared}
-            elif not key.startswith(
-                "screen"
-            ):  # 789 by 289 pixels of the u-turn are odd, which films cannot be
+            # 789 by 289 pixels of the u-turn are odd, which films cannot be
+            elif not key.startswith("screen"):
                 assert theirs.config[key] == ours.config[key], (id, key)
         assert theirs.observation_space == ours.observation_space
         assert theirs.action_space == ours.action_space

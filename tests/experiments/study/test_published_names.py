@@ -30,7 +30,7 @@ PUBLISHED = {
     "paper": (80, "cb62cc3b4b74c29f98ae26d61967d9da89e13cb155e5c6cdf5842aea8a049e14"),
     "paper-v0": (80, "d18afae7e65c6dac084f0b65661d6f6812e20514a2ae1bf1720a12aacd2c3e0e"),
     "linear": (32, "8cf581dd64a7138c7204efd89423e226c71c1da521ceb92cb246dc7c117d4206"),
-    "second": (615, "d7488311a0742ae0093b8ab5ae4b623367bee766e851577bfbc3ea1eb135c363"),
+    "second": (645, "73efb991aa0ce8ce983f82ea4e2079996d5e18773d225a9936e7c754242564de"),
     "first-clock": (32, "f469dde699ee9872b90cfb433732aadb6645a679b917999e0cb3f4e6cc229a5f"),
     "crash-reward": (16, "6e97dd98f96d471ceb1116a982b3486c84e98844b22b1b9cd6c2ee5e94d15bda"),
 }

@@ -4,7 +4,8 @@
 
 Stable-Baselines3's DQN and PPO with the settings of highway-env's examples, and our DQN with rl-agents' settings, learn
 in regular traffic for as many environment steps as our agents. Agents that a sweep has left in the directory are not
-trained again. The same command goes on where it was stopped.
+trained again. The same command goes on where it was stopped. It prints a table for each task, and writes the means of
+each training to trainings.parquet.
 """
 
 from __future__ import annotations
@@ -38,6 +39,7 @@ from experiments.study.presets import complete
 from experiments.study.run import LOG
 from experiments.study.store import EPISODES, Store
 from experiments.support.errors import run_command, writing
+from experiments.support.files import write_file
 
 OURS = ("control", "treatment", "mixed")
 # highway-env's own examples, scripts/sb3_highway_dqn.py and sb3_highway_ppo.py (there in six environments at once).
@@ -66,6 +68,8 @@ SHARED = {
     "epsilon_final": 0.05,
 }
 MEASURES = {"crashed": "crash rate", "stopped": "standing", "mean_speed": "speed [m/s]", "return": "return"}
+TRAININGS = "trainings.parquet"  # the means of each
+BY = ["task", "learner", "traffic"]
 
 
 @dataclass(frozen=True)
@@ -151,16 +155,19 @@ def learner_of(cell: Cell) -> str:
     return label if label in RL_AGENTS else cell.arm or cell.policy.partition(f"-{cell.task}-")[0]
 
 
-def table(directory: Path, tested: Iterable[Cell]) -> pd.DataFrame:
-    """MEASURES as text by task, driver and traffic: means over the trainings, and their standard error."""
+def trainings(directory: Path, tested: Iterable[Cell]) -> pd.DataFrame:
+    """Means of MEASURES over the episodes of each cell, by BY."""
     store = Store(directory)
     episodes = pd.concat(
         store.tables(cell.name)[EPISODES].assign(task=cell.task, learner=learner_of(cell), training=cell.name)
         for cell in tested
     )
-    by = ["task", "learner", "traffic"]
-    trainings = episodes.groupby([*by, "training"], sort=False)[list(MEASURES)].mean()
-    groups = trainings.rename(columns=MEASURES).groupby(by, sort=False)
+    return episodes.groupby([*BY, "training"], sort=False)[list(MEASURES)].mean()
+
+
+def table(found: pd.DataFrame) -> pd.DataFrame:
+    """MEASURES as text by task, driver and traffic: means over the trainings, and their standard error."""
+    groups = found.rename(columns=MEASURES).groupby(BY, sort=False)
     errors = groups.sem().map(lambda error: "" if pd.isna(error) else f" ± {error:.2f}")
     return (groups.mean().map("{:.2f}".format) + errors).unstack("traffic")
 
@@ -177,8 +184,10 @@ def compare(options: Options) -> int:
         failures = sweep.compute(work, options.out, workers=options.workers)
     for name, reason in failures.items():
         print(f"{name} failed: {reason}; log: {Store(options.out).work / name / LOG}", file=sys.stderr)
-    found = table(options.out, [cell for cell in work if cell.name not in failures])
-    for task, rows in found.groupby("task", sort=False):
+    found = trainings(options.out, [cell for cell in work if cell.name not in failures])
+    with writing(options.out):
+        write_file(options.out / TRAININGS, found.reset_index().to_parquet(index=False))
+    for task, rows in table(found).groupby("task", sort=False):
         print(f"\n{task}\n{rows.droplevel('task').to_string()}")
     return 1 if failures else 0
 

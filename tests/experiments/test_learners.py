@@ -5,9 +5,19 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import pandas as pd
 import pytest
 
-from experiments.learners import OURS, RL_AGENTS, STABLE_BASELINES, Options, cells, compare, environment_steps
+from experiments.learners import (
+    OURS,
+    RL_AGENTS,
+    STABLE_BASELINES,
+    TRAININGS,
+    Options,
+    cells,
+    compare,
+    environment_steps,
+)
 from experiments.study.presets import PRESETS, tuned
 
 LEARNERS = (*OURS, *STABLE_BASELINES, *RL_AGENTS)
@@ -28,6 +38,8 @@ def test_every_learner_is_trained_once_and_tested(
     steps = {p["warm_up"] + p["steps_per_update"] * p["updates"] for p in agents}
     assert steps == {environment_steps(options, "u-turn")} and len(agents) == len(OURS) + len(RL_AGENTS)
     assert all("±" not in drivers[name] for name in LEARNERS)  # one training has no standard error
+    stored = pd.read_parquet(tmp_path / TRAININGS).query("learner == 'sb3-ppo' and traffic == 'risky'")
+    assert f"{stored['return'].item():.2f}" in drivers["sb3-ppo"].split()
     written = {file: file.stat().st_mtime_ns for file in tmp_path.glob("*/*")}
     assert compare(options) == 0
     assert written == {file: file.stat().st_mtime_ns for file in tmp_path.glob("*/*")}

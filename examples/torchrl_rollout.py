@@ -5,14 +5,14 @@ python examples/torchrl_rollout.py
 
 import argparse
 
-from torchrl.envs import GymEnv, StepCounter, TransformedEnv
-from torchrl.envs.utils import check_env_specs
-
 import sumo_env  # noqa: F401  (registers the ids)
 
 parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
 parser.add_argument("--steps", type=int, default=20)
 args = parser.parse_args()
+
+from torchrl.envs import GymEnv, StepCounter, TransformedEnv  # noqa: E402  (--help works without it)
+from torchrl.envs.utils import check_env_specs  # noqa: E402
 
 env = TransformedEnv(GymEnv("sumo/roundabout-v0", config={"risk": 0.5}), StepCounter())
 check_env_specs(env)

@@ -100,9 +100,9 @@ def add_outcome(name: str) -> None:
 
 
 def answer(directory: Path) -> str:
-    """The answer of a report that was written: its Markdown down to the table of tasks."""
+    """The answer of a report that was written: its Markdown down to the table of tasks, as plain text."""
     text = (directory / TEXT).read_text()
-    return text.partition("\n|")[0].partition("\n\n")[2].strip()
+    return text.partition("\n|")[0].partition("\n\n")[2].replace("**", "").strip()
 
 
 def print_report(directory: Path, *others: Path) -> None:

@@ -24,6 +24,7 @@ if __package__ in (None, ""):  # run as a file: import from the project, not fro
 import shlex
 import shutil
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -37,6 +38,7 @@ from experiments.study.executors.local import TASKS_PER_PROCESS
 from experiments.study.experiment import Experiment, Flag, argument, shard
 from experiments.study.fingerprint import check_dynamics
 from experiments.study.grid import Cell
+from experiments.study.policies import driver
 from experiments.study.presets import cells_of, complete
 from experiments.study.progress import Progress, duration, seconds
 from experiments.study.run import LOG, compute_here, run
@@ -92,6 +94,8 @@ def sweep(
         check_dynamics(
             dict.fromkeys((name, cell.task) for cell in mine for name in (cell.backend, cell.runs_on))
         )
+    there = set(Store(options.directory).finished())
+    refuse_early([cell for cell in mine if cell.name not in there], make_env, options.executor)
     again = shlex.join(["python", "experiments/sweep.py", *arguments])
     with writing(options.directory):
         if options.cell:
@@ -142,6 +146,21 @@ def compute(
     finally:
         progress.close()
     return failures
+
+
+def refuse_early(cells: Iterable[Cell], make_env: MakeEnv, executor: str) -> None:
+    """Raise UserError for what would fail only after trainings: a policy's file that does not fit, a missing device."""
+    for cell in cells:
+        if cell.kind == "baseline" and cell.source:
+            with closing(make_env(cell.backend, cell.task, dict(cell.env_config))) as env:
+                driver(cell.key(), cell.source, env)
+        elif cell.kind == "agent" and executor == "local" and (device := cell.profile["device"]) != "cpu":
+            import torch
+
+            try:
+                torch.empty(0, device=device)
+            except (RuntimeError, AssertionError) as error:
+                raise UserError(f"--device {device}: {str(error).splitlines()[0]}") from None
 
 
 def compute_one(wanted: str, cells: Sequence[Cell], directory: Path, make_env: MakeEnv = make_env) -> int:

@@ -51,7 +51,7 @@ class Options:
     seed: int = 0
     """Number of the training."""
     updates: int | None = None
-    """Training budget in updates; by default that of the preset quick, a few minutes."""
+    """Training budget in updates; by default that of the preset quick, a minute or two."""
     network: str | None = None
     """attention, dueling, or FILE:CLASS for a class of your own."""
     backend: str = "sumo"

@@ -20,6 +20,7 @@ import tyro
 
 from experiments.backends import make_env
 from experiments.reporting.showcase import ending
+from experiments.reporting.tables import listing
 from experiments.study.arms import TRAFFICS
 from experiments.study.rerun import Case, play_again
 from experiments.study.store import EPISODES, Store
@@ -53,7 +54,7 @@ def chosen(directory: Path, part: str) -> str:
     agents = store.agents()
     fitting = [name for name in agents if part in name]
     if not fitting:
-        names = ", ".join(sorted(agents)[:5])
+        names = listing(sorted(agents), 5)
         raise UserError(f"no agent in {directory} has {part!r} in its name; there are: {names}")
     fitting = [name for name in fitting if store.weights(name)] or fitting
     return max(fitting, key=lambda name: str(agents[name]["timing"]["finished"]))

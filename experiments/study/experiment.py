@@ -54,8 +54,7 @@ class Experiment:
     backend: Annotated[str, argument("NAME", "sumo")] = "sumo"
     """Simulator: sumo, replica (highway-env's physics, compiled) or highway-env."""
     preset: Annotated[str, argument("NAME", "quick")] = "quick"
-    """Size of the experiment: smoke (a minute), quick (20 minutes on two cores), standard or paper (many hours),
-    second (the second study: days), or first-clock (two of its tasks with the first study's clock: hours)."""
+    """Size: smoke (a minute), quick (20 minutes), standard, paper, first-clock (hours), second (days)."""
     tasks: Annotated[tuple[str, ...], argument("TASK ...", "all")] = ()
     """Some of highway, two-way, roundabout, intersection, u-turn."""
     levels: Annotated[tuple[int, ...], argument("LEVEL ...")] = ()
@@ -67,15 +66,13 @@ class Experiment:
     updates: Annotated[int | None, argument("N")] = None
     """Training budget of an agent in updates, the same for all tasks."""
     arms: Annotated[tuple[str, ...], argument("ARM ...", "control treatment")] = ()
-    """Arms: control, treatment, dose25, dose50, dose75 (then tested at these too), dense, penalty, mixed, mixed-seen,
-    drawn."""
+    """control, treatment, dose25, dose50, dose75 (tested at these too), dense, penalty, mixed, mixed-seen, drawn."""
     placebo: Flag = False
     """Train control agents alone, twice as many, and compare them with each other: no effect should be found."""
     test_on: Annotated[tuple[str, ...], argument("NAME ...", "none")] = ()
     """Other simulators on which the trained agents are tested as well."""
     unseen: Flag = False
-    """Test the trained agents in risky traffic that nobody was trained in as well: each kind of event alone, risky
-    drivers without events, and SUMO's car-following models Krauss and EIDM."""
+    """Also test in unseen risky traffic: each kind of event alone, none, and SUMO's driver models Krauss and EIDM."""
     early_tests: Flag = False
     """Also test every agent as it was after a third and two thirds of its budget (the cell's marks.parquet)."""
     frontier: Flag = False

@@ -338,6 +338,24 @@ def test_a_network_of_the_users_own_is_trained_and_stored(tmp_path, here):
     assert not names(elsewhere) & names(file)
 
 
+@pytest.mark.parametrize(
+    ("options", "reason"),
+    [
+        ({"policy": ("{}/model.zip",)}, "no model of Stable-Baselines3"),
+        ({"policy": ("{}/mine.py:Other",)}, "defines no Other"),
+        ({"device": "toaster"}, "--device toaster"),
+    ],
+)
+def test_what_would_fail_after_the_trainings_is_refused_before_them(tmp_path, options, reason):
+    (tmp_path / "model.zip").write_bytes(b"no model")
+    (tmp_path / "mine.py").write_text(POLICY)
+    if "policy" in options:
+        options = {"policy": tuple(name.format(tmp_path) for name in options["policy"])}
+    with pytest.raises(UserError, match=reason):
+        run(tmp_path / "results", **options)
+    assert not (tmp_path / "results").exists()
+
+
 def test_policies_of_the_users_own_get_cells_of_their_own(tmp_path, here):
     stable_baselines3 = pytest.importorskip("stable_baselines3")
     file, zipped = tmp_path / "mine.py", tmp_path / "model.zip"

@@ -34,10 +34,10 @@ PAPER = {
 # roundabout's reward pays for standing at the entry: with values beyond the limit, waiting is worth more than driving,
 # and agents learn to wait. On the u-turn nothing is ever learnt of the places where the limit ends an episode, so that
 # the values beyond it, guessed there, grow without bound (docs/learner.md).
-FINITE_HORIZON = ("roundabout", "u-turn")
+FIRST_CLOCK = {task: {"finite_horizon": True} for task in ("roundabout", "u-turn")}
 # Environment steps of a training in the second study: one update per step (docs/developers/learner_choice.md).
 SECOND_STEPS = {**dict.fromkeys(TASKS, 40_000), "two-way": 160_000, "u-turn": 80_000}
-# Where its training episodes end later than a test does (11 and 10 s), but before an ego at the highest speed leaves
+# Where training episodes end later than a test does (11 and 10 s), but before an ego at the highest speed leaves
 # the road. The time is observed as a share of this clock, in the test as well.
 LONGER = {
     task: {"training_clock": [end, end], "time_observed": end}
@@ -45,22 +45,18 @@ LONGER = {
 }
 
 
-def tuned(updates: Mapping[str, int], **settings: Any) -> dict[str, dict[str, Any]]:
+def tuned(
+    updates: Mapping[str, int], clock: Mapping[str, Mapping[str, Any]] = FIRST_CLOCK, **settings: Any
+) -> dict[str, dict[str, Any]]:
     """The learner of each task in the first version of "tuned": the defaults of `agents.dqn.DQNConfig`, but for these.
 
-    updates: budget of an agent by task.
+    updates: budget of an agent by task. clock: by task how its training episodes end, see `experiments.study.wrappers`.
     """
-    return {
-        task: {"updates": budget, "finite_horizon": task in FINITE_HORIZON, **settings}
-        for task, budget in updates.items()
-    }
+    return {task: {"updates": budget, **clock.get(task, {}), **settings} for task, budget in updates.items()}
 
 
 def second_version(task: str, clock: Mapping[str, Any]) -> dict[str, Any]:
-    """The learner of a task in the second version of "tuned".
-
-    clock: how its training episodes end, see `experiments.study.wrappers`.
-    """
+    """The learner of a task in the second version of "tuned", with such a clock."""
     tau = 0.005 / 4  # the target moves as far in a step as in the first version
     return {"updates": SECOND_STEPS[task], "steps_per_update": 1, "batch_size": 64, "tau": tau, **clock}
 
@@ -95,7 +91,8 @@ PRESETS = {
             episodes=50,
             gate_episodes=100,
             learners=tuned(
-                {"highway": 5000, "two-way": 8000, "roundabout": 4000, "intersection": 7000, "u-turn": 4000}
+                {"highway": 5000, "two-way": 8000, "roundabout": 4000, "intersection": 7000, "u-turn": 4000},
+                LONGER,
             ),
         ),
         Experiment(
@@ -112,11 +109,9 @@ PRESETS = {
             SECOND,
             preset="first-clock",
             about="the second study's u-turn and roundabout, where agents see when the test ends: hours",
-            tasks=FINITE_HORIZON,
+            tasks=tuple(FIRST_CLOCK),
             levels=(1,),
-            learners={
-                task: second_version(task, {"finite_horizon": task in FINITE_HORIZON}) for task in TASKS
-            },
+            learners={task: second_version(task, FIRST_CLOCK.get(task, {})) for task in TASKS},
         ),
         Experiment(
             preset="paper",

@@ -6,6 +6,7 @@ import pandas as pd
 import pytest
 
 from experiments.analysis.plan import Learner
+from experiments.learners import MEASURES, OURS, RL_AGENTS, STABLE_BASELINES, TRAININGS, Options
 from experiments.study.avoid import SAFE
 from experiments.study.evaluate import share
 from experiments.study.grid import env_config
@@ -87,6 +88,18 @@ def test_the_planners_are_told_as_they_were_stored() -> None:
     words = means.apply(lambda m: f"{m['crashed']:.2f}/{m['return']:.1f}/{m['pace']:.1f}", axis=1)
     found = words.unstack("task")[list(TASKS)]
     assert table(text) == {", ".join(row): values.tolist() for row, values in found.iterrows()}
+
+
+def test_the_other_learners_are_told_as_they_were_stored() -> None:
+    """Crash rate / share of the time standing / speed / return, by traffic and learner, means over the trainings."""
+    stored = pd.read_parquet(ROOT / "results" / "learners" / TRAININGS)
+    agents = stored[stored["learner"].isin([*OURS, *STABLE_BASELINES, *RL_AGENTS])]
+    groups = agents.groupby(["traffic", "learner", "task"])
+    assert (groups["training"].nunique() == Options().seeds).all()
+    words = groups[list(MEASURES)].mean().apply(lambda m: "{:.2f}/{:.2f}/{:.1f}/{:.1f}".format(*m), axis=1)
+    found = words.unstack("task").reindex(columns=[task for task in TASKS if task in set(agents["task"])])
+    shown = table(section(TEXTS[ROOT / "docs" / "learner.md"], "Other learners"))
+    assert shown == {", ".join(row): values.tolist() for row, values in found.iterrows()}
 
 
 def test_the_avoidable_crashes_are_told_as_they_were_stored() -> None:

@@ -1,7 +1,9 @@
 """Film an agent: one test scenario at risk 0 and at risk 1, side by side.
 
-python experiments/watch.py results/mine
-python experiments/watch.py results/mine --agent u-turn-3-treatment --scenario 17
+    python experiments/watch.py results/mine
+    python experiments/watch.py results/mine --agent u-turn-3-treatment --scenario 17
+
+Both drives begin at the same places and speeds, by default of a scenario that ends with a crash at risk 1.
 """
 
 from __future__ import annotations

@@ -3,7 +3,7 @@
     python experiments/watch.py results/mine
     python experiments/watch.py results/mine --agent u-turn-3-treatment --scenario 17
 
-Both drives begin at the same places and speeds, by default of a scenario that ends with a crash at risk 1.
+Both drives begin at the same places and speeds, by default those of the first scenario with a crash at risk 1.
 """
 
 from __future__ import annotations

@@ -341,16 +341,15 @@ def test_a_network_of_the_users_own_is_trained_and_stored(tmp_path, here):
 @pytest.mark.parametrize(
     ("options", "reason"),
     [
-        ({"policy": ("{}/model.zip",)}, "no model of Stable-Baselines3"),
-        ({"policy": ("{}/mine.py:Other",)}, "defines no Other"),
+        ({"policy": ("model.zip",)}, "no model of Stable-Baselines3"),
+        ({"policy": ("mine.py:Other",)}, "defines no Other"),
         ({"device": "toaster"}, "--device toaster"),
     ],
 )
-def test_what_would_fail_after_the_trainings_is_refused_before_them(tmp_path, options, reason):
-    (tmp_path / "model.zip").write_bytes(b"no model")
-    (tmp_path / "mine.py").write_text(POLICY)
-    if "policy" in options:
-        options = {"policy": tuple(name.format(tmp_path) for name in options["policy"])}
+def test_what_would_fail_after_the_trainings_is_refused_before_them(tmp_path, monkeypatch, options, reason):
+    monkeypatch.chdir(tmp_path)
+    Path("model.zip").write_bytes(b"no model")
+    Path("mine.py").write_text(POLICY)
     with pytest.raises(UserError, match=reason):
         run(tmp_path / "results", **options)
     assert not (tmp_path / "results").exists()

@@ -92,7 +92,7 @@ def test_the_planners_are_told_as_they_were_stored() -> None:
 
 def test_the_other_learners_are_told_as_they_were_stored() -> None:
     """Crash rate / share of the time standing / speed / return, by traffic and learner, means over the trainings."""
-    stored = pd.read_parquet(ROOT / "results" / "learners" / TRAININGS)
+    stored = pd.read_parquet(ROOT / "results" / "other-learners" / TRAININGS)
     agents = stored[stored["learner"].isin([*OURS, *STABLE_BASELINES, *RL_AGENTS])]
     groups = agents.groupby(["traffic", "learner", "task"])
     assert (groups["training"].nunique() == Options().seeds).all()

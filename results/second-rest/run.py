@@ -6,6 +6,10 @@ The same command goes on wherever it was stopped. The settings, their order and 
 docs/developers/plan_v3.md. One process trains; this one saves what is finished into the folder of this file and commits
 the saved files. Send SIGUSR1 to save at once, with the checkpoint of the cell that is computed; SIGINT or SIGTERM to
 stop, after such a save. It needs Linux, and Python alone: the cells are computed in the worktree's environment.
+
+    python results/second-rest/run.py --code WORKTREE --pack results/second
+
+adds all saved cells to the tables of a folder.
 """
 
 from __future__ import annotations
@@ -13,13 +17,17 @@ from __future__ import annotations
 import argparse
 import csv
 import io
+import json
 import lzma
 import os
+import re
 import signal
 import subprocess
 import sys
 import tarfile
+import tempfile
 import time
+from collections.abc import Iterable
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -41,6 +49,8 @@ HERE = Path(__file__).resolve().parent
 EVERY = 900.0  # [s] between two saves
 LOOK = 2.0  # [s] between two looks at the working folder
 CELL, CHECKPOINT = ".tar.xz", ".checkpoint.npz.xz"  # endings of the saved files, after the name of a cell
+TABLES, WEIGHTS = ("episodes.parquet", "gates.parquet"), "weights.npz"
+FIRST_SEED = "100"  # whose agents are published with their weights
 COSTS = HERE / "costs.csv"  # cell, CPU seconds, and whether this part of the work finished the cell
 
 
@@ -64,7 +74,10 @@ def check(code: Path) -> None:
 
 
 def compute(code: Path, setting: str, out: Path) -> int:
-    """The cells of a setting as `experiments/sweep.py` computes them, one at a time, but without a report."""
+    """The cells of a setting as `experiments/sweep.py` computes them, one at a time, but without a report.
+
+    An agent's further tests come right behind its training: then its weights need not be saved.
+    """
     sys.path[0] = str(code)
     from experiments.study.fingerprint import check_dynamics
     from experiments.study.presets import cells_of
@@ -72,6 +85,7 @@ def compute(code: Path, setting: str, out: Path) -> int:
     from experiments.sweep import Options
     from experiments.sweep import compute as compute_cells
 
+    pack(code, (setting,), out)
     task, level = SETTINGS[setting]
     cells = cells_of(
         Options(
@@ -87,15 +101,51 @@ def compute(code: Path, setting: str, out: Path) -> int:
     assert len(cells) == CELLS and all(cell.name.startswith(f"sumo-{setting}-") for cell in cells)
     check_dynamics(dict.fromkeys((name, task) for cell in cells for name in (cell.backend, cell.runs_on)))
     Store(out).write_sweep(f"results/second-rest/run.py, setting {setting}", cells)
-    return 1 if compute_cells(cells, out, workers=1) else 0
+    agents = [cell for cell in cells if cell.kind == "agent"]
+    groups = [[agent, *(cell for cell in cells if cell.kind == "test" and cell.parent == agent)] for agent in agents]
+    groups.append([cell for cell in cells if cell.kind == "baseline"])
+    assert sum(map(len, groups)) == CELLS
+    there = set(Store(out).finished())
+    failures = {}
+    for group in groups:
+        if not there.issuperset(cell.name for cell in group):
+            failures |= compute_cells(group, out, workers=1)
+    return 1 if failures or len(Store(out).finished()) < CELLS else 0
+
+
+def pack(code: Path, settings: Iterable[str], out: Path) -> None:
+    """Add the saved cells of some settings to the packed tables of a folder, if they are not in it."""
+    sys.path[0] = str(code)
+    import pandas as pd
+
+    from experiments.study.packed import add
+    from experiments.study.store import Store
+    from experiments.support.files import sha256_bytes
+
+    records: dict[str, Any] = {}
+    tables: dict[str, Any] = {}
+    weights: dict[str, Path] = {}
+    there = set(Store(out).finished())
+    with tempfile.TemporaryDirectory() as folder:
+        for setting in settings:
+            for name in sorted(saved(setting) - there):
+                with tarfile.open(HERE / setting / f"{name}{CELL}") as archive:
+                    files = {entry.name: archive.extractfile(entry).read() for entry in archive}  # type: ignore[union-attr]
+                records[name] = json.loads(files.pop("cell.json"))
+                del records[name]["checksum"]
+                for file, data in files.items():
+                    if sha256_bytes(data) != records[name]["files"][file]:
+                        sys.exit(f"{file} of {setting}/{name}{CELL} is damaged: restore it with git, or delete it")
+                tables[name] = {file: pd.read_parquet(io.BytesIO(files[file])) for file in TABLES if file in files}
+                if WEIGHTS in files:
+                    weights[name] = Path(folder) / f"{name}.npz"
+                    weights[name].write_bytes(files[WEIGHTS])
+        if records:
+            add(out, records, tables, weights)
+    print(f"{len(records)} saved cells added to {out}", flush=True)
 
 
 # -- In the process that saves ---------------------------------------------------------------------------------------
-
-
-def finished(out: Path) -> set[str]:
-    """Names of the finished cells in a working folder; the store moves a cell there whole."""
-    return {path.name for path in (out / "cells").glob("sumo-*")}
 
 
 def saved(setting: str) -> set[str]:
@@ -103,16 +153,17 @@ def saved(setting: str) -> set[str]:
     return {path.name.removesuffix(CELL) for path in (HERE / setting).glob(f"*{CELL}")}
 
 
+def finished(setting: str, out: Path) -> set[str]:
+    """Names of the cells of a setting that are saved, or finished in a working folder, where they are moved whole."""
+    return saved(setting) | {path.name for path in (out / "cells").glob("sumo-*")}
+
+
 def restore(setting: str, out: Path) -> None:
-    """Put saved cells and checkpoints where the sweep looks for them; what is there already stays."""
-    for name in sorted(saved(setting) - finished(out)):
-        with tarfile.open(HERE / setting / f"{name}{CELL}") as archive:
-            archive.extractall(out / "restored", filter="data")
-        (out / "restored" / name).rename(out / "cells" / name)
+    """Put saved checkpoints where the sweep looks for them; what is there already stays."""
     for packed in (HERE / setting).glob(f"*{CHECKPOINT}"):
         name = packed.name.removesuffix(CHECKPOINT)
         there = out / "work" / name / "checkpoint.npz"
-        if name not in finished(out) and not there.exists():
+        if name not in finished(setting, out) and not there.exists():
             write(there, lzma.decompress(packed.read_bytes()))
             print(f"{setting}: goes on from the saved checkpoint of {name}", flush=True)
 
@@ -125,18 +176,31 @@ def write(path: Path, data: bytes) -> None:
     part.replace(path)
 
 
-def save(setting: str, out: Path, checkpoints: bool) -> None:
-    """Copy what is finished beside this file, on request with the checkpoints of unfinished cells, and commit it."""
-    for name in sorted(finished(out) - saved(setting)):
+def save(setting: str, out: Path, unfinished: bool) -> None:
+    """Copy finished cells beside this file, and commit them.
+
+    An agent waits for its further tests. unfinished: it does not, and checkpoints are copied as well.
+    """
+    there = finished(setting, out)
+    for name in sorted(there - saved(setting)):
+        files = ["cell.json", *TABLES]
+        if agent := re.fullmatch(r"(.*-(?:control|treatment|mixed)-s(\d+))-[0-9a-f]{12}", name):
+            tests = [test for test in there if test.startswith((f"{agent[1]}-unseen-", f"{agent[1]}-on-replica-"))]
+            if len(tests) < 2 and not unfinished:
+                continue
+            if len(tests) < 2 or agent[2] == FIRST_SEED:
+                files.append(WEIGHTS)
         data = io.BytesIO()
         with tarfile.open(fileobj=data, mode="w:xz") as archive:
-            archive.add(out / "cells" / name, name, filter=anonymous)
+            for file in files:
+                if (path := out / "cells" / name / file).exists():
+                    archive.add(path, file, filter=anonymous)
         write(HERE / setting / f"{name}{CELL}", data.getvalue())
     for packed in (HERE / setting).glob(f"*{CHECKPOINT}"):
         if packed.name.removesuffix(CHECKPOINT) in saved(setting):
             packed.unlink()
-    for file in out.glob("work/*/checkpoint.npz") if checkpoints else ():
-        if (name := file.parent.name) not in saved(setting):  # the training replaces its checkpoint whole
+    for file in out.glob("work/*/checkpoint.npz") if unfinished else ():
+        if (name := file.parent.name) not in there:  # the training replaces its checkpoint whole
             write(HERE / setting / f"{name}{CHECKPOINT}", lzma.compress(file.read_bytes(), preset=9))
     commit(f"Second study, {setting}: {len(saved(setting))} of {CELLS} cells")
 
@@ -188,42 +252,38 @@ def note_cost(cell: str, seconds: float, state: str) -> None:
 
 def follow(setting: str, code: Path, out: Path, wanted: Any) -> bool:
     """Compute a setting in a process of its own, and save; returns whether it was stopped. wanted: what signals ask."""
-    log = (out / "log.txt").open("a")
     words = [".venv/bin/python", str(HERE / "run.py"), "--code", str(code), "--work", str(out), "--compute", setting]
-    process = subprocess.Popen(
-        words,
-        cwd=code,
-        env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONDONTWRITEBYTECODE": "1"},
-        stdout=log,
-        stderr=subprocess.STDOUT,
-        start_new_session=True,
-    )
-    there, spent, total, last = finished(out), 0.0, 0.0, time.monotonic()
-    while not wanted.stop:
+    with (out / "log.txt").open("a") as log:
+        process = subprocess.Popen(
+            words,
+            cwd=code,
+            env={**os.environ, "OMP_NUM_THREADS": "1", "PYTHONDONTWRITEBYTECODE": "1"},
+            stdout=log,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+        )
+    there, spent, total, last = finished(setting, out), 0.0, 0.0, time.monotonic()
+    ended = False
+    while not ended:
+        time.sleep(LOOK)
+        if wanted.stop:
+            os.killpg(process.pid, signal.SIGKILL)  # the store and the checkpoints are made for it
+            process.wait()
         ended = process.poll() is not None
         total = max(total, cpu_seconds(process.pid))
-        new = sorted(finished(out) - there)
+        new = sorted(finished(setting, out) - there)
         for name in new:
             note_cost(name, (total - spent) / len(new), "finished")
         if new:
             there, spent = there | set(new), total
         if wanted.save or time.monotonic() - last > EVERY:
-            save(setting, out, checkpoints=wanted.save)
+            save(setting, out, unfinished=wanted.save)
             wanted.save, last = False, time.monotonic()
-        if ended:
-            break
-        time.sleep(LOOK)
     if wanted.stop:
-        process.send_signal(signal.SIGINT)
-        try:
-            process.wait(30)
-        except subprocess.TimeoutExpired:
-            os.killpg(process.pid, signal.SIGKILL)
-            process.wait()
-        for folder in sorted((out / "work").glob("*")):
-            if folder.name not in finished(out):
-                note_cost(folder.name, total - spent, "stopped")
-    save(setting, out, checkpoints=wanted.stop)
+        for file in out.glob("work/*/checkpoint.npz"):
+            if file.parent.name not in there:
+                note_cost(file.parent.name, total - spent, "stopped")
+    save(setting, out, unfinished=wanted.stop)
     if process.returncode and not wanted.stop:
         sys.exit(f"{setting}: the process ended with {process.returncode}, see {out / 'log.txt'}")
     return bool(wanted.stop)
@@ -233,10 +293,18 @@ def main() -> None:
     """The command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--code", type=Path, required=True, help=f"a clean checkout of {COMMIT} after make setup")
-    parser.add_argument("--work", type=Path, required=True, help="a folder outside of git for the sweeps")
+    parser.add_argument("--work", type=Path, help="a folder outside of git for the sweeps")
     parser.add_argument("--settings", nargs="+", choices=SETTINGS, default=list(SETTINGS), help="default: all")
+    parser.add_argument("--pack", type=Path, metavar="DIR", help="add all saved cells to this folder instead")
     parser.add_argument("--compute", choices=SETTINGS, help=argparse.SUPPRESS)
     options = parser.parse_args()
+    if options.pack:
+        if not (options.code / ".venv/bin/python").samefile(sys.executable):
+            parser.error(f"--pack needs {options.code}/.venv/bin/python")
+        pack(options.code.resolve(), SETTINGS, options.pack)
+        return
+    if not options.work:
+        parser.error("--work is needed")
     if options.compute:
         sys.exit(compute(options.code, options.compute, options.work))
     code, work = options.code.resolve(), options.work.resolve()
@@ -246,14 +314,14 @@ def main() -> None:
     os.nice(15)
     for setting in options.settings:
         out = work / setting
-        (out / "cells").mkdir(parents=True, exist_ok=True)
-        (HERE / setting).mkdir(exist_ok=True)
-        restore(setting, out)
-        if len(finished(out)) == CELLS and len(saved(setting)) == CELLS:
+        for folder in (out / "cells", HERE / setting):
+            folder.mkdir(parents=True, exist_ok=True)
+        if len(saved(setting)) == CELLS:
             print(f"{setting}: complete", flush=True)
             continue
         check(code)
-        print(f"{setting}: {len(finished(out))} of {CELLS} cells are there", flush=True)
+        restore(setting, out)
+        print(f"{setting}: {len(finished(setting, out))} of {CELLS} cells are there", flush=True)
         if follow(setting, code, out, wanted):
             return
 

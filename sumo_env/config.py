@@ -77,6 +77,12 @@ FIXED: dict[str, tuple[Any, str]] = {
         "IDMVehicle compiled; 'risk' makes both risky",
     ),
 }
+# Keys by what other tasks or earlier versions of highway-env call them.
+RENAMED = {
+    "initial_spacing": "ego_spacing",
+    "initial_vehicle_count": "vehicles_count",
+    "vehicles_count": "initial_vehicle_count",
+}
 
 
 class ConfigError(ValueError):
@@ -93,6 +99,19 @@ def nearest(word: str, choices: Mapping[str, Any] | set[str] | list[str]) -> str
     """End of an error message: the nearest known word, or all known words."""
     known = sorted(map(str, choices))
     return did_you_mean(str(word), known) or f"known: {', '.join(known)}"
+
+
+def _meant(key: str, known: Mapping[str, Any]) -> str:
+    """End of an error message: the known key that an unknown key must mean, or all known keys.
+
+    An unknown key is taken for a spelling mistake where at most four letters of both keys are not in the other one.
+    Keys that look less alike, such as those of the left and the right lane, mean something else.
+    """
+    for name in known:
+        alike = difflib.SequenceMatcher(None, name, key).ratio()
+        if RENAMED.get(key) == name or (alike > 0.6 and (1.0 - alike) * len(name + key) < 4.5):
+            return f"did you mean {name!r}?"
+    return f"known: {', '.join(sorted(known))}"
 
 
 def one_of(name: str, value: Any, choices: tuple[str, ...]) -> str:
@@ -129,7 +148,7 @@ def resolve(task: str, defaults: Config, *overrides: Mapping[str, Any] | None) -
                 if value != expected:
                     raise ConfigError(f"config key {key!r} can only be {expected!r}, not {value!r}: {reason}")
             elif key not in WITHOUT_EFFECT:
-                raise ConfigError(f"unknown config key {key!r} for task {task!r}: {nearest(key, known)}")
+                raise ConfigError(f"unknown config key {key!r} for task {task!r}: {_meant(str(key), known)}")
             config[key] = value
     _check(config, known)
     return config
@@ -186,7 +205,7 @@ def _check_type(group: str, given: Config, types: Mapping[str, Config]) -> None:
     defaults = types[one_of(f"{group} type", given["type"], tuple(types))]
     for key, value in given.items():
         if key not in defaults:
-            raise ConfigError(f"unknown key {key!r} in config[{group!r}]: {nearest(key, defaults)}")
+            raise ConfigError(f"unknown key {key!r} in config[{group!r}]: {_meant(str(key), defaults)}")
         _check_kind(f"{group} {key!r}", defaults[key], value)
 
 

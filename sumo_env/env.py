@@ -22,7 +22,7 @@ from sumo_env.networks.roads import LaneIndex
 from sumo_env.observation import TimeToCollision
 from sumo_env.scene import Scene
 from sumo_env.simulator import EgoCommand, Simulator, Step
-from sumo_env.sumo.options import check_options
+from sumo_env.sumo.options import check_effect, check_options
 from sumo_env.sumo.process import SumoProcess
 from sumo_env.tasks import get_task
 from sumo_env.tasks.base import EgoState, Task, nearest_index
@@ -80,6 +80,8 @@ class DrivingEnv(ReadAsHighwayEnv):
         self.render_mode = render_mode
         self._given = self._simulator = simulator
         self._options = check_options(sumo_options)
+        if not isinstance(self.task, NetworkTask):
+            check_effect(self._options)
         self._renderer: Renderer | None = None
         self._video: RecordVideo[Any, Any] | None = None
         self._configured: Config | None = None
@@ -95,12 +97,23 @@ class DrivingEnv(ReadAsHighwayEnv):
     def configure(self, config: Mapping[str, Any] | None) -> None:
         """Change these keys of the configuration; they take effect at the next reset."""
         changed = resolve(self.task.name, self.default_config(), getattr(self, "config", None), config)
-        self.actions, self.target_speeds, self.observation_type = interface(self.task, changed)
+        made = interface(self.task, changed)
+        self._refuse_backwards("'target_speeds'", made.target_speeds[0])
+        self._refuse_backwards("'initial_speed'", changed.get("initial_speed") or 0.0)
+        self.actions, self.target_speeds, self.observation_type = made
         self.config: Config = changed  # assigned last: an error leaves the environment as it was
         self._configured = copy.deepcopy(changed)
         self.observation_space = self.observation_type.space
         self.action_space = gym.spaces.Discrete(len(self.actions))
         self._set_frame_rate()
+
+    def _refuse_backwards(self, what: str, speed: float) -> None:
+        """An error if SUMO would have to drive at a negative speed [m/s]."""
+        if (self._given is None or isinstance(self._given, SumoProcess)) and speed < 0.0:
+            raise ConfigError(
+                f"{what}: SUMO's vehicles cannot drive at {speed:g} m/s, because they never drive backwards; "
+                "the environments replica/* can"
+            )
 
     # -- gymnasium -----------------------------------------------------------------------------------------
 
@@ -139,6 +152,7 @@ class DrivingEnv(ReadAsHighwayEnv):
             scenario.network.place(ego.lane, ego.s, ego.destination)  # there are such a network and place
         except ValueError as error:
             raise ConfigError(str(error)) from error
+        self._refuse_backwards("the ego at the start", ego.speed)
         self.scenario = scenario
         self._road, self._route = scenario.road, ego_route(scenario.road, scenario.ego)
         self._spec_of = {spec.id: spec for spec in scenario.specs}

@@ -5,6 +5,7 @@ Separate from the environment because the backend highway-env of the experiments
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import asdict, fields
 from itertools import pairwise
@@ -45,7 +46,8 @@ def interface(task: Task, config: Config) -> Interface:
         speeds = tuple(float(speed) for speed in ladder)
     except (TypeError, ValueError):
         speeds = ()
-    if len(speeds) < 2 or any(low >= high for low, high in pairwise(speeds)):
+    rising = all(low < high for low, high in pairwise(speeds))  # which is false for NaN
+    if len(speeds) < 2 or not rising or not math.isfinite(speeds[-1] - speeds[0]):
         raise ConfigError(f"'target_speeds' must be at least two rising speeds [m/s], not {ladder!r}")
     limits = task.reward_limits(config)
     if limits and config["normalize_reward"] and limits[0] == limits[1]:

@@ -1,8 +1,9 @@
 """How the kernels of this package are compiled: once for a machine, at their first call.
 
 Numba keeps the machine code in ``__pycache__`` beside the sources or, where that is read-only, in the user's cache
-directory. It compiles a function again when the function's own file has changed, but not when a function of another
-file that it calls has; therefore machine code that is older than the newest file here is dropped at import.
+directory (or in ``NUMBA_CACHE_DIR``). It compiles a function again when the function's own file has changed, but not
+when a function of another file that it calls has; therefore machine code that is older than the newest file here is
+dropped before it is loaded.
 """
 
 from __future__ import annotations
@@ -11,6 +12,7 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -50,12 +52,23 @@ def borrowing(function: Function) -> Function:
 def _compiled(function: Function, counts: bool) -> Function:
     options: dict[str, Any] = {"_nrt": counts, "nogil": counts, "forceinline": not counts}
     try:
-        return cast(Function, numba.njit(cache=True, **options)(function))
-    except RuntimeError as error:
-        if "no locator available" not in str(error):
+        kept = numba.njit(cache=True, **options)(function)
+        _drop_stale(kept.stats.cache_path)
+        return cast(Function, kept)
+    except (RuntimeError, OSError) as error:
+        if isinstance(error, RuntimeError) and "no locator available" not in str(error):
             raise
-        # no directory is writable: compile in each process
+        # no directory is writable, or stale machine code cannot be removed: compile in each process
         return cast(Function, numba.njit(**options)(function))
+
+
+@cache
+def _drop_stale(folder: str) -> None:
+    """Remove machine code in a directory of Numba's that is older than the newest source."""
+    for index in Path(folder).glob("*.nbi"):
+        with suppress(FileNotFoundError):  # another process, which imports this as well, was faster
+            if index.stat().st_mtime < _newest:
+                index.unlink()
 
 
 @contextmanager
@@ -87,7 +100,3 @@ for _function in _BENEATH:  # plain Python, which functions call that kernels ca
 
 _sources = [Path(str(module.__file__)) for module in (base, intersection, measures, rectangles)]
 _newest = max(source.stat().st_mtime for source in (*Path(__file__).parent.glob("*.py"), *_sources))
-for _index in Path(__file__).parent.glob("__pycache__/*.nbi"):
-    with suppress(FileNotFoundError):  # another process, which imports this as well, was faster
-        if _index.stat().st_mtime < _newest:
-            _index.unlink()

@@ -1,8 +1,11 @@
-"""Options of SUMO that a user adds, such as output files."""
+"""Options of SUMO: those that a user adds, such as output files, and names of files that SUMO can read."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import os
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from pathlib import Path
 
 from sumo_env.config import ConfigError
 
@@ -13,6 +16,14 @@ REFUSED = (
     *("--lanechange.duration", "--lateral-resolution", "--load-state"),
     *("--remote-port", "--num-clients", "--gui", "--start"),
 )
+# Beginnings of the options that change what SUMO does with the vehicles of its own files: when they come, how they are
+# inserted, what their types leave out, and SUMO's random numbers.
+OF_FILES = (
+    *("--scale", "--max-num-vehicles", "--max-depart-delay", "--random", "--seed", "--default."),
+    *("--insertion-checks", "--sloppy-insert", "--eager-insert", "--emergency-insert"),
+    *("--extrapolate-departpos", "--route-steps", "--ignore-route-errors", "--thread-rngs"),
+)
+DESCRIPTORS = Path("/proc/self/fd")  # the files that this process has open, as links; on Linux
 
 
 def check_options(options: Sequence[str]) -> tuple[str, ...]:
@@ -41,6 +52,57 @@ def check_options(options: Sequence[str]) -> tuple[str, ...]:
                 "and ends follow 'simulation_frequency' and 'duration', and export() writes an episode for sumo-gui"
             )
     return tuple(f"{name}={value}" for name, value in found.items())
+
+
+def check_effect(options: Sequence[str]) -> None:
+    """See to it that options, as of `check_options`, can act in a task that places all vehicles itself.
+
+    Raises:
+        ConfigError: one changes vehicles of files alone, of which such a task has none.
+    """
+    for option in options:
+        if option.startswith(OF_FILES):
+            name = option.partition("=")[0]
+            raise ConfigError(
+                f"SUMO's option {name} has no effect here: it is for the vehicles of SUMO's files, and this task "
+                "places every vehicle itself, by the seed of reset(). Keys of the configuration change the traffic; "
+                "SumoDrivingEnv drives SUMO's files"
+            )
+
+
+@contextmanager
+def readable(*paths: Path) -> Iterator[tuple[str, ...]]:
+    """Names of files for options of SUMO, which last as long as the context.
+
+    In an option, SUMO takes a comma as the end of a name, and ``${HOME}`` as a variable of the system; there are no
+    quotes. A file with such a name, or in such a folder, is opened here and named by the descriptor.
+
+    Raises:
+        ConfigError: the system has no names for descriptors.
+    """
+    names, opened = [], []
+    try:
+        for path in paths:
+            folder, name = map(_is_taken_literally, (str(path.parent), path.name))
+            if folder and name:
+                names.append(str(path))
+                continue
+            if not DESCRIPTORS.is_dir():
+                raise ConfigError(
+                    f"SUMO cannot read {path}: it takes a comma as the end of a name, and ${{...}} as a variable. "
+                    "Choose another folder (TMPDIR is the variable for temporary files)"
+                )
+            opened.append(os.open(path.parent if name else path, os.O_RDONLY))
+            # files beside this one can be found as well, unless the name of the file itself is the trouble
+            names.append(str(DESCRIPTORS / str(opened[-1]) / (path.name if name else "")))
+        yield tuple(names)
+    finally:
+        for descriptor in opened:
+            os.close(descriptor)
+
+
+def _is_taken_literally(name: str) -> bool:
+    return "," not in name and "${" not in name
 
 
 def check_copyable(options: Sequence[str]) -> None:

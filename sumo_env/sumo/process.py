@@ -1,10 +1,10 @@
 """Which process runs SUMO for an environment: this one, or a worker behind the same `Simulator` protocol; and copies.
 
 libsumo supports one simulation per process. The first environment of a process has it; every further one gets a worker
-process, and cannot tell the difference except by the time that a message takes. A worker is ``python -m
-sumo_env.sumo.worker``, not a process of multiprocessing, which would import the user's script once more. Requests and
-answers are pickles on a socket of their own, so that nothing that SUMO prints gets between them. A worker ends when the
-socket is closed, by this process or by its death.
+process, and cannot tell the difference except by the time that a message takes. A worker is a Python that calls
+`sumo_env.sumo.worker.main`, not a process of multiprocessing, which would import the user's script once more. Requests
+and answers are pickles on a socket of their own, so that nothing that SUMO prints gets between them. A worker ends when
+the socket is closed, by this process or by its death.
 
 An episode is copied by forking its worker. One of this process is first driven again in a worker, to the same bits.
 """
@@ -255,14 +255,17 @@ class _Worker:
     @classmethod
     def start(cls, simulator: str, options: tuple[str, ...]) -> _Worker:
         """A new process."""
+        python = _interpreter()
         ours, theirs = socket.socketpair()
         with theirs:  # closed here, so that reading ends when the worker does
-            worker = [sys.executable, "-P", "-m", "sumo_env.sumo.worker", str(theirs.fileno())]
-            # -P, and the search path of this process: the worker imports what this process would import
-            path = os.pathsep.join(entry or os.getcwd() for entry in sys.path)
+            # The worker imports what this process would import. PYTHONPATH cannot have a colon in a name.
+            path = [
+                entry or os.getcwd() for entry in sys.path if isinstance(entry, str)
+            ]  # Python skips others
+            begin = f"import sys; sys.path[:] = {path!r}; from sumo_env.sumo.worker import main; main()"
             child = subprocess.Popen(
-                [*worker, simulator, *options],
-                env={**os.environ, **SINGLE_THREAD, "PYTHONPATH": path},
+                [python, "-c", begin, str(theirs.fileno()), simulator, *options],
+                env={**os.environ, **SINGLE_THREAD},
                 stdin=subprocess.DEVNULL,
                 pass_fds=(theirs.fileno(),),
                 start_new_session=True,  # Ctrl-C in the terminal is for this process alone
@@ -334,6 +337,25 @@ class _Worker:
         """Close the socket."""
         self._stream.close()
         self._socket.close()
+
+
+def _interpreter() -> str:
+    """A program that runs Python; where Python is embedded, ``multiprocessing.set_executable`` chooses it.
+
+    Raises:
+        SimulatorError: there is none.
+    """
+    from multiprocessing.spawn import get_executable
+
+    version = f"python{sys.version_info.major}.{sys.version_info.minor}"
+    chosen, usual = os.fsdecode(get_executable() or ""), os.path.join(sys.exec_prefix, "bin", version)
+    for program in (chosen, sys.executable or "", usual):
+        if os.access(program, os.X_OK):
+            return program
+    raise SimulatorError(
+        f"a further environment needs a Python of its own, and there is none at {chosen or usual!r}: call "
+        f"multiprocessing.set_executable with the path of {version}"
+    )
 
 
 _workers: weakref.WeakSet[_Worker] = weakref.WeakSet()

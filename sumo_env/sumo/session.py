@@ -17,6 +17,7 @@ from xml.etree import ElementTree
 
 from sumo_env.contacts.rectangles import Half, State
 from sumo_env.scene import CAR_SIZE, GREEN, NO_LIGHT, RED, VEHICLE_LENGTH, YELLOW, Light
+from sumo_env.sumo.options import readable
 
 try:
     # without its warning about versions of pyarrow, which SUMO needs for Parquet output alone
@@ -85,13 +86,15 @@ class Session:
                 _vehicle.remove(name)
             return
         self._settings = None  # until the new network is loaded
-        with tempfile.TemporaryDirectory(prefix="sumo_env-") as folder:
-            types = Path(folder) / "types.add.xml"
-            _write_types(types, settings)
+        with contextlib.ExitStack() as stack:
+            folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="sumo_env-"))
+            written = Path(folder) / "types.add.xml"
+            _write_types(written, settings)
+            net, types = stack.enter_context(readable(settings.net_file, written))
             given = dict(option.split("=", 1) for option in settings.options)
-            additional = [str(types), given.pop("--additional-files", "")]
+            additional = [types, given.pop("--additional-files", "")]
             values = {
-                "--net-file": str(settings.net_file),
+                "--net-file": net,
                 "--additional-files": ",".join(filter(None, additional)),
                 "--step-length": f"{settings.step_length:.6g}",
                 "--lanechange.duration": f"{LANE_CHANGE_DURATION:g}",

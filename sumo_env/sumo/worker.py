@@ -1,4 +1,4 @@
-"""The worker of `process.SumoProcess`: ``python -m sumo_env.sumo.worker DESCRIPTOR MODULE:CLASS OPTIONS``.
+"""The worker of `process.SumoProcess`: `main`, with the arguments DESCRIPTOR MODULE:CLASS OPTIONS.
 
 Answers requests (command, arguments) to a simulator by (exception or None, value) until the other end is gone. The
 command "fork" makes a copy of the process, which serves a socket of its own. Nothing is printed but what SUMO prints,
@@ -72,6 +72,8 @@ def main() -> None:
     signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # nobody waits for copies; the system clears them away
     descriptor, name, *options = sys.argv[1:]
     serve(socket.socket(fileno=int(descriptor)), name, tuple(options))
+    sys.stdout.flush()
+    os._exit(0)  # SUMO has nothing to save, and taking down its modules takes time
 
 
 def portable(error: Exception) -> Exception:
@@ -83,9 +85,3 @@ def portable(error: Exception) -> Exception:
         carried = SimulatorError(f"{type(error).__name__}: {error}")
     carried.add_note(where)
     return carried
-
-
-if __name__ == "__main__":
-    main()
-    sys.stdout.flush()
-    os._exit(0)  # SUMO has nothing to save, and taking down its modules takes time

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import warnings
+from dataclasses import replace
 from typing import Any
 
 import gymnasium as gym
@@ -14,7 +15,7 @@ import stable_baselines3.common.env_checker
 from gymnasium.utils.env_checker import check_env
 
 import sumo_env
-from sumo_env.config import ConfigError
+from sumo_env.config import COMMON, ConfigError
 from sumo_env.env import DrivingEnv
 from sumo_env.tasks import TASKS
 from tests.sumo_env.rollout import drive, leaves
@@ -62,6 +63,10 @@ def test_an_episode_ends_within_its_duration(id: str) -> None:
     ("task", "config", "message"),
     [
         ("highway", {"vehicle_count": 3}, "did you mean 'vehicles_count'"),
+        ("highway", {"initial_vehicle_count": 3}, "did you mean 'vehicles_count'"),
+        ("intersection", {"vehicles_count": 3}, "did you mean 'initial_vehicle_count'"),
+        ("highway", {"initial_spacing": 2}, "did you mean 'ego_spacing'"),  # its former name
+        ("highway", {3: 3}, "unknown config key 3"),
         ("highway", {"vehicles_count": "50"}, "must be a number"),
         ("highway", {"vehicles_count": 2.5}, "whole number"),
         ("highway", {"duration": 0}, r"must lie in \(0, 100000\]"),
@@ -74,6 +79,7 @@ def test_an_episode_ends_within_its_duration(id: str) -> None:
         ("highway", {"observation": "Kinematics"}, "must be a dict"),
         ("highway", {"observation": {"type": "Kinematic"}}, "did you mean 'Kinematics'"),
         ("highway", {"action": {**META_ACTION, "target_speeds": [30, 20]}}, "rising speeds"),
+        ("highway", {"action": {**META_ACTION, "target_speeds": [20, float("nan")]}}, "rising speeds"),
         ("highway", {"action": {**META_ACTION, "longitudinal": False, "lateral": False}}, "lateral or both"),
         ("highway", {"observation": {"vehicles_count": 3}}, "needs a 'type'"),
         ("highway", {"observation": {"type": "Kinematics", "features": ["presense"]}}, "mean 'presence'"),
@@ -109,6 +115,47 @@ def test_a_wrong_configuration_is_named(task: str, config: dict[str, Any], messa
     with pytest.raises(ConfigError, match=message) as caught:
         DrivingEnv(task, config).reset(seed=0)
     assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_hints_do_not_mislead(task: str) -> None:
+    """Keys of other tasks, of highway-env itself and of public scripts are not taken for keys that look like them."""
+    others = (
+        {key for other in TASKS.values() for key in other.defaults}
+        - TASKS[task].defaults.keys()
+        - COMMON.keys()
+    )
+    scripts = {
+        "speed_limit",
+        "disable_collision_checks",
+        "goal_reward",
+        "merging_speed_reward",
+        "other_vehicles",
+    }
+    same = {"initial_vehicle_count", "vehicles_count"}  # what one task calls so, the others call otherwise
+    for key in others | scripts | {"seed", "initial_speed", "action_reward", "reward", "max_speed"}:
+        with pytest.raises(ConfigError, match="unknown config key") as caught:
+            DrivingEnv(task, {key: 1})
+        assert ("did you mean" in str(caught.value)) == (key in same), caught.value
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_sumo_never_drives_backwards(task: str) -> None:
+    """Which is said when the environment is made; the replica does it, as highway-env does."""
+    speeds = {"action": {**META_ACTION, "target_speeds": [-5, 0, 5, 10]}}
+    with pytest.raises(ConfigError, match=r"target_speeds.* -5 m/s.*replica/\*"):
+        DrivingEnv(task, speeds)
+    env = DrivingEnv(task)
+    env.reset(seed=0)
+    backwards = replace(env.scenario, ego=env.scenario.ego._replace(speed=-3.0))
+    with pytest.raises(ConfigError, match=r"the ego at the start.* -3 m/s"):
+        env.reset(options={"scenario": backwards})
+    env.close()
+    replica = gym.make(f"replica/{task}-v0", config=speeds)
+    replica.reset(seed=0)
+    slower = {name: action for action, name in replica.unwrapped.actions.items()}["SLOWER"]
+    speeds = [replica.step(slower)[-1]["speed"] for _ in range(5)]
+    assert min(speeds) < 0.0 or replica.unwrapped.vehicle.crashed
 
 
 def test_crowded_two_way_roads_are_filled() -> None:

@@ -194,6 +194,27 @@ def test_options_that_cannot_work_are_refused(options: Any, message: str) -> Non
         DrivingEnv("highway", sumo_options=options)
 
 
+@pytest.mark.parametrize("task", ["highway", Slalom()])
+@pytest.mark.parametrize(
+    "option",
+    [
+        "--scale=2",
+        "--random-depart-offset=5",
+        "--max-num-vehicles=3",
+        "--default.action-step-length=1",
+        "--random",
+    ],
+)
+def test_options_for_the_vehicles_of_files_are_refused_where_there_are_none(task: Any, option: str) -> None:
+    with pytest.raises(ConfigError, match=f"{option.partition('=')[0]} has no effect here"):
+        DrivingEnv(task, sumo_options=[option])
+
+
+def test_the_seed_of_a_reset_is_the_only_one() -> None:
+    with pytest.raises(ConfigError, match=r"--seed has no effect here.* by the seed of reset\(\)"):
+        DrivingEnv("highway", sumo_options=["--seed", "7"])
+
+
 def test_a_mistyped_option_is_named() -> None:
     env = DrivingEnv("highway", sumo_options=["--tripinfo-outptu", "trips.xml"])
     with pytest.raises(SimulatorError, match=r"--tripinfo-outptu=trips\.xml"):

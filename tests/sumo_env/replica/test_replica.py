@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import copy
+import os
 import pickle
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -15,7 +17,7 @@ from experiments.support.errors import UserError
 from sumo_env.contacts.measures import TTC_RADIUS, ego_ttc
 from sumo_env.contacts.rectangles import states
 from sumo_env.env import DrivingEnv
-from sumo_env.replica.compiled import compiled
+from sumo_env.replica.compiled import _drop_stale, compiled
 from sumo_env.replica.numpy_loops import arcsin, arctan, arctan2, binary, power, tan, unary
 from sumo_env.replica.simulator import Replica
 from sumo_env.simulator import EgoCommand
@@ -101,6 +103,41 @@ def test_functions_round_as_numpy_does_on_this_processor() -> None:
 def functions(x: float, y: float) -> tuple[float, float, float, float, float]:
     """All five, which only kernels can call."""
     return unary(tan, x), unary(arcsin, x), unary(arctan, x), binary(arctan2, x, y), binary(power, abs(x), y)
+
+
+def stale(folder: Path) -> Path:
+    """Machine code that is older than every source."""
+    index = folder / "kernels.square-1.py311.nbi"
+    index.touch()
+    os.utime(index, (0.0, 0.0))
+    return index
+
+
+def test_stale_machine_code_is_removed_from_every_directory_of_numba(tmp_path: Path) -> None:
+    old, new = stale(tmp_path), tmp_path / "kernels.cube-1.py311.nbi"
+    new.touch()
+    _drop_stale(str(tmp_path))
+    assert not old.exists() and new.exists()
+
+
+def test_stale_machine_code_that_cannot_be_removed_is_not_used(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As in the directory of another user: the package can be imported, and compiles in each process."""
+
+    def refuse(path: Path, **_: Any) -> None:
+        raise PermissionError(path)
+
+    monkeypatch.setattr("numba.core.caching.FunctionCache.cache_path", str(tmp_path))
+    index = stale(tmp_path)
+    monkeypatch.setattr(Path, "unlink", refuse)
+
+    @compiled
+    def square(x: float) -> float:
+        return x * x
+
+    assert square(3.0) == 9.0
+    assert square.stats.cache_path is None and index.exists()
 
 
 def test_a_simulator_that_was_closed_or_never_reset_says_so() -> None:

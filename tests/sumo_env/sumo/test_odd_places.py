@@ -1,0 +1,99 @@
+"""Folders, search paths and Pythons that other people have: the environments work in them, or say what is wrong."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from sumo_env.config import ConfigError
+from sumo_env.networks.mapping import network
+from sumo_env.simulator import SimulatorError
+from sumo_env.sumo import options, process
+from tests.processes import python
+
+# SUMO takes a comma as the end of a name, and ${HOME} as a variable; PYTHONPATH takes a colon as the end of a name.
+NAME = "one, two: ${HOME} $HOME%2C;"
+# Two environments, the second one in a worker, on the u-turn and on its network as a network of one's own.
+DRIVE = """
+import sys
+from sumo_env.env import DrivingEnv, SumoDrivingEnv
+from sumo_env.networks.mapping import network
+routes = network("u-turn").routes
+envs = []
+for _ in range(2):
+    env = SumoDrivingEnv(*sys.argv[1:], routes, routes["a-b>d"]) if sys.argv[1:] else DrivingEnv("u-turn")
+    envs.append(env)
+    env.reset(seed=0)
+    print(repr([float(value) for value in env.step(1)[0].ravel()]))
+print(envs[1]._simulator.pid is not None)
+"""
+
+
+@pytest.fixture(scope="module")
+def expected() -> list[str]:
+    return python("-c", DRIVE).splitlines()
+
+
+def test_the_package_temporary_files_and_the_working_folder_may_be_anywhere(
+    tmp_path: Path, expected: list[str]
+) -> None:
+    """The networks of the five tasks are in the package."""
+    folder = tmp_path / NAME
+    package = folder / "sumo_env"
+    ignored = shutil.ignore_patterns("__pycache__", "networks")
+    shutil.copytree(Path(process.__file__).parents[1], package, ignore=ignored)
+    shutil.copytree(Path(network("u-turn").net_file).parents[1], package / "networks", ignore=ignored)
+    assert python("-c", DRIVE, cwd=folder, TMPDIR=str(folder), PYTHONPATH="").splitlines() == expected
+    assert expected[0] == expected[1] and expected[2] == "True"
+    assert [path.name for path in folder.iterdir()] == ["sumo_env"]
+
+
+@pytest.mark.parametrize("file", ["u-turn", NAME])
+def test_a_network_may_be_anywhere(file: str, tmp_path: Path) -> None:
+    """It is named from the working folder."""
+    folder = tmp_path / NAME
+    folder.mkdir()
+    shutil.copy(network("u-turn").net_file, folder / f"{file}.net.xml")
+    first, second, in_a_worker = python("-c", DRIVE, f"{file}.net.xml", cwd=folder).splitlines()
+    assert first == second and in_a_worker == "True"
+
+
+def test_without_descriptors_the_path_is_named(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(options, "DESCRIPTORS", tmp_path / "nowhere")
+    with options.readable(tmp_path / "plain") as names:
+        assert names == (str(tmp_path / "plain"),)
+    with (
+        pytest.raises(ConfigError, match=r"SUMO cannot read /a,b/c: .*TMPDIR"),
+        options.readable(Path("/a,b/c")),
+    ):
+        pass
+
+
+def test_an_embedded_python_finds_a_program_for_workers(expected: list[str]) -> None:
+    """Nor does it matter what else is in the search path: Python skips all that is no string."""
+    odd = "import sys, pathlib; sys.executable = None; sys.path += [pathlib.Path('/tmp'), b'/tmp', None]\n"
+    assert python("-c", odd + DRIVE).splitlines() == expected
+
+
+@pytest.mark.parametrize("executable", [None, "", "/bin/no-python"])
+def test_a_program_is_found_beside_the_library(executable: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    known = process._interpreter()
+    monkeypatch.setattr(sys, "executable", executable)
+    monkeypatch.setattr("multiprocessing.spawn._python_exe", None)
+    assert Path(process._interpreter()).resolve() == Path(known).resolve()
+
+
+def test_where_no_program_is_found_the_error_says_how_to_name_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "executable", None)
+    monkeypatch.setattr(sys, "exec_prefix", "/nowhere")
+    monkeypatch.setattr("multiprocessing.spawn._python_exe", None)
+    with pytest.raises(
+        SimulatorError, match=r"none at '/nowhere/bin/python3.*multiprocessing\.set_executable"
+    ):
+        process.SumoProcess().clone()._begin(None)
+    monkeypatch.setattr("multiprocessing.spawn._python_exe", b"/bin/sh")
+    assert process._interpreter() == "/bin/sh"

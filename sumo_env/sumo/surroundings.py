@@ -20,8 +20,8 @@ FASTEST = 200.0  # [m/s] no two vehicles close in faster
 class Surroundings:
     """The ego and the vehicles near it, those that somebody else has added to the simulation included."""
 
-    def __init__(self, session: Session, speed: float) -> None:
-        self._session = session
+    def __init__(self, session: Session, speed: float, *, ego: str = EGO) -> None:
+        self._session, self._name = session, ego
         self.ego: State
         self.near: dict[str, State]  # whose front is within `TTC_RADIUS` of the ego's, in alphabetical order
         self.take_stock()
@@ -29,7 +29,7 @@ class Surroundings:
 
     def take_stock(self) -> None:
         """Read which vehicles are on the road, and look at all of them next."""
-        self._others = [name for name in self._session.vehicles() if name != EGO]
+        self._others = [name for name in self._session.vehicles() if name != self._name]
         self._due: dict[str, float] = {}  # distant vehicle -> time before which it cannot be near [s]
 
     def look(self, time: float, speed: float) -> None:
@@ -42,7 +42,7 @@ class Surroundings:
         others, due = self._others, self._due
         if due:
             others = [name for name in others if due.get(name, time) <= time]
-        (x, y, _, heading), self.near, distant = self._session.near(EGO, others, TTC_RADIUS)
+        (x, y, _, heading), self.near, distant = self._session.near(self._name, others, TTC_RADIUS)
         # SUMO's speed is the commanded one, which covers the way of a sub-step
         self.ego = x, y, speed, heading
         for name, further in distant:

@@ -10,6 +10,7 @@ from typing import Any
 
 from sumo_env.config import ConfigError
 from sumo_env.networks.roads import LaneIndex, Road
+from sumo_env.scene import Place
 from sumo_env.tasks.base import nearest_index
 from sumo_env.traffic.scenario import VehicleSpec
 
@@ -55,6 +56,18 @@ def target_lane(
         if road.lane(beside).is_reachable_from(x, y):
             return beside
     return lane
+
+
+def lane_beside(action: str, place: Place, lane: LaneIndex) -> LaneIndex:
+    """Target lane after a meta-action where SUMO says what may be done; `lane` is the previous one.
+
+    A lane change that is not allowed leaves the target lane, and a target lane of another road has become the present
+    lane.
+    """
+    start, end, number = place.lane
+    if (action == "LANE_LEFT" and place.left) or (action == "LANE_RIGHT" and place.right):
+        return start, end, number + (1 if action == "LANE_RIGHT" else -1)
+    return lane if lane[:2] == (start, end) else place.lane
 
 
 def follow_road(road: Road, lane: LaneIndex, route: tuple[str, ...], x: float, y: float) -> LaneIndex:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import copy
 import math
+import shlex
+import tempfile
 from collections.abc import Mapping, Sequence
 from contextlib import closing
 from operator import index
@@ -14,16 +16,19 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from sumo_env.actions import ego_route, target_lane, target_speed_index
-from sumo_env.config import COMMON, Config, ConfigError, resolve, simulated_frequency
+from sumo_env.actions import ego_route, lane_beside, target_lane, target_speed_index
+from sumo_env.config import COMMON, Config, ConfigError, resolve
 from sumo_env.contacts.rectangles import state_of
-from sumo_env.interface import information, interface
+from sumo_env.interface import information, interface, on_its_way
+from sumo_env.networks import files
 from sumo_env.networks.roads import LaneIndex
 from sumo_env.observation import TimeToCollision
 from sumo_env.scene import Scene
 from sumo_env.simulator import EgoCommand, Simulator, Step
-from sumo_env.sumo.options import check_effect, check_options
+from sumo_env.sumo.options import OUTPUT_DIR, REFUSED, REFUSED_FOR_FILES, check_effect, check_options
 from sumo_env.sumo.process import SumoProcess
+from sumo_env.sumo.proxy import Sumo
+from sumo_env.sumo.settings import file_settings
 from sumo_env.tasks import get_task
 from sumo_env.tasks.base import EgoState, Task, nearest_index
 from sumo_env.tasks.network import NetworkTask
@@ -79,7 +84,8 @@ class DrivingEnv(ReadAsHighwayEnv):
         self.task: Task = get_task(task)
         self.render_mode = render_mode
         self._given = self._simulator = simulator
-        self._options = check_options(sumo_options)
+        refused = REFUSED_FOR_FILES if isinstance(self.task, NetworkTask) else REFUSED
+        self._options = check_options(sumo_options, refused)
         if not isinstance(self.task, NetworkTask):
             check_effect(self._options)
         self._renderer: Renderer | None = None
@@ -149,7 +155,8 @@ class DrivingEnv(ReadAsHighwayEnv):
         try:
             scenario = options.get("scenario") or self._draw(task)
             ego = scenario.ego
-            scenario.network.place(ego.lane, ego.s, ego.destination)  # there are such a network and place
+            if scenario.traffic is None:
+                scenario.network.place(ego.lane, ego.s, ego.destination)  # there are such a network and place
         except ValueError as error:
             raise ConfigError(str(error)) from error
         self._refuse_backwards("the ego at the start", ego.speed)
@@ -157,14 +164,17 @@ class DrivingEnv(ReadAsHighwayEnv):
         self._road, self._route = scenario.road, ego_route(scenario.road, scenario.ego)
         self._spec_of = {spec.id: spec for spec in scenario.specs}
         self._spec_of |= {spawn.vehicle.id: spawn.vehicle for spawn in scenario.spawns}
-        self._speed_index = nearest_index(scenario.ego.speed, self.target_speeds)
+        self._target_lane, speed = scenario.ego.lane, scenario.ego.speed
         if self._simulator is None:
             self._simulator = SumoProcess(options=self._options, here=True)
         self.scene: Scene = self._simulator.reset(scenario)
+        if self.scene.place is not None:  # SUMO has found a place for the ego
+            self._target_lane, speed = self.scene.place.lane, self.scene.speed.item(0)
+            self._find_route()
+        self._speed_index = nearest_index(speed, self.target_speeds)
         self.steps = 0
         self._commands: list[EgoCommand] = []
-        self._last = Step(self.scene, scenario.ego.lane, None, math.inf, 0.0)
-        self._target_lane = scenario.ego.lane
+        self._last = Step(self.scene, self._target_lane, None, math.inf, 0.0)
         self.ego_state = self._ego_state(None)
         observation = self._observe()
         return observation, self._info(observation)
@@ -192,10 +202,11 @@ class DrivingEnv(ReadAsHighwayEnv):
             raise ValueError(f"action must be one of {self.actions}, not {action!r}") from None
         x, y, speed = self.scene.x.item(0), self.scene.y.item(0), self.scene.speed.item(0)
         self._speed_index = target_speed_index(name, self._speed_index, speed, self.target_speeds)
-        command = EgoCommand(
-            self.target_speeds[self._speed_index],
-            target_lane(name, self._road, self._target_lane, self._route, x, y),
-        )
+        if self.scene.place is None:
+            lane = target_lane(name, self._road, self._target_lane, self._route, x, y)
+        else:
+            lane = lane_beside(name, self.scene.place, self._target_lane)
+        command = EgoCommand(self.target_speeds[self._speed_index], lane)
         self._commands.append(command)
         film = self._video if self._video is not None and self._video.recording else None
         self._last = step = self._simulator.step(command, trace=film is not None)
@@ -204,6 +215,8 @@ class DrivingEnv(ReadAsHighwayEnv):
                 self.scene = scene
                 film._capture_frame()
         self.scene, self._target_lane = step.scene, step.target_lane
+        if self.scene.place is not None:
+            self._find_route()
         self.steps += 1
         action = int(action)
         self.ego_state = self._ego_state(action)
@@ -245,6 +258,37 @@ class DrivingEnv(ReadAsHighwayEnv):
                 scenes += simulator.step(command, trace=True).trace
         return export.write(Path(folder), self.scenario, scenes)
 
+    @property
+    def sumo(self) -> Sumo:
+        """SUMO of this very environment, in a worker too: ``env.unwrapped.sumo.vehicle.getFuelConsumption("ego")``.
+
+        All functions of libsumo, but those that load, step or end a simulation.
+        """
+        simulator = self._simulator
+        if self.scenario is None or not isinstance(simulator, SumoProcess):
+            raise gym.error.ResetNeeded("call reset() of an environment on SUMO before asking its SUMO")
+        return Sumo(simulator.call)
+
+    @property
+    def ego_id(self) -> str:
+        """Id of the ego in SUMO and in `scene`."""
+        return self.scene.ids[0]
+
+    @property
+    def sumo_command(self) -> str:
+        """The command of ``sumo`` that drives the traffic of this episode, with SUMO's own files."""
+        if self.scenario is None or self.scenario.traffic is None:
+            raise gym.error.ResetNeeded("call reset() of a SumoDrivingEnv before sumo_command")
+        settings = file_settings(self.scenario, self._options)
+        options = dict(settings.options)
+        if settings.elements:  # drawn traffic, in a file that is left to the user
+            with tempfile.NamedTemporaryFile("w", suffix=".add.xml", delete=False) as written:
+                written.write(settings.elements)
+            options["additional-files"] = ",".join(
+                filter(None, (written.name, options.get("additional-files")))
+            )
+        return shlex.join(["sumo", *(f"--{name}={value}" for name, value in options.items())])
+
     def set_record_video_wrapper(self, wrapper: RecordVideo[Any, Any]) -> None:
         """Make a `gymnasium.wrappers.RecordVideo` film every simulation step, in real time, as in highway-env.
 
@@ -258,7 +302,7 @@ class DrivingEnv(ReadAsHighwayEnv):
 
     def _set_frame_rate(self) -> None:
         if self._video is not None:
-            frequency = simulated_frequency(self.config)
+            frequency = self.task.frequency(self.config)
             self.metadata = {**self.metadata, "render_fps": frequency}
             self._video.frames_per_sec = frequency
 
@@ -312,10 +356,21 @@ class DrivingEnv(ReadAsHighwayEnv):
             scene=scene,
         )
 
+    def _find_route(self) -> None:
+        """What is left of the ego's route, as SUMO has it now."""
+        assert self.scenario is not None and self.scene.place is not None
+        edges = self.scene.place.ahead
+        self._route = tuple(node for edge in edges for node in files.lane(edge)[:2])
+        last = files.lane(edges[-1])
+        if last in self._road.lanes:
+            ego = self.scenario.ego._replace(lane=last, destination=last[1])
+            self._spec_of = {ego.id: ego}
+
     def _ego_place(self) -> tuple[LaneIndex, float, float, bool]:
         """The ego's lane, its coordinates there [m], and whether it is on the road."""
         x, y, _, heading = state_of(self.scene, 0)
-        index = self._road.closest_lane(x, y, heading)
+        place = self.scene.place
+        index = place.lane if place is not None else self._road.closest_lane(x, y, heading)
         lane = self._road.lane(index)
         s, lateral = lane.local_coordinates(x, y)
         return index, s, lateral, lane.covers(s, lateral)
@@ -356,37 +411,70 @@ class DrivingEnv(ReadAsHighwayEnv):
             on_road=state.on_road,
             rewards=self._rewards(action),
             action=action,
-        )
+        ) | (on_its_way(place) if (place := self.scene.place) is not None else {})
 
 
 class SumoDrivingEnv(DrivingEnv):
-    """Driving along a route of any SUMO network, with the observations, actions, dose of risk and crashes of the five.
+    """One learning car in any SUMO scenario, with the observations, actions, risk and crashes of the five tasks.
 
+        env = SumoDrivingEnv("town.sumocfg", ego_vehicle="taxi7")
         env = SumoDrivingEnv("town.net.xml", "town.rou.xml", ego_route=["in", "main", "out"])
 
-    docs/own-parts.md lists the keys of `config` and how the episode ends.
+    SUMO loads, routes, inserts and removes what is in the files, as ``sumo`` does. docs/scenarios.md lists the keys of
+    `config`, what is added to SUMO's options, and how the episode ends.
 
     Args:
-        network: SUMO's network (.net.xml).
-        routes: where the others drive: SUMO's demand (.rou.xml), or routes by name or in a row, each as edges. From a
-            file they depart as it says; on routes they are drawn (``vehicles_count``, ``spawn_probability``).
-        ego_route: edges that the ego drives along, one after the other.
-        config, keywords: as of `DrivingEnv`.
+        network: a configuration (.sumocfg) or a network (.net.xml) of SUMO.
+        routes: route files of SUMO, one or several. Or routes by name or in a row, each as edges, on which traffic is
+            drawn for each episode (``vehicles_count``, ``spawn_probability``).
+        ego_route: edges that the ego drives along, one after the other, or several such routes, of which one is drawn.
+        config: as of `DrivingEnv`.
+        additional: additional files of SUMO, one or several.
+        ego_trips: in place of a route, pairs of edges (from, to), of which one is drawn; SUMO finds the route.
+        ego_vehicle: in place of a route, the id of a vehicle of the files, which is the ego.
+        ego_type: vehicle type of an ego that is added; SUMO's default, else.
+        output_dir: folder for the outputs of the configuration and of `sumo_options`: each episode of each
+            environment has files of its own. Without it the outputs of a configuration are off.
+        keywords: as of `DrivingEnv`.
 
     Raises:
-        ConfigError: a file that cannot be read or that has what cannot be driven, edges that are not connected.
+        ConfigError: a file that cannot be read, edges that are not connected, an unknown vehicle.
     """
 
     def __init__(
         self,
         network: str | Path,
-        routes: str | Path | Mapping[str, Sequence[str]] | Sequence[Sequence[str]],
-        ego_route: Sequence[str],
+        routes: str
+        | Path
+        | Sequence[str | Path]
+        | Mapping[str, Sequence[str]]
+        | Sequence[Sequence[str]] = (),
+        ego_route: Sequence[str] | Sequence[Sequence[str]] = (),
         config: Mapping[str, Any] | None = None,
+        *,
+        additional: str | Path | Sequence[str | Path] = (),
+        ego_trips: Sequence[tuple[str, str]] = (),
+        ego_vehicle: str = "",
+        ego_type: str = "",
+        output_dir: str | Path | None = None,
         **keywords: Any,
     ) -> None:
         try:
-            task = NetworkTask(network, routes, ego_route)
+            task = NetworkTask(
+                network,
+                routes,
+                ego_route,
+                additional=additional,
+                ego_trips=ego_trips,
+                ego_vehicle=ego_vehicle,
+                ego_type=ego_type,
+            )
         except ValueError as error:
             raise ConfigError(str(error)) from error
         super().__init__(task, config, **keywords)
+        if output_dir is not None:
+            outputs = [f"--{name}={value}" for name, value in task.outputs]
+            self._options = (*outputs, *self._options, f"{OUTPUT_DIR}={Path(output_dir).resolve()}")
+        elif task.outputs:
+            names = ", ".join(name for name, _ in task.outputs)
+            gym.logger.warn(f"{network}: its outputs are off ({names}); output_dir=... writes them")

@@ -16,7 +16,7 @@ from sumo_env.config import Config, ConfigError
 from sumo_env.contacts.crash import CrashRecord
 from sumo_env.contacts.measures import NEAR_MISS_TTC, density
 from sumo_env.observation import Kinematics, TimeToCollision
-from sumo_env.scene import Scene
+from sumo_env.scene import Place, Scene
 from sumo_env.tasks.base import Task
 
 NO_ACTION = -1  # at a reset
@@ -97,4 +97,14 @@ def information(
         "distance": float(distance),
         "traffic_light": int(scene.light.state),
         "traffic_light_distance": float(scene.light.distance),
+    }
+
+
+def on_its_way(place: Place) -> dict[str, Any]:
+    """What ``info`` has beside on a network with SUMO's own traffic."""
+    return {
+        "missed_turn": place.ended == "missed turn",
+        "removed": place.ended == "removed",
+        "red_light": place.red_light,
+        "vehicles_waiting": place.waiting,
     }

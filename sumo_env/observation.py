@@ -204,8 +204,8 @@ def _direction(scene: Scene, road: Road, row: int, spec: VehicleSpec | None) -> 
     if spec is None or spec.destination is None:
         return 0.0, 0.0
     goal = road.goal(spec.destination)
-    last = next(index for index in road.lanes if index[1] == goal)
-    lane = road.lane(spec.lane if spec.lane[1] == goal else last)
+    at_goal = spec.lane[1] == goal
+    lane = road.lane(spec.lane if at_goal else next(index for index in road.lanes if index[1] == goal))
     x, y = float(scene.x[row]), float(scene.y[row])
     s, lateral = lane.local_coordinates(x, y)
     if s > lane.length - VEHICLE_LENGTH / 2 and abs(lateral) <= lane.width:

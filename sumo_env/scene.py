@@ -10,6 +10,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from sumo_env.networks.roads import LaneIndex
+
 VEHICLE_LENGTH = 5.0  # [m] highway_env.vehicle.kinematics.Vehicle.LENGTH
 VEHICLE_WIDTH = 2.0  # [m] Vehicle.WIDTH
 CAR_SIZE = (VEHICLE_LENGTH, VEHICLE_WIDTH)
@@ -29,12 +31,36 @@ class Light(NamedTuple):
 NO_LIGHT = Light()
 
 
+class Place(NamedTuple):
+    """Where SUMO says that the ego is on its way through a network of a user's own.
+
+    Attributes:
+        lane: that it is on; in a junction, the way through it.
+        left, right: whether it may change to the lane beside, by the road's markings and the lanes' classes.
+        ahead: what is left of its route, as edges, the present one (or the one before the junction) first.
+        free: how far it gets along its route without a lane change [m]; inf where the lane leads on.
+        ended: "" on its way, "arrived", "missed turn" (its lane does not lead on, and it can no longer change),
+            or "removed" (by SUMO: teleported, say).
+        red_light: whether it has driven over a stop line at red in this policy step.
+        waiting: number of vehicles that wait until SUMO can insert them.
+    """
+
+    lane: LaneIndex
+    left: bool
+    right: bool
+    ahead: tuple[str, ...]
+    free: float
+    ended: str = ""
+    red_light: bool = False
+    waiting: int = 0
+
+
 @dataclass(frozen=True, slots=True)
 class Scene:
     """Struct of arrays, one row per vehicle, row 0 the ego; highway-env's coordinates (x east, y *down*).
 
     Attributes:
-        ids: names of the vehicles, ``"ego"`` first.
+        ids: names of the vehicles, the ego first.
         x, y: centres of the vehicles [m], shape (n,).
         speed: along the heading [m/s], shape (n,).
         heading: from +x towards +y [rad], shape (n,).
@@ -43,6 +69,7 @@ class Scene:
         in_event: names of the vehicles on which a risk event acts now.
         sizes: length and width [m] of the vehicles that do not have highway-env's size.
         light: the next traffic light on the ego's way.
+        place: the ego's on a network with SUMO's own traffic, None elsewhere.
     """
 
     ids: tuple[str, ...]
@@ -55,6 +82,7 @@ class Scene:
     in_event: frozenset[str] = frozenset()
     sizes: Mapping[str, tuple[float, float]] = field(default_factory=dict)
     light: Light = NO_LIGHT
+    place: Place | None = None
 
     def size(self, name: str) -> tuple[float, float]:
         """Length and width of a vehicle [m]."""

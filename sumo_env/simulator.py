@@ -23,13 +23,16 @@ class SimulatorError(RuntimeError):
 class EgoCommand(NamedTuple):
     """The ego's command for one policy step, after the meta-action was applied (``MDPVehicle.act``).
 
+    Among the traffic of SUMO's own files each part may be None: SUMO drives the ego itself then.
+
     Attributes:
-        target_speed: [m/s], which the ego approaches with highway-env's first-order lag of 0.6 s.
-        target_lane: lane to steer for.
+        target_speed: [m/s], which the ego approaches with highway-env's first-order lag of 0.6 s; None for SUMO's car
+            following.
+        target_lane: lane to steer for; None for SUMO's lane changes.
     """
 
-    target_speed: float
-    target_lane: LaneIndex
+    target_speed: float | None
+    target_lane: LaneIndex | None
 
 
 @dataclass(frozen=True, slots=True)

@@ -215,4 +215,6 @@ class ReadAsHighwayEnv(gym.Env[NDArray[np.float32], Any]):
             "FASTER": self._speed_index < len(self.target_speeds) - 1,
             "SLOWER": self._speed_index > 0,
         }
+        if (place := self.scene.place) is not None:
+            possible |= {"LANE_LEFT": place.left, "LANE_RIGHT": place.right}
         return [index for index, name in self.actions.items() if possible[name]]

@@ -92,6 +92,8 @@ class Replica:
         """See `Simulator.step`."""
         if self._scenario is None:
             raise RuntimeError("call reset() before step()")
+        if command.target_speed is None or command.target_lane is None:
+            raise ValueError("the replica's ego needs a target speed and a target lane")
         batch, rules = self._batch, self.start.rules
         ego = batch.cars[0, 0]
         ego["target_speed"] = command.target_speed

@@ -38,7 +38,11 @@ class Ego:
 
     def obey(self, command: EgoCommand) -> None:
         """Take over the command of a policy step."""
-        self.target_speed, self.target_lane = command
+        if command.target_speed is None or command.target_lane is None:
+            raise ValueError(
+                "SUMO drives the ego itself among the traffic of its own files alone (SumoDrivingEnv)"
+            )
+        self.target_speed, self.target_lane = command.target_speed, command.target_lane
 
     def drive(self, x: float, y: float, dt: float) -> float:
         """Command the next `dt` [s] from the centre (x, y) [m]; returns the distance that will be covered [m]."""

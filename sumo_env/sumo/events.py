@@ -51,7 +51,8 @@ class Push:
 class Events:
     """The risk events of one episode.
 
-    `specs` are those of the vehicles on the road, `crashed` the vehicles for which all events are over; both change.
+    `modes` are those of the vehicles on the road (`modes`), `crashed` the vehicles for which all events are over; both
+    change.
     """
 
     def __init__(
@@ -59,12 +60,13 @@ class Events:
         session: Session,
         scenario: Scenario,
         network: Network,
-        specs: Mapping[str, VehicleSpec],
+        modes: Mapping[str, tuple[int, int]],
         crashed: Container[str],
     ) -> None:
         self._coming, self._count = list(reversed(scenario.events)), len(scenario.events)
-        self._session, self._network, self._calibration = session, network, scenario.calibration
-        self._specs, self._crashed = specs, crashed
+        self._session, self._network = session, network
+        self._modes, self._crashed = modes, crashed
+        self._asks_for_markings = scenario.traffic is not None
         self._cut_ins: dict[str, float] = {}  # vehicle -> end of its forced lane change [s]
         self._pushes: dict[str, Push] = {}
 
@@ -74,13 +76,13 @@ class Events:
             return
         while self._coming and self._coming[-1].time <= time + EARLY:
             event = self._coming.pop()
-            if event.vehicle in self._specs and event.vehicle not in self._crashed:
+            if event.vehicle in self._modes and event.vehicle not in self._crashed:
                 if event.kind == "cut-in":
                     self._cut_in(event, time)
                 else:
                     self._pushes[event.vehicle] = Push(event, time + event.duration)
         for running in (self._cut_ins, self._pushes):
-            for name in [name for name in running if name not in self._specs or name in self._crashed]:
+            for name in [name for name in running if name not in self._modes or name in self._crashed]:
                 del running[name]
         for name in [name for name, end in self._cut_ins.items() if time >= end - EARLY]:
             del self._cut_ins[name]
@@ -93,6 +95,15 @@ class Events:
         begun = self._count - len(self._coming)
         self._coming, self._count = list(reversed(events[begun:])), len(events)
 
+    def add(self, events: Sequence[RiskEvent]) -> None:
+        """Events of a vehicle that has come."""
+        self._coming = sorted((*self._coming, *events), key=lambda event: event.time, reverse=True)
+
+    def replace(self, events: Sequence[RiskEvent]) -> None:
+        """Go on with these events in place of those that have not begun."""
+        self._coming = []
+        self.add(events)
+
     @property
     def acting(self) -> frozenset[str]:
         """Names of the vehicles that an event commands now."""
@@ -104,7 +115,7 @@ class Events:
         """Change to a neighbouring lane at once, where there is one with room."""
         name, session = event.vehicle, self._session
         lane = session.lane_of(name)
-        if lane.startswith(":") or session.changes_lane(name):
+        if lane not in self._network.indices or lane.startswith(":") or session.changes_lane(name):
             return
         start, end, place = self._network.indices[lane]
         count = self._network.road.count(start, end)
@@ -114,6 +125,8 @@ class Events:
             beside = start, end, target
             if target == place or not 0 <= target < count or not self._has_room(name, beside):
                 continue
+            if self._asks_for_markings and not self._is_open(name, lane, beside):
+                continue
             session.set_modes(name, lane_change_mode=COMMANDED_LANE_CHANGES)
             if oncoming:
                 session.change_lane_relative(name, 1)
@@ -122,8 +135,13 @@ class Events:
             self._cut_ins[name] = time + (SWERVE_TIME if oncoming else CUT_IN_TIME)
             return
 
+    def _is_open(self, name: str, lane: str, beside: LaneIndex) -> bool:
+        """Whether markings and classes let a vehicle change to the lane beside, without which SUMO does not."""
+        there = self._network.lanes[beside].id
+        return self._session.may_change(lane, there, self._session.class_of(name))
+
     def _has_room(self, name: str, lane: LaneIndex) -> bool:
-        states = self._session.read(self._specs)
+        states = self._session.read(self._modes)
         x, y, speed, _ = states.pop(name)
         geometry = self._network.road.lane(lane)
         s, _ = geometry.local_coordinates(x, y)
@@ -133,7 +151,7 @@ class Events:
         if self._network.road.oncoming:
             self._session.change_lane_relative(name, -1)
         else:
-            self._session.set_modes(name, lane_change_mode=modes(self._specs[name], self._calibration)[1])
+            self._session.set_modes(name, lane_change_mode=self._modes[name][1])
 
     # -- braking and surges --------------------------------------------------------------------------------
 
@@ -144,7 +162,7 @@ class Events:
         ended = time >= push.end - EARLY
         if ended or not self._may_push(event):
             if push.commanded:
-                session.set_modes(name, speed_mode=modes(self._specs[name], self._calibration)[0])
+                session.set_modes(name, speed_mode=self._modes[name][0])
                 session.set_speed(name, -1.0)
                 push.commanded = False
             if ended:
@@ -159,6 +177,6 @@ class Events:
         """A surge pauses while somebody is near straight ahead; a brake never does."""
         if event.kind == "brake":
             return True
-        states = self._session.read(self._specs)
+        states = self._session.read(self._modes)
         vehicle = states.pop(event.vehicle)
         return free_way(vehicle, list(states.values()), event.way)

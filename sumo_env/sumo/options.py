@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 
@@ -26,7 +26,22 @@ OF_FILES = (
 DESCRIPTORS = Path("/proc/self/fd")  # the files that this process has open, as links; on Linux
 
 
-def check_options(options: Sequence[str]) -> tuple[str, ...]:
+# Likewise, where SUMO loads the traffic of its own files.
+REFUSED_FOR_FILES = (
+    *("--configuration-file", "--net-file", "--route-files", "--begin", "--end", "--step-length", "--seed"),
+    *(
+        "--random",
+        "--collision.action",
+        "--collision.check-junctions",
+        "--collision.mingap-factor",
+        "--load-state",
+    ),
+    *("--remote-port", "--num-clients", "--gui", "--start"),
+)
+OUTPUT_DIR = "--output-dir"  # no option of SUMO: the folder for its outputs
+
+
+def check_options(options: Sequence[str], refused: Collection[str] = REFUSED) -> tuple[str, ...]:
     """The options, each as ``--name=value``; they may also be given as ``--name``, ``value``.
 
     Raises:
@@ -46,10 +61,11 @@ def check_options(options: Sequence[str]) -> tuple[str, ...]:
             found[name], name = part, ""
         else:
             raise ConfigError(f"sumo_options: expected the long name of one of SUMO's options, not {part!r}")
-        if name in REFUSED:
+        if name in refused:
             raise ConfigError(
                 f"SUMO's option {name} is the environment's own: roads and vehicles are those of SumoDrivingEnv, steps "
-                "and ends follow 'simulation_frequency' and 'duration', and export() writes an episode for sumo-gui"
+                "and ends follow 'begin', 'simulation_frequency' and 'duration', SUMO's seed is that of reset(), and "
+                "export() writes an episode for sumo-gui"
             )
     return tuple(f"{name}={value}" for name, value in found.items())
 

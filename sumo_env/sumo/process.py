@@ -21,9 +21,11 @@ import threading
 import weakref
 from collections.abc import Callable
 from contextlib import suppress
+from functools import cache
 from typing import Any, ClassVar, NoReturn, TypeVar
 
 import numpy as np
+from gymnasium import logger
 
 from sumo_env.scene import Scene
 from sumo_env.simulator import EgoCommand, SimulatorError, Step
@@ -32,6 +34,7 @@ from sumo_env.sumo.worker import make
 from sumo_env.traffic.scenario import Scenario
 
 SIMULATOR = "sumo_env.sumo.world:SumoSimulator"
+FILE_SIMULATOR = "sumo_env.sumo.files:FileSimulator"  # of scenarios with SUMO's own traffic
 TIMEOUT = 300.0  # [s] for an answer; a step takes milliseconds, the start of a worker less than a second
 GRACE = 5.0  # [s] for a worker to end by itself
 SINGLE_THREAD = {"OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1", "MKL_NUM_THREADS": "1"}
@@ -50,16 +53,17 @@ class SumoProcess:
     their class if they can be pickled, else as a `SimulatorError` that names it.
 
     Args:
-        simulator: class that is to be run, as ``module:name``.
+        simulator: class that is to be run, as ``module:name``; by default the one that a scenario needs.
         options: of SUMO.
         here: whether it may be this process. The choice stands until `close`. Threads may ask at once.
     """
 
     timeout = TIMEOUT  # [s] to wait for an answer of the worker
 
-    def __init__(self, simulator: str = SIMULATOR, options: tuple[str, ...] = (), here: bool = False) -> None:
+    def __init__(self, simulator: str = "", options: tuple[str, ...] = (), here: bool = False) -> None:
         self._name, self._options, self._may_be_here = simulator, options, here
         self._host: _Here | _Worker | None = None
+        self._running = ""  # class that runs
         self._episode = ""  # for error messages
         self._calls: list[tuple[str, tuple[Any, ...]]] = []  # what the episode was made of, from its reset on
         self._scene: Scene | None = None
@@ -81,9 +85,15 @@ class SumoProcess:
             return self._begin(scenario)
 
     def _begin(self, scenario: Scenario) -> Scene:
+        name = self._name or (SIMULATOR if scenario.traffic is None else FILE_SIMULATOR)
+        if self._host is not None and name != self._running:
+            self._end()
+        self._running = name
         if self._host is None:
-            here = self._may_be_here and _Here.take(self._name, self._options)
-            self._adopt(here or _Worker.start(self._name, self._options))
+            here = self._may_be_here and _Here.take(name, self._options)
+            if self._may_be_here and not here:
+                _warn_of_libsumo()
+            self._adopt(here or _Worker.start(name, self._options))
         self._calls = []
         self._episode = f"the reset of {scenario.task} (scenario seed {scenario.seed})"
         self._scene = scene = self._ask("reset", scenario)
@@ -106,6 +116,13 @@ class SumoProcess:
         """See `Simulator.imagine`."""
         self._ask("imagine", scenario)
 
+    def call(self, path: str, arguments: tuple[Any, ...]) -> Any:
+        """A function of libsumo, such as ``vehicle.getSpeed``, in the simulation of this simulator."""
+        value = self._ask("call", path, arguments)
+        if path.rpartition(".")[2].startswith("get"):
+            self._calls.pop()  # a copy need not ask again
+        return value
+
     def clone(self) -> SumoProcess:
         """A simulator in the same state.
 
@@ -120,6 +137,7 @@ class SumoProcess:
             if isinstance(self._talk(lambda host: host), _Here):
                 self._move_out()
             twin._adopt(self._talk(lambda host: host.fork(self.timeout)))
+            twin._running = self._running
             twin._episode, twin._calls, twin._scene = self._episode, self._calls.copy(), self._scene
         twin._may_be_here = self._may_be_here
         return twin
@@ -197,6 +215,15 @@ class SumoProcess:
             # Ctrl-C: the answer is still to come, and would be taken for that to the next request
             self._end(grace=0.0)
             raise
+
+
+@cache
+def _warn_of_libsumo() -> None:
+    """Once in a process."""
+    logger.warn(
+        "this process has several environments on SUMO: calls such as libsumo.vehicle.getSpeed(...) read the first "
+        "one; env.unwrapped.sumo.vehicle.getSpeed(...) asks an environment's own SUMO"
+    )
 
 
 def _equal(one: Scene | None, other: Scene | None) -> bool:

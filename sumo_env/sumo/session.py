@@ -8,16 +8,20 @@ from __future__ import annotations
 
 import contextlib
 import io
+import operator
 import tempfile
-from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
 from math import cos, pi, radians, sin, sqrt
 from pathlib import Path
-from xml.etree import ElementTree
+from types import SimpleNamespace
+from typing import Any
 
 from sumo_env.contacts.rectangles import Half, State
+from sumo_env.networks.meeting import Spot
 from sumo_env.scene import CAR_SIZE, GREEN, NO_LIGHT, RED, VEHICLE_LENGTH, YELLOW, Light
 from sumo_env.sumo.options import readable
+from sumo_env.sumo.settings import Settings
+from sumo_env.traffic.drivers import Deviation
 
 try:
     # without its warning about versions of pyarrow, which SUMO needs for Parquet output alone
@@ -34,6 +38,7 @@ SumoErrors = (libsumo.TraCIException, libsumo.FatalTraCIError)
 
 # Speed modes (https://sumo.dlr.de/docs/TraCI/Change_Vehicle_State.html#speed_mode_0xb3)
 ALL_CHECKS_OFF = 32  # drive at the commanded speed, whatever is ahead
+NO_RULES = 55  # car following and red lights; foes at junctions are ignored
 REGULAR = 31  # car following and right of way; how SUMO's vehicles begin
 HARD_BRAKING = REGULAR & ~4  # as REGULAR, but a commanded speed may need more than the vehicle type's `decel`
 NO_RIGHT_OF_WAY = 23  # car following; foes that approach a junction are ignored, those inside it are not
@@ -46,20 +51,7 @@ OWN_LANE_CHANGES = 1621  # the lane-change model decides; how SUMO's vehicles be
 LIGHTS = {"r": RED, "u": RED, "s": RED, "y": YELLOW, "Y": YELLOW, "g": GREEN, "G": GREEN}
 
 HALF_LENGTH = VEHICLE_LENGTH / 2.0
-# [s] The ego's centre then crosses the line between two lanes when highway-env's does, after 0.45 to 0.5 s.
-LANE_CHANGE_DURATION = 0.8
 CENTRED = 0.05  # [m] from the middle of a lane
-
-
-@dataclass(frozen=True)
-class Settings:
-    """What a network is loaded with; a change means a reload (about 20 ms)."""
-
-    net_file: Path
-    routes: tuple[tuple[str, tuple[str, ...]], ...]  # (id, edges)
-    step_length: float  # [s]
-    vehicle_types: tuple[tuple[str, Mapping[str, str]], ...]  # (id, attributes of SUMO's vType)
-    options: tuple[str, ...] = ()  # further ones of SUMO, as ``--name=value``
 
 
 class Session:
@@ -75,57 +67,52 @@ class Session:
         self._settings: Settings | None = None
         self._limits: dict[str, float] = {}  # of lanes [m/s]
         self._known: set[str] = set()  # vehicles whose size is known
-        self._steps = 0  # since the network was loaded
+        self._begin, self._steps = 0.0, 0  # SUMO's time when the network was loaded [s], and steps since then
 
     def load(self, settings: Settings) -> None:
-        """Load a network with its vehicle types and an empty road; only an empty road where it is loaded already."""
+        """Load everything anew, as in a new process: SUMO's clock, random numbers and traffic lights begin again."""
         self._known.clear()
         self.sizes.clear()
-        if settings == self._settings and self._clock_is_ours():
-            for name in _vehicle.getIDList():
-                _vehicle.remove(name)
-            return
-        self._settings = None  # until the new network is loaded
+        self._settings = None  # until all is loaded
+        values = dict(settings.options)
         with contextlib.ExitStack() as stack:
-            folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="sumo_env-"))
-            written = Path(folder) / "types.add.xml"
-            _write_types(written, settings)
-            net, types = stack.enter_context(readable(settings.net_file, written))
-            given = dict(option.split("=", 1) for option in settings.options)
-            additional = [types, given.pop("--additional-files", "")]
-            values = {
-                "--net-file": net,
-                "--additional-files": ",".join(filter(None, additional)),
-                "--step-length": f"{settings.step_length:.6g}",
-                "--lanechange.duration": f"{LANE_CHANGE_DURATION:g}",
-                "--collision.action": "warn",
-                "--collision.check-junctions": "true",
-                "--collision.mingap-factor": "0",
-                "--time-to-teleport": "-1",
-                "--max-depart-delay": "-1",
-                "--default.speeddev": "0",
-                "--xml-validation": "never",
-                "--xml-validation.net": "never",
-                "--no-step-log": "true",
-                "--no-warnings": "true",
-                "--duration-log.disable": "true",
-                "--seed": "42",
-                **given,
-            }
-            options = [f"{name}={value}" for name, value in values.items()]
+            (values["net-file"],) = stack.enter_context(readable(Path(values["net-file"])))
+            if settings.elements:
+                folder = stack.enter_context(tempfile.TemporaryDirectory(prefix="sumo_env-"))
+                written = Path(folder) / "elements.add.xml"
+                written.write_text(settings.elements, encoding="utf-8")
+                (name,) = stack.enter_context(readable(written))
+                values["additional-files"] = ",".join(
+                    filter(None, (name, values.get("additional-files", "")))
+                )
+            options = [f"--{name}={value}" for name, value in values.items()]
             if libsumo.isLoaded():
                 libsumo.load(options)
             else:
                 libsumo.start(["sumo", *options])
         self._limits.clear()
-        self._steps = 0
+        self._begin, self._steps = float(_simulation.getTime()), 0
         self._settings = settings
         self.step_length = round(settings.step_length, 3)
         self.has_lights = libsumo.trafficlight.getIDCount() > 0
 
+    def clear(self, settings: Settings) -> bool:
+        """Empty the road where these settings are loaded; the rest goes on. False where they are not.
+
+        A tenth of the time of `load`. For roads without traffic lights and drivers without noise, whose next episode
+        cannot tell the difference.
+        """
+        if settings is not self._settings or not self._clock_is_ours():
+            return False
+        self._known.clear()
+        self.sizes.clear()
+        for name in _vehicle.getIDList():
+            _vehicle.remove(name)
+        return True
+
     def _clock_is_ours(self) -> bool:
         """Whether nobody else has moved SUMO's clock; a state that is loaded has vehicle types with fewer digits."""
-        return abs(_simulation.getTime() - self._steps * self.step_length) < 1e-6
+        return abs(_simulation.getTime() - self._begin - self._steps * self.step_length) < 1e-6
 
     def forget(self) -> None:
         """Load again at the next `load`, whatever is loaded (somebody else may have changed it)."""
@@ -178,6 +165,42 @@ class Session:
         """Take a vehicle off the road."""
         _vehicle.remove(name)
 
+    def send(self, name: str, edges: Sequence[str], vehicle_type: str, speed: str) -> None:
+        """Let SUMO insert a vehicle on a route as soon as it can; `speed` [m/s] may be one of SUMO's words.
+
+        It draws none of SUMO's random numbers, so that the others come as without it: the speed factor is the mean.
+        """
+        route, own_type = f"route of {name}", f"{vehicle_type} of {name}"
+        libsumo.route.add(route, edges)
+        libsumo.vehicletype.copy(vehicle_type, own_type)
+        libsumo.vehicletype.setSpeedDeviation(own_type, 0.0)
+        _vehicle.add(name, route, own_type, departLane="best", departPos="base", departSpeed=speed)
+
+    def find_route(self, start: str, end: str, vehicle_type: str) -> tuple[str, ...]:
+        """Edges of the fastest route between two edges now; () if there is none."""
+        return tuple(_simulation.findRoute(start, end, vehicle_type).edges)
+
+    def deviate(self, name: str, deviation: Deviation) -> None:
+        """Multiply the parameters of a vehicle's own type by the factors of a risky driver."""
+        _vehicle.setAccel(name, deviation.accel * _vehicle.getAccel(name))
+        _vehicle.setEmergencyDecel(name, deviation.emergency_decel * _vehicle.getEmergencyDecel(name))
+        decel = deviation.decel * _vehicle.getDecel(name)
+        _vehicle.setDecel(name, decel)
+        _vehicle.setApparentDecel(name, decel)
+        _vehicle.setTau(name, deviation.tau * _vehicle.getTau(name))
+        _vehicle.setMinGap(name, deviation.min_gap * _vehicle.getMinGap(name))
+        for key, factor in (("lcAssertive", deviation.assertive), ("lcSpeedGain", deviation.speed_gain)):
+            parameter = f"laneChangeModel.{key}"
+            with contextlib.suppress(libsumo.TraCIException, ValueError):  # models of lane changes without it
+                present = float(_vehicle.getParameter(name, parameter))
+                _vehicle.setParameter(name, parameter, f"{factor * present:.6g}")
+        if not deviation.gives_way:
+            _vehicle.setSpeedMode(name, NO_RULES)
+
+    def call(self, path: str, arguments: tuple[Any, ...]) -> Any:
+        """A function of libsumo by its name, such as ``vehicle.getSpeed``; objects of SUMO become plain ones."""
+        return _plain(operator.attrgetter(path)(libsumo)(*arguments))
+
     def set_speed(self, name: str, speed: float) -> None:
         """Command a speed [m/s] from now on; -1 gives it back to the car-following model."""
         _vehicle.setSpeed(name, speed)
@@ -206,6 +229,11 @@ class Session:
         lane: str = _vehicle.getLaneID(name)
         return lane
 
+    def spot(self, name: str) -> Spot:
+        """The place of a vehicle on the network."""
+        height = float(_vehicle.getPosition3D(name)[2])
+        return Spot(_vehicle.getLaneID(name), float(_vehicle.getLanePosition(name)), height)
+
     def changes_lane(self, name: str) -> bool:
         """Whether a lane change of a vehicle is running: it is not in the middle of its lane."""
         return abs(float(_vehicle.getLateralLanePosition(name))) >= CENTRED
@@ -213,6 +241,68 @@ class Session:
     def speed_of(self, name: str) -> float:
         """Speed of a vehicle [m/s]."""
         return float(_vehicle.getSpeed(name))
+
+    def limits_of(self, name: str) -> tuple[float, float, float]:
+        """What a vehicle can do: acceleration, braking, hardest braking [m/s2]."""
+        return _vehicle.getAccel(name), _vehicle.getDecel(name), _vehicle.getEmergencyDecel(name)
+
+    def class_of(self, name: str) -> str:
+        """SUMO's class of a vehicle, such as passenger."""
+        return str(_vehicle.getVehicleClass(name))
+
+    def type_of(self, name: str) -> str:
+        """The vehicle type that a vehicle came with."""
+        return str(_vehicle.getTypeID(name)).partition("@")[0]
+
+    def position_of(self, name: str) -> float:
+        """Position of the front bumper on its lane [m]."""
+        return float(_vehicle.getLanePosition(name))
+
+    def route_ahead(self, name: str) -> tuple[str, ...]:
+        """Edges that are left of a vehicle's route, the present one first."""
+        return tuple(_vehicle.getRoute(name)[max(_vehicle.getRouteIndex(name), 0) :])
+
+    def lanes_ahead(self, name: str) -> list[tuple[str, float, bool]]:
+        """Lanes of a vehicle's edge from SUMO's lane 0 on: id, length [m], whether its route goes on from there."""
+        best = _vehicle.getBestLanes(name)
+        return [(lane, float(libsumo.lane.getLength(lane)), bool(leads)) for lane, _, _, _, leads, _ in best]
+
+    def may_change(self, lane: str, beside: str, vehicles: str) -> bool:
+        """Whether a class of vehicles may change between two lanes that lie side by side."""
+        side = 1 if int(beside.rpartition("_")[2]) > int(lane.rpartition("_")[2]) else -1
+        allowed = libsumo.lane.getAllowed(beside)
+        return (not allowed or vehicles in allowed) and vehicles in libsumo.lane.getChangePermissions(
+            lane, side
+        )
+
+    def next_signal(self, name: str) -> tuple[str, int, float] | None:
+        """The next traffic light on a vehicle's way: its id, the number of the connection, distance [m]."""
+        ahead = _vehicle.getNextTLS(name) if self.has_lights else ()
+        return (str(ahead[0][0]), int(ahead[0][1]), float(ahead[0][2])) if ahead else None
+
+    def shows_red(self, signal: str, connection: int) -> bool:
+        """Whether a traffic light forbids to drive; the sign that lets vehicles turn after a stop does not."""
+        return libsumo.trafficlight.getRedYellowGreenState(signal)[connection] in "ru"
+
+    def departed(self) -> tuple[str, ...]:
+        """Vehicles that SUMO has inserted in the last step."""
+        return tuple(_simulation.getDepartedIDList())
+
+    def teleported(self) -> tuple[str, ...]:
+        """Vehicles that SUMO has taken off the road in the last step, to put them on it further on."""
+        return tuple(_simulation.getStartingTeleportIDList())
+
+    def waiting(self) -> tuple[str, ...]:
+        """Vehicles that wait until SUMO can insert them."""
+        return tuple(_simulation.getPendingVehicles())
+
+    def is_gone(self, name: str) -> bool:
+        """Whether a vehicle is not on the road (any more)."""
+        return name not in _vehicle.getIDList()
+
+    def time(self) -> float:
+        """SUMO's time [s]."""
+        return float(_simulation.getTime())
 
     def next_light(self, name: str) -> Light:
         """The next traffic light on a vehicle's way."""
@@ -224,7 +314,7 @@ class Session:
     def vehicles(self) -> tuple[str, ...]:
         """Names of the vehicles on the road, in alphabetical order."""
         names = _vehicle.getIDList()
-        if len(names) != len(self._known):
+        if self.changed or len(names) != len(self._known):
             self._meet(set(names))
         return names
 
@@ -281,7 +371,7 @@ class Session:
                 near[other] = _state(front, angle(other), speed(other), half)
             else:
                 rest.append((other, sqrt(squared) - radius))
-        return _state(own, angle(name), speed(name)), near, rest
+        return _state(own, angle(name), speed(name), self.half(name)), near, rest
 
     # -- time ----------------------------------------------------------------------------------------------
 
@@ -303,14 +393,18 @@ def _state(front: tuple[float, float], angle: float, speed: float, half: float =
     return front[0] - half * cos(heading), -front[1] - half * sin(heading), speed, heading
 
 
-def _write_types(path: Path, settings: Settings) -> None:
-    """An additional file with every vehicle type and every route."""
-    root = ElementTree.Element("additional")
-    for name, attributes in settings.vehicle_types:
-        ElementTree.SubElement(root, "vType", {"id": name, **attributes})
-    for name, edges in settings.routes:
-        ElementTree.SubElement(root, "route", {"id": name, "edges": " ".join(edges)})
-    ElementTree.ElementTree(root).write(path, encoding="unicode")
+def _plain(value: Any) -> Any:
+    """What libsumo returns, as values that can be sent to another process."""
+    if isinstance(value, tuple | list):
+        return tuple(map(_plain, value))
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
+    if value is None or isinstance(value, str | int | float):
+        return value
+    names = [name for name in dir(value) if not name.startswith("_") and name not in ("this", "thisown")]
+    return SimpleNamespace(
+        **{name: _plain(item) for name in names if not callable(item := getattr(value, name))}
+    )
 
 
 def version() -> str:

@@ -8,33 +8,37 @@ policy step.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
+from dataclasses import replace
 from math import inf
 from pathlib import Path
-from typing import NoReturn
+from typing import Any, NoReturn
 
 import numpy as np
 
 from sumo_env.contacts.crash import CrashDetector, is_confirmed
 from sumo_env.contacts.measures import HORIZON
+from sumo_env.networks.files import is_file
 from sumo_env.scene import Scene
 from sumo_env.simulator import EgoCommand, SimulatorError, Step
 from sumo_env.sumo.ego import Ego, coast
 from sumo_env.sumo.events import Events, modes
 from sumo_env.sumo.options import check_options
+from sumo_env.sumo.route_ego import RouteEgo
 from sumo_env.sumo.session import (
     ALL_CHECKS_OFF,
     COMMANDED_LANE_CHANGES,
     Session,
-    Settings,
     SumoErrors,
 )
+from sumo_env.sumo.settings import Settings, placed_settings
 from sumo_env.sumo.surroundings import Surroundings
 from sumo_env.traffic.drivers import Calibration, Driver, DriverPool, vehicle_type
 from sumo_env.traffic.scenario import EGO, EGO_DISTANCE, Scenario, VehicleSpec, fits
 
 EXIT_LENGTH = 20.0  # [m] from the end of the intersection's exits, where vehicles leave (_clear_vehicles)
 MOST_KEPT = 1024  # vehicle types that stay loaded between episodes
+NOISY = {"carFollowModel", "sigma", "lcSigma"}  # attributes with which SUMO's drivers may draw random numbers
 
 
 class SumoSimulator:
@@ -43,6 +47,8 @@ class SumoSimulator:
     Args:
         options: further options of SUMO, such as ``("--tripinfo-output", "trips.xml")``.
     """
+
+    _name = EGO  # of the ego
 
     def __init__(self, options: tuple[str, ...] = ()) -> None:
         self._session = Session()
@@ -85,6 +91,10 @@ class SumoSimulator:
         self._scenario = scenario
         self._events.imagine(scenario.events)
 
+    def call(self, path: str, arguments: tuple[Any, ...]) -> Any:
+        """A function of libsumo, such as ``vehicle.getSpeed``."""
+        return self._session.call(path, arguments)
+
     def clone(self) -> NoReturn:
         """SUMO cannot be copied within a process: see `SumoProcess`."""
         raise TypeError("a SumoSimulator by itself cannot be copied: leave `simulator` out")
@@ -103,16 +113,20 @@ class SumoSimulator:
         self._network = scenario.network
         self._dt = 1.0 / scenario.simulation_frequency
         self._substeps = scenario.simulation_frequency // scenario.policy_frequency
-        self._session.load(self._settings(scenario))
-        self._specs: dict[str, VehicleSpec] = {}  # vehicles on the road
+        settings = self._settings(scenario)
+        if _leaves_traces(scenario):
+            self._session.load(replace(settings, options={**settings.options, "seed": str(scenario.seed)}))
+        elif not self._session.clear(settings):
+            self._session.load(settings)
+        self._modes: dict[str, tuple[int, int]] = {}  # vehicles on the road, with SUMO's modes
         self._crashed: dict[str, float] = {}  # crashed vehicles but the ego -> speed [m/s]
-        self._events = Events(self._session, scenario, self._network, self._specs, self._crashed)
+        self._events = Events(self._session, scenario, self._network, self._modes, self._crashed)
         self._detector = CrashDetector()
         self._steps_done = 0
         self._drive_warm_up()
         self._ego = Ego(self._session, scenario, self._network)
         self._place(scenario.ego)
-        self._around = Surroundings(self._session, scenario.ego.speed)
+        self._around = Surroundings(self._session, scenario.ego.speed, self._network.meeting)
         return self._read()
 
     def _settings(self, scenario: Scenario) -> Settings:
@@ -136,13 +150,11 @@ class SumoSimulator:
         if len(self._kept) > MOST_KEPT:
             self._kept = {}
         self._drivers = self._kept | wanted
-        self._loaded = Settings(
+        self._loaded = placed_settings(
             self._network.net_file,
-            tuple(self._network.routes.items()),
+            self._network.routes.items(),
             self._dt,
-            tuple(
-                (name, vehicle_type(driver, scenario.calibration)) for name, driver in self._drivers.items()
-            ),
+            [(name, vehicle_type(driver, scenario.calibration)) for name, driver in self._drivers.items()],
             self._options,
         )
         return self._loaded
@@ -156,7 +168,7 @@ class SumoSimulator:
         if spec.id != EGO:
             own, desired = modes(spec, self._scenario.calibration), min(spec.target_speed, limit)
         self._session.add(spec.id, route, spec.driver.type, lane, position, spec.speed, desired, own, size)
-        self._specs[spec.id] = spec
+        self._modes[spec.id] = own
 
     def _drive_warm_up(self) -> None:
         """Let the traffic drive before the ego comes, then make room for it (IntersectionEnv._make_vehicles)."""
@@ -171,7 +183,7 @@ class SumoSimulator:
             self._note_crashes(self._advance())
         self._time = 0.0
         self._let_in()
-        for name, state in self._session.read(self._specs).items():
+        for name, state in self._session.read(self._modes).items():
             if math.hypot(state[0] - scenario.ego.x, state[1] - scenario.ego.y) < EGO_DISTANCE:
                 self._remove(name)
 
@@ -191,7 +203,7 @@ class SumoSimulator:
             self._events.act(self._time, self._dt)
             x, y, _, _ = around.ego
             distance += ego.drive(x, y, self._dt)
-            self._look(self._advance())
+            self._look(ego, self._advance())
             if not ego.crashed and around.near:
                 least_ttc = min(least_ttc, around.time_to_collision(min(least_ttc, HORIZON)))
             if trace:
@@ -201,12 +213,7 @@ class SumoSimulator:
 
     def _advance(self) -> Sequence[tuple[str, str]]:
         """One step of SUMO; returns the pairs of vehicles of the scenario that it reports in collision."""
-        for name, speed in self._crashed.items():
-            self._crashed[name], distance = coast(speed, self._dt)
-            stretch = self._network.stretch(self._session.lane_of(name))
-            self._session.set_speed(name, distance / self._session.step_length * stretch)
-        self._time += self._dt
-        reported = self._session.step()
+        reported = self._step_sumo()
         for name in self._session.arrived:
             if name == EGO:
                 raise SimulatorError(
@@ -214,23 +221,35 @@ class SumoSimulator:
                     "choose a shorter 'duration', or call reset() to begin another episode"
                 )
             self._forget(name)
-        return [pair for pair in reported if all(name in self._specs for name in pair)] if reported else ()
+        return [pair for pair in reported if all(name in self._modes for name in pair)] if reported else ()
 
-    def _look(self, reported: Sequence[tuple[str, str]]) -> None:
+    def _step_sumo(self) -> Sequence[tuple[str, str]]:
+        """One step in which the crashed vehicles coast; returns the pairs that SUMO reports in collision."""
+        for name, speed in self._crashed.items():
+            self._crashed[name], distance = coast(speed, self._dt)
+            stretch = self._network.stretch(self._session.lane_of(name))
+            self._session.set_speed(name, distance / self._session.step_length * stretch)
+        self._time += self._dt
+        return self._session.step()
+
+    def _look(self, ego: Ego | RouteEgo, reported: Sequence[tuple[str, str]]) -> None:
         """After a sub-step: who is near the ego, and who has crashed."""
-        ego, around, detector = self._ego, self._around, self._detector
+        around, detector, own = self._around, self._detector, self._name
         seen, before = around.ego, around.near
         around.look(self._time, ego.speed)
-        ids = around.within_reach(seen, before, self._dt)
+        partners: Collection[str] = ()  # whom SUMO reports in collision with the ego
+        if reported:
+            partners = {one if other == own else other for one, other in reported if own in (one, other)}
+        ids = around.within_reach(seen, before, self._dt, partners)
         if ids or reported or detector.reported:
             crash = detector.look(
                 self._time,
                 self._dt,
-                (EGO, *ids),
+                (own, *ids),
                 (seen, *[before[name] for name in ids]),
                 (around.ego, *[around.near[name] for name in ids]),
-                {first if second == EGO else second for first, second in reported if EGO in (first, second)},
-                self._session.halves((EGO, *ids)),
+                partners,
+                self._session.halves((own, *ids)),
             )
             if crash is not None and not ego.crashed:
                 ego.crashed = True
@@ -262,12 +281,12 @@ class SumoSimulator:
     def _let_out(self) -> None:
         """Remove vehicles near the end of an exit, and those that a user of libsumo has removed."""
         present = self._session.vehicles()
-        if len(present) != len(self._specs):
-            for name in set(self._specs).difference(present):
+        if len(present) != len(self._modes):
+            for name in set(self._modes).difference(present):
                 self._forget(name)
         if not self._network.road.clears_exits:
             return
-        for name, state in self._session.read(n for n in self._specs if n != EGO).items():
+        for name, state in self._session.read(n for n in self._modes if n != EGO).items():
             start, end, place = self._network.indices[self._session.lane_of(name)]
             lane = self._network.road.lane((start, end, place))
             if (
@@ -280,7 +299,7 @@ class SumoSimulator:
         """Try to add the vehicles that the scenario sends now."""
         coming = [spawn.vehicle for spawn in self._scenario.spawns if spawn.step == self._steps_done]
         if coming:
-            centres = [state[:2] for state in self._session.read(self._specs).values()]
+            centres = [state[:2] for state in self._session.read(self._modes).values()]
             for spec in coming:
                 if fits(spec, centres):
                     self._place(spec)
@@ -291,17 +310,17 @@ class SumoSimulator:
         self._forget(name)
 
     def _forget(self, name: str) -> None:
-        self._specs.pop(name, None)
+        self._modes.pop(name, None)
         self._crashed.pop(name, None)
 
     # -- reading -------------------------------------------------------------------------------------------
 
     def _read(self) -> Scene:
         """The scene by SUMO's vehicles, the ego first."""
-        ids = (EGO, *[name for name in self._specs if name != EGO])
+        ids = (EGO, *[name for name in self._modes if name != EGO])
         present = self._session.vehicles()
         if len(present) > len(ids):  # somebody else has added vehicles
-            ids += tuple(name for name in present if name not in self._specs)
+            ids += tuple(name for name in present if name not in self._modes)
         states = {EGO: self._around.ego, **self._around.near}
         states |= self._session.read([name for name in ids if name not in states])
         x, y, speed, heading = map(np.array, zip(*[states[name] for name in ids], strict=True))
@@ -314,6 +333,20 @@ class SumoSimulator:
         sizes = {name: size for name, size in self._session.sizes.items() if name in ids}
         time, acting, light = round(self._time, 6), self._events.acting, self._session.next_light(EGO)
         return Scene(ids, x, y, speed, heading, crashed, time, acting, sizes, light)
+
+
+def _leaves_traces(scenario: Scenario) -> bool:
+    """Whether the next episode would owe something to this one, were it only removed from the road.
+
+    Traffic lights of a network of one's own go on, and other car-following models draw from SUMO's random numbers.
+    """
+    drivers = (
+        *(spec.driver for spec in scenario.specs),
+        *(spawn.vehicle.driver for spawn in scenario.spawns),
+    )
+    return is_file(scenario.net) or any(
+        name in NOISY or name.endswith("Prob") for driver in drivers for name, _ in driver.attributes
+    )
 
 
 def _words(error: Exception) -> str:

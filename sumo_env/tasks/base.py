@@ -82,6 +82,10 @@ class Task:
         """The road of this task in highway-env's geometry; that of the SUMO network `net`, if there is one."""
         return files.network(self.net, self._routes).road
 
+    def frequency(self, config: Config) -> int:
+        """Steps that are simulated per second [Hz]."""
+        return simulated_frequency(config)
+
     @property
     def _routes(self) -> files.Routes:
         return tuple((name, tuple(edges)) for name, edges in self.routes.items())
@@ -188,7 +192,7 @@ class Task:
             vehicles=vehicles,
             spawns=spawns,
             events=self.events(config, vehicles, spawns, seed),
-            simulation_frequency=simulated_frequency(config),
+            simulation_frequency=self.frequency(config),
             policy_frequency=int(config["policy_frequency"]),
             warm_up=self.warm_up,
             net=self.net or road.name,

@@ -1,32 +1,35 @@
-"""Driving along a route of any SUMO network, among the traffic of a route file or of routes (`SumoDrivingEnv`)."""
+"""Driving through any SUMO scenario: SUMO's own files, or routes among which traffic is drawn (`SumoDrivingEnv`)."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from functools import partial
-from itertools import product
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
 
 import numpy as np
+from gymnasium import logger
 
 from sumo_env.config import DISCRETE_META_ACTION, Config, ConfigError
 from sumo_env.networks import files
 from sumo_env.networks.lanes import VEHICLE_LENGTH
-from sumo_env.networks.roads import LaneIndex, Road
+from sumo_env.networks.roads import Road
+from sumo_env.scene import Place
 from sumo_env.streams import stream
 from sumo_env.tasks.base import Drivers, EgoState, Task, ego_driver, make_on_lane, speed_term
-from sumo_env.tasks.demand import RIGHTMOST, Departure, Entry, read
-from sumo_env.tasks.way import Way
-from sumo_env.traffic.drivers import Driver
+from sumo_env.traffic.drivers import vehicle_type
 from sumo_env.traffic.risk import RiskRates
-from sumo_env.traffic.scenario import EGO, Spawn, VehicleSpec, fits
+from sumo_env.traffic.scenario import EGO, Origin, Scenario, SumoTraffic, VehicleSpec
+from sumo_env.traffic.sumo_files import Contents, configuration, is_output, paths, seconds
 
-EGO_ROUTE = "ego"
+Route = Sequence[str]
 MARGIN = VEHICLE_LENGTH  # [m] that a vehicle keeps from both ends of an edge when it is placed
-END = 0.1  # [m] that the front of a vehicle keeps from the end of a lane when it is placed
 SPACING = 15.0  # [m] between centres when vehicles are placed
-EGO_SPACING = 25.0  # [m] likewise, from the ego
+EGO_SPACING = 25.0  # [m] likewise, from the place where the ego departs
+QUIET = 60.0  # [s] without a departure after which SUMO's begin is not taken, unless it was given
+STEP = "0.1"  # [s]
 
 
 class NetworkTask(Task):
@@ -41,15 +44,20 @@ class NetworkTask(Task):
             "features_range": {"x": [-100, 100], "y": [-100, 100], "vx": [-40, 40], "vy": [-40, 40]},
         },
         "action": DISCRETE_META_ACTION,
-        "vehicles_count": 20,  # placed at random on the routes, beside those of a route file
-        "spawn_probability": 0.3,  # [1/s] that a vehicle comes at the beginning of a route
+        "vehicles_count": 20,  # placed at random on the routes that are given as lists
+        "spawn_probability": 0.3,  # [1/s] that a vehicle comes at the beginning of such a route
+        "begin": None,  # [s] of SUMO's clock; None for the begin of the files, or their first departure
+        "warm_up": 0,  # [s] that the traffic drives before the ego comes
+        "wait": 600,  # [s] that SUMO may need to insert the ego
         "obey_traffic_lights": False,  # whether the ego stops at red and yellow lights, whatever the agent does
-        "initial_speed": None,  # of the ego [m/s]; None for two thirds of the speed limit
+        "initial_speed": None,  # of the ego [m/s]; None for SUMO's choice
         "duration": 60,  # [s]
         "collision_reward": -1,
         "high_speed_reward": 0.4,
         "arrived_reward": 1,
         "missed_turn_reward": -1,
+        "red_light_reward": 0,
+        "red_light_terminal": False,  # whether the episode ends when the ego runs a red light
         "reward_speed_range": None,  # [m/s]; None for half the speed limit to the speed limit
         "offroad_terminal": False,
         "screen_width": 600,
@@ -61,187 +69,290 @@ class NetworkTask(Task):
     def __init__(
         self,
         network: str | Path,
-        routes: str | Path | Mapping[str, Sequence[str]] | Sequence[Sequence[str]],
-        ego_route: Sequence[str],
+        routes: Any = (),
+        ego_route: Sequence[str] | Sequence[Route] = (),
+        *,
+        additional: str | Path | Sequence[str | Path] = (),
+        ego_trips: Sequence[tuple[str, str]] = (),
+        ego_vehicle: str = "",
+        ego_type: str = "",
     ) -> None:
         """See `sumo_env.env.SumoDrivingEnv`; errors are ValueErrors."""
-        self.net = str(Path(network).resolve())
-        self._demand: tuple[Entry, ...] = ()
-        if isinstance(routes, str | Path):
-            named, self._demand = read(Path(routes), partial(files.shortest, self.net))
-            # what a file says is all the traffic there is, unless more is asked for
-            self.defaults = {**self.defaults, "vehicles_count": 0, "spawn_probability": 0.0}
-        else:
-            items = list(routes.items() if isinstance(routes, Mapping) else enumerate(routes))
-            for name, way in items:
-                if isinstance(way, str):
-                    raise ConfigError(f"route {name} must be a list of edges, not {way!r}")
-            named = {f"route {name}": tuple(way) for name, way in items}
-        if not ego_route or isinstance(ego_route, str):
-            raise ConfigError(f"ego_route must be a list of edges, not {ego_route!r}")
-        self.routes = {**named, EGO_ROUTE: tuple(ego_route)}
-        users: dict[str, set[str]] = {name: set() for name in self.routes}
-        for entry in self._demand:
-            for name, _ in entry.routes:
-                users[name] |= entry.vehicles
-        self._others = tuple(name for name in named if files.CAR in (users[name] or {files.CAR}))
-        self._network = driven = files.network(self.net, self._routes)
-        for name, classes in users.items():
-            for vehicles in sorted(classes or {files.CAR}):
-                files.check_route(driven, name, self.routes[name], vehicles)
-        for entry in self._demand:
-            for (name, _), vehicles in product(entry.routes, entry.vehicles):
-                self._departure_lanes(entry, name, vehicles)
-        self._way = Way(driven, self.routes[EGO_ROUTE], VEHICLE_LENGTH)
-        self.ego_road = files.lane(ego_route[0])[:2]
-        limit = self._way.limit
+        file = Path(network).resolve()
+        if not file.is_file():
+            raise ConfigError(f"there is no SUMO network {file}")
+        self.outputs: tuple[tuple[str, str], ...] = ()  # of the configuration, which are off
+        options = {"net-file": str(file)}
+        if file.name.endswith(".sumocfg"):
+            options = configuration(file)
+            self.outputs = tuple((name, value) for name, value in options.items() if is_output(name))
+            options = {name: value for name, value in options.items() if not is_output(name)}
+        self.net = options["net-file"]
+        drawn = self._take_routes(routes, options)
+        if added := paths("additional", additional):
+            _append(options, "additional-files", added)
+        self._options = options
+        self._driven = files.network(self.net)
+        for name, way in self._drawn:
+            files.check_route(self._driven, name, way)
+        contents = Contents(options)
+        self._first = None if "begin" in options else contents.first_departure()
+        self._models = tuple(contents.models().items())
+        self._origins = self._take_ego(ego_route, ego_trips, ego_vehicle, ego_type)
+        if ego_vehicle:
+            contents.check_vehicle(ego_vehicle)
+        self.ego_id = ego_vehicle or next(
+            id for id in (EGO, "learner", "learner.0") if not contents.has_id(id)
+        )
+        self._limit = self._speed_limit()
         if type(self).target_speeds is Task.target_speeds:  # else a subclass has speeds of its own
-            self.target_speeds = (0.0, round(limit / 2, 2), round(limit, 2))
+            self.target_speeds = (0.0, round(self._limit / 2, 2), round(self._limit, 2))
+        self.defaults = {
+            **self.defaults,
+            "simulation_frequency": _frequency(options.get("step-length", STEP)),
+        }
+        if not drawn:  # what files say is all the traffic there is
+            self.defaults = {**self.defaults, "vehicles_count": 0, "spawn_probability": 0.0}
 
-    # -- traffic -------------------------------------------------------------------------------------------
+    def _take_routes(self, routes: Any, options: dict[str, str]) -> bool:
+        """Sort out files of SUMO from routes among which traffic is drawn; returns whether there are such routes."""
+        if isinstance(routes, str | Path):
+            routes = [routes]
+        several = routes.items() if isinstance(routes, Mapping) else enumerate(routes)
+        named = [(f"route {name}", way) for name, way in several]
+        are_files = [
+            isinstance(way, Path) or (isinstance(way, str) and files.is_file(way)) for _, way in named
+        ]
+        self._drawn: tuple[tuple[str, tuple[str, ...]], ...] = ()
+        if named and all(are_files):
+            _append(options, "route-files", paths("routes", [way for _, way in named]))
+            return False
+        for name, way in named:
+            if isinstance(way, str | Path) or not way:
+                raise ConfigError(
+                    f"{name} must be a list of edges, or all of routes files of SUMO, not {way!r}"
+                )
+        self._drawn = tuple((name, tuple(way)) for name, way in named)
+        return bool(named) or "route-files" not in options
 
-    def ego(self, config: Config, road: Road, rng: np.random.Generator) -> VehicleSpec:
-        fastest = max(config["action"].get("target_speeds") or self.target_speeds)
-        if fastest / config["policy_frequency"] > self._way.limit:
+    def _take_ego(
+        self, route: Any, trips: Sequence[tuple[str, str]], vehicle: str, type: str
+    ) -> tuple[Origin, ...]:
+        """The ways in which the ego may come; one is drawn for each episode."""
+        given = [bool(route), bool(trips), bool(vehicle)]
+        if sum(given) != 1:
             raise ConfigError(
-                f"the ego may drive at most {self._way.limit:g} m (one second at the speed limit) in a policy step: "
-                "lower its 'target_speeds', or raise 'policy_frequency'"
+                "the ego needs one of ego_route (a list of edges, or several), ego_trips (pairs of edges) and "
+                "ego_vehicle (the id of a vehicle of the files)"
             )
-        starts = self._way.starts
-        index: LaneIndex = (*self.ego_road, starts[int(rng.integers(len(starts)))])
-        speed = config["initial_speed"]
-        speed = 2 / 3 * road.lane(index).speed_limit if speed is None else float(speed)
-        return _placed(road, EGO, index, MARGIN, speed, ego_driver(self), EGO_ROUTE)
+        if vehicle:
+            if type:
+                raise ConfigError(
+                    "ego_type is for an ego that is added: a vehicle of the files has its own type"
+                )
+            return (Origin(),)
+        kind = type or ("ego" if self._drawn else Origin().type)
+        if trips:
+            if not all(isinstance(trip, list | tuple) and len(trip) == 2 for trip in trips):
+                raise ConfigError(f"ego_trips must be pairs of edges, not {trips!r}")
+            origins = tuple(Origin(tuple(trip), True, kind) for trip in trips)
+        else:
+            if isinstance(route, str):
+                raise ConfigError(f"ego_route must be a list of edges, not {route!r}")
+            several = [route] if isinstance(route[0], str) else route
+            origins = tuple(Origin(tuple(way), False, kind) for way in several)
+        for origin in origins:
+            for way in [(edge,) for edge in origin.edges] if origin.is_trip else [origin.edges]:
+                files.check_route(self._driven, "the ego's", way, "" if type else files.CAR)
+        return origins
 
-    def vehicles(
-        self, config: Config, road: Road, ego: VehicleSpec, rng: np.random.Generator, drivers: Drivers
-    ) -> list[VehicleSpec]:
-        vehicles: list[VehicleSpec] = []
-        for departure in (one for entry in self._demand for one in entry.departures(rng, -math.inf, 0.0)):
-            vehicle = self._departing(departure, road, rng, drivers)
-            if fits(vehicle, [(other.x, other.y) for other in (ego, *vehicles)]):
-                vehicles.append(vehicle)
-        roomy = {route: _roomy(road, self.routes[route]) for route in self._others}
-        routes = [route for route in self._others if roomy[route]]
-        for number in range(int(config["vehicles_count"]) if routes else 0):
+    def _speed_limit(self) -> float:
+        """The highest on the ego's routes [m/s]; where these are found later, on the whole network."""
+        road = self._driven.road
+        edges = {edge for origin in self._origins for edge in origin.edges if not origin.is_trip}
+        lanes = [index for edge in edges for index in files.lanes_for(self._driven, edge, "")]
+        ego_lanes = lanes or [index for index in road.lanes if index[0].endswith(":from")]
+        self.ego_road = max(ego_lanes, key=lambda index: road.count(*index[:2]))[:2]
+        return max(road.lane(index).speed_limit for index in ego_lanes)
+
+    # -- what SUMO loads -----------------------------------------------------------------------------------
+
+    def road(self, config: Config) -> Road:
+        return self._driven.road
+
+    def frequency(self, config: Config) -> int:
+        return int(config["simulation_frequency"])
+
+    def scenario(self, config: Config, seed: int) -> Scenario:
+        """Draw the scenario number `seed`: the ego's way, and what is drawn of the traffic."""
+        rng = stream(seed, "scenario")
+        origin = self._origins[int(rng.integers(len(self._origins)))]
+        if config["initial_speed"] is not None:
+            origin = replace(origin, speed=f"{config['initial_speed']:g}")
+        first = files.lanes_for(self._driven, origin.edges[0], "")[0] if origin.edges else (*self.ego_road, 0)
+        spec = make_on_lane(self._driven.road, self.ego_id, first, 0.0, 0.0, ego_driver(self))
+        begin = self._begin(config)
+        options = {**self._options, "step-length": f"{1.0 / self.frequency(config):.6g}"}
+        if begin is not None:
+            options["begin"] = f"{begin:g}"
+        start = seconds("begin", options.get("begin", "0"))
+        drawn = self._draw(config, spec, start, rng, seed) if self._drawn else ""
+        return Scenario(
+            task=self.name,
+            seed=seed,
+            risk=config["risk"],
+            ego=spec,
+            vehicles=(),
+            simulation_frequency=self.frequency(config),
+            policy_frequency=int(config["policy_frequency"]),
+            net=self.net,
+            obeys_lights=bool(config["obey_traffic_lights"]),
+            traffic=SumoTraffic(
+                options=tuple(options.items()),
+                origin=origin,
+                elements=drawn,
+                warm_up=float(config["warm_up"]),
+                wait=float(config["wait"]),
+                ranges=self.risk_ranges,
+                rates=self.risk_rates,
+                models=self._models,
+                duration=float(config["duration"]),
+            ),
+        )
+
+    def _begin(self, config: Config) -> float | None:
+        """Where SUMO's clock begins [s]; None where the files say it."""
+        if config["begin"] is not None or self._first is None or self._first < QUIET:
+            return None if config["begin"] is None else float(config["begin"])
+        logger.warn(f"the first vehicle of the files departs at {self._first:g} s: 'begin' is set to it")
+        return self._first
+
+    def imagined(self, scenario: Scenario, config: Config, now: float, seed: int) -> Scenario:
+        assert scenario.traffic is not None
+        return replace(scenario, traffic=replace(scenario.traffic, imagined=seed))
+
+    # -- traffic that is drawn -----------------------------------------------------------------------------
+
+    def _draw(
+        self, config: Config, ego: VehicleSpec, begin: float, rng: np.random.Generator, seed: int
+    ) -> str:
+        """Vehicles at random places of the routes at the start, and others that depart later, as SUMO's elements."""
+        drivers, road = Drivers(self, {**config, "risk": 0.0}, seed), self._driven.road
+        root = ElementTree.Element("additional")
+        types: set[str] = set()
+
+        def kind(driver: Any, name: str) -> str:
+            if name not in types:
+                types.add(name)
+                ElementTree.SubElement(root, "vType", {"id": name, **vehicle_type(driver, self.calibration)})
+            return name
+
+        kind(ego_driver(self), "ego")
+        for name, edges in self._drawn:
+            ElementTree.SubElement(root, "route", {"id": name, "edges": " ".join(edges)})
+        vehicles = []
+        for number, place in enumerate(self._places(config, ego, road, rng)):
+            route, edge, lane, front, speed = place
+            driver = drivers.next()
+            vehicles.append(
+                {
+                    **{
+                        "id": f"v{number}",
+                        "type": kind(driver, driver.type),
+                        "route": route,
+                        "depart": f"{begin:g}",
+                    },
+                    **{"departEdge": str(edge), "departLane": str(lane), "departPos": f"{front:.2f}"},
+                    **{"departSpeed": f"{speed:.2f}", "insertionChecks": "none"},
+                }
+            )
+        spawned, frequency = stream(seed, "spawns"), config["policy_frequency"]
+        for step in range(1, math.ceil((config["duration"] + config["warm_up"]) * frequency) + 1):
+            if spawned.random() < config["spawn_probability"] / frequency:
+                route = self._drawn[int(spawned.integers(len(self._drawn)))][0]
+                driver = drivers.next()
+                vehicles.append(
+                    {
+                        **{"id": f"s{step}", "type": kind(driver, driver.type), "route": route},
+                        **{
+                            "depart": f"{begin + step / frequency:.3f}",
+                            "departLane": "free",
+                            "departSpeed": "max",
+                        },
+                    }
+                )
+        for attributes in vehicles:
+            ElementTree.SubElement(root, "vehicle", attributes)
+        return ElementTree.tostring(root, "unicode")
+
+    def _places(
+        self, config: Config, ego: VehicleSpec, road: Road, rng: np.random.Generator
+    ) -> list[tuple[str, int, int, float, float]]:
+        """Route, number of its edge, SUMO's lane, place of the front [m] and speed [m/s] of each vehicle."""
+        roomy = {
+            name: [k for k, edge in enumerate(way) if road.lane(files.lane(edge)).length >= 2 * MARGIN]
+            for name, way in self._drawn
+        }
+        routes = [(name, way) for name, way in self._drawn if roomy[name]]
+        centres: list[tuple[float, float]] = []
+        found = []
+        for _ in range(int(config["vehicles_count"]) if routes else 0):
             for _ in range(100):
-                route = routes[int(rng.integers(len(routes)))]
-                edge = roomy[route][int(rng.integers(len(roomy[route])))]
-                place = _anywhere(road, edge, rng)
-                x, y = road.lane(place[0]).position(place[1], 0.0)
-                near = any(math.hypot(x - v.x, y - v.y) < SPACING for v in vehicles)
+                name, way = routes[int(rng.integers(len(routes)))]
+                place = roomy[name][int(rng.integers(len(roomy[name])))]
+                lanes = files.lanes_for(self._driven, way[place])
+                index = lanes[int(rng.integers(len(lanes)))]
+                lane = road.lane(index)
+                s = float(rng.uniform(MARGIN, max(lane.length - MARGIN, MARGIN + 0.1)))
+                x, y = lane.position(s, 0.0)
+                near = any(math.hypot(x - a, y - b) < SPACING for a, b in centres)
                 if not near and math.hypot(x - ego.x, y - ego.y) >= EGO_SPACING:
                     break
             else:  # the roads are full
                 break
-            limit = road.lane(place[0]).speed_limit
-            speed = float(rng.uniform(0.5, 0.8)) * limit
-            vehicles.append(_placed(road, f"v{number}", *place, speed, drivers.next(), route, limit))
-        return vehicles
-
-    def spawns(self, config: Config, road: Road, seed: int, drivers: Drivers) -> list[Spawn]:
-        rng, frequency = stream(seed, "spawns"), config["policy_frequency"]
-        steps = math.ceil(config["duration"] * frequency)
-        soon = math.nextafter(0.0, 1.0)
-        found = [
-            Spawn(math.ceil(departure.time * frequency), self._departing(departure, road, rng, drivers))
-            for entry in self._demand
-            for departure in entry.departures(rng, soon, float(config["duration"]))
-        ]
-        for step in range(1, steps + 1) if self._others else ():
-            if rng.random() < config["spawn_probability"] / frequency:
-                route = self._others[int(rng.integers(len(self._others)))]
-                departure = Departure(f"s{step}", route, 0.0, None, 2 * MARGIN, None, None)
-                found.append(Spawn(step, self._departing(departure, road, rng, drivers)))
+            centres.append((x, y))
+            sumo_lane = self._driven.lanes[index]
+            front = min(s + VEHICLE_LENGTH / 2, lane.length - 0.1) * sumo_lane.length / lane.length
+            speed = float(rng.uniform(0.5, 0.8)) * lane.speed_limit
+            found.append((name, place, self._driven.sumo_index(index), front, speed))
         return found
-
-    def _departing(
-        self, departure: Departure, road: Road, rng: np.random.Generator, drivers: Drivers
-    ) -> VehicleSpec:
-        vehicles = files.CAR if departure.kind is None else departure.kind.vehicles
-        lanes = self._departure_lanes(departure, departure.route, vehicles)
-        index = lanes[int(rng.integers(len(lanes)))] if departure.lane is None else lanes[0]
-        lane = road.lane(index)
-        drawn = float(rng.uniform(2 * MARGIN, max(lane.length - MARGIN, 2 * MARGIN)))
-        front = drawn if departure.front is None else departure.front % lane.length
-        speed = lane.speed_limit if departure.speed is None else departure.speed
-        driver: Driver = drivers.next()
-        factor = 1.0
-        if departure.kind is not None:
-            factor = departure.kind.factor(rng)
-            driver = driver.like(departure.kind.name, departure.kind.attributes)
-        s = max(front - driver.size[0] / 2, 0.0)
-        wanted = factor * lane.speed_limit
-        return _placed(road, departure.id, index, s, speed, driver, departure.route, wanted)
-
-    def _departure_lanes(self, departure: Departure | Entry, route: str, vehicles: str) -> list[LaneIndex]:
-        """The lanes in which a vehicle may depart; SUMO's number counts all lanes, pavements too."""
-        edge = self.routes[route][0]
-        lanes = files.lanes_for(self._network, edge, vehicles)
-        if departure.lane == RIGHTMOST:
-            lanes = lanes[-1:]
-        elif departure.lane is not None:
-            lanes = [index for index in lanes if self._network.lanes[index].id == f"{edge}_{departure.lane}"]
-        if not lanes:
-            raise ConfigError(
-                f"{departure.id!r} departs on lane {departure.lane} of edge {edge!r}, which has no such lane for "
-                f"vehicles of class {vehicles!r}"
-            )
-        length = self._network.road.lane(lanes[0]).length
-        if departure.front is not None and abs(departure.front) > length + SPACING:
-            raise ConfigError(
-                f"{departure.id!r} departs at {departure.front:g} m of edge {edge!r}, which is {length:.0f} m long"
-            )
-        return lanes
 
     # -- reward and end ------------------------------------------------------------------------------------
 
     def rewards(self, ego: EgoState, config: Config) -> dict[str, float]:
-        limits = config["reward_speed_range"] or [self._way.limit / 2, self._way.limit]
+        limits = config["reward_speed_range"] or [self._limit / 2, self._limit]
+        place = _place(ego)
         return {
             "collision_reward": float(ego.crashed),
             "high_speed_reward": speed_term(ego.speed, limits),
             "arrived_reward": float(self.arrived(ego)),
-            "missed_turn_reward": float(self._missed_turn(ego)),
+            "missed_turn_reward": float(place.ended == "missed turn"),
+            "red_light_reward": float(place.red_light),
             "on_road_reward": float(ego.on_road),
         }
 
     def arrived(self, ego: EgoState) -> bool:
-        return self._way.remaining(ego) < self._way.zone
+        return _place(ego).ended == "arrived"
 
     def terminated(self, ego: EgoState, config: Config) -> bool:
-        return super().terminated(ego, config) or self._missed_turn(ego)
-
-    def _missed_turn(self, ego: EgoState) -> bool:
-        """Whether the ego is about to get to the end of a lane that does not lead on along its route."""
-        return self._way.free(ego) < self._way.zone
+        place = _place(ego)
+        ran_red = place.red_light and bool(config["red_light_terminal"])
+        return super().terminated(ego, config) or bool(place.ended) or ran_red
 
 
-def _placed(
-    road: Road,
-    id: str,
-    index: LaneIndex,
-    s: float,
-    speed: float,
-    driver: Driver,
-    route: str,
-    target_speed: float | None = None,
-) -> VehicleSpec:
-    """A vehicle with its front on the lane, at `s` [m] or, if that is beyond, at the lane's end."""
-    lane = road.lane(index)
-    s = min(s, lane.length - driver.size[0] / 2 - END)
-    inside = make_on_lane(road, id, index, 0.0, speed, driver, destination=route, target_speed=target_speed)
-    x, y = lane.position(s, 0.0)
-    return inside._replace(s=s, x=x, y=y, heading=lane.heading_at(s))
+def _place(ego: EgoState) -> Place:
+    assert ego.scene is not None and ego.scene.place is not None
+    return ego.scene.place
 
 
-def _roomy(road: Road, way: Sequence[str]) -> list[str]:
-    """The edges of a route on which a vehicle can be placed at random."""
-    return [edge for edge in way if road.lane(files.lane(edge)).length >= 2 * MARGIN]
+def _append(options: dict[str, str], name: str, added: Sequence[Path]) -> None:
+    options[name] = ",".join(filter(None, (options.get(name, ""), *map(str, added))))
 
 
-def _anywhere(road: Road, edge: str, rng: np.random.Generator) -> tuple[LaneIndex, float]:
-    """A lane of an edge, and a place on it [m]."""
-    start, end, _ = files.lane(edge)
-    index = (start, end, int(rng.integers(road.count(start, end))))
-    return index, float(rng.uniform(MARGIN, max(road.lane(index).length - MARGIN, MARGIN + 0.1)))
+def _frequency(step: str) -> int:
+    """Steps per second [Hz] of a step length."""
+    frequency = 1.0 / seconds("step-length", step)
+    if round(frequency) >= 1 and abs(frequency - round(frequency)) < 1e-6 * frequency:
+        return round(frequency)
+    logger.warn(f"a second is no whole number of steps of {step} s: 'simulation_frequency' is 10")
+    return 10

@@ -234,6 +234,32 @@ class DriverPool(NamedTuple):
         )
 
 
+class Deviation(NamedTuple):
+    """How a risky driver of SUMO's files differs from its own vehicle type: factors of its parameters.
+
+    gives_way: whether the driver obeys right of way.
+    """
+
+    accel: float
+    decel: float
+    tau: float
+    min_gap: float
+    emergency_decel: float
+    assertive: float
+    speed_gain: float
+    gives_way: bool
+
+    @classmethod
+    def draw(cls, ranges: RiskRanges, dose: float, seed: int, vehicle: str) -> Deviation:
+        """Of the driver of a vehicle: one fixed quantile a parameter, as of the drivers of a `DriverPool`."""
+        quantiles = stream(seed, f"driver of {vehicle}").random(len(SPREAD_PARAMETERS) + 1).tolist()
+        factors = {}
+        for name, quantile in zip(SPREAD_PARAMETERS, quantiles, strict=False):
+            low, high = getattr(ranges, name)
+            factors[name] = 1.0 + dose * (low + quantile * (high - low) - 1.0)
+        return cls(**factors, gives_way=quantiles[-1] >= ranges.not_giving_way * dose)
+
+
 def vehicle_type(driver: Driver, calibration: Calibration) -> dict[str, str]:
     """Attributes of the SUMO vType that is this driver (https://sumo.dlr.de/docs/Definition_of_Vehicles.html)."""
     # Probabilities are 0 or 1, drawn beforehand: SUMO would redraw fractional ones from its own generator.

@@ -62,16 +62,21 @@ class RiskEvent:
 
 
 def draw_events(
-    rates: RiskRates, dose: float, vehicles: tuple[tuple[str, float], ...], seed: int, duration: float
+    rates: RiskRates,
+    dose: float,
+    vehicles: tuple[tuple[str, float], ...],
+    seed: int,
+    duration: float,
+    purpose: str = "risk events",
 ) -> tuple[RiskEvent, ...]:
     """Events of an episode, sorted by time; none at dose 0.
 
     Poisson processes of the rates at dose 1, thinned by the dose: the events of a smaller dose are a subset
-    of those of a larger one. `vehicles`: (id, time from which it is on the road [s]).
+    of those of a larger one. `vehicles`: (id, time from which it is on the road [s]); `purpose`: of the random stream.
     """
     if dose <= 0.0:
         return ()
-    rng = stream(seed, "risk events")
+    rng = stream(seed, purpose)
     kinds: tuple[tuple[Kind, float], ...] = (
         ("cut-in", rates.cut_in),
         ("brake", rates.brake),

@@ -14,10 +14,18 @@ from typing import NamedTuple
 from sumo_env.networks import files, mapping
 from sumo_env.networks.mapping import Network
 from sumo_env.networks.roads import ROADS, LaneIndex, Road, road
-from sumo_env.traffic.drivers import UNCALIBRATED, Calibration, Driver, DriverPool
-from sumo_env.traffic.risk import RiskEvent
+from sumo_env.traffic.drivers import (
+    RISK_RANGES,
+    UNCALIBRATED,
+    Calibration,
+    Driver,
+    DriverPool,
+    RiskRanges,
+)
+from sumo_env.traffic.risk import RiskEvent, RiskRates
 
 EGO = "ego"
+NO_EVENTS = RiskRates()
 SPAWN_DISTANCE = 15.0  # [m] between centres when a vehicle is added (IntersectionEnv._spawn_vehicle)
 EGO_DISTANCE = 20.0  # [m] vehicles closer than this to the ego are removed when it is placed after a warm-up
 
@@ -70,6 +78,52 @@ class Spawn:
 
 
 @dataclass(frozen=True, slots=True)
+class Origin:
+    """How the ego comes into the traffic of SUMO's files.
+
+    Attributes:
+        edges: SUMO's edges of its route, or only the first and the last one where `is_trip`; none for a vehicle of
+            the files.
+        is_trip: whether SUMO finds the route between the two edges.
+        type: its vehicle type; a vehicle of the files has its own.
+        speed: at the departure [m/s], or SUMO's word for one.
+    """
+
+    edges: tuple[str, ...] = ()
+    is_trip: bool = False
+    type: str = "DEFAULT_VEHTYPE"
+    speed: str = "avg"
+
+
+@dataclass(frozen=True, slots=True)
+class SumoTraffic:
+    """Traffic that SUMO loads, routes and inserts itself.
+
+    Attributes:
+        options: SUMO's, by long names without dashes: the network, the files, and all else but the seed.
+        origin: of the ego.
+        elements: vehicle types, routes and vehicles that were drawn for this episode, as XML of an additional file.
+        warm_up: time that the traffic drives before the ego comes [s].
+        wait: longest time that SUMO may need to insert the ego from then on [s].
+        ranges, rates: what risk does to the drivers.
+        models: car-following models of vehicle types, where the files name one.
+        duration: of the episode [s], after which no event begins.
+        imagined: [s] into the episode, from which on risk events are those of this seed; None for the scenario's own.
+    """
+
+    options: tuple[tuple[str, str], ...]
+    origin: Origin
+    elements: str = ""
+    warm_up: float = 0.0
+    wait: float = 600.0
+    ranges: RiskRanges = RISK_RANGES
+    rates: RiskRates = NO_EVENTS
+    models: tuple[tuple[str, str], ...] = ()
+    duration: float = 60.0
+    imagined: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class Scenario:
     """An episode before it is driven: all that a simulator has to know, and all that the traffic owes to chance.
 
@@ -89,6 +143,7 @@ class Scenario:
         pools: drivers that scenarios like this one are made of, which a simulator may load in advance.
         calibration: of SUMO's drivers.
         obeys_lights: whether the ego stops at red and yellow traffic lights.
+        traffic: of SUMO's files, in place of `vehicles`, `spawns` and `events`; the ego's place is then SUMO's choice.
     """
 
     task: str
@@ -107,6 +162,7 @@ class Scenario:
     pools: tuple[DriverPool, ...] = ()
     calibration: Calibration = UNCALIBRATED
     obeys_lights: bool = False
+    traffic: SumoTraffic | None = None
 
     def __deepcopy__(self, memo: dict[int, object]) -> Scenario:
         return self  # immutable

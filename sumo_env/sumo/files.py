@@ -1,0 +1,221 @@
+"""Episodes among the traffic of SUMO's own files, which SUMO loads, routes, inserts and removes as ``sumo`` does.
+
+Every reset loads SUMO with the seed of the episode, so that nothing of earlier episodes is left. Then SUMO drives until
+the ego has departed. What risk does, it does to vehicles as they come; at dose 0 nobody but the ego is touched.
+"""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Sequence
+from math import inf
+from pathlib import Path
+
+import numpy as np
+from gymnasium import logger
+
+from sumo_env.contacts.crash import CrashDetector
+from sumo_env.contacts.measures import HORIZON
+from sumo_env.scene import NO_LIGHT, Scene
+from sumo_env.simulator import EgoCommand, SimulatorError, Step
+from sumo_env.sumo.events import Events
+from sumo_env.sumo.options import OUTPUT_DIR
+from sumo_env.sumo.route_ego import RouteEgo
+from sumo_env.sumo.session import OWN_LANE_CHANGES, REGULAR
+from sumo_env.sumo.settings import file_settings
+from sumo_env.sumo.surroundings import Surroundings
+from sumo_env.sumo.world import SumoSimulator
+from sumo_env.traffic.drivers import Deviation
+from sumo_env.traffic.risk import RiskEvent, draw_events
+from sumo_env.traffic.scenario import Scenario, SumoTraffic
+
+# Classes whose drivers risk changes: those of roads, but bicycles.
+RISKY_CLASSES = {
+    *("passenger", "private", "taxi", "hov", "evehicle", "bus", "coach", "delivery", "truck", "trailer"),
+    *("motorcycle", "moped", "emergency", "authority", "army", "vip", "custom1", "custom2", "ignoring"),
+}
+# Car-following models that have not all of accel, decel, tau and minGap (docs/scenarios.md).
+LACKING = {"W99": "accel, decel, tau, minGap", "Rail": "accel, decel, tau, minGap", "Wiedemann": "tau"}
+
+
+class FileSimulator(SumoSimulator):
+    """SUMO as a `Simulator` of scenarios with `SumoTraffic`."""
+
+    _folder, _episodes = "", 0  # of SUMO's outputs, and how many episodes are in it
+
+    def _begin(self, scenario: Scenario) -> Scene:
+        traffic = scenario.traffic
+        assert traffic is not None
+        self._scenario, self._traffic, self._name = scenario, traffic, scenario.ego.id
+        self._network = scenario.network
+        self._modes, self._crashed = {}, {}
+        self._detector = CrashDetector()
+        self._models, self._named = dict(traffic.models), set[str]()
+        self._dt = 1.0 / scenario.simulation_frequency
+        self._substeps = scenario.simulation_frequency // scenario.policy_frequency
+        self._session.load(file_settings(scenario, self._options, self._episode_folder()))
+        self._events = Events(self._session, scenario, self._network, self._modes, self._crashed)
+        self._time = -inf  # no episode yet
+        self._insert_ego(scenario, traffic)
+        self._time = 0.0
+        for name in self._modes:
+            self._plan(name, 0.0)
+        self._route_ego = RouteEgo(self._session, self._network, self._name, scenario.obeys_lights)
+        self._around = Surroundings(
+            self._session, self._route_ego.speed, self._network.meeting, ego=self._name
+        )
+        return self._read()
+
+    def _episode_folder(self) -> Path | None:
+        """A new folder for SUMO's outputs, where they have a place of their own."""
+        for option in self._options:
+            if option.startswith(f"{OUTPUT_DIR}="):
+                if not self._folder:
+                    parent = Path(option.partition("=")[2])
+                    parent.mkdir(parents=True, exist_ok=True)
+                    self._folder = tempfile.mkdtemp(prefix="environment-", dir=parent)
+                self._episodes += 1
+                folder = Path(self._folder) / f"episode-{self._episodes}"
+                folder.mkdir()
+                return folder
+        return None
+
+    def _insert_ego(self, scenario: Scenario, traffic: SumoTraffic) -> None:
+        """Drive until the ego has departed, at the end of the warm-up or later."""
+        session, name, origin = self._session, self._name, traffic.origin
+        for _ in range(round(traffic.warm_up / self._dt)):
+            self._advance()
+        if origin.edges:
+            edges = origin.edges
+            if origin.is_trip:
+                edges = session.find_route(edges[0], edges[-1], origin.type)
+                if not edges:
+                    raise SimulatorError(
+                        f"no route leads from edge {origin.edges[0]!r} to edge {origin.edges[-1]!r} for vehicles of "
+                        f"type {origin.type!r}"
+                    )
+            session.send(name, edges, origin.type, origin.speed)
+        steps = 0
+        while name not in self._modes:
+            if steps * self._dt >= traffic.wait:
+                raise SimulatorError(self._why_not_here(traffic))
+            self._advance()
+            steps += 1
+        if session.is_gone(name):
+            raise SimulatorError(
+                f"the ego {name!r} has departed and left the road again before 'warm_up' ({traffic.warm_up:g} s) was "
+                "over"
+            )
+
+    def _why_not_here(self, traffic: SumoTraffic) -> str:
+        session, name = self._session, self._name
+        after = f"{traffic.wait:g} s ('wait') after the warm-up, at SUMO's time {session.time():g} s"
+        if name in session.waiting():
+            return (
+                f"SUMO could not insert the ego {name!r} within {after}: there is no room for it where it departs, or "
+                f"its edge has no lane for vehicles of class {session.class_of(name)!r}"
+            )
+        return (
+            f"the ego {name!r} has not departed within {after}: it departs later ('wait', 'begin'), SUMO has refused "
+            "it, or there is no such vehicle"
+        )
+
+    # -- a policy step -------------------------------------------------------------------------------------
+
+    def _step(self, command: EgoCommand, trace: bool) -> Step:
+        self._session.check()
+        ego, around = self._route_ego, self._around
+        ego.obey(command)
+        around.take_stock()
+        least_ttc, distance, scenes = inf, 0.0, []
+        for _ in range(0 if ego.ended else self._substeps):
+            self._events.act(self._time, self._dt)
+            ego.drive(self._dt)
+            reported = self._advance()
+            if ego.ended in ("arrived", "removed"):
+                break
+            distance += ego.settle(self._dt)
+            self._look(ego, reported)
+            if not ego.crashed and around.near:
+                least_ttc = min(least_ttc, around.time_to_collision(min(least_ttc, HORIZON)))
+            if trace:
+                scenes.append(self._read())
+            if ego.ended:
+                break
+        scene = scenes[-1] if scenes and ego.ended in ("", "missed turn") else self._read()
+        if trace and (not scenes or scenes[-1] is not scene):
+            scenes.append(scene)
+        return Step(scene, ego.target_lane, self._detector.crash, least_ttc, distance, tuple(scenes))
+
+    def _advance(self) -> Sequence[tuple[str, str]]:
+        """One step of SUMO; returns the pairs of vehicles that it reports in collision."""
+        session = self._session
+        reported = self._step_sumo()
+        for name in session.arrived:
+            self._forget(name)
+        for name in session.departed():
+            self._modes[name] = REGULAR, OWN_LANE_CHANGES
+            if self._scenario.risk > 0.0 and name != self._name:
+                self._make_risky(name)
+        if self._time > 0.0 and self._name not in self._modes:
+            self._route_ego.ended = "arrived" if len(self._route_ego.ahead) == 1 else "removed"
+        elif self._time > 0.0 and self._name in session.teleported():
+            self._route_ego.ended = "removed"
+        return reported
+
+    def _note_crashes(self, reported: Sequence[tuple[str, str]]) -> None:
+        """Crashes of the others are SUMO's business."""
+
+    # -- risk ----------------------------------------------------------------------------------------------
+
+    def _make_risky(self, name: str) -> None:
+        """What the dose does to a vehicle that has come: its parameters, and its events once the episode has begun."""
+        if self._session.class_of(name) not in RISKY_CLASSES:
+            return
+        model = self._models.get(self._session.type_of(name), "")
+        if model in LACKING and model not in self._named:
+            self._named.add(model)
+            logger.warn(
+                f"risk: drivers of the model {model} lack {LACKING[model]}, which risk does not change there"
+            )
+        deviation = Deviation.draw(self._traffic.ranges, self._scenario.risk, self._scenario.seed, name)
+        if model not in LACKING:
+            self._session.deviate(name, deviation)
+        if self._time >= 0.0:
+            self._plan(name, self._time)
+
+    def _plan(self, name: str, start: float) -> None:
+        self._events.add(self._drawn(name, start))
+
+    def _drawn(self, name: str, start: float) -> tuple[RiskEvent, ...]:
+        """The events of a vehicle from `start` [s] on; its random stream has its own name."""
+        scenario, traffic = self._scenario, self._traffic
+        if name == self._name or self._session.class_of(name) not in RISKY_CLASSES:
+            return ()
+        seed = scenario.seed if traffic.imagined is None else traffic.imagined
+        drawn = draw_events(
+            traffic.rates, scenario.risk, ((name, start),), seed, traffic.duration, f"risk events of {name}"
+        )
+        return tuple(event for event in drawn if event.time >= start)
+
+    def imagine(self, scenario: Scenario) -> None:
+        """Go on with other risk events in place of those that have not begun."""
+        assert scenario.traffic is not None
+        self._scenario, self._traffic = scenario, scenario.traffic
+        self._events.replace([event for name in self._modes for event in self._drawn(name, self._time)])
+
+    # -- reading -------------------------------------------------------------------------------------------
+
+    def _read(self) -> Scene:
+        """The scene by SUMO's vehicles, the ego first."""
+        session, name, ego = self._session, self._name, self._route_ego
+        gone = ego.ended in ("arrived", "removed")
+        ids = (name, *[other for other in session.vehicles() if other != name])
+        states = {name: self._around.ego}
+        states |= session.read([other for other in ids if other != name])
+        x, y, speed, heading = map(np.array, zip(*[states[one] for one in ids], strict=True))
+        crashed = np.array([ego.crashed, *(other in self._crashed for other in ids[1:])], np.bool_)
+        sizes = {one: size for one, size in session.sizes.items() if one in states}
+        light = NO_LIGHT if gone else session.next_light(name)
+        acting, place = self._events.acting, ego.place(len(session.waiting()))
+        return Scene(ids, x, y, speed, heading, crashed, round(self._time, 6), acting, sizes, light, place)

@@ -1,0 +1,47 @@
+"""The SUMO of an environment, wherever it runs: libsumo's functions by their names."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+# Functions that would end the episode behind the environment's back.
+REFUSED = {
+    "load",
+    "start",
+    "close",
+    "simulationStep",
+    "step",
+    "executeMove",
+    "loadState",
+    "init",
+    "setOrder",
+    "switch",
+}
+
+
+class Sumo:
+    """``sumo.vehicle.getSpeed("ego")``: as libsumo, in the simulation of one environment.
+
+    Args:
+        call: of a function by its name (``vehicle.getSpeed``) and its arguments.
+    """
+
+    def __init__(self, call: Callable[[str, tuple[Any, ...]], Any], path: str = "") -> None:
+        self._call, self._path = call, path
+
+    def __getattr__(self, name: str) -> Sumo:
+        if name.startswith("_"):
+            raise AttributeError(name)
+        if name in REFUSED and self._path in ("", "simulation"):
+            raise AttributeError(
+                f"{name!r} is the environment's own: reset() loads SUMO, step() drives it, and close() ends it"
+            )
+        return Sumo(self._call, f"{self._path}.{name}".lstrip("."))
+
+    def __call__(self, *arguments: Any) -> Any:
+        """Call the function of this name; its result has SUMO's values, of plain types."""
+        return self._call(self._path, arguments)
+
+    def __repr__(self) -> str:
+        return f"<libsumo{'.' if self._path else ''}{self._path} of an environment>"

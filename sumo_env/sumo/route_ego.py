@@ -1,0 +1,179 @@
+"""The ego among the traffic of SUMO's own files: a vehicle of SUMO that may be commanded.
+
+Its type limits what commands can do. Without a target speed or a target lane SUMO drives it as it does all others.
+"""
+
+from __future__ import annotations
+
+from math import inf
+
+from sumo_env.networks.mapping import Network
+from sumo_env.networks.roads import LaneIndex
+from sumo_env.scene import Place
+from sumo_env.simulator import EgoCommand
+from sumo_env.sumo.ego import TAU, approach, coast, speed_before
+from sumo_env.sumo.session import (
+    ALL_CHECKS_OFF,
+    COMMANDED_LANE_CHANGES,
+    OWN_LANE_CHANGES,
+    REGULAR,
+    Session,
+)
+
+
+class RouteEgo:
+    """The ego of one episode, from its departure on.
+
+    Attributes:
+        speed: [m/s]; crashed: since a contact it only coasts to a stop.
+        ended, ahead: see `Place`.
+        red_light: whether it has run a red light since `obey`.
+    """
+
+    def __init__(self, session: Session, network: Network, name: str, obeys_lights: bool) -> None:
+        self._session, self._network, self._name = session, network, name
+        self._obeys_lights = obeys_lights
+        self._class = session.class_of(name)
+        self.speed, self.crashed = session.speed_of(name), False
+        self.ended, self.red_light = "", False
+        self._commanded_speed = self._commanded_lane = False  # which of the two has ever been taken from SUMO
+        self._target_speed: float | None = None
+        self._target_lane: LaneIndex | None = None
+        self._lane, self._length, self._leads_on, self._may_turn = "", 0.0, True, True
+        self._sides: tuple[LaneIndex | None, LaneIndex | None] = (None, None)
+        self.ahead: tuple[str, ...] = ()
+        self._index: LaneIndex = next(iter(network.lanes))
+        self.look()
+
+    def obey(self, command: EgoCommand) -> None:
+        """Take over the command of a policy step, and give SUMO back what is not commanded."""
+        session, name = self._session, self._name
+        if self.crashed:
+            return
+        self._target_speed, self._target_lane = command
+        if self._target_lane is not None and self._target_lane not in self._sides:
+            self._target_lane = self._index
+        self.red_light = False
+        speed, lane = self._target_speed is not None, self._target_lane is not None
+        if speed != self._commanded_speed:
+            session.set_modes(name, speed_mode=ALL_CHECKS_OFF if speed else REGULAR)
+            if not speed:
+                session.set_speed(name, -1.0)
+        if lane != self._commanded_lane:
+            session.set_modes(name, lane_change_mode=COMMANDED_LANE_CHANGES if lane else OWN_LANE_CHANGES)
+        self._commanded_speed, self._commanded_lane = speed, lane
+
+    def drive(self, dt: float) -> None:
+        """Command the next step of `dt` [s]."""
+        session, name, before = self._session, self._name, self.speed
+        self._signal = session.next_signal(name)
+        if self.crashed:
+            if not (self._commanded_speed and self._commanded_lane):
+                session.set_modes(name, ALL_CHECKS_OFF, COMMANDED_LANE_CHANGES)
+            session.set_speed(name, coast(before, dt)[0])
+        elif self._target_speed is not None:
+            accel, decel, hardest = session.limits_of(name)
+            wanted = approach(before, self._target_speed, TAU, dt)[0]
+            speed = min(max(wanted, before - decel * dt, 0.0), before + accel * dt)
+            if self._obeys_lights:
+                allowed = speed_before(session.next_light(name), before, dt)
+                speed = min(speed, max(allowed, before - hardest * dt, 0.0))
+            if speed * dt > self.free:
+                self.ended = "missed turn"
+            session.set_speed(name, speed)
+        if not self.crashed:
+            self._change_lane()
+
+    def _change_lane(self) -> None:
+        """Ask for the target lane; SUMO changes there within the step, or in the time that its options say."""
+        target = self._target_lane
+        if target is None or target == self._index or target not in self._sides:
+            return
+        if not self._session.changes_lane(self._name):
+            self._session.change_lane(self._name, self._network.sumo_index(target))
+
+    def settle(self, dt: float) -> float:
+        """After the step: what SUMO has made of the commands; returns the distance that was driven [m]."""
+        session, before = self._session, self._lane
+        self.speed = session.speed_of(self._name)
+        self.look()
+        if self._signal and self._lane != before and not before.startswith(":"):
+            edge = before.rpartition("_")[0]
+            if self._lane.rpartition("_")[0] != edge and session.shows_red(*self._signal[:2]):
+                self.red_light = True
+        if not self._may_turn and self._target_lane is not None:
+            self.ended = "missed turn"
+        return self.speed * dt
+
+    def look(self) -> None:
+        """Read where the ego is; what belongs to a lane is read when it comes there."""
+        session = self._session
+        lane = session.lane_of(self._name)
+        if lane == self._lane or not lane:
+            return
+        self._lane, self.ahead = lane, session.route_ahead(self._name)
+        if lane not in self._network.indices:
+            raise ValueError(
+                f"the ego {self._name!r} is of class {self._class!r} and drives on lane {lane!r}, which is not for "
+                "vehicles of roads"
+            )
+        self._index = self._network.indices[lane]
+        self._leads_on, self._may_turn, self._sides = True, True, (None, None)
+        if not lane.startswith(":"):
+            self._look_along_the_edge(lane)
+        if self._target_lane is None or self._index[:2] != self._target_lane[:2]:
+            return
+        if self._target_lane not in (self._index, *self._sides):
+            self._target_lane = self._index
+
+    def _look_along_the_edge(self, lane: str) -> None:
+        session, network = self._session, self._network
+        start, end, place = self._index
+        beside = []
+        for other in ((start, end, place - 1), (start, end, place + 1)):
+            there = network.lanes.get(other)
+            near = there is not None and abs(network.sumo_index(other) - network.sumo_index(self._index)) == 1
+            may = near and there is not None and session.may_change(lane, there.id, self._class)
+            beside.append(other if may else None)
+        self._sides = (beside[0], beside[1])
+        if len(self.ahead) <= 1:
+            return
+        lanes = session.lanes_ahead(self._name)
+        here = next(k for k, found in enumerate(lanes) if found[0] == lane)
+        _, self._length, self._leads_on = lanes[here]
+        self._may_turn = self._leads_on or any(self._gets_on(lanes, here, side) for side in (1, -1))
+
+    def _gets_on(self, lanes: list[tuple[str, float, bool]], place: int, side: int) -> bool:
+        """Whether changes to one side, as far as the road's markings let it, lead to a lane that leads on."""
+        while 0 <= place + side < len(lanes):
+            if not self._session.may_change(lanes[place][0], lanes[place + side][0], self._class):
+                return False
+            place += side
+            if lanes[place][2]:
+                return True
+        return False
+
+    @property
+    def free(self) -> float:
+        """How far the ego gets without a lane change [m]; inf where its lane leads on."""
+        return inf if self._leads_on else self._length - self._session.position_of(self._name)
+
+    @property
+    def target_lane(self) -> LaneIndex:
+        """Lane that the ego steers for."""
+        target = self._target_lane
+        return target if target is not None and target[:2] == self._index[:2] else self._index
+
+    def place(self, waiting: int) -> Place:
+        """As a scene has it."""
+        left, right = (side is not None for side in self._sides)
+        return Place(
+            lane=self._index,
+            left=left,
+            right=right,
+            ahead=self.ahead,
+            free=0.0 if self.ended == "missed turn" else self.free,
+            ended=self.ended,
+            red_light=self.red_light,
+            waiting=waiting,
+        )

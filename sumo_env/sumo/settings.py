@@ -1,0 +1,102 @@
+"""What SUMO is loaded with, as a value."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree import ElementTree
+
+from sumo_env.sumo.options import OUTPUT_DIR
+from sumo_env.traffic.scenario import Scenario
+from sumo_env.traffic.sumo_files import is_output
+
+# What the environment cannot do without: contacts are reported at every step and at junctions, and change nothing.
+COLLISIONS = {
+    "collision.action": "warn",
+    "collision.check-junctions": "true",
+    "collision.mingap-factor": "0",
+}
+SILENT = {"no-step-log": "true", "no-warnings": "true", "duration-log.disable": "true"}
+# [s] The ego's centre then crosses the line between two lanes when highway-env's does, after 0.45 to 0.5 s.
+LANE_CHANGE_DURATION = 0.8
+
+
+# Of scenarios of SUMO's files, where neither the files nor the user say otherwise.
+USUAL = {"lanechange.duration": "0", "xml-validation": "never", **SILENT}
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What SUMO is loaded with.
+
+    Attributes:
+        step_length: [s].
+        options: of SUMO, by their long names without dashes.
+        elements: contents of one more additional file, as XML.
+    """
+
+    step_length: float
+    options: Mapping[str, str]
+    elements: str = ""
+
+
+def placed_settings(
+    net_file: Path,
+    routes: Iterable[tuple[str, tuple[str, ...]]],
+    step_length: float,
+    vehicle_types: Iterable[tuple[str, Mapping[str, str]]],
+    further: Sequence[str] = (),
+    seed: int = 42,
+) -> Settings:
+    """Settings for vehicles that this package places itself.
+
+    Args:
+        net_file: the network.
+        routes: (id, edges) of each.
+        step_length: [s].
+        vehicle_types: (id, attributes of SUMO's vType) of each.
+        further: options of SUMO, as ``--name=value``.
+        seed: of SUMO's random numbers.
+    """
+    root = ElementTree.Element("additional")
+    for name, attributes in vehicle_types:
+        ElementTree.SubElement(root, "vType", {"id": name, **attributes})
+    for name, edges in routes:
+        ElementTree.SubElement(root, "route", {"id": name, "edges": " ".join(edges)})
+    options = {
+        "net-file": str(net_file),
+        "step-length": f"{step_length:.6g}",
+        "lanechange.duration": f"{LANE_CHANGE_DURATION:g}",
+        **COLLISIONS,
+        "time-to-teleport": "-1",
+        "max-depart-delay": "-1",
+        "default.speeddev": "0",
+        "xml-validation": "never",
+        "xml-validation.net": "never",
+        **SILENT,
+        "seed": str(seed),
+        **dict(option.removeprefix("--").split("=", 1) for option in further),
+    }
+    return Settings(step_length, options, ElementTree.tostring(root, "unicode"))
+
+
+def file_settings(scenario: Scenario, further: Sequence[str] = (), outputs: Path | None = None) -> Settings:
+    """Settings for traffic of SUMO's files, with the seed of the scenario.
+
+    Args:
+        scenario: with `traffic`.
+        further: options of SUMO that a user adds, as ``--name=value``.
+        outputs: folder into which SUMO writes its files; by default they are where the options say.
+    """
+    assert scenario.traffic is not None
+    given = dict(option.removeprefix("--").split("=", 1) for option in further)
+    options = {**USUAL, **dict(scenario.traffic.options)}
+    added = (options.get("additional-files", ""), given.pop("additional-files", ""))
+    if any(added):
+        options["additional-files"] = ",".join(filter(None, added))
+    given.pop(OUTPUT_DIR.removeprefix("--"), None)
+    if outputs is not None:
+        given |= {name: str(outputs / Path(value).name) for name, value in given.items() if is_output(name)}
+    options |= {**given, **COLLISIONS, "seed": str(scenario.seed)}
+    return Settings(float(options["step-length"]), options, scenario.traffic.elements)

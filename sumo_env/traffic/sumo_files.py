@@ -1,0 +1,191 @@
+"""SUMO's own files (.sumocfg, routes, additional files), as the options with which SUMO loads them.
+
+SUMO reads, routes, inserts and removes what is in the files. This module only finds out what has to be known before:
+which files there are, with which step, from when on, and which ids are in use.
+"""
+
+from __future__ import annotations
+
+import gzip
+import re
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal
+from xml.etree import ElementTree
+
+from sumo_env.config import ConfigError, nearest
+
+Options = Mapping[str, str]  # SUMO's long names, without dashes -> values
+# Short and old names that configurations have for options that are read here.
+SYNONYMS = {
+    **{
+        "n": "net-file",
+        "net": "net-file",
+        "r": "route-files",
+        "route": "route-files",
+        "routes": "route-files",
+    },
+    **{"a": "additional-files", "additional": "additional-files", "b": "begin", "e": "end", "S": "scale"},
+    **{"l": "log", "log-file": "log", "w": "weight-files", "weights": "weight-files", "v": "verbose"},
+}
+INPUTS = (
+    "net-file",
+    "route-files",
+    "additional-files",
+    "weight-files",
+    "load-state",
+    "device.fcd-replay.files",
+)
+# Of a configuration: what belongs to sumo-gui, to a server, or to the episode.
+LEFT_OUT = (
+    "end",
+    "seed",
+    "random",
+    "remote-port",
+    "num-clients",
+    "save-configuration",
+    "start",
+    "quit-on-end",
+)
+LOGS = {"log", "message-log", "error-log", "netstate-dump", "device.ssm.file", "device.toc.file"}
+DEPARTING = ("vehicle", "trip", "flow", "person", "personFlow", "container", "containerFlow")
+
+
+def is_output(option: str) -> bool:
+    """Whether an option of SUMO names a file that it writes."""
+    return (option.endswith("output") and option != "human-readable-output") or option in LOGS
+
+
+def configuration(file: Path) -> dict[str, str]:
+    """The options of a .sumocfg, with the paths of its input files made absolute.
+
+    Raises:
+        ConfigError: the file cannot be read, or is no configuration with a network.
+    """
+    root = _root(file)
+    found: dict[str, str] = {}
+    for section in root:
+        if section.tag == "gui_only":
+            continue
+        for item in (section, *section):
+            value = item.get("value", item.get("v"))
+            if value is not None:
+                found[SYNONYMS.get(item.tag, item.tag)] = value
+    for name in set(found).intersection(INPUTS):
+        paths = [file.parent / part.strip() for part in found[name].split(",") if part.strip()]
+        found[name] = ",".join(str(path.resolve()) for path in paths)
+    if "net-file" not in found:
+        raise ConfigError(
+            f"{file} is no configuration of SUMO with a network: it has no <net-file value=.../>"
+        )
+    return {name: value for name, value in found.items() if name not in LEFT_OUT}
+
+
+def paths(name: str, given: str | Path | Sequence[str | Path]) -> tuple[Path, ...]:
+    """Files of an argument, one or several.
+
+    Raises:
+        ConfigError: one of them does not exist.
+    """
+    several = [given] if isinstance(given, str | Path) else list(given)
+    found = tuple(Path(path).resolve() for path in several)
+    for path in found:
+        if not path.is_file():
+            raise ConfigError(f"{name}: there is no file {path}")
+    return found
+
+
+def seconds(option: str, text: str) -> float:
+    """A time of SUMO [s], which may be written as hours:minutes:seconds.
+
+    Raises:
+        ConfigError: it is none.
+    """
+    parts = text.split(":")
+    try:
+        return float(
+            sum(float(part) * unit for part, unit in zip(reversed(parts), (1, 60, 3600, 86400), strict=False))
+        )
+    except ValueError:
+        raise ConfigError(f"{option}={text!r} is no time") from None
+
+
+class Contents:
+    """What is asked of route and additional files before SUMO reads them."""
+
+    def __init__(self, options: Options) -> None:
+        listed = (options.get("additional-files", ""), options.get("route-files", ""))
+        self.files = [Path(part) for names in listed for part in names.split(",") if part]
+
+    def first_departure(self) -> float | None:
+        """Time of the first departure [s], for SUMO reads files in the order of departure; None without one."""
+        times = []
+        for file in self.files:
+            for item in _elements(file):
+                text = item.get("depart", item.get("begin"))
+                if item.tag in DEPARTING and text is not None:
+                    if re.fullmatch(r"[\d.:]+", text):
+                        times.append(seconds("depart", text))
+                    break
+        return min(times, default=None)
+
+    def has_id(self, name: str) -> bool:
+        """Whether something in the files may have this id."""
+        pattern = re.compile(rb"""\bid\s*=\s*["']%s["']""" % re.escape(name.encode()))
+        return any(pattern.search(_opened(file).read()) for file in self.files)
+
+    def check_vehicle(self, name: str) -> None:
+        """That a vehicle of this id comes, as far as the files say.
+
+        Raises:
+            ConfigError: there is none; the message names near ids.
+        """
+        known: set[str] = set()
+        for file in self.files:
+            for item in _elements(file):
+                if item.tag in ("vehicle", "trip", "flow"):
+                    known.add(item.get("id", ""))
+        if name in known or name.rpartition(".")[0] in known:
+            return
+        examples = [f"{one}.0" for one in sorted(known) if f"{one}." in f"{name}."] or sorted(known)
+        raise ConfigError(f"the files have no vehicle {name!r}: {nearest(name, examples[:20_000])[:300]}")
+
+    def models(self) -> dict[str, str]:
+        """Car-following models of the vehicle types that name one, by type."""
+        return {
+            item.get("id", ""): item.get("carFollowModel", "")
+            for file in self.files
+            for item in _elements(file)
+            if item.tag == "vType" and item.get("carFollowModel")
+        }
+
+
+def is_left_hand(net_file: Path) -> bool:
+    """Whether vehicles keep to the left in a network."""
+    for item in _elements(net_file, "start"):
+        return item.get("lefthand", "") in ("1", "true", "True", "yes", "on", "x")
+    return False
+
+
+def _opened(file: Path) -> Any:
+    return gzip.open(file) if file.suffix == ".gz" else file.open("rb")
+
+
+def _root(file: Path) -> ElementTree.Element:
+    try:
+        with _opened(file) as opened:
+            return ElementTree.parse(opened).getroot()
+    except (OSError, ElementTree.ParseError) as error:
+        raise ConfigError(f"{file} cannot be read: {error}") from error
+
+
+def _elements(file: Path, when: Literal["start", "end"] = "end") -> Iterator[ElementTree.Element]:
+    """The elements of a file, as far as they are asked for."""
+    try:
+        with _opened(file) as opened:
+            for _, item in ElementTree.iterparse(opened, (when,)):
+                yield item
+                if item.tag in DEPARTING:
+                    item.clear()
+    except (OSError, ElementTree.ParseError) as error:
+        raise ConfigError(f"{file} cannot be read: {error}") from error

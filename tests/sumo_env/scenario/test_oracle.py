@@ -1,0 +1,113 @@
+"""SUMO drives its own files here as ``sumo`` does: every vehicle, with the same id, at the same place."""
+
+from __future__ import annotations
+
+import math
+import shlex
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from sumo_env.env import SumoDrivingEnv
+from sumo_env.scene import Scene
+from sumo_env.simulator import EgoCommand
+from tests.sumo_env.plans import SUMO, Rows, floating_car_data, needs_sumo
+from tests.sumo_env.scenario.files import SCENARIOS, written
+
+pytestmark = [needs_sumo, pytest.mark.filterwarnings("ignore:.*its outputs are off")]
+SECONDS = 300
+NOTHING = EgoCommand(None, None)
+
+
+def plain(command: str, folder: Path, end: float) -> Rows:
+    """What ``sumo`` itself does, without libsumo."""
+    out = folder / "plain.fcd.xml"
+    arguments = [str(SUMO), *shlex.split(command)[1:]]
+    arguments += ["--fcd-output", str(out), "--end", f"{end:g}", "--precision", "6"]
+    subprocess.run(arguments, check=True, capture_output=True)
+    rows = floating_car_data(out)
+    return {time: {name: car for name, car in cars.items() if "lane" in car} for time, cars in rows.items()}
+
+
+def fronts(scene: Scene) -> dict[str, tuple[float, float]]:
+    """Front bumpers of the vehicles, in SUMO's coordinates [m]."""
+    found = {}
+    for row, name in enumerate(scene.ids):
+        half, heading = scene.size(name)[0] / 2.0, float(scene.heading[row])
+        found[name] = (
+            float(scene.x[row]) + half * math.cos(heading),
+            -float(scene.y[row]) - half * math.sin(heading),
+        )
+    return found
+
+
+def differences(scenes: list[tuple[float, Scene]], rows: Rows, step: float, without: str = "") -> list[str]:
+    """Vehicles that are missing, too many, or elsewhere; `scenes` are those after SUMO's step to each time [s]."""
+    found = []
+    for time, scene in scenes:
+        there = rows[round(time - step, 2)]
+        here = {name: front for name, front in fronts(scene).items() if name != without}
+        if here.keys() != there.keys():
+            found.append(f"{time:.1f} s: {sorted(here.keys() ^ there.keys())}")
+            continue
+        for name, (x, y) in here.items():
+            car = there[name]
+            if math.dist((x, y), (float(car["x"]), float(car["y"]))) > 0.01:
+                found.append(f"{time:.1f} s: {name}")
+    return found
+
+
+def driven(env: SumoDrivingEnv, seconds: int, command: EgoCommand = NOTHING) -> list[tuple[float, Scene]]:
+    """Scenes after every step of SUMO, with its time, from the ego's departure on."""
+    inner: Any = env.unwrapped
+    begin = float(inner.sumo.simulation.getTime())
+    scenes = [inner.scene]
+    for _ in range(seconds):
+        step = inner._simulator.step(command, trace=True)
+        scenes += step.trace
+        if step.scene.place.ended:
+            scenes.pop()
+            break
+    return [(begin + scene.time, scene) for scene in scenes]
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_where_nothing_is_commanded_everybody_is_where_sumo_has_them(name: str, tmp_path: Path) -> None:
+    """Also in a worker, and whatever was driven before."""
+    config = written(tmp_path, name)
+    env = SumoDrivingEnv(config, ego_vehicle="ego", config={"duration": SECONDS})
+    env.reset(seed=1)
+    env.step(1)
+    env.reset(seed=7)
+    rows = plain(env.sumo_command, tmp_path, SECONDS)
+    scenes = driven(env, SECONDS)
+    assert len(scenes) > 100
+    assert differences(scenes, rows, 0.1) == []
+    env.close()
+
+
+@pytest.mark.parametrize("name", SCENARIOS)
+def test_an_added_car_changes_nothing_before_it_comes_and_little_on_the_whole_later(
+    name: str, tmp_path: Path
+) -> None:
+    config = written(tmp_path, name)
+    env = SumoDrivingEnv(config, ego_trips=[("B2B1", "A1A0")], config={"warm_up": 60, "duration": SECONDS})
+    env.reset(seed=3)
+    assert env.ego_id != "ego" and env.scene.ids[0] == env.ego_id
+    rows = plain(env.sumo_command, tmp_path, SECONDS)
+    later = driven(env, SECONDS)
+    begin, first = later[0]
+    before = {name: car for name, car in rows[round(begin - 0.1, 2)].items() if name in first.ids}
+    assert len(before) == len(first) - 1  # without the ego
+    assert differences([(begin, first)], {round(begin - 0.1, 2): before}, 0.1, without=env.ego_id) == []
+    ours, theirs = [], []  # counts and speeds
+    for time, scene in later:
+        cars = rows[round(time - 0.1, 2)]
+        if len(scene) > 1 and cars:
+            ours.append((len(scene) - 1, np.mean(scene.speed[1:])))
+            theirs.append((len(cars), np.mean([float(car["speed"]) for car in cars.values()])))
+    assert np.mean(ours, axis=0) == pytest.approx(np.mean(theirs, axis=0), rel=0.05)
+    env.close()

@@ -8,6 +8,7 @@ passenger cars; lanes for buses, bicycles and others alone are the road from "E/
 
 from __future__ import annotations
 
+import gzip
 import math
 from collections.abc import Sequence
 from dataclasses import replace
@@ -15,6 +16,7 @@ from functools import lru_cache
 from itertools import count, pairwise
 from pathlib import Path
 from typing import Any
+from xml.etree import ElementTree
 
 from sumo_env.networks.lanes import Lane, Point, PolyLane
 from sumo_env.networks.mapping import Network, SumoLane, read_net, sumo_lanes_of
@@ -101,7 +103,7 @@ def check_route(network: Network, name: str, way: Sequence[str], vehicles: str =
 def _read(path: Path, changed: int) -> Network:
     """The network of a file without routes."""
     try:
-        net = read_net(path)
+        net, left_hand = read_net(path), _is_left_hand(path)
         sumo_lanes = {name: _to_scale(found) for name, found in sumo_lanes_of(net).items()}
     except Exception as error:  # of the XML parser, or whatever sumolib stumbles over
         raise ValueError(f"{path} cannot be read as a SUMO network: {error}") from error
@@ -129,7 +131,7 @@ def _read(path: Path, changed: int) -> Network:
 
     for edge in net.getEdges(withInternal=False):
         own: dict[str, list[Any]] = {}
-        for part in reversed(edge.getLanes()):
+        for part in edge.getLanes() if left_hand else reversed(edge.getLanes()):
             own.setdefault(road_of(part), []).append(part)
         own.pop("", None)
         for name, parts in own.items():
@@ -195,30 +197,8 @@ def _stub(point: Point, before: Shape, after: Shape) -> list[Point]:
     return [point, (point[0] + scale * (x1 - x0), point[1] + scale * (y1 - y0))]
 
 
-def shortest(
-    net_file: str, start: str, end: str, via: Sequence[str] = (), vehicles: str = CAR
-) -> tuple[str, ...]:
-    """The fastest way for vehicles of a class from one edge over others to the last; () if there is none.
-
-    Raises:
-        ValueError: the network has no such edge.
-    """
-    net = _graph(net_file)
-    stations = [start, *via, end]
-    for edge in stations:
-        if not net.hasEdge(edge):
-            raise ValueError(f"{net_file} has no edge {edge!r}")
-    way = [start]
-    for one, other in pairwise(stations):
-        found, _ = net.getOptimalPath(net.getEdge(one), net.getEdge(other), fastest=True, vClass=vehicles)
-        if not found:
-            return ()
-        way += [edge.getID() for edge in found[1:]]
-    return tuple(way)
-
-
-@lru_cache(maxsize=2)
-def _graph(net_file: str) -> Any:
-    from sumolib.net import readNet
-
-    return readNet(net_file)
+def _is_left_hand(path: Path) -> bool:
+    """Whether vehicles keep to the left: then SUMO counts lanes from the left, as highway-env does."""
+    with gzip.open(path) if path.suffix == ".gz" else path.open("rb") as opened:
+        _, root = next(ElementTree.iterparse(opened, ("start",)))
+    return root.get("lefthand", "0") in ("1", "true", "True")

@@ -33,6 +33,7 @@ from sumo_env.tasks import get_task
 from sumo_env.tasks.base import EgoState, Task, nearest_index
 from sumo_env.tasks.network import NetworkTask
 from sumo_env.traffic.scenario import Scenario
+from sumo_env.traffic.sumo_files import is_output
 from sumo_env.views import ReadAsHighwayEnv
 
 if TYPE_CHECKING:
@@ -248,15 +249,22 @@ class DrivingEnv(ReadAsHighwayEnv):
 
         if self.scenario is None:
             raise gym.error.ResetNeeded("call reset() before export()")
-        try:
-            simulator: Simulator = copy.deepcopy(self._given) or SumoProcess()
-        except TypeError:  # it cannot be copied
-            simulator = SumoProcess()
-        with closing(simulator):
-            scenes = [simulator.reset(self.scenario)]
-            for command in self._commands:
-                scenes += simulator.step(command, trace=True).trace
-        return export.write(Path(folder), self.scenario, scenes)
+        with tempfile.TemporaryDirectory(prefix="sumo_env-") as temporary:
+            recorded = None
+            try:
+                simulator: Simulator = copy.deepcopy(self._given) or SumoProcess()
+            except TypeError:  # it cannot be copied
+                simulator = SumoProcess()
+            if self.scenario.traffic is not None:
+                recorded = Path(temporary) / "fcd.xml"
+                acting = [one for one in self._options if not is_output(one.removeprefix("--").split("=")[0])]
+                acting = [one for one in acting if not one.startswith(OUTPUT_DIR)]
+                simulator = SumoProcess(options=(*acting, f"--fcd-output={recorded}"))
+            with closing(simulator):
+                scenes = [simulator.reset(self.scenario)]
+                for command in self._commands:
+                    scenes += simulator.step(command, trace=True).trace
+            return export.write(Path(folder), self.scenario, scenes, recorded)
 
     @property
     def sumo(self) -> Sumo:

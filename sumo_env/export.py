@@ -32,20 +32,28 @@ WINDOW = (1200, 800)  # [px] of sumo-gui
 AROUND = 50.0  # [m] that it shows around the way of the ego
 
 
-def write(folder: Path, scenario: Scenario, scenes: Sequence[Scene]) -> list[Path]:
+def write(
+    folder: Path, scenario: Scenario, scenes: Sequence[Scene], recorded: Path | None = None
+) -> list[Path]:
     """Write an episode to a folder, which is made; returns the files.
 
     Args:
         folder: where to; files of an earlier export are overwritten.
         scenario: the episode before it was driven.
         scenes: from its start on, at equal intervals (after every sub-step, say).
+        recorded: floating car data of SUMO's own, whose last time is that of the last scene; else the vehicles' ways
+            are looked up in the scenario.
 
     Raises:
         OSError: a file cannot be written.
     """
     road = scenario.network
     step = round((scenes[1].time if len(scenes) > 1 else 1.0 / scenario.simulation_frequency), 3)
-    specs = {spec.id: spec for spec in (*scenario.specs, *(spawn.vehicle for spawn in scenario.spawns))}
+    if recorded is None:
+        specs = {spec.id: spec for spec in (*scenario.specs, *(spawn.vehicle for spawn in scenario.spawns))}
+        ways = _floating_car_data(road, specs, scenes, step)
+    else:
+        ways = _of_sumo(recorded, scenes, step)
     sizes = {size for scene in scenes for size in scene.sizes.values()}
     types = ElementTree.Element("additional")
     types.extend(
@@ -55,7 +63,7 @@ def write(folder: Path, scenario: Scenario, scenes: Sequence[Scene]) -> list[Pat
     )
     inputs = {"net-file": "network.net.xml", "additional-files": "types.add.xml"}
     contents = {
-        "recorded.fcd.xml": _floating_car_data(road, specs, scenes, step),
+        "recorded.fcd.xml": ways,
         "types.add.xml": types,
         VIEW: _view(road, scenes),
         "episode.sumocfg": _configuration(inputs, "recorded.fcd.xml", step, len(scenes)),
@@ -77,7 +85,7 @@ def _floating_car_data(
         by_edge.setdefault(lane.id.rpartition("_")[0], []).append(lane)
     seen = {name for scene in scenes for name in scene.ids}
     ways = {name: _Way(road, spec, by_edge) for name, spec in specs.items() if name in seen}
-    shown = dict.fromkeys((name for scene in scenes for name in scene.in_event), "risky") | {EGO: EGO}
+    shown = _colours(scenes)
     root = ElementTree.Element("fcd-export")
     for number, scene in enumerate(scenes):
         now = ElementTree.SubElement(root, "timestep", time=f"{number * step:.3f}")
@@ -104,6 +112,27 @@ def _floating_car_data(
                 slope="0",
             )
     return root
+
+
+def _of_sumo(recorded: Path, scenes: Sequence[Scene], step: float) -> ElementTree.Element:
+    """The vehicles of the scenes as SUMO has recorded them."""
+    timesteps = ElementTree.parse(recorded).getroot().findall("timestep")[-len(scenes) :]
+    shown = _colours(scenes)
+    root = ElementTree.Element("fcd-export")
+    for number, (timestep, scene) in enumerate(zip(timesteps, scenes, strict=True)):
+        now = ElementTree.SubElement(root, "timestep", time=f"{number * step:.3f}")
+        for vehicle in timestep.findall("vehicle"):
+            name = vehicle.get("id", "")
+            if name in scene.ids:
+                vehicle.set("type", _type(shown.get(name, "car"), scene.sizes.get(name)))
+                now.append(vehicle)
+    return root
+
+
+def _colours(scenes: Sequence[Scene]) -> dict[str, str]:
+    """The vehicles that are no regular others -> what they are."""
+    shown = dict.fromkeys((name for scene in scenes for name in scene.in_event), "risky")
+    return shown | {scenes[0].ids[0]: EGO}
 
 
 def _type(name: str, size: tuple[float, float] | None) -> str:

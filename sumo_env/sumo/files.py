@@ -55,7 +55,7 @@ class FileSimulator(SumoSimulator):
         self._substeps = scenario.simulation_frequency // scenario.policy_frequency
         self._session.load(file_settings(scenario, self._options, self._episode_folder()))
         self._events = Events(self._session, scenario, self._network, self._modes, self._crashed)
-        self._time = -inf  # no episode yet
+        self._time, self._has_departed = -inf, False  # no episode yet
         self._insert_ego(scenario, traffic)
         self._time = 0.0
         for name in self._modes:
@@ -85,23 +85,18 @@ class FileSimulator(SumoSimulator):
         session, name, origin = self._session, self._name, traffic.origin
         for _ in range(round(traffic.warm_up / self._dt)):
             self._advance()
-        if origin.edges:
-            edges = origin.edges
-            if origin.is_trip:
-                edges = session.find_route(edges[0], edges[-1], origin.type)
-                if not edges:
-                    raise SimulatorError(
-                        f"no route leads from edge {origin.edges[0]!r} to edge {origin.edges[-1]!r} for vehicles of "
-                        f"type {origin.type!r}"
-                    )
-            session.send(name, edges, origin.type, origin.speed)
+        if origin.edges and not session.send(name, origin.edges, origin.is_trip, origin.type, origin.speed):
+            raise SimulatorError(
+                f"no route leads from edge {origin.edges[0]!r} to edge {origin.edges[-1]!r} for vehicles of type "
+                f"{origin.type!r}"
+            )
         steps = 0
-        while name not in self._modes:
+        while not self._has_departed:
             if steps * self._dt >= traffic.wait:
                 raise SimulatorError(self._why_not_here(traffic))
             self._advance()
             steps += 1
-        if session.is_gone(name):
+        if name not in self._modes:
             raise SimulatorError(
                 f"the ego {name!r} has departed and left the road again before 'warm_up' ({traffic.warm_up:g} s) was "
                 "over"
@@ -151,14 +146,15 @@ class FileSimulator(SumoSimulator):
         """One step of SUMO; returns the pairs of vehicles that it reports in collision."""
         session = self._session
         reported = self._step_sumo()
-        for name in session.arrived:
-            self._forget(name)
         for name in session.departed():
             self._modes[name] = REGULAR, OWN_LANE_CHANGES
+            self._has_departed |= name == self._name
             if self._scenario.risk > 0.0 and name != self._name:
                 self._make_risky(name)
+        for name in session.arrived:
+            self._forget(name)
         if self._time > 0.0 and self._name not in self._modes:
-            self._route_ego.ended = "arrived" if len(self._route_ego.ahead) == 1 else "removed"
+            self._route_ego.ended = "arrived" if self._route_ego.is_near_its_end(self._dt) else "removed"
         elif self._time > 0.0 and self._name in session.teleported():
             self._route_ego.ended = "removed"
         return reported

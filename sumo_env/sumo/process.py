@@ -91,7 +91,7 @@ class SumoProcess:
         self._running = name
         if self._host is None:
             here = self._may_be_here and _Here.take(name, self._options)
-            if self._may_be_here and not here:
+            if self._may_be_here and not here and not self._name:
                 _warn_of_libsumo()
             self._adopt(here or _Worker.start(name, self._options))
         self._calls = []

@@ -158,6 +158,11 @@ class RouteEgo:
         """How far the ego gets without a lane change [m]; inf where its lane leads on."""
         return inf if self._leads_on else self._length - self._session.position_of(self._name)
 
+    def is_near_its_end(self, dt: float) -> bool:
+        """Whether the ego was on the last edge of its route, or could get over the rest within a step of `dt` [s]."""
+        rest = sum(self._network.sumo_lanes[f"{edge}_0"].length for edge in self.ahead[1:])
+        return rest <= self.speed * dt
+
     @property
     def target_lane(self) -> LaneIndex:
         """Lane that the ego steers for."""

@@ -165,20 +165,28 @@ class Session:
         """Take a vehicle off the road."""
         _vehicle.remove(name)
 
-    def send(self, name: str, edges: Sequence[str], vehicle_type: str, speed: str) -> None:
-        """Let SUMO insert a vehicle on a route as soon as it can; `speed` [m/s] may be one of SUMO's words.
+    def send(self, name: str, edges: Sequence[str], is_trip: bool, vehicle_type: str, speed: str) -> bool:
+        """Let SUMO insert a vehicle as soon as it can; False where there is no route.
 
-        It draws none of SUMO's random numbers, so that the others come as without it: the speed factor is the mean.
+        It draws none of SUMO's random numbers, so that the others come as without it: its speed factor is the mean.
+
+        Args:
+            name: of the vehicle.
+            edges: of its route; of a trip the first and the last one, between which SUMO finds the fastest route.
+            is_trip: whether it is a trip.
+            vehicle_type: of which it gets a copy.
+            speed: at the departure [m/s], or SUMO's word for one.
         """
         route, own_type = f"route of {name}", f"{vehicle_type} of {name}"
-        libsumo.route.add(route, edges)
         libsumo.vehicletype.copy(vehicle_type, own_type)
         libsumo.vehicletype.setSpeedDeviation(own_type, 0.0)
+        if is_trip:
+            edges = _simulation.findRoute(edges[0], edges[-1], own_type).edges
+            if not edges:
+                return False
+        libsumo.route.add(route, edges)
         _vehicle.add(name, route, own_type, departLane="best", departPos="base", departSpeed=speed)
-
-    def find_route(self, start: str, end: str, vehicle_type: str) -> tuple[str, ...]:
-        """Edges of the fastest route between two edges now; () if there is none."""
-        return tuple(_simulation.findRoute(start, end, vehicle_type).edges)
+        return True
 
     def deviate(self, name: str, deviation: Deviation) -> None:
         """Multiply the parameters of a vehicle's own type by the factors of a risky driver."""

@@ -6,14 +6,15 @@ which files there are, with which step, from when on, and which ids are in use.
 
 from __future__ import annotations
 
+import difflib
 import gzip
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 from xml.etree import ElementTree
 
-from sumo_env.config import ConfigError, nearest
+from sumo_env.config import ConfigError
 
 Options = Mapping[str, str]  # SUMO's long names, without dashes -> values
 # Short and old names that configurations have for options that are read here.
@@ -147,8 +148,15 @@ class Contents:
                     known.add(item.get("id", ""))
         if name in known or name.rpartition(".")[0] in known:
             return
-        examples = [f"{one}.0" for one in sorted(known) if f"{one}." in f"{name}."] or sorted(known)
-        raise ConfigError(f"the files have no vehicle {name!r}: {nearest(name, examples[:20_000])[:300]}")
+        stem, _, number = name.rpartition(".")
+        near = difflib.get_close_matches(name, sorted(known), n=5)
+        near += [f"{flow}.{number}" for flow in difflib.get_close_matches(stem, sorted(known), n=5)]
+        hint = (
+            f"did you mean one of {', '.join(near)}?"
+            if near
+            else f"they have {', '.join(sorted(known)[:20])}"
+        )
+        raise ConfigError(f"the files have no vehicle {name!r}; {hint}")
 
     def models(self) -> dict[str, str]:
         """Car-following models of the vehicle types that name one, by type."""
@@ -158,13 +166,6 @@ class Contents:
             for item in _elements(file)
             if item.tag == "vType" and item.get("carFollowModel")
         }
-
-
-def is_left_hand(net_file: Path) -> bool:
-    """Whether vehicles keep to the left in a network."""
-    for item in _elements(net_file, "start"):
-        return item.get("lefthand", "") in ("1", "true", "True", "yes", "on", "x")
-    return False
 
 
 def _opened(file: Path) -> Any:
@@ -179,11 +180,11 @@ def _root(file: Path) -> ElementTree.Element:
         raise ConfigError(f"{file} cannot be read: {error}") from error
 
 
-def _elements(file: Path, when: Literal["start", "end"] = "end") -> Iterator[ElementTree.Element]:
+def _elements(file: Path) -> Iterator[ElementTree.Element]:
     """The elements of a file, as far as they are asked for."""
     try:
         with _opened(file) as opened:
-            for _, item in ElementTree.iterparse(opened, (when,)):
+            for _, item in ElementTree.iterparse(opened):
                 yield item
                 if item.tag in DEPARTING:
                     item.clear()

@@ -8,9 +8,9 @@ from tests.sumo_env.plans import grid
 
 GRID = ["--grid.number=3", "--grid.length=150", "-L=2", "--no-turnarounds", "--seed=1", "--tls.guess=true"]
 TRIPS = """
-    <trip id="ego" depart="5" from="A0A1" to="C1C2"/>
     <flow id="east" begin="0" end="300" period="6" from="A0A1" to="C2C1"/>
     <flow id="west" begin="0" end="300" probability="0.15" from="C0C1" to="A2A1"/>
+    <trip id="ego" depart="5" from="A0A1" to="C1C2"/>
 """
 SCENARIOS = {
     # traffic lights of one cycle; trips that SUMO routes, of its default driver (Krauss with sigma .5)

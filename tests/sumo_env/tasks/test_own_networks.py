@@ -13,6 +13,7 @@ from sumo_env.config import ConfigError
 from sumo_env.env import DrivingEnv, SumoDrivingEnv
 from sumo_env.networks import files
 from sumo_env.replica.simulator import Replica
+from sumo_env.simulator import SimulatorError
 from sumo_env.tasks.network import NetworkTask
 from tests.sumo_env.plans import QUIET, build, endings, grid, needs_sumo, route_file
 from tests.sumo_env.rollout import drive, observations
@@ -89,7 +90,6 @@ def test_a_generated_network_is_driven(blocks: Path, risk: float) -> None:
     check_env(env, skip_render_check=True)
     first = observations(env, 1, seed=3)
     np.testing.assert_array_equal(observations(env, 1, seed=3), first)
-    assert (len(env.scenario.events) > 0) == (risk > 0)
     other = SumoDrivingEnv(blocks, ROUTES, EGO, config)  # in a worker
     env.reset(seed=0)
     np.testing.assert_array_equal(observations(other, 1, seed=3), first)
@@ -112,11 +112,8 @@ def test_a_network_written_by_hand_with_its_demand(merge: Path) -> None:
         for vehicle in env.road.vehicles:
             seen.setdefault(vehicle.id, env.scene.time)
     assert {"ego", "first", "late", "stream.0"} <= set(seen)
-    assert 3.0 <= seen["late"] <= 4.0  # at the first policy step after 2.5 s
-    (lorry,) = (spec for spec in env.scenario.vehicles if spec.id == "first")
-    assert dict(lorry.driver.attributes)["carFollowModel"] == "Krauss"
-    assert lorry.lane == files.lane("main", 1)  # the right one
-    assert lorry.s == pytest.approx(117.5)
+    assert 2.0 <= seen["late"] <= 3.0  # at the end of the policy step in which it departs
+    assert env.sumo.vehicle.getTypeID("first") == "lorry"
 
 
 @pytest.mark.parametrize(
@@ -126,8 +123,8 @@ def test_a_network_written_by_hand_with_its_demand(merge: Path) -> None:
         ({"ego_route": ["A0A1", "B1B2"]}, "no connection leads from edge 'A0A1' to edge 'B1B2'"),
         ({"ego_route": ["A0A9"]}, "edge 'A0A9'"),
         ({"routes": [["A0A1", "B1B2"]]}, "route 0"),
-        ({"routes": "nowhere.rou.xml"}, "route file"),
-        ({"config": {"action": {"type": "DiscreteMetaAction", "target_speeds": [0, 90]}}}, "target_speeds"),
+        ({"routes": "nowhere.rou.xml"}, "there is no file .*nowhere.rou.xml"),
+        ({"ego_vehicle": "v1"}, "the ego needs one of"),
     ],
 )
 def test_what_cannot_be_driven_is_named(blocks: Path, change: dict[str, Any], message: str) -> None:
@@ -137,36 +134,28 @@ def test_what_cannot_be_driven_is_named(blocks: Path, change: dict[str, Any], me
 
 
 @pytest.mark.parametrize(
-    ("element", "message"),
+    ("element", "words"),
     [
-        ('<trip id="t" from="out" to="main" depart="0"/>', "no route leads from edge 'out' to edge 'main'"),
-        ('<trip id="t" fromTaz="1" toTaz="2" depart="0"/>', "trip 't': it has no route"),
-        ('<vehicle id="v" depart="triggered"><route edges="main"/></vehicle>', "depart='triggered'"),
-        (DEPARTING.format("").replace("</v", '<stop lane="main_0" duration="9"/></v'), "stops"),
-        ('<person id="p" depart="0"/>', "only vehicles drive here"),
-        (DEPARTING.format('departLane="7"'), "departs on lane 7"),
-        ("<vehicle", "cannot be read"),
-        ('<vehicle id="v"><route edges="main"/></vehicle>', "vehicle 'v': it needs a time to depart"),
-        ('<vehicle id="ego" depart="0"><route edges="main"/></vehicle>', "'ego': there is another vehicle"),
-        (2 * DEPARTING.format(""), "'v': there is another vehicle"),
-        (DEPARTING.format('departLane="firts"'), "departLane='firts'"),
-        (DEPARTING.format('departPos="999"'), "departs at 999 m of edge 'main', which is 2.. m long"),
-        (DEPARTING.format('departSpeed="-3"'), "departSpeed=-3 is negative"),
-        ('<vType id="x" vClass="buss"/>', "did you mean 'bus'"),
-        ('<route id="r" edges="main"><stop lane="main_0" duration="9"/></route>', "stops"),
+        ('<trip id="t" from="out" to="main" depart="0"/>', "no valid route"),
+        (DEPARTING.format('departLane="7"'), "departLane"),
+        ('<vehicle id="v"><route edges="main"/></vehicle>', "depart"),
+        (2 * DEPARTING.format(""), "'v' already exists"),
     ],
 )
-def test_what_a_route_file_cannot_say_is_named(merge: Path, tmp_path, element: str, message: str) -> None:
-    with pytest.raises(ConfigError, match=message):
-        SumoDrivingEnv(merge, route_file(tmp_path, element), ["main", "out"]).reset(seed=0)
+def test_what_sumo_refuses_is_an_error_of_the_reset_with_sumo_s_own_words(
+    merge: Path, tmp_path: Path, element: str, words: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    env = SumoDrivingEnv(merge, route_file(tmp_path, element), ["main", "out"])
+    with pytest.raises(SimulatorError, match="SUMO cannot begin") as caught:
+        env.reset(seed=0)
+    assert words in str(caught.value) + capfd.readouterr().err
 
 
 def test_files_and_lists_in_each_other_s_place_are_named(merge: Path, tmp_path: Path) -> None:
     demand = route_file(tmp_path, "")
     for network, routes, message in (
-        (merge, merge, "begins with <net> and not with <routes>"),
         (demand, [], "has no edges: is it a SUMO network"),
-        (merge, ["main", "out"], "route 0 must be a list of edges, not 'main'"),
+        (merge, ["main", "out"], "route 0 must be a list of edges.*not 'main'"),
         (merge, {"r": "main out"}, "route r must be a list of edges"),
     ):
         with pytest.raises(ConfigError, match=message):

@@ -1,0 +1,305 @@
+"""Episodes in SUMO's own files: which car is the ego, what a seed repeats, and what can be asked of SUMO."""
+
+from __future__ import annotations
+
+import copy
+import warnings
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from sumo_env.config import ConfigError
+from sumo_env.env import DrivingEnv, SumoDrivingEnv
+from sumo_env.scene import Scene
+from sumo_env.simulator import SimulatorError
+from sumo_env.sumo.process import SumoProcess
+from sumo_env.tasks.network import NetworkTask
+from tests.sumo_env.plans import floating_car_data, needs_sumo
+from tests.sumo_env.scenario.files import written
+
+pytestmark = [needs_sumo, pytest.mark.filterwarnings("ignore:.*(its outputs are off|several environments)")]
+LEFT, IDLE, RIGHT, FASTER, SLOWER = range(5)
+WAY = ["A0A1", "A1B1", "B1C1", "C1C2"]
+
+
+@pytest.fixture(scope="module")
+def town(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Static lights, flows, and drivers of SUMO's default model, who dawdle."""
+    return written(tmp_path_factory.mktemp("town"), "static")
+
+
+def seen(env: Any, seed: int, steps: int = 12) -> list[Scene]:
+    env.reset(seed=seed)
+    return driven(env, steps)
+
+
+def driven(env: Any, steps: int = 12) -> list[Scene]:
+    scenes = [env.scene]
+    for number in range(steps):
+        terminated = env.step([FASTER, IDLE, SLOWER, IDLE][number % 4])[2]
+        scenes.append(env.scene)
+        if terminated:
+            break
+    return scenes
+
+
+def assert_same(ours: list[Scene], theirs: list[Scene]) -> None:
+    assert len(ours) == len(theirs) > 5
+    for one, other in zip(ours, theirs, strict=True):
+        assert (one.ids, one.place, one.light) == (other.ids, other.place, other.light)
+        for name in ("x", "y", "speed", "heading", "crashed"):
+            np.testing.assert_array_equal(getattr(one, name), getattr(other, name))
+
+
+# -- one seed, one episode ---------------------------------------------------------------------------------
+
+
+def test_a_seed_is_one_episode_whatever_was_driven_before_and_wherever(town: Path) -> None:
+    """In this process, in a worker, and through `gym.make_vec`'s way of doing it; another seed is another one."""
+    env = SumoDrivingEnv(town, ego_vehicle="ego")
+    first = seen(env, 3)
+    other = seen(env, 4, 20)
+    env.sumo.edge.setMaxSpeed("A0A1", 3.0)
+    assert_same(seen(env, 3), first)
+    assert not np.array_equal(first[-1].y[:2], other[len(first) - 1].y[:2])
+    worker = SumoDrivingEnv(town, ego_vehicle="ego")
+    assert_same(seen(worker, 3), first)
+    task = DrivingEnv(NetworkTask(town, ego_vehicle="ego"), simulator=SumoProcess())
+    assert_same(seen(task, 3), first)
+
+
+def test_a_copy_goes_on_with_the_same_episode(town: Path) -> None:
+    """From this process, where it is driven again, and from a worker, which forks."""
+    env = SumoDrivingEnv(town, ego_vehicle="ego", config={"risk": 1.0})
+    seen(env, 1, 3)
+    seen(env, 3, 4)
+    twin = copy.deepcopy(env)
+    again = copy.deepcopy(twin)
+    ours = driven(env)
+    assert_same(driven(twin), ours)
+    assert_same(driven(again), ours)
+    assert_same(seen(twin, 5), seen(env, 5))
+
+
+def test_an_export_shows_the_episode(town: Path, tmp_path: Path) -> None:
+    env = SumoDrivingEnv(town, ego_vehicle="ego")
+    seen(env, 1, 3)
+    scenes = seen(env, 3)
+    env.export(tmp_path)
+    recorded = floating_car_data(tmp_path / "recorded.fcd.xml")
+    times = sorted(recorded)
+    for scene in scenes:
+        cars = recorded[times[round(scene.time / 0.1)]]
+        assert cars.keys() >= set(scene.ids)
+        front = scene.x[0] + 2.5 * np.cos(scene.heading[0])
+        assert float(cars["ego"]["x"]) == pytest.approx(front, abs=0.02)
+
+
+@pytest.mark.long
+def test_memory_does_not_grow(town: Path) -> None:
+    env = SumoDrivingEnv(town, ego_vehicle="ego")
+
+    def resident() -> float:
+        status = Path("/proc/self/status").read_text()
+        return float(status.partition("VmRSS:")[2].split()[0]) / 1024.0
+
+    for number in range(10_000):
+        env.reset(seed=number)
+        if number == 200:
+            before = resident()
+    assert resident() - before < 20.0
+
+
+# -- the ego -----------------------------------------------------------------------------------------------
+
+
+def test_the_ego_drives_one_of_several_ways_by_the_seed(town: Path) -> None:
+    routes = [WAY, ["C0C1", "C1B1", "B1A1"]]
+    env = SumoDrivingEnv(town, ego_route=routes)
+    ways = set()
+    for seed in range(6):
+        env.reset(seed=seed)
+        ways.add(env.scene.place.ahead)
+    assert ways == {tuple(way) for way in routes}
+    env = SumoDrivingEnv(town, ego_trips=[("A0A1", "C1C2"), ("C2C1", "A1A0")])
+    ends = set()
+    for seed in range(6):
+        env.reset(seed=seed)
+        ends.add((env.scene.place.ahead[0], env.scene.place.ahead[-1]))
+    assert ends == {("A0A1", "C1C2"), ("C2C1", "A1A0")}
+
+
+def test_a_vehicle_of_the_files_keeps_its_id_and_an_added_one_finds_another(town: Path) -> None:
+    env = SumoDrivingEnv(town, ego_vehicle="west.0")
+    env.reset(seed=0)
+    assert env.ego_id == env.scene.ids[0] == env.road.vehicles[0].id == "west.0"
+    added = SumoDrivingEnv(town, ego_route=WAY, config={"warm_up": 30})
+    added.reset(seed=0)
+    assert added.ego_id != "ego" and "ego" in added.scene.ids and len(added.scene) > 3
+
+
+def test_the_type_of_the_ego_limits_what_it_can_do(town: Path, tmp_path: Path) -> None:
+    types = tmp_path / "types.add.xml"
+    types.write_text(
+        '<additional><vType id="heavy" vClass="truck" accel="1.1" decel="3.3" length="11"/></additional>'
+    )
+    config = {"policy_frequency": 10, "duration": 30}
+    env = SumoDrivingEnv(town, additional=types, ego_route=WAY, ego_type="heavy", config=config)
+    env.reset(seed=0)
+    assert env.scene.size(env.ego_id)[0] == 11.0
+    changes = []
+    for number in range(120):
+        before = env.sumo.vehicle.getSpeed(env.ego_id)
+        if env.step(SLOWER if number % 60 < 25 else FASTER)[2]:
+            break
+        changes.append((env.sumo.vehicle.getSpeed(env.ego_id) - before) * 10.0)
+    assert max(changes) == pytest.approx(1.1, abs=0.01)
+    assert min(changes) == pytest.approx(-3.3, abs=0.01)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"ego_vehicle": "wst.0"}, "no vehicle 'wst.0'; did you mean one of west.*west.0"),
+        ({"ego_vehicle": "ego", "ego_type": "DEFAULT_VEHTYPE"}, "has its own type"),
+        ({"ego_vehicle": "ego", "ego_route": WAY}, "one of ego_route"),
+        ({}, "one of ego_route"),
+        ({"ego_trips": [["A0A1", "B9"]]}, "edge 'B9'"),
+        ({"ego_trips": ["A0A1"]}, "pairs of edges"),
+        ({"ego_route": "A0A1"}, "list of edges"),
+        ({"ego_route": [["A0A1", "C1C2"]]}, "no connection leads from edge 'A0A1' to edge 'C1C2'"),
+    ],
+)
+def test_an_ego_that_cannot_be_is_named(town: Path, change: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        SumoDrivingEnv(town, **change)
+
+
+def test_an_ego_that_does_not_come_says_why(town: Path) -> None:
+    env = SumoDrivingEnv(town, ego_vehicle="west.20", config={"wait": 5})
+    with pytest.raises(SimulatorError, match=r"'west.20' has not departed within 5 s \('wait'\)"):
+        env.reset(seed=0)
+    env = SumoDrivingEnv(town, ego_vehicle="ego", config={"warm_up": 200})
+    with pytest.raises(SimulatorError, match="left the road again before 'warm_up'"):
+        env.reset(seed=0)
+    env = SumoDrivingEnv(town, ego_route=WAY, ego_type="lorry9")
+    with pytest.raises(SimulatorError, match="lorry9"):
+        env.reset(seed=0)
+
+
+# -- time --------------------------------------------------------------------------------------------------
+
+
+def test_begin_is_the_first_departure_where_nothing_departs_for_a_minute(town: Path, tmp_path: Path) -> None:
+    late = tmp_path / "late.rou.xml"
+    late.write_text(
+        '<routes><flow id="f" begin="25200" end="25300" period="2" from="A0A1" to="C1C2"/></routes>'
+    )
+    net = town.with_name("grid.net.xml")
+    env = SumoDrivingEnv(net, late, ego_route=WAY, config={"warm_up": 10})
+    with pytest.warns(UserWarning, match="departs at 25200 s"):
+        env.reset(seed=0)
+    assert env.sumo.simulation.getTime() == pytest.approx(25210.1, abs=5.0) and len(env.scene) > 3
+    env.reset(seed=0, options={"config": {"begin": 100}})
+    assert env.sumo.simulation.getTime() < 120.0 and len(env.scene) == 1
+    with pytest.raises(ConfigError, match="begin"):
+        SumoDrivingEnv(town, ego_route=WAY, sumo_options=["--begin=5"])
+
+
+def test_vehicles_that_cannot_come_yet_are_counted(tmp_path: Path) -> None:
+    env = SumoDrivingEnv(written(tmp_path, "queues"), ego_vehicle="q1")
+    assert env.reset(seed=0)[1]["vehicles_waiting"] > 5
+
+
+def test_the_step_is_the_file_s_or_the_user_s(town: Path) -> None:
+    half = town.with_name("half.sumocfg")
+    half.write_text(town.read_text().replace("<time>", '<time><step-length value="0.5"/>'))
+    for config, step in (({}, 0.5), ({"simulation_frequency": 5}, 0.2)):
+        env = SumoDrivingEnv(half, ego_vehicle="ego", config=config)
+        env.reset(seed=0)
+        assert env.sumo.simulation.getDeltaT() == pytest.approx(step)
+    env = SumoDrivingEnv(town, ego_vehicle="ego")
+    env.reset(seed=0)
+    assert env.sumo.simulation.getDeltaT() == pytest.approx(0.1)
+
+
+def test_the_end_of_the_files_ends_no_episode(town: Path) -> None:
+    """It is at 60 s, and traffic goes on."""
+    env = SumoDrivingEnv(town, ego_route=WAY, config={"warm_up": 100, "duration": 20})
+    env.reset(seed=0)
+    assert len(env.scene) > 5
+
+
+# -- options and outputs -----------------------------------------------------------------------------------
+
+
+def test_options_of_the_user_act(town: Path) -> None:
+    plain = SumoDrivingEnv(town, ego_route=WAY, config={"warm_up": 60})
+    crowded = SumoDrivingEnv(town, ego_route=WAY, config={"warm_up": 60}, sumo_options=["--scale=2"])
+    counts = []
+    for env in (plain, crowded):
+        env.reset(seed=0)
+        counts.append(env.sumo.simulation.getLoadedNumber() + len(env.scene))
+    assert counts[1] > 1.2 * counts[0]
+
+
+def test_outputs_are_off_or_each_episode_has_its_own(town: Path, tmp_path: Path) -> None:
+    with pytest.warns(UserWarning, match=r"outputs are off \(tripinfo-output, log\)"):
+        quiet = SumoDrivingEnv(town, ego_vehicle="ego")
+    seen(quiet, 0)
+    quiet.close()
+    assert not list(town.parent.glob("trips*"))
+    envs = [SumoDrivingEnv(town, ego_vehicle="ego", output_dir=tmp_path / "out") for _ in range(2)]
+    for env in envs:
+        seen(env, 0)
+        seen(env, 1)
+        env.close()
+    found = sorted((tmp_path / "out").glob("environment-*/episode-*/trips.xml"))
+    assert len(found) == 4 and len({file.parent.parent for file in found}) == 2
+    envs[0].reset(seed=0)
+    with pytest.raises(TypeError, match="cannot be copied"):
+        copy.deepcopy(envs[0])
+
+
+# -- SUMO of an environment --------------------------------------------------------------------------------
+
+
+def test_every_environment_s_own_sumo_can_be_asked(town: Path) -> None:
+    envs = [gym.make("sumo_env:sumo/highway-v0"), SumoDrivingEnv(town, ego_vehicle="ego")]
+    for env in envs:
+        env.reset(seed=0)
+    highway, files = (env.unwrapped for env in envs)
+    assert highway.sumo.vehicle.getSpeed("ego") == pytest.approx(25.0)
+    assert files.sumo.vehicle.getFuelConsumption("ego") > 0.0
+    assert "B1" in files.sumo.trafficlight.getIDList()
+    for name in ("load", "start", "close", "simulationStep"):
+        with pytest.raises(AttributeError, match=f"'{name}' is the environment's own"):
+            getattr(files.sumo, name)
+    with pytest.raises(Exception, match="nobody"):
+        files.sumo.vehicle.getSpeed("nobody")
+    files.sumo.edge.setMaxSpeed("A0A1", 3.0)  # what is changed is changed in a copy too
+    assert_same(driven(copy.deepcopy(files)), driven(files))
+
+
+def test_one_warning_says_what_libsumo_reads(town: Path) -> None:
+    from sumo_env.sumo import process
+
+    process._warn_of_libsumo.cache_clear()
+    envs = [SumoDrivingEnv(town, ego_vehicle="ego") for _ in range(3)]
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        for env in envs:
+            env.reset(seed=0)
+    assert sum("read the first" in str(warning.message) for warning in caught) == 1
+    for env in envs:
+        env.close()
+
+
+def test_the_way_gets_shorter(town: Path) -> None:
+    env = SumoDrivingEnv(town, ego_vehicle="ego")
+    ahead = [len(scene.place.ahead) for scene in seen(env, 2, 30)]
+    assert all(one >= other for one, other in pairwise(ahead)) and ahead[0] == 4

@@ -39,7 +39,7 @@ def trainings(*seeds: int) -> pd.DataFrame:
 
 def told(title: str) -> dict[str, list[float]]:
     return {
-        name: [float(cell.strip("*")) for cell in cells if cell]
+        name: [float(cell.strip("*").replace("−", "-")) for cell in cells if cell]
         for name, cells in table(section(PAGE, title)).items()
     }
 

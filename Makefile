@@ -1,4 +1,4 @@
-# make setup | sweep [ARGS=..] | test | test-fast | test-long | lint | docs | lock
+# make setup | sweep [ARGS=..] | test | test-fast | test-long | lint | pages | docs | lock
 #
 #   make sweep ARGS="--preset smoke --out results/try"
 
@@ -11,7 +11,7 @@ TORCH  ?= https://download.pytorch.org/whl/cpu
 # Simulators and learner use one thread each; parallel work is done by processes.
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: setup sweep test test-fast test-long lint docs lock clean
+.PHONY: setup sweep test test-fast test-long lint pages docs lock clean
 
 setup: $(STAMP)
 
@@ -45,6 +45,10 @@ test-long: setup
 lint: setup
 	$(BIN)/ruff check .
 	$(BIN)/mypy
+
+# The pages that quote results, from docs/templates and the stored tables.
+pages: setup
+	$(BIN)/python docs/pages.py
 
 # The documentation as a site; open site/index.html.
 docs: setup

@@ -1,4 +1,4 @@
-# make setup | sweep [ARGS=..] | test | test-fast | test-long | lint | docs | lock
+# make setup | sweep [ARGS=..] | check | lint | test | test-fast | test-long | pages | docs | lock
 #
 #   make sweep ARGS="--preset smoke --out results/try"
 
@@ -11,7 +11,7 @@ TORCH  ?= https://download.pytorch.org/whl/cpu
 # Simulators and learner use one thread each; parallel work is done by processes.
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: setup sweep test test-fast test-long lint docs lock clean
+.PHONY: setup sweep check lint test test-fast test-long pages docs lock clean
 
 setup: $(STAMP)
 
@@ -30,6 +30,13 @@ $(STAMP): pyproject.toml requirements.lock
 sweep: setup
 	$(BIN)/python experiments/sweep.py $(ARGS)
 
+# What a change has to pass.
+check: lint test docs
+
+lint: setup
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+
 # Everything but what is marked "long", on two processes: under ten minutes.
 test: setup
 	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not long" $(ARGS)
@@ -42,15 +49,15 @@ test-fast: setup
 test-long: setup
 	$(BIN)/python -m pytest -n 2 -m long --timeout 3600 --durations=0 $(ARGS)
 
-lint: setup
-	$(BIN)/ruff check .
-	$(BIN)/mypy
+# The pages that quote results, from docs/templates and the stored tables.
+pages: setup
+	$(BIN)/python docs/pages.py
 
 # The documentation as a site; open site/index.html.
 docs: setup
 	$(BIN)/python -m pip install --disable-pip-version-check --quiet -c requirements.lock \
 	  --config-settings editable_mode=compat -e '.[docs]'
-	$(BIN)/mkdocs build --quiet
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet
 	@echo "open site/index.html"
 
 # The installed versions as the new constraint file; the head of the old file is kept.

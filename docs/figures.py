@@ -179,10 +179,11 @@ def collisions() -> None:
     heading = math.pi / 4
     middle = np.array([2.5, 1.0]) + (LENGTH / 2 - 0.15) * np.array([math.cos(heading), math.sin(heading)])
     aside = np.array([math.sin(heading), -math.cos(heading)])
-    ends: list[State] = [
-        (*map(float, middle + way * aside), 0.0, heading)  # type: ignore[misc]
-        for way in (2.0, -1.25)
-    ]
+    first, last = middle + 2.0 * aside, middle - 1.25 * aside
+    ends: tuple[State, State] = (
+        (float(first[0]), float(first[1]), 0.0, heading),
+        (float(last[0]), float(last[1]), 0.0, heading),
+    )
     moment = touch_moment(ego, ego, *ends)
     words = f"apart at both ends (light), first contact at {moment:.2f} of the way (dark)"
     panel(grazed, "contact on the way between two looks", words, half=5.2, centre=(3.0, 0.8))

@@ -101,7 +101,7 @@ def town(steps: int = 3_500, seed: int = 1001, seconds: int = 24) -> None:
     others = [way, files.shortest(net, "33049407#2", "4314834#0")]
     size = {"screen_width": 420, "screen_height": 260, "scaling": 3.0}
     config = {"risk": 0.5, "obey_traffic_lights": True, **size}
-    env = SumoDrivingEnv(net, others, way, config, "rgb_array")
+    env = SumoDrivingEnv(net, others, way, config=config, render_mode="rgb_array")
     model = DQN("MlpPolicy", env, seed=0, **SETTINGS).learn(steps)
     recorded = Film(env)
     observation, _ = env.reset(seed=seed)

@@ -43,6 +43,13 @@ def register(id: str, task: Any) -> None:
     )
 
 
+def check_task(task: Any, config: Any = None) -> None:
+    """Say what is wrong with a task of your own, see `sumo_env.check.check_task`."""
+    from sumo_env.check import check_task  # numpy and the tasks, which `import sumo_env` does not need
+
+    check_task(task, config)
+
+
 for _id in IDS:
     register(_id, task_of(_id))
 for _id in (*REPLICA_IDS, FAST_ID):

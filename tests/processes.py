@@ -9,6 +9,7 @@ import sys
 import time
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -22,11 +23,19 @@ def ended(
 ) -> subprocess.CompletedProcess[str]:
     """A Python of its own with these arguments and variables, once it has ended, with all that holds its output."""
     command = [sys.executable, *map(str, arguments)]
-    pipes = {"input": stdin, "capture_output": True, "text": True}
-    return subprocess.run(command, cwd=cwd, env=variables(environment), timeout=300, check=False, **pipes)
+    return subprocess.run(
+        command,
+        cwd=cwd,
+        env=variables(environment),
+        input=stdin,
+        capture_output=True,
+        text=True,
+        timeout=300,
+        check=False,
+    )
 
 
-def python(*arguments: object, **options: object) -> str:
+def python(*arguments: object, **options: Any) -> str:
     """What a Python of its own prints, as `ended`; it must end well."""
     done = ended(*arguments, **options)
     assert done.returncode == 0, f"{done.returncode}: {done.stdout[-2000:]}{done.stderr[-2000:]}"

@@ -15,7 +15,7 @@ from sumo_env.config import Config
 from sumo_env.contacts.measures import DENSITY_RADIUS
 from sumo_env.observation import Eyes
 from sumo_env.replica import tables
-from sumo_env.replica.compiled import borrowing, compiled
+from sumo_env.replica.compiled import borrowing, compiled, readable
 from sumo_env.replica.driving import follow_road, is_reachable
 from sumo_env.replica.geometry import local_coordinates
 from sumo_env.replica.sight import ego_place, look
@@ -46,6 +46,7 @@ OUTCOME = np.dtype(  # of a policy step, see `DrivingEnv.step`
     align=True,
 )
 
+OUTCOME = readable(OUTCOME)
 _nearest_index, _speed_term = borrowing(base.nearest_index), borrowing(base.speed_term)
 
 

@@ -16,6 +16,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
+import numpy as np
+
 from sumo_env.contacts import measures, rectangles
 from sumo_env.tasks import base, intersection
 
@@ -29,6 +31,7 @@ except ModuleNotFoundError as error:
         name=error.name,
     ) from None
 
+AS_PYTHON = bool(numba.config.DISABLE_JIT)  # type: ignore[attr-defined]  # see `numpy_loops`
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
@@ -49,7 +52,14 @@ def borrowing(function: Function) -> Function:
     return _compiled(function, counts=False)
 
 
+def readable(kind: np.dtype[Any]) -> np.dtype[Any]:
+    """A type of records whose fields are attributes where kernels run as Python, as they are in compiled kernels."""
+    return np.dtype((np.record, kind)) if AS_PYTHON else kind
+
+
 def _compiled(function: Function, counts: bool) -> Function:
+    if AS_PYTHON:
+        return function
     options: dict[str, Any] = {"_nrt": counts, "nogil": counts, "forceinline": not counts}
     try:
         kept = numba.njit(cache=True, **options)(function)
@@ -74,6 +84,9 @@ def _drop_stale(folder: str) -> None:
 @contextmanager
 def announced(function: Any) -> Iterator[None]:
     """Say that kernels are compiled, and how long it took, unless the machine code of `function` is on the disk."""
+    if AS_PYTHON:
+        yield
+        return
     folder = function.stats.cache_path
     if folder is not None and any(Path(folder).glob(f"*.{function.__name__}-*.nbi")):
         yield

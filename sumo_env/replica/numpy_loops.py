@@ -7,6 +7,9 @@ car that stops after a bend ends up centimetres away. So the replica has to roun
 
 The address of a loop is read from the ufunc (struct ``PyUFuncObject`` of numpy's C interface) and given a name for
 LLVM's linker, because it is another one in every process and compiled code is kept between processes.
+
+With ``NUMBA_DISABLE_JIT=1`` nothing is compiled. Kernels run as Python, so that a debugger stops in them, and call
+numpy's functions in the usual way.
 """
 
 from __future__ import annotations
@@ -20,7 +23,7 @@ from numba import types
 from numba.core import cgutils
 from numba.extending import intrinsic
 
-from sumo_env.replica.compiled import borrowing
+from sumo_env.replica.compiled import AS_PYTHON, borrowing
 
 BYTE, NUMBER = ir.IntType(8), ir.IntType(64)
 POINTER = BYTE.as_pointer()
@@ -44,7 +47,8 @@ def _named(ufunc: Any) -> Any:
     return types.ExternalFunction(name, types.void())
 
 
-tan, arcsin, arctan, arctan2, power = map(_named, (np.tan, np.arcsin, np.arctan, np.arctan2, np.power))
+UFUNCS = (np.tan, np.arcsin, np.arctan, np.arctan2, np.power)
+tan, arcsin, arctan, arctan2, power = UFUNCS if AS_PYTHON else map(_named, UFUNCS)
 
 
 def _call(builder: Any, name: str, pointers: list[Any], count: Any) -> None:
@@ -123,3 +127,18 @@ def unary(loop: Any, x: float) -> float:
 def binary(loop: Any, x: float, y: float) -> float:
     """The arc tangent of y and x or the power of two numbers, such as ``binary(power, x, y)``."""
     return _binary(loop, x, y)  # type: ignore[call-arg]
+
+
+if AS_PYTHON:  # the four as Python; an intrinsic cannot be called then
+
+    def each(loop: Any, numbers: Any) -> None:  # noqa: D103
+        loop(numbers, out=numbers)
+
+    def each_pair(loop: Any, numbers: Any, others: Any) -> None:  # noqa: D103
+        loop(numbers, others, out=numbers)
+
+    def unary(loop: Any, x: float) -> float:  # noqa: D103
+        return x if x == 0.0 else float(loop(x))
+
+    def binary(loop: Any, x: float, y: float) -> float:  # noqa: D103
+        return float(loop(x, y))

@@ -18,6 +18,7 @@ import numpy as np
 
 from sumo_env.networks.lanes import VEHICLE_LENGTH, CircularLane, Lane, Point, SineLane, StraightLane
 from sumo_env.networks.roads import LaneIndex, Road
+from sumo_env.replica.compiled import readable
 from sumo_env.replica.linear import TIME_WANTED, LinearDriver
 from sumo_env.traffic.drivers import Driver
 from sumo_env.traffic.risk import RiskEvent
@@ -292,6 +293,7 @@ def cars_of(road: Road, specs: Iterable[VehicleSpec]) -> Records:
     return np.frombuffer(rows, CAR)
 
 
+LANE, CAR, EVENT, EPISODE = map(readable, (LANE, CAR, EVENT, EPISODE))
 # numpy copies records field by field; as bytes they are copied up to fifty times as fast.
 BYTES = np.dtype((np.void, CAR.itemsize))
 # Two parts of a record as C has it, which Python packs four times as fast as numpy writes it.

@@ -18,7 +18,7 @@ NAMES = {0: "SLOWER", 1: "IDLE", 2: "FASTER"}
 class Road(gym.Env[np.ndarray, int]):
     """Each step covers the action's number of metres and pays them; whoever is at `hidden` when it strikes crashes."""
 
-    action_space = gym.spaces.Discrete(3)
+    action_space: gym.spaces.Space[Any] = gym.spaces.Discrete(3)
     observation_space = gym.spaces.Box(-np.inf, np.inf, (1,))
     actions: ClassVar[dict[int, str]] = NAMES
     open_copies: ClassVar[set[int]] = set()
@@ -41,7 +41,7 @@ class Road(gym.Env[np.ndarray, int]):
         crashed = self.steps == self.strikes_at and self.place in self.places
         return np.array([self.place]), float(action), crashed, self.steps >= 6, {"crashed": crashed}
 
-    def __deepcopy__(self, memo: dict[int, Any]) -> Road:
+    def __deepcopy__(self, memo: dict[Any, Any]) -> Road:
         twin = copy.copy(self)
         self.open_copies.add(id(twin))
         memo["kept", id(twin)] = twin
@@ -99,8 +99,8 @@ def test_planning_leaves_the_environment_as_it_was_and_closes_its_copies() -> No
 def test_idle_is_kept_where_nothing_makes_a_difference() -> None:
     class Flat(Road):
         def step(self, action: int) -> tuple[np.ndarray, float, bool, bool, dict[str, Any]]:
-            observation, _, *rest = super().step(action)
-            return observation, 0.0, *rest
+            observation, _, terminated, truncated, info = super().step(action)
+            return observation, 0.0, terminated, truncated, info
 
     assert NAMES[Planner(Flat(None), foresees=True).act(np.zeros(1))] == "IDLE"
 

@@ -107,7 +107,7 @@ class FakeEnv(gym.Env):
 
 def make_other_env(*arguments: Any) -> gym.Env:
     """As `make_env`, but for its dynamics."""
-    env = make_env(*arguments)
+    env: Any = make_env(*arguments)
     env.target_speeds = (10.0, 19.0, 31.0)
     return env
 

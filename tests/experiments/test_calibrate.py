@@ -17,7 +17,10 @@ from experiments.validation.episodes import Engine
 from sumo_env.tasks import TASKS
 from tests.experiments.validation.tables import compared, episodes
 
-SPACE = {"x": FloatDistribution(0.0, 10.0), "on": CategoricalDistribution((False, True))}
+SPACE: dict[str, FloatDistribution | CategoricalDistribution] = {
+    "x": FloatDistribution(0.0, 10.0),
+    "on": CategoricalDistribution((False, True)),
+}
 START = {"x": 9.0, "on": False}
 
 

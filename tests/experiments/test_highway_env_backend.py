@@ -23,7 +23,8 @@ BASE_ATTRIBUTES = ("COMFORT_ACC_MAX", "COMFORT_ACC_MIN", "DISTANCE_WANTED", "TIM
 
 def make(task: str, **config: Any) -> ScenarioEnv:
     small = SMALL if task == "highway" else {}
-    return make_env("highway-env", task, {**small, **config}).unwrapped
+    env: Any = make_env("highway-env", task, {**small, **config}).unwrapped
+    return env
 
 
 # -- the same traffic as SUMO's ------------------------------------------------------------------------------
@@ -39,8 +40,8 @@ def test_a_seed_is_the_same_scenario_with_the_same_interface_in_both_simulators(
     for seed in (3, None, None):
         infos = [(ours.reset(seed=seed)[1], theirs.reset(seed=seed)[1])]
         # how often a second is computed is each simulator's own
-        drawn = replace(ours.unwrapped.scenario, simulation_frequency=15)
-        assert drawn == theirs.unwrapped.scenario
+        drawn = replace(ours.get_wrapper_attr("scenario"), simulation_frequency=15)
+        assert drawn == theirs.get_wrapper_attr("scenario")
         infos += [(ours.step(1)[4], theirs.step(1)[4]) for _ in range(2)]
         for mine, other in infos:
             assert {k: type(v) for k, v in mine.items()} == {k: type(v) for k, v in other.items()}
@@ -48,8 +49,10 @@ def test_a_seed_is_the_same_scenario_with_the_same_interface_in_both_simulators(
     ours.close()
     for name in ("actions", "target_speeds", "observation_space", "action_space"):
         assert getattr(ours.unwrapped, name) == getattr(theirs.unwrapped, name)
-    config = {k: v for k, v in ours.unwrapped.config.items() if k not in ("simulation_frequency", "action")}
-    assert config.items() <= theirs.unwrapped.config.items()
+    theirs_config = theirs.get_wrapper_attr("config")
+    config = ours.get_wrapper_attr("config")
+    config = {k: v for k, v in config.items() if k not in ("simulation_frequency", "action")}
+    assert config.items() <= theirs_config.items()
 
 
 def test_no_task_changes_the_class_of_the_drivers() -> None:

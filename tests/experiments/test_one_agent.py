@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 import pytest
@@ -71,8 +72,9 @@ def test_it_is_filmed_at_both_risks(trained: Path, capsys) -> None:
     said = capsys.readouterr().out
     assert "risk 0: " in said
     assert "risk 1: " in said
-    film = Image.open(trained / "sumo-u-turn-3-mixed-s0-1.gif")
-    assert film.size[0] > 2 * watch.VIEW["screen_width"]
+    film: Any = Image.open(trained / "sumo-u-turn-3-mixed-s0-1.gif")
+    width: Any = watch.VIEW["screen_width"]
+    assert film.size[0] > 2 * width
     assert film.n_frames > 5
 
 

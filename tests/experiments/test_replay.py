@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from typing import Any
 
 import pytest
 from PIL import Image
@@ -84,7 +85,7 @@ def test_an_episode_is_exported_for_sumo(cells, tmp_path, capsys):
     steps = []
 
     def exporting(*arguments):
-        env = make_env(*arguments)
+        env: Any = make_env(*arguments)
         env.export = lambda folder: steps.append((folder, env.time))
         return env
 

@@ -13,6 +13,7 @@ import time
 from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -70,7 +71,7 @@ def test_a_sweep_computes_every_cell_once(reference, capsys):
 def test_further_arms_are_trained_and_agents_tested_elsewhere(reference, tmp_path, here):
     directory = tmp_path / "results"
     arms = ("control", "treatment", "dose25", "dose50", "mixed-seen")
-    options = {"arms": arms, "test_on": ("replica",)}
+    options: dict[str, Any] = {"arms": arms, "test_on": ("replica",)}
     assert run(directory, **options) == 0
     results = load(directory)
     assert set(results.expected) == set(results.cells)
@@ -177,7 +178,8 @@ def test_twenty_random_kills_lose_nothing_and_change_nothing(tmp_path):
     reference, start = tmp_path / "reference", time.monotonic()
     python(*command(reference, **size))
     duration = time.monotonic() - start
-    rng, kills, tries = random.Random(2), Counter(), 0
+    rng, tries = random.Random(2), 0
+    kills: Counter[str] = Counter()
     while kills.total() < 20:
         tries += 1
         assert tries <= 10, kills

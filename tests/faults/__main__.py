@@ -52,7 +52,7 @@ def failing_test(root: Path, tests: list[str]) -> str | None:
         raise RuntimeError(
             f"pytest {' '.join(tests)} did not run:\n{done.stdout[-2000:]}{done.stderr[-2000:]}"
         )
-    return found and found[1]
+    return found[1] if found else None
 
 
 def outcome(fault: Fault, root: Path) -> dict[str, Any]:

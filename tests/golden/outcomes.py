@@ -39,7 +39,9 @@ def episode(env: gym.Env[Any, Any], ego: str, seed: int) -> tuple[float, float, 
     policy = make_policy(ego, env)
     observation, _ = env.reset(seed=seed)
     policy.reset(seed)
-    total, length, speeds, over, info = 0.0, 0, [], False, {}
+    total, length, over = 0.0, 0, False
+    speeds: list[float] = []
+    info: dict[str, Any] = {}
     while not over:
         observation, reward, terminated, truncated, info = env.step(policy.act(observation))
         total, length, over = total + float(reward), length + 1, terminated or truncated

@@ -46,7 +46,7 @@ def route_file(folder: Path, elements: str) -> Path:
 def grid(folder: Path, *options: str) -> Path:
     """A network of netgenerate."""
     net = folder / "grid.net.xml"
-    command = [SUMO.with_name("netgenerate"), "--grid", *options, "-o", net]
+    command: list[str | Path] = [SUMO.with_name("netgenerate"), "--grid", *options, "-o", net]
     subprocess.run(command, check=True, capture_output=True)
     return net
 
@@ -64,7 +64,7 @@ def floating_car_data(path: Path) -> Rows:
 def opened(configuration: Path) -> Rows:
     """What SUMO shows of a configuration, without a word."""
     out = configuration.with_suffix(".out.xml")
-    command = [SUMO, "-c", configuration, "--fcd-output", out]
+    command: list[str | Path] = [SUMO, "-c", configuration, "--fcd-output", out]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert (done.returncode, done.stderr) == (0, "")
     return floating_car_data(out)

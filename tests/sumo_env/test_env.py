@@ -46,7 +46,7 @@ def test_gymnasium_and_stable_baselines_have_nothing_to_object_to(id: str, risk:
 @pytest.mark.parametrize("id", sumo_env.IDS)
 def test_an_episode_ends_within_its_duration(id: str) -> None:
     env = gym.make(id)
-    duration = env.unwrapped.config["duration"]
+    duration = env.get_wrapper_attr("config")["duration"]
     for seed in range(3):
         results = list(drive(env, seed=seed))
         for _, reward, terminated, _, info in results:
@@ -173,7 +173,7 @@ def test_a_render_mode_that_does_not_exist_is_named() -> None:
 
 
 def test_reset_takes_risk_and_calibration_for_one_episode(highway: gym.Env[Any, Any]) -> None:
-    env = highway.unwrapped
+    env: Any = highway.unwrapped
     risky = {"config": {"risk": 1.0}}
     highway.reset(seed=0, options=risky)
     before = env.scenario
@@ -206,7 +206,7 @@ def test_a_wrong_option_of_reset_is_named(highway, options, message) -> None:
 
 def test_the_configuration_may_be_written_to(highway: gym.Env[Any, Any]) -> None:
     """As highway-env's users do; it counts from the next reset."""
-    env = highway.unwrapped
+    env: Any = highway.unwrapped
     env.config["observation"]["vehicles_count"] = 7
     env.config["vehicles_count"] = 3
     observation, _ = highway.reset(seed=0)

@@ -26,7 +26,7 @@ CASES: dict[str, tuple[int, dict[str, Any]]] = {
 }
 
 
-def driven(env: gym.Env[Any, Any], action: int) -> DrivingEnv:
+def driven(env: Any, action: int) -> DrivingEnv:
     """The environment at the end of an episode."""
     for _ in drive(env, action, seed=1):
         pass

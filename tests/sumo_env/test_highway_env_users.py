@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from typing import Any
 
 import gymnasium as gym
 import numpy as np
@@ -67,7 +68,7 @@ def test_configurations_of_rl_agents_are_accepted(name: str, recwarn: pytest.War
     task, config = RL_AGENTS[name]
     env = gym.make(f"sumo/{task}-v0", render_mode="rgb_array")
     file = json.dumps({"id": f"{task}-v0", "import_module": "highway_env", **config})
-    env.unwrapped.configure(json.loads(file))
+    env.get_wrapper_attr("configure")(json.loads(file))
     observation, _ = env.reset()
     assert env.observation_space.contains(observation)  # of the wrapped environment
     assert [str(w.message) for w in recwarn if "env.reset()" not in str(w.message)] == []
@@ -158,7 +159,7 @@ def test_methods_that_would_never_be_called_are_refused(method: str) -> None:
 
 @pytest.mark.parametrize("id", sumo_env.IDS)
 def test_vehicles_and_road_can_be_read(id: str) -> None:
-    env = gym.make(id).unwrapped
+    env: Any = gym.make(id).unwrapped
     env.reset(seed=0)
     for _ in range(2):
         env.step(1)
@@ -179,7 +180,7 @@ def test_what_is_read_cannot_be_written(highway: DrivingEnv) -> None:
     with pytest.raises(ValueError, match="read-only"):
         highway.vehicle.position[0] = 0.0
     with pytest.raises(AttributeError, match="no attribute 'append'"):
-        highway.road.vehicles.append(highway.vehicle)
+        highway.road.vehicles.append(highway.vehicle)  # type: ignore[attr-defined]
 
 
 def test_available_actions_are_those_that_change_something(highway: DrivingEnv) -> None:
@@ -189,7 +190,8 @@ def test_available_actions_are_those_that_change_something(highway: DrivingEnv) 
     available = [names[n] for n in ("IDLE", "LANE_RIGHT", "FASTER", "SLOWER")]
     assert sorted(highway.get_available_actions()) == available
     highway.step(names["FASTER"])
-    assert highway.vehicle.target_speed == 30.0
+    ego: Any = highway.vehicle
+    assert ego.target_speed == 30.0
     available = highway.action_type.get_available_actions()
     assert sorted(available) == [names[n] for n in ("IDLE", "LANE_RIGHT", "SLOWER")]
 
@@ -198,5 +200,5 @@ def test_what_does_not_exist_says_where_to_look(highway: DrivingEnv) -> None:
     """rl-agents calls preprocessors by name, and goes on without those that are an AttributeError."""
     assert not hasattr(highway, "simplify")
     with pytest.raises(AttributeError, match=r"'simplify': docs/from-highway-env\.md"):
-        highway.simplify  # noqa: B018
+        highway.simplify  # type: ignore[attr-defined]  # noqa: B018
     assert not hasattr(highway.vehicle, "act")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -19,6 +20,7 @@ from sumo_env.replica.simulator import Replica
 from sumo_env.simulator import SimulatorError
 from sumo_env.tasks.base import ego_driver, make_on_lane
 from sumo_env.tasks.highway import Highway
+from sumo_env.traffic.scenario import VehicleSpec
 from tests.sumo_env.rollout import drive, observations
 from tests.sumo_env.scenarios import draw, drivers, with_leader
 
@@ -54,7 +56,7 @@ def test_a_task_is_registered_and_driven() -> None:
     first, second = gym.make("test/slalom-v0"), gym.make("test/slalom-v0")
     seen = observations(first)
     np.testing.assert_array_equal(observations(second), seen)
-    env = first.unwrapped
+    env: Any = first.unwrapped
     env.reset(seed=0)
     *_, info = env.step(1)
     assert info["rewards"] == {"progress": env.ego_state.s / 100.0}
@@ -123,7 +125,7 @@ def highway(change: Callable[[Any], Any]) -> Highway:
 
 def test_mistakes_in_a_task_of_ones_own_are_named() -> None:
     for name in ("v0", "ego"):
-        env = DrivingEnv(highway(lambda spec, name=name: spec._replace(id=name)))
+        env = DrivingEnv(highway(partial(VehicleSpec._replace, id=name)))
         with pytest.raises(ConfigError, match=f"two vehicles of the task 'highway' are called '{name}'"):
             env.reset(seed=0)
     task = Highway()
@@ -135,7 +137,7 @@ def test_mistakes_in_a_task_of_ones_own_are_named() -> None:
 
 def test_a_class_in_place_of_a_task_is_named() -> None:
     with pytest.raises(ConfigError, match=r"not its class: Highway\(\)"):
-        DrivingEnv(Highway)
+        DrivingEnv(Highway)  # type: ignore[arg-type]
     with pytest.raises(TypeError, match=r"Highway\(\)"):
         sumo_env.register("test/class-v0", Highway)
 

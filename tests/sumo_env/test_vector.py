@@ -34,7 +34,7 @@ def envs(shared: SumoVectorEnv) -> SumoVectorEnv:
 
 
 def simulator(envs: SumoVectorEnv, index: int) -> SumoProcess:
-    return envs.envs[index].unwrapped._simulator
+    return envs.envs[index].get_wrapper_attr("_simulator")
 
 
 def kill(envs: SumoVectorEnv, index: int) -> None:

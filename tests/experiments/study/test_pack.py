@@ -112,7 +112,8 @@ def test_what_was_packed_before_survives_a_kill_while_packing(grown, tmp_path, w
     results = tmp_path / "results"
     shutil.copytree(grown, results)
     before = content(results)
-    write_file, done = packed.write_file, []
+    write_file = packed.write_file
+    done: list[Any] = []
 
     def killed(path: Path, data: bytes) -> None:
         if len(done) == writes:

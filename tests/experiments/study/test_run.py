@@ -149,7 +149,7 @@ def test_a_task_that_another_run_computes_is_waited_for_and_taken_over(tmp_path)
 
 
 class Refusing(Executor):
-    def submit(self, function, /, task):
+    def submit(self, function, /, task):  # type: ignore[override]
         raise RuntimeError("the cluster is gone")
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import pandas as pd
 import pytest
 
@@ -24,7 +26,7 @@ def drawn(task: str, seed: int) -> tuple[Scenario, Scenario]:
 def test_one_part_of_the_risk_alone(task: str) -> None:
     for seed in range(20):
         regular, risky = drawn(task, seed)
-        parts = []
+        parts: list[Any] = []
         for name, kind in EVENTS.items():
             scenario = unseen(name, regular, risky)
             assert (scenario.vehicles, scenario.spawns) == (regular.vehicles, regular.spawns)

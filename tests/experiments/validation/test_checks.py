@@ -146,7 +146,7 @@ def test_the_interval_is_students() -> None:
     assert checks.interval(values) == pytest.approx(stats.ttest_1samp(values, 0.0).confidence_interval(0.9))
 
 
-def histogram(bin_: int, count: int = 3) -> dict[str, int]:
+def histogram(bin_: int, count: int = 3) -> dict[str, Any]:
     return {name: count * (number == bin_) for number, name in enumerate(HEADWAYS)}
 
 
@@ -169,7 +169,7 @@ def test_order_counts_decided_pairs_only() -> None:
 
 
 def test_an_episode_is_the_same_if_it_ends_alike() -> None:
-    values = {"outcome": "time", "length": 20, "return": 12.0}
+    values: dict[str, Any] = {"outcome": "time", "length": 20, "return": 12.0}
     rows = [row("a", k, **values) for k in range(4)]
     rows += [row("b", 0, **values), row("b", 1, **{**values, "outcome": "crashed"})]
     rows += [row("b", 2, **{**values, "return": 12.1}), row("b", 3, **{**values, "return": 12.0001})]

@@ -311,7 +311,8 @@ def test_the_ego_is_as_large_as_its_vehicle_type(tmp_path: Path) -> None:
     demand = route_file(
         tmp_path,
         '<vType id="lorry" vClass="truck" length="16" width="2.5"/>'
-        '<vehicle id="parked" depart="0" departPos="120"><route edges="we"/><stop lane="we_0" endPos="121" duration="99"/></vehicle>',
+        '<vehicle id="parked" depart="0" departPos="120"><route edges="we"/>'
+        '<stop lane="we_0" endPos="121" duration="99"/></vehicle>',
     )
     with closing(SumoDrivingEnv(netconvert(tmp_path, FLAT), demand, ["we"], ego_type="lorry")) as env:
         *_, (_, _, _, _, info) = drive(env, FASTER, seed=0)

@@ -10,6 +10,7 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import combinations, pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -67,19 +68,21 @@ class Truth:
 def episodes(task: str, number: int) -> Iterator[tuple[Truth, DrivingEnv, list[Scene]]]:
     """Episodes of an ego that acts at random, half of them risky; the truth, the environment, and every sub-step."""
     env = DrivingEnv(task, simulator=SumoSimulator())
-    simulate, trace = env._simulator.step, []
+    simulator: Any = env._simulator
+    simulate = simulator.step
+    trace: list[Scene] = []
 
     def recorded(command, trace_wanted=False, **_):
         step = simulate(command, True)
         trace.extend(step.trace)
         return step
 
-    env._simulator.step = recorded
+    simulator.step = recorded
     rng = np.random.default_rng(0)
     for seed in range(number):
         env.reset(seed=seed, options={"config": {"risk": float(seed % 2)}})
         trace[:] = [env.scene]
-        for _ in drive(env, rng.integers(env.action_space.n, size=100).tolist()):
+        for _ in drive(env, rng.integers(len(env.actions), size=100).tolist()):
             pass
         truth = Truth()
         for before, after in pairwise(trace):

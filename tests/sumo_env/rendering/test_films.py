@@ -22,7 +22,7 @@ def test_every_task_renders_in_its_size(id: str) -> None:
     env.reset(seed=0)
     env.step(1)
     picture = np.asarray(env.render())
-    config = env.unwrapped.config
+    config = env.get_wrapper_attr("config")
     assert picture.shape == (config["screen_height"], config["screen_width"], 3)
     colours = {tuple(colour) for colour in picture.reshape(-1, 3).tolist()}
     assert {GROUND, ASPHALT, WHITE, EGO, OTHER} <= colours

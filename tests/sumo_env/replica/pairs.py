@@ -44,7 +44,10 @@ def cases(task: str, count: int, seed: int = 0) -> list[Case]:
     every = list(product(variants, TASKS[task].levels, (0.0, 1.0), BASELINES))
     order = np.random.default_rng(seed).permutation(len(every)).tolist()
     chosen = [every[order[k % len(every)]] for k in range(count)]
-    return [Case(task, *case, 1000 * seed + k) for k, case in enumerate(chosen)]
+    return [
+        Case(task, variant, level, risk, ego, 1000 * seed + k)
+        for k, (variant, level, risk, ego) in enumerate(chosen)
+    ]
 
 
 def side_by_side(
@@ -76,7 +79,7 @@ def compare(case: Case) -> str:
     policy = make_policy(case.ego, stock)
     policy.reset(case.seed)
     for step, results in enumerate(side_by_side(stock, replica, policy.act, seed=case.seed)):
-        scenes = stock.unwrapped.scene, replica.unwrapped.scene
+        scenes = stock.get_wrapper_attr("scene"), replica.get_wrapper_attr("scene")
         if found := difference_of_scenes(*scenes) or first_difference(*results):
             return f"step {step}: {found}"
     return ""

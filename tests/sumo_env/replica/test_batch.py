@@ -128,7 +128,7 @@ def test_errors() -> None:
     with pytest.raises(gym.error.ResetNeeded):
         envs.step([1, 1])
     with pytest.raises(ValueError, match="length=3"):
-        envs.reset(seed=[1, 2, 3])
+        envs.reset(seed=[1, 2, 3])  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="reset_mask"):
         envs.reset(options={"reset_mask": np.array([True])})
     with pytest.raises(ConfigError, match="sync"):

@@ -27,7 +27,8 @@ SMALL: dict[str, dict[str, Any]] = {"highway": {"vehicles_count": 12}}
 
 
 def make(task: str, **config: Any) -> DrivingEnv:
-    return make_env("replica", task, {**SMALL.get(task, {}), **config}).unwrapped
+    env: Any = make_env("replica", task, {**SMALL.get(task, {}), **config}).unwrapped
+    return env
 
 
 # -- the environment ------------------------------------------------------------------------------------------

@@ -63,8 +63,8 @@ class FakeSimulator:
         count = len(self.ids)
         x = np.linspace(0.0, self.seed, count)
         x[0] += self.x
-        state = np.ones((3, count))
-        return Scene(self.ids, x, *state, np.zeros(count, np.bool_), self.time)
+        y, speed, heading = np.ones((3, count))
+        return Scene(self.ids, x, y, speed, heading, np.zeros(count, np.bool_), self.time)
 
     def imagine(self, scenario: Scenario) -> None:
         pass

@@ -50,7 +50,8 @@ def begun() -> SumoProcess:
 
 def attribute_by_attribute(env: Any) -> Any:
     """As rl-agents' `safe_deepcopy_env` copies."""
-    twin = type(env).__new__(type(env))
+    kind: Any = type(env)
+    twin = kind.__new__(kind)
     for name, value in vars(env).items():
         copied = attribute_by_attribute(value) if isinstance(value, gym.Env) else copy.deepcopy(value, {})
         setattr(twin, name, copied)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import libsumo
 import numpy as np
@@ -39,7 +40,7 @@ def test_a_cut_in_takes_any_gap_but_needs_one(simulator: SumoSimulator, ahead: f
     # a driver with nobody to the other side would change there: two lanes only
     scenario = draw("highway", initial_lane_id=0, lanes_count=2)
     x, speed = scenario.ego.x + ahead, 20.0 if happens else 25.0
-    place = {"lane": ("0", "1", 1), "s": x, "x": x, "y": 4.0, "speed": speed, "target_speed": speed}
+    place: dict[str, Any] = {"lane": ("0", "1", 1), "s": x, "x": x, "y": 4.0, "speed": speed, "target_speed": speed}
     other = scenario.vehicles[0]._replace(**place, changes_lanes=False)
     event = RiskEvent(0.5, other.id, "cut-in", direction=-1)
     simulator.reset(replace(scenario, vehicles=(other,), events=(event,)))
@@ -52,7 +53,7 @@ def test_a_cut_in_takes_the_other_lane_where_the_first_has_no_room(simulator: Su
     scenario = draw("highway", initial_lane_id=0)
     first, second = scenario.vehicles[:2]
     x = scenario.ego.x + 60.0
-    calm = {"s": x, "x": x, "speed": 20.0, "target_speed": 20.0, "changes_lanes": False}
+    calm: dict[str, Any] = {"s": x, "x": x, "speed": 20.0, "target_speed": 20.0, "changes_lanes": False}
     pair = (
         first._replace(lane=("0", "1", 1), y=4.0, **calm),
         second._replace(lane=("0", "1", 2), y=8.0, **calm),

@@ -46,7 +46,8 @@ def test_looking_at_every_sub_step_changes_nothing(task: str, simulator: SumoSim
         for _ in range(4):
             step = simulator.step(EgoCommand(scenario.ego.target_speed, scenario.ego.lane), trace=trace)
         scenes.append(step.scene)
-    assert_same_bits(*scenes)
+    first, second = scenes
+    assert_same_bits(first, second)
 
 
 @pytest.mark.parametrize("task", TASKS)

@@ -49,7 +49,7 @@ FAR = ["ab", "bn", "nc", "cd"]
 def test_where_a_lane_forks_the_ego_takes_the_way_that_leads_on(tmp_path: Path, lane: int) -> None:
     *plan, joints = FORK
     net = build(tmp_path, (*plan, joints.format(lane)))
-    env = SumoDrivingEnv(net, [], ["ab", "bc", "cd"], {**QUIET, "policy_frequency": 10})
+    env: Any = SumoDrivingEnv(net, [], ["ab", "bc", "cd"], {**QUIET, "policy_frequency": 10})
     results = [(env.vehicle.target_lane_index, info["arrived"]) for *_, info in drive(env, seed=0)]
     assert results[-1][1]
     assert {index for index, _ in results if index[0] == "bc:from"} == {files.lane("bc", 1 - lane)}

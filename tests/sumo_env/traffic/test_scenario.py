@@ -28,7 +28,7 @@ def test_a_scenario_is_a_value_that_its_seed_decides(task: str) -> None:
     assert scenario != draw(task, 4, risk=1.0, policy_frequency=2, simulation_frequency=20)
     assert copy.deepcopy(scenario) is scenario
     with pytest.raises(FrozenInstanceError):
-        scenario.risk = 1.0
+        scenario.risk = 1.0  # type: ignore[misc]
     assert (scenario.task, scenario.policy_frequency, scenario.simulation_frequency) == (task, 2, 20)
     assert scenario.road == TASKS[task].road(resolve(task, TASKS[task].defaults))
     names = [spec.id for spec in scenario.specs] + [spawn.vehicle.id for spawn in scenario.spawns]

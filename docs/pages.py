@@ -1,0 +1,572 @@
+"""The pages that quote results: ``make pages`` fills their numbers in from the stored tables.
+
+Each file of docs/templates/ is a page in Markdown: README.md.j2 is the README, any other the page of its name in docs/.
+Where a page has a number of the results, its template calls a function of this module. {{ effect("second", "crashed",
+"risky") }} becomes the effect of the treatment on the crash rate in risky traffic, as results/second/analysis.json has
+it. The words are the templates' own. Filled pages are committed, because GitHub shows them; ``--check`` compares alone.
+
+In all functions `folder` is the name of a folder of results/ and `traffic` that of the test ("risky", "regular" or one
+of unseen risk). `scope` is what is averaged: "all tasks", a task, "without TASK", "lightest" (the lightest setting of
+each task) or one setting ("u-turn 12"). `who` is an arm, or a policy that does not learn. Shares are in per cent.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from decimal import ROUND_HALF_UP, Decimal
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+ROOT = Path(__file__).resolve().parents[1]
+if __package__ in (None, ""):  # run as a file: import from the project, not from this folder
+    sys.path[0] = str(ROOT)
+
+import pandas as pd
+from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from scipy import stats
+
+from experiments.analysis.analysis import Analysis, stored
+from experiments.analysis.plan import OUTCOMES
+from experiments.reporting.tables import UNITS, chosen, plain
+from sumo_env.tasks import TASKS
+
+RESULTS = ROOT / "results"
+TEMPLATES = ROOT / "docs" / "templates"
+NOTE = "<!-- Filled by `make pages` from {template}: edit that file. -->\n"
+ALL = "all tasks"
+LIGHTEST = "lightest"
+CONSTANT = ("idle", "random", "faster", "slower")
+NO_BREAK = "\N{NO-BREAK SPACE}"  # in cells of a table: a narrow screen scrolls instead of breaking numbers
+WORDS = [
+    "none",
+    "one",
+    "two",
+    "three",
+    "four",
+    "five",
+    "six",
+    "seven",
+    "eight",
+    "nine",
+    "ten",
+    "eleven",
+    "twelve",
+]
+
+
+# -- the stored tables -------------------------------------------------------------------------------------------------
+
+
+@cache
+def analysis(folder: str) -> Analysis:
+    """The stored analysis of a folder."""
+    return stored(RESULTS / folder / "analysis.json")
+
+
+@cache
+def table(path: str) -> pd.DataFrame:
+    """A table of results/ that no sweep has written."""
+    return pd.read_parquet(RESULTS / path)
+
+
+@cache
+def episodes(folder: str) -> pd.DataFrame:
+    """The test episodes of a folder in the simulator of the training.
+
+    Columns: of the stored episodes; task, level, setting, kind, arm, policy and seed of their cell, and the `seconds`
+    that an episode lasts.
+    """
+    columns = ["cell", "traffic", "scenario", "crashed", "crash_time", "crash_type", "distance", "return"]
+    records = pd.read_parquet(RESULTS / folder / "cells.parquet").set_index("cell")["record"].map(json.loads)
+    keys = pd.DataFrame([{"cell": name, **record["key"]} for name, record in records.items()])
+    keys["setting"] = keys["task"] + " " + keys["level_name"]
+    keys["seconds"] = keys["env_config"].map(lambda config: float(config["duration"]))
+    keys = keys[["cell", "kind", "task", "level", "setting", "arm", "policy", "seed", "seconds"]]
+    drives = pd.read_parquet(RESULTS / folder / "episodes.parquet", columns=columns).merge(keys, on="cell")
+    return chosen(drives, kind=("agent", "baseline"))
+
+
+def tasks(folder: str) -> list[str]:
+    """The tasks of a folder."""
+    there = set(analysis(folder).effects["task"])
+    return [task for task in TASKS if task in there]
+
+
+def settings(folder: str) -> list[str]:
+    """The settings of a folder, from the lightest to the densest of each task, in the order of the tasks."""
+    effects = analysis(folder).effects
+    rows = effects.assign(order=effects["task"].map(list(TASKS).index)).sort_values(["order", "level"])
+    return list(dict.fromkeys(rows["task"] + " " + rows["level_name"]))
+
+
+def in_scope(rows: pd.DataFrame, scope: str) -> pd.DataFrame:
+    """Those of rows with a task and a level that a scope is about."""
+    if scope == ALL:
+        return rows
+    if scope == LIGHTEST:
+        return rows[rows["level"] == 1]
+    if scope in TASKS:
+        return rows[rows["task"] == scope]
+    found = rows[rows["task"] + " " + rows["level_name"] == scope]
+    if found.empty:
+        raise LookupError(
+            f"no rows of {scope!r}: give {ALL!r}, {LIGHTEST!r}, a task or a setting (u-turn 12)"
+        )
+    return found
+
+
+# -- numbers as pages show them ----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Number:
+    """A number with its 95 % interval, in the unit in which it is shown: "−12.8 [−14.7, −11.0]"."""
+
+    value: float
+    low: float
+    high: float
+    digits: int = 1
+    unit: str = ""
+    signed: bool = True
+
+    def __str__(self) -> str:
+        return f"{self.estimate} {self.interval}"
+
+    def shown(self, value: float) -> str:
+        """One of the three as a text."""
+        return plain(value, self.digits, self.signed)
+
+    @property
+    def estimate(self) -> str:
+        """Without the interval: "−12.8"."""
+        return self.shown(self.value)
+
+    @property
+    def whole(self) -> str:
+        """Without the interval and decimals: "−13"."""
+        return plain(self.value, 0, self.signed)
+
+    @property
+    def interval(self) -> str:
+        """The interval alone: "[−14.7, −11.0]"."""
+        return f"[{self.shown(self.low)}, {self.shown(self.high)}]"
+
+    @property
+    def with_unit(self) -> str:
+        """All of it: "−12.8 points [−14.7, −11.0]"."""
+        return f"{self.estimate}{self.unit} {self.interval}"
+
+
+@dataclass(frozen=True)
+class Count:
+    """How many of some things: "59 of 60"."""
+
+    number: int
+    of: int
+
+    def __str__(self) -> str:
+        return f"{self.number} of {self.of}"
+
+
+def count(found: Any) -> Count:
+    """How many of some values are true."""
+    return Count(int(sum(found)), len(found))
+
+
+def number(
+    row: Mapping[str, Any], scale: float = 100, digits: int = 1, unit: str = " points", signed: bool = True
+) -> Number:
+    """A row with estimate, low and high, by default of a share in points."""
+    return Number(scale * row["estimate"], scale * row["low"], scale * row["high"], digits, unit, signed)
+
+
+def short(value: float, digits: int = 3) -> str:
+    """A number below 1 without its zero: ".012"; a half is rounded away from 0."""
+    exact = Decimal(f"{value:.12g}").quantize(Decimal(10) ** -digits, ROUND_HALF_UP)
+    return plain(float(exact), digits).replace("0.", ".", 1)
+
+
+def in_words(value: int) -> str:
+    """A small number as a word: "eleven"."""
+    return WORDS[value] if value < len(WORDS) else str(value)
+
+
+# -- effects and rates of a study --------------------------------------------------------------------------------------
+
+
+def row_of(
+    folder: str, outcome: str, traffic: str, scope: str, arm: str = "treatment", tested_on: str | None = None
+) -> dict[str, Any]:
+    """The row of an effect, of the analysis' means or of its effects."""
+    found = analysis(folder)
+    home = found.effects["backend"].iloc[0]
+    place = tested_on or home
+    wanted = {"arm": arm, "against": "control", "tested_on": place, "outcome": outcome, "term": traffic}
+    wanted["scenarios"] = "own" if place == home else place
+    if scope == LIGHTEST:
+        return pooled(in_scope(chosen(found.effects, **wanted), scope))
+    rows = chosen(found.means, **wanted, scope=scope)
+    if rows.empty:
+        rows = in_scope(chosen(found.effects, **wanted), scope)
+    if len(rows) != 1:
+        raise LookupError(f"results/{folder} has {len(rows)} effects of {wanted} in {scope!r}, expected one")
+    return dict(rows.iloc[0])
+
+
+def pooled(rows: pd.DataFrame) -> dict[str, Any]:
+    """The mean of effects of one setting a task, with its t interval (Satterthwaite)."""
+    sound = rows[rows["se"].notna()]  # where nothing varies there is no error to add
+    variances = (sound["se"] / len(rows)) ** 2
+    freedom = variances.sum() ** 2 / (variances**2 / sound["df"]).sum()
+    estimate, half = rows["estimate"].mean(), stats.t.ppf(0.975, freedom) * variances.sum() ** 0.5
+    return {"estimate": estimate, "low": estimate - half, "high": estimate + half}
+
+
+def effect(
+    folder: str,
+    outcome: str,
+    traffic: str,
+    scope: str = ALL,
+    arm: str = "treatment",
+    tested_on: str | None = None,
+) -> Number:
+    """An arm minus control: the mean over a scope, with its interval.
+
+    Args:
+        tested_on: the simulator of the test, where it is not that of the training.
+    """
+    kind, found = OUTCOMES[outcome], row_of(folder, outcome, traffic, scope, arm, tested_on)
+    scale, unit = (100, " points") if kind.percent else (1, UNITS.get(outcome, ""))
+    return number(found, scale, kind.digits, unit)
+
+
+def change(folder: str, outcome: str, traffic: str, scope: str, arms: Sequence[str] = ("treatment",)) -> str:
+    """A cell of a table: control→arms, and their differences from control ("38→34: **−4** [−7, −1]")."""
+    rows = [row_of(folder, outcome, traffic, scope, arm) for arm in arms]
+    scale, digits = (100, 0) if OUTCOMES[outcome].percent else (1, 1)
+    means = [rows[0]["mean_against"], *(row["mean_arm"] for row in rows)]
+    levels = "→".join(f"{scale * mean:.{digits}f}" for mean in means)
+    finer = 1 if scope == ALL else digits
+    return f"{levels}: {', '.join(bold(row, scale, finer) for row in rows)}"
+
+
+def bold(row: dict[str, Any], scale: float, digits: int) -> str:
+    """An effect and its interval, bold where the interval excludes 0."""
+    mark = "**" if row["low"] > 0 or row["high"] < 0 else ""
+    numbers = [round(row[name] * scale, digits) for name in ("estimate", "low", "high")]
+    point, low, high = (f"{x:+.{digits}f}".replace("-", "−") if x or mark else "0" for x in numbers)
+    return f"{mark}{point}{mark} [{low}, {high}]".replace(" ", NO_BREAK)
+
+
+@cache
+def policies(folder: str) -> pd.DataFrame:
+    """Means of every policy in every setting and traffic, with `who`: its arm, or its name if it does not learn."""
+    rows = analysis(folder).policies
+    return rows.assign(who=rows["arm"].where(rows["arm"] != "", rows["policy"]))
+
+
+def mean_of(folder: str, column: str, who: str, traffic: str, scope: str = ALL) -> float:
+    """The mean of a column of `policies`: every task alike, and in a task every level."""
+    rows = in_scope(chosen(policies(folder), who=who, traffic=traffic), scope)
+    return float(rows.groupby("task")[column].mean().mean())
+
+
+def rate(folder: str, who: str, traffic: str, scope: str = ALL, digits: int = 0) -> str:
+    """A crash rate in per cent: "34"."""
+    return plain(100 * mean_of(folder, "crashed", who, traffic, scope), digits)
+
+
+def progress(folder: str, who: str, traffic: str, scope: str = ALL) -> str:
+    """Metres per second of the time limit: "11.3"."""
+    return plain(mean_of(folder, "progress", who, traffic, scope), 1)
+
+
+def more_crashes(folder: str, arm: str, traffic: str, scope: str) -> str:
+    """How many points more often than control agents those of an arm crash, without its sign: "27"."""
+    both = [mean_of(folder, "crashed", who, traffic, scope) for who in (arm, "control")]
+    return plain(100 * (both[0] - both[1]), 0)
+
+
+def returns(folder: str, who: str | Sequence[str], traffic: str) -> str:
+    """The cells of a table's line: return and crash rate in the lightest setting of each task, "18.67 (.04) | ...".
+
+    Of several policies that with the highest return.
+    """
+    rows = chosen(
+        policies(folder), who=[who] if isinstance(who, str) else list(who), traffic=traffic, level=1
+    )
+    best = rows.sort_values("return").groupby("task").tail(1).set_index("task").loc[tasks(folder)]
+    pairs = zip(best["return"], best["crashed"], strict=True)
+    return " | ".join(f"{value:.2f} ({short(crashed, 2)})" for value, crashed in pairs)
+
+
+def decided(folder: str, arm: str, traffic: str, fewer: bool = True) -> Count:
+    """In how many settings the plan decides that an arm's agents crash less (or more) often than control agents."""
+    home = analysis(folder).effects["backend"].iloc[0]
+    wanted = {"arm": arm, "against": "control", "outcome": "crashed", "term": traffic, "scenarios": "own"}
+    rows = chosen(analysis(folder).effects, **wanted, tested_on=home)
+    return count((rows["p_adjusted"] < 0.05) & ((rows["estimate"] < 0) == fewer))
+
+
+def row(folder: str, table: str, **values: str) -> dict[str, Any]:
+    """The one row of a table of the analysis (claims, placebo, price, learner) that has these values."""
+    rows = chosen(getattr(analysis(folder), table), **values)
+    if len(rows) != 1:
+        raise LookupError(f"results/{folder} has {len(rows)} rows of {table} with {values}, expected one")
+    return dict(rows.iloc[0])
+
+
+def price(folder: str, traffic: str, scope: str = ALL) -> Number:
+    """What mixed training loses of the gain (risky traffic) or adds to the harm (regular); `high` is one-sided."""
+    return number(row(folder, "price", term=traffic, scope=scope), signed=False)
+
+
+def price_limits(folder: str, traffic: str) -> str:
+    """The upper limits task by task: "2.1, 3.8, ..."."""
+    return ", ".join(plain(price(folder, traffic, task).high, 1) for task in tasks(folder))
+
+
+def above_frontier(folder: str, setting: str, traffic: str, arm: str = "treatment") -> Number:
+    """Crash rate above that of careful and constant drivers that get as far, with its interval over agents."""
+    return number(in_scope(chosen(analysis(folder).frontier, arm=arm, traffic=traffic), setting).iloc[0])
+
+
+# -- the agents of a study ---------------------------------------------------------------------------------------------
+
+
+def agents(folder: str, arms: Sequence[str] = (), scope: str = ALL) -> pd.DataFrame:
+    """The gates of a folder's agents."""
+    gates = analysis(folder).gates
+    return in_scope(chosen(gates, arm=tuple(arms)) if arms else gates, scope)
+
+
+def passing(folder: str, arms: Sequence[str] = ("control", "treatment"), scope: str = ALL) -> Count:
+    """How many agents pass every gate."""
+    return count(agents(folder, arms, scope)["passed"].eq(True))
+
+
+def failing(folder: str, gate: str, arms: Sequence[str] = (), scope: str = ALL) -> Count:
+    """How many agents fail a gate."""
+    return count(agents(folder, arms, scope)[gate].eq(False))
+
+
+def checks(folder: str) -> Count:
+    """How many of the plan's checks of the learner are met."""
+    return count(analysis(folder).learner["passed"].eq(True))
+
+
+# -- episodes ----------------------------------------------------------------------------------------------------------
+
+
+def drives(folder: str, setting: str, traffic: str, arm: str) -> pd.DataFrame:
+    """Test episodes of an arm's agents."""
+    return chosen(episodes(folder), kind="agent", setting=setting, traffic=traffic, arm=arm)
+
+
+def late_crashes(folder: str, setting: str, arm: str = "treatment", traffic: str = "regular") -> Count:
+    """How many of the crashes come in the last second of the test."""
+    crashes = drives(folder, setting, traffic, arm).query("crashed")
+    return count(crashes["crash_time"] > crashes["seconds"] - 1.0)
+
+
+def additional_crashes(folder: str, setting: str, traffic: str, kind: str) -> Count:
+    """By how many crashes the treatment exceeds control, and how many more of them are of one kind ("rear-end")."""
+    kinds = [
+        drives(folder, setting, traffic, arm).query("crashed")["crash_type"]
+        for arm in ("treatment", "control")
+    ]
+    of_kind = [(own == kind).sum() for own in kinds]
+    return Count(int(of_kind[0] - of_kind[1]), len(kinds[0]) - len(kinds[1]))
+
+
+def entering(folder: str, setting: str, traffic: str, arm: str) -> str:
+    """In how many per cent of the episodes the ego gets into the roundabout or intersection: "28"."""
+    from experiments.analysis.gates import CROSSINGS
+
+    way = drives(folder, setting, traffic, arm)["distance"]
+    return plain(100 * float((way >= CROSSINGS[setting.split()[0]]).mean()), 0)
+
+
+def with_noise_of_episodes(folder: str, setting: str, traffic: str) -> Number:
+    """The effect on the crash rate with an interval over scenarios alone, as if agents were all alike."""
+    rates = [
+        drives(folder, setting, traffic, arm).groupby("scenario")["crashed"].mean()
+        for arm in ("treatment", "control")
+    ]
+    differences = 100 * (rates[0] - rates[1])
+    half = stats.t.ppf(0.975, len(differences) - 1) * differences.sem()
+    return Number(differences.mean(), differences.mean() - half, differences.mean() + half)
+
+
+# -- tables beside the studies -----------------------------------------------------------------------------------------
+
+
+def other_learners() -> Iterator[list[str]]:
+    """Lines of a table: traffic and learner, then by task crash rate/share standing/speed/return over its trainings."""
+    stored = table("other-learners/trainings.parquet")
+    trained = stored[~stored["learner"].isin([*CONSTANT, "idm", "careful"])]
+    measures = ["crashed", "stopped", "mean_speed", "return"]
+    means = trained.groupby(["traffic", "learner", "task"])[measures].mean()
+    words = means.apply(lambda m: "{:.2f}/{:.2f}/{:.1f}/{:.1f}".format(*m), axis=1)
+    return as_lines(words)
+
+
+def other_learner(learner: str, task: str, traffic: str) -> float:
+    """A crash rate of that table, also of drivers of fixed rules."""
+    rows = chosen(table("other-learners/trainings.parquet"), learner=learner, task=task, traffic=traffic)
+    return float(rows["crashed"].mean())
+
+
+def planner_scenarios() -> list[int]:
+    """The scenarios that the planners have driven, the same in each traffic and task."""
+    return sorted(set(table("copies/planners.parquet")["scenario"]))
+
+
+def planners() -> Iterator[list[str]]:
+    """Lines of a table: traffic and driver, then by task crash rate/return/progress in the planners' scenarios."""
+    study = chosen(episodes("standard"), level=1, scenario=planner_scenarios())
+    study = study.assign(policy=study["arm"].where(study["kind"] == "agent", study["policy"]))
+    study = chosen(study, policy=("careful", "control", "treatment"))
+    rows = pd.concat([table("copies/planners.parquet"), study], ignore_index=True)
+    rows["progress"] = rows["distance"] / rows["task"].map(study.groupby("task")["seconds"].first())
+    means = rows.groupby(["traffic", "policy", "task"])[["crashed", "return", "progress"]].mean()
+    return as_lines(means.apply(lambda m: "{:.2f}/{:.1f}/{:.1f}".format(*m), axis=1))
+
+
+def as_lines(words: pd.Series) -> Iterator[list[str]]:
+    """Lines of a table from a text for each traffic, name and task, the tasks in their order."""
+    frame = words.unstack("task")
+    for row, values in frame[[task for task in TASKS if task in frame]].iterrows():
+        yield [", ".join(map(str, row)), *values]
+
+
+def avoidable() -> Iterator[list[str]]:
+    """Lines of a table: how many crashes could still be avoided 1, 2 and 3 s before."""
+    from experiments.study.avoid import SAFE
+    from experiments.study.evaluate import share
+
+    crashes = table("copies/avoidable.parquet")
+    for (task, level, arm), own in crashes.groupby(["task", "level_name", "arm"]):
+        before = own["contact"] - own["last"]
+        shares = [share(before <= seconds).strip() for seconds in (1, 2, 3)]
+        yield [f"{task} {level}, {arm}", str(len(own)), *shares, str((own["clear"] < SAFE).sum())]
+
+
+@cache
+def choice(*seeds: int) -> pd.DataFrame:
+    """The trainings of the learner's choice: return at the end and its change over the last quarter, in units of its
+    range, and the largest Q-value over the bound; a row a task, variant, arm and seed.
+    """
+    runs = chosen(table("choice/runs.parquet"), seed=seeds)
+    ranges = analysis("second").plan["learner"]["ranges"]
+    runs = runs.assign(
+        value=runs["return"] / runs["task"].map(ranges), largest=runs["largest_q"] / runs["q_bound"]
+    )
+    by = ["task", "variant", "arm", "seed"]
+    found = runs.pivot_table(index=by, columns="share", values="value")
+    largest = runs.groupby(by)["largest"].max()
+    return pd.DataFrame({"return": found[1.0], "change": found[1.0] - found[0.75], "largest": largest})
+
+
+def variant(name: str, task: str) -> dict[str, float]:
+    """Of two seeds of a variant of the learner: mean return and its change by arm, and the largest Q-value."""
+    rows = choice(900, 901).xs((task, name), level=("task", "variant"))
+    changes = rows.groupby("arm")["change"].mean()
+    return {"score": rows["return"].mean(), "largest": rows["largest"].max(), **changes}
+
+
+def checked(name: str, task: str) -> str:
+    """The cells of a line: of seed 905 return and change of control and treatment, and the largest Q-value."""
+    rows = choice(905).xs((task, name, 905), level=("task", "variant", "seed")).loc[["control", "treatment"]]
+    cells = [*map(short, [*rows["return"], *rows["change"]]), short(rows["largest"].max(), 2)]
+    return " | ".join(cells)
+
+
+def hazard(second: int, longer: bool) -> str:
+    """The share of the u-turn's drives on the road until then that crash in a second of the test: ".032".
+
+    Args:
+        longer: of agents whose trainings end at 13 s, else at a drawn time.
+    """
+    runs = chosen(table("choice/runs.parquet"), task="u-turn", share=1.0, seed=(900, 901))
+    runs = runs[(runs["variant"] == "half-128-longer") == longer]
+    end = runs["crash_time"].fillna(runs["length"])
+    return short(float((runs["crash_time"][end > second - 1] <= second).mean()))
+
+
+def validation(task: str | None = None) -> dict[str, int]:
+    """How many checks of SUMO against highway-env there are (all), and how many are equivalent, within and missed."""
+    verdict = json.loads((ROOT / "experiments" / "validation" / "verdict.json").read_text())
+    counts = pd.DataFrame({name: own["counts"] for name, own in verdict["tasks"].items()})
+    sums = (counts.sum(axis=1) if task is None else counts[task]).to_dict()
+    passed = sums["equivalent"] + sums["within"]
+    return {"all": passed + sums["missed"], "passed": passed, **sums}
+
+
+def missed(task: str, level: str, traffic: str, name: str, ego: str = "") -> dict[str, float]:
+    """A check that is missed: the numbers of sumo and of the reference, and the margin."""
+    verdict = json.loads((ROOT / "experiments" / "validation" / "verdict.json").read_text())
+    wanted = {"level": level, "traffic": traffic, "name": name, "ego": ego}
+    found: dict[str, float]
+    (found,) = (item for item in verdict["tasks"][task]["missed"] if wanted.items() <= item.items())
+    return found
+
+
+# -- pages -------------------------------------------------------------------------------------------------------------
+
+FUNCTIONS: list[Callable[..., Any]] = [
+    above_frontier, additional_crashes, avoidable, change, checked, checks, decided, effect, entering, failing, hazard,
+    late_crashes, missed, more_crashes, other_learner, other_learners, passing, planner_scenarios, planners, price,
+    price_limits, progress, rate, returns, row, settings, tasks, validation, variant, with_noise_of_episodes,
+]  # fmt: skip
+
+
+def page_of(template: Path) -> Path:
+    """The page that a template becomes."""
+    name = template.relative_to(TEMPLATES).with_suffix("")
+    return ROOT / name if name == Path("README.md") else ROOT / "docs" / name
+
+
+def filled(template: Path) -> str:
+    """The text of the page that a template becomes."""
+    environment = Environment(
+        loader=FileSystemLoader(TEMPLATES),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        keep_trailing_newline=True,
+        autoescape=False,
+    )
+    environment.globals.update({function.__name__: function for function in FUNCTIONS})
+    environment.filters.update(plain=plain, short=short, in_words=in_words)
+    text = environment.get_template(str(template.relative_to(TEMPLATES))).render()
+    return NOTE.format(template=template.relative_to(ROOT)) + text
+
+
+def templates() -> list[Path]:
+    """All templates."""
+    return sorted(TEMPLATES.rglob("*.md.j2"))
+
+
+def main() -> int:
+    """Write the pages, or with --check say which are not what their templates make; 1 if there is one."""
+    stale = 0
+    for template in templates():
+        page, text = page_of(template), filled(template)
+        if page.exists() and page.read_text(encoding="utf-8") == text:
+            continue
+        if "--check" in sys.argv:
+            print(f"{page.relative_to(ROOT)} is not what its template makes: make pages", file=sys.stderr)
+            stale = 1
+        else:
+            page.write_text(text, encoding="utf-8")
+            print(page.relative_to(ROOT))
+    return stale
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,377 @@
+"""The pages that quote results: filled from their templates, and their numbers computed a second time.
+
+The functions that fill pages (docs/pages.py) read the stored analysis. Here the same numbers come from the stored
+episodes, with names of cells in place of their records and loops in place of frames. No test holds a sentence.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Sequence
+from functools import cache
+from pathlib import Path
+from statistics import fmean
+
+import pandas as pd
+import pytest
+from scipy.stats import ttest_rel
+from statsmodels.stats.proportion import proportion_confint
+
+from docs import pages
+from docs.pages import ROOT, effect, filled, page_of, rate, templates
+from experiments.analysis.gates import CROSSINGS
+from sumo_env.tasks import TASKS
+from tests.pages import PAGES, TEXTS, section, table
+
+RESULTS = ROOT / "results"
+STUDIES = sorted(path.parent.name for path in RESULTS.glob("*/PUBLISHED.md"))
+each_template = pytest.mark.parametrize("template", templates(), ids=lambda path: path.name)
+
+
+# -- pages -------------------------------------------------------------------------------------------------------------
+
+
+@each_template
+def test_a_page_is_what_its_template_makes_of_the_results(template: Path) -> None:
+    page = page_of(template)
+    assert TEXTS[page] == filled(template), f"make pages writes {page.relative_to(ROOT)} again"
+
+
+def test_each_page_that_says_so_has_a_template() -> None:
+    made = [page for page in PAGES if TEXTS[page].startswith("<!-- Filled by")]
+    assert sorted(made) == sorted(map(page_of, templates())) != []
+
+
+@pytest.mark.parametrize("page", PAGES, ids=[str(page.relative_to(ROOT)) for page in PAGES])
+def test_all_lines_of_a_table_have_as_many_cells(page: Path) -> None:
+    for rows in re.findall(r"(?:^\|.*\n)+", TEXTS[page], re.MULTILINE):
+        assert len({line.count("|") for line in rows.splitlines()}) == 1, rows
+
+
+def test_tables_follow_the_settings_of_a_folder() -> None:
+    names = [f"{task} {level}" for task, definition in TASKS.items() for level in definition.levels]
+    assert pages.settings("standard") == names and set(pages.settings("second")) < set(names)
+    assert all(pages.change("standard", "crashed", "regular", name) for name in names)
+
+
+def test_an_effect_that_is_not_stored_is_an_error() -> None:
+    with pytest.raises(LookupError, match="no rows of 'u-turn 4'"):
+        effect("second", "crashed", "risky", "u-turn 4")
+    with pytest.raises(LookupError, match="results/second has 0 effects"):
+        effect("second", "crashed", "risky", arm="dose25")
+    with pytest.raises(LookupError, match="expected one"):
+        pages.row("second", "claims", name="return rises", quantity="nothing")
+
+
+# -- the same numbers from the episodes --------------------------------------------------------------------------------
+
+NAME = re.compile(
+    rf"(sumo|replica)-(?P<task>{'|'.join(TASKS)})-(?P<level>.+?)"
+    r"-(?P<arm>control|treatment|mixed-seen|mixed|drawn|dense|penalty|dose\d\d)-s\d+-[0-9a-f]{12}"
+)
+Agents = dict[tuple[str, str], dict[str, pd.DataFrame]]  # setting ("u-turn 3") and arm -> agent -> episodes
+
+
+@cache
+def agents(folder: str) -> Agents:
+    """The test episodes of each agent in the simulator of its training, from the names of the cells alone."""
+    columns = ["cell", "traffic", "scenario", "crashed", "mean_speed", "distance", "crash_time", "crash_type"]
+    found: Agents = {}
+    for name, rows in pd.read_parquet(RESULTS / folder / "episodes.parquet", columns=columns).groupby("cell"):
+        parts = NAME.fullmatch(str(name))
+        if parts:  # else a driver of fixed rules, or a further test of an agent
+            found.setdefault((f"{parts['task']} {parts['level']}", parts["arm"]), {})[str(name)] = rows
+    return found
+
+
+def drives(folder: str, setting: str, arm: str, traffic: str) -> list[pd.DataFrame]:
+    """The test episodes in a traffic, agent by agent."""
+    return [rows[rows["traffic"] == traffic] for rows in agents(folder)[setting, arm].values()]
+
+
+def mean(folder: str, column: str, arm: str, traffic: str, wanted: Sequence[str] = ()) -> float:
+    """Over agents, then over the settings of a task, then over tasks."""
+    by_task: dict[str, list[float]] = {}
+    for setting, there in agents(folder):
+        if there == arm and (not wanted or setting in wanted):
+            own = [rows[column].mean() for rows in drives(folder, setting, arm, traffic)]
+            by_task.setdefault(setting.split()[0], []).append(fmean(own))
+    return fmean(fmean(values) for values in by_task.values())
+
+
+LIGHTEST = [f"{task} {next(iter(definition.levels))}" for task, definition in TASKS.items()]
+WITHOUT_ROAD = [f"{task} {level}" for task in TASKS if task != "two-way" for level in TASKS[task].levels]
+
+
+@pytest.mark.parametrize(
+    ("folder", "arm", "scope", "wanted"),
+    [
+        ("second", "treatment", "all tasks", ()),
+        ("second", "mixed", "all tasks", ()),
+        ("second", "mixed", "lightest", LIGHTEST),
+        ("second", "treatment", "without two-way", WITHOUT_ROAD),
+        ("second", "treatment", "intersection 30", ["intersection 30"]),
+        ("second", "treatment", "u-turn", [f"u-turn {level}" for level in TASKS["u-turn"].levels]),
+        ("second", "mixed-seen", "all tasks", ()),
+        ("standard", "treatment", "all tasks", ()),
+        ("standard", "dose50", "all tasks", ()),
+        ("paper", "treatment", "lightest", LIGHTEST),
+    ],
+)
+@pytest.mark.parametrize("traffic", ["risky", "regular"])
+def test_an_effect_is_the_difference_of_the_agents_means(
+    folder: str, arm: str, scope: str, wanted: Sequence[str], traffic: str
+) -> None:
+    there = [setting for setting, name in agents(folder) if name == arm]
+    settings = [setting for setting in there if not wanted or setting in wanted]
+    points = 100 * (
+        mean(folder, "crashed", arm, traffic, settings)
+        - mean(folder, "crashed", "control", traffic, settings)
+    )
+    assert effect(folder, "crashed", traffic, scope, arm).value == pytest.approx(points, abs=1e-9)
+
+
+def test_speed_and_rates_are_the_agents_means() -> None:
+    slower = mean("second", "mean_speed", "treatment", "risky") - mean(
+        "second", "mean_speed", "control", "risky"
+    )
+    assert effect("second", "mean_speed", "risky").value == pytest.approx(slower)
+    assert (
+        rate("standard", "control", "risky", digits=6)
+        == f"{100 * mean('standard', 'crashed', 'control', 'risky'):.6f}"
+    )
+    control, treated = (
+        100 * mean("second", "crashed", arm, "risky", ["roundabout 5"]) for arm in ("control", "treatment")
+    )
+    cell = pages.change("second", "crashed", "risky", "roundabout 5")
+    assert cell.startswith(f"{control:.0f}→{treated:.0f}: **−{control - treated:.0f}**")
+
+
+@pytest.mark.parametrize("arm", ["dense", "dose25", "dose50", "dose75"])
+def test_the_mean_of_the_lightest_settings_is_pooled_as_the_analysis_does(arm: str) -> None:
+    """Arms that are in the lightest traffic alone: the analysis has their mean over all settings."""
+    assert {setting for setting, name in agents("standard") if name == arm} == set(LIGHTEST)
+    for traffic in ("risky", "regular"):
+        here, there = (
+            effect("standard", "crashed", traffic, scope, arm) for scope in ("lightest", "all tasks")
+        )
+        assert (here.value, here.low, here.high) == pytest.approx((there.value, there.low, there.high))
+
+
+@pytest.mark.parametrize(
+    ("folder", "setting", "arm"),
+    [
+        ("standard", "u-turn 3", "treatment"),
+        ("first-clock", "roundabout 5", "treatment"),
+        ("second", "u-turn 3", "control"),
+    ],
+)
+def test_late_crashes_are_counted(folder: str, setting: str, arm: str) -> None:
+    late = crashes = 0
+    for rows in drives(folder, setting, arm, "regular"):
+        for crashed, time in zip(rows["crashed"], rows["crash_time"], strict=True):
+            crashes += crashed
+            late += crashed and time > {"u-turn": 10, "roundabout": 11}[setting.split()[0]] - 1
+    assert pages.late_crashes(folder, setting, arm) == pages.Count(late, crashes)
+
+
+def test_further_crashes_are_counted_by_their_kind() -> None:
+    treated, control = (
+        [
+            kind
+            for rows in drives("second", "intersection 30", arm, "regular")
+            for kind in rows["crash_type"].dropna()
+        ]
+        for arm in ("treatment", "control")
+    )
+    found = pages.additional_crashes("second", "intersection 30", "regular", "rear-end")
+    assert found.of == len(treated) - len(control)
+    assert found.number == treated.count("rear-end") - control.count("rear-end")
+
+
+def test_the_share_that_enters_the_roundabout() -> None:
+    rows = pd.concat(drives("second", "roundabout 15", "treatment", "regular"))
+    entered = sum(way >= CROSSINGS["roundabout"] for way in rows["distance"])
+    assert (
+        pages.entering("second", "roundabout 15", "regular", "treatment")
+        == f"{100 * entered / len(rows):.0f}"
+    )
+
+
+def test_an_interval_over_scenarios_alone_is_that_of_a_paired_t_test() -> None:
+    treated, control = (
+        pd.concat(drives("second", "highway 150", arm, "regular")).groupby("scenario")["crashed"].mean()
+        for arm in ("treatment", "control")
+    )
+    expected = ttest_rel(treated, control).confidence_interval()
+    found = pages.with_noise_of_episodes("second", "highway 150", "regular")
+    assert (found.low, found.high) == pytest.approx((100 * expected.low, 100 * expected.high))
+
+
+def test_shares_of_avoidable_crashes_have_wilsons_intervals() -> None:
+    stored = pd.read_parquet(RESULTS / "copies" / "avoidable.parquet")
+    lines = {name: cells for name, *cells in pages.avoidable()}
+    assert sum(int(cells[0]) for cells in lines.values()) == len(stored)
+    own = [row for row in stored.to_dict("records") if (row["task"], row["arm"]) == ("u-turn", "control")]
+    assert {row["cell"] for row in own} == {own[0]["cell"]}
+    avoided = sum(row["contact"] - row["last"] <= 2 for row in own)
+    low, high = proportion_confint(avoided, len(own), method="wilson")
+    assert lines["u-turn 3, control"][2] == f"{avoided / len(own):.0%} [{100 * low:.0f}, {100 * high:.0f}]"
+
+
+def test_planners_and_agents_are_compared_in_the_same_scenarios() -> None:
+    stored = pd.read_parquet(RESULTS / "copies" / "planners.parquet")
+    scenarios = pages.planner_scenarios()
+    driven = stored.groupby(["task", "traffic", "policy"])["scenario"].apply(sorted)
+    assert len(driven) == 15 and all(numbers == scenarios for numbers in driven)
+    rows = pd.concat(drives("standard", "u-turn 3", "treatment", "risky"))
+    rows = rows[[number in scenarios for number in rows["scenario"]]]
+    line = next(cells for cells in pages.planners() if cells[0] == "risky, treatment")
+    crashed, _, progress = line[-1].split("/")
+    assert (crashed, progress) == (f"{rows['crashed'].mean():.2f}", f"{rows['distance'].mean() / 10:.1f}")
+
+
+def test_other_learners_are_told_with_all_their_trainings() -> None:
+    stored = pd.read_parquet(RESULTS / "other-learners" / "trainings.parquet")
+    lines = {name: cells for name, *cells in pages.other_learners()}
+    for name, cells in lines.items():
+        traffic, learner = name.split(", ")
+        of_task = stored[(stored["traffic"] == traffic) & (stored["learner"] == learner)].groupby(
+            "task", sort=False
+        )
+        assert (of_task["training"].nunique() == 3).all() and len(of_task) == len(cells)
+    ppo = stored.query("learner == 'sb3-ppo' and traffic == 'risky' and task == 'u-turn'")
+    assert lines["risky, sb3-ppo"][-1].split("/")[0] == f"{fmean(ppo['crashed']):.2f}"
+
+
+def test_the_choice_of_the_learner_is_told_as_it_was_stored() -> None:
+    runs = pd.read_parquet(RESULTS / "choice" / "runs.parquet").to_dict("records")
+    own = [row for row in runs if (row["task"], row["variant"]) == ("u-turn", "one-64")]
+    ended = [row["return"] / 10 for row in own if row["share"] == 1.0]
+    before = [row["return"] / 10 for row in own if row["share"] == 0.75 and row["arm"] == "control"]
+    after = [row["return"] / 10 for row in own if row["share"] == 1.0 and row["arm"] == "control"]
+    found = pages.variant("one-64", "u-turn")
+    assert found["score"] == pytest.approx(fmean(ended))
+    assert found["control"] == pytest.approx(fmean(after) - fmean(before))
+    assert found["largest"] == pytest.approx(max(row["largest_q"] / row["q_bound"] for row in own))
+    treated = [row["return"] / 13 for row in runs if row["seed"] == 905 and row["share"] == 1.0
+               and (row["task"], row["variant"], row["arm"]) == ("intersection", "second", "treatment")]  # fmt: skip
+    assert pages.checked("second", "intersection").split(" | ")[1] == f"{fmean(treated):.3f}".removeprefix(
+        "0"
+    )
+    longer = [row for row in runs if row["variant"] == "half-128-longer" and row["share"] == 1.0]
+    on_road = [row for row in longer if (row["crash_time"] if row["crashed"] else row["length"]) > 8]
+    crashes = [row for row in on_road if row["crashed"] and row["crash_time"] <= 9]
+    assert pages.hazard(9, longer=True) == f"{len(crashes) / len(on_road):.3f}".removeprefix("0")
+
+
+def test_the_checks_of_the_validation_are_counted() -> None:
+    verdict = json.loads((ROOT / "experiments" / "validation" / "verdict.json").read_text())["tasks"]
+    numbers = [own["counts"] for own in verdict.values()]
+    found = pages.validation()
+    assert found["all"] == sum(sum(own.values()) for own in numbers)
+    assert (
+        found["missed"]
+        == sum(len(own["missed"]) for own in verdict.values())
+        == found["all"] - found["passed"]
+    )
+
+
+@pytest.mark.parametrize("folder", STUDIES)
+def test_gates_are_counted_agent_by_agent(folder: str) -> None:
+    there = {name for (setting, arm), own in agents(folder).items() if arm in ("control", "treatment") for name in own
+             if setting in LIGHTEST}  # fmt: skip
+    assert pages.passing(folder, scope="lightest").of == len(there)
+
+
+# -- what pages say in words -------------------------------------------------------------------------------------------
+# Not how they say it: when such a test fails, a result has changed, and the pages named have to be read again.
+
+
+def open_or_harmful(folder: str, arm: str, traffic: str, harm: bool) -> list[str]:
+    """The settings in which a difference in crashes is open, or (harm) decided to be more crashes."""
+    rows = pages.analysis(folder).effects
+    rows = rows[(rows["arm"] == arm) & (rows["against"] == "control") & (rows["outcome"] == "crashed")]
+    rows = rows[
+        (rows["term"] == traffic) & (rows["scenarios"] == "own") & (rows["tested_on"] == rows["backend"])
+    ]
+    found = rows["p_adjusted"] < 0.05 if harm else rows["p_adjusted"] >= 0.05
+    rows = rows[found & ((rows["estimate"] > 0) | (not harm))]
+    return sorted(rows["task"] + " " + rows["level_name"])
+
+
+def test_where_the_second_study_finds_gains_and_harms() -> None:
+    """README and docs/study.md: the dense highway is open; the two-way road and two dense settings have a price."""
+    for arm in ("treatment", "mixed"):
+        assert open_or_harmful("second", arm, "risky", harm=False) == ["highway 150"]
+    harms = open_or_harmful("second", "treatment", "regular", harm=True)
+    assert harms == ["highway 150", "intersection 30", "two-way 5+2"]
+    falls = pages.analysis("second").effects.query(
+        "arm == 'treatment' and against == 'control' and outcome == 'return' and term == 'sum' "
+        "and scenarios == 'own' and estimate < 0 and p_adjusted < 0.05"
+    )
+    assert (falls["task"] + " " + falls["level_name"]).tolist() == ["intersection 30"]
+
+
+def test_which_tasks_keep_the_price_below_its_margin() -> None:
+    """docs/study.md names the limits of all tasks; the verdicts are those of the plan."""
+    rows = pages.analysis("second").price
+    holds = {
+        traffic: set(rows[(rows["term"] == traffic) & (rows["verdict"] == "holds")]["scope"])
+        for traffic in ("risky", "regular")
+    }
+    assert holds == {
+        "risky": {"highway", "two-way", "intersection"},
+        "regular": {"highway", "roundabout", "u-turn"},
+    }
+
+
+def test_what_the_second_study_finds_in_other_traffic() -> None:
+    """docs/study.md: drivers of other models everywhere safer; without events safer on roundabout and intersection."""
+    rates = pages.policies("second").pivot_table("crashed", ["traffic", "task", "level_name"], "who")
+    alone = rates.loc["only-parameters"]
+    assert (
+        alone.loc[["roundabout", "intersection"], "treatment"]
+        < alone.loc[["roundabout", "intersection"], "control"]
+    ).all()
+    models = rates.loc[["krauss", "eidm"]]
+    assert models[["treatment", "mixed"]].lt(models["control"], axis=0).all(axis=None)
+
+
+def test_what_the_second_study_says_of_its_learner() -> None:
+    """docs/study.md: values exceed the bound on the two-way road alone; last seconds; where no driver gets as far."""
+    study = pages.analysis("second")
+    planned = study.gates[study.gates["arm"].isin(["control", "treatment", "mixed"])]
+    assert set(planned.loc[planned["q_bounded"].eq(False), "task"]) == {"two-way"}
+    late = pages.row("second", "learner", check="last second", task="u-turn", arm="treatment")
+    assert late["low"] <= 1 <= late["high"]
+    light = study.frontier.query("traffic == 'risky' and level == 1 and arm == 'treatment'").set_index("task")
+    assert set(light.index[light["inside"] == 0]) == {"highway", "two-way", "intersection"}
+    drawn = study.effects.query(
+        "arm == 'drawn' and outcome == 'crashed' and term == 'regular' and against == 'control'"
+    )
+    assert drawn.set_index("task")["estimate"].idxmax() == "two-way"
+
+
+def test_all_agents_of_further_arms_of_the_first_study_pass_the_gates() -> None:
+    """docs/study.md says "all"."""
+    found = pages.passing("standard", ["dose25", "dose50", "dose75", "penalty", "dense"])
+    assert found.number == found.of == 120
+
+
+def test_the_table_of_all_folders_names_each_published_one() -> None:
+    rows = table(section(TEXTS[ROOT / "docs" / "study.md"], "On highway-env's physics"))
+    assert sorted(rows) == [f"results/{name}" for name in STUDIES]
+
+
+def test_highway_env_gives_the_replicas_agents_the_same_returns() -> None:
+    """docs/study.md: 2,000 episodes of the replica's agents, driven in highway-env itself, to the last bit."""
+    rows = pd.read_parquet(RESULTS / "replica" / "episodes.parquet")
+    names = rows["cell"].str.extract(r"(?P<agent>.+-s\d+)(?P<place>-on-highway-env)?-[0-9a-f]{12}$")
+    rows = rows.assign(**names).dropna(subset=["agent"]).set_index(["agent", "traffic", "scenario"])
+    same = ["return", "length", "crashed"]
+    there = rows[rows["place"].notna()][same]
+    assert len(there) == 2000
+    here = rows[rows["place"].isna()][same]
+    pd.testing.assert_frame_equal(here.loc[there.index], there, check_exact=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Annotated, Any
 
@@ -24,11 +24,12 @@ from experiments.study.grid import (
     level_names,
 )
 from experiments.study.policies import foreign
+from experiments.study.sheet import GRID
 from experiments.study.unseen import unseen_traffics
 from experiments.support.errors import UserError, unknown
-from sumo_env.tasks import TASKS
 
 TRANSFER_EPISODES = {"highway-env": 20}  # in each traffic on another simulator at most: it is slow
+Dynamics = Callable[[str, str], str]
 PLACEBO_SEEDS = 4  # control agents at least, to be dealt into two arms
 
 
@@ -55,7 +56,7 @@ class Experiment:
     """Simulator: sumo, replica (highway-env's physics, compiled) or highway-env."""
     preset: Annotated[str, argument("NAME", "quick")] = "quick"
     """Size: smoke (a minute), quick (20 minutes), standard, paper, first-clock (hours), second (days)."""
-    tasks: Annotated[tuple[str, ...], argument("TASK ...", "all")] = ()
+    tasks: Annotated[tuple[str, ...], argument("TASK ...", "the five")] = ()
     """Some of highway, two-way, roundabout, intersection, u-turn."""
     levels: Annotated[tuple[int, ...], argument("LEVEL ...")] = ()
     """Traffic levels by number; 1 is the lightest."""
@@ -95,8 +96,12 @@ class Experiment:
     first_seed: Annotated[int, *PRESETS_ALONE] = 0
     first_scenario: Annotated[int, *PRESETS_ALONE] = 0
 
-    def cells(self) -> list[Cell]:
+    def cells(self, dynamics: Dynamics = dynamics) -> list[Cell]:
         """All of its cells: on each task and level the agents, their further tests, and the baselines.
+
+        Args:
+            dynamics: what a cell's key says of a simulator's behaviour, from (backend, task). By default a simulator
+                drives a task that `fingerprints.json` does not know.
 
         Raises:
             UserError: something does not exist or makes no sense.
@@ -104,23 +109,23 @@ class Experiment:
         for name in (self.backend, *self.test_on):
             if name not in BACKENDS:
                 raise unknown("backend", name, BACKENDS)
-        tasks = choose_tasks(self.tasks or tuple(TASKS))
+        tasks = choose_tasks(self.tasks or tuple(GRID))
         levels = choose_levels(tasks, self.levels or None)
         policies = {label: (source, digits) for source in self.policy for label, digits in [foreign(source)]}
         drivers = dict.fromkeys((*BASELINES, *(CAUTIONS if self.frontier else ())))
         cells: list[Cell] = []
         for task, level in ((task, level) for task, numbers in levels.items() for level in numbers):
-            common = self._common(task, level)
+            common = self._common(task, level, dynamics)
             agents = list(self._agents(common))
             cells += agents
-            cells += [test for agent in agents for test in self._further_tests(agent)]
+            cells += [test for agent in agents for test in self._further_tests(agent, dynamics)]
             cells += [replace(common, policy=name) for name in drivers]
             for label, (source, digits) in policies.items():
                 profile = {**common.profile, "policy_sha256": digits}
                 cells.append(replace(common, policy=label, source=source, profile=profile))
         return cells
 
-    def _common(self, task: str, level: int) -> Cell:
+    def _common(self, task: str, level: int, dynamics: Dynamics) -> Cell:
         """What the cells of a task and level have in common, as a baseline without a policy."""
         episodes = self.episodes or 0
         if episodes < 1:
@@ -171,7 +176,7 @@ class Experiment:
                         early_tests=self.early_tests,
                     )
 
-    def _further_tests(self, agent: Cell) -> Iterator[Cell]:
+    def _further_tests(self, agent: Cell, dynamics: Dynamics) -> Iterator[Cell]:
         """Further tests of an agent: at doses between 0 and 1, in unseen risk, on other simulators."""
         here = {"backend": self.backend, "episodes": self.episodes, "env_config": agent.env_config}
         if set(self.arms) & set(DOSE_TRAFFICS) and agent.arm in DOSE_ARMS:

@@ -15,6 +15,7 @@ from typing import Any
 
 from experiments.backends import SIMULATORS
 from experiments.study.arms import DOSE_TRAFFICS, DOSES, TRAFFICS, gate_traffics
+from experiments.study.sheet import sheet
 from experiments.support.errors import UserError, unknown
 from experiments.support.files import canonical_json, sha256_bytes
 from sumo_env.config import ConfigError, resolve
@@ -226,10 +227,11 @@ def env_config(
 
 
 def choose_tasks(wanted: Sequence[str]) -> tuple[str, ...]:
-    """The wanted tasks in the grid's order. Raises UserError for a task that does not exist."""
+    """The wanted tasks in the grid's order. Raises UserError for a task that does not exist or has no sheet."""
     for task in wanted:
         if task not in TASKS:
             raise unknown("task", task, TASKS)
+        sheet(task)
     return tuple(task for task in TASKS if task in wanted)
 
 

@@ -1,6 +1,6 @@
 """The names of the published cells, and of those that the second study still lacks: by the command that asks for them.
 
-    python tests/golden/regenerate.py names     # adds what has been published since; a name never goes
+python tests/golden/regenerate.py names     # adds what has been published since; a name never goes
 """
 
 from __future__ import annotations
@@ -20,7 +20,13 @@ RESULTS = Path(__file__).resolve().parents[2] / "results"
 FOLDERS = ("second", "standard", "replica", "paper", "paper-v0", "linear", "first-clock", "crash-reward")
 ARMS = "--arms control treatment mixed --frontier --unseen --test-on replica"
 # Settings of the second study that are not published: numbers of their levels by task.
-MISSING = {"roundabout": (2,), "intersection": (2, 3, 4), "u-turn": (2, 3), "highway": (2,), "two-way": (2, 3)}
+MISSING = {
+    "roundabout": (2,),
+    "intersection": (2, 3, 4),
+    "u-turn": (2, 3),
+    "highway": (2,),
+    "two-way": (2, 3),
+}
 MISSING_COMMANDS = [
     f"python experiments/sweep.py --preset second {ARMS} --tasks {task} --levels {level}"
     for task, levels in MISSING.items()

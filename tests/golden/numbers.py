@@ -17,7 +17,13 @@ from experiments.analysis.analysis import Analysis, analyse
 from experiments.study.store import load
 
 ROOT = Path(__file__).resolve().parents[2]
-FOLDERS = ("standard", "replica", "paper", "paper-v0", "linear")  # in numbers.parquet; the second study still grows
+FOLDERS = (
+    "standard",
+    "replica",
+    "paper",
+    "paper-v0",
+    "linear",
+)  # in numbers.parquet; the second study still grows
 FILE = Path(__file__).with_name("numbers.parquet")
 DIGITS = 12
 EFFECT = ["backend", "tested_on", "scenarios", "arm", "against", "outcome", "term"]

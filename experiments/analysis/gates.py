@@ -18,13 +18,13 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-from agents.training import Q_SLACK
 from experiments.analysis.estimate import DEGENERATE, OK, Estimate, alike, combine, of_units
 from experiments.analysis.plan import ALPHA, Learner, Plan
 from experiments.analysis.scores import PLACE, in_order
 from experiments.study.arms import gate_traffics
 from experiments.study.sheet import GRID, SHEETS
 
+Q_SLACK = 1.2  # values may overshoot what the rewards allow by a fifth before an agent counts as diverged
 CONSTANT = 0.98  # share of the steps with the most common action from which a policy counts as constant
 TIED = 0.98  # share of the scenarios with the return of one constant policy from which an agent is tied
 ENTERING = 0.5  # share of the scenarios in which a policy has to enter the crossing to count as one that does

@@ -23,8 +23,6 @@ from experiments.study.store import (
     EPISODES,
     GATE_COLUMNS,
     GATES,
-    MARK_COLUMNS,
-    MARKS,
     TRAINING,
     WEIGHTS,
     DamagedCell,
@@ -132,13 +130,7 @@ class CellTask:
             return {EPISODES: play(drive, **usual)}
         judged = {"episodes": cell.gate_episodes, "traffics": gate_traffics(cell.arm)}
         gates = play(drive, purpose="gate", **judged)
-        tables = {EPISODES: play(drive, **usual), GATES: gates[list(GATE_COLUMNS)]}
-        if cell.kind == "agent" and cell.early_tests:
-            marks = sorted(self.folder.glob("mark-*.npz"))
-            early = [driver(cell.key(), cell.source, env, file) for file in marks]
-            tested = [play(drive, **usual).assign(mark=k) for k, drive in enumerate(early, start=1)]
-            tables[MARKS] = pd.concat(tested)[list(MARK_COLUMNS)]
-        return tables
+        return {EPISODES: play(drive, **usual), GATES: gates[list(GATE_COLUMNS)]}
 
     def _weights(self) -> Path | None:
         """Those that are tested; None for a policy that is not trained."""

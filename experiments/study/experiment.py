@@ -74,8 +74,6 @@ class Experiment:
     """Other simulators on which the trained agents are tested as well."""
     unseen: Flag = False
     """Also test in unseen risky traffic: each kind of event alone, none, and SUMO's driver models Krauss and EIDM."""
-    early_tests: Flag = False
-    """Also test every agent as it was after a third and two thirds of its budget (the cell's marks.parquet)."""
     frontier: Flag = False
     """Test the careful driver at five cautions: with the constant policies, the crashes of a speed without learning."""
     config: Annotated[tuple[str, ...], argument("KEY=VALUE ...", "none")] = ()
@@ -173,7 +171,6 @@ class Experiment:
                         profile={**common.profile, **profile, **ARM_PROFILES.get(arm, {})},
                         source=self._own_network,
                         trained_with=different,
-                        early_tests=self.early_tests,
                     )
 
     def _further_tests(self, agent: Cell, dynamics: Dynamics) -> Iterator[Cell]:

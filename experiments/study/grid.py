@@ -13,6 +13,7 @@ from dataclasses import dataclass, fields, replace
 from functools import cache
 from typing import Any
 
+from agents.rules import POLICIES
 from experiments.backends import SIMULATORS
 from experiments.study.arms import DOSE_TRAFFICS, DOSES, TRAFFICS, gate_traffics
 from experiments.study.sheet import sheet
@@ -22,17 +23,16 @@ from sumo_env.config import ConfigError, resolve
 from sumo_env.tasks import TASKS
 
 RESULT_SCHEMA = 4  # raise it with every change that makes stored results mean, or be, something else
-BASELINES = ("idle", "random", "faster", "slower", "idm", "careful")
+BASELINES = POLICIES
 LEARNER = "dqn"
 # highway-env's own time step, and drivers that see along their path (see `backends.highway_env`).
 HIGHWAY_ENV = {"simulation_frequency": 15, "variant": "path"}
 IN_NAMES = {"traffic_model": "sumo"}  # a key of earlier versions, which the names of all cells contain
 BACKEND_KEYS = ("variant", "risk_law")  # keys that only the replica and highway-env have
-MARKS = (1 / 3, 2 / 3)  # shares of the budget after which an agent can be tested as well
 # Keys of the environments that say how an episode is drawn or which arm is meant, not what is simulated.
 PICTURES = {"screen_width", "screen_height", "scaling", "centering_position"}
 FREE = {"risk", *PICTURES}
-NOT_IN_KEY = {"source", "early_tests"}  # fields of a cell
+NOT_IN_KEY = {"source"}  # fields of a cell
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,6 @@ class Cell:
     dynamics: fingerprint of what the backend does on this task, see `fingerprint.dynamics`.
     trained_with: what differs in the environment that the agent is trained in, for arms that need it.
     test_on: of a further test its backend, env_config, traffics and episodes.
-    early_tests: whether the agent is also tested after the shares MARKS of its budget. Not part of the key.
     source: where the network or policy of the user's own lies, FILE:NAME or a zip file. Not part of the key, which has
         the file's fingerprint.
     """
@@ -67,7 +66,6 @@ class Cell:
     source: str | None = None
     trained_with: Mapping[str, Any] | None = None
     test_on: Mapping[str, Any] | None = None
-    early_tests: bool = False
 
     def key(self) -> dict[str, Any]:
         """All of it as plain JSON values; what cell.json stores."""
@@ -140,8 +138,7 @@ class Cell:
     def work(self) -> int:
         """Episodes that are played after the training, in all traffics."""
         gates = 0 if self.test_on else len(gate_traffics(self.arm)) * self.gate_episodes
-        drives = 1 + len(MARKS) * self.early_tests * (self.kind == "agent")
-        return len(self.tested["traffics"]) * int(self.tested["episodes"]) * drives + gates
+        return len(self.tested["traffics"]) * int(self.tested["episodes"]) + gates
 
 
 def setting(key: Mapping[str, Any]) -> str:

@@ -18,7 +18,7 @@ from agents.models import network_class
 from agents.streams import episode_seed
 from agents.training import TrainedAgent, train
 from experiments.study.arms import DRAWN, drawn_dose, training_seed
-from experiments.study.grid import MARKS, Cell
+from experiments.study.grid import Cell
 from experiments.study.policies import check
 from experiments.study.wrappers import Training, observed
 from experiments.support.errors import UserError
@@ -54,8 +54,7 @@ def train_cell(
 
     Args:
         env: an environment of the cell's task and level.
-        directory: where the checkpoint lies, or is written; with early tests also mark-0.npz and mark-1.npz, the
-            weights after each of the shares `grid.MARKS` of the budget.
+        directory: where the checkpoint lies, or is written.
         progress: called now and then with the number of updates that are made.
 
     Raises:
@@ -67,8 +66,6 @@ def train_cell(
     if cell.source is not None:
         check(cell.source, cell.profile["network_sha256"])
     seed = training_seed(cell.task, cell.level, cell.seed or 0)
-    shares = MARKS if cell.early_tests else ()
-    files = {round(share * config.updates): directory / f"mark-{k}.npz" for k, share in enumerate(shares)}
     try:
         agent = train(
             Training(observed(env, cell.profile), cell.profile, cell.arm),
@@ -79,8 +76,6 @@ def train_cell(
             checkpoint=directory / CHECKPOINT,
             checkpoint_interval=max(config.updates // CHECKPOINTS, MIN_INTERVAL),
             progress=progress,
-            marks=tuple(files),
-            at_mark=lambda mark, policy: policy.save(files[mark]),
         )
     except ValueError as error:
         raise UserError(str(error)) from None

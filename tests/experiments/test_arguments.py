@@ -42,7 +42,6 @@ ARGUMENTS = {
     "crash_reward": st.none() | st.floats(),
     "frontier": st.booleans(),
     "unseen": st.booleans(),
-    "early_tests": st.booleans(),
     "network": st.none() | some(["attention", "dueling", "none.py:Net", ":", "a:b:c"]),
     "policy": st.lists(some(["none.py:make", "none.zip"]), max_size=1).map(tuple),
     "device": st.none() | some(["cpu"]),

@@ -27,7 +27,7 @@ def cells(levels: dict | None = None, **options) -> list[grid.Cell]:
 
 def test_further_arms_tests_and_policies_rename_nothing():
     usual = cells()
-    more = cells(arms=DOSES, test_on=("replica", "highway-env"), unseen=True, frontier=True, early_tests=True)
+    more = cells(arms=DOSES, test_on=("replica", "highway-env"), unseen=True, frontier=True)
     assert {c.name for c in usual} <= {c.name for c in more}
     assert len({c.name for c in more}) == len(more)
     agents = [c for c in more if c.kind == "agent"]

@@ -196,7 +196,7 @@ def train(
     settings = {
         **dataclasses.asdict(config),
         "seed": seed,
-        "reset_options": reset_options,
+        **({"reset_options": reset_options} if reset_options else {}),
         "observations": list(env.observation_space.shape or ()),
         "actions": agent.actions,
     }
@@ -231,9 +231,9 @@ def _resume(path: Path, settings: Mapping[str, Any], training: Training) -> None
         raise CheckpointError(f"{path} is no checkpoint of a training.")
     stored, wanted = json.loads(str(state["settings"])), json.loads(json.dumps(settings))
     differing = [
-        f"{name} {stored.get(name)!r} instead of {wanted.get(name)!r}"
-        for name in sorted({*stored, *wanted})
-        if stored.get(name) != wanted.get(name)
+        f"{name} {stored.get(name)!r} instead of {wanted[name]!r}"
+        for name in sorted(wanted)  # a checkpoint of an earlier version may have more
+        if stored.get(name) != wanted[name]
     ]
     if differing:
         raise CheckpointError(

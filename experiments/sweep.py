@@ -155,13 +155,13 @@ def refuse_early(cells: Iterable[Cell], make_env: MakeEnv, executor: str) -> Non
         if cell.kind == "baseline" and cell.source:
             with closing(make_env(cell.backend, cell.task, dict(cell.env_config))) as env:
                 driver(cell.key(), cell.source, env)
-        elif cell.kind == "agent" and executor == "local":
+        elif cell.kind == "agent" and executor == "local" and (device := cell.profile.get("device")):
             import torch  # here: not every command needs the learner
 
             try:
-                torch.empty(0, device=cell.profile["device"])
+                torch.empty(0, device=device)
             except (RuntimeError, AssertionError) as error:
-                raise UserError(f"--device {cell.profile['device']}: {str(error).splitlines()[0]}") from None
+                raise UserError(f"--device {device}: {str(error).splitlines()[0]}") from None
 
 
 def compute_one(wanted: str, cells: Sequence[Cell], directory: Path, make_env: MakeEnv = make_env) -> int:

@@ -121,14 +121,17 @@ def gates(cells: Mapping[str, Mapping[str, Any]], episodes: pd.DataFrame) -> pd.
         there = references[(references[PLACE] == key[PLACE]).all(axis=1)]
         own = tables[name].loc[traffics]
         others = {policy: tables[cell].loc[traffics] for cell, policy in there["policy"].items()}
+        record = cells[name].get("learner") or {}
         found = [
-            _q_bounded(cells[name].get("learner") or {}),
+            _q_bounded(record),
             _not_constant(own, others),
             _crosses(key["task"], own, others),
             _beats_constant(own, others),
         ]
         failed = " ".join(gate for gate, passed in zip(GATES, found, strict=True) if passed is False)
-        sound = False if failed else None if None in found else True
+        # of a learner without Q-values, the first has nothing to ask
+        asked = found[1:] if record and "probe_q" not in record else found
+        sound = False if failed else None if None in asked else True
         rows.append([name, *key[[*PLACE, "arm", "seed"]], sound, failed, *found])
     frame = pd.DataFrame(rows, columns=["cell", *PLACE, "arm", "seed", "passed", "failed", *GATES])
     return in_order(frame, "backend", "task", "level", "arm", "seed").reset_index(drop=True)

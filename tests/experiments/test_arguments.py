@@ -42,6 +42,8 @@ ARGUMENTS = {
     "crash_reward": st.none() | st.floats(),
     "frontier": st.booleans(),
     "unseen": st.booleans(),
+    "learner": some(["dqn", "sb3-dqn", "sb3-ppo", "none.py:learner"]),
+    "settings": st.lists(some(["gamma=0.9", "gama=1", "=", "n_steps=8"]), max_size=2).map(tuple),
     "network": st.none() | some(["attention", "dueling", "none.py:Net", ":", "a:b:c"]),
     "policy": st.lists(some(["none.py:make", "none.zip"]), max_size=1).map(tuple),
     "device": st.none() | some(["cpu"]),

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pandas as pd
 import pytest
 
-from experiments.analysis.plan import Learner
+from experiments.analysis.plan import SECOND
 from experiments.learners import MEASURES, OURS, RL_AGENTS, STABLE_BASELINES, TRAININGS, Options
 from experiments.study.avoid import SAFE
 from experiments.study.evaluate import share
@@ -30,7 +30,7 @@ CHECKED = {  # row -> task and variant
 def trainings(*seeds: int) -> pd.DataFrame:
     """Return at the end, its change over the last quarter, in units of the range, and the largest Q-value / bound."""
     runs = pd.read_parquet(ROOT / "results" / "choice" / "runs.parquet").query("seed in @seeds")
-    runs["value"] = runs["return"] / runs["task"].map(Learner().ranges)
+    runs["value"] = runs["return"] / runs["task"].map(SECOND.learner.ranges)
     by = ["task", "variant", "arm", "seed"]
     found = runs.pivot_table(index=by, columns="share", values="value")
     largest = (runs["largest_q"] / runs["q_bound"]).groupby([runs[name] for name in by]).max()

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import dataclasses
 import json
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -35,7 +35,6 @@ EPISODE_COLUMNS = {
     "mean_speed": np.float64,
     "epsilon": np.float64,
 }
-Q_SLACK = 1.2  # values may overshoot what the rewards allow by a fifth before the agent counts as diverged
 
 
 @dataclass(frozen=True)
@@ -64,11 +63,6 @@ class TrainedAgent:
     steps: int
     max_abs_reward: float
     q_bound: float  # no true value can be larger: max_abs_reward / (1 - gamma)
-
-    @property
-    def diverged(self) -> bool:
-        """Whether some probe value was ever beyond Q_SLACK times the bound, or no number at all."""
-        return not all(look.largest <= Q_SLACK * self.q_bound for look in self.probe_q)
 
 
 class Training:
@@ -171,8 +165,6 @@ def train(
     checkpoint: str | Path | None = None,
     checkpoint_interval: int = 1000,
     progress: Callable[[int], None] | None = None,
-    marks: Sequence[int] = (),
-    at_mark: Callable[[int, Greedy], None] | None = None,
 ) -> TrainedAgent:
     """Train an agent on ``env`` for ``config.updates`` updates.
 
@@ -191,8 +183,6 @@ def train(
         checkpoint: file to write the state to and, if it is there, to go on from. It is left in place.
         checkpoint_interval: updates between two checkpoints; there is one at the end in any case.
         progress: called after every block of updates; what it raises ends the training.
-        marks: numbers of updates after which (at the end of the block) `at_mark` gets the mark and the policy. A
-            training that goes on from a checkpoint calls it for marks after the checkpoint alone.
 
     Raises:
         ValueError: spaces that a DQN cannot handle, or an unknown network.
@@ -206,7 +196,7 @@ def train(
     settings = {
         **dataclasses.asdict(config),
         "seed": seed,
-        "reset_options": reset_options,
+        **({"reset_options": reset_options} if reset_options else {}),
         "observations": list(env.observation_space.shape or ()),
         "actions": agent.actions,
     }
@@ -222,9 +212,6 @@ def train(
         training.play(config.warm_up + config.steps_per_update * done)
         while agent.updates < done:
             agent.update()
-        for mark in marks:
-            if at_mark is not None and updates < mark <= done:
-                at_mark(mark, agent.policy())
         if _due(updates, done, config.probe_interval) or done == config.updates:
             training.look()
         if checkpoint is not None and (_due(updates, done, checkpoint_interval) or done == config.updates):
@@ -244,9 +231,9 @@ def _resume(path: Path, settings: Mapping[str, Any], training: Training) -> None
         raise CheckpointError(f"{path} is no checkpoint of a training.")
     stored, wanted = json.loads(str(state["settings"])), json.loads(json.dumps(settings))
     differing = [
-        f"{name} {stored.get(name)!r} instead of {wanted.get(name)!r}"
-        for name in sorted({*stored, *wanted})
-        if stored.get(name) != wanted.get(name)
+        f"{name} {stored.get(name)!r} instead of {wanted[name]!r}"
+        for name in sorted(wanted)  # a checkpoint of an earlier version may have more
+        if stored.get(name) != wanted[name]
     ]
     if differing:
         raise CheckpointError(

@@ -35,6 +35,7 @@ import tyro
 
 from experiments.backends import make_env
 from experiments.study.grid import choose_tasks
+from experiments.study.sheet import GRID
 from experiments.support.errors import run_command, unknown, writing
 from experiments.support.files import write_json
 from experiments.support.provenance import provenance
@@ -86,7 +87,6 @@ class Driver:
             room = "highway_env:" if backend == "highway-env" else f"sumo_env:{backend}/"
             self._env = gym.make(f"{room}{task}-v0")
         self._rng = np.random.default_rng(0)
-        self._actions = 3 if task == "intersection" else 5
         self._batch = batch
         # a slice ends with an episode and so holds its share of resets; batches begin the next episodes by themselves,
         # and highway-env's episodes take too long
@@ -94,6 +94,8 @@ class Driver:
         self._done = False
         self._resets: list[float] = []  # processor time of each [s]
         self._begin(0)
+        space: Any = getattr(self._env, "single_action_space", self._env.action_space)
+        self._actions = int(space.n)
         self.rate(0.0)  # loads the network, compiles, fills caches
         self._resets = []
 
@@ -285,7 +287,7 @@ class Options:
 def run(options: Options) -> dict[str, Any]:
     """Measure what is asked for, print it, and write benchmark.json after every part; returns its content."""
     effort = (QUICK_TURNS, QUICK_SECONDS) if options.quick else (TURNS, SECONDS)
-    tasks = choose_tasks(options.tasks or tuple(TASKS))
+    tasks = choose_tasks(options.tasks or tuple(GRID))
     results: dict[str, Any] = {
         "schema": SCHEMA,
         "quick": options.quick,

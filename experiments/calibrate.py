@@ -28,13 +28,13 @@ from typing import Any
 import optuna
 import pandas as pd
 import tyro
-from optuna.distributions import CategoricalDistribution as Choice
-from optuna.distributions import FloatDistribution as Range
+from optuna.distributions import BaseDistribution, CategoricalDistribution, FloatDistribution
 from rich.console import Console
 from rich.progress import track
 
 from experiments.study import grid
 from experiments.study.fingerprint import check_dynamics
+from experiments.study.sheet import GRID, Between, Space, sheet
 from experiments.support.errors import run_command, unknown, writing
 from experiments.support.files import write_file, write_json
 from experiments.validation import episodes
@@ -50,50 +50,8 @@ DOSES = ("regular", "dose25", "dose50", "dose75", "risky")
 SEARCHED = ("regular", "dose50", "risky")  # enough to see a rise
 RISE = 0.10  # least rise of the careful ego's crash rate from dose 0 to dose 1
 AIM = (0.15, 0.25)  # of that rise, well within .10 to .30
-WITHOUT_RISE = ("two-way",)  # where nearly everybody crashes, and only the likeness counts
 WITHOUT_EVENTS = "sumo, parameters alone"
 SUMO, HIGHWAY_ENV = Engine("sumo", "sumo"), Engine(REFERENCE, "replica", {"variant": "path"})
-
-# What is searched, by task. Of car following only the time gap at the intersection is: elsewhere nothing was gained by
-# changes of highway-env's own numbers for IDM on other scenarios.
-Space = Mapping[str, Range | Choice]
-SWITCH, SHARE, FACTOR = Choice((False, True)), Range(0.0, 1.0), Range(0.1, 1.0)
-CLOSER = {"tau": FACTOR, "min_gap": FACTOR}
-
-
-def up_to(**rates: float) -> dict[str, Range]:
-    """Rates of events, each from 0 to its highest."""
-    return {name: Range(0.0, highest) for name, highest in rates.items()}
-
-
-DRIVERS: dict[str, Space] = {
-    "highway": {
-        "speed_gain": Range(2.0, 150.0, log=True),
-        "speed_gain_lookahead": Range(0.0, 40.0),
-        "assertive": Range(0.5, 1.3),
-    },
-    "two-way": {},  # drivers keep their lane and nobody crosses: nothing to choose
-    "roundabout": {
-        "lane_changes": SWITCH,
-        "waits_for_approaching": SWITCH,
-        "ignores_approaching": SHARE,
-        "ignores_inside": SHARE,
-    },
-    "intersection": {
-        "waits_for_approaching": SWITCH,
-        "ignores_approaching": SHARE,
-        "ignores_inside": SHARE,
-        "tau": Range(0.8, 1.6),
-    },
-    "u-turn": {"lane_changes": SWITCH, "assertive": Range(0.5, 1.3)},
-}
-RISK: dict[str, Space] = {
-    "highway": up_to(cut_in=0.1, brake=0.1),
-    "two-way": up_to(cut_in=0.03, brake=0.4),
-    "roundabout": {**up_to(brake=0.3, surge=0.6, cut_in=0.3), **CLOSER, "not_giving_way": SHARE},
-    "intersection": {**up_to(surge=0.5, brake=0.3), **CLOSER, "decel": FACTOR, "not_giving_way": SHARE},
-    "u-turn": {**up_to(cut_in=0.6, brake=0.3), **CLOSER, "decel": FACTOR},
-}
 
 
 @dataclass(frozen=True)
@@ -173,7 +131,7 @@ def dose_distance(table: pd.DataFrame, task: str) -> float:
     rates = responses(table).pivot(index=["traffic", "ego"], columns="engine", values="crash_rate")
     rates = rates.reindex(pd.MultiIndex.from_product([SEARCHED, EGOS], names=rates.index.names))
     total = float((rates["sumo"] - rates[REFERENCE]).abs().mean()) / MARGINS["crashed"][0]
-    if task in WITHOUT_RISE:
+    if not sheet(task).rises:  # only the likeness counts
         return total
     careful = rates.xs("careful", level="ego")
     rise = careful.iloc[-1] - careful.iloc[0]
@@ -197,8 +155,14 @@ def minimise(
     sampler = optuna.samplers.TPESampler(seed=0, n_startup_trials=10, multivariate=True)
     study = optuna.create_study(sampler=sampler)
     study.enqueue_trial(dict(start))
+    searched: dict[str, BaseDistribution] = {
+        name: FloatDistribution(*values[:2], log=values.log)
+        if isinstance(values, Between)
+        else CategoricalDistribution(values)
+        for name, values in space.items()
+    }
     for _ in track(range(trials), "searching"):
-        trial = study.ask(dict(space))
+        trial = study.ask(searched)
         study.tell(trial, objective(trial.params))
     return study
 
@@ -209,7 +173,7 @@ def search(options: Options, part: str, task: str) -> dict[str, Any] | None:
     Drivers are fitted at the lowest and the highest level and judged at all; risk at the lowest level.
     """
     drivers = part == "drivers"
-    space = (DRIVERS if drivers else RISK)[task]
+    space = sheet(task).drivers if drivers else sheet(task).risk
     if not space:
         return None
     present = asdict(TASKS[task].calibration) if drivers else present_risk(TASKS[task])
@@ -249,7 +213,7 @@ def doses(options: Options, task: str) -> pd.DataFrame:
 
 def calibrate(options: Options, console: Console) -> dict[str, Any]:
     """Do the parts for every task and write the results; returns the content of calibration.json."""
-    tasks = grid.choose_tasks(options.tasks or tuple(grid.TASKS))
+    tasks = grid.choose_tasks(options.tasks or tuple(GRID))
     check_dynamics((engine.backend, task) for engine in (SUMO, HIGHWAY_ENV) for task in tasks)
     result: dict[str, Any] = {"scenarios": options.scenarios}
     tables = []

@@ -36,7 +36,7 @@ from experiments.study.cell import CellTask, MakeEnv
 from experiments.study.executors import EXECUTORS, cores, open_executor
 from experiments.study.executors.local import TASKS_PER_PROCESS
 from experiments.study.experiment import Experiment, Flag, argument, shard
-from experiments.study.fingerprint import check_dynamics
+from experiments.study.fingerprint import check_dynamics, known_dynamics
 from experiments.study.grid import Cell
 from experiments.study.policies import driver
 from experiments.study.presets import cells_of, complete
@@ -85,11 +85,12 @@ def sweep(
         raise UserError(f"--workers must be at least 1, not {options.workers}")
     if options.executor not in EXECUTORS:
         raise unknown("executor", options.executor, EXECUTORS)
+    if options.dry_run:
+        planned = shard(cells_of(options, known_dynamics), options.shard)
+        describe(options, planned, options.workers or cores())
+        return 0
     cells = cells_of(options)
     mine = shard(cells, options.shard)
-    if options.dry_run:
-        describe(options, mine, options.workers or cores())
-        return 0
     if checked:
         check_dynamics(
             dict.fromkeys((name, cell.task) for cell in mine for name in (cell.backend, cell.runs_on))
@@ -154,13 +155,13 @@ def refuse_early(cells: Iterable[Cell], make_env: MakeEnv, executor: str) -> Non
         if cell.kind == "baseline" and cell.source:
             with closing(make_env(cell.backend, cell.task, dict(cell.env_config))) as env:
                 driver(cell.key(), cell.source, env)
-        elif cell.kind == "agent" and executor == "local":
+        elif cell.kind == "agent" and executor == "local" and (device := cell.profile.get("device")):
             import torch  # here: not every command needs the learner
 
             try:
-                torch.empty(0, device=cell.profile["device"])
+                torch.empty(0, device=device)
             except (RuntimeError, AssertionError) as error:
-                raise UserError(f"--device {cell.profile['device']}: {str(error).splitlines()[0]}") from None
+                raise UserError(f"--device {device}: {str(error).splitlines()[0]}") from None
 
 
 def compute_one(wanted: str, cells: Sequence[Cell], directory: Path, make_env: MakeEnv = make_env) -> int:
@@ -196,6 +197,10 @@ def describe(options: Options, cells: Sequence[Cell], workers: int) -> None:
     table = table.groupby(["task", "level"], sort=False, as_index=False).sum()
     print(f"preset {options.preset}: {complete(options).about}\nresults go to {options.directory}")
     print(table.to_string(index=False, float_format="{:.2f}".format))
+    if new := list(dict.fromkeys(cell.task for cell in cells if not cell.dynamics)):
+        print(
+            f"{', '.join(new)}: not in fingerprints.json, so that names, and what is finished, are not known yet"
+        )
     print(
         f"{table['agents'].sum()} agents and {table['baselines'].sum()} baselines; about "
         f"{duration(3600 * table['core hours'].sum() / workers)} left with {workers} processes on a common server"

@@ -29,6 +29,7 @@ from rich.console import Console
 from experiments.study import grid
 from experiments.study.arms import TRAFFICS
 from experiments.study.fingerprint import check_dynamics, dynamics
+from experiments.study.sheet import GRID
 from experiments.study.verdict import SCHEMA, STORED, versions
 from experiments.support.errors import UserError, run_command, writing
 from experiments.support.files import write_file, write_json
@@ -81,7 +82,7 @@ def validate(options: Options, console: Console, arguments: Sequence[str] = ()) 
     Raises:
         UserError: unknown task or level; a simulator has other dynamics than its name says; a part failed.
     """
-    tasks = grid.choose_tasks(options.tasks or tuple(grid.TASKS))
+    tasks = grid.choose_tasks(options.tasks or tuple(GRID))
     levels = grid.choose_levels(tasks, options.levels or None)
     scenarios = min(options.scenarios, QUICK_SCENARIOS) if options.quick else options.scenarios
     check_dynamics((backend, task) for backend in ("sumo", "replica") for task in tasks)

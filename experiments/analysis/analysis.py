@@ -19,7 +19,7 @@ from experiments.analysis.claims import claims, price
 from experiments.analysis.effects import HIDDEN, KEY, adjusted, contrasts, decided, means, slopes
 from experiments.analysis.estimate import OK, alike, combine
 from experiments.analysis.frontier import to_frontier
-from experiments.analysis.gates import GATES, gates, learner_checks
+from experiments.analysis.gates import THRESHOLDS, gates, learner_checks
 from experiments.analysis.plan import ALPHA, DEFAULT, OUTCOMES, TERMS, Plan
 from experiments.analysis.scores import PLACE, arms_of, in_order, with_outcomes
 from experiments.study.arms import ARMS, EXTRA_ARMS
@@ -103,12 +103,12 @@ def analyse(results: Results) -> Analysis:
     ]
     effects = pd.concat([effects, *beside], ignore_index=True)
     effects = effects.drop_duplicates(KEY, ignore_index=True)  # what the plan tests stands first
-    plan_data = plans.as_data(plan, GATES)
+    plan_data = plans.as_data(plan, THRESHOLDS)
     return Analysis(
         effects=effects,
         means=pd.concat(mean, ignore_index=True),
         slopes=trends,
-        claims=claims(both, trends),
+        claims=claims(both, trends, plan),
         gates=passed,
         policies=policies(episodes),
         placebo=placebo(agents, plan),

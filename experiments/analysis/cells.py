@@ -19,6 +19,7 @@ from experiments.support.files import canonical_json
 
 Cell = Mapping[str, Any]
 ENVIRONMENT = ("env_config ", "eval ", "version of ", "dynamics")  # settings without a trained agent too
+FURTHER = re.compile(r"-(doses|unseen|on-[a-z-]+)$")  # how the slugs of further tests end
 ALONE = "no agents of both arms with its settings to compare with"
 
 
@@ -76,6 +77,8 @@ def _settings(cell: Cell) -> dict[str, Any]:
     flat = {f"{part} {name}": value for part in ("env_config", "eval") for name, value in key[part].items()}
     flat |= {f"version of {name}": value for name, value in versions.items()}
     flat["dynamics"] = key.get("dynamics")
+    if key["arm"]:
+        flat["learner"] = key["policy"]
     return flat | {name: value for name, value in key["profile"].items() if name != "preset"}
 
 
@@ -86,7 +89,9 @@ def unfinished(results: Results, chosen: Results, arms: Sequence[str]) -> dict[s
     """
     asked: dict[str, list[str]] = {}
     for name in dict.fromkeys((*results.expected, *results.cells)):
-        if found := re.fullmatch(rf"(.+)-({'|'.join(arms)})-s\d+-[0-9a-f]+", name):
+        # behind the seed stands the learner, if it is not the study's
+        found = re.fullmatch(rf"(.+)-({'|'.join(arms)})-s\d+(-.+)?-[0-9a-f]+", name)
+        if found and not FURTHER.search(found[3] or ""):
             asked.setdefault(found[1], []).append(name)
     lacking = {place: sum(name not in chosen.cells for name in names) for place, names in asked.items()}
     return {p: f"{n} of {len(asked[p])} agents are missing" for p, n in lacking.items() if n}

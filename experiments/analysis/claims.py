@@ -9,9 +9,9 @@ import numpy as np
 import pandas as pd
 
 from experiments.analysis import estimate
-from experiments.analysis.effects import GRID, means
+from experiments.analysis.effects import means
 from experiments.analysis.estimate import OK
-from experiments.analysis.plan import ALPHA, OUTCOMES, Bound, Plan
+from experiments.analysis.plan import ALPHA, DEFAULT, OUTCOMES, Bound, Plan
 
 HOLDS, CONTRADICTED, NOT_DECIDED = "holds", "contradicted", "not decided"
 EQUIVALENT = "equivalent"
@@ -44,23 +44,26 @@ CLAIMS = (
 COUNTS = ("verdict", "right", "wrong", "open", "silent", "not_run", "expected", "detectable")
 
 
-def claims(effects: pd.DataFrame, slopes: pd.DataFrame) -> pd.DataFrame:
+def claims(effects: pd.DataFrame, slopes: pd.DataFrame, plan: Plan = DEFAULT) -> pd.DataFrame:
     """The verdict on every claim.
 
     A claim about every task and level holds if each place by itself is significantly on the right side (a conjunction
     needs no adjustment), and is contradicted if any is on the wrong side after Holm's adjustment.
 
     Args:
-        effects: of treatment against control, from `effects.adjusted`. slopes: from `effects.slopes`.
+        effects: of treatment against control, from `effects.adjusted`. slopes: from `effects.slopes`. plan: whose
+            settings the claims are about; others do not count.
 
     Returns:
         A row a backend and claim: the fields of Claim, verdict, and of the places (settings, for slopes tasks) right
         and wrong (on either side after Holm), open, silent (no evidence: one seed, nothing varies, everybody crashes,
         missing levels), not_run, expected, and detectable (the median over those that are open).
     """
+    asked, trends = effects[plan.covers(effects)], slopes[slopes["task"].isin([*plan.tasks])]
     rows = [
-        {"backend": backend, **vars(claim), **_counts(claim, own, slopes[slopes["backend"] == backend])}
-        for backend, own in effects.groupby("backend", sort=False)
+        {"backend": backend, **vars(claim)}
+        | _counts(claim, asked[asked["backend"] == backend], trends[trends["backend"] == backend], plan)
+        for backend in effects["backend"].unique()
         for claim in CLAIMS
     ]
     return pd.DataFrame(rows, columns=["backend", *(field.name for field in fields(Claim)), *COUNTS])
@@ -99,7 +102,7 @@ def all_hold(verdicts: Collection[str]) -> str:
     return HOLDS if verdicts and set(verdicts) == {HOLDS} else NOT_DECIDED
 
 
-def _counts(claim: Claim, effects: pd.DataFrame, slopes: pd.DataFrame) -> dict[str, object]:
+def _counts(claim: Claim, effects: pd.DataFrame, slopes: pd.DataFrame, plan: Plan) -> dict[str, object]:
     is_slope = claim.quantity in ("effect", "mean")
     term = "regular" if claim.quantity == EQUIVALENT else claim.quantity
     table, question = (slopes, slopes["quantity"]) if is_slope else (effects, effects["term"])
@@ -113,7 +116,7 @@ def _counts(claim: Claim, effects: pd.DataFrame, slopes: pd.DataFrame) -> dict[s
         better = known["estimate"] * claim.sign > 0
         decided = known["p_adjusted"] < ALPHA
         right, wrong, alone = better & decided, ~better & decided, better & (known["p"] < ALPHA)
-    expected = len(GRID) if is_slope else sum(GRID.values())
+    expected = len(plan.tasks if is_slope else plan.settings)
     holds = len(known) > 0 and int(alone.sum()) >= expected
     open_ = known[~(right | wrong)]
     return {

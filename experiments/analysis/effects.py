@@ -12,6 +12,7 @@ looks, at each of them, of which `decided` leaves one. All share the columns of 
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
@@ -23,7 +24,6 @@ from experiments.analysis.estimate import OK, SATURATED, Estimate
 from experiments.analysis.plan import ALPHA, DEFAULT, OUTCOMES, TERMS, Plan
 from experiments.analysis.scores import PLACE, Arm, Arms, Place
 from experiments.study.arms import DOSES, TRAFFICS
-from sumo_env.tasks import TASKS
 
 ALL_TASKS = "all tasks"
 ESTIMATE = list(Estimate._fields)
@@ -34,7 +34,6 @@ QUESTION = ["outcome", "term"]
 KEY = [*COMPARISON, "task", "level", "level_name", *QUESTION]
 MEANS = ["mean_arm", "mean_against", "seeds_arm", "seeds_against"]
 HIDDEN = ["variance", "dof", "smallest", "look"]
-GRID = {task: len(definition.levels) for task, definition in TASKS.items()}
 
 
 def contrasts(
@@ -112,7 +111,9 @@ def adjusted(effects: pd.DataFrame, plan: Plan = DEFAULT) -> pd.DataFrame:
     """
     questions = zip(effects["arm"], effects["outcome"], effects["term"], strict=True)
     nothing = dict.fromkeys(("p_adjusted", "low_family", "high_family", "detectable"), np.nan)
-    effects = effects.assign(family=[plan.family(*question) for question in questions], **nothing)
+    names = np.array([plan.family(*question) for question in questions], dtype=object)
+    names[~plan.covers(effects)] = ""  # a setting that the plan does not name is exploratory
+    effects = effects.assign(family=names, **nothing)
     shares = np.array([look.share for look in plan.schedule])
     for (_, family), rows in effects.groupby(["backend", "family"]):
         effects.loc[rows.index, "p_adjusted"] = estimate.adjusted(rows["p"], "holm" if family else "bh")
@@ -181,7 +182,7 @@ def slopes(looks: Sequence[Mapping[Place, Arms]], plan: Plan = DEFAULT) -> pd.Da
     by = ["backend", "task", "outcome", "quantity", "look"]
     rows = rows[rows.groupby(by)["level"].transform("nunique") > 1]
     frame = decided(estimate.combine(rows, by, estimate.slope_weights(rows, by)), plan)
-    frame["complete"] = frame["settings"] == frame["task"].map(GRID)
+    frame["complete"] = frame["settings"] == frame["task"].map(Counter(task for task, _ in plan.settings))
     family = frame.groupby(["backend", "outcome", "quantity"])
     frame["p_adjusted"] = family["p"].transform(estimate.adjusted)
     return frame[[*by[:-1], "complete", *ESTIMATE, "p_adjusted"]]

@@ -18,18 +18,19 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-from agents.training import Q_SLACK
 from experiments.analysis.estimate import DEGENERATE, OK, Estimate, alike, combine, of_units
 from experiments.analysis.plan import ALPHA, Learner, Plan
 from experiments.analysis.scores import PLACE, in_order
 from experiments.study.arms import gate_traffics
+from experiments.study.sheet import GRID, SHEETS
 
+Q_SLACK = 1.2  # values may overshoot what the rewards allow by a fifth before an agent counts as diverged
 CONSTANT = 0.98  # share of the steps with the most common action from which a policy counts as constant
 TIED = 0.98  # share of the scenarios with the return of one constant policy from which an agent is tied
 ENTERING = 0.5  # share of the scenarios in which a policy has to enter the crossing to count as one that does
 CONSTANT_POLICIES = ("idle", "random", "faster", "slower")  # what learning has to be worth more than
-# Way [m] from the start to just inside the crossing that a task is about: an ego's length beyond its entry.
-CROSSINGS = {"roundabout": 24.5, "intersection": 45.0}
+# Way [m] from the start to just inside the crossing that a task is about.
+CROSSINGS = {task: own.crossing for task, own in SHEETS.items() if own.crossing is not None}
 
 GATES: dict[str, str] = {
     "q_bounded": f"Q-values stay below {Q_SLACK} x max |r| / (1 - gamma) on the probe states",
@@ -39,6 +40,12 @@ GATES: dict[str, str] = {
     "traffic, or has a higher return there than every reference policy that does",
     "beats_constant": "return in its training traffic is above that of the best of idle, random, faster and slower by "
     "more than 2 standard errors",
+}
+THRESHOLDS: dict[str, Any] = {  # what decides in them, for a plan's digest
+    "q_bounded": Q_SLACK,
+    "not_constant": [CONSTANT, TIED],
+    "crosses": {"entering": ENTERING, "way": {task: CROSSINGS.get(task) for task in GRID}},
+    "beats_constant": 2,
 }
 FAILURES: dict[str, str] = {  # what it means to fail, in two or three words
     "q_bounded": "diverged",
@@ -114,14 +121,17 @@ def gates(cells: Mapping[str, Mapping[str, Any]], episodes: pd.DataFrame) -> pd.
         there = references[(references[PLACE] == key[PLACE]).all(axis=1)]
         own = tables[name].loc[traffics]
         others = {policy: tables[cell].loc[traffics] for cell, policy in there["policy"].items()}
+        record = cells[name].get("learner") or {}
         found = [
-            _q_bounded(cells[name].get("learner") or {}),
+            _q_bounded(record),
             _not_constant(own, others),
             _crosses(key["task"], own, others),
             _beats_constant(own, others),
         ]
         failed = " ".join(gate for gate, passed in zip(GATES, found, strict=True) if passed is False)
-        sound = False if failed else None if None in found else True
+        # of a learner without Q-values, the first has nothing to ask
+        asked = found[1:] if record and "probe_q" not in record else found
+        sound = False if failed else None if None in asked else True
         rows.append([name, *key[[*PLACE, "arm", "seed"]], sound, failed, *found])
     frame = pd.DataFrame(rows, columns=["cell", *PLACE, "arm", "seed", "passed", "failed", *GATES])
     return in_order(frame, "backend", "task", "level", "arm", "seed").reset_index(drop=True)
@@ -149,7 +159,7 @@ def learner_checks(
     rows: list[list[Any]] = []
     if (rules := plan.learner) is None:
         return pd.DataFrame(columns=CHECKS)
-    passed = passed[passed["arm"].isin(plan.arms)]
+    passed = passed[passed["arm"].isin(plan.arms) & plan.covers(passed)]
     for backend, own in passed.groupby("backend", sort=False):
         for arm in plan.arms:
             trained = [cells[name] for name in own.loc[own["arm"] == arm, "cell"]]
@@ -164,7 +174,7 @@ def learner_checks(
         share = float((own["passed"].astype(object) == True).mean())  # noqa: E712
         sound = share >= rules.passing
         rows.append([backend, "gates", "", "", len(own), share, np.nan, np.nan, rules.passing, 1, sound])
-        tests = agents[(agents["backend"] == backend) & agents["arm"].isin(plan.arms)]
+        tests = agents[(agents["backend"] == backend) & agents["arm"].isin(plan.arms) & plan.covers(agents)]
         for (task, arm), drives in tests.groupby(["task", "arm"], sort=False):
             if task in rules.clocked:
                 found = last_second(drives, rules.before)

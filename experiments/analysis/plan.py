@@ -1,7 +1,8 @@
 """The analysis plan as data: what is compared and what decides, fixed before the results are there.
 
-Every module of the analysis reads its choices here, and its SHA-256 goes into analysis.json: two reports with the same
-one were made by the same plan. Whatever is not named confirmatory is exploratory.
+Every module of the analysis reads its choices here, and the SHA-256 of `as_data` goes into analysis.json: two reports
+with the same one were made by the same plan. Whatever is not named confirmatory is exploratory. Of the plans by which
+results were published, `plans.json` has the data as they were hashed then; tests compare these with the plans here.
 """
 
 from __future__ import annotations
@@ -9,11 +10,17 @@ from __future__ import annotations
 import json
 import sys
 from collections.abc import Callable, Iterable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
 from typing import Any
 
-from sumo_env.tasks import TASKS
+import numpy as np
+import pandas as pd
+from numpy.typing import NDArray
 
+from experiments.study.sheet import GRID, SHEETS
+
+PUBLISHED = Path(__file__).with_name("plans.json")
 ALPHA = 0.05
 POWER = 0.8
 
@@ -48,14 +55,6 @@ OUTCOMES: dict[str, Outcome] = {
     "near_misses": Outcome("Near-misses", "per episode", -1, 2, poolable=True),
     "reward_per_step": Outcome("Reward per step", "", +1, 3),
 }
-# Beside the effects of the two arms; none of it enters a family or decides a claim. Reports leave out kinds of crashes.
-EXPLORATORY = (
-    "further arms against control and treatment",
-    "transfer between simulators",
-    "kinds of crashes",
-    "both arms against the careful driver",
-    "speed",
-)
 TERMS: dict[str, dict[str, float]] = {
     "risky": {"risky": 1.0},
     "regular": {"regular": 1.0},
@@ -105,7 +104,7 @@ class Learner:
 
     change: of the return over the last quarter of the budget at most, in units of its range. passing: share of the
     agents that pass the gates at least. clocked: tasks whose last second is compared with the `before` seconds before
-    it. ranges: of the return, one a second.
+    it. ranges: of the return.
     """
 
     change: float = 0.02
@@ -113,7 +112,7 @@ class Learner:
     clocked: tuple[str, ...] = ("roundabout", "u-turn")
     before: float = 4.0
     ranges: dict[str, float] = field(
-        default_factory=lambda: dict(zip(TASKS, (20.0, 15.0, 11.0, 13.0, 10.0), strict=True))
+        default_factory=lambda: {task: SHEETS[task].return_range for task in GRID}
     )
 
 
@@ -126,12 +125,16 @@ class Plan:
     (docs/developers/plan_v3.md): families for mixed training too, its gain without price, checks of the learner; only
     settings of which every agent is there.
 
+    settings: the grid that the plan is about, (task, name of the level); effects of others are exploratory.
     primary_outcome, primary_term: of the one primary question, over all agents, with every task weighted alike.
     looks: planned looks; none: the number of seeds was fixed beforehand. price: all that has to hold for a gain without
-    price, in all settings but hopeless ones (level names by task).
+    price, in all settings but hopeless ones (level names by task). published: name in plans.json.
     """
 
     version: int = 2
+    settings: tuple[tuple[str, str], ...] = tuple(
+        (task, name) for task, names in GRID.items() for name in names
+    )
     primary_outcome: str = "crashed"
     primary_term: str = "risky"
     families: tuple[Family, ...] = (
@@ -144,6 +147,17 @@ class Plan:
     price: tuple[Bound, ...] = ()
     hopeless: dict[str, tuple[str, ...]] = field(default_factory=dict)
     learner: Learner | None = None
+    published: str = ""
+
+    @property
+    def tasks(self) -> tuple[str, ...]:
+        """The tasks of its settings."""
+        return tuple(dict.fromkeys(task for task, _ in self.settings))
+
+    def covers(self, rows: pd.DataFrame) -> NDArray[np.bool_]:
+        """Which rows, with the columns task and level_name, are of its settings."""
+        places = zip(rows["task"], rows["level_name"], strict=True)
+        return np.fromiter((place in self.settings for place in places), bool, len(rows))
 
     @property
     def arms(self) -> tuple[str, ...]:
@@ -167,8 +181,8 @@ class Plan:
 
 # Five seeds everywhere first, then five more where the first look leaves it open and ten can decide it.
 LOOKS = (Look(5, 0.2), Look(10, 0.8))
-DEFAULT = Plan()
-TWO_BATCHES = Plan(looks=LOOKS)
+DEFAULT = Plan(published="one batch")
+TWO_BATCHES = replace(DEFAULT, looks=LOOKS, published="two batches")
 SECOND = Plan(
     version=3,
     families=(
@@ -180,7 +194,9 @@ SECOND = Plan(
     ),
     price=(Bound("mixed", "treatment", "risky", 0.05), Bound("mixed", "control", "regular", 0.025)),
     hopeless={"two-way": ("10+4", "15+6")},
-    learner=Learner(),
+    # The intersection's return has a range of 14; the plan was fixed with the 13 s that an episode lasts.
+    learner=Learner(ranges={**Learner().ranges, "intersection": 13.0}),
+    published="second",
 )
 PLANS = {"second": SECOND, "first-clock": SECOND, "standard": TWO_BATCHES}  # by preset
 
@@ -191,26 +207,25 @@ def plan_of(presets: Iterable[str]) -> Plan:
     return next((plan for preset, plan in PLANS.items() if preset in asked), DEFAULT)
 
 
-def as_data(plan: Plan, gates: dict[str, str]) -> dict[str, Any]:
-    """The plan as plain values, with the outcomes, terms and gates that it refers to."""
-    confirmatory = {(plan.outcome(family), family.term) for family in plan.families}
-    unread = {"outcome_of_task": {}, "learnt": 0.5}  # in every plan's digest; nothing reads them any more
-    values = {**asdict(plan), "alpha": ALPHA, "power": POWER, **unread}
-    if plan.version < 3:  # as its digest has always been
-        values = {k: v for k, v in values.items() if k not in ("price", "hopeless", "learner")}
-        values["families"] = [{k: v for k, v in f.items() if k != "arm"} for f in values["families"]]
-    described = {name: {k: v for k, v in vars(o).items() if k != "of"} for name, o in OUTCOMES.items()}
+def as_data(plan: Plan, thresholds: dict[str, Any]) -> dict[str, Any]:
+    """The plan as the plain values that its digest is taken of: all that decides, and no words.
+
+    Of published plans it is what was hashed then, labels and today's other outcomes included.
+
+    Args:
+        thresholds: of the gates, `gates.THRESHOLDS`.
+    """
+    if plan.published:
+        stored: dict[str, Any] = json.loads(PUBLISHED.read_text())[plan.published]
+        return stored
+    decided = {plan.outcome(family) for family in plan.families} | {plan.primary_outcome}
     data = {
-        **values,
-        "outcomes": described,
+        **{name: value for name, value in asdict(plan).items() if name != "published"},
+        "alpha": ALPHA,
+        "power": POWER,
+        "margins": {name: OUTCOMES[name].margin for name in sorted(decided)},
         "terms": TERMS,
-        "unit": "training seed",
-        "adjustment": "Holm within a family, Benjamini-Hochberg over everything exploratory",
-        "gates": gates,
-        "exploratory": [
-            *(f"{o} {t}" for o in OUTCOMES for t in TERMS if (o, t) not in confirmatory),
-            *EXPLORATORY,
-        ],
+        "thresholds": thresholds,
     }
     plain: dict[str, Any] = json.loads(json.dumps(data))  # as it is read back from analysis.json
     return plain

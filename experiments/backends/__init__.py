@@ -6,7 +6,9 @@ libsumo.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import importlib
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any
 
 import gymnasium as gym
@@ -25,29 +27,52 @@ IDS = {
 REPLICA = {"scenarios": "seeded", "variant": "path", "risk_law": "standard"}
 
 
+def has(backend: str, task: str) -> bool:
+    """Whether a backend has a task. UserError for an unknown backend, or one that is not installed."""
+    if backend not in BACKENDS:
+        raise unknown("backend", backend, BACKENDS)
+    module, _, id = IDS[backend].format(task).partition(":")
+    with _installed(backend):
+        importlib.import_module(module)
+    return id in gym.registry
+
+
+def require(backend: str, task: str) -> None:
+    """Raise UserError for a task that does not exist, or that a backend does not have."""
+    if task not in TASKS:
+        raise unknown("task", task, TASKS)
+    if not has(backend, task):
+        known = ", ".join(name for name in TASKS if has(backend, name))
+        raise UserError(f"the backend {backend} has no task {task}: it has {known}")
+
+
 def make_env(
     backend: str, task: str, config: Mapping[str, Any] | None = None, render_mode: str | None = None
 ) -> gym.Env[Any, Any]:
-    """One of the five driving tasks on one of the simulators.
+    """A driving task on one of the simulators.
 
     Args:
         backend: "sumo", "highway-env" or "replica".
-        task: "highway", "two-way", "roundabout", "intersection" or "u-turn".
+        task: of `sumo_env.tasks.TASKS`.
         config: highway-env's configuration keys and `risk`, laid over the task's defaults.
         render_mode: None or "rgb_array".
 
     Raises:
-        UserError: unknown backend or task, or the simulator is not installed.
+        UserError: unknown backend or task, the backend lacks the task, or the simulator is not installed.
     """
-    if backend not in BACKENDS:
-        raise unknown("backend", backend, BACKENDS)
-    if task not in TASKS:
-        raise unknown("task", task, TASKS)
+    require(backend, task)
     settings, fixed = dict(config or {}), {}
     if backend == "replica":  # what is fixed for an environment's life is in the study's configuration
         fixed = {name: settings.pop(name, default) for name, default in REPLICA.items()}
-    try:
+    with _installed(backend):
         return gym.make(IDS[backend].format(task), config=settings, render_mode=render_mode, **fixed)
+
+
+@contextmanager
+def _installed(backend: str) -> Iterator[None]:
+    """Say in one line that the package of a simulator is missing."""
+    try:
+        yield
     except ModuleNotFoundError as error:
         name = getattr(error.__cause__ or error, "name", None)  # gymnasium's own error has none
         if name in ("libsumo", "highway_env", "numba"):

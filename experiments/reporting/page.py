@@ -16,7 +16,7 @@ from experiments.analysis.claims import all_hold
 from experiments.analysis.effects import ALL_TASKS
 from experiments.analysis.estimate import OK, SATURATED
 from experiments.analysis.gates import GATES
-from experiments.analysis.plan import ALPHA
+from experiments.analysis.plan import ALPHA, Plan, plan_of
 from experiments.analysis.scores import TASK_ORDER, with_outcomes
 from experiments.reporting import figures, tables
 from experiments.reporting.tables import BACKENDS, FILTERS, chosen, main
@@ -25,7 +25,6 @@ from experiments.study.progress import duration
 from experiments.study.store import Results, Store
 from experiments.study.verdict import of_results
 from experiments.support.files import canonical_json
-from sumo_env.tasks import TASKS
 
 TEMPLATES = Path(__file__).resolve().parents[1] / "templates"
 
@@ -103,17 +102,20 @@ def answer(name: str, analysis: Analysis) -> dict[str, Any]:
         "failing": int((agents["passed"].astype(object) == False).sum()),  # noqa: E712
         "by_task": by_task.to_dict("records"),
         "strongest": by_task["scope"].iloc[by_task["estimate"].abs().argmax()] if len(by_task) > 2 else None,
-        "missing": missing(single) if analysis.plan.get("price") else [],
+        "missing": missing(single, plan_of(analysis.provenance["presets"])),
         "saturated": single.loc[single["status"] == SATURATED, ["task", "level"]].drop_duplicates().shape[0],
         **sides(single),
     }
 
 
-def missing(single: pd.DataFrame) -> list[str]:
-    """The levels of each task that a plan for all settings has no effects of: "highway 100 and 150"."""
+def missing(single: pd.DataFrame, plan: Plan) -> list[str]:
+    """The levels of each task that a plan for all its settings has no effects of: "highway 100 and 150"."""
     there = set(zip(single["task"], single["level_name"], strict=True))
-    levels = {task: [n for n in of.levels if (task, n) not in there] for task, of in TASKS.items()}
-    return [f"{task} {tables.listing(names)}" for task, names in levels.items() if names]
+    lacking: dict[str, list[str]] = {}
+    for task, name in plan.settings if plan.price else ():
+        if (task, name) not in there:
+            lacking.setdefault(task, []).append(name)
+    return [f"{task} {tables.listing(names)}" for task, names in lacking.items()]
 
 
 def sides(single: pd.DataFrame) -> dict[str, dict[str, int]]:

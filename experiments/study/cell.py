@@ -18,13 +18,12 @@ from experiments.study.arms import gate_traffics
 from experiments.study.evaluate import evaluate
 from experiments.study.grid import Cell
 from experiments.study.policies import driver
+from experiments.study.progress import costs
 from experiments.study.run import Beat
 from experiments.study.store import (
     EPISODES,
     GATE_COLUMNS,
     GATES,
-    MARK_COLUMNS,
-    MARKS,
     TRAINING,
     WEIGHTS,
     DamagedCell,
@@ -34,10 +33,9 @@ from experiments.support.errors import UserError
 from experiments.support.provenance import provenance
 
 if TYPE_CHECKING:
-    from experiments.study.train import Trained
+    from agents.learner import Trained
 
 MakeEnv = Callable[..., gym.Env[Any, Any]]
-TEST_EPISODE = 10.0  # about as long as so many updates with their steps
 
 
 @dataclass(frozen=True)
@@ -79,7 +77,8 @@ class CellTask:
     def compute(self, beat: Beat) -> None:
         """Train, test and store it."""
         cell, store = self.cell, Store(self.directory)
-        played, total = 0, cell.updates + TEST_EPISODE * cell.work
+        training, tests = costs(cell)
+        played, steps = 0, max(cell.budget[0], 1)
         timing: dict[str, Any] = {}
         learner: dict[str, Any] = {}
         files: dict[str, Any] = {}
@@ -87,15 +86,17 @@ class CellTask:
         def on_episode() -> None:
             nonlocal played
             played += 1
-            beat((cell.updates + TEST_EPISODE * played) / total)
+            beat((training + tests * played / cell.work) / (training + tests))
 
         started = time.monotonic()
         if cell.kind == "agent":
-            trained = self._train(lambda updates: beat(updates / total))
+            trained, episodes, record = self._train(
+                lambda made: beat(training * min(made / steps, 1.0) / (training + tests))
+            )
             timing["train_seconds"] = time.monotonic() - started
             trained.policy.save(self.folder / WEIGHTS)
-            files = {TRAINING: trained.episodes, WEIGHTS: self.folder / WEIGHTS}
-            learner = {"learner": trained.learner}
+            files = {TRAINING: episodes, WEIGHTS: self.folder / WEIGHTS}
+            learner = {"learner": record}
         started = time.monotonic()
         with closing(self.make_env(cell.runs_on, cell.task, dict(cell.tested["env_config"]))) as env:
             files |= self._test(env, on_episode)
@@ -103,20 +104,17 @@ class CellTask:
         timing["finished"] = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
         store.write(cell, {**learner, "timing": timing, "provenance": provenance()}, files)
 
-    def _train(self, progress: Callable[[int], None]) -> Trained:
-        """The trained agent."""
+    def _train(self, progress: Callable[[int], None]) -> tuple[Trained, pd.DataFrame, dict[str, Any]]:
+        """The trained agent, see `train.train_cell`."""
         from experiments.study.train import CHECKPOINT, train_cell  # baselines need no learner
 
         cell = self.cell
-        with closing(self.make_env(cell.backend, cell.task, cell.training_config)) as env:
-            try:
-                return train_cell(cell, env, self.folder, progress)
-            except CheckpointError as damage:
-                aside = Store(self.directory).put_aside(self.folder / CHECKPOINT)
-                print(
-                    f"{cell.name}: its checkpoint was damaged ({damage}) and put aside in {aside}", flush=True
-                )
-                return train_cell(cell, env, self.folder, progress)
+        try:
+            return train_cell(cell, self.make_env, self.folder, progress)
+        except CheckpointError as damage:
+            aside = Store(self.directory).put_aside(self.folder / CHECKPOINT)
+            print(f"{cell.name}: its checkpoint was damaged ({damage}) and put aside in {aside}", flush=True)
+            return train_cell(cell, self.make_env, self.folder, progress)
 
     def _test(self, env: gym.Env[Any, Any], on_episode: Callable[[], None]) -> dict[str, pd.DataFrame]:
         """The tables of the tests, by file."""
@@ -132,13 +130,7 @@ class CellTask:
             return {EPISODES: play(drive, **usual)}
         judged = {"episodes": cell.gate_episodes, "traffics": gate_traffics(cell.arm)}
         gates = play(drive, purpose="gate", **judged)
-        tables = {EPISODES: play(drive, **usual), GATES: gates[list(GATE_COLUMNS)]}
-        if cell.kind == "agent" and cell.early_tests:
-            marks = sorted(self.folder.glob("mark-*.npz"))
-            early = [driver(cell.key(), cell.source, env, file) for file in marks]
-            tested = [play(drive, **usual).assign(mark=k) for k, drive in enumerate(early, start=1)]
-            tables[MARKS] = pd.concat(tested)[list(MARK_COLUMNS)]
-        return tables
+        return {EPISODES: play(drive, **usual), GATES: gates[list(GATE_COLUMNS)]}
 
     def _weights(self) -> Path | None:
         """Those that are tested; None for a policy that is not trained."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Annotated, Any
 
@@ -24,11 +24,13 @@ from experiments.study.grid import (
     level_names,
 )
 from experiments.study.policies import foreign
+from experiments.study.rules import RULES, TrainingRules
+from experiments.study.sheet import GRID
 from experiments.study.unseen import unseen_traffics
 from experiments.support.errors import UserError, unknown
-from sumo_env.tasks import TASKS
 
 TRANSFER_EPISODES = {"highway-env": 20}  # in each traffic on another simulator at most: it is slow
+Dynamics = Callable[[str, str], str]
 PLACEBO_SEEDS = 4  # control agents at least, to be dealt into two arms
 
 
@@ -46,7 +48,7 @@ class Experiment:
     """What an experiment consists of; what has its default is left to the preset (`presets.complete`).
 
     The sweep's options are one, so that the text below a field is the help of an option. Presets alone set about;
-    learners: by task what differs from the defaults of `agents.dqn.DQNConfig`, and what `wrappers` read;
+    learners: by task what differs from the defaults of `agents.dqn.DQNConfig` and of `rules.TrainingRules`;
     gate_episodes: episodes in each traffic for the gates, by default as many as test episodes;
     first_seed, first_scenario: where training seeds and test scenarios begin, so that studies share none.
     """
@@ -55,7 +57,7 @@ class Experiment:
     """Simulator: sumo, replica (highway-env's physics, compiled) or highway-env."""
     preset: Annotated[str, argument("NAME", "quick")] = "quick"
     """Size: smoke (a minute), quick (20 minutes), standard, paper, first-clock (hours), second (days)."""
-    tasks: Annotated[tuple[str, ...], argument("TASK ...", "all")] = ()
+    tasks: Annotated[tuple[str, ...], argument("TASK ...", "the five")] = ()
     """Some of highway, two-way, roundabout, intersection, u-turn."""
     levels: Annotated[tuple[int, ...], argument("LEVEL ...")] = ()
     """Traffic levels by number; 1 is the lightest."""
@@ -73,8 +75,6 @@ class Experiment:
     """Other simulators on which the trained agents are tested as well."""
     unseen: Flag = False
     """Also test in unseen risky traffic: each kind of event alone, none, and SUMO's driver models Krauss and EIDM."""
-    early_tests: Flag = False
-    """Also test every agent as it was after a third and two thirds of its budget (the cell's marks.parquet)."""
     frontier: Flag = False
     """Test the careful driver at five cautions: with the constant policies, the crashes of a speed without learning."""
     config: Annotated[tuple[str, ...], argument("KEY=VALUE ...", "none")] = ()
@@ -83,6 +83,10 @@ class Experiment:
     """Discount factor."""
     crash_reward: Annotated[float | None, argument("X", "none")] = None
     """Added to the reward of a crash in training, in all arms (the two-way road's own has no term for crashes)."""
+    learner: Annotated[str, argument("NAME", "dqn")] = LEARNER
+    """Who learns: dqn, sb3-dqn, sb3-ppo, or FILE:NAME for a learner of your own; for as many steps as dqn would."""
+    settings: Annotated[tuple[str, ...], argument("KEY=VALUE ...")] = ()
+    """Settings of the learner (the fields of its dataclass, agents/dqn.py and agents/stable.py)."""
     network: Annotated[str | None, argument("NAME")] = None
     """Network of the agents: attention, dueling, or FILE:CLASS for a class of your own."""
     policy: Annotated[tuple[str, ...], argument("FILE:MAKE ...", "none")] = ()
@@ -95,8 +99,12 @@ class Experiment:
     first_seed: Annotated[int, *PRESETS_ALONE] = 0
     first_scenario: Annotated[int, *PRESETS_ALONE] = 0
 
-    def cells(self) -> list[Cell]:
+    def cells(self, dynamics: Dynamics = dynamics) -> list[Cell]:
         """All of its cells: on each task and level the agents, their further tests, and the baselines.
+
+        Args:
+            dynamics: what a cell's key says of a simulator's behaviour, from (backend, task). By default a simulator
+                drives a task that `fingerprints.json` does not know.
 
         Raises:
             UserError: something does not exist or makes no sense.
@@ -104,23 +112,23 @@ class Experiment:
         for name in (self.backend, *self.test_on):
             if name not in BACKENDS:
                 raise unknown("backend", name, BACKENDS)
-        tasks = choose_tasks(self.tasks or tuple(TASKS))
+        tasks = choose_tasks(self.tasks or tuple(GRID))
         levels = choose_levels(tasks, self.levels or None)
         policies = {label: (source, digits) for source in self.policy for label, digits in [foreign(source)]}
         drivers = dict.fromkeys((*BASELINES, *(CAUTIONS if self.frontier else ())))
         cells: list[Cell] = []
         for task, level in ((task, level) for task, numbers in levels.items() for level in numbers):
-            common = self._common(task, level)
+            common = self._common(task, level, dynamics)
             agents = list(self._agents(common))
             cells += agents
-            cells += [test for agent in agents for test in self._further_tests(agent)]
+            cells += [test for agent in agents for test in self._further_tests(agent, dynamics)]
             cells += [replace(common, policy=name) for name in drivers]
             for label, (source, digits) in policies.items():
                 profile = {**common.profile, "policy_sha256": digits}
                 cells.append(replace(common, policy=label, source=source, profile=profile))
         return cells
 
-    def _common(self, task: str, level: int) -> Cell:
+    def _common(self, task: str, level: int, dynamics: Dynamics) -> Cell:
         """What the cells of a task and level have in common, as a baseline without a policy."""
         episodes = self.episodes or 0
         if episodes < 1:
@@ -164,14 +172,13 @@ class Experiment:
                         kind="agent",
                         arm=arm,
                         seed=seed,
-                        policy=LEARNER,
+                        policy=self._own_learner[0] if self._own_learner else self.learner,
                         profile={**common.profile, **profile, **ARM_PROFILES.get(arm, {})},
-                        source=self._own_network,
+                        source=self.learner if self._own_learner else self._own_network,
                         trained_with=different,
-                        early_tests=self.early_tests,
                     )
 
-    def _further_tests(self, agent: Cell) -> Iterator[Cell]:
+    def _further_tests(self, agent: Cell, dynamics: Dynamics) -> Iterator[Cell]:
         """Further tests of an agent: at doses between 0 and 1, in unseen risk, on other simulators."""
         here = {"backend": self.backend, "episodes": self.episodes, "env_config": agent.env_config}
         if set(self.arms) & set(DOSE_TRAFFICS) and agent.arm in DOSE_ARMS:
@@ -191,30 +198,40 @@ class Experiment:
                 yield replace(agent, kind="test", test_on=elsewhere)
 
     def profile(self, task: str) -> dict[str, Any]:
-        """Every hyper-parameter of the learner on a task, as plain values.
+        """Every setting of the learner on a task and the rules of its training, as plain values.
 
         Raises:
-            UserError: one makes no sense.
+            UserError: a name that there is not, or a value that makes no sense.
         """
-        from agents.models import network_class  # here: not every command needs the learner
-        from experiments.study.train import learner_config
+        from agents.dqn import DQNConfig  # here: not every command needs the learner
+        from agents.learner import settings_of
+        from agents.learners import learner
+        from agents.models import network_class
 
-        asked = {"updates": self.updates, "gamma": self.gamma, "network": self.network, "device": self.device}
-        wanted: dict[str, Any] = {"finite_horizon": False, **(self.learners or {})[task]}
-        wanted |= {name: value for name, value in asked.items() if value is not None}
-        if self._own_network:
-            wanted["network"], wanted["network_sha256"] = foreign(self._own_network)
+        said = {**(self.learners or {})[task]}
+        rules = TrainingRules(**{name: said.pop(name) for name in RULES if name in said})
         if self.crash_reward is not None:
             if not math.isfinite(self.crash_reward):
                 raise UserError(f"the reward of a crash has to be a finite number, not {self.crash_reward}")
-            wanted["crash_reward"] = self.crash_reward
+            rules = replace(rules, crash_reward=self.crash_reward)
+        asked = {"updates": self.updates, "gamma": self.gamma, "network": self.network, "device": self.device}
+        files = {}
         try:
-            config = learner_config(wanted)
-            if not self._own_network:
-                network_class(config.network)
+            if self.learner != LEARNER:  # of the preset's settings, the number of steps is everybody's
+                said = {"steps": settings_of(DQNConfig, said, f"the learner {LEARNER}").steps}
+            said |= {name: value for name, value in asked.items() if value is not None}
+            said |= _assignments(self.settings, "--settings", "gamma=0.9")
+            if self._own_network:
+                said["network"], files["network_sha256"] = foreign(self._own_network)
+            if self._own_learner:
+                files["learner_sha256"] = self._own_learner[1]
+            chosen = learner(self.learner)
+            settings = settings_of(chosen.Settings, said, f"the learner {self.learner}")
+            if not self._own_network and hasattr(settings, "network"):
+                network_class(settings.network)
         except ValueError as error:
             raise UserError(str(error)) from None
-        return {**asdict(config), **wanted}
+        return {**asdict(settings), **rules.entries(), **files}
 
     @property
     def _own_network(self) -> str | None:
@@ -222,18 +239,28 @@ class Experiment:
         return self.network if ":" in (self.network or "") else None
 
     @property
+    def _own_learner(self) -> tuple[str, str] | None:
+        """Label and fingerprint of a learner of the user's own."""
+        return foreign(self.learner) if ":" in self.learner else None
+
+    @property
     def _changes(self) -> dict[str, Any]:
         """Of config=("collision_reward=-2", "risk_law=linear")."""
-        changes = {}
-        for text in self.config:
-            key, equals, value = text.partition("=")
-            if not (key and equals):
-                raise UserError(f"--config takes KEY=VALUE, for example collision_reward=-2, not {text!r}")
-            try:
-                changes[key] = json.loads(value)
-            except ValueError:
-                changes[key] = value
-        return changes
+        return _assignments(self.config, "--config", "collision_reward=-2")
+
+
+def _assignments(texts: Sequence[str], option: str, example: str) -> dict[str, Any]:
+    """The values of an option that takes KEY=VALUE, as in JSON or plain words. Raises UserError for another form."""
+    found: dict[str, Any] = {}
+    for text in texts:
+        name, equals, value = text.partition("=")
+        if not (name and equals):
+            raise UserError(f"{option} takes KEY=VALUE, for example {example}, not {text!r}")
+        try:
+            found[name] = json.loads(value)
+        except ValueError:
+            found[name] = value
+    return found
 
 
 def shard(cells: Sequence[Cell], text: str) -> list[Cell]:

@@ -22,7 +22,7 @@ from typing import Any
 
 import numpy as np
 
-from experiments.backends import make_env
+from experiments.backends import BACKENDS, has, make_env, require
 from experiments.study.arms import scenario_seed
 from experiments.support.errors import UserError
 from experiments.support.files import canonical_json, sha256_bytes, write_json
@@ -49,11 +49,26 @@ def _table() -> dict[str, dict[str, dict[str, str]]]:
     return json.loads(TABLE.read_text())
 
 
+def known_dynamics(backend: str, task: str) -> str:
+    """The digits that cells of a task are named with; empty for a task that the table does not have.
+
+    Raises:
+        UserError: the backend does not have the task.
+    """
+    name = _table().get(backend, {}).get(task, {}).get("name", "")
+    if not name:
+        require(backend, task)
+    return name
+
+
 @cache
 def dynamics(backend: str, task: str) -> str:
-    """The digits that cells of a task are named with; of a task that the table does not have, its fingerprint."""
-    known = _table().get(backend, {}).get(task)
-    return known["name"] if known else fingerprint(backend, task)
+    """The digits that cells of a task are named with; of a task that the table does not have, its fingerprint.
+
+    Raises:
+        UserError: the backend does not have the task.
+    """
+    return known_dynamics(backend, task) or fingerprint(backend, task)
 
 
 def check_dynamics(pairs: Iterable[tuple[str, str]]) -> None:
@@ -74,10 +89,11 @@ def check_dynamics(pairs: Iterable[tuple[str, str]]) -> None:
 
 
 def main() -> int:
-    """Compare all simulators with the table, and give new names to those that have changed."""
+    """Compare all simulators with the table; add tasks, and give new names to those that have changed."""
     table = _table()
-    for backend, tasks in table.items():
-        for task, known in tasks.items():
+    for backend in BACKENDS:
+        for task in (task for task in TASKS if has(backend, task)):
+            known = table.setdefault(backend, {}).setdefault(task, {"name": "none", "behaviour": ""})
             found = fingerprint(backend, task)
             if found != known["behaviour"]:
                 print(f"{backend} {task}: {known['name']} -> {found}")

@@ -11,27 +11,32 @@ import importlib.metadata
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from agents.rules import POLICIES
 from experiments.backends import SIMULATORS
 from experiments.study.arms import DOSE_TRAFFICS, DOSES, TRAFFICS, gate_traffics
+from experiments.study.rules import TrainingRules
+from experiments.study.sheet import sheet
 from experiments.support.errors import UserError, unknown
 from experiments.support.files import canonical_json, sha256_bytes
 from sumo_env.config import ConfigError, resolve
 from sumo_env.tasks import TASKS
 
+if TYPE_CHECKING:
+    from agents.learner import Learner
+
 RESULT_SCHEMA = 4  # raise it with every change that makes stored results mean, or be, something else
-BASELINES = ("idle", "random", "faster", "slower", "idm", "careful")
-LEARNER = "dqn"
+BASELINES = POLICIES
+LEARNER = "dqn"  # of the published studies
 # highway-env's own time step, and drivers that see along their path (see `backends.highway_env`).
 HIGHWAY_ENV = {"simulation_frequency": 15, "variant": "path"}
 IN_NAMES = {"traffic_model": "sumo"}  # a key of earlier versions, which the names of all cells contain
 BACKEND_KEYS = ("variant", "risk_law")  # keys that only the replica and highway-env have
-MARKS = (1 / 3, 2 / 3)  # shares of the budget after which an agent can be tested as well
 # Keys of the environments that say how an episode is drawn or which arm is meant, not what is simulated.
 PICTURES = {"screen_width", "screen_height", "scaling", "centering_position"}
 FREE = {"risk", *PICTURES}
-NOT_IN_KEY = {"source", "early_tests"}  # fields of a cell
+NOT_IN_KEY = {"source"}  # fields of a cell
 
 
 @dataclass(frozen=True)
@@ -40,13 +45,12 @@ class Cell:
     test of an agent that another cell has trained.
 
     kind: "agent", "baseline" or "test". level: 1 is the lightest traffic. arm, seed: None for baselines.
-    profile: every hyper-parameter of the learner and its budget; for baselines only the preset's
-        name.
+    policy: name of the learner or of the policy. profile: every setting of the learner and the rules of its training
+        (`rules.TrainingRules`); for baselines only the preset's name.
     env_config: the environment's configuration, without the dose of risk. eval: how it is tested.
     dynamics: fingerprint of what the backend does on this task, see `fingerprint.dynamics`.
     trained_with: what differs in the environment that the agent is trained in, for arms that need it.
     test_on: of a further test its backend, env_config, traffics and episodes.
-    early_tests: whether the agent is also tested after the shares MARKS of its budget. Not part of the key.
     source: where the network or policy of the user's own lies, FILE:NAME or a zip file. Not part of the key, which has
         the file's fingerprint.
     """
@@ -66,7 +70,6 @@ class Cell:
     source: str | None = None
     trained_with: Mapping[str, Any] | None = None
     test_on: Mapping[str, Any] | None = None
-    early_tests: bool = False
 
     def key(self) -> dict[str, Any]:
         """All of it as plain JSON values; what cell.json stores."""
@@ -114,16 +117,22 @@ class Cell:
         return DOSES[self.arm] if self.arm else 0.0
 
     @property
-    def training_config(self) -> dict[str, Any]:
-        """The environment's configuration in training; a training clock may run longer than the test."""
-        clock = self.profile.get("training_clock")
-        longer = {"duration": clock[1]} if clock else {}
-        return {**self.env_config, **(self.trained_with or {}), **longer}
+    def rules(self) -> TrainingRules:
+        """The rules of its training."""
+        return TrainingRules.of(self.profile)
 
     @property
-    def updates(self) -> int:
-        """Training budget in gradient updates (0 where nothing is trained)."""
-        return int(self.profile.get("updates", 0)) if self.kind == "agent" else 0
+    def training_config(self) -> dict[str, Any]:
+        """The environment's configuration in training; a training clock may run longer than the test."""
+        return {**self.env_config, **(self.trained_with or {}), **self.rules.duration}
+
+    @property
+    def budget(self) -> tuple[int, int]:
+        """Environment steps and gradient updates of its training (0 where nothing is trained)."""
+        if self.kind != "agent":
+            return 0, 0
+        _, settings = learner_of(self.key(), self.source)
+        return settings.steps, settings.updates
 
     @property
     def episodes(self) -> int:
@@ -139,8 +148,30 @@ class Cell:
     def work(self) -> int:
         """Episodes that are played after the training, in all traffics."""
         gates = 0 if self.test_on else len(gate_traffics(self.arm)) * self.gate_episodes
-        drives = 1 + len(MARKS) * self.early_tests * (self.kind == "agent")
-        return len(self.tested["traffics"]) * int(self.tested["episodes"]) * drives + gates
+        return len(self.tested["traffics"]) * int(self.tested["episodes"]) + gates
+
+
+def learner_of(key: Mapping[str, Any], source: str | None) -> tuple[Learner, Any]:
+    """The learner of an agent's cell, and its settings.
+
+    Args:
+        source: FILE:NAME of the user's own learner or network, if there is one.
+
+    Raises:
+        UserError: the user's file is not there or does not fit.
+    """
+    from agents.learners import learner  # here: not every command needs one
+
+    profile = key["profile"]
+    try:
+        found = learner(source if source and "learner_sha256" in profile else key["policy"])
+    except ValueError as error:
+        raise UserError(str(error)) from None
+    names = {field.name for field in fields(found.Settings)}
+    values = {name: value for name, value in profile.items() if name in names}
+    if source and "network_sha256" in profile:
+        values["network"] = source  # where it lies now; the key has its label
+    return found, found.Settings(**values)
 
 
 def setting(key: Mapping[str, Any]) -> str:
@@ -150,7 +181,10 @@ def setting(key: Mapping[str, Any]) -> str:
 
 def slug(key: Mapping[str, Any]) -> str:
     """The readable part of a cell's name."""
-    last = f"{key['arm']}-s{key['seed']}" if key["arm"] else key["policy"].replace(":", ".")
+    policy = key["policy"].replace(":", ".")
+    last = f"{key['arm']}-s{key['seed']}" if key["arm"] else policy
+    if key["arm"] and key["policy"] != LEARNER:
+        last += f"-{policy}"
     if test_on := key.get("test_on"):
         elsewhere = test_on["backend"] != key["backend"]
         here = "-doses" if set(test_on["traffics"]) <= set(DOSE_TRAFFICS) else "-unseen"
@@ -226,10 +260,11 @@ def env_config(
 
 
 def choose_tasks(wanted: Sequence[str]) -> tuple[str, ...]:
-    """The wanted tasks in the grid's order. Raises UserError for a task that does not exist."""
+    """The wanted tasks in the grid's order. Raises UserError for a task that does not exist or has no sheet."""
     for task in wanted:
         if task not in TASKS:
             raise unknown("task", task, TASKS)
+        sheet(task)
     return tuple(task for task in TASKS if task in wanted)
 
 

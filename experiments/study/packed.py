@@ -2,7 +2,7 @@
 
 DIR/packed.json        version of the layout, and the SHA-256 of each table
 DIR/cells.parquet      one row per cell: its name, and all of cell.json as text (`record`)
-DIR/episodes.parquet, gates.parquet, training.parquet, marks.parquet
+DIR/episodes.parquet, gates.parquet, training.parquet (and tables of earlier versions)
                        the rows of the cells' own tables of these names, behind a column `cell`
 DIR/weights/           the weights that are kept, CELL.npz
 """

@@ -12,6 +12,8 @@ from agents.checkpoint import CheckpointError
 from agents.plugins import sha256, split
 from agents.policies import Policy, foreign_policy
 from agents.rules import make_policy
+from experiments.study.grid import learner_of
+from experiments.study.rules import TrainingRules
 from experiments.study.wrappers import observed
 from experiments.support.errors import UserError
 
@@ -33,9 +35,9 @@ def foreign(name: str) -> tuple[str, str]:
         raise UserError(str(error)) from None
 
 
-def check(source: str, expected: str) -> None:
-    """Raise UserError unless the file is the one that the cell was named by."""
-    if foreign(source)[1] != expected:
+def check(source: str, profile: Mapping[str, Any]) -> None:
+    """Raise UserError unless the user's file is the one that the cell was named by."""
+    if foreign(source)[1] not in (profile.get(f"{part}_sha256") for part in ("learner", "network", "policy")):
         raise UserError(f"{source} has changed since the sweep began: run the sweep again")
 
 
@@ -44,24 +46,19 @@ def driver(
 ) -> tuple[gym.Env[Any, Any], Policy]:
     """The policy of a cell, and the environment as it observes it.
 
-    source: FILE:NAME or a zip file of the user's own policy or network, None for one of ours. weights: of a trained
-    agent, None for a policy that is not trained here.
+    source: FILE:NAME or a zip file of the user's own policy, network or learner, None for one of ours. weights: of a
+    trained agent, None for a policy that is not trained here.
 
     Raises:
         UserError: the user's file is not there, has changed or does not fit, or the weights belong to another network.
     """
     if source is not None:
-        check(source, key["profile"]["network_sha256" if weights else "policy_sha256"])
+        check(source, key["profile"])
     try:
         if weights is None:
             return env, foreign_policy(source, env) if source else make_policy(key["policy"], env)
-        from agents.greedy import Greedy  # here: other policies need no learner
-        from agents.models import Standardised, network_class
-
-        env = observed(env, key["profile"])
-        space: Any = env.observation_space
-        actions: Any = env.action_space
-        network = network_class(source or key["profile"]["network"])(space, int(actions.n))
-        return env, Greedy.load(weights, Standardised(network, space))
+        env = observed(env, TrainingRules.of(key["profile"]))
+        learner, settings = learner_of(key, source)
+        return env, learner.load(weights, settings, env)
     except (ValueError, CheckpointError) as error:
         raise UserError(str(error)) from None

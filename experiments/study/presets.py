@@ -6,17 +6,16 @@ from collections.abc import Mapping
 from dataclasses import fields, replace
 from typing import Any
 
-from experiments.study.experiment import Experiment
+from experiments.study.experiment import Dynamics, Experiment
+from experiments.study.fingerprint import dynamics
 from experiments.study.grid import Cell
+from experiments.study.sheet import SHEETS, sheet
 from experiments.support.errors import unknown
-from sumo_env.tasks import TASKS
 
-PAPER_EPISODES = 3072  # training episodes of an agent in the paper
-# Mean length of a training episode [steps], to turn the paper's budget into updates. Budgets are counted in
-# updates, equal for both arms: the number of target copies sets how far an agent looks ahead, and with it its
-# appetite for risk, while equal numbers of episodes would give the arms different numbers of updates.
-EPISODE_LENGTH = {"highway": 17, "two-way": 6, "roundabout": 10, "intersection": 9, "u-turn": 9}
-
+# Training episodes of an agent in the paper. Budgets are counted in updates, equal for both arms: the number of
+# target copies sets how far an agent looks ahead, and with it its appetite for risk, while equal numbers of episodes
+# would give the arms different numbers of updates.
+PAPER_EPISODES = 3072
 # The paper's numbers, over the defaults of `agents.dqn.DQNConfig`; where it is silent, those of the code that it cites,
 # except the target network, which that code copies at every update: at gamma .99 six of six agents diverged
 # (docs/developers/decisions.md).
@@ -30,18 +29,13 @@ PAPER = {
     "warm_up": 100,
     "standardise": False,
 }
-# Tasks whose time limit is terminal, with the time observed (see `wrappers`), in the first version of "tuned". The
-# roundabout's reward pays for standing at the entry: with values beyond the limit, waiting is worth more than driving,
-# and agents learn to wait. On the u-turn nothing is ever learnt of the places where the limit ends an episode, so that
-# the values beyond it, guessed there, grow without bound (docs/learner.md).
-FIRST_CLOCK = {task: {"finite_horizon": True} for task in ("roundabout", "u-turn")}
-# Environment steps of a training in the second study: one update per step (docs/developers/learner_choice.md).
-SECOND_STEPS = {**dict.fromkeys(TASKS, 40_000), "two-way": 160_000, "u-turn": 80_000}
-# Where training episodes end later than a test does (11 and 10 s), but before an ego at the highest speed leaves
-# the road. The time is observed as a share of this clock, in the test as well.
+# How training episodes end, by task (see `wrappers`): in the first version of "tuned" with the test's time limit, which
+# is terminal; later with a longer clock than the test's, of which the share that is over is observed in both.
+FIRST_CLOCK = {task: {"finite_horizon": True} for task, own in SHEETS.items() if own.first_clock}
 LONGER = {
-    task: {"training_clock": [end, end], "time_observed": end}
-    for task, end in {"roundabout": 15, "u-turn": 13}.items()
+    task: {"training_clock": [own.clock, own.clock], "time_observed": own.clock}
+    for task, own in SHEETS.items()
+    if own.clock
 }
 
 
@@ -56,9 +50,12 @@ def tuned(
 
 
 def second_version(task: str, clock: Mapping[str, Any]) -> dict[str, Any]:
-    """The learner of a task in the second version of "tuned", with such a clock."""
+    """The learner of a task in the second version of "tuned", with such a clock: one update per step.
+
+    How this was chosen: docs/developers/learner_choice.md.
+    """
     tau = 0.005 / 4  # the target moves as far in a step as in the first version
-    return {"updates": SECOND_STEPS[task], "steps_per_update": 1, "batch_size": 64, "tau": tau, **clock}
+    return {"updates": sheet(task).second_steps, "steps_per_update": 1, "batch_size": 64, "tau": tau, **clock}
 
 
 SECOND = Experiment(
@@ -67,7 +64,7 @@ SECOND = Experiment(
     seeds=5,
     episodes=400,
     gate_episodes=100,
-    learners={task: second_version(task, LONGER.get(task, {})) for task in TASKS},
+    learners={task: second_version(task, LONGER.get(task, {})) for task in SHEETS},
     first_seed=100,
     first_scenario=1000,
 )
@@ -81,7 +78,7 @@ PRESETS = {
             seeds=1,
             episodes=4,
             gate_episodes=4,
-            learners=tuned(dict.fromkeys(TASKS, 200), warm_up=200),
+            learners=tuned(dict.fromkeys(SHEETS, 200), warm_up=200),
         ),
         Experiment(
             preset="quick",
@@ -90,10 +87,7 @@ PRESETS = {
             seeds=3,
             episodes=50,
             gate_episodes=100,
-            learners=tuned(
-                {"highway": 5000, "two-way": 8000, "roundabout": 4000, "intersection": 7000, "u-turn": 4000},
-                LONGER,
-            ),
+            learners=tuned({task: own.quick_updates for task, own in SHEETS.items()}, LONGER),
         ),
         Experiment(
             preset="standard",
@@ -101,8 +95,7 @@ PRESETS = {
             seeds=10,
             episodes=100,
             gate_episodes=100,
-            # on the two-way road, 10,000 are too few (docs/learner.md)
-            learners=tuned({**dict.fromkeys(TASKS, 10_000), "two-way": 20_000}),
+            learners=tuned({task: own.standard_updates for task, own in SHEETS.items()}),
         ),
         SECOND,
         replace(
@@ -111,7 +104,7 @@ PRESETS = {
             about="the second study's u-turn and roundabout, where agents see when the test ends: hours",
             tasks=tuple(FIRST_CLOCK),
             levels=(1,),
-            learners={task: second_version(task, FIRST_CLOCK.get(task, {})) for task in TASKS},
+            learners={task: second_version(task, FIRST_CLOCK.get(task, {})) for task in SHEETS},
         ),
         Experiment(
             preset="paper",
@@ -119,7 +112,10 @@ PRESETS = {
             seeds=10,
             episodes=100,
             gate_episodes=100,
-            learners={task: {"updates": PAPER_EPISODES * EPISODE_LENGTH[task], **PAPER} for task in TASKS},
+            learners={
+                task: {"updates": PAPER_EPISODES * own.episode_length, **PAPER}
+                for task, own in SHEETS.items()
+            },
         ),
     )
 }
@@ -141,6 +137,6 @@ def complete(asked: Experiment) -> Experiment:
     return replace(PRESETS[asked.preset], **given)
 
 
-def cells_of(asked: Experiment) -> list[Cell]:
+def cells_of(asked: Experiment, dynamics: Dynamics = dynamics) -> list[Cell]:
     """All cells of what is asked for. Raises UserError where something does not exist or makes no sense."""
-    return complete(asked).cells()
+    return complete(asked).cells(dynamics)

@@ -22,10 +22,15 @@ EVERY = 15.0  # [s] between two lines where there is no terminal
 MEMORY = 600.0  # [s] over which the speed is averaged
 
 
+def costs(cell: Cell) -> tuple[float, float]:
+    """Expected times of a cell's training and of its tests on one core of a common server [s]."""
+    steps, updates = cell.budget
+    return updates * UPDATE + steps * STEP[cell.backend], cell.work * LENGTH * STEP[cell.runs_on]
+
+
 def seconds(cell: Cell) -> float:
     """Expected time of a cell on one core of a common server [s]."""
-    steps = cell.updates * cell.profile.get("steps_per_update", 1) + cell.work * LENGTH
-    return cell.updates * UPDATE + steps * STEP[cell.runs_on]
+    return sum(costs(cell))
 
 
 def duration(seconds: float) -> str:

@@ -22,6 +22,7 @@ from agents.greedy import Greedy, Timed
 from experiments.backends import make_env
 from experiments.study.arms import TRAFFICS
 from experiments.study.evaluate import evaluate
+from experiments.study.grid import LEARNER
 from experiments.study.policies import driver
 from experiments.study.store import EPISODES, Store
 from experiments.study.wrappers import TimeObserved
@@ -56,14 +57,14 @@ def halved(policy: Greedy) -> Greedy:
 
 
 def published(directory: Path, name: str, command: str) -> tuple[dict[str, Any], Greedy] | None:
-    """Card and policy of a stored agent; None if it observes the dose, which nobody else knows."""
+    """Card and policy of a stored agent; None of another's learner, or if it observes the dose, which nobody knows."""
     store = Store(directory)
     record, weights = store.record(name), store.weights(name)
     assert weights is not None
     key = record["key"]
     with closing(make_env(key["backend"], key["task"], key["env_config"])) as env:
         seen, policy = driver(key, record["source"], env, weights)
-        if key["profile"].get("dose_observed") or not isinstance(policy, Greedy):
+        if key["profile"].get("dose_observed") or key["policy"] != LEARNER or not isinstance(policy, Greedy):
             return None
         space: Any = seen.observation_space
         steps = seen.steps if isinstance(seen, TimeObserved) else 0

@@ -1,7 +1,7 @@
 """Finished cells on disk: written whole or not at all, checked when read, never computed twice; all of them as tables.
 
 DIR/cells/<cell>/     cell.json, episodes.parquet; gates.parquet except in further tests of an agent; for agents also
-                      training.parquet, marks.parquet (tests at parts of the budget, on request), weights.npz
+                      training.parquet, weights.npz
 DIR/packed.json, *.parquet, weights/   finished cells of which the folders may be removed (see `packed`)
 DIR/work/<cell>/      a cell in progress or given up: checkpoint, lock, log of what went wrong (see `run`)
 DIR/damaged/          what was put aside because it was damaged
@@ -32,13 +32,12 @@ from experiments.support.errors import UserError
 from experiments.support.files import alone, publish, sha256_bytes, sha256_file, write_file, write_json
 
 CELL, EPISODES, GATES = "cell.json", "episodes.parquet", "gates.parquet"
-TRAINING, MARKS, WEIGHTS = "training.parquet", "marks.parquet", "weights.npz"
-TABLES = (EPISODES, GATES, TRAINING, MARKS)
+TRAINING, WEIGHTS = "training.parquet", "weights.npz"
+TABLES = (EPISODES, GATES, TRAINING)
 SWEEPS = "sweep.json"
-# Columns of gates.parquet and marks.parquet.
+# Columns of gates.parquet.
 _JUDGED = ("traffic", "scenario", "return", "length", "crashed", "mean_speed", "distance", "near_misses")
 GATE_COLUMNS = (*_JUDGED, *(f"action_{number}" for number in range(5)))
-MARK_COLUMNS = ("mark", *_JUDGED, "crash_time")
 HEAD = '{\n "checksum": "%s",\n'  # of cell.json
 
 

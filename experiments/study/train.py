@@ -1,10 +1,11 @@
-"""Training of one cell: the learner of `agents` in the cell's traffic, resumed from its checkpoint if there is one."""
+"""Training of one cell: its learner in the cell's traffic, by the rules of the training."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
+from contextlib import ExitStack, closing
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -12,103 +13,94 @@ import gymnasium as gym
 import numpy as np
 import pandas as pd
 
-from agents.dqn import DQNConfig
-from agents.greedy import Greedy
-from agents.models import network_class
+from agents.learner import Trained
 from agents.streams import episode_seed
-from agents.training import TrainedAgent, train
 from experiments.study.arms import DRAWN, drawn_dose, training_seed
-from experiments.study.grid import MARKS, Cell
+from experiments.study.grid import Cell, learner_of
 from experiments.study.policies import check
 from experiments.study.wrappers import Training, observed
 from experiments.support.errors import UserError
 
 CHECKPOINT = "checkpoint.npz"
 CURVE = 20  # parts of a learning curve
-CHECKPOINTS = 20  # a training is checkpointed about so often
-MIN_INTERVAL = 100  # updates between two checkpoints at least
-
-
-@dataclass(frozen=True)
-class Trained:
-    """A trained agent as it is stored: policy, training episodes (one row each), and "learner" of cell.json."""
-
-    policy: Greedy
-    episodes: pd.DataFrame
-    learner: dict[str, Any]
-
-
-def learner_config(profile: Mapping[str, Any]) -> DQNConfig:
-    """The settings of the learner among those of a profile. ValueError: one makes no sense."""
-    names = {field.name for field in fields(DQNConfig)}
-    return DQNConfig(**{name: value for name, value in profile.items() if name in names})
+MakeEnv = Callable[..., gym.Env[Any, Any]]  # from (backend, task, config)
 
 
 def train_cell(
-    cell: Cell,
-    env: gym.Env[Any, Any],
-    directory: Path,
-    progress: Callable[[int], None] = lambda _: None,
-) -> Trained:
-    """Train the agent of a cell; bit for bit the same however often it is interrupted.
+    cell: Cell, make_env: MakeEnv, directory: Path, progress: Callable[[int], None] = lambda _: None
+) -> tuple[Trained, pd.DataFrame, dict[str, Any]]:
+    """Train the agent of a cell; the same however often it is interrupted.
 
     Args:
-        env: an environment of the cell's task and level.
-        directory: where the checkpoint lies, or is written; with early tests also mark-0.npz and mark-1.npz, the
-            weights after each of the shares `grid.MARKS` of the budget.
-        progress: called now and then with the number of updates that are made.
+        make_env: makes an environment from (backend, task, config).
+        directory: where the checkpoint lies, or is written.
+        progress: called now and then with the number of environment steps that are made.
+
+    Returns:
+        The agent, its training episodes (one row each), and "learner" of cell.json.
 
     Raises:
         CheckpointError: the checkpoint is damaged.
-        UserError: the network does not fit.
+        UserError: settings, network or learner do not fit.
         OSError: the checkpoint cannot be written.
     """
-    config = learner_config(cell.profile)
+    learner, settings = learner_of(cell.key(), cell.source)
     if cell.source is not None:
-        check(cell.source, cell.profile["network_sha256"])
+        check(cell.source, cell.profile)
     seed = training_seed(cell.task, cell.level, cell.seed or 0)
-    shares = MARKS if cell.early_tests else ()
-    files = {round(share * config.updates): directory / f"mark-{k}.npz" for k, share in enumerate(shares)}
-    try:
-        agent = train(
-            Training(observed(env, cell.profile), cell.profile, cell.arm),
-            config,
-            seed,
-            network=network_class(cell.source or config.network),
-            reset_options={"config": {"risk": cell.risk}},
-            checkpoint=directory / CHECKPOINT,
-            checkpoint_interval=max(config.updates // CHECKPOINTS, MIN_INTERVAL),
-            progress=progress,
-            marks=tuple(files),
-            at_mark=lambda mark, policy: policy.save(files[mark]),
-        )
-    except ValueError as error:
-        raise UserError(str(error)) from None
-    episodes = pd.DataFrame(agent.episodes)
+    with ExitStack() as opened:
+        try:
+            trained = learner.train(
+                partial(environments, cell, make_env, seed, opened),
+                settings,
+                seed,
+                checkpoint=directory / CHECKPOINT,
+                progress=progress,
+            )
+        except ValueError as error:
+            raise UserError(str(error)) from None
+    episodes = pd.DataFrame(trained.episodes)
     if cell.arm in DRAWN:
-        episodes["risk"] = [drawn_dose(cell.arm, episode_seed(seed, k)) for k in episodes["episode"]]
-    return Trained(agent.policy, episodes, learner_record(agent))
+        episodes["risk"] = [drawn_dose(cell.arm, episode_seed(seed, k)) for k in range(len(episodes))]
+    return trained, episodes, learner_record(trained)
 
 
-def learner_record(agent: TrainedAgent) -> dict[str, Any]:
-    """What cell.json says of the learner.
+def environments(
+    cell: Cell, make_env: MakeEnv, seed: int, opened: ExitStack, number: int | None = None
+) -> gym.Env[Any, Any] | gym.vector.VectorEnv[Any, Any, Any]:
+    """The environment of a training, or a vector environment of so many that share its episodes out.
 
-    probe_q: [update, mean of max |Q|, largest |Q|] over the probe states. q_bound: the largest value that any policy
-    can have, max |r| / (1 - gamma). curve: see `learning_curve`. A number that is not finite is null.
+    opened: closes them.
     """
 
-    def finite(value: float) -> float | None:
-        return float(value) if math.isfinite(value) else None
+    def one(first: int = 0, count: int = 1) -> gym.Env[Any, Any]:
+        env = make_env(cell.backend, cell.task, cell.training_config)
+        opened.enter_context(closing(env))
+        return Training(observed(env, cell.rules), cell.rules, str(cell.arm), seed, first, count)
 
+    if number is None:
+        return one()
+    return gym.vector.SyncVectorEnv([partial(one, first, number) for first in range(number)])
+
+
+def learner_record(trained: Trained) -> dict[str, Any]:
+    """What cell.json says of the training.
+
+    The learner's own record (`agents.learner.Trained`), in which a number that is not finite is null; episodes, curve
+    (see `learning_curve`) and weights_sha256.
+    """
     return {
-        "updates": agent.updates,
-        "steps": agent.steps,
-        "episodes": len(agent.episodes["episode"]),
-        "probe_q": [[look.update, finite(look.mean), finite(look.largest)] for look in agent.probe_q],
-        "curve": learning_curve(agent.episodes),
-        "q_bound": agent.q_bound,
-        "weights_sha256": agent.policy.sha256,
+        **{name: _finite(value) for name, value in trained.record.items()},
+        "episodes": len(trained.episodes["step"]),
+        "curve": learning_curve(trained.episodes),
+        "weights_sha256": trained.policy.sha256,
     }
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def learning_curve(episodes: Mapping[str, Any]) -> dict[str, list[Any]]:
@@ -118,7 +110,7 @@ def learning_curve(episodes: Mapping[str, Any]) -> dict[str, list[Any]]:
         step (at the end of each part), return and crashed (None where no episode ended).
     """
     steps = np.asarray(episodes["step"])
-    edges = np.linspace(0, steps[-1], CURVE + 1)
+    edges = np.linspace(0, steps[-1] if len(steps) else 0, CURVE + 1)
     part = np.clip(np.searchsorted(edges, steps) - 1, 0, CURVE - 1)
 
     def mean(name: str) -> list[float | None]:

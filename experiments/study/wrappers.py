@@ -1,15 +1,17 @@
-"""What a task's training changes about its environment, by gymnasium's wrappers; the same in both arms."""
+"""What a training changes about its environment, by gymnasium's wrappers."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
 
 from agents.greedy import with_column
-from experiments.study.arms import DRAWN, drawn_dose
+from agents.streams import episode_seed
+from experiments.study.arms import DOSES, DRAWN, drawn_dose
+from experiments.study.rules import TrainingRules
 
 Env = gym.Env[Any, Any]
 
@@ -57,46 +59,47 @@ class TimeObserved(Observed):
 
 
 class Training(gym.Wrapper[Any, Any, Any, Any]):
-    """An environment as an arm is trained on it.
+    """An environment as an arm is trained on it: the arm's traffic, and the rules of the training.
 
-    In arms.DRAWN every episode has the dose of risk that `arms.drawn_dose` draws from its seed. The profile may add a
-    reward for crashes (`crash_reward`), and make the time limit an end like any other, beyond which nothing is expected
-    (`finite_horizon`, `training_clock`).
+    A reset without a seed begins the training's next episode, so that every learner meets the same scenarios in the
+    same order. Of several environments of a training, each has every `count`-th episode, from `first` on.
+
+    seed: of the training.
     """
 
-    def __init__(self, env: Env, profile: Mapping[str, Any], arm: str | None = None) -> None:
+    def __init__(
+        self, env: Env, rules: TrainingRules, arm: str, seed: int, first: int = 0, count: int = 1
+    ) -> None:
         super().__init__(env)
-        self._drawn = arm if arm in DRAWN else None
-        self._crash = float(profile.get("crash_reward", 0.0))
-        self._terminal = bool(profile.get("finite_horizon") or profile.get("training_clock"))
+        self._rules, self._arm, self._seed = rules, arm, seed
+        self._episode, self._count = first, count
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Begin an episode. ValueError without the seed that a dose is drawn from."""
-        if self._drawn:
-            if seed is None:
-                raise ValueError(
-                    "The dose of an episode is drawn from its seed: reset the environment with one."
-                )
-            others = options or {}
-            config = {**others.get("config", {}), "risk": drawn_dose(self._drawn, seed)}
-            options = {**others, "config": config}
-        return self.env.reset(seed=seed, options=options)
+        """Begin an episode; its dose of risk is the arm's, or drawn from its seed."""
+        if seed is None:
+            seed = episode_seed(self._seed, self._episode)
+            self._episode += self._count
+        risk = drawn_dose(self._arm, seed) if self._arm in DRAWN else DOSES[self._arm]
+        others = options or {}
+        config = {**others.get("config", {}), "risk": risk}
+        return self.env.reset(seed=seed, options={**others, "config": config})
 
     def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
         """A step, with the crash in its reward; at a terminal limit its truncation counts as termination."""
         observation, reward, terminated, truncated, info = self.env.step(action)
-        if self._terminal:
+        if self._rules.terminal:
             terminated, truncated = terminated or truncated, False
-        return observation, float(reward) + self._crash * info["crashed"], terminated, truncated, info
+        reward = float(reward) + self._rules.crash_reward * info["crashed"]
+        return observation, reward, terminated, truncated, info
 
 
-def observed(env: Env, profile: Mapping[str, Any]) -> Env:
-    """The environment as an agent of this profile observes it."""
+def observed(env: Env, rules: TrainingRules) -> Env:
+    """The environment as an agent that was trained by these rules observes it."""
     inner: Any = env.unwrapped
-    if profile.get("dose_observed"):
+    if rules.dose_observed:
         env = Observed(env, lambda: float(inner.config["risk"]))
     # as a share of the episode, or of so many seconds in training and test alike
-    seconds = inner.config["duration"] if profile.get("finite_horizon") else profile.get("time_observed")
+    seconds = inner.config["duration"] if rules.finite_horizon else rules.time_observed
     return TimeObserved(env, round(seconds * inner.config.get("policy_frequency", 1))) if seconds else env

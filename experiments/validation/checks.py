@@ -25,6 +25,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from experiments.study.grid import level_names
+from experiments.study.sheet import sheet
 from experiments.validation.episodes import BIN, BINS, CORE, HEADWAYS, PAIR, egos
 
 Check = dict[str, Any]
@@ -52,14 +53,6 @@ MEASURES = {
     "crash_time": ("time to crash, where both crash", "s"),
     "ego_speed": ("speed of the ego", "m/s"),
     "density": ("vehicles within 200 m", ""),
-}
-# Range of the return of an episode.
-RETURN_RANGE: dict[str, float] = {
-    "highway": 20.0,  # at most 1 a step for 20 s
-    "two-way": 15.0,
-    "roundabout": 11.0,
-    "intersection": 14.0,  # -5 to 9
-    "u-turn": 10.0,
 }
 # The largest acceptable |SUMO - highway-env|, and what it is a share of: nothing ("unit"), highway-env's own value
 # ("reference"), or the range of the task's return ("range").
@@ -163,7 +156,7 @@ def margin(metric: str, task: str, traffic: str, reference: float) -> float:
     """
     judged = metric in MARGINS and (metric != "lane_changes" or (task, traffic) == ("highway", "regular"))
     value, kind = MARGINS[metric] if judged else (math.nan, "unit")
-    return value * {"unit": 1.0, "reference": abs(reference), "range": RETURN_RANGE[task]}[kind]
+    return value * {"unit": 1.0, "reference": abs(reference), "range": sheet(task).return_range}[kind]
 
 
 def difference(metric: str, both: pd.DataFrame) -> Difference:

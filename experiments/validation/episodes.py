@@ -26,18 +26,15 @@ from experiments.study.evaluate import play
 from experiments.study.executors.local import call_all
 from experiments.study.fingerprint import dynamics
 from experiments.study.grid import level_names
+from experiments.study.sheet import sheet
 from experiments.support.files import canonical_json, sha256_bytes, write_file
 from sumo_env.contacts.measures import DENSITY_RADIUS, headways
 from sumo_env.networks.roads import LaneIndex, Road
 from sumo_env.scene import Scene
 from sumo_env.tasks import TASKS
 
-# Averaged over in the checks "over egos"; the two-way road and the intersection start the ego at its top speed, so
-# that "faster" would be "idle" again.
-CORE = ("idle", "faster", "random", "careful", "idm")
+CORE = ("idle", "faster", "random", "careful", "idm")  # averaged over in the checks "over egos"
 MORE = ("slower", "pulsing", "weaving")
-ALREADY_FASTEST = ("two-way", "intersection")
-WITHOUT_WEAVING = ("intersection",)
 CYCLES: dict[str, tuple[str, ...]] = {
     "pulsing": ("SLOWER", "IDLE", "FASTER", "FASTER", "IDLE", "SLOWER"),
     "weaving": ("LANE_LEFT", "IDLE", "LANE_RIGHT", "IDLE"),
@@ -46,10 +43,8 @@ PAIR = ["task", "level", "traffic", "ego", "scenario"]  # what names an episode 
 BIN = 0.25  # [s] of the headway histogram
 BINS = 40  # the last one holds everything beyond 9.75 s
 HEADWAYS = [f"headway_{k:02d}" for k in range(BINS)]  # columns: observations in each bin
-STRAIGHT = ("highway", "two-way")  # roads without joins: the variants of highway-env are the same there
 SIZE = 25  # scenarios in a part
 LANE_WIDTH = 4.0  # [m]
-WITHOUT_LANE_CHANGES = ("two-way", "intersection")  # of the traffic
 # Columns of the table of episodes, with their types.
 COLUMNS: dict[str, str] = {
     "task": "str",
@@ -72,9 +67,7 @@ COLUMNS: dict[str, str] = {
 
 def egos(task: str) -> tuple[str, ...]:
     """Names of the egos of a task, those of CORE first."""
-    without = {"faster"} if task in ALREADY_FASTEST else set()
-    without |= {"weaving"} if task in WITHOUT_WEAVING else set()
-    return tuple(name for name in (*CORE, *MORE) if name not in without)
+    return tuple(name for name in (*CORE, *MORE) if name not in sheet(task).egos_without)
 
 
 def make_ego(name: str, env: Any) -> Policy:
@@ -107,7 +100,7 @@ def traffic_near(scenes: Sequence[Scene], task: str, road: Road, interval: float
         speeds += scene.speed[driving].tolist()
         headway = headways(*map(np.ascontiguousarray, (scene.x, scene.y, scene.speed, scene.heading)))
         times += headway[driving & np.isfinite(headway)].tolist()
-        if task not in WITHOUT_LANE_CHANGES:
+        if sheet(task).lane_changes:
             now = {
                 scene.ids[row]: _lane(scene, int(row), task, road, lanes) for row in np.flatnonzero(driving)
             }
@@ -235,7 +228,7 @@ def plan(
         Part(engine, task, level, traffic, scenarios[first : first + size])
         for engine in engines
         for task, numbers in levels.items()
-        if not (task in STRAIGHT and engine.config.get("variant") in ("v0", "connected"))
+        if sheet(task).joins or engine.config.get("variant") not in ("v0", "connected")
         for level in numbers
         for traffic in traffics
         for first in range(0, len(scenarios), size)

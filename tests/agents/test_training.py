@@ -156,11 +156,9 @@ def test_a_target_network_without_lag_shows_as_divergence() -> None:
     agent = training.train(road(), replace(config, network="dueling"), 0)
     assert agent.q_bound == pytest.approx(agent.max_abs_reward / 0.01)
     assert max(look.largest for look in agent.probe_q) > 1.2 * agent.q_bound
-    assert agent.diverged
     assert agent.probe_q[-1].greedy_share == 1.0
     stable = training.train(road(), replace(config, network="dueling", target_interval=500), 0)
-    assert max(look.largest for look in stable.probe_q) < 6
-    assert not stable.diverged
+    assert max(look.largest for look in stable.probe_q) < 6 < 1.2 * stable.q_bound
 
 
 def test_values_are_watched_on_the_first_observations_or_on_given_ones() -> None:
@@ -172,7 +170,8 @@ def test_values_are_watched_on_the_first_observations_or_on_given_ones() -> None
     values = np.array([np.abs(given.policy.q(observation)).max() for observation in probe])
     assert given.probe_q[-1].mean == pytest.approx(values.mean())
     assert given.probe_q[-1].largest == pytest.approx(values.max())
-    assert train(road(), replace(SMALL, updates=20), 0, probe=np.full_like(probe, np.nan)).diverged
+    unknown = train(road(), replace(SMALL, updates=20), 0, probe=np.full_like(probe, np.nan))
+    assert np.isnan(unknown.probe_q[-1].largest)
 
 
 def test_wrong_arguments_are_refused() -> None:

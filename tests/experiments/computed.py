@@ -18,7 +18,6 @@ TINY: dict[str, Any] = {
     "updates": 150,
     "network": "dueling",
     "episodes": 3,
-    "early_tests": True,
 }
 
 

@@ -79,11 +79,11 @@ def learner(cell: grid.Cell, diverged: bool) -> dict[str, Any]:
     progress = np.linspace(0.05, 1, 20)
     reward = 8 * (0.5 + 0.3 * progress) + generator(cell.slug, "training").normal(0, 1, 20)
     return {
-        "updates": cell.updates,
-        "episodes": cell.updates // 8,
-        "probe_q": [[cell.updates, largest / 2, largest]],
+        "updates": cell.budget[1],
+        "episodes": cell.budget[1] // 8,
+        "probe_q": [[cell.budget[1], largest / 2, largest]],
         "curve": {
-            "step": (4 * cell.updates * progress).tolist(),
+            "step": (4 * cell.budget[1] * progress).tolist(),
             "return": reward.tolist(),
             "crashed": (0.9 - 0.6 * progress).tolist(),
         },

@@ -7,20 +7,17 @@ from dataclasses import asdict
 
 import pandas as pd
 import pytest
-from optuna.distributions import CategoricalDistribution, FloatDistribution
 from rich.console import Console
 
 from experiments import calibrate
 from experiments.calibrate import Options
+from experiments.study.sheet import SHEETS, SWITCH, Between
 from experiments.validation.checks import REFERENCE
 from experiments.validation.episodes import Engine
 from sumo_env.tasks import TASKS
 from tests.experiments.validation.tables import compared, episodes
 
-SPACE: dict[str, FloatDistribution | CategoricalDistribution] = {
-    "x": FloatDistribution(0.0, 10.0),
-    "on": CategoricalDistribution((False, True)),
-}
+SPACE = {"x": Between(0.0, 10.0), "on": SWITCH}
 START = {"x": 9.0, "on": False}
 
 
@@ -73,10 +70,10 @@ def test_the_same_search_takes_the_same_way_and_begins_with_the_present_settings
 
 
 def test_what_is_searched_exists_for_every_task() -> None:
-    assert set(calibrate.DRIVERS) == set(calibrate.RISK) == set(TASKS)
+    assert set(SHEETS) == set(TASKS)
     for name, task in TASKS.items():
-        assert set(calibrate.DRIVERS[name]) <= set(asdict(task.calibration))
-        assert set(calibrate.RISK[name]) <= set(calibrate.present_risk(task))
+        assert set(SHEETS[name].drivers) <= set(asdict(task.calibration))
+        assert set(SHEETS[name].risk) <= set(calibrate.present_risk(task))
 
 
 def test_the_lower_end_of_a_range_is_searched_and_its_upper_end_kept() -> None:

@@ -22,7 +22,7 @@ from experiments.analysis.cells import comparable
 from experiments.study import grid, store, train
 from experiments.study.experiment import shard
 from experiments.study.run import Ended, attempt
-from experiments.study.store import MARKS, Store, load
+from experiments.study.store import load
 from experiments.support.errors import UserError
 from experiments.sweep import Options, cells_of, sweep
 from tests.experiments.computed import TINY, compute, fingerprint, tasks_of
@@ -82,9 +82,6 @@ def test_further_arms_are_trained_and_agents_tested_elsewhere(reference, tmp_pat
     doses = next(key for key in tests if key["arm"] == "dose50" and key["test_on"]["backend"] == "sumo")
     assert doses["test_on"]["traffics"] == ["dose25", "dose50", "dose75"]
     assert {3} == set(results.episodes.groupby(["cell", "traffic"]).size())
-    [agent] = [cell.name for cell in cells_of(Options(**TINY, **options)) if cell.slug.endswith("-dose25-s0")]
-    early = Store(directory).tables(agent)[MARKS]
-    assert {(1, 3), (2, 3)} == set(early.groupby(["mark", "traffic"]).size().droplevel("traffic").items())
     weights = next(directory.glob("cells/*-dose25-s0-*/weights.npz"))
     for path in directory.glob("cells/*-on-*"):
         shutil.rmtree(path)
@@ -338,6 +335,93 @@ def test_a_network_of_the_users_own_is_trained_and_stored(tmp_path, here):
     assert names(elsewhere) == names(file)  # where the file lies does not matter, what it says does
     elsewhere.write_text(NETWORK + "# changed")
     assert not names(elsewhere) & names(file)
+
+
+LEARNER = """
+from dataclasses import dataclass
+import numpy as np
+import torch
+from agents.greedy import Greedy
+from agents.learner import Trained
+
+@dataclass(frozen=True)
+class Settings:
+    steps: int = 40
+    scale: float = 1.0
+    updates: int = 0
+
+def network(env, scale):
+    torch.manual_seed(0)
+    shape = env.observation_space.shape
+    return torch.nn.Sequential(torch.nn.Flatten(), torch.nn.Linear(shape[0] * shape[1], 5)).requires_grad_(False)
+
+class Guess:
+    about, Settings = "a random network, and the returns of random actions", Settings
+
+    def train(self, make_env, settings, seed, *, checkpoint=None, progress=print):
+        envs, log, steps = make_env(2), {"step": [], "return": [], "length": [], "crashed": []}, 0
+        envs.reset()
+        while steps < settings.steps:
+            *_, ended, cut, info = envs.step(np.array([1, 4]))
+            steps += 2
+            for k in np.flatnonzero(ended | cut):
+                for name, value in zip(log, (steps, 1.0, 10, bool(info["crashed"][k])), strict=True):
+                    log[name].append(value)
+        policy = Greedy(network(make_env(), settings.scale))
+        return Trained(policy, {k: np.array(v) for k, v in log.items()}, {"steps": steps, "updates": 0})
+
+    def load(self, path, settings, env):
+        return Greedy.load(path, network(env, settings.scale))
+"""
+
+
+@pytest.mark.parametrize("name", ["sb3-ppo", "guess.py:own"])
+def test_a_study_of_another_learner(name, tmp_path, here):
+    """Arms, gates that apply, tests on another simulator, effects with intervals, the report and a replay."""
+    file = tmp_path / "guess.py"
+    file.write_text(LEARNER + "\nown = Guess()\n")
+    learner = f"{file}:own" if "guess" in name else name
+    options = {"learner": learner, "updates": None, "network": None, "seeds": 2, "test_on": ("replica",)}
+    few = ("n_steps=100", "hidden=16") if name == "sb3-ppo" else ("steps=60",)
+    directory = tmp_path / "results"
+    assert run(directory, settings=few, **options) == 0
+    results = load(directory)
+    agents = {name: cell for name, cell in results.cells.items() if cell["key"]["kind"] == "agent"}
+    assert {cell["key"]["policy"] for cell in agents.values()} == {learner.rpartition("/")[2]}
+    assert all("-guess.py.own-" in name or "-sb3-ppo-" in name for name in agents)
+    assert not set(agents) & {cell.name for cell in cells_of(Options(**{**TINY, "seeds": 2}))}
+    assert {cell["learner"].get("q_bound") for cell in agents.values()} == {None}
+    analysis = analyse(results)
+    assert len(analysis.gates) == 4
+    assert set(analysis.gates["passed"]) <= {True, False} and set(analysis.gates["q_bounded"]) == {None}
+    found = analysis.effects.query("outcome == 'crashed' and term == 'risky' and tested_on == 'sumo'")
+    assert {("treatment", "control")} <= set(zip(found["arm"], found["against"], strict=True))
+    assert set(analysis.means["tested_on"]) == {"sumo", "replica"} and not analysis.notes["left_out"]
+
+    from experiments.replay import Options as ReplayOptions
+    from experiments.replay import replay
+
+    case = f"{directory}/cells/{next(iter(agents))}:risky:1"
+    assert replay(ReplayOptions(case, out=tmp_path / "film.gif"), make_env) == 0
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"learner": "sb3-pp"}, "did you mean 'sb3-ppo'"),
+        (
+            {"learner": "sb3-ppo", "settings": ("gama=0.9",)},
+            "unknown setting 'gama' of the learner sb3-ppo: did",
+        ),
+        ({"learner": "sb3-ppo", "network": "dueling"}, "unknown setting 'network' of the learner sb3-ppo"),
+        ({"settings": ("finite_horizn=true",)}, "unknown setting 'finite_horizn' of the learner dqn"),
+        ({"learners": {"u-turn": {"updates": 20, "wam_up": 5}}}, "did you mean 'warm_up'"),
+        ({"settings": ("gamma",)}, "--settings takes KEY=VALUE"),
+    ],
+)
+def test_a_misspelt_setting_is_an_error(options, message):
+    with pytest.raises(UserError, match=message):
+        cells_of(Options(preset="smoke", tasks=("u-turn",), **options))
 
 
 @pytest.mark.parametrize(

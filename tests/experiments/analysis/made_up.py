@@ -12,6 +12,7 @@ from experiments.analysis.analysis import own_agents
 from experiments.analysis.effects import adjusted, contrasts, decided
 from experiments.analysis.plan import DEFAULT, OUTCOMES, TERMS, Plan
 from experiments.analysis.scores import Arm, Arms, Place, arms_of, with_outcomes
+from experiments.study.sheet import GRID
 from experiments.study.store import Results
 
 PAIR = ("treatment", "control")
@@ -45,7 +46,7 @@ def agents(
             added = (effect + growth * level) * (arm == "treatment")
             scores = 10 + own + added + random.normal(0, 0.01 * spread, (2, seeds, 5))
             pair[arm] = {name: scores.copy() for name in OUTCOMES}
-        result["sumo", task, level, str(level)] = pair
+        result["sumo", task, level, GRID[task][level - 1]] = pair
     return result
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+import json
+from dataclasses import asdict, replace
 from typing import Any
 
 import numpy as np
@@ -15,14 +16,79 @@ from experiments.analysis.cells import comparable
 from experiments.analysis.claims import claims
 from experiments.analysis.effects import HIDDEN, contrasts, means, slopes
 from experiments.analysis.estimate import Estimate, equivalence, interval, linear
-from experiments.analysis.plan import DEFAULT, OUTCOMES, TERMS, TWO_BATCHES, Plan, as_data
+from experiments.analysis.gates import THRESHOLDS
+from experiments.analysis.plan import (
+    ALPHA,
+    DEFAULT,
+    OUTCOMES,
+    POWER,
+    SECOND,
+    TERMS,
+    TWO_BATCHES,
+    Outcome,
+    Plan,
+    as_data,
+)
 from experiments.study.grid import BASELINES
+from experiments.study.sheet import SHEETS
 from experiments.study.store import Results, load
+from experiments.support.files import canonical_json, sha256_bytes
 from tests.experiments import synthetic
 from tests.experiments.analysis.made_up import PAIR, agents, arms_in, effects, find, first
 
+PUBLISHED = [  # beginning of the SHA-256 of the plans by which results were published
+    (DEFAULT, "eaab1c7f0549"),
+    (TWO_BATCHES, "2d81d12b7cc6"),
+    (SECOND, "424a4dff869d"),
+]
+
 
 class TestPlan:
+    @pytest.mark.parametrize(("plan", "digest"), PUBLISHED)
+    def test_the_digest_of_a_published_plan_stands(self, plan: Plan, digest: str) -> None:
+        """And what was hashed is what decides today."""
+        data = as_data(plan, THRESHOLDS)
+        assert sha256_bytes(canonical_json(data).encode()).startswith(digest)
+        today = json.loads(json.dumps(asdict(plan)))
+        for name, value in ((name, value) for name, value in data.items() if name in today):
+            if name == "families":  # their arm was not hashed while there was one
+                value = [{"arm": "treatment", **family} for family in value]
+            assert value == today[name], name
+        assert (data["alpha"], data["power"], data["terms"]) == (ALPHA, POWER, TERMS)
+        assert {name: o["margin"] for name, o in data["outcomes"].items()} == {
+            name: outcome.margin for name, outcome in OUTCOMES.items()
+        }
+
+    def test_the_digest_of_a_later_plan_is_of_what_decides(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        plan = replace(SECOND, version=4, published="")
+        before = as_data(plan, THRESHOLDS)
+        monkeypatch.setitem(OUTCOMES, "return", replace(OUTCOMES["return"], label="Sum of rewards", digits=4))
+        monkeypatch.setitem(OUTCOMES, "waiting", Outcome("Waiting", "s", -1, 1, of=len))
+        monkeypatch.setitem(SHEETS, "on-ramp", SHEETS["highway"])
+        assert as_data(plan, THRESHOLDS) == before
+        monkeypatch.setitem(OUTCOMES, "crashed", replace(OUTCOMES["crashed"], margin=0.04))
+        others = [as_data(plan, THRESHOLDS), as_data(replace(plan, settings=plan.settings[1:]), THRESHOLDS)]
+        assert before not in others
+
+    def test_other_settings_decide_nothing(self) -> None:
+        """Agents of a task that the plan does not name, with a large effect, beside those that it names."""
+        random = np.random.default_rng(3)
+        named = agents(3, 5, random, effect=-3.0)
+        more = dict(
+            zip([("sumo", "on-ramp", 1, "3")], agents(1, 5, random, effect=9.0).values(), strict=True)
+        )
+        few, many = effects(named), effects({**named, **more})
+        assert set(many.loc[many["task"] == "on-ramp", "family"]) == {""}
+        planned = many[many["task"] != "on-ramp"].reset_index(drop=True)
+        tested = few["family"] != ""
+        pd.testing.assert_frame_equal(planned[tested], few[tested])
+        trends = slopes([named])
+        counts = claims(few, trends).drop(columns="detectable")
+        pd.testing.assert_frame_equal(
+            claims(many, slopes([{**named, **more}])).drop(columns="detectable"), counts
+        )
+        assert set(counts["expected"]) == {5, 18}
+
     @pytest.mark.parametrize("plan", [DEFAULT, TWO_BATCHES])
     def test_what_a_family_tests_is_not_called_exploratory(self, plan: Plan) -> None:
         named = as_data(plan, {})["exploratory"]

@@ -17,7 +17,15 @@ from tests.experiments.analysis.made_up import agents, effects, find
 
 def made_up(**columns: Any) -> pd.DataFrame:
     """Rows of effects with what claims are made of."""
-    usual = {"backend": "sumo", "task": "highway", "status": "ok", "se": 0.01, "df": 8.0, "detectable": 0.3}
+    usual = {
+        "backend": "sumo",
+        "task": "highway",
+        "level_name": "50",
+        "status": "ok",
+        "se": 0.01,
+        "df": 8.0,
+        "detectable": 0.3,
+    }
     rows = pd.DataFrame(columns)
     return rows.assign(**{name: value for name, value in usual.items() if name not in columns})
 

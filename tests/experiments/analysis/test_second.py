@@ -18,6 +18,7 @@ from experiments.analysis.gates import change, last_second
 from experiments.analysis.plan import DEFAULT, SECOND, TWO_BATCHES, Learner, plan_of
 from experiments.analysis.scores import Arms, Place
 from experiments.study.grid import env_config
+from experiments.study.sheet import SHEETS
 from experiments.study.store import EPISODES, load
 from experiments.support.errors import UserError
 from sumo_env.tasks import TASKS
@@ -67,7 +68,10 @@ class TestPlan:
         assert [plan_of([name]) for name in ("second", "standard", "quick")] == [SECOND, TWO_BATCHES, DEFAULT]
 
     def test_its_ranges_are_one_for_each_second(self) -> None:
-        assert Learner().ranges == {task: env_config("sumo", task, 1)["duration"] for task in TASKS}
+        """And those of a later plan are the sheets'."""
+        assert SECOND.learner is not None
+        assert SECOND.learner.ranges == {task: env_config("sumo", task, 1)["duration"] for task in TASKS}
+        assert Learner().ranges == {task: own.return_range for task, own in SHEETS.items()}
 
 
 class TestGainWithoutPrice:

@@ -27,7 +27,7 @@ def cells(levels: dict | None = None, **options) -> list[grid.Cell]:
 
 def test_further_arms_tests_and_policies_rename_nothing():
     usual = cells()
-    more = cells(arms=DOSES, test_on=("replica", "highway-env"), unseen=True, frontier=True, early_tests=True)
+    more = cells(arms=DOSES, test_on=("replica", "highway-env"), unseen=True, frontier=True)
     assert {c.name for c in usual} <= {c.name for c in more}
     assert len({c.name for c in more}) == len(more)
     agents = [c for c in more if c.kind == "agent"]
@@ -43,7 +43,7 @@ def test_further_arms_tests_and_policies_rename_nothing():
     assert tested == [set(DOSE_ARMS), set(DOSES), set(DOSES), set(DOSES)]
     unseen = {tuple(c.test_on["traffics"]) for c in tests if c.slug.endswith("-unseen")}
     assert unseen == {unseen_traffics("highway")}
-    assert all(c.updates == 0 for c in tests)
+    assert all(c.budget == (0, 0) for c in tests)
     assert "highway-env" in next(c for c in tests if c.runs_on == "highway-env").versions
     policies = [{c.policy for c in found if c.kind == "baseline"} for found in (more, usual)]
     assert policies[0] - policies[1] == {"careful-0.1", "careful-0.5", "careful-2", "careful-4"}

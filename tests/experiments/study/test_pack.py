@@ -39,11 +39,8 @@ def content(directory: Path) -> dict[str, Any]:
     """All results as one, and the tables that no analysis reads."""
     home, results = store.Store(directory), load(directory)
     tables = {name: home.tables(name) for name in results.cells}
-    further = {
-        file: pd.concat([own[file].assign(cell=name) for name, own in tables.items() if file in own])
-        for file in (store.TRAINING, store.MARKS)
-    }
-    return {**vars(results), **further}
+    trained = [own[store.TRAINING].assign(cell=name) for name, own in tables.items() if store.TRAINING in own]
+    return {**vars(results), store.TRAINING: pd.concat(trained)}
 
 
 def assert_same(one: dict[str, Any], other: dict[str, Any]) -> None:

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import product
+from typing import Any
 
+import pandas as pd
 import pytest
 
+from agents.learner import Trained
 from agents.streams import episode_seed
 from experiments.study.arms import TEST, drawn_dose, scenario_seed, training_seed
 from experiments.study.cell import CellTask
 from experiments.study.experiment import Experiment
 from experiments.study.grid import Cell
-from experiments.study.train import Trained, train_cell
+from experiments.study.train import train_cell
 from tests.experiments.computed import Interrupted, interrupting
 from tests.experiments.fake_env import FakeEnv, make_env
 
@@ -57,21 +60,23 @@ def test_an_arm_differs_by_the_traffic_of_its_training_alone(arm, doses, tmp_pat
 def test_a_drawn_dose_is_met_logged_and_the_same_after_an_interruption(
     arm, tmp_path, met, monkeypatch
 ) -> None:
-    def trained(folder: str, moment: int = 99) -> Trained:
-        env = make_env("sumo", "u-turn", {"duration": 13})
-        return train_cell(cell(arm, training_clock=[13, 13]), env, tmp_path / folder, interrupting(moment))
+    def trained(folder: str, moment: int = 999) -> tuple[Trained, pd.DataFrame, dict[str, Any]]:
+        one = cell(arm, training_clock=[13, 13])
+        return train_cell(one, make_env, tmp_path / folder, interrupting(moment))
 
-    monkeypatch.setattr("experiments.study.train.MIN_INTERVAL", 20)
-    whole = trained("whole")
+    monkeypatch.setattr("agents.learners.MIN_INTERVAL", 20)
+    whole, episodes, record = trained("whole")
+    assert record["interruption"] == "uninterrupted" and record["steps"] >= 160
     seed = training_seed("u-turn", 1, 2)
-    expected = [drawn_dose(arm, episode_seed(seed, k)) for k in range(len(whole.episodes))]
-    assert [dose for _, dose, _ in met] == expected == whole.episodes["risk"].tolist()
+    expected = [drawn_dose(arm, episode_seed(seed, k)) for k in range(len(episodes))]
+    assert [dose for _, dose, _ in met] == expected == episodes["risk"].tolist()
     assert len(set(expected)) == (2 if arm == "mixed" else len(expected))
 
     with pytest.raises(Interrupted):
-        trained("resumed", 40)
+        trained("resumed", 120)  # environment steps
     met.clear()
-    resumed = trained("resumed")
+    resumed, log, record = trained("resumed")
     assert 0 < len(met) < 0.8 * len(expected)  # it goes on and does not begin again
+    assert record["interruption"] == "resumed exactly"
     assert resumed.policy.sha256 == whole.policy.sha256
-    assert resumed.episodes.equals(whole.episodes)
+    assert log.equals(episodes)

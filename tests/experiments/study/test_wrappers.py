@@ -7,12 +7,14 @@ import numpy as np
 import pytest
 from gymnasium.utils.env_checker import check_env
 
+from agents.streams import episode_seed
 from experiments.study.arms import DRAWN, drawn_dose
+from experiments.study.rules import TrainingRules
 from experiments.study.wrappers import TimeObserved, Training, observed
 from sumo_env.env import DrivingEnv
-from tests.experiments.fake_env import make_env
+from tests.experiments.fake_env import FakeEnv, make_env
 
-FINITE, PLAIN = {"finite_horizon": True}, {"finite_horizon": False}
+FINITE, PLAIN = TrainingRules(finite_horizon=True), TrainingRules()
 SLOWER = 4
 
 
@@ -33,11 +35,11 @@ def test_the_time_is_a_column_of_the_ego() -> None:
     assert truncated
 
 
-@pytest.mark.parametrize("profile", [FINITE, {"training_clock": [10, 10]}])
-def test_the_limit_is_terminal_in_training_and_truncates_in_the_test(profile: dict[str, object]) -> None:
-    test = observed(make_env("sumo", "u-turn"), profile)
+@pytest.mark.parametrize("rules", [FINITE, TrainingRules(training_clock=[10, 10])])
+def test_the_limit_is_terminal_in_training_and_truncates_in_the_test(rules: TrainingRules) -> None:
+    test = observed(make_env("sumo", "u-turn"), rules)
     ends = []
-    for env in (Training(test, profile), test):
+    for env in (Training(test, rules, "control", 0), test):
         env.reset(seed=0)
         for _ in range(10):
             _, _, terminated, truncated, _ = env.step(SLOWER)
@@ -47,7 +49,7 @@ def test_the_limit_is_terminal_in_training_and_truncates_in_the_test(profile: di
 
 def test_without_a_finite_horizon_nothing_is_wrapped() -> None:
     env = make_env("sumo", "u-turn")
-    assert observed(env, PLAIN) is env and observed(env, {}) is env
+    assert observed(env, PLAIN) is env
 
 
 def test_gymnasium_accepts_the_environment() -> None:
@@ -61,9 +63,9 @@ def test_other_observations_are_refused() -> None:
 
 def test_a_clock_observed_on_the_trainings_scale_shows_the_same_in_a_shorter_test() -> None:
     """After five seconds an agent sees 5/13, in a training of 13 s as in a test of 10 s, and never 1 in the test."""
-    profile = {"training_clock": [13, 13], "time_observed": 13}
-    training = Training(observed(make_env("sumo", "u-turn", {"duration": 13}), profile), profile)
-    test = observed(make_env("sumo", "u-turn"), profile)
+    rules = TrainingRules(training_clock=[13, 13], time_observed=13)
+    training = Training(observed(make_env("sumo", "u-turn", {"duration": 13}), rules), rules, "control", 0)
+    test = observed(make_env("sumo", "u-turn"), rules)
     assert training.observation_space == test.observation_space
     for env in (training, test):
         assert env.reset(seed=0)[0][0, -1] == 0
@@ -72,7 +74,7 @@ def test_a_clock_observed_on_the_trainings_scale_shows_the_same_in_a_shorter_tes
 
 
 def test_the_dose_is_a_column_of_the_ego() -> None:
-    env = observed(make_env("sumo", "u-turn"), {"dose_observed": True})
+    env = observed(make_env("sumo", "u-turn"), TrainingRules(dose_observed=True))
     for risk in (0.0, 0.25, 1.0):
         seen, _ = env.reset(seed=0, options={"config": {"risk": risk}})
         assert env.observation_space.contains(seen) and seen.shape == (2, 6)
@@ -85,16 +87,29 @@ def test_an_episode_has_a_dose_that_its_seed_draws(arm: str) -> None:
     doses = [drawn_dose(arm, seed) for seed in range(400)]
     assert np.mean(doses) == pytest.approx(0.5, abs=0.06)
     assert (set(doses) == {0.0, 1.0}) if arm != "drawn" else (len(set(doses)) == 400 and max(doses) < 1)
-    env = Training(make_env("sumo", "u-turn"), {}, arm)
+    env = Training(make_env("sumo", "u-turn"), PLAIN, arm, 0)
     env.reset(seed=17, options={"config": {"risk": 0.25}})
     assert env.get_wrapper_attr("config")["risk"] == doses[17]
-    with pytest.raises(ValueError, match="seed"):
-        env.reset()
+
+
+def test_the_environments_of_a_training_share_its_episodes_out() -> None:
+    """Resets without a seed begin the training's episodes in their order, in one environment or in three."""
+    expected = [episode_seed(5, k) for k in range(6)]
+    for count in (1, 3):
+        envs = [
+            Training(make_env("sumo", "u-turn"), PLAIN, "treatment", 5, first, count)
+            for first in range(count)
+        ]
+        FakeEnv.met.clear()
+        for k in range(6):
+            envs[k % count].reset()
+        assert [seed for seed, _, _ in FakeEnv.met] == expected
+        assert {dose for _, dose, _ in FakeEnv.met} == {1.0}
 
 
 def test_a_crash_reward_is_added_to_the_step_that_crashes_alone() -> None:
     faster = 3
-    env = Training(make_env("sumo", "two-way"), {"crash_reward": -2.0})
+    env = Training(make_env("sumo", "two-way"), TrainingRules(crash_reward=-2.0), "control", 0)
     plain = make_env("sumo", "two-way")
     env.reset(seed=1)
     plain.reset(seed=1)

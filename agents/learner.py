@@ -1,0 +1,114 @@
+"""What a learner is: settings and a function, so that a study knows no more of it.
+
+`agents.learners` has them by name; a learner of your own is an object with the attributes of `Learner` in a file,
+FILE:NAME. `agents.stable` has learners of another library.
+
+* ``Settings``: a frozen dataclass with the properties ``steps`` (environment steps of a training) and ``updates``
+  (gradient updates). Its fields are the profile, its comments the help, `settings_of` the check: a name that it does
+  not have is an error.
+* ``train(make_env, settings, seed, *, checkpoint, progress)``: `make_env()` gives an environment whose episodes follow
+  from the training's seed, whatever `reset` is given; `make_env(n)` gymnasium's vector environment of n of them, which
+  share the episodes out. Traffic and rules of the training are in them. `progress` is called with environment steps.
+* ``load(path, settings, env)``: the policy of a file that `Trained.policy.save` has written.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol, TypeVar
+
+import gymnasium as gym
+import numpy as np
+
+from agents.policies import Policy
+
+# How a training has got to its end, for the record.
+UNINTERRUPTED, RESUMED, BEGUN_AGAIN = "uninterrupted", "resumed exactly", "begun again"
+
+MakeEnv = Callable[..., Any]  # make_env() -> gym.Env, make_env(n) -> gym.vector.VectorEnv
+T = TypeVar("T")
+
+
+class SavedPolicy(Policy, Protocol):
+    """A policy that can be written to a file (`agents.greedy.Greedy` is one)."""
+
+    @property
+    def sha256(self) -> str:
+        """Fingerprint of its weights."""
+
+    def save(self, path: Path) -> None:
+        """Write the file that the learner's `load` reads."""
+
+
+@dataclass(frozen=True)
+class Trained:
+    """What a training leaves behind.
+
+    episodes: an array a column, a row a training episode, at least of step (environment steps after it), return, length
+    and crashed. record: plain values by name: "steps", "updates", "interruption" (UNINTERRUPTED, RESUMED or
+    BEGUN_AGAIN); of a learner of Q-values also "probe_q" (update, mean and largest max |Q| on some observations) and
+    "q_bound" (that no true value exceeds).
+    """
+
+    policy: SavedPolicy
+    episodes: dict[str, np.ndarray]
+    record: dict[str, Any]
+
+
+class Learner(Protocol):
+    """See the module. ``about``: one line for people."""
+
+    about: str
+    Settings: type[Any]
+
+    def train(
+        self,
+        make_env: MakeEnv,
+        settings: Any,
+        seed: int,
+        *,
+        checkpoint: Path | None = None,
+        progress: Callable[[int], None] = lambda _: None,
+    ) -> Trained:
+        """Train an agent; the same arguments give the same one.
+
+        One that can go on from `checkpoint` to the bits of an uninterrupted training does; else it begins again.
+
+        Raises:
+            ValueError: settings or spaces that do not fit. CheckpointError: the checkpoint is damaged.
+        """
+
+    def load(self, path: Path, settings: Any, env: gym.Env[Any, Any]) -> Policy:
+        """A trained policy. ValueError for the weights of another one, CheckpointError for a damaged file."""
+
+
+def settings_of(cls: type[T], given: Mapping[str, Any], whose: str) -> T:
+    """A dataclass of settings with these values.
+
+    Args:
+        whose: what they are the settings of, for the message ("the learner dqn").
+
+    Raises:
+        ValueError: a name that is no setting, with the nearest one; or a value that makes no sense.
+    """
+    known = [field.name for field in dataclasses.fields(cls)]  # type: ignore[arg-type]
+    for name in given:
+        if name not in known:
+            near = difflib.get_close_matches(name, known, 1)
+            hint = f"did you mean {near[0]!r}? " if near else ""
+            raise ValueError(f"unknown setting {name!r} of {whose}: {hint}known are {', '.join(known)}")
+    return cls(**given)
+
+
+def check_numbers(settings: Any) -> None:
+    """Raise ValueError for a number of a dataclass of settings that is not above 0, or has another type than there."""
+    for field in dataclasses.fields(settings):
+        value, default = getattr(settings, field.name), field.default
+        fits = type(value) is type(default) or (isinstance(default, float) and type(value) is int)
+        if not fits or (isinstance(value, int | float) and not 0 < value < float("inf")):
+            kind = "text" if isinstance(default, str) else f"a number above 0 such as {default!r}"
+            raise ValueError(f"{field.name} must be {kind}, got {value!r}")

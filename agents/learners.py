@@ -1,0 +1,88 @@
+"""The learners by name."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+
+from agents.dqn import DQNConfig
+from agents.greedy import Greedy
+from agents.learner import RESUMED, UNINTERRUPTED, Learner, MakeEnv, Trained
+from agents.models import Standardised, network_class
+from agents.plugins import load_object
+from agents.stable import DQNSettings, PPOSettings, StableBaselines3
+from agents.training import train
+
+CHECKPOINTS = 20  # a training is checkpointed about so often
+MIN_INTERVAL = 100  # updates between two checkpoints at least
+
+
+class DoubleDQN:
+    """This project's double DQN (`agents.dqn`)."""
+
+    about = "double DQN on any torch network (agents/dqn.py)"
+    Settings = DQNConfig
+
+    def train(
+        self,
+        make_env: MakeEnv,
+        settings: DQNConfig,
+        seed: int,
+        *,
+        checkpoint: Path | None = None,
+        progress: Callable[[int], None] = lambda _: None,
+    ) -> Trained:
+        """See `Learner`."""
+        there = checkpoint is not None and checkpoint.exists()
+        agent = train(
+            make_env(),
+            settings,
+            seed,
+            checkpoint=checkpoint,
+            checkpoint_interval=max(settings.updates // CHECKPOINTS, MIN_INTERVAL),
+            progress=lambda updates: progress(settings.warm_up + settings.steps_per_update * updates),
+        )
+        record = {
+            "steps": agent.steps,
+            "updates": agent.updates,
+            "interruption": RESUMED if there else UNINTERRUPTED,
+            "probe_q": [[look.update, look.mean, look.largest] for look in agent.probe_q],
+            "q_bound": agent.q_bound,
+        }
+        return Trained(agent.policy, agent.episodes, record)
+
+    def load(self, path: Path, settings: DQNConfig, env: gym.Env[Any, Any]) -> Greedy:
+        """See `Learner`."""
+        space: Any = env.observation_space
+        actions: Any = env.action_space
+        network = network_class(settings.network)(space, int(actions.n))
+        return Greedy.load(path, Standardised(network, space))
+
+
+LEARNERS: dict[str, Learner] = {
+    "dqn": DoubleDQN(),
+    "sb3-dqn": StableBaselines3(DQNSettings),
+    "sb3-ppo": StableBaselines3(PPOSettings),
+}
+
+
+def learner(name: str) -> Learner:
+    """The learner of this name, or "FILE:NAME" for an object of a file of one's own.
+
+    Raises ValueError when there is no such learner.
+    """
+    if name in LEARNERS:
+        return LEARNERS[name]
+    if ":" not in name:
+        near = difflib.get_close_matches(name, LEARNERS, 1)
+        hint = f"did you mean {near[0]!r}? " if near else ""
+        raise ValueError(f"unknown learner {name!r}: {hint}known are {', '.join(LEARNERS)}, or FILE:NAME")
+    own: Learner = load_object(name)
+    for part in ("Settings", "train", "load"):
+        if not hasattr(own, part):
+            raise ValueError(f"{name} is no learner: it has no {part} (agents/learner.py says what one has)")
+    return own

@@ -1,0 +1,175 @@
+"""DQN and PPO of Stable-Baselines3 as learners, with the settings of highway-env's own examples."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any, ClassVar
+
+import gymnasium as gym
+import numpy as np
+import torch
+from torch import nn
+
+from agents.greedy import Greedy
+from agents.learner import BEGUN_AGAIN, UNINTERRUPTED, MakeEnv, Trained, check_numbers
+
+COLUMNS = ("episode", "step", "return", "length", "crashed", "arrived", "mean_speed")
+LEARNERS_OWN = {"steps", "hidden", "layers"}  # settings that are no arguments of the algorithm
+
+
+@dataclass(frozen=True)
+class DQNSettings:
+    """Of Stable-Baselines3's DQN; the defaults are those of highway-env's scripts/sb3_highway_dqn.py."""
+
+    algorithm: ClassVar[str] = "DQN"
+    steps: int = 20_000  # environment steps
+    hidden: int = 256  # width of the network's layers
+    layers: int = 2
+    learning_rate: float = 5e-4
+    gamma: float = 0.8
+    buffer_size: int = 15_000
+    learning_starts: int = 200
+    batch_size: int = 32
+    train_freq: int = 1
+    target_update_interval: int = 50
+    device: str = "cpu"
+
+    def __post_init__(self) -> None:
+        check_numbers(self)
+
+    @property
+    def updates(self) -> int:
+        """Gradient updates of a training."""
+        return max(self.steps - self.learning_starts, 0) // self.train_freq
+
+
+@dataclass(frozen=True)
+class PPOSettings:
+    """Of Stable-Baselines3's PPO; the defaults are those of highway-env's scripts/sb3_highway_ppo.py.
+
+    There six environments make 128 steps each before an update, here one makes all.
+    """
+
+    algorithm: ClassVar[str] = "PPO"
+    steps: int = 20_000  # environment steps, rounded up to whole rollouts of n_steps
+    hidden: int = 256  # width of the network's layers
+    layers: int = 2
+    learning_rate: float = 5e-4
+    gamma: float = 0.8
+    n_steps: int = 768
+    batch_size: int = 64
+    n_epochs: int = 10
+    device: str = "cpu"
+
+    def __post_init__(self) -> None:
+        check_numbers(self)
+
+    @property
+    def updates(self) -> int:
+        """Gradient updates of a training."""
+        rollouts = -(-self.steps // self.n_steps)
+        return rollouts * self.n_epochs * -(-self.n_steps // self.batch_size)
+
+
+class Logits(nn.Module):
+    """What a policy of Stable-Baselines3 acts by: the largest entry is its deterministic action."""
+
+    def __init__(self, policy: Any) -> None:
+        super().__init__()
+        self.policy = policy
+
+    def forward(self, x: torch.Tensor) -> torch.Tensor:
+        """Q-values, or logits of the actions."""
+        if hasattr(self.policy, "q_net"):
+            values: torch.Tensor = self.policy.q_net(x)
+            return values
+        logits: torch.Tensor = self.policy.get_distribution(x).distribution.logits
+        return logits
+
+
+class Episodes(gym.Wrapper[Any, Any, Any, Any]):
+    """Writes down the training episodes. Stable-Baselines3 resets with a seed of its own, which is left out."""
+
+    def __init__(self, env: gym.Env[Any, Any], progress: Callable[[int], None]) -> None:
+        super().__init__(env)
+        self.columns: dict[str, list[Any]] = {name: [] for name in COLUMNS}
+        self._progress, self._steps = progress, 0
+
+    def reset(self, **_: Any) -> tuple[Any, dict[str, Any]]:  # gymnasium's checker looks for this name
+        """Begin the training's next episode."""
+        self._rewards: list[float] = []
+        self._speeds: list[float] = []
+        return self.env.reset()
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        """A step; the last one of an episode completes its row."""
+        observation, reward, terminated, truncated, info = self.env.step(int(action))
+        self._steps += 1
+        self._rewards.append(float(reward))
+        self._speeds.append(float(info.get("speed", np.nan)))
+        if terminated or truncated:
+            row = (
+                len(self.columns["episode"]),
+                self._steps,
+                sum(self._rewards),
+                len(self._rewards),
+                bool(info.get("crashed", False)),
+                bool(info.get("arrived", False)),
+                float(np.mean(self._speeds)),
+            )
+            for name, value in zip(COLUMNS, row, strict=True):
+                self.columns[name].append(value)
+            self._progress(self._steps)
+        return observation, reward, terminated, truncated, info
+
+
+class StableBaselines3:
+    """An algorithm of Stable-Baselines3. Its trainings cannot be resumed exactly: they begin again."""
+
+    def __init__(self, settings: type[Any]) -> None:
+        self.Settings = settings
+        self.about = f"{settings.algorithm} of Stable-Baselines3, settings of highway-env's examples"
+
+    def _model(self, env: gym.Env[Any, Any], settings: Any, seed: int | None) -> Any:
+        import stable_baselines3
+
+        torch.set_num_threads(1)  # the order of summation, hence the bits, depends on their number
+        arguments = {name: value for name, value in asdict(settings).items() if name not in LEARNERS_OWN}
+        policy = {"net_arch": [settings.hidden] * settings.layers}
+        algorithm = getattr(stable_baselines3, settings.algorithm)
+        return algorithm("MlpPolicy", env, policy_kwargs=policy, seed=seed, **arguments)
+
+    def train(
+        self,
+        make_env: MakeEnv,
+        settings: Any,
+        seed: int,
+        *,
+        checkpoint: Path | None = None,
+        progress: Callable[[int], None] = lambda _: None,
+    ) -> Trained:
+        """See `agents.learner.Learner`. `checkpoint` is no more than a sign that the training was begun before."""
+        again = checkpoint is not None and checkpoint.exists()
+        if checkpoint is not None:
+            checkpoint.parent.mkdir(parents=True, exist_ok=True)
+            checkpoint.touch()
+        env = Episodes(make_env(), progress)
+        model = self._model(env, settings, seed)
+        model.learn(settings.steps)
+        record = {
+            "steps": int(model.num_timesteps),
+            "updates": settings.updates,
+            "interruption": BEGUN_AGAIN if again else UNINTERRUPTED,
+        }
+        episodes = {name: np.array(values) for name, values in env.columns.items()}
+        return Trained(self._greedy(model), episodes, record)
+
+    def load(self, path: Path, settings: Any, env: gym.Env[Any, Any]) -> Greedy:
+        """See `agents.learner.Learner`."""
+        return Greedy.load(path, Logits(self._model(env, settings, None).policy))
+
+    @staticmethod
+    def _greedy(model: Any) -> Greedy:
+        return Greedy(Logits(model.policy.cpu()).requires_grad_(False))

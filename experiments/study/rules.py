@@ -1,0 +1,48 @@
+"""The rules of a training that are the environment's and not the learner's, the same in all arms."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+
+@dataclass(frozen=True)
+class TrainingRules:
+    """How training episodes end, what a crash costs in them, and what is observed beside the vehicles.
+
+    finite_horizon: the test's time limit is terminal, and the share of it that is over is observed. training_clock:
+    instead, episodes of so many seconds (the first, the second), whose end is terminal [s]; time_observed: the share of
+    so many seconds that is over is observed, in the test as well [s]. crash_reward: added to the reward of a crash.
+    dose_observed: the dose of risk is observed, in the test as well.
+    """
+
+    finite_horizon: bool = False
+    training_clock: Sequence[int] | None = None
+    time_observed: int | None = None
+    crash_reward: float = 0.0
+    dose_observed: bool = False
+
+    @classmethod
+    def of(cls, profile: Mapping[str, Any]) -> TrainingRules:
+        """Those in the profile of a cell."""
+        return cls(**{name: profile[name] for name in RULES if name in profile})
+
+    def entries(self) -> dict[str, Any]:
+        """What a cell's profile has of them: the first always, as it has always had, the others where they are set."""
+        values = {field.name: getattr(self, field.name) for field in fields(self)}
+        defaults = {field.name: field.default for field in fields(self)}
+        return {k: v for k, v in values.items() if k == "finite_horizon" or v != defaults[k]}
+
+    @property
+    def terminal(self) -> bool:
+        """Whether the time limit is an end like any other in training, beyond which nothing is expected."""
+        return bool(self.finite_horizon or self.training_clock)
+
+    @property
+    def duration(self) -> dict[str, int]:
+        """What differs in the configuration of a training's environment."""
+        return {"duration": self.training_clock[1]} if self.training_clock else {}
+
+
+RULES = tuple(field.name for field in fields(TrainingRules))

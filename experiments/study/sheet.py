@@ -1,0 +1,157 @@
+"""What is studied about a task, on one sheet a task: all that the study knows of a task by its name.
+
+A task of your own is studied by a further entry (docs/own-parts.md). What is asked of a task without a sheet is an
+error that names the file. `GRID` is the paper's 18 settings; published plans have a copy of their own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+from experiments.support.errors import UserError
+
+
+class Between(NamedTuple):
+    """Numbers that a calibration searches; log: evenly on the logarithm."""
+
+    low: float
+    high: float
+    log: bool = False
+
+
+SWITCH = (False, True)
+SHARE, FACTOR = Between(0.0, 1.0), Between(0.1, 1.0)
+Space = Mapping[str, Between | tuple[bool, ...]]
+CLOSER: Space = {"tau": FACTOR, "min_gap": FACTOR}
+
+
+def up_to(**rates: float) -> dict[str, Between]:
+    """Rates of events, each from 0 to its highest."""
+    return {name: Between(0.0, highest) for name, highest in rates.items()}
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """What is studied about a task.
+
+    return_range: largest difference between the returns of two episodes, for margins and the learner's checks.
+    episode_length: mean length of a training episode [policy steps], which turns the paper's episodes into updates.
+    quick_updates, standard_updates: budgets of these presets. second_steps: environment steps of the second study.
+    clock: a training clock longer than the test's, observed as a share [s]; None to train with the test's time limit.
+    first_clock: whether the time limit is terminal and observed in the first version of "tuned".
+    crossing: way from the start to just inside a crossing that the task is about [m]; None without one.
+    joins: whether lanes of the road continue others, so that how far highway-env's drivers see matters.
+    lane_changes: whether the traffic changes lanes, as a measure of the validation. egos_without: egos that the
+        validation leaves out. rises: whether crashes of the careful ego are fitted to rise with the dose.
+    drivers, risk: what the calibration searches. Of car following only the time gap at the intersection is: elsewhere
+        nothing was gained by changes of highway-env's own numbers for IDM on other scenarios.
+    """
+
+    return_range: float
+    episode_length: int
+    quick_updates: int = 5000
+    standard_updates: int = 10_000
+    second_steps: int = 40_000
+    clock: int | None = None
+    first_clock: bool = False
+    crossing: float | None = None
+    joins: bool = True
+    lane_changes: bool = True
+    egos_without: frozenset[str] = frozenset()
+    rises: bool = True
+    drivers: Space = field(default_factory=dict)
+    risk: Space = field(default_factory=dict)
+
+
+# On the roundabout and the u-turn the time limit is terminal in training, and the time observed. The roundabout's
+# reward pays for standing at the entry: with values beyond the limit, waiting is worth more than driving, and agents
+# learn to wait. On the u-turn nothing is ever learnt of the places where the limit ends an episode, so that the values
+# beyond it, guessed there, grow without bound (docs/learner.md). Their longer clocks end before an ego at the highest
+# speed leaves the road.
+SHEETS: dict[str, Sheet] = {
+    "highway": Sheet(
+        return_range=20.0,  # at most 1 a step for 20 s
+        episode_length=17,
+        joins=False,
+        drivers={
+            "speed_gain": Between(2.0, 150.0, log=True),
+            "speed_gain_lookahead": Between(0.0, 40.0),
+            "assertive": Between(0.5, 1.3),
+        },
+        risk=up_to(cut_in=0.1, brake=0.1),
+    ),
+    # Nearly everybody crashes here. Drivers keep their lane and nobody crosses: nothing to choose about them. The ego
+    # starts at its top speed, so that "faster" would be "idle" again.
+    "two-way": Sheet(
+        return_range=15.0,
+        episode_length=6,
+        quick_updates=8000,
+        standard_updates=20_000,  # 10,000 are too few (docs/learner.md)
+        second_steps=160_000,
+        joins=False,
+        lane_changes=False,
+        egos_without=frozenset({"faster"}),
+        rises=False,
+        risk=up_to(cut_in=0.03, brake=0.4),
+    ),
+    "roundabout": Sheet(
+        return_range=11.0,
+        episode_length=10,
+        quick_updates=4000,
+        clock=15,
+        first_clock=True,
+        crossing=24.5,  # an ego's length beyond the entry
+        drivers={
+            "lane_changes": SWITCH,
+            "waits_for_approaching": SWITCH,
+            "ignores_approaching": SHARE,
+            "ignores_inside": SHARE,
+        },
+        risk={**up_to(brake=0.3, surge=0.6, cut_in=0.3), **CLOSER, "not_giving_way": SHARE},
+    ),
+    "intersection": Sheet(
+        return_range=14.0,  # -5 to 9
+        episode_length=9,
+        quick_updates=7000,
+        crossing=45.0,
+        lane_changes=False,
+        egos_without=frozenset({"faster", "weaving"}),  # the ego starts at its top speed
+        drivers={
+            "waits_for_approaching": SWITCH,
+            "ignores_approaching": SHARE,
+            "ignores_inside": SHARE,
+            "tau": Between(0.8, 1.6),
+        },
+        risk={**up_to(surge=0.5, brake=0.3), **CLOSER, "decel": FACTOR, "not_giving_way": SHARE},
+    ),
+    "u-turn": Sheet(
+        return_range=10.0,
+        episode_length=9,
+        quick_updates=4000,
+        second_steps=80_000,
+        clock=13,
+        first_clock=True,
+        drivers={"lane_changes": SWITCH, "assertive": Between(0.5, 1.3)},
+        risk={**up_to(cut_in=0.6, brake=0.3), **CLOSER, "decel": FACTOR},
+    ),
+}
+# The paper's settings: names of the traffic levels by task, the lightest first.
+GRID: dict[str, tuple[str, ...]] = {
+    "highway": ("50", "100", "150"),
+    "two-way": ("5+2", "10+4", "15+6"),
+    "roundabout": ("5", "10", "15"),
+    "intersection": ("10", "15", "20", "25", "30"),
+    "u-turn": ("3", "6", "9", "12"),
+}
+
+
+def sheet(task: str) -> Sheet:
+    """The sheet of a task. Raises UserError for a task that has none."""
+    if task not in SHEETS:
+        raise UserError(
+            f"nothing is said of the task {task!r} in SHEETS of experiments/study/sheet.py, so that it cannot be "
+            f"studied: add its sheet there (there are {', '.join(SHEETS)})"
+        )
+    return SHEETS[task]

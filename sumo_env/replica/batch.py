@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sumo_env.config import Config
+from sumo_env.config import Config, ConfigError
 from sumo_env.contacts.measures import DENSITY_RADIUS
 from sumo_env.observation import Eyes
 from sumo_env.replica import tables
@@ -20,14 +20,15 @@ from sumo_env.replica.driving import follow_road, is_reachable
 from sumo_env.replica.geometry import local_coordinates
 from sumo_env.replica.sight import ego_place, look
 from sumo_env.replica.step import Rules, policy_step, staying
-from sumo_env.tasks import TASKS, base
+from sumo_env.tasks import base
 from sumo_env.tasks.base import Task, lmap
 from sumo_env.tasks.intersection import ARRIVAL
 
 AFRESH, NOTHING = -1, -2  # in place of an action: an episode begins; the episode is left as it is
 SPEEDS = {"FASTER": 1, "SLOWER": -1}  # change of the target speed's index
 SIDES = {"LANE_LEFT": -1, "LANE_RIGHT": 1}
-HIGHWAY, TWO_WAY, ROUNDABOUT, INTERSECTION, U_TURN = range(5)  # places in TASKS
+PAID = ("highway", "two-way", "roundabout", "intersection", "u-turn")  # tasks whose rewards `reward` has
+HIGHWAY, TWO_WAY, ROUNDABOUT, INTERSECTION, U_TURN = range(len(PAID))
 LANE_REWARDS = {"highway": "right_lane_reward", "two-way": "left_lane_reward", "u-turn": "left_lane_reward"}
 
 OUTCOME = np.dtype(  # of a policy step, see `DrivingEnv.step`
@@ -62,7 +63,7 @@ class Start(NamedTuple):
 class Pay(NamedTuple):
     """What a configuration pays: the weights of the terms of `Task.rewards`, 0 where a task has none."""
 
-    task: int  # place in TASKS
+    task: int  # place in PAID
     collision: float
     lane: float
     speed: float
@@ -74,7 +75,15 @@ class Pay(NamedTuple):
 
 
 def pay_of(task: Task, config: Config) -> Pay:
-    """The rewards of one of the five tasks under a resolved configuration."""
+    """The rewards of one of the five tasks under a resolved configuration.
+
+    Raises:
+        ConfigError: another task.
+    """
+    if task.name not in PAID:
+        raise ConfigError(
+            f"a compiled batch has no reward of the task {task.name!r}, only of {', '.join(PAID)}"
+        )
 
     def weight(key: str) -> float:
         return float(config.get(key, 0.0))
@@ -83,7 +92,7 @@ def pay_of(task: Task, config: Config) -> Pay:
     low, high = limits or (0.0, 1.0)
     slow, fast = config.get("reward_speed_range", (0.0, 1.0))
     return Pay(
-        task=list(TASKS).index(task.name),
+        task=PAID.index(task.name),
         collision=weight("collision_reward"),
         lane=weight(LANE_REWARDS.get(task.name, "")),
         speed=weight("high_speed_reward"),
@@ -232,7 +241,7 @@ def reward(
     elif pay.task == INTERSECTION:
         total = pay.arrived if arrived else total + pay.speed * _speed_term(ego.speed, pay.speed_range)
         return lmap(total * on_road, pay.limits, (0.0, 1.0))
-    else:
+    elif pay.task == U_TURN:
         total += pay.lane * here
         total += pay.speed * _speed_term(ego.speed, pay.speed_range)
     return lmap(total, pay.limits, (0.0, 1.0)) * on_road

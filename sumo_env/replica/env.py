@@ -12,6 +12,7 @@ from sumo_env.networks.roads import LaneIndex
 from sumo_env.observation import Kinematics
 from sumo_env.replica import draws
 from sumo_env.replica.batch import Start
+from sumo_env.replica.draws import INSTEAD
 from sumo_env.replica.linear import LAWS
 from sumo_env.replica.linear import draw as draw_linear
 from sumo_env.replica.sight import eyes_of
@@ -29,7 +30,6 @@ OBSERVATIONS: dict[str, Config] = {
     "two-way": {"type": "TimeToCollision", "horizon": 5},
     "u-turn": {"type": "TimeToCollision", "horizon": 16},
 }
-INSTEAD = 'make the environment with scenarios="seeded"'
 # Keys of `sumo_env` that highway-env's task does not have.
 OURS: dict[str, tuple[str, ...]] = {
     "two-way": ("vehicles_count", "oncoming_vehicles_count", "road_length", "duration"),

@@ -28,7 +28,6 @@ from sumo_env.traffic.scenario import EGO_DISTANCE, SPAWN_DISTANCE, Scenario, Sp
 
 VARIANTS = ("stock", "path", "connected", "v0")
 NOBODY: frozenset[str] = frozenset()
-JOINED = ("roundabout", "intersection", "u-turn")  # tasks with lanes that continue others
 
 FRAME = ("x", "y", "speed", "heading", "crashed", "in_event")  # the rows of a frame of a trace
 
@@ -176,16 +175,14 @@ class Replica:
 
     def _prepare(self, road: Road, frequency: int) -> None:
         """Lanes and rules of a road."""
-        connected = (
-            self.connected if self.variant == "stock" else road.name in JOINED and self.variant != "v0"
-        )
+        connected = self.connected if self.variant == "stock" else road.joined and self.variant != "v0"
         self.lanes = tables.lanes_of(road, connected)
         self.seen_lanes = self.lanes.table if self.variant == "stock" else self.lanes.exact
         self._rules = Rules(
             along_path=connected and self.variant == "path",
-            is_two_way=road.name == "two-way",
+            is_two_way=road.oncoming,
             # highway-env's expression: 7 at 15 Hz
-            regulation_interval=int(1 / (1 / frequency) / 2) if road.name == "intersection" else 0,
+            regulation_interval=int(1 / (1 / frequency) / 2) if road.regulated else 0,
             dt=1.0 / frequency,
             ego_contacts=self.ego_contacts,
         )

@@ -210,7 +210,7 @@ def as_rotated(road: Road) -> Road:
     multiplies what a car is away from the middle of its lane, be it a rounding error, until it zigzags.
     """
 
-    if road.name != "intersection":
+    if not road.turned_by_matrix:
         return road
 
     def turned(point: Point, corner: int) -> Point:

@@ -25,6 +25,7 @@ from sumo_env.replica import draws, tables
 from sumo_env.replica.batch import AFRESH, NOTHING, SIDES, SPEEDS, Law, Start
 from sumo_env.replica.compiled import announced
 from sumo_env.replica.env import ReplicaEnv
+from sumo_env.tasks import TASKS
 from sumo_env.tasks.base import nearest_index
 
 RESULTS = kernels.OUTCOME.names or ()
@@ -40,19 +41,22 @@ def make(
 ) -> VectorEnv:
     """What ``gym.make_vec`` makes of the ids ``replica/*``; arguments as of `ReplicaVectorEnv` and `ReplicaEnv`.
 
-    Observations that the compiled batch does not have (TimeToCollision, features of routes, shuffled rows) and pictures
-    are those of single environments in turns, in a `SyncVectorEnv`; a warning says so.
+    Observations that the compiled batch does not have (TimeToCollision, features of routes, shuffled rows), tasks of
+    one's own and pictures are those of single environments in turns, in a `SyncVectorEnv`; a warning says so.
     """
     single = ReplicaEnv(**keywords)
     if is_compiled(single):
         return ReplicaVectorEnv(single, num_envs, autoreset_mode, threads)
-    gym.logger.warn("no compiled batch has this observation or render mode: single environments take turns")
+    gym.logger.warn(
+        "no compiled batch has this task, observation or render mode: single environments take turns"
+    )
     return SyncVectorEnv([lambda: ReplicaEnv(**keywords)] * num_envs, autoreset_mode=autoreset_mode)
 
 
 def is_compiled(env: ReplicaEnv) -> bool:
-    """Whether the kernels compute all that this environment gives."""
-    return env.render_mode is None and env.eyes is not None and env.eyes.is_sorted
+    """Whether the kernels compute all that this environment gives; rewards of a task of one's own they do not know."""
+    is_known = env.task is TASKS.get(env.task.name)
+    return is_known and env.render_mode is None and env.eyes is not None and env.eyes.is_sorted
 
 
 class ReplicaVectorEnv(VectorEnv):

@@ -6,22 +6,22 @@ import copy
 import math
 from collections.abc import Mapping, Sequence
 from contextlib import closing
-from operator import index
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from sumo_env.actions import ego_route, target_lane, target_speed_index
+from sumo_env.actions import Moment, PlainAction, ego_route
 from sumo_env.config import COMMON, Config, ConfigError, resolve, simulated_frequency
 from sumo_env.contacts.rectangles import state_of
 from sumo_env.interface import information, interface
 from sumo_env.networks.roads import LaneIndex
 from sumo_env.observation import TimeToCollision
+from sumo_env.occupancy import OccupancyGrid
 from sumo_env.scene import Scene
-from sumo_env.simulator import EgoCommand, Simulator, Step
+from sumo_env.simulator import Command, EgoCommand, Simulator, Step
 from sumo_env.sumo.options import check_options
 from sumo_env.sumo.process import SumoProcess
 from sumo_env.tasks import get_task
@@ -60,6 +60,7 @@ class DrivingEnv(ReadAsHighwayEnv):
         ConfigError: unknown task or key, wrong value.
     """
 
+    steers: ClassVar[bool] = False  # whether the simulator can obey a `SteeringCommand`
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 5}  # noqa: RUF012 (gymnasium's way)
 
     def __init__(
@@ -95,11 +96,13 @@ class DrivingEnv(ReadAsHighwayEnv):
     def configure(self, config: Mapping[str, Any] | None) -> None:
         """Change these keys of the configuration; they take effect at the next reset."""
         changed = resolve(self.task.name, self.default_config(), getattr(self, "config", None), config)
-        self.actions, self.target_speeds, self.observation_type = interface(self.task, changed)
+        offered = interface(self.task, changed, self.steers)
+        self._action_type, self.observation_type = offered
+        self.actions, self.target_speeds = offered.actions, offered.target_speeds
         self.config: Config = changed  # assigned last: an error leaves the environment as it was
         self._configured = copy.deepcopy(changed)
         self.observation_space = self.observation_type.space
-        self.action_space = gym.spaces.Discrete(len(self.actions))
+        self.action_space = self._action_type.space
         self._set_frame_rate()
 
     # -- gymnasium -----------------------------------------------------------------------------------------
@@ -148,14 +151,14 @@ class DrivingEnv(ReadAsHighwayEnv):
             self._simulator = SumoProcess(options=self._options, here=True)
         self.scene: Scene = self._simulator.reset(scenario)
         self.steps = 0
-        self._commands: list[EgoCommand] = []
+        self._commands: list[Command] = []
         self._last = Step(self.scene, scenario.ego.lane, None, math.inf, 0.0)
         self._target_lane = scenario.ego.lane
         self.ego_state = self._ego_state(None)
         observation = self._observe()
         return observation, self._info(observation)
 
-    def step(self, action: int) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+    def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Drive one policy step.
 
         Returns:
@@ -172,16 +175,11 @@ class DrivingEnv(ReadAsHighwayEnv):
         """
         if self._simulator is None or self.scenario is None:
             raise gym.error.ResetNeeded("call reset() before step()")
-        try:
-            name = self.actions[index(action)]
-        except (KeyError, TypeError):
-            raise ValueError(f"action must be one of {self.actions}, not {action!r}") from None
-        x, y, speed = self.scene.x.item(0), self.scene.y.item(0), self.scene.speed.item(0)
-        self._speed_index = target_speed_index(name, self._speed_index, speed, self.target_speeds)
-        command = EgoCommand(
-            self.target_speeds[self._speed_index],
-            target_lane(name, self._road, self._target_lane, self._route, x, y),
-        )
+        here = self.scene.x.item(0), self.scene.y.item(0), self.scene.speed.item(0)
+        moment = Moment(self._road, self._route, self._target_lane, self._speed_index, *here)
+        command = self._action_type.command(action, moment)
+        if isinstance(command, EgoCommand):
+            self._speed_index = self.target_speeds.index(command.target_speed)
         self._commands.append(command)
         film = self._video if self._video is not None and self._video.recording else None
         self._last = step = self._simulator.step(command, trace=film is not None)
@@ -191,8 +189,9 @@ class DrivingEnv(ReadAsHighwayEnv):
                 film._capture_frame()
         self.scene, self._target_lane = step.scene, step.target_lane
         self.steps += 1
-        action = int(action)
-        self.ego_state = self._ego_state(action)
+        plain = self._action_type.plain(action)
+        action = plain if isinstance(plain, int) else np.array(action, np.float32)
+        self.ego_state = self._ego_state(plain)
         observation = self._observe()
         reward = float(self._reward(action))
         terminated, truncated = bool(self._is_terminated()), bool(self._is_truncated())
@@ -280,9 +279,11 @@ class DrivingEnv(ReadAsHighwayEnv):
 
     # -- parts ---------------------------------------------------------------------------------------------
 
-    def _ego_state(self, action: int | None) -> EgoState:
+    def _ego_state(self, action: PlainAction | None) -> EgoState:
         lane, s, lateral, on_road = self._ego_place()
         scene = self.scene
+        if self._action_type.steers:
+            self._speed_index = nearest_index(scene.speed.item(0), self.target_speeds)
         return EgoState(
             lane=lane,
             s=s,
@@ -310,15 +311,17 @@ class DrivingEnv(ReadAsHighwayEnv):
         kind, seen = self.observation_type, (self.scene, self._road, self.ego_state)
         if isinstance(kind, TimeToCollision):
             return kind.observe(*seen, self.target_speeds, self._route)
+        if isinstance(kind, OccupancyGrid):
+            return kind.observe(self.scene, self._road, self._spec_of)
         return kind.observe(*seen, self._spec_of, self.np_random)
 
     # -- what a subclass may override, as in highway-env -----------------------------------------------------
 
-    def _reward(self, action: int) -> float:
+    def _reward(self, action: Any) -> float:
         """The reward of a step."""
         return self.task.reward(self._rewards(action), self.config)
 
-    def _rewards(self, action: int | None) -> dict[str, float]:
+    def _rewards(self, action: Any) -> dict[str, float]:
         """The raw terms of the reward, by name; the action is None at a reset."""
         return dict(self.task.rewards(self.ego_state, self.config))
 
@@ -330,7 +333,7 @@ class DrivingEnv(ReadAsHighwayEnv):
         """Whether time is up."""
         return bool(self.steps / self.config["policy_frequency"] >= self.config["duration"])
 
-    def _info(self, obs: Observation, action: int | None = None) -> dict[str, Any]:
+    def _info(self, obs: Observation, action: Any = None) -> dict[str, Any]:
         """What `step` and `reset` return beside the observation."""
         state, step = self.ego_state, self._last
         return information(
@@ -341,7 +344,7 @@ class DrivingEnv(ReadAsHighwayEnv):
             arrived=self.task.arrived(state),
             on_road=state.on_road,
             rewards=self._rewards(action),
-            action=action,
+            action=self._action_type.no_action if action is None else action,
         )
 
 

@@ -19,12 +19,13 @@ from sumo_env.replica.compiled import borrowing, compiled
 from sumo_env.replica.driving import follow_road, is_reachable
 from sumo_env.replica.geometry import local_coordinates
 from sumo_env.replica.sight import ego_place, look
-from sumo_env.replica.step import Rules, policy_step, staying
+from sumo_env.replica.step import Rules, hold, policy_step, staying
 from sumo_env.tasks import base
 from sumo_env.tasks.base import Task, lmap
 from sumo_env.tasks.intersection import ARRIVAL
 
 AFRESH, NOTHING = -1, -2  # in place of an action: an episode begins; the episode is left as it is
+OTHER = 1  # the number of an action of which rewards take no notice
 SPEEDS = {"FASTER": 1, "SLOWER": -1}  # change of the target speed's index
 SIDES = {"LANE_LEFT": -1, "LANE_RIGHT": 1}
 PAID = ("highway", "two-way", "roundabout", "intersection", "u-turn")  # tasks whose rewards `reward` has
@@ -257,6 +258,8 @@ def judge(law: Any, cars: Any, episode: Any, outcome: Any, action: int) -> None:
     outcome.on_road, outcome.arrived = on_road, arrived
     outcome.density = density(cars)
     outcome.reward, outcome.terminated, outcome.truncated = 0.0, False, False
+    if law.rules.is_steered:
+        episode.speed_index = _nearest_index(ego.speed, law.speeds)
     if action != AFRESH:
         count = len(law.speeds)
         outcome.reward = reward(
@@ -267,11 +270,12 @@ def judge(law: Any, cars: Any, episode: Any, outcome: Any, action: int) -> None:
 
 
 @compiled
-def drive(law: Any, batch: Any, actions: Any, first: int, end: int) -> None:
+def drive(law: Any, batch: Any, actions: Any, controls: Any, first: int, end: int) -> None:
     """One policy step of the episodes from row `first` to row `end`.
 
     Args:
         actions: of all episodes, shape (n,); AFRESH looks at an episode that begins, NOTHING passes one by.
+        controls: accelerations [m/s2] and angles [rad] of egos that are steered, shape (n, 2).
     """
     trace = np.empty((0, 6, 0))
     for row in range(first, end):
@@ -280,7 +284,10 @@ def drive(law: Any, batch: Any, actions: Any, first: int, end: int) -> None:
             continue
         outcome.min_ttc, outcome.distance = math.inf, 0.0
         if action != AFRESH:
-            command(law, batch.cars[row, 0], episode, action)
+            if law.rules.is_steered:
+                hold(batch.cars[row, 0], controls[row, 0], controls[row, 1])
+            else:
+                command(law, batch.cars[row, 0], episode, action)
             _, outcome.min_ttc, outcome.distance = policy_step(law.lanes, law.rules, batch, row, trace)
         cars = batch.cars[row, : episode.cars]
         judge(law, cars, episode, outcome, action)

@@ -21,9 +21,10 @@ from sumo_env.replica.batch import Start, begun, copied, expecting, no_episodes,
 from sumo_env.replica.compiled import announced
 from sumo_env.replica.draws import Centres
 from sumo_env.replica.linear import linear_drivers
+from sumo_env.replica.motion import MAX_SPEED
 from sumo_env.replica.step import CRASHED, HEADING, IN_EVENT, SPEED, Rules, X, Y
 from sumo_env.scene import Scene
-from sumo_env.simulator import EgoCommand, Step
+from sumo_env.simulator import Command, SteeringCommand, Step
 from sumo_env.traffic.scenario import EGO_DISTANCE, SPAWN_DISTANCE, Scenario, Spawn, VehicleSpec
 
 VARIANTS = ("stock", "path", "connected", "v0")
@@ -87,14 +88,18 @@ class Replica:
         )
         return self.start
 
-    def step(self, command: EgoCommand, trace: bool = False) -> Step:
+    def step(self, command: Command, trace: bool = False) -> Step:
         """See `Simulator.step`."""
         if self._scenario is None:
             raise RuntimeError("call reset() before step()")
         batch, rules = self._batch, self.start.rules
         ego = batch.cars[0, 0]
-        ego["target_speed"] = command.target_speed
-        self._steer_ego_for(ego, command.target_lane)
+        if isinstance(command, SteeringCommand):
+            rules = steered(rules, command.speed_range, command.dynamical)
+            ego["acceleration"], ego["steering"], ego["target_speed"] = *command[:2], 0.0  # see `step.hold`
+        else:
+            ego["target_speed"] = command.target_speed
+            self._steer_ego_for(ego, command.target_lane)
         frames = np.empty((rules.substeps, len(FRAME), batch.cars.shape[1]))
         crash, min_ttc, distance = kernels.policy_step(self.lanes.table, rules, batch, 0, frames)
         self._look()
@@ -115,6 +120,10 @@ class Replica:
         """The ego's lane, its coordinates on it (s and lat) [m], and whether it is on the road."""
         lane, s, lateral, is_on_road = sight.ego_place(self.seen_lanes, self._cars)
         return self.lanes.names[lane], s, lateral, is_on_road
+
+    def before_ego(self) -> int:
+        """How many of the others come before the ego in highway-env's list of vehicles."""
+        return int((self._cars["number"][1:] < self.start.first_arrival).sum())
 
     def table(self, eyes: Eyes) -> np.ndarray:
         """The Kinematics observation."""
@@ -252,6 +261,12 @@ class Replica:
             time=round(steps / self._scenario.simulation_frequency, 6),
             in_event=frozenset(compress(self._present, frame[IN_EVENT])) if self._scenario.events else NOBODY,
         )
+
+
+def steered(rules: Rules, speed_range: tuple[float, float] | None, dynamical: bool) -> Rules:
+    """The rules for an ego that is steered, see `SteeringCommand`."""
+    slowest, fastest = speed_range or (-MAX_SPEED, MAX_SPEED)
+    return rules._replace(is_steered=True, is_dynamical=dynamical, slowest=slowest, fastest=fastest)
 
 
 @lru_cache(maxsize=1)

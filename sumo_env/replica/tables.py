@@ -83,6 +83,11 @@ LINEAR = [  # a driver of `sumo_env.replica.linear`
     ("lateral_gain", "f8"),
 ]
 
+SLIDING = [  # a steered ego whose tyres slip, see `motion.slide`
+    ("lateral_speed", "f8"),  # [m/s]
+    ("yaw_rate", "f8"),  # [rad/s]
+]
+
 PARAMETERS = [name for name, _ in DRIVER + LINEAR]  # of a driver
 
 CAR = np.dtype(
@@ -119,6 +124,7 @@ CAR = np.dtype(
         ("comes_after", "i8"),  # of an arrival: policy step
         *DRIVER,
         *LINEAR,
+        *SLIDING,
     ],
     align=True,
 )
@@ -275,7 +281,7 @@ def _rest(road: Road, lane: LaneIndex, goal: str | None, changes_lanes: bool, dr
         changes_lanes, False, *_route(road, lane, goal), 0, NONE if goal is None else lane[2],
         False, 0.0, 0.0, 0.0, 0.0, False, 0.0, 0.0, False, False, 0.0, 0.0, 0,
         driver.accel, driver.decel, driver.min_gap + VEHICLE_LENGTH, driver.tau, driver.delta, driver.emergency_decel,
-        driver.safe_braking, driver.min_gain, driver.gives_way, *[0] * len(LINEAR),
+        driver.safe_braking, driver.min_gain, driver.gives_way, *[0] * len(LINEAR + SLIDING),
     )  # fmt: skip
 
 

@@ -41,6 +41,9 @@ class Road:
 
     oncoming: whether the lane to the left is that of oncoming traffic.
     clears_exits: whether vehicles are taken off shortly before the end of an exit (IntersectionEnv._clear_vehicles).
+    joined: whether lanes continue others, so that highway-env's connected lanes make a difference.
+    regulated: whether highway-env applies right of way (``RegulatedRoad``).
+    turned_by_matrix: whether highway-env computes lanes by turning those of one arm (``IntersectionEnv._make_road``).
     """
 
     def __init__(
@@ -52,9 +55,13 @@ class Road:
         oncoming: bool = False,
         clears_exits: bool = False,
         leads: Mapping[LaneIndex, tuple[LaneIndex, ...]] | None = None,
+        joined: bool = False,
+        regulated: bool = False,
+        turned_by_matrix: bool = False,
     ) -> None:
         self.name, self.arguments = name, arguments
         self.oncoming, self.clears_exits = oncoming, clears_exits
+        self.joined, self.regulated, self.turned_by_matrix = joined, regulated, turned_by_matrix
         self.ways: Mapping[str, tuple[str, ...]] = ways or {}
         self.leads: Mapping[LaneIndex, tuple[LaneIndex, ...]] = leads or {}
         self.lanes: Mapping[LaneIndex, Lane] = dict(_graph_order(lanes))
@@ -75,7 +82,7 @@ class Road:
     def __reduce__(self) -> tuple[type[Road], tuple[object, ...]]:
         # without what is kept for `closest_lane`
         given = self.name, self.lanes, self.ways, self.arguments, self.oncoming, self.clears_exits, self.leads
-        return Road, given
+        return Road, (*given, self.joined, self.regulated, self.turned_by_matrix)
 
     def __deepcopy__(self, memo: dict[int, object]) -> Road:
         return self  # immutable
@@ -298,7 +305,7 @@ def roundabout() -> Road:
         lanes[sine_in, ring_in, 0] = SineLane(at(2 + amplitude, far), at(2 + amplitude, near), **enter)
         lanes[ring_out, sine_out, 0] = SineLane(at(-2 - amplitude, near), at(-2 - amplitude, far), **leave)
         lanes[sine_out, road_out, 0] = StraightLane(at(-2, period / 2), at(-2, access))
-    return Road("roundabout", lanes)
+    return Road("roundabout", lanes, joined=True)
 
 
 @lru_cache(maxsize=8)
@@ -328,7 +335,7 @@ def intersection() -> Road:
         lanes[entry, ahead, 0] = StraightLane(at(2, half), at(2, -half), **rule)
         # An exit carries the priority of the corner right of it, as in highway-env.
         lanes[right, f"o{(corner - 1) % 4}", 0] = StraightLane(at(half, 2), at(access + half, 2), **rule)
-    return Road("intersection", lanes, clears_exits=True)
+    return Road("intersection", lanes, clears_exits=True, joined=True, regulated=True, turned_by_matrix=True)
 
 
 @lru_cache(maxsize=8)
@@ -345,7 +352,7 @@ def u_turn() -> Road:
     for i in range(2):
         y = 2 * radius + WIDTH * (1 + i)
         lanes["a", "b", i] = StraightLane((0.0, y), (length, y))
-    return Road("u-turn", lanes)
+    return Road("u-turn", lanes, joined=True)
 
 
 ROADS: Mapping[str, Callable[..., Road]] = {

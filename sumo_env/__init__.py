@@ -3,7 +3,7 @@
 ``import sumo_env`` registers ``sumo/highway-v0``, ``sumo/two-way-v0``, ``sumo/roundabout-v0``,
 ``sumo/intersection-v0`` and ``sumo/u-turn-v0``; ``gym.make("sumo_env:sumo/highway-v0")`` needs no import. The same
 tasks on highway-env's own physics, compiled, are ``replica/highway-v0`` and so on, with ``replica/highway-fast-v0``
-(extra ``[replica]``).
+and the later versions that highway-env has, such as ``replica/u-turn-v1`` (extra ``[replica]``).
 """
 
 from __future__ import annotations
@@ -19,11 +19,20 @@ IDS = tuple(f"sumo/{task}-v0" for task in _TASKS)
 REPLICA_IDS = tuple(f"replica/{task}-v0" for task in _TASKS)
 
 FAST_ID = "replica/highway-fast-v0"  # highway-env's faster variant of its highway
+# highway-env's later versions: with connected lanes, and intersection-v1 with steering
+LATER_IDS = tuple(
+    f"replica/{id}" for id in ("roundabout-v1", "intersection-v1", "intersection-v2", "u-turn-v1")
+)
 
 
 def task_of(id: str) -> str:
     """Name of the task that an id stands for: ``sumo/u-turn-v0`` is u-turn."""
-    return id.partition("/")[2].removesuffix("-v0")
+    return id.partition("/")[2].rpartition("-v")[0]
+
+
+def version_of(id: str) -> int:
+    """The number at the end of an id."""
+    return int(id.rpartition("-v")[2])
 
 
 def register(id: str, task: Any) -> None:
@@ -52,10 +61,10 @@ def check_task(task: Any, config: Any = None) -> None:
 
 for _id in IDS:
     register(_id, task_of(_id))
-for _id in (*REPLICA_IDS, FAST_ID):
+for _id in (*REPLICA_IDS, FAST_ID, *LATER_IDS):
     gym.register(
         _id,
         entry_point="sumo_env.replica.env:ReplicaEnv",
         vector_entry_point="sumo_env.replica.vector:make",
-        kwargs={"task": task_of(_id)},
+        kwargs={"task": task_of(_id), "version": version_of(_id)},
     )

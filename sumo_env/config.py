@@ -23,7 +23,23 @@ COMMON: Config = {
 }
 
 DISCRETE_META_ACTION: Config = {"type": "DiscreteMetaAction", "longitudinal": True, "lateral": True}
-# The types of observation and action, with the defaults of their keys (None: see `observation`, `interface`).
+CONTINUOUS_ACTION: Config = {
+    "type": "ContinuousAction",
+    "acceleration_range": None,
+    "steering_range": None,
+    "speed_range": None,
+    "longitudinal": True,
+    "lateral": True,
+    "dynamical": False,
+    "clip": True,
+    "target_speeds": None,  # accepted as in highway-env, where intersection-v1 has some without effect
+}
+DISCRETE_ACTION: Config = {
+    **{key: value for key, value in CONTINUOUS_ACTION.items() if key != "speed_range"},
+    "type": "DiscreteAction",
+    "actions_per_axis": 3,
+}
+# The types of observation and action, with the defaults of their keys (None: see `observation`, `actions`).
 KINEMATICS: Config = {
     "type": "Kinematics",
     "features": None,
@@ -38,10 +54,21 @@ KINEMATICS: Config = {
     "include_obstacles": True,
     "flatten": False,
 }
+OCCUPANCY_GRID: Config = {
+    "type": "OccupancyGrid",
+    "features": None,
+    "grid_size": None,  # [m]
+    "grid_step": None,  # [m]
+    "features_range": None,
+    "absolute": False,
+    "align_to_vehicle_axes": False,
+    "clip": True,
+    "as_image": False,
+}
 TIME_TO_COLLISION: Config = {"type": "TimeToCollision", "horizon": 10}
 TYPES: dict[str, tuple[Config, ...]] = {
-    "observation": (KINEMATICS, TIME_TO_COLLISION),
-    "action": ({**DISCRETE_META_ACTION, "target_speeds": None},),
+    "observation": (KINEMATICS, TIME_TO_COLLISION, OCCUPANCY_GRID),
+    "action": ({**DISCRETE_META_ACTION, "target_speeds": None}, CONTINUOUS_ACTION, DISCRETE_ACTION),
 }
 # Largest values. More vehicles, metres or seconds take all memory or all time, and SUMO's clock counts milliseconds.
 MOST_VEHICLES = 10_000

@@ -8,23 +8,23 @@ import shlex
 import tempfile
 from collections.abc import Mapping, Sequence
 from contextlib import closing
-from operator import index
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar
 
 import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from sumo_env.actions import ego_route, lane_beside, target_lane, target_speed_index
-from sumo_env.config import COMMON, Config, ConfigError, resolve
+from sumo_env.actions import Moment, PlainAction, ego_route
+from sumo_env.config import COMMON, Config, ConfigError, resolve, simulated_frequency
 from sumo_env.contacts.rectangles import state_of
 from sumo_env.interface import information, interface, on_its_way
 from sumo_env.networks import files
 from sumo_env.networks.roads import LaneIndex
 from sumo_env.observation import TimeToCollision
+from sumo_env.occupancy import OccupancyGrid
 from sumo_env.scene import Scene
-from sumo_env.simulator import EgoCommand, Simulator, Step
+from sumo_env.simulator import Command, EgoCommand, Simulator, Step
 from sumo_env.sumo.options import OUTPUT_DIR, REFUSED, REFUSED_FOR_FILES, check_effect, check_options
 from sumo_env.sumo.process import SumoProcess
 from sumo_env.sumo.proxy import Sumo
@@ -66,6 +66,7 @@ class DrivingEnv(ReadAsHighwayEnv):
         ConfigError: unknown task or key, wrong value.
     """
 
+    steers: ClassVar[bool] = False  # whether the simulator can obey a `SteeringCommand`
     metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 5}  # noqa: RUF012 (gymnasium's way)
 
     def __init__(
@@ -104,14 +105,16 @@ class DrivingEnv(ReadAsHighwayEnv):
     def configure(self, config: Mapping[str, Any] | None) -> None:
         """Change these keys of the configuration; they take effect at the next reset."""
         changed = resolve(self.task.name, self.default_config(), getattr(self, "config", None), config)
-        made = interface(self.task, changed)
-        self._refuse_backwards("'target_speeds'", made.target_speeds[0])
+        offered = interface(self.task, changed, self.steers)
+        if not offered.action_type.steers:
+            self._refuse_backwards("'target_speeds'", offered.target_speeds[0])
         self._refuse_backwards("'initial_speed'", changed.get("initial_speed") or 0.0)
-        self.actions, self.target_speeds, self.observation_type = made
+        self._action_type, self.observation_type = offered
+        self.actions, self.target_speeds = offered.actions, offered.target_speeds
         self.config: Config = changed  # assigned last: an error leaves the environment as it was
         self._configured = copy.deepcopy(changed)
         self.observation_space = self.observation_type.space
-        self.action_space = gym.spaces.Discrete(len(self.actions))
+        self.action_space = self._action_type.space
         self._set_frame_rate()
 
     def _refuse_backwards(self, what: str, speed: float) -> None:
@@ -174,13 +177,13 @@ class DrivingEnv(ReadAsHighwayEnv):
             self._find_route()
         self._speed_index = nearest_index(speed, self.target_speeds)
         self.steps = 0
-        self._commands: list[EgoCommand] = []
+        self._commands: list[Command] = []
         self._last = Step(self.scene, self._target_lane, None, math.inf, 0.0)
         self.ego_state = self._ego_state(None)
         observation = self._observe()
         return observation, self._info(observation)
 
-    def step(self, action: int) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+    def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Drive one policy step.
 
         Returns:
@@ -197,17 +200,11 @@ class DrivingEnv(ReadAsHighwayEnv):
         """
         if self._simulator is None or self.scenario is None:
             raise gym.error.ResetNeeded("call reset() before step()")
-        try:
-            name = self.actions[index(action)]
-        except (KeyError, TypeError):
-            raise ValueError(f"action must be one of {self.actions}, not {action!r}") from None
-        x, y, speed = self.scene.x.item(0), self.scene.y.item(0), self.scene.speed.item(0)
-        self._speed_index = target_speed_index(name, self._speed_index, speed, self.target_speeds)
-        if self.scene.place is None:
-            lane = target_lane(name, self._road, self._target_lane, self._route, x, y)
-        else:
-            lane = lane_beside(name, self.scene.place, self._target_lane)
-        command = EgoCommand(self.target_speeds[self._speed_index], lane)
+        here = self.scene.x.item(0), self.scene.y.item(0), self.scene.speed.item(0)
+        moment = Moment(self._road, self._route, self._target_lane, self._speed_index, *here, self.scene.place)
+        command = self._action_type.command(action, moment)
+        if isinstance(command, EgoCommand):
+            self._speed_index = self.target_speeds.index(command.target_speed)
         self._commands.append(command)
         film = self._video if self._video is not None and self._video.recording else None
         self._last = step = self._simulator.step(command, trace=film is not None)
@@ -219,8 +216,9 @@ class DrivingEnv(ReadAsHighwayEnv):
         if self.scene.place is not None:
             self._find_route()
         self.steps += 1
-        action = int(action)
-        self.ego_state = self._ego_state(action)
+        plain = self._action_type.plain(action)
+        action = plain if isinstance(plain, int) else np.array(action, np.float32)
+        self.ego_state = self._ego_state(plain)
         observation = self._observe()
         reward = float(self._reward(action))
         terminated, truncated = bool(self._is_terminated()), bool(self._is_truncated())
@@ -346,9 +344,11 @@ class DrivingEnv(ReadAsHighwayEnv):
 
     # -- parts ---------------------------------------------------------------------------------------------
 
-    def _ego_state(self, action: int | None) -> EgoState:
+    def _ego_state(self, action: PlainAction | None) -> EgoState:
         lane, s, lateral, on_road = self._ego_place()
         scene = self.scene
+        if self._action_type.steers:
+            self._speed_index = nearest_index(scene.speed.item(0), self.target_speeds)
         return EgoState(
             lane=lane,
             s=s,
@@ -387,15 +387,17 @@ class DrivingEnv(ReadAsHighwayEnv):
         kind, seen = self.observation_type, (self.scene, self._road, self.ego_state)
         if isinstance(kind, TimeToCollision):
             return kind.observe(*seen, self.target_speeds, self._route)
+        if isinstance(kind, OccupancyGrid):
+            return kind.observe(self.scene, self._road, self._spec_of)
         return kind.observe(*seen, self._spec_of, self.np_random)
 
     # -- what a subclass may override, as in highway-env -----------------------------------------------------
 
-    def _reward(self, action: int) -> float:
+    def _reward(self, action: Any) -> float:
         """The reward of a step."""
         return self.task.reward(self._rewards(action), self.config)
 
-    def _rewards(self, action: int | None) -> dict[str, float]:
+    def _rewards(self, action: Any) -> dict[str, float]:
         """The raw terms of the reward, by name; the action is None at a reset."""
         return dict(self.task.rewards(self.ego_state, self.config))
 
@@ -407,7 +409,7 @@ class DrivingEnv(ReadAsHighwayEnv):
         """Whether time is up."""
         return bool(self.steps / self.config["policy_frequency"] >= self.config["duration"])
 
-    def _info(self, obs: Observation, action: int | None = None) -> dict[str, Any]:
+    def _info(self, obs: Observation, action: Any = None) -> dict[str, Any]:
         """What `step` and `reset` return beside the observation."""
         state, step = self.ego_state, self._last
         return information(
@@ -418,7 +420,7 @@ class DrivingEnv(ReadAsHighwayEnv):
             arrived=self.task.arrived(state),
             on_road=state.on_road,
             rewards=self._rewards(action),
-            action=action,
+            action=self._action_type.no_action if action is None else action,
         ) | (on_its_way(place) if (place := self.scene.place) is not None else {})
 
 

@@ -5,21 +5,19 @@ Separate from the environment because the backend highway-env of the experiments
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping
 from dataclasses import asdict, fields
-from itertools import pairwise
 from typing import Any, NamedTuple
 
-from sumo_env.actions import action_names
+from sumo_env.actions import ActionType, action_type
 from sumo_env.config import Config, ConfigError
 from sumo_env.contacts.crash import CrashRecord
 from sumo_env.contacts.measures import NEAR_MISS_TTC, density
 from sumo_env.observation import Kinematics, TimeToCollision
+from sumo_env.occupancy import OccupancyGrid
 from sumo_env.scene import Place, Scene
 from sumo_env.tasks.base import Task
 
-NO_ACTION = -1  # at a reset
 NO_CRASH: dict[str, Any] = {
     field.name: "" if field.name in ("other", "type", "detected_by") else 0.0 for field in fields(CrashRecord)
 }
@@ -28,27 +26,33 @@ NO_CRASH: dict[str, Any] = {
 class Interface(NamedTuple):
     """What the spaces of a task are made of."""
 
-    actions: dict[int, str]  # meta-actions by index
-    target_speeds: tuple[float, ...]  # that the ego can be commanded, rising [m/s]
-    observation_type: Kinematics | TimeToCollision  # makes the observations
+    action_type: ActionType  # makes the commands
+    observation_type: Kinematics | TimeToCollision | OccupancyGrid  # makes the observations
+
+    @property
+    def actions(self) -> dict[int, str]:
+        """Meta-actions by index."""
+        return self.action_type.names
+
+    @property
+    def target_speeds(self) -> tuple[float, ...]:
+        """That the ego can be commanded, rising [m/s]."""
+        return self.action_type.target_speeds
 
 
-def interface(task: Task, config: Config) -> Interface:
-    """The interface of a task under a resolved configuration.
+def interface(task: Task, config: Config, steers: bool = False) -> Interface:
+    """The interface of a task under a resolved configuration; steers: whether its simulator can steer the ego.
 
     Raises:
-        ConfigError: the target speeds do not rise, the reward cannot be normalised, or the entry of the observation
-            is malformed.
+        ConfigError: the reward cannot be normalised, the entry of the action or of the observation is malformed, or the
+            action steers and the simulator does not.
     """
-    actions = action_names(config["action"])
-    ladder = config["action"].get("target_speeds") or task.target_speeds
-    try:
-        speeds = tuple(float(speed) for speed in ladder)
-    except (TypeError, ValueError):
-        speeds = ()
-    rising = all(low < high for low, high in pairwise(speeds))  # which is false for NaN
-    if len(speeds) < 2 or not rising or not math.isfinite(speeds[-1] - speeds[0]):
-        raise ConfigError(f"'target_speeds' must be at least two rising speeds [m/s], not {ladder!r}")
+    kind = action_type(config["action"], task.target_speeds)
+    if kind.steers and not steers:
+        raise ConfigError(
+            f"action type {config['action']['type']!r}: steering is the replica's (replica/{task.name}-v0, or later), "
+            "and SUMO moves cars along lanes; here the type can only be 'DiscreteMetaAction'"
+        )
     limits = task.reward_limits(config)
     if limits and config["normalize_reward"] and limits[0] == limits[1]:
         raise ConfigError(
@@ -56,12 +60,19 @@ def interface(task: Task, config: Config) -> Interface:
             "change 'collision_reward' or another weight, or set 'normalize_reward' to False"
         )
     road = task.road(config)
-    observation: Kinematics | TimeToCollision
+    observation: Kinematics | TimeToCollision | OccupancyGrid
     if config["observation"]["type"] == "Kinematics":
         observation = Kinematics(config["observation"], road.count(*task.ego_road))
+    elif config["observation"]["type"] == "OccupancyGrid":
+        observation = OccupancyGrid(config["observation"])
+    elif kind.steers:
+        raise ConfigError(
+            f"observation type 'TimeToCollision' needs target speeds, which {config['action']['type']!r} does not have "
+            "(nor in highway-env): choose 'Kinematics'"
+        )
     else:
         observation = TimeToCollision(config["observation"], config["policy_frequency"])
-    return Interface(actions, speeds, observation)
+    return Interface(kind, observation)
 
 
 def information(
@@ -73,9 +84,9 @@ def information(
     arrived: bool,
     on_road: bool,
     rewards: Mapping[str, float],
-    action: int | None,
+    action: Any,
 ) -> dict[str, Any]:
-    """The ``info`` of a step, or of a reset with `action` None; see `DrivingEnv.step`.
+    """The ``info`` of a step, or of a reset with the action type's `no_action`; see `DrivingEnv.step`.
 
     The same keys with values of the same types always, none of them None or NaN, so that libraries can store and merge
     it. `min_ttc` is the least time to collision before a contact [s].
@@ -86,7 +97,7 @@ def information(
         "crashed": crashed,
         "arrived": bool(arrived),
         "on_road": bool(on_road),
-        "action": NO_ACTION if action is None else int(action),
+        "action": action,
         "rewards": {name: float(value) for name, value in rewards.items()},
         "cost": float(crashed),
         "crash": dict(NO_CRASH) if crash is None else asdict(crash),

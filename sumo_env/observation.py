@@ -22,8 +22,8 @@ MAX_SPEED = 40.0  # [m/s] Vehicle.MAX_SPEED
 
 Array = NDArray[np.float32]
 POSE = ("presence", "x", "y", "vx", "vy", "heading", "cos_h", "sin_h")
-_DIRECTION, _OFFSETS = ("cos_d", "sin_d"), ("long_off", "lat_off", "ang_off")
-FEATURES = (*POSE, *_DIRECTION, *_OFFSETS)
+_DIRECTION, OFFSETS = ("cos_d", "sin_d"), ("long_off", "lat_off", "ang_off")
+FEATURES = (*POSE, *_DIRECTION, *OFFSETS)
 RELATIVE = ("x", "y", "vx", "vy")  # to the ego, unless they are absolute
 
 
@@ -63,7 +63,7 @@ class Kinematics:
             raise ConfigError(
                 f"observation 'vehicles_count' must be a whole number from 1 to {MOST_VEHICLES}, not {rows!r}"
             )
-        self.ranges = _ranges(
+        self.ranges = ranges_of(
             given["features_range"]
             or {
                 "x": (-5.0 * MAX_SPEED, 5.0 * MAX_SPEED),
@@ -125,7 +125,7 @@ class Kinematics:
         `order` is "shuffled".
         """
         rows = self.visible(scene, road, ego.lane)
-        columns = self._columns(scene, road, rows, specs)
+        columns = self.columns(scene, road, rows, specs)
         values = np.array([columns[feature] for feature in self.features]).T
         eyes = self.eyes
         values[1:] -= values[0] * eyes.relative
@@ -139,7 +139,7 @@ class Kinematics:
             rng.shuffle(table[1:])
         return table
 
-    def _columns(
+    def columns(
         self, scene: Scene, road: Road, rows: list[int], specs: Mapping[str, VehicleSpec]
     ) -> dict[str, Sequence[float]]:
         """Values of all features of these rows of the scene; plain floats, because the rows are few."""
@@ -169,7 +169,7 @@ class Kinematics:
                 ],
                 strict=True,
             )
-        if any(feature in _OFFSETS for feature in self.features):
+        if any(feature in OFFSETS for feature in self.features):
             offsets = [self._offsets(scene, road, row) for row in rows]
             columns["long_off"], columns["lat_off"], columns["ang_off"] = zip(*offsets, strict=True)
         return columns
@@ -182,7 +182,7 @@ class Kinematics:
         return s, lateral, wrap_to_pi(heading - lane.heading_at(s))
 
 
-def _ranges(given: Any) -> dict[str, tuple[float, float]]:
+def ranges_of(given: Any) -> dict[str, tuple[float, float]]:
     """Ranges of features that can be mapped to [-1, 1]."""
     try:
         ranges = {name: (float(low), float(high)) for name, (low, high) in given.items()}

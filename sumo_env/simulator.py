@@ -8,7 +8,7 @@ another process; neither side modifies the other's state.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import NamedTuple, Protocol
+from typing import Any, NamedTuple, Protocol
 
 from sumo_env.contacts.crash import CrashRecord
 from sumo_env.networks.roads import LaneIndex
@@ -33,6 +33,27 @@ class EgoCommand(NamedTuple):
 
     target_speed: float | None
     target_lane: LaneIndex | None
+
+
+class SteeringCommand(NamedTuple):
+    """The ego's pedals and steering wheel, which stay as they are for one policy step (``Vehicle.act``).
+
+    Simulators that move cars along lanes, as SUMO does, have no use for it.
+
+    Attributes:
+        acceleration: [m/s2].
+        steering: angle of the front wheels [rad].
+        speed_range: speeds beyond which the ego is slowed down softly [m/s]; None: highway-env's 40 m/s either way.
+        dynamical: whether tyres slip (``BicycleVehicle``); the same in all steps of an episode.
+    """
+
+    acceleration: float
+    steering: float
+    speed_range: tuple[float, float] | None = None
+    dynamical: bool = False
+
+
+Command = EgoCommand | SteeringCommand
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,8 +88,10 @@ class Simulator(Protocol):
         """
         ...
 
-    def step(self, command: EgoCommand, trace: bool = False) -> Step:
+    def step(self, command: Any, trace: bool = False) -> Step:
         """Drive one policy step: ``1 / scenario.policy_frequency`` seconds in sub-steps of the simulation frequency.
+
+        The command is an `EgoCommand` or, for a simulator that can steer the ego, a `SteeringCommand`.
 
         Before the first sub-step, vehicles that have left the scene are removed and the scenario's spawns of this
         step are added (highway-env does this after the observation of the previous step, which is equivalent).

@@ -15,6 +15,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
+from sumo_env.actions import ActionType as Kind
 from sumo_env.networks.lanes import Lane
 from sumo_env.networks.roads import LaneIndex, Road
 from sumo_env.scene import Floats, Scene
@@ -160,6 +161,7 @@ class ReadAsHighwayEnv(gym.Env[NDArray[np.float32], Any]):
     ego_state: EgoState
     actions: dict[int, str]
     target_speeds: tuple[float, ...]
+    _action_type: Kind
     _road: Road
     _target_lane: LaneIndex
     _speed_index: int
@@ -181,14 +183,13 @@ class ReadAsHighwayEnv(gym.Env[NDArray[np.float32], Any]):
     def road(self) -> RoadView:
         """The lanes (`road.network`) and the vehicles (`road.vehicles`) of the present scene."""
         if self._view is None or self._view.scene is not self.scene:
-            self._view = road_view(
-                self.scene,
-                self._road,
-                target_lane_index=self._target_lane,
-                speed_index=self._speed_index,
-                target_speed=self.target_speeds[self._speed_index],
-                target_speeds=np.array(self.target_speeds),
-            )
+            targets = {
+                "target_lane_index": self._target_lane,
+                "speed_index": self._speed_index,
+                "target_speed": self.target_speeds[self._speed_index],
+                "target_speeds": np.array(self.target_speeds),
+            }
+            self._view = road_view(self.scene, self._road, **({} if self._action_type.steers else targets))
         return self._view
 
     @property
@@ -197,8 +198,10 @@ class ReadAsHighwayEnv(gym.Env[NDArray[np.float32], Any]):
         return self.road.vehicles[0]
 
     @property
-    def action_type(self) -> ActionType:
-        """The meta-actions: actions, actions_indexes, target_speeds, get_available_actions()."""
+    def action_type(self) -> Any:
+        """The meta-actions: actions, actions_indexes, target_speeds, get_available_actions(); or `ContinuousAction`."""
+        if self._action_type.steers:
+            return self._action_type
         indexes = {name: index for index, name in self.actions.items()}
         return ActionType(self.actions, indexes, np.array(self.target_speeds), self.get_available_actions)
 

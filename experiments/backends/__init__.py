@@ -65,7 +65,11 @@ def make_env(
     if backend == "replica":  # what is fixed for an environment's life is in the study's configuration
         fixed = {name: settings.pop(name, default) for name, default in REPLICA.items()}
     with _installed(backend):
-        return gym.make(IDS[backend].format(task), config=settings, render_mode=render_mode, **fixed)
+        # by its specification: an id would warn that highway-env has a later version, and the variant says which
+        id: Any = IDS[backend].format(task)
+        if backend == "replica":
+            id = gym.spec(id.partition(":")[2])
+        return gym.make(id, config=settings, render_mode=render_mode, **fixed)
 
 
 @contextmanager

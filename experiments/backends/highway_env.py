@@ -148,7 +148,7 @@ class ScenarioEnv(AbstractEnv):
             arrived=self._arrived(),
             on_road=self.vehicle.on_road,
             rewards=self._rewards(action),
-            action=action,
+            action=self._offered.action_type.no_action if action is None else action,
         )
 
     def _arrived(self) -> bool:

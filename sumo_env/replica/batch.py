@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from sumo_env.config import Config
+from sumo_env.config import Config, ConfigError
 from sumo_env.contacts.measures import DENSITY_RADIUS
 from sumo_env.observation import Eyes
 from sumo_env.replica import tables
@@ -19,15 +19,17 @@ from sumo_env.replica.compiled import borrowing, compiled, readable
 from sumo_env.replica.driving import follow_road, is_reachable
 from sumo_env.replica.geometry import local_coordinates
 from sumo_env.replica.sight import ego_place, look
-from sumo_env.replica.step import Rules, policy_step, staying
-from sumo_env.tasks import TASKS, base
+from sumo_env.replica.step import Rules, hold, policy_step, staying
+from sumo_env.tasks import base
 from sumo_env.tasks.base import Task, lmap
 from sumo_env.tasks.intersection import ARRIVAL
 
 AFRESH, NOTHING = -1, -2  # in place of an action: an episode begins; the episode is left as it is
+OTHER = 1  # the number of an action of which rewards take no notice
 SPEEDS = {"FASTER": 1, "SLOWER": -1}  # change of the target speed's index
 SIDES = {"LANE_LEFT": -1, "LANE_RIGHT": 1}
-HIGHWAY, TWO_WAY, ROUNDABOUT, INTERSECTION, U_TURN = range(5)  # places in TASKS
+PAID = ("highway", "two-way", "roundabout", "intersection", "u-turn")  # tasks whose rewards `reward` has
+HIGHWAY, TWO_WAY, ROUNDABOUT, INTERSECTION, U_TURN = range(len(PAID))
 LANE_REWARDS = {"highway": "right_lane_reward", "two-way": "left_lane_reward", "u-turn": "left_lane_reward"}
 
 OUTCOME = np.dtype(  # of a policy step, see `DrivingEnv.step`
@@ -63,7 +65,7 @@ class Start(NamedTuple):
 class Pay(NamedTuple):
     """What a configuration pays: the weights of the terms of `Task.rewards`, 0 where a task has none."""
 
-    task: int  # place in TASKS
+    task: int  # place in PAID
     collision: float
     lane: float
     speed: float
@@ -75,7 +77,15 @@ class Pay(NamedTuple):
 
 
 def pay_of(task: Task, config: Config) -> Pay:
-    """The rewards of one of the five tasks under a resolved configuration."""
+    """The rewards of one of the five tasks under a resolved configuration.
+
+    Raises:
+        ConfigError: another task.
+    """
+    if task.name not in PAID:
+        raise ConfigError(
+            f"a compiled batch has no reward of the task {task.name!r}, only of {', '.join(PAID)}"
+        )
 
     def weight(key: str) -> float:
         return float(config.get(key, 0.0))
@@ -84,7 +94,7 @@ def pay_of(task: Task, config: Config) -> Pay:
     low, high = limits or (0.0, 1.0)
     slow, fast = config.get("reward_speed_range", (0.0, 1.0))
     return Pay(
-        task=list(TASKS).index(task.name),
+        task=PAID.index(task.name),
         collision=weight("collision_reward"),
         lane=weight(LANE_REWARDS.get(task.name, "")),
         speed=weight("high_speed_reward"),
@@ -233,7 +243,7 @@ def reward(
     elif pay.task == INTERSECTION:
         total = pay.arrived if arrived else total + pay.speed * _speed_term(ego.speed, pay.speed_range)
         return lmap(total * on_road, pay.limits, (0.0, 1.0))
-    else:
+    elif pay.task == U_TURN:
         total += pay.lane * here
         total += pay.speed * _speed_term(ego.speed, pay.speed_range)
     return lmap(total, pay.limits, (0.0, 1.0)) * on_road
@@ -249,6 +259,8 @@ def judge(law: Any, cars: Any, episode: Any, outcome: Any, action: int) -> None:
     outcome.on_road, outcome.arrived = on_road, arrived
     outcome.density = density(cars)
     outcome.reward, outcome.terminated, outcome.truncated = 0.0, False, False
+    if law.rules.is_steered:
+        episode.speed_index = _nearest_index(ego.speed, law.speeds)
     if action != AFRESH:
         count = len(law.speeds)
         outcome.reward = reward(
@@ -259,11 +271,12 @@ def judge(law: Any, cars: Any, episode: Any, outcome: Any, action: int) -> None:
 
 
 @compiled
-def drive(law: Any, batch: Any, actions: Any, first: int, end: int) -> None:
+def drive(law: Any, batch: Any, actions: Any, controls: Any, first: int, end: int) -> None:
     """One policy step of the episodes from row `first` to row `end`.
 
     Args:
         actions: of all episodes, shape (n,); AFRESH looks at an episode that begins, NOTHING passes one by.
+        controls: accelerations [m/s2] and angles [rad] of egos that are steered, shape (n, 2).
     """
     trace = np.empty((0, 6, 0))
     for row in range(first, end):
@@ -272,7 +285,10 @@ def drive(law: Any, batch: Any, actions: Any, first: int, end: int) -> None:
             continue
         outcome.min_ttc, outcome.distance = math.inf, 0.0
         if action != AFRESH:
-            command(law, batch.cars[row, 0], episode, action)
+            if law.rules.is_steered:
+                hold(batch.cars[row, 0], controls[row, 0], controls[row, 1])
+            else:
+                command(law, batch.cars[row, 0], episode, action)
             _, outcome.min_ttc, outcome.distance = policy_step(law.lanes, law.rules, batch, row, trace)
         cars = batch.cars[row, : episode.cars]
         judge(law, cars, episode, outcome, action)

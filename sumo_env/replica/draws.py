@@ -13,7 +13,7 @@ from dataclasses import asdict, replace
 
 import numpy as np
 
-from sumo_env.config import Config
+from sumo_env.config import Config, ConfigError
 from sumo_env.networks.roads import Road
 from sumo_env.replica.tables import as_rotated
 from sumo_env.streams import stream
@@ -35,6 +35,7 @@ DELTA, DELTA_RANGE = 4.0, (3.5, 4.5)  # IDMVehicle: the exponent, and its range 
 DRIVERS = {name: Driver("stock", DELTA, **asdict(task.car_following)) for name, task in TASKS.items()}
 DEVIATION = 2.0  # [m] and [m/s] of places and speeds on the roundabout and the u-turn
 U_TURN_VEHICLES = 6
+INSTEAD = 'make the environment with scenarios="seeded"'
 
 
 def draw(task: Task, config: Config, rng: Random, warm_up: WarmUp) -> Scenario:
@@ -50,9 +51,11 @@ def draw(task: Task, config: Config, rng: Random, warm_up: WarmUp) -> Scenario:
         challenger = _arrival("challenger", road, rng, centres, 1.0, 60.0, (0.1, 0.0), straight=True)
         spawns = () if challenger is None else (Spawn(0, challenger),)
         ego = task.ego(config, road, rng)
-    else:
+    elif task.name in _OTHERS:
         ego = task.ego(config, road, rng)
         vehicles = _OTHERS[task.name](config, road, rng)
+    else:
+        raise ConfigError(f"highway-env's draws of the task {task.name!r} are not known here; {INSTEAD}")
     return Scenario(
         task=task.name,
         seed=0,

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import copy
+import math
 from collections.abc import Mapping
 from functools import lru_cache
 from typing import Any
@@ -9,16 +11,18 @@ from typing import Any
 from sumo_env.config import Config, ConfigError, one_of
 from sumo_env.env import VARIED, DrivingEnv, Observation
 from sumo_env.networks.roads import LaneIndex
-from sumo_env.observation import Kinematics
+from sumo_env.observation import OFFSETS, Kinematics
+from sumo_env.occupancy import OccupancyGrid
 from sumo_env.replica import draws
 from sumo_env.replica.batch import Start
+from sumo_env.replica.draws import INSTEAD
 from sumo_env.replica.linear import LAWS
 from sumo_env.replica.linear import draw as draw_linear
 from sumo_env.replica.sight import eyes_of
 from sumo_env.replica.simulator import Replica
 from sumo_env.tasks import highway
 from sumo_env.tasks.base import Task
-from sumo_env.traffic.scenario import Scenario
+from sumo_env.traffic.scenario import EGO, Scenario
 
 SCENARIOS = ("highway-env", "seeded")
 SIMULATION_FREQUENCY = 15  # [Hz] highway-env's
@@ -29,7 +33,32 @@ OBSERVATIONS: dict[str, Config] = {
     "two-way": {"type": "TimeToCollision", "horizon": 5},
     "u-turn": {"type": "TimeToCollision", "horizon": 16},
 }
-INSTEAD = 'make the environment with scenarios="seeded"'
+CONNECTED: Config = {"neighbour_vehicles_connected_lanes": True}
+# What later versions of highway-env's environments change, by task and version.
+VERSIONS: dict[tuple[str, int], Config] = {
+    ("roundabout", 1): CONNECTED,
+    ("u-turn", 1): CONNECTED,
+    ("intersection", 1): {  # ``ContinuousIntersectionEnv``
+        "observation": {
+            "type": "Kinematics",
+            "vehicles_count": 5,
+            "features": ["presence", "x", "y", "vx", "vy", *OFFSETS],
+            "features_range": {"x": [-100, 100], "y": [-100, 100], "vx": [-20, 20], "vy": [-20, 20]},
+            "absolute": True,
+            "flatten": False,
+            "observe_intentions": False,
+        },
+        "action": {
+            "type": "ContinuousAction",
+            "steering_range": [-math.pi / 3, math.pi / 3],
+            "longitudinal": True,
+            "lateral": True,
+            "dynamical": True,
+            "target_speeds": [0, 4.5, 9],
+        },
+    },
+    ("intersection", 2): CONNECTED,
+}
 # Keys of `sumo_env` that highway-env's task does not have.
 OURS: dict[str, tuple[str, ...]] = {
     "two-way": ("vehicles_count", "oncoming_vehicles_count", "road_length", "duration"),
@@ -39,7 +68,7 @@ OURS: dict[str, tuple[str, ...]] = {
 
 
 class ReplicaEnv(DrivingEnv):
-    """One of the five tasks on highway-env's physics.
+    """One of the five tasks on highway-env's physics, with all of highway-env's types of action.
 
     Args:
         task: highway, two-way, roundabout, intersection or u-turn, or highway-fast: the highway with the defaults of
@@ -50,10 +79,13 @@ class ReplicaEnv(DrivingEnv):
             configuration's defaults are highway-env's; "seeded": the traffic of `sumo_env`, with ``risk``.
         variant: see `Replica`.
         risk_law: of seeded scenarios, "standard" or "linear".
+        version: of highway-env's environment, whose defaults the configuration has.
 
     Raises:
         ConfigError: unknown task, key or name, wrong value.
     """
+
+    steers = True
 
     def __init__(
         self,
@@ -63,7 +95,12 @@ class ReplicaEnv(DrivingEnv):
         scenarios: str = SCENARIOS[0],
         variant: str = "stock",
         risk_law: str = LAWS[0],
+        version: int = 0,
     ) -> None:
+        if version and (task, version) not in VERSIONS:
+            known = ", ".join(f"{name}-v{number}" for name, number in VERSIONS)
+            raise ConfigError(f"there is no version {version} of {task!r}; later versions are {known}")
+        self._versioned = VERSIONS.get((task, version), {})
         self.is_stock = one_of("scenarios", scenarios, SCENARIOS) == SCENARIOS[0]
         self._is_linear, self._is_fast = (
             one_of("risk_law", risk_law, LAWS) == "linear",
@@ -80,13 +117,15 @@ class ReplicaEnv(DrivingEnv):
         if self.is_stock:
             defaults["neighbour_vehicles_connected_lanes"] = False
             defaults["observation"] = dict(OBSERVATIONS.get(self.task.name, defaults["observation"]))
-        return {**defaults, **highway.FAST} if self._is_fast else defaults
+        return {**defaults, **(highway.FAST if self._is_fast else {}), **copy.deepcopy(self._versioned)}
 
     def configure(self, config: Mapping[str, Any] | None) -> None:
         """Change these keys of the configuration; they take effect at the next reset."""
         if self.is_stock:
             self._refuse_ours({**getattr(self, "config", {}), **(config or {})})
         super().configure(config)
+        if self.is_stock or self._versioned:
+            self.replica.connected = bool(self.config.get("neighbour_vehicles_connected_lanes", False))
         kinematics = self.observation_type
         self.eyes = eyes_of(kinematics) if isinstance(kinematics, Kinematics) else None
 
@@ -122,13 +161,12 @@ class ReplicaEnv(DrivingEnv):
     def _draw(self, task: Task) -> Scenario:
         if self.is_stock:
             self.draws_arrivals = task.name == "intersection"
-            self.replica.connected = bool(self.config["neighbour_vehicles_connected_lanes"])
             return draws.draw(task, self.config, self.np_random, self.replica.warm_up)
         if self._is_linear:
             return draw_linear(task, self.config, int(self.np_random.integers(2**31)))
         return super()._draw(task)
 
-    def step(self, action: int) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+    def step(self, action: Any) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Drive one policy step, see `DrivingEnv.step`."""
         result = super().step(action)
         if self.draws_arrivals:
@@ -158,6 +196,11 @@ class ReplicaEnv(DrivingEnv):
         return self.replica.ego_place()
 
     def _observe(self) -> Observation:
+        if self._action_type.steers:  # it follows no route
+            self._spec_of[EGO] = self._spec_of[EGO]._replace(destination=None)
+        if isinstance(self.observation_type, OccupancyGrid):
+            before_ego = self.replica.before_ego()
+            return self.observation_type.observe(self.scene, self._road, self._spec_of, before_ego)
         if self.eyes is None:
             return super()._observe()
         table = self.replica.table(self.eyes)

@@ -15,6 +15,7 @@ import numpy as np
 
 from sumo_env.replica.compiled import borrowing, compiled
 from sumo_env.replica.geometry import heading_at, position
+from sumo_env.replica.motion import move
 from sumo_env.replica.tables import NONE
 from sumo_env.scene import VEHICLE_LENGTH, VEHICLE_WIDTH
 
@@ -55,6 +56,20 @@ def predict(lanes: Any, cars: Any, places: Any, predicted: Any) -> None:
                     following = route_lane(lanes, car, leg + 1)
             predicted[i, k, 0], predicted[i, k, 1] = position(lanes[lane], s)
             predicted[i, k, 2] = heading_at(lanes[lane], s)
+
+
+@borrowing
+def predict_steered(cars: Any, rules: Any, ghost: Any, slip: Any, predicted: Any) -> None:
+    """Write where a steered ego, the first car, will be if it keeps its speed and the angle of its wheels.
+
+    ``Vehicle.predict_trajectory_constant_speed``; `ghost` is room for a copy of the ego, `slip` for a number.
+    """
+    ghost[0] = cars[0]
+    ghost[0].acceleration = 0.0
+    for k in range(SAMPLES):
+        move(ghost, slip, rules, SAMPLE_STEP)
+        predicted[0, k, 0], predicted[0, k, 1] = ghost[0].x, ghost[0].y
+        predicted[0, k, 2] = ghost[0].heading
 
 
 @borrowing
@@ -102,13 +117,15 @@ def has_to_yield(lanes: Any, cars: Any, i: int, j: int) -> int:
 
 
 @compiled
-def regulate(lanes: Any, cars: Any, places: Any, before_ego: int) -> None:
+def regulate(lanes: Any, cars: Any, places: Any, rules: Any, before_ego: int) -> None:
     """Release the cars that gave way, at the speed limit of their lane, and find those that have to give way now."""
     for i in range(len(cars)):
         if cars[i].yields:
             cars[i].target_speed, cars[i].yields = lanes[cars[i].lane].limit, False
     predicted = np.empty((len(cars), SAMPLES, 3))
     predict(lanes, cars, places, predicted)
+    if rules.is_steered:
+        predict_steered(cars, rules, np.empty_like(cars[:1]), np.empty(1), predicted)
     for i in range(len(cars)):
         for j in range(i + 1, len(cars)):
             if will_meet(predicted[i], predicted[j]):

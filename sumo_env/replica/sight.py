@@ -1,7 +1,7 @@
 """What the ego sees, compiled: its place on the road, and highway-env's Kinematics table.
 
-`KinematicsObservation` in highway-env, `sumo_env.observation.Kinematics` here; features that depend on routes or on
-other lanes (cos_d, sin_d, long_off, lat_off, ang_off) are left to the latter.
+`KinematicsObservation` in highway-env, `sumo_env.observation.Kinematics` here; features that depend on routes (cos_d,
+sin_d) are left to the latter.
 """
 
 from __future__ import annotations
@@ -11,22 +11,26 @@ from typing import Any
 
 import numpy as np
 
-from sumo_env.observation import POSE, Eyes, Kinematics
+from sumo_env.observation import FEATURES, OFFSETS, POSE, Eyes, Kinematics
 from sumo_env.replica.compiled import borrowing, compiled
-from sumo_env.replica.geometry import is_on, local_coordinates
+from sumo_env.replica.geometry import heading_at, is_on, local_coordinates, wrapped
 from sumo_env.scene import PERCEPTION_DISTANCE, VEHICLE_LENGTH
 
 HALF_WIDTH = 2.0  # [m] of a lane
+FIRST_OFFSET = FEATURES.index(OFFSETS[0])
 
 
 def eyes_of(kinematics: Kinematics) -> Eyes | None:
     """The observation for `look`; None if it has features that the kernel does not know."""
-    return kinematics.eyes if set(kinematics.features) <= set(POSE) else None
+    return kinematics.eyes if set(kinematics.features) <= {*POSE, *OFFSETS} else None
 
 
 @borrowing
-def feature(car: Any, k: int) -> float:
-    """The value of a car that POSE[k] names."""
+def feature(lanes: Any, car: Any, k: int) -> float:
+    """The value of a car that FEATURES[k] names."""
+    if k >= FIRST_OFFSET:
+        s, lat = local_coordinates(lanes[car.lane], car.x, car.y)
+        return (s, lat, wrapped(car.heading - heading_at(lanes[car.lane], s)))[k - FIRST_OFFSET]
     velocity = car.speed * car.cos, car.speed * car.sin
     return (1.0, car.x, car.y, velocity[0], velocity[1], car.heading, car.cos, car.sin)[k]
 
@@ -56,9 +60,9 @@ def look(lanes: Any, cars: Any, eyes: Any, result: Any) -> None:
     for row in range(seen + 1):
         car = ego if row == 0 else cars[rows[row - 1]]
         for k in range(len(eyes.features)):
-            value = feature(car, eyes.features[k])
+            value = feature(lanes, car, eyes.features[k])
             if row > 0 and eyes.relative[k]:
-                value -= feature(ego, eyes.features[k])
+                value -= feature(lanes, ego, eyes.features[k])
             value = value * eyes.scale[k] + eyes.shift[k]
             result[row, k] = min(max(value, eyes.low[k]), eyes.high[k])
 

@@ -21,14 +21,14 @@ from sumo_env.replica.batch import Start, begun, copied, expecting, no_episodes,
 from sumo_env.replica.compiled import announced
 from sumo_env.replica.draws import Centres
 from sumo_env.replica.linear import linear_drivers
+from sumo_env.replica.motion import MAX_SPEED
 from sumo_env.replica.step import CRASHED, HEADING, IN_EVENT, SPEED, Rules, X, Y
 from sumo_env.scene import Scene
-from sumo_env.simulator import EgoCommand, Step
+from sumo_env.simulator import Command, SteeringCommand, Step
 from sumo_env.traffic.scenario import EGO_DISTANCE, SPAWN_DISTANCE, Scenario, Spawn, VehicleSpec
 
 VARIANTS = ("stock", "path", "connected", "v0")
 NOBODY: frozenset[str] = frozenset()
-JOINED = ("roundabout", "intersection", "u-turn")  # tasks with lanes that continue others
 
 FRAME = ("x", "y", "speed", "heading", "crashed", "in_event")  # the rows of a frame of a trace
 
@@ -88,7 +88,7 @@ class Replica:
         )
         return self.start
 
-    def step(self, command: EgoCommand, trace: bool = False) -> Step:
+    def step(self, command: Command, trace: bool = False) -> Step:
         """See `Simulator.step`."""
         if self._scenario is None:
             raise RuntimeError("call reset() before step()")
@@ -96,8 +96,12 @@ class Replica:
             raise ValueError("the replica's ego needs a target speed and a target lane")
         batch, rules = self._batch, self.start.rules
         ego = batch.cars[0, 0]
-        ego["target_speed"] = command.target_speed
-        self._steer_ego_for(ego, command.target_lane)
+        if isinstance(command, SteeringCommand):
+            rules = steered(rules, command.speed_range, command.dynamical)
+            ego["acceleration"], ego["steering"], ego["target_speed"] = *command[:2], 0.0  # see `step.hold`
+        else:
+            ego["target_speed"] = command.target_speed
+            self._steer_ego_for(ego, command.target_lane)
         frames = np.empty((rules.substeps, len(FRAME), batch.cars.shape[1]))
         crash, min_ttc, distance = kernels.policy_step(self.lanes.table, rules, batch, 0, frames)
         self._look()
@@ -118,6 +122,10 @@ class Replica:
         """The ego's lane, its coordinates on it (s and lat) [m], and whether it is on the road."""
         lane, s, lateral, is_on_road = sight.ego_place(self.seen_lanes, self._cars)
         return self.lanes.names[lane], s, lateral, is_on_road
+
+    def before_ego(self) -> int:
+        """How many of the others come before the ego in highway-env's list of vehicles."""
+        return int((self._cars["number"][1:] < self.start.first_arrival).sum())
 
     def table(self, eyes: Eyes) -> np.ndarray:
         """The Kinematics observation."""
@@ -178,16 +186,14 @@ class Replica:
 
     def _prepare(self, road: Road, frequency: int) -> None:
         """Lanes and rules of a road."""
-        connected = (
-            self.connected if self.variant == "stock" else road.name in JOINED and self.variant != "v0"
-        )
+        connected = self.connected if self.variant == "stock" else road.joined and self.variant != "v0"
         self.lanes = tables.lanes_of(road, connected)
         self.seen_lanes = self.lanes.table if self.variant == "stock" else self.lanes.exact
         self._rules = Rules(
             along_path=connected and self.variant == "path",
-            is_two_way=road.name == "two-way",
+            is_two_way=road.oncoming,
             # highway-env's expression: 7 at 15 Hz
-            regulation_interval=int(1 / (1 / frequency) / 2) if road.name == "intersection" else 0,
+            regulation_interval=int(1 / (1 / frequency) / 2) if road.regulated else 0,
             dt=1.0 / frequency,
             ego_contacts=self.ego_contacts,
         )
@@ -257,6 +263,12 @@ class Replica:
             time=round(steps / self._scenario.simulation_frequency, 6),
             in_event=frozenset(compress(self._present, frame[IN_EVENT])) if self._scenario.events else NOBODY,
         )
+
+
+def steered(rules: Rules, speed_range: tuple[float, float] | None, dynamical: bool) -> Rules:
+    """The rules for an ego that is steered, see `SteeringCommand`."""
+    slowest, fastest = speed_range or (-MAX_SPEED, MAX_SPEED)
+    return rules._replace(is_steered=True, is_dynamical=dynamical, slowest=slowest, fastest=fastest)
 
 
 @lru_cache(maxsize=1)

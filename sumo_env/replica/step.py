@@ -12,7 +12,7 @@ from sumo_env.replica.contacts import collide, ego_ttc
 from sumo_env.replica.driving import drive, follow_road, free_roads
 from sumo_env.replica.geometry import closest_lane, locate, no_places, on_axis
 from sumo_env.replica.give_way import regulate
-from sumo_env.replica.motion import KP_ACCELERATION, move, steer
+from sumo_env.replica.motion import KP_ACCELERATION, MAX_SPEED, move, steer
 from sumo_env.replica.risk import push, return_from_swerve, start_events
 from sumo_env.traffic.scenario import SPAWN_DISTANCE
 
@@ -22,7 +22,7 @@ X, Y, SPEED, HEADING, CRASHED, IN_EVENT = range(6)
 
 
 class Rules(NamedTuple):
-    """What differs between the tasks and the variants."""
+    """What differs between the tasks, the variants and the types of action."""
 
     along_path: bool  # distances beyond the end of a lane are measured along the path (the variant ``path``)
     is_two_way: bool  # cut-ins are swerves into the oncoming lane
@@ -31,6 +31,16 @@ class Rules(NamedTuple):
     ego_contacts: bool = False  # contacts of the others with each other are not looked at (highway-fast)
     substeps: int = 0  # of a policy step
     warmed_up: int = 0  # sub-steps of the warm-up before the episode
+    is_steered: bool = False  # the ego's acceleration and steering are commanded, not its targets
+    is_dynamical: bool = False  # its tyres slip
+    slowest: float = -MAX_SPEED  # of the ego, see `motion.move` [m/s]
+    fastest: float = MAX_SPEED
+
+
+@borrowing
+def hold(ego: Any, acceleration: float, steering: float) -> None:
+    """``ContinuousAction.act``: what the ego does from now on; to the others it is a car that wants to stand."""
+    ego.acceleration, ego.steering, ego.target_speed = acceleration, steering, 0.0
 
 
 @borrowing
@@ -39,12 +49,14 @@ def act(lanes: Any, cars: Any, places: Any, rules: Any) -> None:
     free_roads(lanes, cars, places)
     for i in range(len(cars)):
         car = cars[i]
+        if car.is_ego and rules.is_steered:  # ``Vehicle.act``: as before
+            continue
         if car.is_ego:  # ``MDPVehicle.act``
             follow_road(lanes, car, places.s[car.target, i])
             car.acceleration = KP_ACCELERATION * (car.target_speed - car.speed)
         elif not car.crashed:
             drive(lanes, cars, places, rules, i)
-    steer(lanes, cars, places)
+    steer(lanes, cars, places, rules)
 
 
 @borrowing
@@ -55,13 +67,15 @@ def step(lanes: Any, cars: Any, places: Any, rules: Any, count: int, before_ego:
     in its list before the ego, for the order of pairs.
     """
     if rules.regulation_interval > 0 and count % rules.regulation_interval == 0:
-        regulate(lanes, cars, places, before_ego)
-    move(cars, places, rules.dt)
+        regulate(lanes, cars, places, rules, before_ego)
+    move(cars, places.room[0], rules, rules.dt)
     for i in range(len(cars)):
         return_from_swerve(cars[i], rules.dt)
     locate(lanes, cars, places)
     for i in range(len(cars)):
         cars[i].lane = closest_lane(lanes, places, i, cars[i].heading, cars[i].lane)
+        if rules.is_steered and cars[i].is_ego:  # it steers for no lane
+            cars[i].target = cars[i].lane
     collide(cars, places, rules, before_ego)
 
 

@@ -84,6 +84,11 @@ LINEAR = [  # a driver of `sumo_env.replica.linear`
     ("lateral_gain", "f8"),
 ]
 
+SLIDING = [  # a steered ego whose tyres slip, see `motion.slide`
+    ("lateral_speed", "f8"),  # [m/s]
+    ("yaw_rate", "f8"),  # [rad/s]
+]
+
 PARAMETERS = [name for name, _ in DRIVER + LINEAR]  # of a driver
 
 CAR = np.dtype(
@@ -120,6 +125,7 @@ CAR = np.dtype(
         ("comes_after", "i8"),  # of an arrival: policy step
         *DRIVER,
         *LINEAR,
+        *SLIDING,
     ],
     align=True,
 )
@@ -211,7 +217,7 @@ def as_rotated(road: Road) -> Road:
     multiplies what a car is away from the middle of its lane, be it a rounding error, until it zigzags.
     """
 
-    if road.name != "intersection":
+    if not road.turned_by_matrix:
         return road
 
     def turned(point: Point, corner: int) -> Point:
@@ -276,7 +282,7 @@ def _rest(road: Road, lane: LaneIndex, goal: str | None, changes_lanes: bool, dr
         changes_lanes, False, *_route(road, lane, goal), 0, NONE if goal is None else lane[2],
         False, 0.0, 0.0, 0.0, 0.0, False, 0.0, 0.0, False, False, 0.0, 0.0, 0,
         driver.accel, driver.decel, driver.min_gap + VEHICLE_LENGTH, driver.tau, driver.delta, driver.emergency_decel,
-        driver.safe_braking, driver.min_gain, driver.gives_way, *[0] * len(LINEAR),
+        driver.safe_braking, driver.min_gain, driver.gives_way, *[0] * len(LINEAR + SLIDING),
     )  # fmt: skip
 
 

@@ -17,14 +17,16 @@ from gymnasium.vector import AutoresetMode, SyncVectorEnv, VectorEnv
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
+from sumo_env.actions import ContinuousAction
 from sumo_env.config import ConfigError
 from sumo_env.contacts.measures import NEAR_MISS_TTC
-from sumo_env.interface import NO_ACTION
 from sumo_env.replica import batch as kernels
 from sumo_env.replica import draws, tables
-from sumo_env.replica.batch import AFRESH, NOTHING, SIDES, SPEEDS, Law, Start
+from sumo_env.replica.batch import AFRESH, NOTHING, OTHER, SIDES, SPEEDS, Law, Start
 from sumo_env.replica.compiled import announced
 from sumo_env.replica.env import ReplicaEnv
+from sumo_env.replica.simulator import steered
+from sumo_env.tasks import TASKS
 from sumo_env.tasks.base import nearest_index
 
 RESULTS = kernels.OUTCOME.names or ()
@@ -40,19 +42,22 @@ def make(
 ) -> VectorEnv:
     """What ``gym.make_vec`` makes of the ids ``replica/*``; arguments as of `ReplicaVectorEnv` and `ReplicaEnv`.
 
-    Observations that the compiled batch does not have (TimeToCollision, features of routes, shuffled rows) and pictures
-    are those of single environments in turns, in a `SyncVectorEnv`; a warning says so.
+    Observations that the compiled batch does not have (TimeToCollision, features of routes, shuffled rows), tasks of
+    one's own and pictures are those of single environments in turns, in a `SyncVectorEnv`; a warning says so.
     """
     single = ReplicaEnv(**keywords)
     if is_compiled(single):
         return ReplicaVectorEnv(single, num_envs, autoreset_mode, threads)
-    gym.logger.warn("no compiled batch has this observation or render mode: single environments take turns")
+    gym.logger.warn(
+        "no compiled batch has this task, observation or render mode: single environments take turns"
+    )
     return SyncVectorEnv([lambda: ReplicaEnv(**keywords)] * num_envs, autoreset_mode=autoreset_mode)
 
 
 def is_compiled(env: ReplicaEnv) -> bool:
-    """Whether the kernels compute all that this environment gives."""
-    return env.render_mode is None and env.eyes is not None and env.eyes.is_sorted
+    """Whether the kernels compute all that this environment gives; rewards of a task of one's own they do not know."""
+    is_known = env.task is TASKS.get(env.task.name)
+    return is_known and env.render_mode is None and env.eyes is not None and env.eyes.is_sorted
 
 
 class ReplicaVectorEnv(VectorEnv):
@@ -88,6 +93,7 @@ class ReplicaVectorEnv(VectorEnv):
         self._ahead: dict[int, tuple[Start, Any]] = {}
         self._over = np.zeros(num_envs, np.bool_)
         self._law: Any = None  # a `Law`, from the first reset on
+        self._controls = np.zeros((num_envs, 2))  # accelerations and angles of egos that are steered
         assert single.eyes is not None
         self._batch = kernels.no_episodes(num_envs, single.eyes.rows, len(single.eyes.features))
         self._pool = ThreadPoolExecutor(threads, "sumo_env") if threads > 1 else None
@@ -125,10 +131,10 @@ class ReplicaVectorEnv(VectorEnv):
         first, self._law = self._law is None, self._made_law()
         if first:
             with announced(kernels.drive):
-                kernels.drive(self._law, self._batch, np.zeros(0, np.int64), 0, 0)
+                kernels.drive(self._law, self._batch, np.zeros(0, np.int64), self._controls, 0, 0)
         self._over &= ~mask
         self._drive(np.where(mask, AFRESH, NOTHING))
-        return self._batch.observations.copy(), self._infos(np.full(self.num_envs, NO_ACTION), mask)
+        return self._batch.observations.copy(), self._infos(self._told(None, mask), mask)
 
     def step(
         self, actions: Any
@@ -140,26 +146,23 @@ class ReplicaVectorEnv(VectorEnv):
         Raises:
             ValueError: not one action of the action space for each environment.
         """
-        actions = np.asarray(actions)
         if self._law is None:
             raise gym.error.ResetNeeded("call reset() before step()")
-        if not np.issubdtype(actions.dtype, np.integer) or not self.action_space.contains(actions):
-            raise ValueError(f"actions must be {self.num_envs} of {self.single_action_space}, not {actions}")
-        actions = actions.astype(np.int64)
+        actions, numbers = self._read(np.asarray(actions))
         if self.autoreset_mode is AutoresetMode.DISABLED:
             assert not self._over.any(), "episodes are over: reset them (options={'reset_mask': ...})"
         elif self.autoreset_mode is AutoresetMode.NEXT_STEP:
             for row in np.flatnonzero(self._over).tolist():
                 self._begin(row, self._next(row))
-        driven = np.where(self._over & (self.autoreset_mode is AutoresetMode.NEXT_STEP), AFRESH, actions)
+        driven = np.where(self._over & (self.autoreset_mode is AutoresetMode.NEXT_STEP), AFRESH, numbers)
         self._drive(driven)
         outcomes = self._batch.outcomes
         rewards, terminated, truncated = (outcomes[name].copy() for name in RESULTS[:3])
         self._over = terminated | truncated
         infos = {}
         if self.autoreset_mode is AutoresetMode.SAME_STEP and self._over.any():
-            infos, driven = self._restart(driven), np.where(self._over, AFRESH, driven)
-        infos |= self._infos(np.where(driven == AFRESH, NO_ACTION, driven), np.ones(self.num_envs, np.bool_))
+            infos, driven = self._restart(actions), np.where(self._over, AFRESH, driven)
+        infos |= self._infos(self._told(actions, driven == AFRESH), np.ones(self.num_envs, np.bool_))
         return self._batch.observations.copy(), rewards, terminated, truncated, infos
 
     def close_extras(self, **kwargs: Any) -> None:
@@ -208,15 +211,18 @@ class ReplicaVectorEnv(VectorEnv):
     def _made_law(self) -> Law:
         single, replica, names = self._single, self._single.replica, self._single.actions.values()
         assert single.eyes is not None
+        kind, rules = single._action_type, replica.start.rules
+        if isinstance(kind, ContinuousAction):
+            rules = steered(rules, kind.speed_range, kind.dynamical)
         return Law(
             replica.lanes.table,
             replica.seen_lanes,
-            replica.start.rules,
+            rules,
             single.eyes,
             kernels.pay_of(single.task, single.config),
             np.array(single.target_speeds),
-            np.array([SPEEDS.get(name, 0) for name in names]),
-            np.array([SIDES.get(name, 0) for name in names]),
+            np.array([SPEEDS.get(name, 0) for name in names], np.int64),
+            np.array([SIDES.get(name, 0) for name in names], np.int64),
             single.time_limit(),
         )
 
@@ -224,10 +230,10 @@ class ReplicaVectorEnv(VectorEnv):
         speed_index = nearest_index(start.cars["speed"].item(0), self._single.target_speeds)
         self._batch = kernels.begun(self._batch, row, start, speed_index)
 
-    def _restart(self, driven: NDArray[np.int64]) -> dict[str, Any]:
+    def _restart(self, actions: NDArray[Any]) -> dict[str, Any]:
         """Begin the next episode where one is over; returns what is said of the last one."""
         final = np.full(self.num_envs, None, object)
-        infos = {"final_obs": final, "final_info": self._infos(driven, self._over)}
+        infos = {"final_obs": final, "final_info": self._infos(actions, self._over)}
         for row in np.flatnonzero(self._over).tolist():
             final[row] = self._batch.observations[row].copy()
             self._begin(row, self._next(row))
@@ -240,10 +246,11 @@ class ReplicaVectorEnv(VectorEnv):
         """`batch.drive` by all threads; meanwhile seeded episodes are drawn ahead."""
         law, table = self._law, self._batch
         if self._pool is None:
-            kernels.drive(law, table, actions, 0, self.num_envs)
+            kernels.drive(law, table, actions, self._controls, 0, self.num_envs)
         else:
             ends = np.linspace(0, self.num_envs, self._threads + 1).astype(int).tolist()
-            parts = [self._pool.submit(kernels.drive, law, table, actions, *part) for part in pairwise(ends)]
+            of_all = law, table, actions, self._controls
+            parts = [self._pool.submit(kernels.drive, *of_all, *part) for part in pairwise(ends)]
             if not self._single.is_stock:
                 while not all(part.running() or part.done() for part in parts):
                     time.sleep(PATIENCE)  # while Python draws, no thread could begin
@@ -266,7 +273,38 @@ class ReplicaVectorEnv(VectorEnv):
             car["number"] = episode["first_arrival"] + episode["steps"]
             self._batch = kernels.expecting(self._batch, row, car)
 
-    def _infos(self, actions: NDArray[np.int64], mask: NDArray[np.bool_]) -> dict[str, Any]:
+    def _read(self, actions: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.int64]]:
+        """Actions, and their numbers for the kernels; what they mean for egos that are steered is written down.
+
+        Raises:
+            ValueError: not one action for each environment.
+        """
+        kind = self._single._action_type
+        is_discrete = isinstance(self.single_action_space, gym.spaces.Discrete)
+        if actions.shape != self.action_space.shape or (
+            is_discrete
+            and not (np.issubdtype(actions.dtype, np.integer) and self.action_space.contains(actions))
+        ):
+            raise ValueError(f"actions must be {self.num_envs} of {self.single_action_space}, not {actions}")
+        if isinstance(kind, ContinuousAction):
+            self._controls[:, 0], self._controls[:, 1] = kind.controls(kind.numbers(actions))
+        if is_discrete:
+            actions = actions.astype(np.int64)
+            return actions, actions
+        # the roundabout is paid for actions that equal 0 or 2, as `EgoState.action` may with one axis
+        numbers = np.full(self.num_envs, OTHER)
+        if actions.shape[1] == 1:
+            numbers[np.isin(actions[:, 0], (0, 2))] = 0
+        return np.array(actions, np.float32), numbers
+
+    def _told(self, actions: Any, begins: NDArray[np.bool_]) -> NDArray[Any]:
+        """What ``infos`` say of actions; of episodes that begin, that there was none."""
+        nothing = np.asarray(self._single._action_type.no_action)
+        if actions is None:
+            return np.full((self.num_envs, *nothing.shape), nothing)
+        return np.where(begins.reshape(-1, *[1] * nothing.ndim), nothing, actions)
+
+    def _infos(self, actions: NDArray[Any], mask: NDArray[np.bool_]) -> dict[str, Any]:
         """``infos`` of the environments in `mask`, as `SyncVectorEnv` has them."""
         infos = {name: self._batch.outcomes[name] for name in RESULTS[3:]}
         crashed, min_ttc = infos["crashed"], infos["min_ttc"]
@@ -278,5 +316,10 @@ class ReplicaVectorEnv(VectorEnv):
             "near_miss": (min_ttc < NEAR_MISS_TTC) & ~crashed,
         }
         if not mask.all():
-            infos = {name: np.where(mask, values, np.zeros_like(values)) for name, values in infos.items()}
+            infos = {name: _where(mask, values) for name, values in infos.items()}
         return {key: part.copy() for name in infos for key, part in ((name, infos[name]), (f"_{name}", mask))}
+
+
+def _where(mask: NDArray[np.bool_], values: NDArray[Any]) -> NDArray[Any]:
+    """Values where the mask says so, else zeros."""
+    return np.where(mask.reshape(-1, *[1] * (values.ndim - 1)), values, np.zeros_like(values))

@@ -28,6 +28,8 @@ from sumo_env.traffic.drivers import (
 from sumo_env.traffic.risk import RiskEvent, RiskRates, draw_events
 from sumo_env.traffic.scenario import Scenario, Spawn, VehicleSpec
 
+TARGET_SPEEDS = (20.0, 25.0, 30.0)  # MDPVehicle.DEFAULT_TARGET_SPEEDS [m/s]
+
 
 class EgoState(NamedTuple):
     """The ego as rewards and endings see it, after a policy step.
@@ -39,7 +41,7 @@ class EgoState(NamedTuple):
         target_lane: lane that the ego steers for.
         speed_index: index of the target speed.
         speed_count: number of target speeds.
-        action: the action of this step, None at a reset.
+        action: the action of this step, None at a reset; a number or, if it has two axes, a tuple of numbers.
         crashed, on_road: after the step.
         scene: all vehicles, for rewards that depend on the traffic; the ego is row 0.
     """
@@ -52,7 +54,7 @@ class EgoState(NamedTuple):
     target_lane: LaneIndex
     speed_index: int
     speed_count: int
-    action: int | None
+    action: int | float | tuple[float, ...] | None
     crashed: bool
     on_road: bool
     scene: Scene | None = None
@@ -73,7 +75,7 @@ class Task:
     risk_ranges: ClassVar[RiskRanges] = RISK_RANGES
     risk_rates: ClassVar[RiskRates] = RiskRates()
     fixed_delta: ClassVar[bool] = False  # IDM exponent 4 for all (no randomize_behavior in highway-env)
-    target_speeds: tuple[float, ...] = (20.0, 25.0, 30.0)  # MDPVehicle.DEFAULT_TARGET_SPEEDS [m/s]
+    target_speeds: tuple[float, ...] = TARGET_SPEEDS
 
     def __deepcopy__(self, memo: dict[int, object]) -> Task:
         return self  # immutable

@@ -103,7 +103,7 @@ def test_an_episode_ends_within_its_duration(id: str) -> None:
             "'ContinuousAction'",
         ),
         ("highway", {"controlled_vehicles": 3}, "there is one ego"),
-        ("intersection", {"observation": {"type": "OccupancyGrid"}}, "known: Kinematics"),
+        ("intersection", {"observation": {"type": "LidarObservation"}}, "known: Kinematics"),
         ("two-way", {"road_length": 5000.0}, "road_length"),
         ("two-way", {"vehicles_count": 500}, "do not fit"),
         ("u-turn", {"vehicles_count": 13}, "at most 12"),

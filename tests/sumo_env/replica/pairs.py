@@ -135,23 +135,37 @@ def differences(task: str, first: int, episodes: int, config: dict[str, Any]) ->
     return [entry for entry in found if entry[1]]
 
 
-def episode(stock: Any, replica: Any, seed: int) -> str:
-    """What differed under random actions; every third episode continues the stream of the one before it."""
+def episode(
+    stock: Any,
+    replica: Any,
+    seed: int,
+    act: Callable[[Any, Any], Any] | None = None,
+    slow: float = SLOW_EQUAL,
+) -> str:
+    """What differed under random actions; every third episode continues the stream of the one before it.
+
+    act: draws an action from highway-env's environment and a generator; `slow`: equality below the speed SLOW.
+    """
     reset = {} if seed % 3 == 2 else {"seed": seed}
     rng, equal = np.random.default_rng(seed), EQUAL
-    n = stock.action_space.n
+    draw = act or (lambda env, rng: int(rng.integers(env.action_space.n)))
     for step, (theirs, ours) in enumerate(
-        side_by_side(stock, replica, lambda _: int(rng.integers(n)), **reset)
+        side_by_side(stock, replica, lambda _: draw(stock.unwrapped, rng), **reset)
     ):
         if min(abs(vehicle.speed) for vehicle in stock.unwrapped.road.vehicles) < SLOW:
-            equal = SLOW_EQUAL
+            equal = slow
         states = [env.unwrapped.np_random.bit_generator.state for env in (stock, replica)]
+        egos = [
+            (*env.unwrapped.vehicle.position, env.unwrapped.vehicle.speed, env.unwrapped.vehicle.heading)
+            for env in (stock, replica)
+        ]
         for what, is_same in (
             (
                 "observation",
                 theirs[0].dtype == ours[0].dtype and ours[0] == pytest.approx(theirs[0], abs=equal),
             ),
             ("reward or end", ours[1:-1] == pytest.approx(theirs[1:-1], abs=equal)),
+            ("ego", egos[1] == pytest.approx(egos[0], abs=equal)),
             ("random stream", states[0] == states[1]),
         ):
             if not is_same:

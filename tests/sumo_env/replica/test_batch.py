@@ -9,10 +9,13 @@ import numpy as np
 import pytest
 from gymnasium.vector import SyncVectorEnv
 
-from sumo_env.config import ConfigError
-from sumo_env.replica.env import OBSERVATIONS
-from sumo_env.replica.vector import ReplicaVectorEnv
+from sumo_env.config import Config, ConfigError
+from sumo_env.replica.batch import pay_of
+from sumo_env.replica.env import OBSERVATIONS, ReplicaEnv
+from sumo_env.replica.vector import ReplicaVectorEnv, make
 from sumo_env.tasks import TASKS
+from sumo_env.tasks.base import EgoState
+from sumo_env.tasks.u_turn import UTurn
 from tests.sumo_env.rollout import assert_same_bits
 
 ENVS = 4
@@ -152,3 +155,24 @@ def test_returned_arrays_stay_as_they_are() -> None:
     envs.step([4, 4])
     for one, other in zip([first, infos["speed"], *step[:4]], kept, strict=True):
         np.testing.assert_array_equal(one, other)
+
+
+class Slalom(UTurn):
+    """A task of one's own on a road of the five."""
+
+    name = "slalom"
+
+    def rewards(self, ego: EgoState, config: Config) -> dict[str, float]:
+        return {"collision_reward": 3.0, "on_road_reward": 1.0}
+
+
+def test_a_task_of_ones_own_is_paid_its_own_reward_or_refused() -> None:
+    """Never the reward of another task; highway-env has no draws of its traffic."""
+    with pytest.warns(UserWarning, match="take turns"):
+        envs = make(2, task=Slalom(), **SEEDED, config={"normalize_reward": False})
+    envs.reset(seed=0)
+    assert envs.step(np.array([1, 1]))[1].tolist() == [-3.0, -3.0]
+    with pytest.raises(ConfigError, match=r"no reward of the task 'slalom'"):
+        pay_of(Slalom(), envs.envs[0].config)
+    with pytest.raises(ConfigError, match=r"task 'slalom' are not known"):
+        ReplicaEnv(Slalom()).reset(seed=0)

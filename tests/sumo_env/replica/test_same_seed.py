@@ -67,7 +67,7 @@ def test_it_is_in_99_percent_of_two_hundred_episodes(task: str) -> None:
 
 
 def test_the_defaults_are_those_of_highway_env() -> None:
-    for id in (*sumo_env.REPLICA_IDS, sumo_env.FAST_ID):
+    for id in (*sumo_env.REPLICA_IDS, sumo_env.FAST_ID, *sumo_env.LATER_IDS):
         theirs: Any = gym.make(id.removeprefix("replica/")).unwrapped
         ours: Any = gym.make(id).unwrapped
         meaningless = {"other_vehicles_type", "render_agent", "offscreen_rendering", "manual_control",
@@ -104,8 +104,11 @@ def test_a_driven_episode_is_a_scenario_that_can_be_driven_again(tmp_path: Path)
         ({"risk_law": "lineal"}, "did you mean 'linear'"),
         ({"config": {"vehicles_count": 10}}, 'scenarios="seeded"'),
         ({"config": {"risk": 1.0}}, 'scenarios="seeded"'),
-        ({"config": {"observation": {"type": "OccupancyGrid"}}}, "unknown observation type 'OccupancyGrid'"),
-        ({"config": {"action": {"type": "ContinuousAction"}}}, "unknown action type 'ContinuousAction'"),
+        (
+            {"config": {"observation": {"type": "LidarObservation"}}},
+            "unknown observation type 'LidarObservation'",
+        ),
+        ({"config": {"action": {"type": "MultiAgentAction"}}}, "unknown action type 'MultiAgentAction'"),
         ({"config": {"controlled_vehicles": 2}}, "there is one ego"),
     ],
 )

@@ -1,0 +1,305 @@
+"""The types of action with which the agent steers: the replica is highway-env, seed for seed.
+
+`PYTHONPATH=. pytest -m long -s <this file>` drives two hundred episodes of each task and prints those that differ.
+"""
+
+from __future__ import annotations
+
+import copy
+import math
+import warnings
+from collections.abc import Callable
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from highway_env.envs import RoundaboutEnv, TwoWayEnv
+from highway_env.vehicle.controller import MDPVehicle
+
+import sumo_env
+from sumo_env.actions import ContinuousAction
+from sumo_env.config import ConfigError
+from sumo_env.env import DrivingEnv
+from sumo_env.replica.env import ReplicaEnv
+
+from .pairs import EQUAL, SLOW_EQUAL, episode
+from .test_batch import assert_equal
+
+TASKS = ("highway", "two-way", "roundabout", "intersection", "u-turn")
+FEW = {"highway": 1, "two-way": 6, "roundabout": 3, "intersection": 2, "u-turn": 4}
+EACH = 200  # episodes of each task in the long comparison
+TABLE = {"type": "Kinematics"}
+STEERING: dict[str, Any] = {"type": "ContinuousAction"}
+QUICK = {"simulation_frequency": 15, "policy_frequency": 5, "duration": 6}
+ACTIONS: list[dict[str, Any]] = [
+    {**STEERING, "lateral": False, "acceleration_range": [-6.0, 3.0]},
+    {**STEERING, "longitudinal": False, "steering_range": [-0.2, 0.1]},
+    {**STEERING, "speed_range": [-2.0, 12.0], "clip": False},
+    {**STEERING, "dynamical": True},
+    {"type": "DiscreteAction"},
+    {"type": "DiscreteAction", "actions_per_axis": 4, "longitudinal": False, "steering_range": [-0.1, 0.1]},
+]
+
+
+class PaidTwoWay(TwoWayEnv):
+    """highway-env's, whose reward asks such an ego for a target lane and a target speed, and fails."""
+
+    def _rewards(self, action: Any) -> dict[str, float]:
+        return {
+            "high_speed_reward": MDPVehicle.get_speed_index(self.vehicle) / 2,
+            "left_lane_reward": 1 - self.vehicle.lane_index[2],
+        }
+
+
+class PaidRoundabout(RoundaboutEnv):
+    """highway-env's, whose reward asks whether an array of two numbers is 0 or 2, and fails."""
+
+    def _rewards(self, action: Any) -> dict[str, float]:
+        return super()._rewards(1 if np.size(action) == 2 else action)
+
+
+def pair(task: str, config: dict[str, Any], version: int = 0) -> tuple[Any, Any]:
+    """highway-env's environment and the replica's."""
+    ours = gym.make(gym.spec(f"replica/{task}-v{version}"), config=config)
+    if task == "two-way":
+        return gym.wrappers.TimeLimit(PaidTwoWay(config), 15), ours
+    if task == "roundabout" and not version:
+        return PaidRoundabout(config), ours
+    return gym.make(gym.spec(f"{task}-v{version}"), config=config), ours
+
+
+def wild(env: Any, rng: np.random.Generator) -> Any:
+    """Any action."""
+    return rng.integers(env.action_space.n) if hasattr(env.action_space, "n") else uniform(env, rng)
+
+
+def uniform(env: Any, rng: np.random.Generator) -> np.ndarray:
+    """Numbers a little beyond the space too."""
+    return rng.uniform(-1.1, 1.1, env.action_space.shape).astype(np.float32)
+
+
+def along_the_road(env: Any, rng: np.random.Generator) -> np.ndarray:
+    """Keeps the lane, more or less, and lives longer: accelerates at random, and steers to the middle of the lane."""
+    car = env.vehicle
+    s, lat = car.lane.local_coordinates(car.position)
+    off = (car.heading - car.lane.heading_at(s + 0.3 * car.speed) + math.pi) % (2 * math.pi) - math.pi
+    angle = (-off - 0.05 * lat) * 5.0 / max(abs(car.speed), 1.0) + rng.normal() * 0.02
+    pedals = rng.uniform(-0.6, 0.7)
+    return np.array([pedals, angle / (math.pi / 4)], np.float32)
+
+
+def different(
+    task: str,
+    seeds: range,
+    config: dict[str, Any],
+    act: Callable[..., Any],
+    version: int = 0,
+    slow: float = SLOW_EQUAL,
+) -> list[tuple[int, str]]:
+    """The episodes that are not those of highway-env: seed, and what differs."""
+    envs = pair(
+        task, {"observation": TABLE, **config} if version == 0 or task != "intersection" else config, version
+    )
+    found = [(seed, episode(*envs, seed, act, slow)) for seed in seeds]
+    return [entry for entry in found if entry[1]]
+
+
+# -- the same seed -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("task", TASKS)
+def test_a_steered_episode_is_that_of_highway_env(task: str) -> None:
+    few, config = FEW[task], {"action": STEERING}
+    assert different(task, range(few), config, wild) == []
+    quick = {key: value for key, value in QUICK.items() if key != "duration" or task != "two-way"}
+    assert different(task, range(few), {**config, **quick}, along_the_road) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("task", ["u-turn", "intersection", "roundabout"])
+@pytest.mark.parametrize("action", ACTIONS, ids=str)
+def test_every_way_to_steer(action: dict[str, Any], task: str) -> None:
+    """Also among cars that are not far from the ego, that give way to it, and on two lanes around a bend."""
+    assert different(task, range(3), {"action": action}, wild) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("id", sumo_env.LATER_IDS)
+def test_later_versions_are_those_of_highway_env(id: str) -> None:
+    """Defaults, observations, actions, rewards; one of three episodes goes on with the stream of the one before."""
+    task, version = sumo_env.task_of(id), sumo_env.version_of(id)
+    theirs, ours = pair(task, {}, version)
+    assert (theirs.observation_space, theirs.action_space) == (ours.observation_space, ours.action_space)
+    connected = "neighbour_vehicles_connected_lanes"
+    assert (
+        theirs.unwrapped.config[connected]
+        == ours.unwrapped.config[connected]
+        == (id != "replica/intersection-v1")
+    )
+    found = [(seed, what) for seed in range(6) if (what := episode(theirs, ours, seed, wild))]
+    assert found == []
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("task", TASKS)
+def test_steered_episodes_are_the_same_in_99_percent(task: str) -> None:
+    """To 1e-6 throughout, half of them under any action and half along the road."""
+    quick = {key: value for key, value in QUICK.items() if key != "duration" or task != "two-way"}
+    shorter = (
+        {"duration": 12} if task == "highway" else {}
+    )  # highway-env needs half a second for each of its steps
+    found = different(task, range(1000, 1000 + EACH // 2), {"action": STEERING, **shorter}, wild, slow=EQUAL)
+    found += different(
+        task, range(2000, 2000 + EACH // 2), {"action": STEERING, **quick}, along_the_road, slow=EQUAL
+    )
+    print(f"{task}: {EACH - len(found)} of {EACH} episodes the same", *found, sep="\n")
+    assert len(found) <= 0.01 * EACH
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("id", sumo_env.LATER_IDS)
+def test_later_versions_are_the_same_in_99_percent(id: str) -> None:
+    envs = pair(sumo_env.task_of(id), {}, sumo_env.version_of(id))
+    found = [
+        (seed, what) for seed in range(1000, 1000 + EACH) if (what := episode(*envs, seed, wild, slow=EQUAL))
+    ]
+    print(f"{id}: {EACH - len(found)} of {EACH} episodes the same", *found, sep="\n")
+    assert len(found) <= 0.01 * EACH
+
+
+# -- in batches ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+@pytest.mark.parametrize(
+    ("id", "config"),
+    [
+        ("intersection-v1", {}),
+        ("highway-v0", {"action": STEERING}),
+        ("two-way-v0", {"action": STEERING, "observation": TABLE}),
+        ("roundabout-v1", {"action": {**STEERING, "lateral": False}}),
+        ("roundabout-v0", {"action": {"type": "DiscreteAction"}}),
+        ("u-turn-v1", {"action": {**STEERING, "dynamical": True}, "observation": TABLE}),
+    ],
+    ids=str,
+)
+def test_a_batch_drives_the_episodes_of_single_environments(
+    id: str, config: dict[str, Any], threads: int
+) -> None:
+    mode = "SameStep" if threads == 2 else "NextStep"
+    spec = gym.spec(f"replica/{id}")
+    ours = gym.make_vec(spec, num_envs=4, autoreset_mode=mode, threads=threads, config=config)
+    loop = {"autoreset_mode": mode}
+    theirs = gym.make_vec(spec, num_envs=4, vectorization_mode="sync", vector_kwargs=loop, config=config)
+    assert type(ours) is not type(theirs)
+    assert_equal(*(env.reset(seed=[3, 1, 8, 1]) for env in (ours, theirs)))
+    rng = np.random.default_rng(0)
+    for step in range(40):
+        if ours.single_action_space.shape:
+            actions = rng.uniform(-1.0, 1.0, ours.action_space.shape).astype(np.float32)
+            actions[step % 4, -1] = 0.0  # which the roundabout's reward takes for a lane change
+        else:
+            actions = rng.integers(ours.single_action_space.n, size=4)
+        assert_equal(*(env.step(actions) for env in (ours, theirs)))
+
+
+def test_a_batch_refuses_what_is_no_action() -> None:
+    envs = gym.make_vec("replica/highway-v0", num_envs=2, config={"action": STEERING})
+    envs.reset(seed=0)
+    for actions in ([[0.0, 0.0]], [0.0, 0.0], [[0.0, math.nan], [0.0, 0.0]]):
+        with pytest.raises(ValueError, match=r"2 of Box|finite numbers"):
+            envs.step(actions)
+
+
+# -- the type of action --------------------------------------------------------------------------------------------
+
+
+def test_the_ids_that_highway_env_calls_out_of_date_warn() -> None:
+    for id in (*sumo_env.REPLICA_IDS, sumo_env.FAST_ID, *sumo_env.LATER_IDS):
+        said = []
+        for name in (id, id.removeprefix("replica/")):
+            with warnings.catch_warnings(record=True) as caught:
+                warnings.simplefilter("always")
+                gym.make(name)
+            said.append(
+                [
+                    str(one.message).replace(f"{name} ", "")
+                    for one in caught
+                    if "out of date" in str(one.message)
+                ]
+            )
+        assert said[0] == said[1], id
+
+
+def test_copies_and_scenarios_go_on_as_the_original() -> None:
+    env: Any = gym.make(gym.spec("replica/intersection-v1")).unwrapped
+    env.reset(seed=4)
+    for _ in range(3):
+        env.step([0.2, 0.1])
+    twin = copy.deepcopy(env)
+    again: Any = ReplicaEnv("intersection", version=1)
+    again.reset(options={"scenario": env.scenario})
+    for _ in range(3):
+        again.step([0.2, 0.1])
+    for action in ([1.0, 0.0], [0.0, 0.3]):
+        result = env.step(action)[0]
+        np.testing.assert_array_equal(twin.step(action)[0], result)
+        np.testing.assert_array_equal(again.step(action)[0], result)
+
+
+def test_info_and_the_ego_are_as_in_highway_env() -> None:
+    env: Any = gym.make("replica/highway-v0", config={"action": STEERING}).unwrapped
+    _, info = env.reset(seed=0)
+    assert info["action"].tolist() == [0.0, 0.0]
+    info = env.step(np.array([0.5, -0.25], np.float32))[-1]
+    assert info["action"].dtype == np.float32 and info["action"].tolist() == [0.5, -0.25]
+    assert isinstance(env.action_type, ContinuousAction) and env.actions == {}
+    assert not hasattr(env.vehicle, "target_speed") and env.vehicle.lane_index[:2] == ("0", "1")
+    assert env.get_available_actions() == []
+
+
+@pytest.mark.parametrize("action", ACTIONS[:4] + ACTIONS[-1:], ids=str)
+def test_on_sumo_steering_is_an_error_that_names_it(action: dict[str, Any]) -> None:
+    with pytest.raises(
+        ConfigError, match=rf"{action['type']}.*steering is the replica's.*replica/highway-v0"
+    ):
+        DrivingEnv("highway", {"action": action})
+
+
+@pytest.mark.parametrize(
+    ("config", "message"),
+    [
+        ({"action": {**STEERING, "longitudinal": False, "lateral": False}}, "longitudinal, lateral or both"),
+        ({"action": {**STEERING, "steering_range": [0.1]}}, "'steering_range' must be two rising numbers"),
+        ({"action": {**STEERING, "acceleration_range": [2.0, -2.0]}}, "two rising numbers"),
+        ({"action": {**STEERING, "speed_range": "fast"}}, "'speed_range' must be two rising numbers"),
+        (
+            {"action": {"type": "DiscreteAction", "actions_per_axis": 2.5}},
+            "'actions_per_axis' must be a whole",
+        ),
+        ({"action": {"type": "DiscreteAction", "speed_range": [0, 1]}}, "unknown key 'speed_range'"),
+        ({"action": STEERING, "observation": {"type": "TimeToCollision"}}, "needs target speeds"),
+    ],
+)
+def test_what_is_refused_is_named(config: dict[str, Any], message: str) -> None:
+    with pytest.raises(ConfigError, match=message):
+        gym.make("replica/highway-v0", config=config)
+    with pytest.raises(ConfigError, match="no version 3 of 'u-turn'"):
+        ReplicaEnv("u-turn", version=3)
+
+
+@pytest.mark.parametrize(
+    ("type", "action"),
+    [
+        ("ContinuousAction", 1), ("ContinuousAction", [0.1]), ("ContinuousAction", [0.1, math.inf]),
+        ("ContinuousAction", ["a", "b"]), ("DiscreteAction", 9), ("DiscreteAction", -1), ("DiscreteAction", 0.5),
+    ],
+)  # fmt: skip
+def test_what_is_no_action_is_an_error(type: str, action: Any) -> None:
+    env = gym.make("replica/highway-v0", config={"action": {"type": type}}).unwrapped
+    env.reset(seed=0)
+    with pytest.raises(ValueError, match="action must be"):
+        env.step(action)
+    env.step(env.action_space.sample())

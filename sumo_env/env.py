@@ -8,6 +8,7 @@ import shlex
 import tempfile
 from collections.abc import Mapping, Sequence
 from contextlib import closing
+from dataclasses import replace
 from operator import index
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -143,7 +144,10 @@ class DrivingEnv(ReadAsHighwayEnv):
         try:
             scenario = options.get("scenario") or self._draw(task)
             ego = scenario.ego
-            if scenario.traffic is None:
+            if scenario.traffic is not None:
+                if seed is not None and "scenario" not in options:  # SUMO's numbers have 31 bits
+                    scenario = replace(scenario, traffic=replace(scenario.traffic, seed=seed % 2**31))
+            else:
                 scenario.network.place(ego.lane, ego.s, ego.destination)  # there are such a network and place
         except ValueError as error:
             raise ConfigError(str(error)) from error

@@ -8,6 +8,7 @@ import shlex
 import tempfile
 from collections.abc import Mapping, Sequence
 from contextlib import closing
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
 
@@ -16,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sumo_env.actions import Moment, PlainAction, ego_route
-from sumo_env.config import COMMON, Config, ConfigError, resolve, simulated_frequency
+from sumo_env.config import COMMON, Config, ConfigError, resolve
 from sumo_env.contacts.rectangles import state_of
 from sumo_env.interface import information, interface, on_its_way
 from sumo_env.networks import files
@@ -159,7 +160,10 @@ class DrivingEnv(ReadAsHighwayEnv):
         try:
             scenario = options.get("scenario") or self._draw(task)
             ego = scenario.ego
-            if scenario.traffic is None:
+            if scenario.traffic is not None:
+                if seed is not None and "scenario" not in options:  # SUMO's numbers have 31 bits
+                    scenario = replace(scenario, traffic=replace(scenario.traffic, seed=seed % 2**31))
+            else:
                 scenario.network.place(ego.lane, ego.s, ego.destination)  # there are such a network and place
         except ValueError as error:
             raise ConfigError(str(error)) from error

@@ -98,5 +98,6 @@ def file_settings(scenario: Scenario, further: Sequence[str] = (), outputs: Path
     given.pop(OUTPUT_DIR.removeprefix("--"), None)
     if outputs is not None:
         given |= {name: str(outputs / Path(value).name) for name, value in given.items() if is_output(name)}
-    options |= {**given, **COLLISIONS, "seed": str(scenario.seed)}
+    seed = scenario.seed if scenario.traffic.seed is None else scenario.traffic.seed
+    options |= {**given, **COLLISIONS, "seed": str(seed)}
     return Settings(float(options["step-length"]), options, scenario.traffic.elements)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from functools import lru_cache
 from pathlib import Path
 from xml.etree import ElementTree
@@ -28,42 +28,6 @@ def _known() -> set[str]:
         if (name := kind.get("name", "")) == "vTypeBaseType" or name.startswith("cf")
         for attribute in kind.iter(f"{_XSD}attribute")
     }
-
-
-# What SUMO gives the vehicles of a class: length, width [m], maxSpeed [m/s], accel, decel [m/s2]
-# (https://sumo.dlr.de/docs/Vehicle_Type_Parameter_Defaults.html).
-CLASSES = {
-    "truck": (7.1, 2.4, 36.11, 1.3, 4.0),
-    "trailer": (16.5, 2.55, 36.11, 1.0, 4.0),
-    "bus": (12.0, 2.5, 23.61, 1.2, 4.0),
-    "coach": (14.0, 2.6, 27.78, 2.0, 4.0),
-    "delivery": (6.5, 2.16, 55.56, 2.6, 4.5),
-    "emergency": (6.5, 2.16, 55.56, 2.6, 4.5),
-    "motorcycle": (2.2, 0.9, 55.56, 6.0, 10.0),
-    "moped": (2.1, 0.78, 12.5, 1.1, 7.0),
-    "bicycle": (1.6, 0.65, 5.56, 1.2, 3.0),
-}
-SPECIAL = {"authority", "army", "vip", "ignoring", "custom1", "custom2"}
-CARS = SPECIAL | {"passenger", "private", "taxi", "hov", "evehicle"}
-LOOKS = {"guiShape", "imgFile", "color", "osgFile", "laneChangeModel"}  # in a file, without effect here
-
-
-def of_class(name: str, given: Mapping[str, str]) -> dict[str, str]:
-    """The attributes of a vType of a file as those of a driver: its class says its size, what it can do, and its lanes.
-
-    Raises:
-        ValueError: vehicles of this class do not drive on roads.
-    """
-    kind = given.get("vClass", "passenger")
-    if kind not in CLASSES and kind not in CARS:
-        near = did_you_mean(kind, CLASSES.keys() | CARS)
-        raise ValueError(
-            f"vType {name!r}: vehicles of class {kind!r} cannot be driven here; {near}".rstrip("; ")
-        )
-    defaults = dict(
-        zip(("length", "width", "maxSpeed", "accel", "decel"), map(str, CLASSES.get(kind, ())), strict=False)
-    )
-    return {**defaults, **{key: value for key, value in given.items() if key not in LOOKS}}
 
 
 def check_attributes(name: str, attributes: Iterable[str]) -> None:

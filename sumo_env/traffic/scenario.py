@@ -108,7 +108,8 @@ class SumoTraffic:
         ranges, rates: what risk does to the drivers.
         models: car-following models of vehicle types, where the files name one.
         duration: of the episode [s], after which no event begins.
-        imagined: [s] into the episode, from which on risk events are those of this seed; None for the scenario's own.
+        seed: of SUMO's random numbers; None for that of the scenario.
+        imagined: seed of risk events that have not begun in a copy (`Simulator.imagine`); None for that of the scenario.
     """
 
     options: tuple[tuple[str, str], ...]
@@ -120,6 +121,7 @@ class SumoTraffic:
     rates: RiskRates = NO_EVENTS
     models: tuple[tuple[str, str], ...] = ()
     duration: float = 60.0
+    seed: int | None = None
     imagined: int | None = None
 
 

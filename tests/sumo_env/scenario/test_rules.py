@@ -1,0 +1,165 @@
+"""What the ego may do on roads of other people: solid lines, closed lanes, turns, traffic lights, driving on the left."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sumo_env.env import SumoDrivingEnv
+from tests.sumo_env.plans import QUIET, build, needs_sumo, route_file
+
+pytestmark = needs_sumo
+LEFT, IDLE, RIGHT, FASTER, SLOWER = range(5)
+NODES = "".join(f'<node id="{name}" x="{x}" y="{y}"/>' for name, x, y in (("a", 0, 0), ("c", 900, 0), ("d", 600, 300)))
+AHEAD = '<edge id="bc" from="b" to="c" numLanes="2" speed="20"/><edge id="bd" from="b" to="d" speed="14"/>'
+# The right lane turns right... to the left lane there is no way but straight on; of three lanes, 0 is the rightmost.
+TURNS = "".join(
+    f'<connection from="ab" fromLane="{one}" to="{edge}" toLane="{other}"/>'
+    for one, edge, other in ((0, "bc", 0), (1, "bc", 1), (2, "bd", 0))
+)
+
+
+def road(folder: Path, lanes: str, *options: str, light: str = "priority") -> Path:
+    """600 m with three lanes; the left one leads to bd, the others to bc."""
+    edge = f'<edge id="ab" from="a" to="b" numLanes="3" speed="20">{lanes}</edge>'
+    nodes = f'{NODES}<node id="b" x="600" y="0" type="{light}"/>'
+    return build(folder, (nodes, edge + AHEAD, TURNS), *options)
+
+
+def start(net: Path, way: str = "bc", **config: object) -> SumoDrivingEnv:
+    env = SumoDrivingEnv(net, [["ab", "bc"]], ["ab", way], {**QUIET, "duration": 90, **config})
+    env.reset(seed=0)
+    return env
+
+
+def number(env: SumoDrivingEnv) -> int:
+    """SUMO's number of the ego's lane."""
+    return int(env.sumo.vehicle.getLaneID("ego")[-1])
+
+
+def test_a_lane_change_over_a_solid_line_is_not_available(tmp_path: Path) -> None:
+    """Only lorries may change from lane 1 to the left; everybody may change to the right."""
+    env = start(road(tmp_path, '<lane index="1" changeLeft="truck"/>'))
+    while number(env) < 1:
+        assert LEFT in env.get_available_actions()
+        env.step(LEFT)
+    assert (env.scene.place.left, env.scene.place.right) == (False, True)
+    assert LEFT not in env.get_available_actions()
+    for _ in range(8):
+        env.step(LEFT)
+        assert number(env) == 1 and env.ego_state.target_lane == env.ego_state.lane
+    env.step(RIGHT)
+    assert number(env) == 0
+    for _ in range(10):  # what was asked for over the line is forgotten
+        env.step(IDLE)
+    assert number(env) == 0
+
+
+def test_a_closed_lane_is_not_available_also_if_it_is_closed_on_the_way(tmp_path: Path) -> None:
+    env = start(road(tmp_path, '<lane index="1" disallow="passenger"/>'))
+    assert not env.scene.place.left and not env.scene.place.right
+    env = start(road(tmp_path, ""))
+    before = number(env)
+    assert env.scene.place.left
+    env.sumo.lane.setDisallowed(f"ab_{before + 1}", ["passenger"])
+    env.step(LEFT)
+    assert number(env) == before
+
+
+def test_a_turn_is_missed_where_the_ego_can_no_longer_turn(tmp_path: Path) -> None:
+    """At the end of its lane, not before; an ego that waits there can still go on."""
+    net = road(tmp_path, "")
+    env = start(net, "bd", policy_frequency=10)
+    while number(env) == 2:
+        env.step(RIGHT)
+    while not (over := env.step(FASTER)[2]):
+        free = env.scene.place.free
+    assert over and env.scene.place.ended == "missed turn" and free < 3.0
+    info = env._info(None)
+    assert info["missed_turn"] and not info["arrived"] and not info["crashed"]
+    env = start(net, "bd", policy_frequency=10)
+    while number(env) == 2:
+        env.step(RIGHT)
+    while env.scene.speed[0] > 0.1 or env.scene.place.free > 60.0:  # stops before the end
+        slow = env.scene.speed[0] ** 2 / 6.0 > env.scene.place.free - 8.0
+        env.step(SLOWER if slow else FASTER if env.scene.speed[0] < 9.0 else IDLE)
+        assert not env.scene.place.ended
+    for _ in range(30):
+        env.step(LEFT)
+    assert number(env) == 2 and np.isinf(env.scene.place.free)
+
+
+def test_a_turn_behind_a_solid_line_is_missed_at_once(tmp_path: Path) -> None:
+    """Between lane 1 and lane 2 nobody may change, so that the turn is lost with the last lane change."""
+    net = road(tmp_path, '<lane index="1" changeLeft="truck"/>')
+    env = start(net, "bd")
+    assert number(env) == 2
+    while number(env) == 2:
+        over = env.step(RIGHT)[2]
+    assert over and env.scene.place.ended == "missed turn"
+
+
+@pytest.mark.parametrize("left_hand", [False, True])
+def test_left_is_left_where_people_drive_on_the_left(tmp_path: Path, left_hand: bool) -> None:
+    env = start(road(tmp_path, "", f"--lefthand={str(left_hand).lower()}"))
+    ways = {LEFT: -1.0, RIGHT: 1.0}  # along y, which points to the right of an ego that drives east
+    for action, sign in (*ways.items(), *ways.items()):
+        before = env.scene.y[0]
+        if env.scene.place.left if action == LEFT else env.scene.place.right:
+            env.step(action)
+            assert sign * (env.scene.y[0] - before) == pytest.approx(3.2, abs=0.1)
+    assert env.vehicle.lane_index == env.ego_state.lane
+
+
+def red_lights(env: SumoDrivingEnv) -> tuple[list[bool], bool]:
+    seen = []
+    for _ in range(900):
+        *_, over, _, info = env.step(FASTER)
+        seen.append(info["red_light"])
+        if over:
+            return seen, True
+    return seen, False
+
+
+def test_a_light_that_is_run_is_an_event_that_can_be_priced_and_can_end_an_episode(tmp_path: Path) -> None:
+    net = road(tmp_path, "", light="traffic_light")
+    env = start(net, policy_frequency=10)
+    light = env.sumo.trafficlight.getIDList()[0]
+    shown = len(env.sumo.trafficlight.getRedYellowGreenState(light))
+    env.sumo.trafficlight.setRedYellowGreenState(light, "r" * shown)
+    seen, _ = red_lights(env)
+    assert sum(seen) == 1 and env.scene.place.ended == "arrived"
+    env = start(net, policy_frequency=10, red_light_terminal=True, red_light_reward=-3)
+    env.sumo.trafficlight.setRedYellowGreenState(light, "r" * shown)
+    seen, over = red_lights(env)
+    assert over and seen[-1] and env.ego_state.lane[0] != "ab:from"
+    assert env._reward(FASTER) < -2.0
+    env = start(net, policy_frequency=10)
+    env.sumo.trafficlight.setRedYellowGreenState(light, "G" * shown)
+    assert not any(red_lights(env)[0])
+    env = start(net, policy_frequency=10, obey_traffic_lights=True)
+    env.sumo.trafficlight.setRedYellowGreenState(light, "r" * shown)
+    assert not any(red_lights(env)[0]) and env.scene.speed[0] < 0.1
+
+
+def test_a_red_light_that_turns_green_as_the_ego_passes_is_not_run(tmp_path: Path) -> None:
+    """What counts is the light in the very step of SUMO in which the stop line is passed."""
+    env = start(road(tmp_path, "", light="traffic_light"), policy_frequency=1)
+    light = env.sumo.trafficlight.getIDList()[0]
+    shown = len(env.sumo.trafficlight.getRedYellowGreenState(light))
+    env.sumo.trafficlight.setRedYellowGreenState(light, "r" * shown)
+    while env.step(FASTER)[4]["traffic_light_distance"] > 25.0:
+        pass
+    env.sumo.trafficlight.setRedYellowGreenState(light, "G" * shown)
+    for _ in range(4):
+        assert not env.step(IDLE)[4]["red_light"]
+
+
+def test_a_file_of_the_same_edges_is_driven_by_its_own_vehicle(tmp_path: Path) -> None:
+    net = road(tmp_path, "")
+    flow = route_file(tmp_path, '<flow id="f" begin="0" end="60" period="4"><route edges="ab bc"/></flow>')
+    env = SumoDrivingEnv(net, flow, ego_vehicle="f.3")
+    env.reset(seed=0)
+    assert len(env.scene) >= 3 and env.step(IDLE)[4]["speed"] > 5.0

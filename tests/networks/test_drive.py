@@ -42,7 +42,12 @@ def _drive(task: str) -> list[dict]:
             libsumo.vehicle.setLaneChangeMode(car, 0)
             libsumo.vehicle.moveTo(car, start, position)
             libsumo.vehicle.setSpeed(car, SPEED[task])
-            record: dict[str, Any] = {"car": car, "slowest": math.inf, "aside": 0.0, "last": net.routes[route][-1]}
+            record: dict[str, Any] = {
+                "car": car,
+                "slowest": math.inf,
+                "aside": 0.0,
+                "last": net.routes[route][-1],
+            }
             record["misplaced"] = math.dist(centre(car), lane.position(s, 0.0))
             for _ in range(150):  # 15 s, the longest episode but the highway's
                 libsumo.simulationStep()

@@ -40,7 +40,14 @@ def test_a_cut_in_takes_any_gap_but_needs_one(simulator: SumoSimulator, ahead: f
     # a driver with nobody to the other side would change there: two lanes only
     scenario = draw("highway", initial_lane_id=0, lanes_count=2)
     x, speed = scenario.ego.x + ahead, 20.0 if happens else 25.0
-    place: dict[str, Any] = {"lane": ("0", "1", 1), "s": x, "x": x, "y": 4.0, "speed": speed, "target_speed": speed}
+    place: dict[str, Any] = {
+        "lane": ("0", "1", 1),
+        "s": x,
+        "x": x,
+        "y": 4.0,
+        "speed": speed,
+        "target_speed": speed,
+    }
     other = scenario.vehicles[0]._replace(**place, changes_lanes=False)
     event = RiskEvent(0.5, other.id, "cut-in", direction=-1)
     simulator.reset(replace(scenario, vehicles=(other,), events=(event,)))

@@ -19,7 +19,6 @@ sys.path[0] = str(ROOT)
 from agents.rules import make_policy
 from experiments.support.films import Film, Pictures, save_gif, side_by_side
 from sumo_env.env import DrivingEnv, SumoDrivingEnv
-from sumo_env.networks import files
 
 IMAGES = ROOT / "docs" / "img"
 
@@ -94,11 +93,16 @@ def risk() -> None:
 def town(steps: int = 3_500, seed: int = 1001, seconds: int = 24) -> None:
     """The ten lines of own-parts.md, with fewer steps; needs Stable-Baselines3 and eclipse-sumo."""
     import sumo
+    import sumolib
     from stable_baselines3 import DQN
 
     net = f"{sumo.SUMO_HOME}/tools/game/bs3d/bs.net.xml"
-    way = files.shortest(net, "33049438#0", "23204862")
-    others = [way, files.shortest(net, "33049407#2", "4314834#0")]
+    roads = sumolib.net.readNet(net)
+    way, other = (
+        [edge.getID() for edge in roads.getShortestPath(roads.getEdge(start), roads.getEdge(end))[0]]
+        for start, end in (("33049438#0", "23204862"), ("33049407#2", "4314834#0"))
+    )
+    others = [way, other]
     size = {"screen_width": 420, "screen_height": 260, "scaling": 3.0}
     config = {"risk": 0.5, "obey_traffic_lights": True, **size}
     env = SumoDrivingEnv(net, others, way, config=config, render_mode="rgb_array")

@@ -89,7 +89,7 @@ class ReplicaEnv(DrivingEnv):
 
     def __init__(
         self,
-        task: str,
+        task: str | Task,
         config: Mapping[str, Any] | None = None,
         render_mode: str | None = None,
         scenarios: str = SCENARIOS[0],
@@ -100,7 +100,7 @@ class ReplicaEnv(DrivingEnv):
         if version and (task, version) not in VERSIONS:
             known = ", ".join(f"{name}-v{number}" for name, number in VERSIONS)
             raise ConfigError(f"there is no version {version} of {task!r}; later versions are {known}")
-        self._versioned = VERSIONS.get((task, version), {})
+        self._versioned = VERSIONS.get((str(task), version), {})
         self.is_stock = one_of("scenarios", scenarios, SCENARIOS) == SCENARIOS[0]
         self._is_linear, self._is_fast = (
             one_of("risk_law", risk_law, LAWS) == "linear",

@@ -92,13 +92,13 @@ class Replica:
         """See `Simulator.step`."""
         if self._scenario is None:
             raise RuntimeError("call reset() before step()")
-        if command.target_speed is None or command.target_lane is None:
-            raise ValueError("the replica's ego needs a target speed and a target lane")
         batch, rules = self._batch, self.start.rules
         ego = batch.cars[0, 0]
         if isinstance(command, SteeringCommand):
             rules = steered(rules, command.speed_range, command.dynamical)
             ego["acceleration"], ego["steering"], ego["target_speed"] = *command[:2], 0.0  # see `step.hold`
+        elif command.target_speed is None or command.target_lane is None:
+            raise ValueError("the replica's ego needs a target speed and a target lane")
         else:
             ego["target_speed"] = command.target_speed
             self._steer_ego_for(ego, command.target_lane)

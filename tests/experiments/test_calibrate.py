@@ -11,13 +11,13 @@ from rich.console import Console
 
 from experiments import calibrate
 from experiments.calibrate import Options
-from experiments.study.sheet import SHEETS, SWITCH, Between
+from experiments.study.sheet import SHEETS, SWITCH, Between, Space
 from experiments.validation.checks import REFERENCE
 from experiments.validation.episodes import Engine
 from sumo_env.tasks import TASKS
 from tests.experiments.validation.tables import compared, episodes
 
-SPACE = {"x": Between(0.0, 10.0), "on": SWITCH}
+SPACE: Space = {"x": Between(0.0, 10.0), "on": SWITCH}
 START = {"x": 9.0, "on": False}
 
 

@@ -151,11 +151,11 @@ def test_sumo_never_drives_backwards(task: str) -> None:
     with pytest.raises(ConfigError, match=r"the ego at the start.* -3 m/s"):
         env.reset(options={"scenario": backwards})
     env.close()
-    replica = gym.make(f"replica/{task}-v0", config=speeds)
+    replica: Any = gym.make(f"replica/{task}-v0", config=speeds)
     replica.reset(seed=0)
     slower = {name: action for action, name in replica.unwrapped.actions.items()}["SLOWER"]
-    speeds = [replica.step(slower)[-1]["speed"] for _ in range(5)]
-    assert min(speeds) < 0.0 or replica.unwrapped.vehicle.crashed
+    driven = [replica.step(slower)[-1]["speed"] for _ in range(5)]
+    assert min(driven) < 0.0 or replica.unwrapped.vehicle.crashed
 
 
 def test_crowded_two_way_roads_are_filled() -> None:

@@ -14,7 +14,7 @@ from experiments.backends.highway_env import ENVIRONMENTS, ScenarioEnv
 from sumo_env.actions import ego_route
 from sumo_env.config import resolve
 from sumo_env.interface import interface
-from sumo_env.observation import TimeToCollision
+from sumo_env.observation import Kinematics, TimeToCollision
 from sumo_env.tasks import TASKS
 
 from .parity import ego_state, episodes, make, scatter, stock
@@ -45,6 +45,7 @@ def ours(env: ScenarioEnv, observation: dict[str, Any], rng: np.random.Generator
     road, ego, scene = env.task.road(env.config), ego_state(env, None), env._scene()
     if isinstance(kind, TimeToCollision):
         return kind.observe(scene, road, ego, env.target_speeds, ego_route(road, env.scenario.ego))
+    assert isinstance(kind, Kinematics)
     specs = (*env.scenario.specs, *(spawn.vehicle for spawn in env.scenario.spawns))
     return kind.observe(scene, road, ego, {spec.id: spec for spec in specs}, rng)
 

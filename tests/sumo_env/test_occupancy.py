@@ -31,7 +31,10 @@ GRIDS: list[dict[str, Any]] = [
 def test_it_is_highway_env_s(id: str, grid: dict[str, Any]) -> None:
     """Every layer in every step of an episode, with its space, also in a bend and where cars come and go."""
     seen = np.zeros(len(grid.get("features", range(4))), bool)
-    theirs, ours = (gym.make(gym.spec(room + id), config={"observation": grid}) for room in ("", "replica/"))
+    made: list[Any] = [
+        gym.make(gym.spec(room + id), config={"observation": grid}) for room in ("", "replica/")
+    ]
+    theirs, ours = made
     assert theirs.observation_space == ours.observation_space
     for seed in range(3):
         rng, over = np.random.default_rng(seed), False

@@ -210,7 +210,7 @@ def test_two_hundred_episodes_over_bridges_have_no_crash(tmp_path: Path) -> None
 
 # -- real crashes ------------------------------------------------------------------------------------------
 
-REAL = {
+REAL: dict[str, tuple[Any, ...]] = {
     "on one road": (FLAT, ["we"], Other(["we"], "we_0", 150.0, 0.0), "rear-end"),
     "behind the top of a hill": (HILL, ["wm", "me"], Other(["me"], "me_0", 230.0, 0.0), "rear-end"),
     "on a road that crosses itself": (LOOP, ["ab"], Other(["ab"], "ab_0", 200.0, 120.0), "rear-end"),

@@ -116,7 +116,9 @@ def test_touches_of_a_truck_and_a_bicycle_equal_shapely(ways) -> None:
     sizes = (8.0, 1.25), (0.8, 0.3)
     starts, ends = ways
     states = [rows(poses[i].T) for i in (0, 1) for poses in ways]
-    ours = np.array([touch_moment(*four, other=sizes[1], own=sizes[0]) for four in zip(*states, strict=True)])
+    ours = np.array(
+        [touch_moment(a, b, c, d, other=sizes[1], own=sizes[0]) for a, b, c, d in zip(*states, strict=True)]
+    )
     again = [
         touch_moment(c, d, a, b, other=sizes[0], own=sizes[1]) for a, b, c, d in zip(*states, strict=True)
     ]
@@ -126,7 +128,9 @@ def test_touches_of_a_truck_and_a_bicycle_equal_shapely(ways) -> None:
 
     def gaps(moment: np.ndarray) -> np.ndarray:
         poses = starts + moment * (ends - starts)
-        return shapely.distance(*(polygons(*poses[i], sizes[i]) for i in (0, 1)))
+        x, y, heading = poses.swapaxes(0, 1)
+        outlines = [polygons(x[i], y[i], heading[i], sizes[i]) for i in (0, 1)]
+        return shapely.distance(*outlines)
 
     assert gaps(np.where(met, ours, 0.0))[met].max() < 1e-6
     assert min(gaps(np.full(len(ours), moment))[~met].min() for moment in np.linspace(0, 1, 21)) > 0.0

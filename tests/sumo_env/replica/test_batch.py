@@ -21,7 +21,7 @@ from tests.sumo_env.rollout import assert_same_bits
 ENVS = 4
 LEFT_OUT = {"rewards", "crash", "traffic_light", "traffic_light_distance"}  # of the single environment's info
 SEE_BEHIND = {"type": "Kinematics", "see_behind": True, "features": ["x", "cos_h"]}
-SEEDED = {"scenarios": "seeded"}
+SEEDED: dict[str, Any] = {"scenarios": "seeded"}
 
 
 def pair(task: str, mode: str = "NextStep", threads: int = 1, **keywords: Any) -> tuple[Any, Any]:
@@ -169,7 +169,7 @@ class Slalom(UTurn):
 def test_a_task_of_ones_own_is_paid_its_own_reward_or_refused() -> None:
     """Never the reward of another task; highway-env has no draws of its traffic."""
     with pytest.warns(UserWarning, match="take turns"):
-        envs = make(2, task=Slalom(), **SEEDED, config={"normalize_reward": False})
+        envs: Any = make(2, task=Slalom(), **SEEDED, config={"normalize_reward": False})
     envs.reset(seed=0)
     assert envs.step(np.array([1, 1]))[1].tolist() == [-3.0, -3.0]
     with pytest.raises(ConfigError, match=r"no reward of the task 'slalom'"):

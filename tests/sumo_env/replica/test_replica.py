@@ -138,7 +138,8 @@ def test_stale_machine_code_that_cannot_be_removed_is_not_used(
         return x * x
 
     assert square(3.0) == 9.0
-    assert square.stats.cache_path is None and index.exists()
+    machine_code: Any = square
+    assert machine_code.stats.cache_path is None and index.exists()
 
 
 def test_a_simulator_that_was_closed_or_never_reset_says_so() -> None:

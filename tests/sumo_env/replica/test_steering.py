@@ -190,15 +190,15 @@ def test_a_batch_drives_the_episodes_of_single_environments(
 ) -> None:
     mode = "SameStep" if threads == 2 else "NextStep"
     spec = gym.spec(f"replica/{id}")
-    ours = gym.make_vec(spec, num_envs=4, autoreset_mode=mode, threads=threads, config=config)
+    ours: Any = gym.make_vec(spec, num_envs=4, autoreset_mode=mode, threads=threads, config=config)
     loop = {"autoreset_mode": mode}
-    theirs = gym.make_vec(spec, num_envs=4, vectorization_mode="sync", vector_kwargs=loop, config=config)
+    theirs: Any = gym.make_vec(spec, num_envs=4, vectorization_mode="sync", vector_kwargs=loop, config=config)
     assert type(ours) is not type(theirs)
     assert_equal(*(env.reset(seed=[3, 1, 8, 1]) for env in (ours, theirs)))
     rng = np.random.default_rng(0)
     for step in range(40):
         if ours.single_action_space.shape:
-            actions = rng.uniform(-1.0, 1.0, ours.action_space.shape).astype(np.float32)
+            actions: Any = rng.uniform(-1.0, 1.0, ours.action_space.shape).astype(np.float32)
             actions[step % 4, -1] = 0.0  # which the roundabout's reward takes for a lane change
         else:
             actions = rng.integers(ours.single_action_space.n, size=4)

@@ -269,7 +269,7 @@ def test_outputs_are_off_or_each_episode_has_its_own(town: Path, tmp_path: Path)
 
 
 def test_every_environment_s_own_sumo_can_be_asked(town: Path) -> None:
-    envs = [gym.make("sumo_env:sumo/highway-v0"), SumoDrivingEnv(town, ego_vehicle="ego")]
+    envs: list[Any] = [gym.make("sumo_env:sumo/highway-v0"), SumoDrivingEnv(town, ego_vehicle="ego")]
     for env in envs:
         env.reset(seed=0)
     highway, files = (env.unwrapped for env in envs)

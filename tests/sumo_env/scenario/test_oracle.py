@@ -107,7 +107,7 @@ def test_an_added_car_changes_nothing_before_it_comes_and_little_on_the_whole_la
     for time, scene in later:
         cars = rows[round(time - 0.1, 2)]
         if len(scene) > 1 and cars:
-            ours.append((len(scene) - 1, np.mean(scene.speed[1:])))
-            theirs.append((len(cars), np.mean([float(car["speed"]) for car in cars.values()])))
+            ours.append((len(scene) - 1, float(np.mean(scene.speed[1:]))))
+            theirs.append((len(cars), float(np.mean([float(car["speed"]) for car in cars.values()]))))
     assert np.mean(ours, axis=0) == pytest.approx(np.mean(theirs, axis=0), rel=0.05)
     env.close()

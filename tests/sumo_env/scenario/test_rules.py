@@ -1,4 +1,4 @@
-"""What the ego may do on roads of other people: solid lines, closed lanes, turns, traffic lights, driving on the left."""
+"""What the ego may do on networks of others: solid lines, closed lanes, turns, traffic lights, left-hand traffic."""
 
 from __future__ import annotations
 

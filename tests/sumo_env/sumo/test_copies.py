@@ -17,7 +17,7 @@ import numpy as np
 import pytest
 
 from sumo_env.env import DrivingEnv
-from sumo_env.simulator import SimulatorError
+from sumo_env.simulator import EgoCommand, SimulatorError
 from sumo_env.sumo.process import SimulatorDied, SumoProcess
 from sumo_env.tasks import TASKS
 from tests.processes import children, descriptors, ends
@@ -109,6 +109,7 @@ def test_an_imagined_copy_has_the_past_and_another_future() -> None:
     again = SumoProcess()  # an imagined episode is a scenario: driven from its start, it is the same
     again.reset(first.scenario)
     for command in first._commands:
+        assert isinstance(command, EgoCommand)
         step = again.step(command)
     np.testing.assert_array_equal(step.scene.x, first.scene.x)
 

@@ -4,12 +4,13 @@ docs/img/environments/*.png   one moment of each task, as its page shows it
 docs/img/films/*.gif          up to 12 s of each task at risk 1, all of one size
 docs/img/risk.gif             one scenario at risk 0 and at risk 1
 
-``python docs/films.py town`` trains the agent of own-parts.md in Braunschweig and films it: docs/img/films/town.gif.
+``python docs/films.py town`` trains the agent of scenarios.md in Braunschweig and films it: docs/img/films/town.gif.
 """
 
 from __future__ import annotations
 
 import sys
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -91,21 +92,21 @@ def risk() -> None:
 
 
 def town(steps: int = 3_500, seed: int = 1001, seconds: int = 24) -> None:
-    """The ten lines of own-parts.md, with fewer steps; needs Stable-Baselines3 and eclipse-sumo."""
+    """The lines of scenarios.md, with fewer steps; needs Stable-Baselines3 and eclipse-sumo."""
     import sumo
-    import sumolib
     from stable_baselines3 import DQN
 
     net = f"{sumo.SUMO_HOME}/tools/game/bs3d/bs.net.xml"
-    roads = sumolib.net.readNet(net)
-    way, other = (
-        [edge.getID() for edge in roads.getShortestPath(roads.getEdge(start), roads.getEdge(end))[0]]
-        for start, end in (("33049438#0", "23204862"), ("33049407#2", "4314834#0"))
-    )
-    others = [way, other]
+    trips = [("33049438#0", "23204862"), ("33049407#2", "4314834#0")]
+    flows = [
+        f'<flow id="f{k}" begin="0" end="600" probability="0.2" from="{start}" to="{end}"/>'
+        for k, (start, end) in enumerate(trips)
+    ]
+    demand = Path(tempfile.mkdtemp()) / "town.rou.xml"
+    demand.write_text(f"<routes>{''.join(flows)}</routes>")
     size = {"screen_width": 420, "screen_height": 260, "scaling": 3.0}
-    config = {"risk": 0.5, "obey_traffic_lights": True, **size}
-    env = SumoDrivingEnv(net, others, way, config=config, render_mode="rgb_array")
+    config = {"risk": 0.5, "obey_traffic_lights": True, "warm_up": 20, **size}
+    env = SumoDrivingEnv(net, demand, ego_trips=trips[:1], config=config, render_mode="rgb_array")
     model = DQN("MlpPolicy", env, seed=0, **SETTINGS).learn(steps)
     recorded = Film(env)
     observation, _ = env.reset(seed=seed)

@@ -107,7 +107,7 @@ def test_a_task_s_page_names_its_keys_its_levels_and_its_reward(task: str) -> No
     [
         ("collisions.md", CrashRecord.__dataclass_fields__),
         ("from-highway-env.md", {*WITHOUT_EFFECT, *FIXED}),
-        ("own-parts.md", NetworkTask.defaults),
+        ("scenarios.md", NetworkTask.defaults),
     ],
 )
 def test_keys_that_users_meet_elsewhere_are_named(name: str, keys: Iterable[str]) -> None:

@@ -12,7 +12,6 @@ from math import inf
 from pathlib import Path
 
 import numpy as np
-from gymnasium import logger
 
 from sumo_env.contacts.crash import CrashDetector
 from sumo_env.contacts.measures import HORIZON
@@ -34,8 +33,6 @@ RISKY_CLASSES = {
     *("passenger", "private", "taxi", "hov", "evehicle", "bus", "coach", "delivery", "truck", "trailer"),
     *("motorcycle", "moped", "emergency", "authority", "army", "vip", "custom1", "custom2", "ignoring"),
 }
-# Car-following models that have not all of accel, decel, tau and minGap (docs/scenarios.md).
-LACKING = {"W99": "accel, decel, tau, minGap", "Rail": "accel, decel, tau, minGap", "Wiedemann": "tau"}
 
 
 class FileSimulator(SumoSimulator):
@@ -50,7 +47,7 @@ class FileSimulator(SumoSimulator):
         self._network = scenario.network
         self._modes, self._crashed = {}, {}
         self._detector = CrashDetector()
-        self._models, self._named = dict(traffic.models), set[str]()
+        self._models = dict(traffic.models)
         self._dt = 1.0 / scenario.simulation_frequency
         self._substeps = scenario.simulation_frequency // scenario.policy_frequency
         self._session.load(file_settings(scenario, self._options, self._episode_folder()))
@@ -169,14 +166,8 @@ class FileSimulator(SumoSimulator):
         if self._session.class_of(name) not in RISKY_CLASSES:
             return
         model = self._models.get(self._session.type_of(name), "")
-        if model in LACKING and model not in self._named:
-            self._named.add(model)
-            logger.warn(
-                f"risk: drivers of the model {model} lack {LACKING[model]}, which risk does not change there"
-            )
-        deviation = Deviation.draw(self._traffic.ranges, self._scenario.risk, self._scenario.seed, name)
-        if model not in LACKING:
-            self._session.deviate(name, deviation)
+        drawn = Deviation.draw(self._traffic.ranges, self._scenario.risk, self._scenario.seed, name)
+        self._session.deviate(name, drawn.of_model(model))
         if self._time >= 0.0:
             self._plan(name, self._time)
 

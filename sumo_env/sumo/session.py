@@ -190,13 +190,16 @@ class Session:
 
     def deviate(self, name: str, deviation: Deviation) -> None:
         """Multiply the parameters of a vehicle's own type by the factors of a risky driver."""
-        _vehicle.setAccel(name, deviation.accel * _vehicle.getAccel(name))
-        _vehicle.setEmergencyDecel(name, deviation.emergency_decel * _vehicle.getEmergencyDecel(name))
-        decel = deviation.decel * _vehicle.getDecel(name)
-        _vehicle.setDecel(name, decel)
-        _vehicle.setApparentDecel(name, decel)
-        _vehicle.setTau(name, deviation.tau * _vehicle.getTau(name))
-        _vehicle.setMinGap(name, deviation.min_gap * _vehicle.getMinGap(name))
+        for key, factor in (
+            ("Accel", deviation.accel),
+            ("EmergencyDecel", deviation.emergency_decel),
+            ("ApparentDecel", deviation.decel),
+            ("Decel", deviation.decel),
+            ("Tau", deviation.tau),
+            ("MinGap", deviation.min_gap),
+        ):
+            if factor != 1.0:  # each setter copies the vehicle's type
+                getattr(_vehicle, f"set{key}")(name, factor * getattr(_vehicle, f"get{key}")(name))
         for key, factor in (("lcAssertive", deviation.assertive), ("lcSpeedGain", deviation.speed_gain)):
             parameter = f"laneChangeModel.{key}"
             with contextlib.suppress(libsumo.TraCIException, ValueError):  # models of lane changes without it

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -19,7 +20,7 @@ from sumo_env.networks.roads import Road
 from sumo_env.scene import Place
 from sumo_env.streams import stream
 from sumo_env.tasks.base import Drivers, EgoState, Task, ego_driver, make_on_lane, speed_term
-from sumo_env.traffic.drivers import vehicle_type
+from sumo_env.traffic.drivers import LACKING, vehicle_type
 from sumo_env.traffic.risk import RiskRates
 from sumo_env.traffic.scenario import EGO, Origin, Scenario, SumoTraffic, VehicleSpec
 from sumo_env.traffic.sumo_files import Contents, configuration, is_output, paths, seconds
@@ -185,6 +186,11 @@ class NetworkTask(Task):
 
     def scenario(self, config: Config, seed: int) -> Scenario:
         """Draw the scenario number `seed`: the ego's way, and what is drawn of the traffic."""
+        for model in sorted({model for _, model in self._models} & LACKING.keys() if config["risk"] else ()):
+            lacks = ", ".join(LACKING[model])
+            _warn_once(
+                f"risk changes no {lacks} of drivers of the car-following model {model}, which lacks them"
+            )
         rng = stream(seed, "scenario")
         origin = self._origins[int(rng.integers(len(self._origins)))]
         if config["initial_speed"] is not None:
@@ -224,7 +230,7 @@ class NetworkTask(Task):
         """Where SUMO's clock begins [s]; None where the files say it."""
         if config["begin"] is not None or self._first is None or self._first < QUIET:
             return None if config["begin"] is None else float(config["begin"])
-        logger.warn(f"the first vehicle of the files departs at {self._first:g} s: 'begin' is set to it")
+        _warn_once(f"the first vehicle of the files departs at {self._first:g} s: 'begin' is set to it")
         return self._first
 
     def imagined(self, scenario: Scenario, config: Config, now: float, seed: int) -> Scenario:
@@ -343,6 +349,11 @@ class NetworkTask(Task):
 def _place(ego: EgoState) -> Place:
     assert ego.scene is not None and ego.scene.place is not None
     return ego.scene.place
+
+
+@cache
+def _warn_once(message: str) -> None:
+    logger.warn(message)
 
 
 def _append(options: dict[str, str], name: str, added: Sequence[Path]) -> None:

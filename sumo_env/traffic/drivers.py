@@ -234,6 +234,10 @@ class DriverPool(NamedTuple):
         )
 
 
+# Car-following models that do not have all the parameters that risk changes (SUMO's schema lists them).
+LACKING = {"W99": ("accel", "decel", "tau"), "Rail": ("accel", "decel", "tau", "min_gap")}
+
+
 class Deviation(NamedTuple):
     """How a risky driver of SUMO's files differs from its own vehicle type: factors of its parameters.
 
@@ -258,6 +262,11 @@ class Deviation(NamedTuple):
             low, high = getattr(ranges, name)
             factors[name] = 1.0 + dose * (low + quantile * (high - low) - 1.0)
         return cls(**factors, gives_way=quantiles[-1] >= ranges.not_giving_way * dose)
+
+    def of_model(self, model: str) -> Deviation:
+        """For a car-following model: without the parameters that it lacks."""
+        ones: dict[str, Any] = dict.fromkeys(LACKING.get(model, ()), 1.0)
+        return self._replace(**ones)
 
 
 def vehicle_type(driver: Driver, calibration: Calibration) -> dict[str, str]:

@@ -109,7 +109,7 @@ class SumoTraffic:
         models: car-following models of vehicle types, where the files name one.
         duration: of the episode [s], after which no event begins.
         seed: of SUMO's random numbers; None for that of the scenario.
-        imagined: seed of risk events that have not begun in a copy (`Simulator.imagine`); None for the scenario's.
+        imagined: seed of the risk events after `Simulator.imagine`; None for that of the scenario.
     """
 
     options: tuple[tuple[str, str], ...]

@@ -39,14 +39,8 @@ INPUTS = (
 )
 # Of a configuration: what belongs to sumo-gui, to a server, or to the episode.
 LEFT_OUT = (
-    "end",
-    "seed",
-    "random",
-    "remote-port",
-    "num-clients",
-    "save-configuration",
-    "start",
-    "quit-on-end",
+    *("end", "seed", "random", "remote-port", "num-clients", "save-configuration", "start", "quit-on-end"),
+    *("verbose", "duration-log.statistics", "print-options"),
 )
 LOGS = {"log", "message-log", "error-log", "netstate-dump", "device.ssm.file", "device.toc.file"}
 DEPARTING = ("vehicle", "trip", "flow", "person", "personFlow", "container", "containerFlow")

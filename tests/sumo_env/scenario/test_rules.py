@@ -1,4 +1,4 @@
-"""What the ego may do on networks of others: solid lines, closed lanes, turns, traffic lights, left-hand traffic."""
+"""What the ego may do on roads of other people: solid lines, closed lanes, turns, lights, driving on the left."""
 
 from __future__ import annotations
 
@@ -12,7 +12,9 @@ from tests.sumo_env.plans import QUIET, build, needs_sumo, route_file
 
 pytestmark = needs_sumo
 LEFT, IDLE, RIGHT, FASTER, SLOWER = range(5)
-NODES = "".join(f'<node id="{name}" x="{x}" y="{y}"/>' for name, x, y in (("a", 0, 0), ("c", 900, 0), ("d", 600, 300)))
+NODES = "".join(
+    f'<node id="{name}" x="{x}" y="{y}"/>' for name, x, y in (("a", 0, 0), ("c", 900, 0), ("d", 600, 300))
+)
 AHEAD = '<edge id="bc" from="b" to="c" numLanes="2" speed="20"/><edge id="bd" from="b" to="d" speed="14"/>'
 # The right lane turns right... to the left lane there is no way but straight on; of three lanes, 0 is the rightmost.
 TURNS = "".join(

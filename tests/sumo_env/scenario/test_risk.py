@@ -1,0 +1,126 @@
+"""What a dose of risk does to the drivers of SUMO's own files."""
+
+from __future__ import annotations
+
+from contextlib import nullcontext
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sumo_env.env import SumoDrivingEnv
+from sumo_env.simulator import EgoCommand
+from sumo_env.tasks import network
+from sumo_env.tasks.network import NetworkTask
+from sumo_env.traffic.drivers import RISK_RANGES
+from sumo_env.traffic.risk import draw_events
+from tests.sumo_env.plans import build, needs_sumo, route_file
+from tests.sumo_env.scenario.test_oracle import driven, fronts
+
+pytestmark = needs_sumo
+PLAN = ("a 0 0, b 3000 0, c 4000 0", "ab a b 3 25, bc b c 3 25")
+TYPES = """
+    <vType id="car" accel="2.2" decel="4.4" tau="1.3" minGap="2.1"/>
+    <vType id="lorry" vClass="truck" carFollowModel="IDM" accel="1.1" decel="3.3" tau="1.7" minGap="3.1"/>
+    <vType id="wiedemann" carFollowModel="W99"/> <vType id="bike" vClass="bicycle"/>
+    <vTypeDistribution id="mix" vTypes="car lorry" probabilities="0.7 0.3"/>
+"""
+FLOWS = """
+    <flow id="f" type="mix" begin="0" end="900" probability="0.6" departLane="random"><route edges="ab bc"/></flow>
+    <flow id="w" type="wiedemann" begin="0" end="900" period="40"><route edges="ab bc"/></flow>
+    <flow id="b" type="bike" begin="0" end="900" period="40"><route edges="ab bc"/></flow>
+"""
+OWN = {"car": (2.2, 4.4, 1.3, 2.1), "lorry": (1.1, 3.3, 1.7, 3.1)}
+
+
+@pytest.fixture(scope="module")
+def road(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
+    folder = tmp_path_factory.mktemp("road")
+    return build(folder, PLAN), route_file(folder, TYPES + FLOWS)
+
+
+def parameters(env: SumoDrivingEnv, names: tuple[str, ...]) -> dict[str, tuple[float, ...]]:
+    """accel, decel, tau and minGap of vehicles, as SUMO has them."""
+    ask = env.sumo.vehicle
+    return {
+        name: (ask.getAccel(name), ask.getDecel(name), ask.getTau(name), ask.getMinGap(name))
+        for name in names
+    }
+
+
+def factors(env: SumoDrivingEnv) -> dict[str, np.ndarray]:
+    """Of the vehicles on the road, relative to their own types."""
+    cars = tuple(name for name in env.scene.ids[1:] if name.startswith("f."))
+    kinds = {name: env.sumo.vehicle.getTypeID(name).partition("@")[0] for name in cars}
+    return {name: np.array(values) / OWN[kinds[name]] for name, values in parameters(env, cars).items()}
+
+
+def test_parameters_follow_the_law_relative_to_each_driver_s_own_type(road: tuple[Path, Path]) -> None:
+    """200 vehicles read back from SUMO; a quantile is a driver's own, at every dose and in every episode."""
+    found: dict[float, dict[str, np.ndarray]] = {}
+    for dose in (1.0, 0.5):
+        config = {"risk": dose, "warm_up": 150, "duration": 700, "simulation_frequency": 2}
+        env = SumoDrivingEnv(*road, ["ab", "bc"], config)
+        env.reset(seed=5)
+        all_of = found[dose] = {}
+        for _ in range(10):
+            all_of.update(factors(env))
+            for _ in range(25):
+                env.scene = env._simulator.step(EgoCommand(3.0, env.scene.place.lane)).scene
+    values = np.array(list(found[1.0].values()))
+    assert len(values) >= 200
+    for column, name in zip(values.T, ("accel", "decel", "tau", "min_gap"), strict=True):
+        low, high = getattr(RISK_RANGES, name)
+        assert low - 1e-3 <= column.min() < low + 0.05 and high - 0.05 < column.max() <= high + 1e-3
+        assert column.mean() == pytest.approx((low + high) / 2, abs=0.07)
+        assert column.std() == pytest.approx((high - low) / 12**0.5, abs=0.05)
+    assert np.abs(np.corrcoef(values.T) - np.eye(4)).max() < 0.25
+    both = found[1.0].keys() & found[0.5].keys()
+    assert len(both) > 100
+    for name in both:
+        assert (found[0.5][name] - 1.0) * 2.0 == pytest.approx(found[1.0][name] - 1.0, abs=1e-3)
+
+
+def test_bicycles_and_parameters_that_a_model_lacks_are_left_alone(road: tuple[Path, Path]) -> None:
+    values = []
+    network._warn_once.cache_clear()
+    for dose in (0.0, 1.0):
+        env = SumoDrivingEnv(*road, ["ab", "bc"], {"risk": dose, "warm_up": 90, "simulation_frequency": 5})
+        with pytest.warns(UserWarning, match="no accel, decel, tau .* W99") if dose else nullcontext():
+            env.reset(seed=5)
+        names = tuple(name for name in env.scene.ids if name.startswith(("w.", "b.")))
+        assert len(names) >= 4
+        values.append(parameters(env, names))
+        acted: set[str] = set()
+        for _ in range(30):
+            env.step(1)
+            acted |= env.scene.in_event
+        assert not any(name.startswith("b.") for name in acted)
+        assert len(acted) > 3 if dose else not acted
+    for name, before in values[0].items():
+        assert values[1][name][:3] == before[:3]
+        assert (values[1][name][3] == before[3]) == name.startswith("b.")
+
+
+def test_events_of_a_smaller_dose_are_a_subset(road: tuple[Path, Path]) -> None:
+    rates = NetworkTask.risk_rates
+    for name in ("f.1", "f.2", "f.3"):
+        few, many = (
+            set(draw_events(rates, dose, ((name, 10.0),), 1, 600.0, f"risk events of {name}"))
+            for dose in (0.3, 1.0)
+        )
+        assert few < many and min(event.time for event in many) >= 10.0
+
+
+def test_at_risk_0_everybody_is_where_they_are_without_this_package(road: tuple[Path, Path]) -> None:
+    """`test_oracle` compares with ``sumo``; here risk 0 is compared with a dose that is nearly 0."""
+    ways = []
+    for dose in (0.0, 1e-9):
+        env = SumoDrivingEnv(*road, ego_vehicle="f.3", config={"risk": dose, "duration": 60})
+        env.reset(seed=2)
+        ways.append([fronts(scene) for _, scene in driven(env, 20)])
+    assert ways[0][-1].keys() == ways[1][-1].keys()
+    assert (
+        max(abs(one[name][0] - other[name][0]) for one, other in zip(*ways, strict=True) for name in one)
+        < 1.0
+    )

@@ -13,7 +13,7 @@ from functools import cached_property
 from itertools import pairwise, product
 from math import isfinite, pi
 from operator import index
-from typing import Any, NamedTuple, Protocol
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from gymnasium import spaces
@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from sumo_env.config import ConfigError
 from sumo_env.networks.roads import LaneIndex, Road
 from sumo_env.scene import Place
-from sumo_env.simulator import Command, EgoCommand, SteeringCommand
+from sumo_env.simulator import EgoCommand, SteeringCommand
 from sumo_env.tasks.base import TARGET_SPEEDS, lmap, nearest_index
 from sumo_env.traffic.scenario import VehicleSpec
 
@@ -52,43 +52,6 @@ class Moment(NamedTuple):
     y: float
     speed: float
     place: Place | None = None
-
-
-class ActionType(Protocol):
-    """A type of action under one configuration."""
-
-    @property
-    def space(self) -> spaces.Space[Any]:
-        """The action space."""
-        ...
-
-    @property
-    def names(self) -> dict[int, str]:
-        """Meta-actions by index; empty for accelerations and angles, which have no names."""
-        ...
-
-    @property
-    def target_speeds(self) -> tuple[float, ...]:
-        """That the ego can be commanded, rising [m/s]."""
-        ...
-
-    @property
-    def steers(self) -> bool:
-        """Whether its commands are `SteeringCommand`; then the ego has no target lane and no target speed."""
-        ...
-
-    @property
-    def no_action(self) -> Any:
-        """What ``info["action"]`` says at a reset."""
-        ...
-
-    def command(self, action: Any, moment: Moment) -> Command:
-        """The command for the next policy step; ValueError if the action is none of this type."""
-        ...
-
-    def plain(self, action: Any) -> PlainAction:
-        """An action as a number or, with two axes, a tuple, for `EgoState.action`."""
-        ...
 
 
 # -- meta-actions --------------------------------------------------------------------------------------------------
@@ -223,12 +186,8 @@ class ContinuousAction:
     clip: bool = True
     # by which highway-env pays a car that has no target speeds (``MDPVehicle.get_speed_index``)
     target_speeds = TARGET_SPEEDS
+    names: ClassVar[dict[int, str]] = {}  # there are no meta-actions
     steers = True
-
-    @property
-    def names(self) -> dict[int, str]:
-        """None."""
-        return {}
 
     @property
     def size(self) -> int:
@@ -247,6 +206,8 @@ class ContinuousAction:
 
     def command(self, action: Any, moment: Moment) -> SteeringCommand:
         """The pedals and the steering wheel; ValueError if these are not the axes' numbers."""
+        if np.shape(action) != self.space.shape:
+            raise ValueError(f"action must be one of {self.space}, not {action!r}")
         acceleration, steering = self.controls(self.numbers(action))
         return SteeringCommand(float(acceleration), float(steering), self.speed_range, self.dynamical)
 
@@ -263,7 +224,7 @@ class ContinuousAction:
             or not np.issubdtype(values.dtype, np.number)
             or not np.isfinite(values).all()
         ):
-            raise ValueError(f"an action must be {self.size} finite numbers from -1 to 1, not {actions!r}")
+            raise ValueError(f"action must be {self.size} finite numbers from -1 to 1, not {actions!r}")
         return values
 
     def controls(self, numbers: NDArray[Any]) -> tuple[Any, Any]:
@@ -317,6 +278,10 @@ class DiscreteAction(ContinuousAction):
 
 # -- configuration -------------------------------------------------------------------------------------------------
 
+# Each has a `space`, the `names` of its meta-actions, and says whether it `steers`: then the ego has no target lane and
+# no target speed. `command` makes the command for a policy step; `plain` is the action for `EgoState.action`.
+ActionType = DiscreteMetaAction | ContinuousAction
+
 
 def action_type(action: Mapping[str, Any], target_speeds: tuple[float, ...]) -> ActionType:
     """What a config's ``action`` entry says; target_speeds [m/s]: the task's, where the entry has none.
@@ -326,20 +291,17 @@ def action_type(action: Mapping[str, Any], target_speeds: tuple[float, ...]) -> 
     """
     if action["type"] == "DiscreteMetaAction":
         return DiscreteMetaAction(action_names(dict(action)), _rising(action, target_speeds))
-    given = {key: value for key, value in action.items() if key not in ("type", "target_speeds")}
-    for name in ("acceleration_range", "steering_range", "speed_range"):
-        if name in given:
-            given[name] = _range(name, given[name])
-            if given[name] is None:
-                del given[name]
-    for name in ("longitudinal", "lateral", "dynamical", "clip"):
-        if name in given:
-            given[name] = bool(given[name])
+    given: dict[str, Any] = {}
+    for name, value in action.items():
+        if name.endswith("_range") and value:
+            given[name] = _range(name, value)
+        elif name in ("longitudinal", "lateral", "dynamical", "clip"):
+            given[name] = bool(value)
     if not (given.get("longitudinal", True) or given.get("lateral", True)):
         raise ConfigError("the action must be longitudinal, lateral or both")
     if action["type"] == "ContinuousAction":
         return ContinuousAction(**given)
-    count = given.get("actions_per_axis", 3)
+    count = action.get("actions_per_axis", 3)
     if count != int(count) or not 1 <= count <= MOST_PER_AXIS:
         raise ConfigError(
             f"'actions_per_axis' must be a whole number from 1 to {MOST_PER_AXIS}, not {count!r}"
@@ -360,10 +322,8 @@ def _rising(action: Mapping[str, Any], default: tuple[float, ...]) -> tuple[floa
     return speeds
 
 
-def _range(name: str, given: Any) -> tuple[float, float] | None:
-    """A range of an entry; None where it is not given."""
-    if not given:
-        return None
+def _range(name: str, given: Any) -> tuple[float, float]:
+    """A range of an entry."""
     try:
         low, high = (float(number) for number in given)
     except (TypeError, ValueError):

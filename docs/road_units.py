@@ -1,6 +1,6 @@
 """What a dose of risk is in units of the road: ``python docs/road_units.py [SCENARIOS] [TASK ..]``.
 
-The other vehicles in the lightest traffic of each task, around an ego that keeps its speed, at five doses; the same
+The other vehicles in the lightest traffic of each task, around the careful driver, at five doses; the same
 scenarios at each. Rates are per vehicle and minute. The first SETTLED seconds do not count: vehicles are placed faster
 than the limit and closer than they like, as in highway-env, and brake hard at once.
 """
@@ -12,18 +12,18 @@ import sys
 from collections.abc import Iterator
 from contextlib import closing
 from pathlib import Path
-from typing import Any
 
-import gymnasium as gym
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
+from agents.rules import make_policy
 from experiments.study.arms import scenario_seed
 from experiments.validation.episodes import traffic_near
 from sumo_env.contacts.measures import headways
+from sumo_env.env import DrivingEnv
 from sumo_env.scene import Scene
-from sumo_env.simulator import EgoCommand
+from sumo_env.simulator import EgoCommand, Step
 from sumo_env.sumo.process import SumoProcess
 from sumo_env.tasks import TASKS
 from sumo_env.traffic.scenario import Scenario
@@ -33,26 +33,37 @@ SETTLED = 3.0  # [s]
 HARD = (3.0, 4.4)  # [m/s2] harsh braking of UDRIVE's trucks, and 0.45 g
 
 
+class Traced(SumoProcess):
+    """SUMO that keeps the scene after every sub-step."""
+
+    def reset(self, scenario: Scenario) -> Scene:
+        """Begin an episode."""
+        self.scenes = [super().reset(scenario)]
+        return self.scenes[0]
+
+    def step(self, command: EgoCommand, trace: bool = False) -> Step:
+        """Drive one policy step."""
+        step = super().step(command, trace=True)
+        self.scenes += step.trace
+        return step
+
+
 def episodes(task: str, dose: float, count: int) -> Iterator[tuple[Scenario, list[Scene]]]:
-    """Scenarios and their scenes, one a sub-step, until the ego's end or crash."""
+    """Scenarios and their scenes, one a sub-step, until the episode ends."""
     level = next(iter(TASKS[task].levels.values()))
-    with (
-        closing(gym.make(f"sumo_env:sumo/{task}-v0", config={**level, "risk": dose})) as env,
-        closing(SumoProcess()) as simulator,
-    ):
+    simulator = Traced(here=True)
+    with closing(DrivingEnv(task, {**level, "risk": dose}, simulator=simulator)) as env:
+        policy = make_policy("careful", env)
         for number in range(count):
-            env.reset(seed=scenario_seed(task, 1, number, "gate"))
-            driven: Any = env.unwrapped
-            scenario: Scenario = driven.scenario
-            scenes = [simulator.reset(scenario)]
-            command = EgoCommand(scenario.ego.target_speed, scenario.ego.lane)
-            for _ in range(int(driven.config["duration"]) * scenario.policy_frequency):
-                step = simulator.step(command, trace=True)
-                command = EgoCommand(scenario.ego.target_speed, step.target_lane)
-                scenes += step.trace
-                if scenes[-1].crashed[0]:
-                    break
-            yield scenario, scenes
+            seed = scenario_seed(task, 1, number, "gate")
+            observation, _ = env.reset(seed=seed)
+            policy.reset(seed)
+            over = False
+            while not over:
+                observation, _, terminated, truncated, _ = env.step(policy.act(observation))
+                over = terminated or truncated
+            assert env.scenario is not None
+            yield env.scenario, simulator.scenes
 
 
 def measures(task: str, dose: float, count: int) -> list[float]:

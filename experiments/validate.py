@@ -27,9 +27,9 @@ import tyro
 from rich.console import Console
 
 from experiments.study import grid
-from experiments.study.arms import TRAFFICS
 from experiments.study.fingerprint import check_dynamics, dynamics
 from experiments.study.sheet import GRID
+from experiments.study.traffic import TRAFFICS
 from experiments.study.verdict import SCHEMA, STORED, versions
 from experiments.support.errors import UserError, run_command, writing
 from experiments.support.files import write_file, write_json

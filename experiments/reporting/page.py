@@ -20,9 +20,10 @@ from experiments.analysis.plan import ALPHA, Plan, plan_of
 from experiments.analysis.scores import TASK_ORDER, with_outcomes
 from experiments.reporting import figures, tables
 from experiments.reporting.tables import BACKENDS, FILTERS, chosen, main
-from experiments.study.arms import ARMS, DOSE_ARMS, TRAFFICS
+from experiments.study.arms import ARMS, DOSE_ARMS
 from experiments.study.progress import duration
 from experiments.study.store import Results, Store
+from experiments.study.traffic import TRAFFICS
 from experiments.study.verdict import of_results
 from experiments.support.files import canonical_json
 

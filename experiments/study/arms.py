@@ -1,4 +1,4 @@
-"""The arms of the experiment: the traffic that agents are trained in and tested in, and which scenarios they meet.
+"""The arms of the experiment, in one table, and which scenarios agents meet in training and test.
 
 A scenario is a seed given to ``env.reset``. Training scenarios have seeds below 2**32 (`training_seed`,
 `agents.streams.episode_seed`), test scenarios have seeds of 2**32 and above: the two sets are disjoint by
@@ -10,66 +10,78 @@ the same cars stand in the same places, with other drivers.
 from __future__ import annotations
 
 import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
-from agents.streams import stream
+from experiments.study.traffic import ALL, BETWEEN, TRAFFICS, Traffic
 from sumo_env.config import Config
 from sumo_env.tasks import TASKS
 
-ARMS: dict[str, float] = {"control": 0.0, "treatment": 1.0}  # dose of risk in training
-TRAFFICS: dict[str, float] = {"regular": 0.0, "risky": 1.0}  # dose of risk in the test
-# Arms beside the two, and the dose of risk in their training. They are exploratory: none of them enters the primary
-# comparison. "dense" learns in regular traffic of the next higher level, so that risk can be told from more
-# interaction; "penalty" in regular traffic with a doubled penalty for crashes: a positive control, whose effect has
-# to be found.
-# The arms of DRAWN have another dose in every training episode, and here its mean.
-DOSE_TRAFFICS: dict[str, float] = {"dose25": 0.25, "dose50": 0.5, "dose75": 0.75}
-DRAWN = ("mixed", "drawn", "mixed-seen")
-EXTRA_ARMS: dict[str, float] = {**DOSE_TRAFFICS, "dense": 0.0, "penalty": 0.0, **dict.fromkeys(DRAWN, 0.5)}
-# What an arm changes about the learner: "mixed-seen" observes the dose, also in the test.
-ARM_PROFILES = {"mixed-seen": {"dose_observed": True}}
-DOSES: dict[str, float] = {**ARMS, **EXTRA_ARMS}
-DOSE_ARMS = ("control", "dose25", "dose50", "dose75", "treatment")
-ALL_TRAFFICS: dict[str, float] = {**TRAFFICS, **DOSE_TRAFFICS}
 TEST = 2**32  # where the seeds of the test scenarios begin
 
 
-def drawn_dose(arm: str, seed: int) -> float:
-    """Dose of risk in the training episode with this seed: at any dose for "drawn", 0 or 1 for the other arms of DRAWN.
+@dataclass(frozen=True)
+class Arm:
+    """A way of training.
 
-    It depends on the seed alone, so that a training that is resumed meets the same traffic.
+    traffic: of the training. judged_in: traffics that the gates look at; exploratory arms are judged in regular
+    traffic, or in both where their doses are drawn. denser: in the vehicles of the next higher level, so that risk can
+    be told from more interaction. penalty: factor of the environment's own penalty for a crash; 2 is a positive
+    control, whose effect has to be found. rules: what differs in `rules.TrainingRules`.
     """
-    share = float(stream(seed, "dose").random())
-    return share if arm == "drawn" else float(share < 0.5)
+
+    name: str
+    traffic: Traffic
+    judged_in: tuple[str, ...] = ("regular",)
+    denser: bool = False
+    penalty: int = 1
+    rules: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def by_traffic_alone(self) -> bool:
+        """Whether nothing but the traffic makes it."""
+        return not (self.denser or self.rules) and self.penalty == 1
+
+    def changes(self, task: str, level: int) -> Config | None:
+        """What differs in the environment of its training; None where there is no such arm.
+
+        The highest level has no denser traffic, and the two-way road's reward no penalty for a crash.
+        """
+        levels = list(TASKS[task].levels.values())
+        if self.denser:
+            if level == len(levels):
+                return None
+            return {k: v for k, v in levels[level].items() if levels[level - 1].get(k) != v}
+        if self.penalty != 1:
+            own = TASKS[task].defaults.get("collision_reward", 0)
+            return {"collision_reward": self.penalty * own} if own else None
+        return {}
+
+
+EVERY_ARM: dict[str, Arm] = {
+    arm.name: arm
+    for arm in (
+        Arm("control", ALL["regular"]),
+        Arm("treatment", ALL["risky"], judged_in=("risky",)),
+        *(Arm(name, ALL[name]) for name in BETWEEN),
+        Arm("dense", ALL["regular"], denser=True),
+        Arm("penalty", ALL["regular"], penalty=2),
+        Arm("mixed", ALL["mixed"], judged_in=TRAFFICS),
+        Arm("drawn", ALL["drawn"], judged_in=TRAFFICS),
+        Arm("mixed-seen", ALL["mixed"], judged_in=TRAFFICS, rules={"dose_observed": True}),
+    )
+}
+ARMS = ("control", "treatment")  # of the primary comparison; the others are exploratory
+EXTRA_ARMS = tuple(name for name in EVERY_ARM if name not in ARMS)
+DOSE_ARMS = ("control", *BETWEEN, "treatment")
 
 
 def gate_traffics(arm: str | None) -> tuple[str, ...]:
-    """Traffics that the gates of an arm look at: its own; for the policies it is held against (None) both.
-
-    The arms of DRAWN are judged in both traffics, the other exploratory arms in regular traffic.
-    """
-    if arm is None or arm in DRAWN:
-        return tuple(TRAFFICS)
-    own = ARMS.get(arm, 0.0)
-    return tuple(traffic for traffic, risk in TRAFFICS.items() if risk == own)
-
-
-def trained_with(arm: str, task: str, level: int) -> Config | None:
-    """What differs in the environment that an arm is trained in; None where there is no such arm.
-
-    "dense": the traffic of the next higher level (the highest has none). "penalty": twice the reward for a crash (the
-    two-way road's reward has no such term).
-    """
-    levels = list(TASKS[task].levels.values())
-    if arm == "dense":
-        if level == len(levels):
-            return None
-        return {k: v for k, v in levels[level].items() if levels[level - 1].get(k) != v}
-    if arm == "penalty":
-        penalty = TASKS[task].defaults.get("collision_reward", 0)
-        return {"collision_reward": 2 * penalty} if penalty else None
-    return {}
+    """Traffics that the gates of an arm look at; for the policies it is held against (None) both."""
+    return EVERY_ARM[arm].judged_in if arm else TRAFFICS
 
 
 def scenario_seed(task: str, level: int, scenario: int, purpose: str = "test") -> int:

@@ -16,7 +16,7 @@ from agents.checkpoint import CheckpointError
 from agents.policies import Policy
 from experiments.study.arms import gate_traffics
 from experiments.study.evaluate import evaluate
-from experiments.study.grid import Cell
+from experiments.study.grid import Cell, tested_on
 from experiments.study.policies import driver
 from experiments.study.progress import costs
 from experiments.study.run import Beat
@@ -98,7 +98,7 @@ class CellTask:
             files = {TRAINING: episodes, WEIGHTS: self.folder / WEIGHTS}
             learner = {"learner": record}
         started = time.monotonic()
-        with closing(self.make_env(cell.runs_on, cell.task, dict(cell.tested["env_config"]))) as env:
+        with closing(self.make_env(*tested_on(cell.key()))) as env:
             files |= self._test(env, on_episode)
         timing["test_seconds"] = time.monotonic() - started
         timing["finished"] = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())

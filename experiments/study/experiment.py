@@ -12,7 +12,7 @@ import tyro
 
 from agents.rules import CAUTIONS
 from experiments.backends import BACKENDS
-from experiments.study.arms import ARM_PROFILES, ARMS, DOSE_ARMS, DOSE_TRAFFICS, DOSES, TRAFFICS, trained_with
+from experiments.study.arms import ARMS, DOSE_ARMS, EVERY_ARM
 from experiments.study.fingerprint import dynamics
 from experiments.study.grid import (
     BASELINES,
@@ -26,7 +26,7 @@ from experiments.study.grid import (
 from experiments.study.policies import foreign
 from experiments.study.rules import RULES, TrainingRules
 from experiments.study.sheet import GRID
-from experiments.study.unseen import unseen_traffics
+from experiments.study.traffic import BETWEEN, TRAFFICS, unseen_traffics
 from experiments.support.errors import UserError, unknown
 
 TRANSFER_EPISODES = {"highway-env": 20}  # in each traffic on another simulator at most: it is slow
@@ -161,19 +161,19 @@ class Experiment:
                 raise UserError("--placebo trains control agents alone: leave out --arms")
             seeds, arms = max(2 * seeds, PLACEBO_SEEDS), {"control": None}
         for arm in arms:
-            if arm not in DOSES:
-                raise unknown("arm", arm, DOSES)
+            if arm not in EVERY_ARM:
+                raise unknown("arm", arm, EVERY_ARM)
         profile = self.profile(common.task)
         for seed in range(self.first_seed, self.first_seed + seeds):
             for arm in arms:
-                if (different := trained_with(arm, common.task, common.level)) is not None:
+                if (different := EVERY_ARM[arm].changes(common.task, common.level)) is not None:
                     yield replace(
                         common,
                         kind="agent",
                         arm=arm,
                         seed=seed,
                         policy=self._own_learner[0] if self._own_learner else self.learner,
-                        profile={**common.profile, **profile, **ARM_PROFILES.get(arm, {})},
+                        profile={**common.profile, **profile, **EVERY_ARM[arm].rules},
                         source=self.learner if self._own_learner else self._own_network,
                         trained_with=different,
                     )
@@ -181,8 +181,8 @@ class Experiment:
     def _further_tests(self, agent: Cell, dynamics: Dynamics) -> Iterator[Cell]:
         """Further tests of an agent: at doses between 0 and 1, in unseen risk, on other simulators."""
         here = {"backend": self.backend, "episodes": self.episodes, "env_config": agent.env_config}
-        if set(self.arms) & set(DOSE_TRAFFICS) and agent.arm in DOSE_ARMS:
-            yield replace(agent, kind="test", test_on={**here, "traffics": list(DOSE_TRAFFICS)})
+        if set(self.arms) & set(BETWEEN) and agent.arm in DOSE_ARMS:
+            yield replace(agent, kind="test", test_on={**here, "traffics": list(BETWEEN)})
         if self.unseen:
             traffics = list(unseen_traffics(agent.task, self.backend))
             yield replace(agent, kind="test", test_on={**here, "traffics": traffics})

@@ -20,11 +20,11 @@ import tyro
 from agents import pretrained
 from agents.greedy import Greedy, Timed
 from experiments.backends import make_env
-from experiments.study.arms import TRAFFICS
 from experiments.study.evaluate import evaluate
-from experiments.study.grid import LEARNER
+from experiments.study.grid import LEARNER, tested_on
 from experiments.study.policies import driver
 from experiments.study.store import EPISODES, Store
+from experiments.study.traffic import TRAFFICS
 from experiments.study.wrappers import TimeObserved
 from sumo_env.tasks import TASKS
 
@@ -62,7 +62,7 @@ def published(directory: Path, name: str, command: str) -> tuple[dict[str, Any],
     record, weights = store.record(name), store.weights(name)
     assert weights is not None
     key = record["key"]
-    with closing(make_env(key["backend"], key["task"], key["env_config"])) as env:
+    with closing(make_env(*tested_on(key))) as env:
         seen, policy = driver(key, record["source"], env, weights)
         if key["profile"].get("dose_observed") or key["policy"] != LEARNER or not isinstance(policy, Greedy):
             return None

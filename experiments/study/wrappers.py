@@ -10,8 +10,8 @@ import numpy as np
 
 from agents.greedy import with_column
 from agents.streams import episode_seed
-from experiments.study.arms import DOSES, DRAWN, drawn_dose
 from experiments.study.rules import TrainingRules
+from experiments.study.traffic import Traffic
 
 Env = gym.Env[Any, Any]
 
@@ -68,10 +68,10 @@ class Training(gym.Wrapper[Any, Any, Any, Any]):
     """
 
     def __init__(
-        self, env: Env, rules: TrainingRules, arm: str, seed: int, first: int = 0, count: int = 1
+        self, env: Env, rules: TrainingRules, traffic: Traffic, seed: int, first: int = 0, count: int = 1
     ) -> None:
         super().__init__(env)
-        self._rules, self._arm, self._seed = rules, arm, seed
+        self._rules, self._traffic, self._seed = rules, traffic, seed
         self._episode, self._count = first, count
 
     def reset(
@@ -81,7 +81,7 @@ class Training(gym.Wrapper[Any, Any, Any, Any]):
         if seed is None:
             seed = episode_seed(self._seed, self._episode)
             self._episode += self._count
-        risk = drawn_dose(self._arm, seed) if self._arm in DRAWN else DOSES[self._arm]
+        risk = self._traffic.dose_of(seed)
         others = options or {}
         config = {**others.get("config", {}), "risk": risk}
         return self.env.reset(seed=seed, options={**others, "config": config})

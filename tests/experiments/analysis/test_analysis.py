@@ -98,6 +98,16 @@ class TestPlan:
         assert [f"{o} {t}" for o, t in tested if f"{o} {t}" in named] == []
 
 
+@pytest.mark.parametrize(("effect", "side"), [(3.0, "better"), (-3.0, "worse"), (0.0, "open")])
+def test_the_side_of_a_mean_is_decided_in_its_frame(effect: float, side: str) -> None:
+    """For the return more is better, for the speed neither."""
+    arms = agents(3, 5, np.random.default_rng(3), effect=effect, spread=0.5)
+    found = means(contrasts(arms, {PAIR: [("return", "risky"), ("mean_speed", "risky")]}))
+    assert set(found.loc[found["outcome"] == "return", "side"]) == {side}
+    assert set(found.loc[found["outcome"] == "mean_speed", "side"]) == {""}
+    assert means(contrasts({}, {PAIR: [("return", "risky")]})).empty
+
+
 class TestEffects:
     def test_equals_the_formula_on_seed_means(self, results: Results, analysis: Analysis) -> None:
         """ATE = (T - C) in risky + (T - C) in regular; the scenarios are those of both traffics."""

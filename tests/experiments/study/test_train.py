@@ -11,7 +11,7 @@ import pytest
 
 from agents.learner import Trained
 from agents.streams import episode_seed
-from experiments.study.arms import TEST, drawn_dose, scenario_seed, training_seed
+from experiments.study.arms import EVERY_ARM, TEST, scenario_seed, training_seed
 from experiments.study.cell import CellTask
 from experiments.study.experiment import Experiment
 from experiments.study.grid import Cell
@@ -68,7 +68,7 @@ def test_a_drawn_dose_is_met_logged_and_the_same_after_an_interruption(
     whole, episodes, record = trained("whole")
     assert record["interruption"] == "uninterrupted" and record["steps"] >= 160
     seed = training_seed("u-turn", 1, 2)
-    expected = [drawn_dose(arm, episode_seed(seed, k)) for k in range(len(episodes))]
+    expected = [EVERY_ARM[arm].traffic.dose_of(episode_seed(seed, k)) for k in range(len(episodes))]
     assert [dose for _, dose, _ in met] == expected == episodes["risk"].tolist()
     assert len(set(expected)) == (2 if arm == "mixed" else len(expected))
 

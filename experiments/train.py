@@ -21,14 +21,14 @@ from typing import Annotated
 
 import tyro
 
-from experiments import sweep
 from experiments.study.arms import EVERY_ARM
+from experiments.study.cells import compute
 from experiments.study.experiment import Experiment
 from experiments.study.fingerprint import check_dynamics
 from experiments.study.grid import Cell
 from experiments.study.presets import cells_of
-from experiments.study.run import LOG
 from experiments.study.store import TRAINING, Store
+from experiments.study.working import LOG
 from experiments.support.errors import UserError, run_command, unknown, writing
 
 # The traffic of the training, and the arm of the experiment that it is.
@@ -109,7 +109,7 @@ def train(options: Options, arguments: list[str]) -> int:
     with writing(options.out):
         command = shlex.join(["python", "experiments/train.py", *arguments])
         Store(options.out).write_sweep(command, [agent, *others])
-        for name, reason in sweep.compute([agent, *others], options.out).items():
+        for name, reason in compute([agent, *others], options.out).items():
             raise UserError(f"{name} failed: {reason}; see {Store(options.out).work / name / LOG}")
         picture = draw(options.out, agent)
     print(f"{agent.slug} is trained and tested; its learning curve: {picture}")

@@ -12,7 +12,8 @@ import pandas as pd
 
 from agents.policies import Policy
 from experiments.study.arms import scenario_seed, stream_seed
-from experiments.study.traffic import TRAFFICS, UnseenRisk, traffic_named
+from experiments.study.traffic import TRAFFICS, traffic_named
+from experiments.study.wrappers import UnseenRisk
 
 STOPPED = 1.0  # [m/s] an ego slower than this stands
 ACTIONS = 5

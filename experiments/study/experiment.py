@@ -10,6 +10,7 @@ from typing import Annotated, Any
 
 import tyro
 
+from agents.plugins import foreign
 from agents.rules import CAUTIONS
 from experiments.backends import BACKENDS
 from experiments.study.arms import ARMS, DOSE_ARMS, EVERY_ARM
@@ -23,7 +24,6 @@ from experiments.study.grid import (
     env_config,
     level_names,
 )
-from experiments.study.policies import foreign
 from experiments.study.rules import RULES, TrainingRules
 from experiments.study.sheet import GRID
 from experiments.study.traffic import BETWEEN, TRAFFICS, unseen_traffics
@@ -114,7 +114,7 @@ class Experiment:
                 raise unknown("backend", name, BACKENDS)
         tasks = choose_tasks(self.tasks or tuple(GRID))
         levels = choose_levels(tasks, self.levels or None)
-        policies = {label: (source, digits) for source in self.policy for label, digits in [foreign(source)]}
+        policies = {label: (source, digits) for source in self.policy for label, digits in [_foreign(source)]}
         drivers = dict.fromkeys((*BASELINES, *(CAUTIONS if self.frontier else ())))
         cells: list[Cell] = []
         for task, level in ((task, level) for task, numbers in levels.items() for level in numbers):
@@ -222,7 +222,7 @@ class Experiment:
             said |= {name: value for name, value in asked.items() if value is not None}
             said |= _assignments(self.settings, "--settings", "gamma=0.9")
             if self._own_network:
-                said["network"], files["network_sha256"] = foreign(self._own_network)
+                said["network"], files["network_sha256"] = _foreign(self._own_network)
             if self._own_learner:
                 files["learner_sha256"] = self._own_learner[1]
             chosen = learner(self.learner)
@@ -241,12 +241,20 @@ class Experiment:
     @property
     def _own_learner(self) -> tuple[str, str] | None:
         """Label and fingerprint of a learner of the user's own."""
-        return foreign(self.learner) if ":" in self.learner else None
+        return _foreign(self.learner) if ":" in self.learner else None
 
     @property
     def _changes(self) -> dict[str, Any]:
         """Of config=("collision_reward=-2", "risk_law=linear")."""
         return _assignments(self.config, "--config", "collision_reward=-2")
+
+
+def _foreign(name: str) -> tuple[str, str]:
+    """Label and fingerprint of a user's file, see `agents.plugins.foreign`. Raises UserError where there is none."""
+    try:
+        return foreign(name)
+    except ValueError as error:
+        raise UserError(str(error)) from None
 
 
 def _assignments(texts: Sequence[str], option: str, example: str) -> dict[str, Any]:

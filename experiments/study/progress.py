@@ -12,7 +12,8 @@ from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeElapsed
 from rich.progress import Progress as Bars
 
 from experiments.study.grid import Cell
-from experiments.study.run import RETRIES, Observer, Task, fraction_done
+from experiments.study.run import RETRIES, Observer, Task
+from experiments.study.working import fraction_done
 
 # Processor seconds of a common server, roughly: for a policy step of each simulator, and for an update of the learner.
 STEP = {"sumo": 0.002, "replica": 0.001, "highway-env": 0.15}

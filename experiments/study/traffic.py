@@ -10,8 +10,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
-import gymnasium as gym
-
 from agents.streams import stream
 from experiments.support.errors import unknown
 from sumo_env.tasks import TASKS
@@ -123,21 +121,3 @@ def unseen_traffics(task: str, backend: str = "sumo") -> tuple[str, ...]:
         return any(getattr(rates, kind.replace("-", "_")) > 0 for kind in kinds)
 
     return tuple(name for name in UNSEEN if differs(ALL[name]))
-
-
-class UnseenRisk(gym.Wrapper[Any, Any, Any, Any]):
-    """An environment whose episodes have unseen traffic, whatever dose of risk `reset` asks for."""
-
-    def __init__(self, env: gym.Env[Any, Any], traffic: Traffic) -> None:
-        super().__init__(env)
-        self._traffic = traffic
-
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Any, dict[str, Any]]:
-        """Begin an episode: draw the scenario of the seed in regular and in risky traffic, and mix the two."""
-        drawn: list[Scenario] = []
-        for risk in (0.0, 1.0):
-            self.env.reset(seed=seed, options={"config": {"risk": risk}})
-            drawn.append(self.env.unwrapped.scenario)  # type: ignore[attr-defined]
-        return self.env.reset(seed=seed, options={"scenario": self._traffic.scenario(*drawn)})

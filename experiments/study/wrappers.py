@@ -1,4 +1,4 @@
-"""What a training changes about its environment, by gymnasium's wrappers."""
+"""What a training, or unseen traffic, changes about an environment, by gymnasium's wrappers."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from agents.greedy import with_column
 from agents.streams import episode_seed
 from experiments.study.rules import TrainingRules
 from experiments.study.traffic import Traffic
+from sumo_env.traffic.scenario import Scenario
 
 Env = gym.Env[Any, Any]
 
@@ -103,3 +104,21 @@ def observed(env: Env, rules: TrainingRules) -> Env:
     # as a share of the episode, or of so many seconds in training and test alike
     seconds = inner.config["duration"] if rules.finite_horizon else rules.time_observed
     return TimeObserved(env, round(seconds * inner.config.get("policy_frequency", 1))) if seconds else env
+
+
+class UnseenRisk(gym.Wrapper[Any, Any, Any, Any]):
+    """An environment whose episodes have unseen traffic, whatever dose of risk `reset` asks for."""
+
+    def __init__(self, env: gym.Env[Any, Any], traffic: Traffic) -> None:
+        super().__init__(env)
+        self._traffic = traffic
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Begin an episode: draw the scenario of the seed in regular and in risky traffic, and mix the two."""
+        drawn: list[Scenario] = []
+        for risk in (0.0, 1.0):
+            self.env.reset(seed=seed, options={"config": {"risk": risk}})
+            drawn.append(self.env.unwrapped.scenario)  # type: ignore[attr-defined]
+        return self.env.reset(seed=seed, options={"scenario": self._traffic.scenario(*drawn)})

@@ -44,7 +44,7 @@ def run(directory: Path, **options) -> int:
 @pytest.fixture
 def here(monkeypatch):
     """For tests that are not about processes."""
-    monkeypatch.setattr("experiments.sweep.open_executor", lambda *_: (ThreadPoolExecutor(1), 1))
+    monkeypatch.setattr("experiments.study.cells.open_executor", lambda *_: (ThreadPoolExecutor(1), 1))
 
 
 @pytest.fixture(scope="module")
@@ -240,7 +240,7 @@ def test_every_executor_gives_the_same_results(reference, tmp_path, monkeypatch,
         from experiments.study.executors.slurm import SlurmExecutor
 
         monkeypatch.setattr(
-            "experiments.sweep.open_executor",
+            "experiments.study.cells.open_executor",
             lambda name, workers, directory, _: (SlurmExecutor(directory / name, "local"), workers),
         )
     assert run(tmp_path / "results", executor=executor) == 0

@@ -8,7 +8,8 @@ import signal
 import pytest
 
 from experiments.study.executors import open_executor
-from experiments.study.run import fraction_done, run
+from experiments.study.run import run
+from experiments.study.working import fraction_done
 from tests.experiments.study.misbehaving import STEPS, Sum
 from tests.experiments.study.test_run import TOTAL, Witness, results
 from tests.processes import python
@@ -87,7 +88,8 @@ import os, sys
 from pathlib import Path
 from ray.cluster_utils import Cluster
 from experiments.study.executors import open_executor
-from experiments.study.run import fraction_done, run
+from experiments.study.run import run
+from experiments.study.working import fraction_done
 from tests.experiments.study.misbehaving import Sum
 from tests.experiments.study.test_run import Witness
 

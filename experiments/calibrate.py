@@ -32,10 +32,10 @@ from optuna.distributions import BaseDistribution, CategoricalDistribution, Floa
 from rich.console import Console
 from rich.progress import track
 
-from experiments.study import grid
-from experiments.study.fingerprint import check_dynamics
-from experiments.study.sheet import GRID, Between, Space, sheet
-from experiments.study.traffic import AT_A_DOSE
+from experiments.study.design import grid
+from experiments.study.design.fingerprint import check_dynamics
+from experiments.study.design.sheet import GRID, Between, Space, sheet
+from experiments.study.design.traffic import AT_A_DOSE
 from experiments.support.errors import run_command, unknown, writing
 from experiments.support.files import write_file, write_json
 from experiments.validation import episodes

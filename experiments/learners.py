@@ -24,13 +24,13 @@ from typing import Any
 import pandas as pd
 import tyro
 
-from experiments.study.cells import compute
-from experiments.study.experiment import Experiment
-from experiments.study.fingerprint import check_dynamics
-from experiments.study.grid import Cell, choose_tasks
-from experiments.study.presets import complete
-from experiments.study.store import EPISODES, Store
-from experiments.study.working import LOG
+from experiments.study.compute.cells import compute
+from experiments.study.design.experiment import Experiment
+from experiments.study.design.fingerprint import check_dynamics
+from experiments.study.design.grid import Cell, choose_tasks
+from experiments.study.design.presets import complete
+from experiments.study.results.store import EPISODES, Store
+from experiments.study.results.working import LOG
 from experiments.support.errors import run_command, writing
 from experiments.support.files import write_file
 

@@ -34,11 +34,11 @@ import tyro
 
 from experiments.backends import make_env
 from experiments.reporting.showcase import ending
-from experiments.study.avoid import HORIZON, SAFE, rewound, way_out
-from experiments.study.cell import MakeEnv
-from experiments.study.grid import tested_on
-from experiments.study.rerun import Case, changed_versions, differences, play_again
-from experiments.study.store import EPISODES, Store
+from experiments.study.compute.cell import MakeEnv
+from experiments.study.design.grid import tested_on
+from experiments.study.replaying.avoid import HORIZON, SAFE, rewound, way_out
+from experiments.study.replaying.rerun import Case, changed_versions, differences, play_again
+from experiments.study.results.store import EPISODES, Store
 from experiments.support.errors import UserError, disk_error, run_command, unknown
 from experiments.support.films import Film, Pictures, save_gif, side_by_side
 from sumo_env.config import did_you_mean

@@ -36,8 +36,8 @@ from experiments.backends import make_env
 from experiments.reporting.page import page, render
 from experiments.reporting.showcase import showcase
 from experiments.reporting.tables import chosen
-from experiments.study.evaluate import COLUMNS
-from experiments.study.store import Store, load
+from experiments.study.compute.evaluate import COLUMNS
+from experiments.study.results.store import Store, load
 from experiments.support.errors import UserError, run_command, writing
 from experiments.support.files import write_file
 

@@ -31,19 +31,19 @@ import pandas as pd
 import tyro
 
 from experiments.backends import make_env
-from experiments.study.cell import CellTask, MakeEnv
-from experiments.study.cells import compute
-from experiments.study.executors import EXECUTORS, cores
-from experiments.study.experiment import Experiment, Flag, argument, shard
-from experiments.study.fingerprint import check_dynamics, known_dynamics
-from experiments.study.grid import Cell
-from experiments.study.policies import driver
-from experiments.study.presets import cells_of, complete
-from experiments.study.progress import duration, seconds
-from experiments.study.run import compute_here
-from experiments.study.store import Store
-from experiments.study.verdict import keep
-from experiments.study.working import LOG
+from experiments.study.compute.cell import CellTask, MakeEnv
+from experiments.study.compute.cells import compute
+from experiments.study.compute.executors import EXECUTORS, cores
+from experiments.study.compute.policies import driver
+from experiments.study.compute.progress import duration, seconds
+from experiments.study.compute.run import compute_here
+from experiments.study.design.experiment import Experiment, Flag, argument, shard
+from experiments.study.design.fingerprint import check_dynamics, known_dynamics
+from experiments.study.design.grid import Cell
+from experiments.study.design.presets import cells_of, complete
+from experiments.study.design.verdict import keep
+from experiments.study.results.store import Store
+from experiments.study.results.working import LOG
 from experiments.support.errors import UserError, run_command, unknown, writing
 
 

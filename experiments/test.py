@@ -24,9 +24,9 @@ import pandas as pd
 import tyro
 from scipy.stats import binomtest
 
-from experiments.study import grid
-from experiments.study.store import EPISODES, Store
-from experiments.study.traffic import ALL, TRAFFICS
+from experiments.study.design import grid
+from experiments.study.design.traffic import ALL, TRAFFICS
+from experiments.study.results.store import EPISODES, Store
 from experiments.support.errors import UserError, run_command
 
 Z = 1.96  # normal quantile of a 95 % interval

@@ -21,14 +21,14 @@ from typing import Annotated
 
 import tyro
 
-from experiments.study.arms import EVERY_ARM
-from experiments.study.cells import compute
-from experiments.study.experiment import Experiment
-from experiments.study.fingerprint import check_dynamics
-from experiments.study.grid import Cell
-from experiments.study.presets import cells_of
-from experiments.study.store import TRAINING, Store
-from experiments.study.working import LOG
+from experiments.study.compute.cells import compute
+from experiments.study.design.arms import EVERY_ARM
+from experiments.study.design.experiment import Experiment
+from experiments.study.design.fingerprint import check_dynamics
+from experiments.study.design.grid import Cell
+from experiments.study.design.presets import cells_of
+from experiments.study.results.store import TRAINING, Store
+from experiments.study.results.working import LOG
 from experiments.support.errors import UserError, run_command, unknown, writing
 
 # The traffic of the training, and the arm of the experiment that it is.

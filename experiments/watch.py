@@ -23,10 +23,10 @@ import tyro
 from experiments.backends import make_env
 from experiments.reporting.showcase import ending
 from experiments.reporting.tables import listing
-from experiments.study.grid import tested_on
-from experiments.study.rerun import Case, play_again
-from experiments.study.store import EPISODES, Store
-from experiments.study.traffic import ALL, TRAFFICS
+from experiments.study.design.grid import tested_on
+from experiments.study.design.traffic import ALL, TRAFFICS
+from experiments.study.replaying.rerun import Case, play_again
+from experiments.study.results.store import EPISODES, Store
 from experiments.support.errors import UserError, run_command
 from experiments.support.films import Film, save_gif, side_by_side
 

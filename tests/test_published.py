@@ -12,8 +12,8 @@ from experiments.analysis.gates import CROSSINGS
 from experiments.reporting import tables
 from experiments.reporting.page import paces
 from experiments.reporting.tables import difference, main
-from experiments.study.arms import EXTRA_ARMS, TRAFFICS
-from experiments.study.store import load
+from experiments.study.design.arms import EXTRA_ARMS, TRAFFICS
+from experiments.study.results.store import load
 from sumo_env.tasks import TASKS
 from tests.pages import ROOT, TEXTS, section, table
 from tests.processes import python

@@ -22,9 +22,9 @@ from experiments.analysis.frontier import to_frontier
 from experiments.analysis.gates import THRESHOLDS, gates, learner_checks
 from experiments.analysis.plan import ALPHA, DEFAULT, OUTCOMES, TERMS, Outcome, Plan
 from experiments.analysis.scores import PLACE, arms_of, in_order, with_outcomes
-from experiments.study.arms import ARMS, EXTRA_ARMS
-from experiments.study.grid import BASELINES, LEARNER
-from experiments.study.store import Results
+from experiments.study.design.arms import ARMS, EXTRA_ARMS
+from experiments.study.design.grid import BASELINES, LEARNER
+from experiments.study.results.store import Results
 from experiments.support.errors import UserError
 from experiments.support.files import canonical_json, sha256_bytes
 

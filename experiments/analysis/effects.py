@@ -23,8 +23,8 @@ from experiments.analysis import estimate
 from experiments.analysis.estimate import OK, SATURATED, Estimate
 from experiments.analysis.plan import ALPHA, DEFAULT, OUTCOMES, TERMS, Outcome, Plan
 from experiments.analysis.scores import PLACE, Arm, Arms, Place
-from experiments.study.arms import EVERY_ARM
-from experiments.study.traffic import TRAFFICS
+from experiments.study.design.arms import EVERY_ARM
+from experiments.study.design.traffic import TRAFFICS
 
 ALL_TASKS = "all tasks"
 ESTIMATE = list(Estimate._fields)

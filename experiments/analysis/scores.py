@@ -10,8 +10,8 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from experiments.analysis.plan import OUTCOMES, Outcome
-from experiments.study.store import Results
-from experiments.study.traffic import AT_A_DOSE, TRAFFICS
+from experiments.study.design.traffic import AT_A_DOSE, TRAFFICS
+from experiments.study.results.store import Results
 from sumo_env.tasks import TASKS
 
 PLACE = ["backend", "task", "level", "level_name"]  # a setting: what a comparison is made within

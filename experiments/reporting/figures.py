@@ -27,8 +27,8 @@ from experiments.analysis.frontier import RULES, lower_hull
 from experiments.analysis.plan import ALPHA
 from experiments.analysis.scores import TASK_ORDER
 from experiments.reporting.tables import MINUS
-from experiments.study.arms import ARMS, DOSE_ARMS, EVERY_ARM
-from experiments.study.traffic import TRAFFICS
+from experiments.study.design.arms import ARMS, DOSE_ARMS, EVERY_ARM
+from experiments.study.design.traffic import TRAFFICS
 
 WIDTH = 7.2  # [inch]
 INK, MUTED, GRID, PAPER = "#1f2328", "#6b7280", "#d9dde3", "#ffffff"

@@ -18,11 +18,11 @@ import numpy as np
 import pandas as pd
 
 from experiments.analysis.scores import PLACE, in_order
-from experiments.study.arms import ARMS
-from experiments.study.cell import MakeEnv
-from experiments.study.grid import tested_on
-from experiments.study.rerun import Case, differences, play_again
-from experiments.study.store import EPISODES, KEY_COLUMNS, Results, Store
+from experiments.study.compute.cell import MakeEnv
+from experiments.study.design.arms import ARMS
+from experiments.study.design.grid import tested_on
+from experiments.study.replaying.rerun import Case, differences, play_again
+from experiments.study.results.store import EPISODES, KEY_COLUMNS, Results, Store
 from experiments.support.files import canonical_json, write_file
 from experiments.support.films import Film
 from sumo_env.rendering.markings import markings

@@ -14,12 +14,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from experiments.study import grid
-from experiments.study.arms import ARMS, gate_traffics
-from experiments.study.evaluate import COLUMNS
-from experiments.study.experiment import Experiment
-from experiments.study.store import EPISODES, GATES, Store
-from experiments.study.traffic import AT_A_DOSE, TRAFFICS
+from experiments.study.compute.evaluate import COLUMNS
+from experiments.study.design import grid
+from experiments.study.design.arms import ARMS, gate_traffics
+from experiments.study.design.experiment import Experiment
+from experiments.study.design.traffic import AT_A_DOSE, TRAFFICS
+from experiments.study.results.store import EPISODES, GATES, Store
 
 DURATION = {"highway": 20, "two-way": 15, "roundabout": 11, "intersection": 13, "u-turn": 10}
 # By policy: chance to crash, reward per step, speed [m/s].

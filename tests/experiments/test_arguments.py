@@ -12,10 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from experiments.backends import BACKENDS
-from experiments.study.arms import EVERY_ARM
-from experiments.study.executors import EXECUTORS
-from experiments.study.experiment import shard
-from experiments.study.presets import PRESETS
+from experiments.study.compute.executors import EXECUTORS
+from experiments.study.design.arms import EVERY_ARM
+from experiments.study.design.experiment import shard
+from experiments.study.design.presets import PRESETS
 from experiments.support.errors import UserError
 from experiments.sweep import Options, cells_of, words_of
 from sumo_env.tasks import TASKS

@@ -13,9 +13,10 @@ from PIL import Image
 import agents
 from experiments import report, test, train, watch
 from experiments.backends import make_env
-from experiments.study import publish, store
-from experiments.study.evaluate import evaluate
-from experiments.study.presets import PRESETS
+from experiments.study.compute.evaluate import evaluate
+from experiments.study.design.presets import PRESETS
+from experiments.study.replaying import publish
+from experiments.study.results import store
 from experiments.support.errors import UserError
 from tests.experiments import synthetic
 

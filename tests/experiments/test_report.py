@@ -19,8 +19,8 @@ from experiments.analysis.plan import OUTCOMES
 from experiments.reporting import figures
 from experiments.reporting.page import checks
 from experiments.reporting.tables import difference, main
-from experiments.study.store import load
-from experiments.study.verdict import SCHEMA
+from experiments.study.design.verdict import SCHEMA
+from experiments.study.results.store import load
 from experiments.support.errors import UserError
 from tests.experiments import synthetic
 from tests.processes import python

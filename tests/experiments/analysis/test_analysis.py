@@ -29,9 +29,9 @@ from experiments.analysis.plan import (
     Plan,
     as_data,
 )
-from experiments.study.grid import BASELINES
-from experiments.study.sheet import SHEETS
-from experiments.study.store import Results, load
+from experiments.study.design.grid import BASELINES
+from experiments.study.design.sheet import SHEETS
+from experiments.study.results.store import Results, load
 from experiments.support.files import canonical_json, sha256_bytes
 from tests.experiments import synthetic
 from tests.experiments.analysis.made_up import PAIR, agents, arms_in, effects, find, first

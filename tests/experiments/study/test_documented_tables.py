@@ -7,9 +7,9 @@ import pytest
 
 from experiments.analysis.plan import SECOND
 from experiments.learners import MEASURES, OURS, RL_AGENTS, STABLE_BASELINES, TRAININGS, Options
-from experiments.study.avoid import SAFE
-from experiments.study.grid import env_config
-from experiments.study.store import load
+from experiments.study.design.grid import env_config
+from experiments.study.replaying.avoid import SAFE
+from experiments.study.results.store import load
 from experiments.test import share
 from sumo_env.tasks import TASKS
 from tests.pages import ROOT, TEXTS, section, table

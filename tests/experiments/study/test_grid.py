@@ -7,10 +7,10 @@ from dataclasses import replace
 import pytest
 
 from agents.streams import episode_seed
-from experiments.study import experiment, grid
-from experiments.study.arms import DOSE_ARMS, EVERY_ARM, TEST, scenario_seed, training_seed
-from experiments.study.experiment import Experiment
-from experiments.study.traffic import unseen_traffics
+from experiments.study.design import experiment, grid
+from experiments.study.design.arms import DOSE_ARMS, EVERY_ARM, TEST, scenario_seed, training_seed
+from experiments.study.design.experiment import Experiment
+from experiments.study.design.traffic import unseen_traffics
 from experiments.support.errors import UserError
 from sumo_env.tasks import TASKS
 

@@ -7,9 +7,9 @@ import pytest
 
 from agents.rules import make_policy
 from experiments.backends import make_env
-from experiments.study.evaluate import evaluate
-from experiments.study.grid import env_config
-from experiments.study.traffic import ALL, EIDM, KRAUSS, UNSEEN, unseen_traffics
+from experiments.study.compute.evaluate import evaluate
+from experiments.study.design.grid import env_config
+from experiments.study.design.traffic import ALL, EIDM, KRAUSS, UNSEEN, unseen_traffics
 from experiments.support.errors import UserError
 from sumo_env.tasks import TASKS, get_task
 from sumo_env.traffic.scenario import Scenario

@@ -8,9 +8,9 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 from agents.streams import episode_seed
-from experiments.study.rules import TrainingRules
-from experiments.study.traffic import ALL
-from experiments.study.wrappers import TimeObserved, Training, observed
+from experiments.study.compute.wrappers import TimeObserved, Training, observed
+from experiments.study.design.rules import TrainingRules
+from experiments.study.design.traffic import ALL
 from sumo_env.env import DrivingEnv
 from tests.experiments.fake_env import FakeEnv, make_env
 

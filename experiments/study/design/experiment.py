@@ -13,9 +13,9 @@ import tyro
 from agents.plugins import foreign
 from agents.rules import CAUTIONS
 from experiments.backends import BACKENDS
-from experiments.study.arms import ARMS, DOSE_ARMS, EVERY_ARM
-from experiments.study.fingerprint import dynamics
-from experiments.study.grid import (
+from experiments.study.design.arms import ARMS, DOSE_ARMS, EVERY_ARM
+from experiments.study.design.fingerprint import dynamics
+from experiments.study.design.grid import (
     BASELINES,
     LEARNER,
     Cell,
@@ -24,9 +24,9 @@ from experiments.study.grid import (
     env_config,
     level_names,
 )
-from experiments.study.rules import RULES, TrainingRules
-from experiments.study.sheet import GRID
-from experiments.study.traffic import BETWEEN, TRAFFICS, unseen_traffics
+from experiments.study.design.rules import RULES, TrainingRules
+from experiments.study.design.sheet import GRID
+from experiments.study.design.traffic import BETWEEN, TRAFFICS, unseen_traffics
 from experiments.support.errors import UserError, unknown
 
 TRANSFER_EPISODES = {"highway-env": 20}  # in each traffic on another simulator at most: it is slow

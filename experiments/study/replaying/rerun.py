@@ -9,11 +9,11 @@ from typing import Any
 
 import gymnasium as gym
 
-from experiments.study import grid
-from experiments.study.evaluate import play
-from experiments.study.fingerprint import dynamics
-from experiments.study.policies import driver
-from experiments.study.store import Store
+from experiments.study.compute.evaluate import play
+from experiments.study.compute.policies import driver
+from experiments.study.design import grid
+from experiments.study.design.fingerprint import dynamics
+from experiments.study.results.store import Store
 from experiments.support.errors import UserError
 
 IDLE = 1  # of the actions

@@ -1,8 +1,9 @@
 """Compute tasks wherever an executor has processes: each once, tried again when it dies, hangs or fails.
 
 A task is plain data (`Task`); nothing here knows what it computes, nor more of an executor than
-`concurrent.futures.Executor`. The runner and the process that computes meet in the task's working folder (`working`)
-alone, so that processes of this machine, Ray workers and Slurm jobs are the same to it. A task whose result is there is skipped: the same tasks run again go on where the last run ended.
+`concurrent.futures.Executor`. The runner and the process that computes meet in the task's working folder
+(`results.working`) alone, so that processes of this machine, Ray workers and Slurm jobs are the same to it. A task whose
+result is there is skipped: the same tasks run again go on where the last run ended.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, Protocol
 
-from experiments.study.working import LOCK, LOG, PROGRESS, last_words
+from experiments.study.results.working import LOCK, LOG, PROGRESS, last_words
 from experiments.support.errors import UserError, disk_error
 
 RETRIES = 3  # a task that goes wrong is begun again at most so often

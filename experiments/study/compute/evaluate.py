@@ -11,9 +11,9 @@ import numpy as np
 import pandas as pd
 
 from agents.policies import Policy
-from experiments.study.arms import scenario_seed, stream_seed
-from experiments.study.traffic import TRAFFICS, traffic_named
-from experiments.study.wrappers import UnseenRisk
+from experiments.study.compute.wrappers import UnseenRisk
+from experiments.study.design.arms import scenario_seed, stream_seed
+from experiments.study.design.traffic import TRAFFICS, traffic_named
 
 STOPPED = 1.0  # [m/s] an ego slower than this stands
 ACTIONS = 5

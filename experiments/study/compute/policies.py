@@ -12,9 +12,9 @@ from agents.checkpoint import CheckpointError
 from agents.plugins import foreign
 from agents.policies import Policy, foreign_policy
 from agents.rules import make_policy
-from experiments.study.grid import learner_of
-from experiments.study.rules import TrainingRules
-from experiments.study.wrappers import observed
+from experiments.study.compute.wrappers import observed
+from experiments.study.design.grid import learner_of
+from experiments.study.design.rules import TrainingRules
 from experiments.support.errors import UserError
 
 

@@ -7,13 +7,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from experiments.backends import make_env
-from experiments.study.cell import CellTask, MakeEnv
-from experiments.study.executors import open_executor
-from experiments.study.executors.local import TASKS_PER_PROCESS
-from experiments.study.grid import Cell
-from experiments.study.progress import Progress
-from experiments.study.run import run
-from experiments.study.store import Store
+from experiments.study.compute.cell import CellTask, MakeEnv
+from experiments.study.compute.executors import open_executor
+from experiments.study.compute.executors.local import TASKS_PER_PROCESS
+from experiments.study.compute.progress import Progress
+from experiments.study.compute.run import run
+from experiments.study.design.grid import Cell
+from experiments.study.results.store import Store
 
 
 def compute(

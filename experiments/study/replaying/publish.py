@@ -1,6 +1,6 @@
 """Write results/agents.npz: of each arm and setting of a study the agent with the first training seed.
 
-    python -m experiments.study.publish results/sumo-second
+    python -m experiments.study.replaying.publish results/sumo-second
 
 Agents of other settings that are in the file stay. Weights are stored at half precision where the first test
 scenarios of both traffics end with the same return. Agents that observe the dose are left out.
@@ -20,12 +20,12 @@ import tyro
 from agents import pretrained
 from agents.greedy import Greedy, Timed
 from experiments.backends import make_env
-from experiments.study.evaluate import evaluate
-from experiments.study.grid import LEARNER, tested_on
-from experiments.study.policies import driver
-from experiments.study.store import EPISODES, Store
-from experiments.study.traffic import TRAFFICS
-from experiments.study.wrappers import TimeObserved
+from experiments.study.compute.evaluate import evaluate
+from experiments.study.compute.policies import driver
+from experiments.study.compute.wrappers import TimeObserved
+from experiments.study.design.grid import LEARNER, tested_on
+from experiments.study.design.traffic import TRAFFICS
+from experiments.study.results.store import EPISODES, Store
 from sumo_env.tasks import TASKS
 
 COMPARED = 25  # test scenarios of each traffic

@@ -15,10 +15,10 @@ import pandas as pd
 
 from agents.learner import Trained
 from agents.streams import episode_seed
-from experiments.study.arms import EVERY_ARM, training_seed
-from experiments.study.grid import Cell, learner_of
-from experiments.study.policies import check
-from experiments.study.wrappers import Training, observed
+from experiments.study.compute.policies import check
+from experiments.study.compute.wrappers import Training, observed
+from experiments.study.design.arms import EVERY_ARM, training_seed
+from experiments.study.design.grid import Cell, learner_of
 from experiments.support.errors import UserError
 
 CHECKPOINT = "checkpoint.npz"

@@ -10,8 +10,8 @@ import numpy as np
 
 from agents.greedy import with_column
 from agents.streams import episode_seed
-from experiments.study.rules import TrainingRules
-from experiments.study.traffic import Traffic
+from experiments.study.design.rules import TrainingRules
+from experiments.study.design.traffic import Traffic
 from sumo_env.traffic.scenario import Scenario
 
 Env = gym.Env[Any, Any]

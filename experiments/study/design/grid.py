@@ -15,10 +15,10 @@ from typing import TYPE_CHECKING, Any
 
 from agents.rules import POLICIES
 from experiments.backends import SIMULATORS
-from experiments.study.arms import EVERY_ARM, gate_traffics
-from experiments.study.rules import TrainingRules
-from experiments.study.sheet import sheet
-from experiments.study.traffic import BETWEEN, TRAFFICS
+from experiments.study.design.arms import EVERY_ARM, gate_traffics
+from experiments.study.design.rules import TrainingRules
+from experiments.study.design.sheet import sheet
+from experiments.study.design.traffic import BETWEEN, TRAFFICS
 from experiments.support.errors import UserError, unknown
 from experiments.support.files import canonical_json, sha256_bytes
 from sumo_env.config import ConfigError, resolve

@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from experiments.study.traffic import ALL, BETWEEN, TRAFFICS, Traffic
+from experiments.study.design.traffic import ALL, BETWEEN, TRAFFICS, Traffic
 from sumo_env.config import Config
 from sumo_env.tasks import TASKS
 

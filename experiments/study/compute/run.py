@@ -2,8 +2,8 @@
 
 A task is plain data (`Task`); nothing here knows what it computes, nor more of an executor than
 `concurrent.futures.Executor`. The runner and the process that computes meet in the task's working folder
-(`results.working`) alone, so that processes of this machine, Ray workers and Slurm jobs are the same to it. A task whose
-result is there is skipped: the same tasks run again go on where the last run ended.
+(`results.working`) alone, so that processes of this machine, Ray workers and Slurm jobs are the same to it. A task
+whose result is there is skipped: the same tasks run again go on where the last run ended.
 """
 
 from __future__ import annotations

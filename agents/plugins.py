@@ -24,6 +24,20 @@ def sha256(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
+def foreign(name: str) -> tuple[str, str]:
+    """Label and fingerprint of something in a user's file, "FILE:NAME" or "model.zip".
+
+    The label names the file without its folder, so that it is called the same wherever the file lies.
+
+    Raises ValueError when there is no such file.
+    """
+    path, attribute = (Path(name), "") if name.endswith(".zip") else split(name)
+    try:
+        return f"{path.name}:{attribute}" if attribute else path.name, sha256(path)
+    except OSError:
+        raise ValueError(f"there is no file {name}") from None
+
+
 def load_object(name: str) -> Any:
     """Run the file of "FILE:NAME" as a module of its own and return the object of that name.
 

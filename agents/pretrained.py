@@ -3,7 +3,7 @@
     policy = agents.load("u-turn-3", "mixed")
     env = gymnasium.make("sumo_env:sumo/u-turn-v0", config=agents.card("u-turn-3", "mixed")["config"])
 
-`python -m experiments.study.publish` writes the file.
+`python -m experiments.study.replaying.publish` writes the file.
 """
 
 from __future__ import annotations
@@ -86,6 +86,6 @@ def _arrays(file: Path) -> dict[str, np.ndarray]:
 
     if not file.exists():
         raise FileNotFoundError(
-            f"There is no {file}: write it from a study with python -m experiments.study.publish DIR."
+            f"There is no {file}: write it from a study with python -m experiments.study.replaying.publish DIR."
         )
     return load_arrays(file)

@@ -34,8 +34,8 @@ import pandas as pd
 import tyro
 
 from experiments.backends import make_env
-from experiments.study.grid import choose_tasks
-from experiments.study.sheet import GRID
+from experiments.study.design.grid import choose_tasks
+from experiments.study.design.sheet import GRID
 from experiments.support.errors import run_command, unknown, writing
 from experiments.support.files import write_json
 from experiments.support.provenance import provenance

@@ -32,9 +32,10 @@ from optuna.distributions import BaseDistribution, CategoricalDistribution, Floa
 from rich.console import Console
 from rich.progress import track
 
-from experiments.study import grid
-from experiments.study.fingerprint import check_dynamics
-from experiments.study.sheet import GRID, Between, Space, sheet
+from experiments.study.design import grid
+from experiments.study.design.fingerprint import check_dynamics
+from experiments.study.design.sheet import GRID, Between, Space, sheet
+from experiments.study.design.traffic import AT_A_DOSE
 from experiments.support.errors import run_command, unknown, writing
 from experiments.support.files import write_file, write_json
 from experiments.validation import episodes
@@ -46,7 +47,7 @@ from sumo_env.tasks.base import Task
 PARTS = ("drivers", "risk", "doses")
 FITTED = 1000  # number of the first scenario used for fitting; validation's begin at 0
 EGOS = ("careful", "idm", "idle")  # of the doses
-DOSES = ("regular", "dose25", "dose50", "dose75", "risky")
+DOSES = tuple(AT_A_DOSE)
 SEARCHED = ("regular", "dose50", "risky")  # enough to see a rise
 RISE = 0.10  # least rise of the careful ego's crash rate from dose 0 to dose 1
 AIM = (0.15, 0.25)  # of that rise, well within .10 to .30

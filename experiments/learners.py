@@ -24,13 +24,13 @@ from typing import Any
 import pandas as pd
 import tyro
 
-from experiments import sweep
-from experiments.study.experiment import Experiment
-from experiments.study.fingerprint import check_dynamics
-from experiments.study.grid import Cell, choose_tasks
-from experiments.study.presets import complete
-from experiments.study.run import LOG
-from experiments.study.store import EPISODES, Store
+from experiments.study.compute.cells import compute
+from experiments.study.design.experiment import Experiment
+from experiments.study.design.fingerprint import check_dynamics
+from experiments.study.design.grid import Cell, choose_tasks
+from experiments.study.design.presets import complete
+from experiments.study.results.store import EPISODES, Store
+from experiments.study.results.working import LOG
 from experiments.support.errors import run_command, writing
 from experiments.support.files import write_file
 
@@ -141,7 +141,7 @@ def compare(options: Options) -> int:
             work.setdefault(learner, []).extend(own)
     with writing(options.out):
         everything = [cell for own in work.values() for cell in own]
-        failures = sweep.compute(everything, options.out, workers=options.workers)
+        failures = compute(everything, options.out, workers=options.workers)
     for name, reason in failures.items():
         print(f"{name} failed: {reason}; log: {Store(options.out).work / name / LOG}", file=sys.stderr)
     done = {learner: [cell for cell in own if cell.name not in failures] for learner, own in work.items()}

@@ -34,11 +34,11 @@ import tyro
 
 from experiments.backends import make_env
 from experiments.reporting.showcase import ending
-from experiments.study.arms import TRAFFICS
-from experiments.study.avoid import HORIZON, SAFE, rewound, way_out
-from experiments.study.cell import MakeEnv
-from experiments.study.rerun import Case, changed_versions, differences, play_again
-from experiments.study.store import EPISODES, Store
+from experiments.study.compute.cell import MakeEnv
+from experiments.study.design.grid import tested_on
+from experiments.study.replaying.avoid import HORIZON, SAFE, rewound, way_out
+from experiments.study.replaying.rerun import Case, changed_versions, differences, play_again
+from experiments.study.results.store import EPISODES, Store
 from experiments.support.errors import UserError, disk_error, run_command, unknown
 from experiments.support.films import Film, Pictures, save_gif, side_by_side
 from sumo_env.config import did_you_mean
@@ -50,7 +50,7 @@ class Options:
 
     case: Annotated[str, tyro.conf.Positional, tyro.conf.arg(metavar="CASE")]
     """DIR/cells/CELL[:TRAFFIC:SCENARIO]; the beginning of a cell's name is enough if no other begins so. Traffic is
-    regular or risky, scenarios count from 0; by default the first crash."""
+    regular, risky or another that the cell was tested in, scenarios count from 0; by default the first crash."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="FILE", help_behavior_hint="")] = None
     """File (or folder) to write; by default CELL-TRAFFIC-SCENARIO with a fitting ending, in the current directory."""
     sumo: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = False
@@ -67,20 +67,20 @@ def parse_case(text: str) -> Case:
     Raises:
         UserError: not of that form, or there is no such cell or scenario.
     """
-    match = re.fullmatch(r"(?P<path>.+?)(:(?P<traffic>[a-z]+):(?P<scenario>\d+))?/?", text)
+    match = re.fullmatch(r"(?P<path>.+?)(:(?P<traffic>[a-z0-9-]+):(?P<scenario>\d+))?/?", text)
     if match is None:
         raise UserError(f"a case is DIR/cells/CELL[:TRAFFIC:SCENARIO], not {text!r}")
     path = Path(match["path"])
-    if match["traffic"] and match["traffic"] not in TRAFFICS:
-        raise unknown("traffic", match["traffic"], TRAFFICS)
     store = Store(path.parents[1] if len(path.parents) > 1 else Path())
     names = store.finished() if path.parent.name == "cells" else []
     if not names:
         raise UserError(f"there is no cell {path}")
     name = find_cell(path.name, names)
     test = store.tables(name)[EPISODES]
-    rows = test[test["traffic"].isin(list(TRAFFICS))].sort_values("crashed", ascending=False, kind="stable")
+    rows = test.sort_values("crashed", ascending=False, kind="stable")
     if match["traffic"]:
+        if match["traffic"] not in set(test["traffic"]):
+            raise unknown("traffic", match["traffic"], test["traffic"].unique())
         rows = rows[(rows["traffic"] == match["traffic"]) & (rows["scenario"] == int(match["scenario"]))]
     if rows.empty:
         first, last = test["scenario"].min(), test["scenario"].max()
@@ -111,7 +111,7 @@ def replay(options: Options, make_env: MakeEnv = make_env) -> int:
     try:
         case = parse_case(options.case)
         key, act = case.record["key"], _avoid if options.avoid else _again
-        with closing(make_env(key["backend"], key["task"], key["env_config"], "rgb_array")) as env:
+        with closing(make_env(*tested_on(key), "rgb_array")) as env:
             return act(options, case, env)
     except OSError as error:
         raise disk_error(error, options.out or Path.cwd()) from None
@@ -129,7 +129,7 @@ def _again(options: Options, case: Case, env: gym.Env[Any, Any]) -> int:
         path = path / "episode.sumocfg"
     print(f"{case.name}: return {row['return']:.3f} in {row['length']} steps, {ending(row)}{_hit(row)}")
     test = case.store.tables(case.cell)[EPISODES]
-    for traffic in TRAFFICS:
+    for traffic in test["traffic"].unique():
         crashes = test.loc[(test["traffic"] == traffic) & test["crashed"], "scenario"]
         print(f"stored crashes in {traffic} traffic, scenarios: {' '.join(map(str, crashes)) or 'none'}")
     print(f"written: {path}")

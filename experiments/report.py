@@ -22,6 +22,7 @@ if __package__ in (None, ""):  # run as a file: import from the project, not fro
     sys.path[0] = str(Path(__file__).resolve().parents[1])
 
 import json
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -35,8 +36,8 @@ from experiments.backends import make_env
 from experiments.reporting.page import page, render
 from experiments.reporting.showcase import showcase
 from experiments.reporting.tables import chosen
-from experiments.study.evaluate import COLUMNS
-from experiments.study.store import Store, load
+from experiments.study.compute.evaluate import COLUMNS
+from experiments.study.results.store import Store, load
 from experiments.support.errors import UserError, run_command, writing
 from experiments.support.files import write_file
 
@@ -60,15 +61,18 @@ class Options:
     """Instead print what the controls find: control against control, a rule against itself, a doubled penalty."""
 
 
-def write_report(directory: Path, *others: Path) -> Path:
+def write_report(directory: Path, *others: Path, own: Mapping[str, Outcome] | None = None) -> Path:
     """Write the report of a directory's stored cells into it, with others side by side; returns report.html's path.
+
+    Args:
+        own: outcomes of the user's own to analyse as well, see `own_outcome`.
 
     Raises:
         UserError: no results there, or no permission to write.
     """
     directory = Path(directory)
     results = load(directory)
-    analysis = analyse(results)
+    analysis = analyse(results, own)
     beside = {str(other): analyse(load(other)) for other in others}
     with writing(directory):
         films = showcase(results, set(analysis.notes["left_out"]), make_env)
@@ -81,8 +85,8 @@ def write_report(directory: Path, *others: Path) -> Path:
     return directory / REPORT
 
 
-def add_outcome(name: str) -> None:
-    """Analyse an outcome of the user's own from now on, "FILE:NAME"; the report calls it NAME.
+def own_outcome(name: str) -> tuple[str, Outcome]:
+    """An outcome of the user's own, "FILE:NAME", and what the report calls it: NAME.
 
     Raises:
         UserError: there is no such object, it is no outcome, or the name is taken.
@@ -96,7 +100,7 @@ def add_outcome(name: str) -> None:
         raise UserError(f"{name} must be an experiments.analysis.plan.Outcome with a function `of`")
     if key in {*OUTCOMES, *COLUMNS}:
         raise UserError(f"there is an outcome or a column {key!r} already; choose another name")
-    OUTCOMES[key] = outcome
+    return key, outcome
 
 
 def answer(directory: Path) -> str:
@@ -105,9 +109,9 @@ def answer(directory: Path) -> str:
     return text.partition("\n|")[0].partition("\n\n")[2].replace("**", "").strip()
 
 
-def print_report(directory: Path, *others: Path) -> None:
+def print_report(directory: Path, *others: Path, own: Mapping[str, Outcome] | None = None) -> None:
     """Write the report, and print the answer and where it is. Raises UserError as `write_report` does."""
-    path = write_report(directory, *others)
+    path = write_report(directory, *others, own=own)
     print(answer(path.parent))
     print(f"report: {path}", flush=True)
 
@@ -130,8 +134,6 @@ def report_placebo(directory: Path) -> None:
 def main() -> int:
     """The command line."""
     options = tyro.cli(Options, description=__doc__)
-    for name in options.outcome:
-        add_outcome(name)
     if options.pack:
         names = Store(options.directory).pack()
         print(f"{len(names)} cells packed into the tables of {options.directory}, and read back equal")
@@ -140,7 +142,8 @@ def main() -> int:
     elif options.placebo:
         report_placebo(options.directory)
     else:
-        print_report(options.directory, *options.others)
+        own = dict(own_outcome(name) for name in options.outcome)
+        print_report(options.directory, *options.others, own=own)
     return 0
 
 

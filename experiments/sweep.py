@@ -22,7 +22,6 @@ if __package__ in (None, ""):  # run as a file: import from the project, not fro
     sys.path[0] = str(Path(__file__).resolve().parents[1])
 
 import shlex
-import shutil
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
@@ -32,18 +31,19 @@ import pandas as pd
 import tyro
 
 from experiments.backends import make_env
-from experiments.study.cell import CellTask, MakeEnv
-from experiments.study.executors import EXECUTORS, cores, open_executor
-from experiments.study.executors.local import TASKS_PER_PROCESS
-from experiments.study.experiment import Experiment, Flag, argument, shard
-from experiments.study.fingerprint import check_dynamics, known_dynamics
-from experiments.study.grid import Cell
-from experiments.study.policies import driver
-from experiments.study.presets import cells_of, complete
-from experiments.study.progress import Progress, duration, seconds
-from experiments.study.run import LOG, compute_here, run
-from experiments.study.store import Store
-from experiments.study.verdict import keep
+from experiments.study.compute.cell import CellTask, MakeEnv
+from experiments.study.compute.cells import compute
+from experiments.study.compute.executors import EXECUTORS, cores
+from experiments.study.compute.policies import driver
+from experiments.study.compute.progress import duration, seconds
+from experiments.study.compute.run import compute_here
+from experiments.study.design.experiment import Experiment, Flag, argument, shard
+from experiments.study.design.fingerprint import check_dynamics, known_dynamics
+from experiments.study.design.grid import Cell
+from experiments.study.design.presets import cells_of, complete
+from experiments.study.design.verdict import keep
+from experiments.study.results.store import Store
+from experiments.study.results.working import LOG
 from experiments.support.errors import UserError, run_command, unknown, writing
 
 
@@ -113,40 +113,6 @@ def sweep(
             if options.placebo:
                 report_placebo(options.directory)
     return say_failures(failures, options.directory, again)
-
-
-def compute(
-    cells: Sequence[Cell],
-    directory: Path,
-    make_env: MakeEnv = make_env,
-    executor: str = "local",
-    workers: int | None = None,
-) -> dict[str, str]:
-    """Compute the cells that are not finished; returns the reason of each failure by the name of its cell.
-
-    make_env: see `sweep`. executor, workers: see `executors.open_executor`.
-    """
-    store = Store(directory)
-    tasks = {cell.name: CellTask(cell, directory, make_env) for cell in cells}
-    there = {name for name, task in tasks.items() if task.done()}
-    for name in there:  # where a kill left it
-        shutil.rmtree(store.work / name, ignore_errors=True)
-    print(f"{len(tasks)} cells, {len(there)} of them finished before; results go to {directory}", flush=True)
-    # highway-env's tasks change class attributes of each other
-    simulators = {name for cell in cells for name in (cell.backend, cell.runs_on)}
-    per_process = 1 if "highway-env" in simulators else TASKS_PER_PROCESS
-    progress = Progress(store.work, cells, there)
-    failures: dict[str, str] = {}
-    try:
-        for kinds in (("agent", "baseline"), ("test",)):  # agents are tested elsewhere once all are trained
-            batch = [task for name, task in tasks.items() if name not in there and task.cell.kind in kinds]
-            if kinds == ("test",):
-                batch = [task for task in batch if store.weights(task.cell.parent.name)]
-            if batch:
-                failures |= run(batch, *open_executor(executor, workers, directory, per_process), progress)
-    finally:
-        progress.close()
-    return failures
 
 
 def refuse_early(cells: Iterable[Cell], make_env: MakeEnv, executor: str) -> None:

@@ -15,17 +15,18 @@ from pathlib import Path
 if __package__ in (None, ""):  # run as a file: import from the project, not from this folder
     sys.path[0] = str(Path(__file__).resolve().parents[1])
 
+from collections import Counter
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any
 
 import pandas as pd
 import tyro
+from scipy.stats import binomtest
 
-from experiments.study import grid
-from experiments.study.arms import TRAFFICS
-from experiments.study.evaluate import share
-from experiments.study.store import EPISODES, Store
+from experiments.study.design import grid
+from experiments.study.design.traffic import ALL, TRAFFICS
+from experiments.study.results.store import EPISODES, Store
 from experiments.support.errors import UserError, run_command
 
 Z = 1.96  # normal quantile of a 95 % interval
@@ -38,6 +39,12 @@ class Options:
 
     directory: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="DIR")]
     """Directory of train.py or sweep.py."""
+
+
+def share(happened: pd.Series) -> str:
+    """A share of some episodes in per cent, with Wilson's 95 % interval over them: " 10% [4, 21]"."""
+    interval = binomtest(int(happened.sum()), len(happened)).proportion_ci(method="wilson")
+    return f"{happened.mean():4.0%} [{100 * interval.low:.0f}, {100 * interval.high:.0f}]"
 
 
 def mean(values: pd.Series) -> str:
@@ -69,10 +76,14 @@ def compared(directory: Path, setting: str) -> tuple[pd.DataFrame, int]:
     own = {name: record["key"] for name, record in records}
     own = {name: key for name, key in own.items() if grid.setting(key) == setting and key["kind"] != "test"}
     alike = [driven_in(key) for key in own.values()]
-    rows = [(grid.slug(key), here.tables(name)[EPISODES]) for name, key in own.items()]
+    slugs = Counter(grid.slug(key) for key in own.values())
+    rows = [  # trainings that differ by their settings alone are told apart by the hash of their names
+        (name if slugs[grid.slug(key)] > 1 else grid.slug(key), here.tables(name)[EPISODES])
+        for name, key in own.items()
+    ]
     common = set.intersection(*(set(table["scenario"]) for _, table in rows))
-    for name, record in study.agents().items():
-        if driven_in(record["key"]) in alike and study.weights(name):
+    for name, record in study.records().items():  # none where the published results are not here
+        if record["key"]["kind"] == "agent" and driven_in(record["key"]) in alike and study.weights(name):
             table = study.tables(name)[EPISODES]
             if met := common & set(table["scenario"]):  # the second study has others
                 rows.append((f"{grid.slug(record['key'])} (published)", table))
@@ -83,9 +94,9 @@ def compared(directory: Path, setting: str) -> tuple[pd.DataFrame, int]:
     for number, (label, table) in enumerate(rows):
         parts = dict(iter(table[table["scenario"].isin(common)].groupby("traffic")))
         found[number, label.removeprefix(f"{setting}-")] = {
-            f"{title}, risk {risk:g}": words(parts[traffic][column])
+            f"{title}, risk {ALL[traffic].dose:g}": words(parts[traffic][column])
             for title, column, words in SHOWN
-            for traffic, risk in TRAFFICS.items()
+            for traffic in TRAFFICS
         }
     return pd.DataFrame.from_dict(found, orient="index").droplevel(0), len(common)
 

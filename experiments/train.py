@@ -21,18 +21,22 @@ from typing import Annotated
 
 import tyro
 
-from experiments import sweep
-from experiments.study.experiment import Experiment
-from experiments.study.fingerprint import check_dynamics
-from experiments.study.grid import Cell
-from experiments.study.presets import cells_of
-from experiments.study.run import LOG
-from experiments.study.store import TRAINING, Store
+from experiments.study.compute.cells import compute
+from experiments.study.design.arms import EVERY_ARM
+from experiments.study.design.experiment import Experiment
+from experiments.study.design.fingerprint import check_dynamics
+from experiments.study.design.grid import Cell
+from experiments.study.design.presets import cells_of
+from experiments.study.results.store import TRAINING, Store
+from experiments.study.results.working import LOG
 from experiments.support.errors import UserError, run_command, unknown, writing
 
 # The traffic of the training, and the arm of the experiment that it is.
-ARMS = {"0": "control", "0.25": "dose25", "0.5": "dose50", "0.75": "dose75", "1": "treatment"}
-ARMS |= {"mixed": "mixed", "drawn": "drawn"}
+ARMS = {
+    arm.traffic.name if arm.traffic.drawn else f"{arm.traffic.dose:g}": arm.name
+    for arm in EVERY_ARM.values()
+    if arm.by_traffic_alone
+}
 SMOOTH = 50  # training episodes over which the picture averages
 
 
@@ -93,7 +97,7 @@ def draw(directory: Path, cell: Cell) -> Path:
     smooth = episodes[["return", "crashed"]].astype(float).rolling(SMOOTH, min_periods=1).mean()
     title = f"{cell.slug}: training episodes with exploration, mean of {SMOOTH}"
     axes = smooth.plot(subplots=True, figsize=(8, 5), grid=True, xlabel="environment steps", title=title)
-    file = directory / f"{cell.slug}.png"
+    file = directory / f"{cell.name}.png"  # another training of this slug has another name
     axes[0].figure.savefig(file, dpi=110)
     return file
 
@@ -105,11 +109,12 @@ def train(options: Options, arguments: list[str]) -> int:
     with writing(options.out):
         command = shlex.join(["python", "experiments/train.py", *arguments])
         Store(options.out).write_sweep(command, [agent, *others])
-        for name, reason in sweep.compute([agent, *others], options.out).items():
+        for name, reason in compute([agent, *others], options.out).items():
             raise UserError(f"{name} failed: {reason}; see {Store(options.out).work / name / LOG}")
         picture = draw(options.out, agent)
     print(f"{agent.slug} is trained and tested; its learning curve: {picture}")
-    print(f"next: python experiments/test.py {options.out}; python experiments/watch.py {options.out}")
+    shown = [shlex.join(["python", f"experiments/{name}.py", str(options.out)]) for name in ("test", "watch")]
+    print("next:", "; ".join(shown))
     return 0
 
 

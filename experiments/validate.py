@@ -26,11 +26,11 @@ import pandas as pd
 import tyro
 from rich.console import Console
 
-from experiments.study import grid
-from experiments.study.arms import TRAFFICS
-from experiments.study.fingerprint import check_dynamics, dynamics
-from experiments.study.sheet import GRID
-from experiments.study.verdict import SCHEMA, STORED, versions
+from experiments.study.design import grid
+from experiments.study.design.fingerprint import check_dynamics, dynamics
+from experiments.study.design.sheet import GRID
+from experiments.study.design.traffic import TRAFFICS
+from experiments.study.design.verdict import SCHEMA, STORED, versions
 from experiments.support.errors import UserError, run_command, writing
 from experiments.support.files import write_file, write_json
 from experiments.support.provenance import provenance

@@ -23,9 +23,10 @@ import tyro
 from experiments.backends import make_env
 from experiments.reporting.showcase import ending
 from experiments.reporting.tables import listing
-from experiments.study.arms import TRAFFICS
-from experiments.study.rerun import Case, play_again
-from experiments.study.store import EPISODES, Store
+from experiments.study.design.grid import tested_on
+from experiments.study.design.traffic import ALL, TRAFFICS
+from experiments.study.replaying.rerun import Case, play_again
+from experiments.study.results.store import EPISODES, Store
 from experiments.support.errors import UserError, run_command
 from experiments.support.films import Film, save_gif, side_by_side
 
@@ -73,15 +74,14 @@ def watch(options: Options) -> int:
         crashes = table[(table["traffic"] == "risky") & table["crashed"]]["scenario"]
         scenario = int((crashes if len(crashes) else table["scenario"]).min())
     films = []
-    for traffic, risk in TRAFFICS.items():
-        with closing(
-            make_env(key["backend"], key["task"], {**key["env_config"], **VIEW}, "rgb_array")
-        ) as env:
+    for traffic in TRAFFICS:
+        backend, task, config = tested_on(key)
+        with closing(make_env(backend, task, {**config, **VIEW}, "rgb_array")) as env:
             film = Film(env)
             at = table[(table["traffic"] == traffic) & (table["scenario"] == scenario)]
             stored = dict(at.iloc[0]) if len(at) else {"traffic": traffic, "scenario": scenario}
             row = play_again(Case(store, name, record, stored), env, film.frame)
-        films.append((f"risk {risk:g}: {ending(row)}", film.pictures))
+        films.append((f"risk {ALL[traffic].dose:g}: {ending(row)}", film.pictures))
     file = options.out or options.directory / f"{name.rpartition('-')[0]}-{scenario}.gif"
     save_gif(side_by_side(films), file)
     print(f"{name}, scenario {scenario}: {'; '.join(title for title, _ in films)}")

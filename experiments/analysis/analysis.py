@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, fields
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -20,11 +20,11 @@ from experiments.analysis.effects import HIDDEN, KEY, adjusted, contrasts, decid
 from experiments.analysis.estimate import OK, alike, combine
 from experiments.analysis.frontier import to_frontier
 from experiments.analysis.gates import THRESHOLDS, gates, learner_checks
-from experiments.analysis.plan import ALPHA, DEFAULT, OUTCOMES, TERMS, Plan
+from experiments.analysis.plan import ALPHA, DEFAULT, OUTCOMES, TERMS, Outcome, Plan
 from experiments.analysis.scores import PLACE, arms_of, in_order, with_outcomes
-from experiments.study.arms import ARMS, EXTRA_ARMS
-from experiments.study.grid import BASELINES, LEARNER
-from experiments.study.store import Results
+from experiments.study.design.arms import ARMS, EXTRA_ARMS
+from experiments.study.design.grid import BASELINES, LEARNER
+from experiments.study.results.store import Results
 from experiments.support.errors import UserError
 from experiments.support.files import canonical_json, sha256_bytes
 
@@ -62,13 +62,16 @@ class Analysis:
     plan_hash: str
     notes: dict[str, Any]
     provenance: dict[str, Any]
-    price: pd.DataFrame
-    learner: pd.DataFrame
-    frontier: pd.DataFrame
+    price: pd.DataFrame = field(default_factory=pd.DataFrame)
+    learner: pd.DataFrame = field(default_factory=pd.DataFrame)
+    frontier: pd.DataFrame = field(default_factory=pd.DataFrame)
 
 
-def analyse(results: Results) -> Analysis:
+def analyse(results: Results, own: Mapping[str, Outcome] | None = None) -> Analysis:
     """Analyse the stored cells of a directory by the plan that its presets ask for.
+
+    Args:
+        own: further outcomes, of the user's own; they are exploratory.
 
     Raises:
         UserError: by a plan that counts complete settings alone, there is none yet.
@@ -81,12 +84,13 @@ def analyse(results: Results) -> Analysis:
     if early and not known.cells:
         lacking = "; ".join(f"{setting}: {reason}" for setting, reason in early.items())
         raise UserError(f"no setting is complete yet ({lacking}): run the sweep again to go on")
-    episodes = with_outcomes(known)
+    outcomes = {**OUTCOMES, **(own or {})}
+    episodes = with_outcomes(known, outcomes)
     agents = own_agents(episodes)
     passed = gates(known.cells, known.gate_episodes)
 
-    planned = {BOTH: questions(), **{(arm, "control"): CRASHES for arm in plan.arms[2:]}}
-    looks = [arms_of(agents[agents["seed"] < look.seeds]) for look in plan.schedule]
+    planned = {BOTH: questions(outcomes), **{(arm, "control"): CRASHES for arm in plan.arms[2:]}}
+    looks = [arms_of(agents[agents["seed"] < look.seeds], outcomes) for look in plan.schedule]
     at_looks = pd.concat(
         [contrasts(arms, planned, look=look) for look, arms in enumerate(looks)], ignore_index=True
     )
@@ -97,7 +101,7 @@ def analyse(results: Results) -> Analysis:
     beside = [contrasts(everybody, dict.fromkeys(BESIDE, SHOWN)), *transfers(episodes)]
     crashes = both[(both["outcome"] == "crashed") & both["term"].isin(ONE_TRAFFIC)]
     mean = [
-        means(at_looks[at_looks["arm"] == "treatment"], plan),
+        means(at_looks[at_looks["arm"] == "treatment"], plan, outcomes=outcomes),
         means(crashes.assign(look=0), without=True),
         *map(means, beside),
     ]
@@ -110,7 +114,7 @@ def analyse(results: Results) -> Analysis:
         slopes=trends,
         claims=claims(both, trends, plan),
         gates=passed,
-        policies=policies(episodes),
+        policies=policies(episodes, outcomes),
         placebo=placebo(agents, plan),
         negative_control=negative_control(episodes),
         plan=plan_data,
@@ -129,9 +133,9 @@ def analyse(results: Results) -> Analysis:
     )
 
 
-def questions() -> list[tuple[str, str]]:
-    """Every outcome, also the user's own, in every term of the effect."""
-    return [(outcome, term) for outcome in OUTCOMES for term in TERMS]
+def questions(outcomes: Iterable[str] = OUTCOMES) -> list[tuple[str, str]]:
+    """Every outcome in every term of the effect."""
+    return [(outcome, term) for outcome in outcomes for term in TERMS]
 
 
 def own_agents(episodes: pd.DataFrame) -> pd.DataFrame:
@@ -186,7 +190,7 @@ def negative_control(episodes: pd.DataFrame) -> float | None:
     return float(contrasts(arms, {BOTH: questions()})["estimate"].abs().max()) if arms else None
 
 
-def policies(episodes: pd.DataFrame) -> pd.DataFrame:
+def policies(episodes: pd.DataFrame, outcomes: Iterable[str] = OUTCOMES) -> pd.DataFrame:
     """How every policy does, in every setting and traffic: trained agents by arm, and the others.
 
     Returns:
@@ -198,11 +202,11 @@ def policies(episodes: pd.DataFrame) -> pd.DataFrame:
     rows = episodes[episodes["tested_on"] == episodes["backend"]]
     arms = rows["arm"].where(rows["kind"] != "baseline", "").fillna("").astype(str)
     rows = rows.assign(arm=arms, unit=rows["seed"].where(arms != "", rows["scenario"]))
-    columns = [*OUTCOMES, *DESCRIPTIVE]
+    columns = [*outcomes, *DESCRIPTIVE]
     group = [*PLACE, "policy", "arm", "traffic"]
     rows = rows.astype(dict.fromkeys(columns, float))
     grouped = rows.groupby([*group, "unit"], sort=False)[columns].mean().groupby(group, sort=False)
-    errors = grouped[list(OUTCOMES)].sem().add_suffix(" se")
+    errors = grouped[list(outcomes)].sem().add_suffix(" se")
     frame = grouped.mean().join(errors).reset_index()
     frame.insert(len(group), "n", grouped.size().to_numpy())
     frame.insert(len(group) + 1, "unit", np.where(frame["arm"] != "", "training seed", "test episode"))
@@ -268,7 +272,10 @@ def _strict(value: Any) -> Any:
 
 
 def stored(path: Path) -> Analysis:
-    """The analysis in an analysis.json, whose effects have no looks."""
+    """The analysis in an analysis.json, whose effects have no looks.
+
+    Frames that an earlier version did not have are empty, and those that this one does not have are left out.
+    """
     value = json.loads(path.read_text())
     del value["schema"]
     frames = {
@@ -277,4 +284,5 @@ def stored(path: Path) -> Analysis:
         else part
         for name, part in value.items()
     }
-    return Analysis(**frames)
+    known = {part.name for part in fields(Analysis)}
+    return Analysis(**{name: part for name, part in frames.items() if name in known})

@@ -12,9 +12,9 @@ from dataclasses import replace
 from typing import Any
 
 from experiments.analysis.scores import PLACE
-from experiments.study.arms import ARMS
-from experiments.study.grid import setting
-from experiments.study.store import Results
+from experiments.study.design.arms import ARMS
+from experiments.study.design.grid import setting
+from experiments.study.results.store import Results
 from experiments.support.files import canonical_json
 
 Cell = Mapping[str, Any]

@@ -21,9 +21,10 @@ import pandas as pd
 
 from experiments.analysis import estimate
 from experiments.analysis.estimate import OK, SATURATED, Estimate
-from experiments.analysis.plan import ALPHA, DEFAULT, OUTCOMES, TERMS, Plan
+from experiments.analysis.plan import ALPHA, DEFAULT, OUTCOMES, TERMS, Outcome, Plan
 from experiments.analysis.scores import PLACE, Arm, Arms, Place
-from experiments.study.arms import DOSES, TRAFFICS
+from experiments.study.design.arms import EVERY_ARM
+from experiments.study.design.traffic import TRAFFICS
 
 ALL_TASKS = "all tasks"
 ESTIMATE = list(Estimate._fields)
@@ -56,7 +57,7 @@ def contrasts(
     rows = [
         {**dict(zip(PLACE, place, strict=True)), "tested_on": place[0], "scenarios": "own", **labels}
         | {"arm": arm, "against": against, "outcome": outcome, "term": term, "look": look}
-        | _contrast(by_name[arm], by_name[against], against in DOSES, outcome, term, signs)
+        | _contrast(by_name[arm], by_name[against], against in EVERY_ARM, outcome, term, signs)
         for place, by_name in arms.items()
         for (arm, against), questions in asked.items()
         if {arm, against} <= by_name.keys()
@@ -127,7 +128,12 @@ def adjusted(effects: pd.DataFrame, plan: Plan = DEFAULT) -> pd.DataFrame:
     return effects
 
 
-def means(effects: pd.DataFrame, plan: Plan = DEFAULT, without: bool = False) -> pd.DataFrame:
+def means(
+    effects: pd.DataFrame,
+    plan: Plan = DEFAULT,
+    without: bool = False,
+    outcomes: Mapping[str, Outcome] = OUTCOMES,
+) -> pd.DataFrame:
     """Means of effects over settings: every task counts alike, and in a task every level.
 
     They are over the levels of each task, and over all tasks if the outcome means the same on every task; or over all
@@ -138,13 +144,14 @@ def means(effects: pd.DataFrame, plan: Plan = DEFAULT, without: bool = False) ->
 
     Returns:
         A row a mean: COMPARISON, scope (a task, "all tasks", "without TASK"), QUESTION, ESTIMATE, MEANS (of the numbers
-        of agents the sums) and settings (their number).
+        of agents the sums), settings (their number) and side: "better" or "worse" for the arm if p is below alpha,
+        "open" if not; empty for outcomes of which neither more nor less is better.
     """
     tasks = effects["task"].unique()
     if without:
         scopes = {f"without {task}": effects["task"] != task for task in tasks if len(tasks) > 1}
     else:
-        poolable = effects["outcome"].isin([name for name, one in OUTCOMES.items() if one.poolable])
+        poolable = effects["outcome"].isin([name for name, one in outcomes.items() if one.poolable])
         scopes = {task: effects["task"] == task for task in tasks} | {ALL_TASKS: poolable}
     nothing = effects.iloc[:0].assign(scope="")
     scoped = [nothing, *(effects[chosen].assign(scope=scope) for scope, chosen in scopes.items())]
@@ -154,7 +161,10 @@ def means(effects: pd.DataFrame, plan: Plan = DEFAULT, without: bool = False) ->
     # A mean has held a look if one of its settings has, and all have held the first.
     most = rows.groupby(by, sort=False)["smallest"].max().to_numpy()
     frame["smallest"] = frame["smallest"].where(frame["smallest"] < plan.schedule[0].seeds, most)
-    return decided(frame, plan)[[*by[:-1], *ESTIMATE, *MEANS, "settings"]]
+    frame = decided(frame, plan)[[*by[:-1], *ESTIMATE, *MEANS, "settings"]]
+    better = frame["outcome"].map({name: one.better for name, one in outcomes.items()}).astype(float)
+    is_open, good = ~(frame["p"] < ALPHA).astype(bool), (frame["estimate"] * better > 0).astype(bool)
+    return frame.assign(side=np.select([better == 0, is_open, good], ["", "open", "better"], "worse"))
 
 
 def slopes(looks: Sequence[Mapping[Place, Arms]], plan: Plan = DEFAULT) -> pd.DataFrame:

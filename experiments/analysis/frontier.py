@@ -8,7 +8,7 @@ import pandas as pd
 from agents.rules import CAUTIONS
 from experiments.analysis.estimate import of_units, with_intervals
 from experiments.analysis.scores import PLACE
-from experiments.study.grid import BASELINES
+from experiments.study.design.grid import BASELINES
 
 RULES = {*BASELINES, *CAUTIONS} - {"idm", "random"}  # the careful driver and the constant policies
 COLUMNS = [*PLACE, "arm", "traffic", "agents", "inside", "estimate", "low", "high"]

@@ -21,8 +21,8 @@ from scipy import stats
 from experiments.analysis.estimate import DEGENERATE, OK, Estimate, alike, combine, of_units
 from experiments.analysis.plan import ALPHA, Learner, Plan
 from experiments.analysis.scores import PLACE, in_order
-from experiments.study.arms import gate_traffics
-from experiments.study.sheet import GRID, SHEETS
+from experiments.study.design.arms import gate_traffics
+from experiments.study.design.sheet import GRID, SHEETS
 
 Q_SLACK = 1.2  # values may overshoot what the rewards allow by a fifth before an agent counts as diverged
 CONSTANT = 0.98  # share of the steps with the most common action from which a policy counts as constant

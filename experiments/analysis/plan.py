@@ -18,7 +18,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from experiments.study.sheet import GRID, SHEETS
+from experiments.study.design.sheet import GRID, SHEETS
 
 PUBLISHED = Path(__file__).with_name("plans.json")
 ALPHA = 0.05
@@ -33,7 +33,7 @@ class Outcome:
     show. percent: shown as a percentage. poolable: means the same on every task, so may be averaged over tasks. margin:
     the difference that matters: below it two arms count as equivalent, and seeds are planned to find it; None where
     none was fixed. of: for an outcome of one's own, a function from the table of test episodes (one row per episode,
-    the columns of `experiments.study.evaluate.COLUMNS`) to one number per episode.
+    the columns of `experiments.study.compute.evaluate.COLUMNS`) to one number per episode.
     """
 
     label: str

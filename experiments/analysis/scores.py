@@ -2,16 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from experiments.analysis.plan import OUTCOMES
-from experiments.study.arms import ALL_TRAFFICS, TRAFFICS
-from experiments.study.store import Results
+from experiments.analysis.plan import OUTCOMES, Outcome
+from experiments.study.design.traffic import AT_A_DOSE, TRAFFICS
+from experiments.study.results.store import Results
 from sumo_env.tasks import TASKS
 
 PLACE = ["backend", "task", "level", "level_name"]  # a setting: what a comparison is made within
@@ -20,16 +20,16 @@ TASK_ORDER = {task: number for number, task in enumerate(TASKS)}
 
 def in_order(rows: pd.DataFrame, *columns: str) -> pd.DataFrame:
     """The rows sorted by columns, tasks and traffics in the grid's order."""
-    order = {"task": TASK_ORDER, "traffic": ALL_TRAFFICS}
+    order = {"task": TASK_ORDER, "traffic": AT_A_DOSE}
     return rows.sort_values(
         list(columns), key=lambda column: column.map(order[column.name]) if column.name in order else column
     )
 
 
-def with_outcomes(results: Results) -> pd.DataFrame:
+def with_outcomes(results: Results, outcomes: Mapping[str, Outcome] = OUTCOMES) -> pd.DataFrame:
     """The test episodes with all outcomes as columns: those of the plan and the user's own.
 
-    Columns beside those of `results.episodes`: the names of `plan.OUTCOMES`; tested_on (the simulator of the test);
+    Columns beside those of `results.episodes`: the names of the outcomes; tested_on (the simulator of the test);
     seconds that the episode was to last, and progress: metres per second of them.
     """
     episodes = results.episodes
@@ -45,7 +45,7 @@ def with_outcomes(results: Results) -> pd.DataFrame:
     rate = crashes / way
     per_metre = rate + (crashed - rate * episodes["distance"]) / way
     seconds = of_cell(lambda key: key["env_config"].get("duration", TASKS[key["task"]].defaults["duration"]))
-    own = {name: outcome.of for name, outcome in OUTCOMES.items() if outcome.of is not None}
+    own = {name: outcome.of for name, outcome in outcomes.items() if outcome.of is not None}
     return episodes.assign(
         **own,
         tested_on=of_cell(lambda key: key.get("test_on", {}).get("backend", key["backend"])),
@@ -64,7 +64,7 @@ Arm = Mapping[str, NDArray[np.float64]]
 Arms = Mapping[str, Arm]  # by name
 
 
-def arms_of(episodes: pd.DataFrame) -> dict[Place, dict[str, Arm]]:
+def arms_of(episodes: pd.DataFrame, outcomes: Iterable[str] = tuple(OUTCOMES)) -> dict[Place, dict[str, Arm]]:
     """The scores of all outcomes by setting and arm, in the grid's order.
 
     Args:
@@ -72,10 +72,10 @@ def arms_of(episodes: pd.DataFrame) -> dict[Place, dict[str, Arm]]:
     """
     rows = episodes[episodes["traffic"].isin(list(TRAFFICS))]
     rows = in_order(rows, "backend", "task", "level", "arm", "traffic", "seed", "scenario")
-    outcomes = [name for name in OUTCOMES if name in rows]
+    there = [name for name in outcomes if name in rows]
     result: dict[Place, dict[str, Arm]] = {}
     for (*place, arm), group in rows.groupby([*PLACE, "arm"], sort=False):
         shape = (len(TRAFFICS), group["seed"].nunique(), -1)
-        values = {name: group[name].to_numpy(dtype=np.float64).reshape(shape) for name in outcomes}
+        values = {name: group[name].to_numpy(dtype=np.float64).reshape(shape) for name in there}
         result.setdefault((place[0], place[1], place[2], place[3]), {})[str(arm)] = values
     return result

@@ -27,7 +27,8 @@ from experiments.analysis.frontier import RULES, lower_hull
 from experiments.analysis.plan import ALPHA
 from experiments.analysis.scores import TASK_ORDER
 from experiments.reporting.tables import MINUS
-from experiments.study.arms import ARMS, DOSE_ARMS, DOSES, TRAFFICS
+from experiments.study.design.arms import ARMS, DOSE_ARMS, EVERY_ARM
+from experiments.study.design.traffic import TRAFFICS
 
 WIDTH = 7.2  # [inch]
 INK, MUTED, GRID, PAPER = "#1f2328", "#6b7280", "#d9dde3", "#ffffff"
@@ -219,7 +220,8 @@ def dose_response(policies: pd.DataFrame, backend: str) -> str:
     """Crash rate against the dose of risk in training, by task and traffic of the test, where there are doses."""
     doses = policies[policies["arm"].isin(DOSE_ARMS) & policies["traffic"].isin(list(TRAFFICS))]
     between = doses[~doses["arm"].isin(list(ARMS))][["task", "level"]].drop_duplicates()
-    doses = doses.merge(between).assign(dose=lambda frame: frame["arm"].map(DOSES))
+    of_arm = {name: arm.traffic.dose for name, arm in EVERY_ARM.items()}
+    doses = doses.merge(between).assign(dose=lambda frame: frame["arm"].map(of_arm))
     styles = {"risky": "-", "regular": "--"}
     figure, columns = _by_task(doses, 1, 2.1, sharey=True)
     for task, [panel] in columns.items():

@@ -20,10 +20,11 @@ from experiments.analysis.plan import ALPHA, Plan, plan_of
 from experiments.analysis.scores import TASK_ORDER, with_outcomes
 from experiments.reporting import figures, tables
 from experiments.reporting.tables import BACKENDS, FILTERS, chosen, main
-from experiments.study.arms import ARMS, DOSE_ARMS, TRAFFICS
-from experiments.study.progress import duration
-from experiments.study.store import Results, Store
-from experiments.study.verdict import of_results
+from experiments.study.compute.progress import duration
+from experiments.study.design.arms import ARMS, DOSE_ARMS
+from experiments.study.design.traffic import TRAFFICS
+from experiments.study.design.verdict import of_results
+from experiments.study.results.store import Results, Store
 from experiments.support.files import canonical_json
 
 TEMPLATES = Path(__file__).resolve().parents[1] / "templates"

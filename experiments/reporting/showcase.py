@@ -18,10 +18,11 @@ import numpy as np
 import pandas as pd
 
 from experiments.analysis.scores import PLACE, in_order
-from experiments.study.arms import ARMS
-from experiments.study.cell import MakeEnv
-from experiments.study.rerun import Case, differences, play_again
-from experiments.study.store import EPISODES, KEY_COLUMNS, Results, Store
+from experiments.study.compute.cell import MakeEnv
+from experiments.study.design.arms import ARMS
+from experiments.study.design.grid import tested_on
+from experiments.study.replaying.rerun import Case, differences, play_again
+from experiments.study.results.store import EPISODES, KEY_COLUMNS, Results, Store
 from experiments.support.files import canonical_json, write_file
 from experiments.support.films import Film
 from sumo_env.rendering.markings import markings
@@ -141,7 +142,7 @@ def _record(
     """
     films, failed, ways = [], [], []
     key = results.cells[duo["cells"]["control"]]["key"]
-    with closing(make_env(key["backend"], key["task"], dict(key["env_config"]))) as env:
+    with closing(make_env(*tested_on(key))) as env:
         for one in chosen:
             traffic, scenario = one["traffic"], one["scenario"]
             film = dict(one)

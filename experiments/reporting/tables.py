@@ -17,8 +17,8 @@ from experiments.analysis.effects import ALL_TASKS, means
 from experiments.analysis.gates import FAILURES
 from experiments.analysis.plan import OUTCOMES
 from experiments.analysis.scores import TASK_ORDER
-from experiments.study.arms import ARMS, TRAFFICS
-from experiments.study.unseen import UNSEEN
+from experiments.study.design.arms import ARMS
+from experiments.study.design.traffic import TRAFFICS, UNSEEN
 
 MINUS = "\N{MINUS SIGN}"
 NONE = "\N{EN DASH}"  # where there is no number

@@ -24,8 +24,8 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy import stats
 
-from experiments.study.grid import level_names
-from experiments.study.sheet import sheet
+from experiments.study.design.grid import level_names
+from experiments.study.design.sheet import sheet
 from experiments.validation.episodes import BIN, BINS, CORE, HEADWAYS, PAIR, egos
 
 Check = dict[str, Any]

@@ -21,12 +21,12 @@ from rich.console import Console
 from agents.rules import Policy, make_policy
 from agents.rules.constant import Constant
 from experiments.backends import make_env
-from experiments.study.arms import stream_seed
-from experiments.study.evaluate import play
-from experiments.study.executors.local import call_all
-from experiments.study.fingerprint import dynamics
-from experiments.study.grid import level_names
-from experiments.study.sheet import sheet
+from experiments.study.compute.evaluate import play
+from experiments.study.compute.executors.local import call_all
+from experiments.study.design.arms import stream_seed
+from experiments.study.design.fingerprint import dynamics
+from experiments.study.design.grid import level_names
+from experiments.study.design.sheet import sheet
 from experiments.support.files import canonical_json, sha256_bytes, write_file
 from sumo_env.contacts.measures import DENSITY_RADIUS, headways
 from sumo_env.networks.roads import LaneIndex, Road

@@ -10,7 +10,7 @@ import pytest
 
 from agents.rules import CAUTIONS, POLICIES, make_policy
 from experiments.backends import make_env
-from experiments.study.evaluate import evaluate
+from experiments.study.compute.evaluate import evaluate
 
 FIVE = {0: "LANE_LEFT", 1: "IDLE", 2: "LANE_RIGHT", 3: "FASTER", 4: "SLOWER"}
 THREE = {0: "SLOWER", 1: "IDLE", 2: "FASTER"}

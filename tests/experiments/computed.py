@@ -6,9 +6,9 @@ from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any
 
-from experiments.study.cell import CellTask
-from experiments.study.run import Ended, attempt
-from experiments.study.store import Store
+from experiments.study.compute.cell import CellTask
+from experiments.study.compute.run import Ended, attempt
+from experiments.study.results.store import Store
 from experiments.sweep import Options, cells_of
 from tests.experiments.fake_env import make_env
 

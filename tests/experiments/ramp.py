@@ -14,7 +14,7 @@ import numpy as np
 
 import sumo_env
 from experiments import backends
-from experiments.study.sheet import SHEETS, Sheet
+from experiments.study.design.sheet import SHEETS, Sheet
 from sumo_env.config import DISCRETE_META_ACTION, Config
 from sumo_env.networks.lanes import StraightLane
 from sumo_env.networks.roads import Road

@@ -14,11 +14,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from experiments.study import grid
-from experiments.study.arms import ALL_TRAFFICS, ARMS, TRAFFICS, gate_traffics
-from experiments.study.evaluate import COLUMNS
-from experiments.study.experiment import Experiment
-from experiments.study.store import EPISODES, GATES, Store
+from experiments.study.compute.evaluate import COLUMNS
+from experiments.study.design import grid
+from experiments.study.design.arms import ARMS, gate_traffics
+from experiments.study.design.experiment import Experiment
+from experiments.study.design.traffic import AT_A_DOSE, TRAFFICS
+from experiments.study.results.store import EPISODES, GATES, Store
 
 DURATION = {"highway": 20, "two-way": 15, "roundabout": 11, "intersection": 13, "u-turn": 10}
 # By policy: chance to crash, reward per step, speed [m/s].
@@ -50,7 +51,7 @@ def episodes(cell: grid.Cell, effect: float, spread: float, purpose: str = "test
     tables, n, steps = [], tested["episodes"], DURATION[cell.task]
     for traffic in tested["traffics"]:
         luck = generator(cell.task, cell.level, traffic, purpose).uniform(size=n)  # of all who are tested
-        dose = ALL_TRAFFICS[traffic]
+        dose = AT_A_DOSE[traffic]
         chance = chance_to_crash + 0.05 * (cell.level - 1) + own + 0.15 * dose
         chance += effect * cell.risk * dose + PENALTY * (cell.arm == "penalty")
         crashed = luck + random.uniform(-0.3, 0.3, n) < chance

@@ -12,10 +12,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from experiments.backends import BACKENDS
-from experiments.study.arms import DOSES
-from experiments.study.executors import EXECUTORS
-from experiments.study.experiment import shard
-from experiments.study.presets import PRESETS
+from experiments.study.compute.executors import EXECUTORS
+from experiments.study.design.arms import EVERY_ARM
+from experiments.study.design.experiment import shard
+from experiments.study.design.presets import PRESETS
 from experiments.support.errors import UserError
 from experiments.sweep import Options, cells_of, words_of
 from sumo_env.tasks import TASKS
@@ -47,7 +47,7 @@ ARGUMENTS = {
     "network": st.none() | some(["attention", "dueling", "none.py:Net", ":", "a:b:c"]),
     "policy": st.lists(some(["none.py:make", "none.zip"]), max_size=1).map(tuple),
     "device": st.none() | some(["cpu"]),
-    "arms": st.lists(some(DOSES), max_size=3).map(tuple),
+    "arms": st.lists(some(EVERY_ARM), max_size=3).map(tuple),
     "placebo": st.booleans(),
     "test_on": st.lists(some(BACKENDS), max_size=2).map(tuple),
     "config": st.lists(
@@ -88,7 +88,7 @@ def test_the_help_names_all_that_can_be_asked_for(capsys):
     with pytest.raises(SystemExit):
         tyro.cli(Options, args=["--help"])
     said = set(re.findall(r"[\w-]+", capsys.readouterr().out))
-    assert {*PRESETS, *DOSES, *BACKENDS, *TASKS, *EXECUTORS} <= said
+    assert {*PRESETS, *EVERY_ARM, *BACKENDS, *TASKS, *EXECUTORS} <= said
     assert "--learners" not in said  # presets alone
 
 

@@ -11,7 +11,7 @@ from rich.console import Console
 
 from experiments import calibrate
 from experiments.calibrate import Options
-from experiments.study.sheet import SHEETS, SWITCH, Between, Space
+from experiments.study.design.sheet import SHEETS, SWITCH, Between, Space
 from experiments.validation.checks import REFERENCE
 from experiments.validation.episodes import Engine
 from sumo_env.tasks import TASKS

@@ -17,7 +17,7 @@ from experiments.learners import (
     cells,
     compare,
 )
-from experiments.study.presets import PRESETS, tuned
+from experiments.study.design.presets import PRESETS, tuned
 
 LEARNERS = (*OURS, *STABLE_BASELINES, *RL_AGENTS)
 

@@ -14,10 +14,12 @@ from PIL import Image
 import agents
 from experiments import report, test, train, watch
 from experiments.backends import make_env
-from experiments.study import publish, store
-from experiments.study.evaluate import evaluate
-from experiments.study.presets import PRESETS
+from experiments.study.compute.evaluate import evaluate
+from experiments.study.design.presets import PRESETS
+from experiments.study.replaying import publish
+from experiments.study.results import store
 from experiments.support.errors import UserError
+from tests.experiments import synthetic
 
 pytestmark = pytest.mark.slow
 
@@ -42,7 +44,7 @@ def test_the_agent_is_an_ordinary_cell(trained: Path) -> None:
     [name] = store.Store(trained).agents()
     key = store.Store(trained).record(name)["key"]
     assert (key["kind"], key["arm"], key["seed"], key["profile"]["updates"]) == ("agent", "mixed", 0, 60)
-    picture = Image.open(trained / "sumo-u-turn-3-mixed-s0.png")
+    picture = Image.open(trained / f"{name}.png")
     assert min(picture.size) > 200
 
 
@@ -65,6 +67,20 @@ def test_other_policies_are_tested_beside_it(trained: Path, capsys) -> None:
 def test_intervals() -> None:
     assert test.share(pd.Series([True] * 5 + [False] * 45)) == " 10% [4, 21]"  # Wilson
     assert test.mean(pd.Series([1.0, 2.0, 3.0])) == "  2.00 ± 1.13"
+
+
+def test_trainings_of_one_slug_are_told_apart_and_the_published_study_need_not_be_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys
+) -> None:
+    monkeypatch.setattr(test, "PUBLISHED", tmp_path / "nowhere")
+    home = tmp_path / "my results"
+    for updates in (300, 400):
+        synthetic.write(home, {"u-turn": (1,)}, arms=("control",), seeds=1, updates=updates)
+    assert test.test(test.Options(home)) == 0
+    said = capsys.readouterr().out
+    assert "(published)" not in said
+    agents = [line.split()[0] for line in said.splitlines() if line.startswith("control-s0-")]
+    assert len(set(agents)) == len(agents) == 2
 
 
 def test_it_is_filmed_at_both_risks(trained: Path, capsys) -> None:

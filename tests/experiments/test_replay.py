@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from typing import Any
 
 import pytest
 from PIL import Image
 
 from experiments.replay import Options, find_cell, parse_case, replay
-from experiments.study import store
-from experiments.study.rerun import Case, play_again
+from experiments.study.replaying.rerun import Case, play_again
+from experiments.study.results import store
 from experiments.support.errors import UserError
 from tests.experiments.computed import compute, tasks_of
 from tests.experiments.fake_env import make_env, make_other_env
@@ -44,6 +45,28 @@ def test_an_episode_is_reproduced(cells, case, tmp_path, capsys):
         assert replay(Options(f"{cell}{case}", out=film), make_env) == 0
         assert "reproduced" in capsys.readouterr().out
         assert Image.open(film).size == (60, 20)
+
+
+def by_backend(backend, *arguments):
+    """Two simulators of different dynamics."""
+    return (make_other_env if backend == "replica" else make_env)(backend, *arguments)
+
+
+def test_a_further_test_is_replayed_on_its_own_simulator_and_in_its_own_traffic(tmp_path, capsys):
+    tasks = tasks_of(
+        tmp_path, tasks=("highway",), arms=("control", "dose25"), test_on=("replica",), episodes=6
+    )
+    chosen = [replace(task, make_env=by_backend) for task in tasks if task.cell.arm == "control"]
+    compute(sorted(chosen, key=lambda task: task.cell.kind))
+    away, doses = (
+        next(task for task in chosen if task.cell.slug.endswith(end)) for end in ("-on-replica", "-doses")
+    )
+    for case in (away.name, f"{away.name}:risky:2", doses.name, f"{doses.name}:dose75:1"):
+        path = tmp_path / "cells" / case
+        assert replay(Options(str(path), out=tmp_path / "film.gif"), by_backend) == 0
+        assert "reproduced" in capsys.readouterr().out
+    with pytest.raises(UserError, match="unknown traffic 'risky': known are dose25, dose50, dose75"):
+        parse_case(f"{tmp_path / 'cells' / doses.name}:risky:1")
 
 
 def test_an_episode_that_comes_out_differently_is_told(cells, tmp_path, capsys):

@@ -19,8 +19,8 @@ from experiments.analysis.plan import OUTCOMES
 from experiments.reporting import figures
 from experiments.reporting.page import checks
 from experiments.reporting.tables import difference, main
-from experiments.study.store import load
-from experiments.study.verdict import SCHEMA
+from experiments.study.design.verdict import SCHEMA
+from experiments.study.results.store import load
 from experiments.support.errors import UserError
 from tests.experiments import synthetic
 from tests.processes import python
@@ -87,6 +87,13 @@ class TestReport:
         assert len(table) == 3 * 8 * 2
         assert {"backend", "task", "level", "policy", "arm", "traffic", "return", "crashed"} <= set(table)
         assert (directory / "appendix.html").exists()
+
+    def test_a_stored_analysis_of_an_earlier_or_later_version_is_read(self, directory, tmp_path):
+        value = json.loads((directory / "analysis.json").read_text())
+        del value["frontier"]
+        (tmp_path / "analysis.json").write_text(json.dumps({**value, "of a later version": [1]}))
+        again = stored(tmp_path / "analysis.json")
+        assert again.frontier.empty and len(again.effects) == len(stored(directory / "analysis.json").effects)
 
     def test_a_stored_analysis_is_read_as_it_was_written(self, directory):
         analysis = analyse(load(directory))
@@ -247,6 +254,7 @@ OWN = """
 from experiments.analysis.plan import Outcome
 waiting = Outcome("Time at a standstill", "share", better=-1, digits=3, of=lambda episodes: episodes["stopped"])
 nothing = Outcome("Nothing", "", better=0, digits=1)
+crashed = waiting
 """
 
 
@@ -255,13 +263,8 @@ def test_an_outcome_of_the_user_s_own_is_analysed(tmp_path):
     (tmp_path / "mine.py").write_text(OWN)
     synthetic.write(tmp_path, {"u-turn": (1,)}, tests=6)
     before = analyse(load(tmp_path))
-    try:
-        report.add_outcome(f"{tmp_path}/mine.py:waiting")
-        with pytest.raises(UserError, match="already"):
-            report.add_outcome(f"{tmp_path}/mine.py:waiting")
-        after = analyse(load(tmp_path))
-    finally:
-        del OUTCOMES["waiting"]
+    name, outcome = report.own_outcome(f"{tmp_path}/mine.py:waiting")
+    after = analyse(load(tmp_path), {name: outcome})
     own = after.effects[after.effects["outcome"] == "waiting"]
     assert len(own) and set(own["family"]) == {""}
     assert set(own["status"]) & {"ok", "degenerate"}
@@ -269,14 +272,18 @@ def test_an_outcome_of_the_user_s_own_is_analysed(tmp_path):
         found.effects.query("outcome == 'crashed'").reset_index(drop=True) for found in (after, before)
     ]
     pd.testing.assert_frame_equal(*crashes)
-    assert after.plan["outcomes"]["waiting"]["label"] == "Time at a standstill"
+    assert after.plan == before.plan and after.plan_hash == before.plan_hash
+    assert "waiting" in set(after.means["outcome"]) and "waiting" in after.policies
+    again = analyse(load(tmp_path))
+    pd.testing.assert_frame_equal(again.effects, before.effects)
 
 
 @pytest.mark.parametrize(
-    ("name", "message"), [("nothing", "function `of`"), ("nobody", "defines no"), ("OWN.py", "FILE:NAME")]
+    ("name", "message"),
+    [("nothing", "function `of`"), ("nobody", "defines no"), ("OWN.py", "FILE:NAME"), ("crashed", "already")],
 )
 def test_an_outcome_that_is_none_is_refused(name, message, tmp_path):
     (tmp_path / "mine.py").write_text(OWN)
     target = name if name == "OWN.py" else f"{tmp_path}/mine.py:{name}"
     with pytest.raises(UserError, match=message):
-        report.add_outcome(target)
+        report.own_outcome(target)

@@ -13,8 +13,8 @@ import pytest
 
 from experiments import report
 from experiments.reporting.showcase import FILE, Scenes, choose, duos, showcase
-from experiments.study.rerun import Case, play_again
-from experiments.study.store import Store, load
+from experiments.study.replaying.rerun import Case, play_again
+from experiments.study.results.store import Store, load
 from tests.experiments.computed import compute, tasks_of
 from tests.experiments.fake_env import make_env, make_other_env
 

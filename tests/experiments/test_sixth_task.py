@@ -58,7 +58,7 @@ def test_a_dry_run_starts_no_simulator(tmp_path: Path) -> None:
 
 UNMOVED = """
 from experiments.analysis.analysis import analyse
-from experiments.study.store import load
+from experiments.study.results.store import load
 from tests.golden import names, numbers
 
 for command in names.MISSING_COMMANDS:
@@ -101,7 +101,7 @@ SWEEP = """
 import sys
 from pathlib import Path
 from experiments import report, sweep
-from experiments.study.store import load
+from experiments.study.results.store import load
 from experiments.sweep import Options
 
 options = Options(out=Path(sys.argv[1]), tasks=("on-ramp",), preset="smoke", seeds=2, updates=40, workers=2)
@@ -109,7 +109,7 @@ assert sweep.sweep(options, make_env=ramp.make_env) == 0
 analysis = report.analyse(load(options.out))
 assert set(analysis.effects["task"]) == {"on-ramp"} and set(analysis.claims["right"]) == {0}
 assert set(analysis.claims["verdict"]) == {"not decided"} and set(analysis.effects["family"].fillna("")) == {""}
-from experiments.study.sheet import SHEETS
+from experiments.study.design.sheet import SHEETS
 del SHEETS["on-ramp"]
 try:
     sweep.cells_of(options)

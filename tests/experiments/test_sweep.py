@@ -19,10 +19,12 @@ import pytest
 
 from experiments.analysis.analysis import analyse, as_json
 from experiments.analysis.cells import comparable
-from experiments.study import grid, store, train
-from experiments.study.experiment import shard
-from experiments.study.run import Ended, attempt
-from experiments.study.store import load
+from experiments.study.compute import train
+from experiments.study.compute.run import Ended, attempt
+from experiments.study.design import grid
+from experiments.study.design.experiment import shard
+from experiments.study.results import store
+from experiments.study.results.store import load
 from experiments.support.errors import UserError
 from experiments.sweep import Options, cells_of, sweep
 from tests.experiments.computed import TINY, compute, fingerprint, tasks_of
@@ -45,7 +47,9 @@ def run(directory: Path, **options) -> int:
 @pytest.fixture
 def here(monkeypatch):
     """For tests that are not about processes."""
-    monkeypatch.setattr("experiments.sweep.open_executor", lambda *_: (ThreadPoolExecutor(1), 1))
+    monkeypatch.setattr(
+        "experiments.study.compute.cells.open_executor", lambda *_: (ThreadPoolExecutor(1), 1)
+    )
 
 
 @pytest.fixture(scope="module")
@@ -239,10 +243,10 @@ def test_every_executor_gives_the_same_results(reference, tmp_path, monkeypatch,
         pytest.importorskip("ray")
     else:  # submitit's processes on this machine in the place of Slurm
         pytest.importorskip("submitit")
-        from experiments.study.executors.slurm import SlurmExecutor
+        from experiments.study.compute.executors.slurm import SlurmExecutor
 
         monkeypatch.setattr(
-            "experiments.sweep.open_executor",
+            "experiments.study.compute.cells.open_executor",
             lambda name, workers, directory, _: (SlurmExecutor(directory / name, "local"), workers),
         )
     assert run(tmp_path / "results", executor=executor) == 0
@@ -263,7 +267,7 @@ def test_a_full_disk_stops_the_sweep_in_one_line_and_loses_nothing(tmp_path, mon
     def full(path, data):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(path))
 
-    monkeypatch.setattr("experiments.study.store.write_file", full)
+    monkeypatch.setattr("experiments.study.results.store.write_file", full)
     answer = attempt(second)
     assert answer.state == "fatal"
     assert "no space left" in answer.reason

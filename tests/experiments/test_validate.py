@@ -10,8 +10,8 @@ import pytest
 from rich.console import Console
 
 import experiments.validate
-from experiments.study import verdict
-from experiments.study.fingerprint import dynamics
+from experiments.study.design import verdict
+from experiments.study.design.fingerprint import dynamics
 from experiments.validate import MISSED, Options, tables, validate
 
 

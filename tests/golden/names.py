@@ -11,8 +11,8 @@ from pathlib import Path
 
 import tyro
 
-from experiments.study.presets import cells_of
-from experiments.study.store import Store
+from experiments.study.design.presets import cells_of
+from experiments.study.results.store import Store
 from experiments.sweep import Options, words_of
 
 FILE = Path(__file__).with_name("names.json")

@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 
 from experiments.analysis.analysis import Analysis, analyse
-from experiments.study.store import load
+from experiments.study.results.store import load
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDERS = (

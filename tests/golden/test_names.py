@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from experiments.study.store import Store
+from experiments.study.results.store import Store
 from tests.golden.names import FOLDERS, MISSING_COMMANDS, RESULTS, asked, golden
 
 

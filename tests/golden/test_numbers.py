@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from experiments.analysis.analysis import analyse, stored
-from experiments.study.store import load
+from experiments.study.results.store import load
 from tests.golden import numbers
 from tests.golden.names import FOLDERS, RESULTS
 

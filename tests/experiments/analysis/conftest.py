@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from experiments.analysis.analysis import Analysis, analyse
-from experiments.study.store import Results, load
+from experiments.study.results.store import Results, load
 from tests.experiments import synthetic
 
 

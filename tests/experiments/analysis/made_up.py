@@ -12,8 +12,8 @@ from experiments.analysis.analysis import own_agents
 from experiments.analysis.effects import adjusted, contrasts, decided
 from experiments.analysis.plan import DEFAULT, OUTCOMES, TERMS, Plan
 from experiments.analysis.scores import Arm, Arms, Place, arms_of, with_outcomes
-from experiments.study.sheet import GRID
-from experiments.study.store import Results
+from experiments.study.design.sheet import GRID
+from experiments.study.results.store import Results
 
 PAIR = ("treatment", "control")
 

@@ -29,9 +29,9 @@ from experiments.analysis.plan import (
     Plan,
     as_data,
 )
-from experiments.study.grid import BASELINES
-from experiments.study.sheet import SHEETS
-from experiments.study.store import Results, load
+from experiments.study.design.grid import BASELINES
+from experiments.study.design.sheet import SHEETS
+from experiments.study.results.store import Results, load
 from experiments.support.files import canonical_json, sha256_bytes
 from tests.experiments import synthetic
 from tests.experiments.analysis.made_up import PAIR, agents, arms_in, effects, find, first
@@ -96,6 +96,16 @@ class TestPlan:
         tested = [(o, t) for o in OUTCOMES for t in TERMS if plan.family("treatment", o, t)]
         assert tested
         assert [f"{o} {t}" for o, t in tested if f"{o} {t}" in named] == []
+
+
+@pytest.mark.parametrize(("effect", "side"), [(3.0, "better"), (-3.0, "worse"), (0.0, "open")])
+def test_the_side_of_a_mean_is_decided_in_its_frame(effect: float, side: str) -> None:
+    """For the return more is better, for the speed neither."""
+    arms = agents(3, 5, np.random.default_rng(3), effect=effect, spread=0.5)
+    found = means(contrasts(arms, {PAIR: [("return", "risky"), ("mean_speed", "risky")]}))
+    assert set(found.loc[found["outcome"] == "return", "side"]) == {side}
+    assert set(found.loc[found["outcome"] == "mean_speed", "side"]) == {""}
+    assert means(contrasts({}, {PAIR: [("return", "risky")]})).empty
 
 
 class TestEffects:

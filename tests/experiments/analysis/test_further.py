@@ -10,7 +10,7 @@ import pytest
 
 from experiments.analysis.analysis import Analysis, analyse
 from experiments.analysis.effects import HIDDEN
-from experiments.study.store import Results, load
+from experiments.study.results.store import Results, load
 from tests.experiments import synthetic
 from tests.experiments.analysis.made_up import find
 

@@ -13,7 +13,7 @@ import pytest
 
 from experiments.analysis.analysis import negative_control, placebo
 from experiments.analysis.scores import Arms, Place, with_outcomes
-from experiments.study.store import load
+from experiments.study.results.store import load
 from tests.experiments import synthetic
 from tests.experiments.analysis import instrument
 from tests.experiments.analysis.instrument import PLANTED, ROWS, World, mistaken

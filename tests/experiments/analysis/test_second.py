@@ -17,9 +17,9 @@ from experiments.analysis.effects import contrasts
 from experiments.analysis.gates import change, last_second
 from experiments.analysis.plan import DEFAULT, SECOND, TWO_BATCHES, Learner, plan_of
 from experiments.analysis.scores import Arms, Place
-from experiments.study.grid import env_config
-from experiments.study.sheet import SHEETS
-from experiments.study.store import EPISODES, load
+from experiments.study.design.grid import env_config
+from experiments.study.design.sheet import SHEETS
+from experiments.study.results.store import EPISODES, load
 from experiments.support.errors import UserError
 from sumo_env.tasks import TASKS
 from tests.experiments import synthetic

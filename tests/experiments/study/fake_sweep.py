@@ -6,7 +6,7 @@ import json
 import sys
 from pathlib import Path
 
-from experiments.study.store import Store
+from experiments.study.results.store import Store
 from experiments.sweep import Options, cells_of, compute
 from tests.experiments.fake_env import make_env
 

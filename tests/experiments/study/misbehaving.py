@@ -10,7 +10,7 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from experiments.study.run import Beat
+from experiments.study.compute.run import Beat
 from experiments.support.errors import UserError
 from experiments.support.files import write_file
 

@@ -12,11 +12,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from experiments.backends import make_env
-from experiments.study.arms import scenario_seed
-from experiments.study.avoid import REST, rewound, way_out
-from experiments.study.evaluate import play
-from experiments.study.rerun import Case, Repeated
-from experiments.study.store import Store
+from experiments.study.compute.evaluate import play
+from experiments.study.design.arms import scenario_seed
+from experiments.study.replaying.avoid import REST, rewound, way_out
+from experiments.study.replaying.rerun import Case, Repeated
+from experiments.study.results.store import Store
 
 NAMES = {0: "LANE_LEFT", 1: "IDLE", 2: "LANE_RIGHT", 3: "FASTER", 4: "SLOWER"}
 MOVES = {0: (1, 0), 1: (0, 0), 2: (-1, 0), 3: (0, 1), 4: (0, -1)}  # of lane and speed

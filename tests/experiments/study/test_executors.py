@@ -7,8 +7,9 @@ import signal
 
 import pytest
 
-from experiments.study.executors import open_executor
-from experiments.study.run import fraction_done, run
+from experiments.study.compute.executors import open_executor
+from experiments.study.compute.run import run
+from experiments.study.results.working import fraction_done
 from tests.experiments.study.misbehaving import STEPS, Sum
 from tests.experiments.study.test_run import TOTAL, Witness, results
 from tests.processes import python
@@ -19,7 +20,7 @@ pytestmark = pytest.mark.slow
 def test_jobs_of_submitit_are_computed_and_retried(tmp_path):
     """submitit's processes on this machine: its scripts, messages and logs are those of Slurm."""
     pytest.importorskip("submitit")
-    from experiments.study.executors.slurm import SlurmExecutor
+    from experiments.study.compute.executors.slurm import SlurmExecutor
 
     tasks = [
         Sum("good", tmp_path),
@@ -37,7 +38,7 @@ def test_jobs_of_submitit_are_computed_and_retried(tmp_path):
 
 def test_a_job_at_its_time_limit_goes_on_from_its_checkpoint(tmp_path):
     pytest.importorskip("submitit")
-    from experiments.study.executors.slurm import SlurmExecutor
+    from experiments.study.compute.executors.slurm import SlurmExecutor
 
     task = Sum("long", tmp_path, pause=0.5)
     executor = SlurmExecutor(tmp_path / "slurm", cluster="local")
@@ -86,8 +87,9 @@ NODES = """
 import os, sys
 from pathlib import Path
 from ray.cluster_utils import Cluster
-from experiments.study.executors import open_executor
-from experiments.study.run import fraction_done, run
+from experiments.study.compute.executors import open_executor
+from experiments.study.compute.run import run
+from experiments.study.results.working import fraction_done
 from tests.experiments.study.misbehaving import Sum
 from tests.experiments.study.test_run import Witness
 

@@ -7,10 +7,10 @@ from dataclasses import replace
 import pytest
 
 from agents.streams import episode_seed
-from experiments.study import experiment, grid
-from experiments.study.arms import DOSE_ARMS, DOSES, TEST, scenario_seed, training_seed
-from experiments.study.experiment import Experiment
-from experiments.study.unseen import unseen_traffics
+from experiments.study.design import experiment, grid
+from experiments.study.design.arms import DOSE_ARMS, EVERY_ARM, TEST, scenario_seed, training_seed
+from experiments.study.design.experiment import Experiment
+from experiments.study.design.traffic import unseen_traffics
 from experiments.support.errors import UserError
 from sumo_env.tasks import TASKS
 
@@ -27,11 +27,11 @@ def cells(levels: dict | None = None, **options) -> list[grid.Cell]:
 
 def test_further_arms_tests_and_policies_rename_nothing():
     usual = cells()
-    more = cells(arms=DOSES, test_on=("replica", "highway-env"), unseen=True, frontier=True)
+    more = cells(arms=tuple(EVERY_ARM), test_on=("replica", "highway-env"), unseen=True, frontier=True)
     assert {c.name for c in usual} <= {c.name for c in more}
     assert len({c.name for c in more}) == len(more)
     agents = [c for c in more if c.kind == "agent"]
-    assert {c.arm: c.risk for c in agents} == DOSES
+    assert {c.arm: c.risk for c in agents} == {name: arm.traffic.dose for name, arm in EVERY_ARM.items()}
     assert {c.arm: c.trained_with for c in agents if c.trained_with} == {
         "dense": {"vehicles_count": 100, "vehicles_density": 1.5},
         "penalty": {"collision_reward": -2},
@@ -40,7 +40,7 @@ def test_further_arms_tests_and_policies_rename_nothing():
     assert {c.parent.name for c in tests} == {c.name for c in agents}
     ends = ("-doses", "-unseen", "-on-replica", "-on-highway-env")
     tested = [{c.arm for c in tests if c.slug.endswith(end)} for end in ends]
-    assert tested == [set(DOSE_ARMS), set(DOSES), set(DOSES), set(DOSES)]
+    assert tested == [set(DOSE_ARMS), *[set(EVERY_ARM)] * 3]
     unseen = {tuple(c.test_on["traffics"]) for c in tests if c.slug.endswith("-unseen")}
     assert unseen == {unseen_traffics("highway")}
     assert all(c.budget == (0, 0) for c in tests)

@@ -11,7 +11,7 @@ from threading import Timer
 
 import pytest
 
-from experiments.study.executors.local import LocalExecutor
+from experiments.study.compute.executors.local import LocalExecutor
 from tests.processes import children, is_alive, started, wait_for
 
 # Workers in a call into C that never gives the interpreter back, as in a compiler.
@@ -19,7 +19,7 @@ HOLD = """
 import sys, time
 from pathlib import Path
 if __name__ == "__main__":
-    from experiments.study.executors import open_executor
+    from experiments.study.compute.executors import open_executor
     from tests.experiments.study.misbehaving import FAULTS, Sum
     executor, _ = open_executor("local", 2, Path(sys.argv[1]), 25)
     tasks = [Sum(name, Path(sys.argv[1]), fault="hold", times=1) for name in "ab"]

@@ -9,9 +9,9 @@ from typing import Any
 import pandas as pd
 import pytest
 
-from experiments.study import packed, store
-from experiments.study.packed import CELLS, MANIFEST
-from experiments.study.store import load
+from experiments.study.results import packed, store
+from experiments.study.results.packed import CELLS, MANIFEST
+from experiments.study.results.store import load
 from experiments.support.errors import UserError
 from experiments.sweep import Options, sweep
 from tests.experiments.computed import TINY, damage, sweep_of, tasks_of

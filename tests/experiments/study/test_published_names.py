@@ -12,11 +12,11 @@ from typing import Any
 import pytest
 
 from experiments.backends import BACKENDS
-from experiments.study.experiment import Experiment
-from experiments.study.fingerprint import check_dynamics, dynamics, fingerprint
-from experiments.study.grid import BACKEND_KEYS, cell_name, slug
-from experiments.study.presets import cells_of
-from experiments.study.store import Store
+from experiments.study.design.experiment import Experiment
+from experiments.study.design.fingerprint import check_dynamics, dynamics, fingerprint
+from experiments.study.design.grid import BACKEND_KEYS, cell_name, slug
+from experiments.study.design.presets import cells_of
+from experiments.study.results.store import Store
 from experiments.support.errors import UserError
 from experiments.support.files import canonical_json
 from sumo_env.config import resolve

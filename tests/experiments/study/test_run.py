@@ -9,8 +9,9 @@ from contextlib import suppress
 
 import pytest
 
-from experiments.study.executors import open_executor
-from experiments.study.run import LOG, Observer, attempt, last_words, locked, run, watched
+from experiments.study.compute.executors import open_executor
+from experiments.study.compute.run import Observer, attempt, locked, run, watched
+from experiments.study.results.working import LOG, last_words
 from experiments.support.errors import UserError
 from tests.experiments.study.misbehaving import STEPS, Sum
 from tests.processes import is_alive, wait_for

@@ -12,9 +12,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from experiments.study import grid, store
-from experiments.study.run import attempt
-from experiments.study.store import load
+from experiments.study.compute.run import attempt
+from experiments.study.design import grid
+from experiments.study.results import store
+from experiments.study.results.store import load
 from experiments.support.errors import UserError
 from tests.experiments.computed import Interrupted, damage, fingerprint, tasks_of
 

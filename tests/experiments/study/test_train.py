@@ -11,11 +11,11 @@ import pytest
 
 from agents.learner import Trained
 from agents.streams import episode_seed
-from experiments.study.arms import TEST, drawn_dose, scenario_seed, training_seed
-from experiments.study.cell import CellTask
-from experiments.study.experiment import Experiment
-from experiments.study.grid import Cell
-from experiments.study.train import train_cell
+from experiments.study.compute.cell import CellTask
+from experiments.study.compute.train import train_cell
+from experiments.study.design.arms import EVERY_ARM, TEST, scenario_seed, training_seed
+from experiments.study.design.experiment import Experiment
+from experiments.study.design.grid import Cell
 from tests.experiments.computed import Interrupted, interrupting
 from tests.experiments.fake_env import FakeEnv, make_env
 
@@ -68,7 +68,7 @@ def test_a_drawn_dose_is_met_logged_and_the_same_after_an_interruption(
     whole, episodes, record = trained("whole")
     assert record["interruption"] == "uninterrupted" and record["steps"] >= 160
     seed = training_seed("u-turn", 1, 2)
-    expected = [drawn_dose(arm, episode_seed(seed, k)) for k in range(len(episodes))]
+    expected = [EVERY_ARM[arm].traffic.dose_of(episode_seed(seed, k)) for k in range(len(episodes))]
     assert [dose for _, dose, _ in met] == expected == episodes["risk"].tolist()
     assert len(set(expected)) == (2 if arm == "mixed" else len(expected))
 

@@ -9,11 +9,16 @@ import pytest
 
 from agents.rules import make_policy
 from experiments.backends import make_env
-from experiments.study.evaluate import evaluate
-from experiments.study.grid import env_config
-from experiments.study.unseen import EVENTS, MODELS, PARAMETERS, UNSEEN, unseen, unseen_traffics
+from experiments.study.compute.evaluate import evaluate
+from experiments.study.design.grid import env_config
+from experiments.study.design.traffic import ALL, EIDM, KRAUSS, UNSEEN, unseen_traffics
+from experiments.support.errors import UserError
 from sumo_env.tasks import TASKS, get_task
 from sumo_env.traffic.scenario import Scenario
+
+EVENTS = {"only-cut-in": "cut-in", "only-brake": "brake", "only-surge": "surge"}
+MODELS = {"krauss": KRAUSS, "eidm": EIDM}
+PARAMETERS = "only-parameters"
 
 
 def drawn(task: str, seed: int) -> tuple[Scenario, Scenario]:
@@ -28,19 +33,19 @@ def test_one_part_of_the_risk_alone(task: str) -> None:
         regular, risky = drawn(task, seed)
         parts: list[Any] = []
         for name, kind in EVENTS.items():
-            scenario = unseen(name, regular, risky)
+            scenario = ALL[name].scenario(regular, risky)
             assert (scenario.vehicles, scenario.spawns) == (regular.vehicles, regular.spawns)
             assert {event.kind for event in scenario.events} <= {kind}
             parts += scenario.events
         assert sorted(parts, key=repr) == sorted(risky.events, key=repr)
-        alone = unseen(PARAMETERS, regular, risky)
+        alone = ALL[PARAMETERS].scenario(regular, risky)
         assert alone.events == () and alone.vehicles == risky.vehicles
 
 
 def test_drivers_of_another_model_keep_their_places_parameters_and_events() -> None:
     regular, risky = drawn("intersection", 3)
     for name, attributes in MODELS.items():
-        scenario = unseen(name, regular, risky)
+        scenario = ALL[name].scenario(regular, risky)
         assert scenario.events == risky.events
         for spec, before in zip(scenario.vehicles, risky.vehicles, strict=True):
             assert spec._replace(driver=before.driver) == before
@@ -66,3 +71,9 @@ def test_episodes_depend_on_their_scenario_alone_and_differ_between_traffics() -
         pd.testing.assert_frame_equal(*(table.loc[traffic] for table in tables))
     assert len({tables[0].loc[traffic].to_csv(index=False) for traffic in traffics}) == len(traffics)
     env.close()
+
+
+def test_every_traffic_is_one_row_and_an_unknown_one_is_named() -> None:
+    assert (*EVENTS, PARAMETERS, *MODELS) == UNSEEN
+    with pytest.raises(UserError, match="unknown traffic 'risk': did you mean 'risky'"):
+        evaluate(None, None, "u-turn", 1, 1, traffics=("risk",))

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from experiments.study import verdict
-from experiments.study.fingerprint import dynamics
+from experiments.study.design import verdict
+from experiments.study.design.fingerprint import dynamics
 from experiments.validation.checks import scorecard, summary
 from sumo_env.tasks import TASKS
 from tests.experiments.validation.tables import compared

@@ -13,7 +13,7 @@ import pytest
 
 from agents.rules import make_policy
 from experiments.backends import make_env
-from experiments.study.grid import BASELINES
+from experiments.study.design.grid import BASELINES
 from sumo_env.tasks import TASKS
 from tests.sumo_env.rollout import leaves
 

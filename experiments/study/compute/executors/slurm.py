@@ -19,7 +19,7 @@ from submitit.helpers import Checkpointable
 
 from experiments.support.errors import UserError
 
-ROOT = Path(__file__).resolve().parents[3]
+ROOT = Path(__file__).resolve().parents[4]
 POLL = 1.0  # [s] between two looks at the jobs; submitit itself asks Slurm less and less often
 TIME, MEMORY = 4 * 60, 2.0  # of a job [min], [GB]
 REQUEUES = 20  # a job that runs into its time limit, or is preempted, goes on from its checkpoint so often

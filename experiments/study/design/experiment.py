@@ -10,11 +10,12 @@ from typing import Annotated, Any
 
 import tyro
 
+from agents.plugins import foreign
 from agents.rules import CAUTIONS
 from experiments.backends import BACKENDS
-from experiments.study.arms import ARM_PROFILES, ARMS, DOSE_ARMS, DOSE_TRAFFICS, DOSES, TRAFFICS, trained_with
-from experiments.study.fingerprint import dynamics
-from experiments.study.grid import (
+from experiments.study.design.arms import ARMS, DOSE_ARMS, EVERY_ARM
+from experiments.study.design.fingerprint import dynamics
+from experiments.study.design.grid import (
     BASELINES,
     LEARNER,
     Cell,
@@ -23,10 +24,9 @@ from experiments.study.grid import (
     env_config,
     level_names,
 )
-from experiments.study.policies import foreign
-from experiments.study.rules import RULES, TrainingRules
-from experiments.study.sheet import GRID
-from experiments.study.unseen import unseen_traffics
+from experiments.study.design.rules import RULES, TrainingRules
+from experiments.study.design.sheet import GRID
+from experiments.study.design.traffic import BETWEEN, TRAFFICS, unseen_traffics
 from experiments.support.errors import UserError, unknown
 
 TRANSFER_EPISODES = {"highway-env": 20}  # in each traffic on another simulator at most: it is slow
@@ -114,7 +114,7 @@ class Experiment:
                 raise unknown("backend", name, BACKENDS)
         tasks = choose_tasks(self.tasks or tuple(GRID))
         levels = choose_levels(tasks, self.levels or None)
-        policies = {label: (source, digits) for source in self.policy for label, digits in [foreign(source)]}
+        policies = {label: (source, digits) for source in self.policy for label, digits in [_foreign(source)]}
         drivers = dict.fromkeys((*BASELINES, *(CAUTIONS if self.frontier else ())))
         cells: list[Cell] = []
         for task, level in ((task, level) for task, numbers in levels.items() for level in numbers):
@@ -161,19 +161,19 @@ class Experiment:
                 raise UserError("--placebo trains control agents alone: leave out --arms")
             seeds, arms = max(2 * seeds, PLACEBO_SEEDS), {"control": None}
         for arm in arms:
-            if arm not in DOSES:
-                raise unknown("arm", arm, DOSES)
+            if arm not in EVERY_ARM:
+                raise unknown("arm", arm, EVERY_ARM)
         profile = self.profile(common.task)
         for seed in range(self.first_seed, self.first_seed + seeds):
             for arm in arms:
-                if (different := trained_with(arm, common.task, common.level)) is not None:
+                if (different := EVERY_ARM[arm].changes(common.task, common.level)) is not None:
                     yield replace(
                         common,
                         kind="agent",
                         arm=arm,
                         seed=seed,
                         policy=self._own_learner[0] if self._own_learner else self.learner,
-                        profile={**common.profile, **profile, **ARM_PROFILES.get(arm, {})},
+                        profile={**common.profile, **profile, **EVERY_ARM[arm].rules},
                         source=self.learner if self._own_learner else self._own_network,
                         trained_with=different,
                     )
@@ -181,8 +181,8 @@ class Experiment:
     def _further_tests(self, agent: Cell, dynamics: Dynamics) -> Iterator[Cell]:
         """Further tests of an agent: at doses between 0 and 1, in unseen risk, on other simulators."""
         here = {"backend": self.backend, "episodes": self.episodes, "env_config": agent.env_config}
-        if set(self.arms) & set(DOSE_TRAFFICS) and agent.arm in DOSE_ARMS:
-            yield replace(agent, kind="test", test_on={**here, "traffics": list(DOSE_TRAFFICS)})
+        if set(self.arms) & set(BETWEEN) and agent.arm in DOSE_ARMS:
+            yield replace(agent, kind="test", test_on={**here, "traffics": list(BETWEEN)})
         if self.unseen:
             traffics = list(unseen_traffics(agent.task, self.backend))
             yield replace(agent, kind="test", test_on={**here, "traffics": traffics})
@@ -222,7 +222,7 @@ class Experiment:
             said |= {name: value for name, value in asked.items() if value is not None}
             said |= _assignments(self.settings, "--settings", "gamma=0.9")
             if self._own_network:
-                said["network"], files["network_sha256"] = foreign(self._own_network)
+                said["network"], files["network_sha256"] = _foreign(self._own_network)
             if self._own_learner:
                 files["learner_sha256"] = self._own_learner[1]
             chosen = learner(self.learner)
@@ -241,12 +241,20 @@ class Experiment:
     @property
     def _own_learner(self) -> tuple[str, str] | None:
         """Label and fingerprint of a learner of the user's own."""
-        return foreign(self.learner) if ":" in self.learner else None
+        return _foreign(self.learner) if ":" in self.learner else None
 
     @property
     def _changes(self) -> dict[str, Any]:
         """Of config=("collision_reward=-2", "risk_law=linear")."""
         return _assignments(self.config, "--config", "collision_reward=-2")
+
+
+def _foreign(name: str) -> tuple[str, str]:
+    """Label and fingerprint of a user's file, see `agents.plugins.foreign`. Raises UserError where there is none."""
+    try:
+        return foreign(name)
+    except ValueError as error:
+        raise UserError(str(error)) from None
 
 
 def _assignments(texts: Sequence[str], option: str, example: str) -> dict[str, Any]:

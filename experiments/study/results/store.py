@@ -25,9 +25,16 @@ from typing import Any
 
 import pandas as pd
 
-from experiments.study.grid import RESULT_SCHEMA, Cell, cell_name, setting
-from experiments.study.packed import MANIFEST, add, as_parquet, packed_records, packed_tables, packed_weights
-from experiments.study.run import last_words
+from experiments.study.design.grid import RESULT_SCHEMA, Cell, cell_name, setting
+from experiments.study.results.packed import (
+    MANIFEST,
+    add,
+    as_parquet,
+    packed_records,
+    packed_tables,
+    packed_weights,
+)
+from experiments.study.results.working import last_words
 from experiments.support.errors import UserError
 from experiments.support.files import alone, publish, sha256_bytes, sha256_file, write_file, write_json
 

@@ -5,7 +5,7 @@ differ by. `fingerprints.json` has, for each backend and task, the eight digits 
 the behaviour that they stand for; a sweep checks the simulator against them before it begins. After a change of the
 dynamics that is meant,
 
-    python -m experiments.study.fingerprint
+    python -m experiments.study.design.fingerprint
 
 gives the changed dynamics names of their own.
 """
@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from experiments.backends import BACKENDS, has, make_env, require
-from experiments.study.arms import scenario_seed
+from experiments.study.design.arms import scenario_seed
 from experiments.support.errors import UserError
 from experiments.support.files import canonical_json, sha256_bytes, write_json
 from sumo_env.tasks import TASKS
@@ -84,7 +84,7 @@ def check_dynamics(pairs: Iterable[tuple[str, str]]) -> None:
             raise UserError(
                 f"the task {task} on the backend {backend} does not behave as the stored results of this name did "
                 f"(fingerprint {found}, expected {known['behaviour']}): undo the change of its dynamics, or run "
-                "python -m experiments.study.fingerprint, which gives the changed dynamics a name of their own"
+                "python -m experiments.study.design.fingerprint, which gives the changed dynamics a name of their own"
             )
 
 

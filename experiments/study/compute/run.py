@@ -1,14 +1,9 @@
 """Compute tasks wherever an executor has processes: each once, tried again when it dies, hangs or fails.
 
 A task is plain data (`Task`); nothing here knows what it computes, nor more of an executor than
-`concurrent.futures.Executor`. The runner and the process that computes meet in the task's working folder alone, so that
-processes of this machine, Ray workers and Slurm jobs are the same to it:
-
-lock           held with flock by the process that computes; the kernel releases it, however the process ends
-progress.json  the share that is done
-log.txt        what went wrong, with the stack of every thread after a crash or a hang
-
-A task whose result is there is skipped: the same tasks run again go on where the last run ended.
+`concurrent.futures.Executor`. The runner and the process that computes meet in the task's working folder
+(`results.working`) alone, so that processes of this machine, Ray workers and Slurm jobs are the same to it. A task
+whose result is there is skipped: the same tasks run again go on where the last run ended.
 """
 
 from __future__ import annotations
@@ -30,9 +25,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal, Protocol
 
+from experiments.study.results.working import LOCK, LOG, PROGRESS, last_words
 from experiments.support.errors import UserError, disk_error
 
-LOCK, PROGRESS, LOG = "lock", "progress.json", "log.txt"
 RETRIES = 3  # a task that goes wrong is begun again at most so often
 # Exit status of a process that faulthandler ends, and of one that must not be used again.
 HUNG, SPOILT = 1, 70
@@ -194,30 +189,6 @@ def watched(folder: Path, silence: float) -> Iterator[Beat]:
 
 
 # -- In the process that hands out -----------------------------------------------------------------------------------
-
-
-def fraction_done(folder: Path) -> float:
-    """The share of a running task that is done, 0 if it has not said so yet."""
-    try:
-        return float((folder / PROGRESS).read_text())
-    except (OSError, ValueError):
-        return 0.0
-
-
-def last_words(folder: Path) -> str:
-    """The last line of a task's log, which names what went wrong; empty if nothing has since it was begun last."""
-    try:
-        # A try begins by saying that nothing is done.
-        if _changed(folder / LOG) < _changed(folder / PROGRESS):
-            return ""
-        return (folder / LOG).read_text(errors="replace").rstrip().rpartition("\n")[2]
-    except OSError:
-        return ""
-
-
-def _changed(path: Path) -> int:
-    """When a file was written last [ns], 0 if it is not there."""
-    return path.stat().st_mtime_ns if path.exists() else 0
 
 
 def run(

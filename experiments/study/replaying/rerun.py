@@ -9,11 +9,11 @@ from typing import Any
 
 import gymnasium as gym
 
-from experiments.study import grid
-from experiments.study.evaluate import play
-from experiments.study.fingerprint import dynamics
-from experiments.study.policies import driver
-from experiments.study.store import Store
+from experiments.study.compute.evaluate import play
+from experiments.study.compute.policies import driver
+from experiments.study.design import grid
+from experiments.study.design.fingerprint import dynamics
+from experiments.study.results.store import Store
 from experiments.support.errors import UserError
 
 IDLE = 1  # of the actions
@@ -56,7 +56,9 @@ class Repeated:
 def play_again(
     case: Case, env: gym.Env[Any, Any], on_step: Callable[[], None] | None = None
 ) -> dict[str, Any]:
-    """Play a test episode again in an environment of its cell and return its row of `evaluate.COLUMNS`.
+    """Play a test episode again and return its row of `evaluate.COLUMNS`.
+
+    env: of its test, see `grid.tested_on`.
 
     Raises:
         UserError: the weights or the user's file are not there, or do not fit.
@@ -66,7 +68,10 @@ def play_again(
     if isinstance(actions, str) and actions:
         return play(env, Repeated(actions), key["task"], key["level"], *place, on_step)
     if key["kind"] == "test":
-        raise UserError(f"{case.cell} is a further test of an agent: replay the agent's own cell")
+        raise UserError(
+            f"{case.cell} is a further test of an agent, stored without its actions by an earlier version: "
+            "replay the agent's own cell"
+        )
     if key["kind"] == "agent":
         weights = case.store.weights(case.cell)
         if weights is None:
@@ -93,9 +98,11 @@ def differences(stored: Mapping[str, Any], row: Mapping[str, Any]) -> list[str]:
 def changed_versions(record: Mapping[str, Any]) -> list[str]:
     """Versions that differ from those of a stored cell, in words."""
     key = record["key"]
-    now = {**grid.versions(key["backend"]), "dynamics": dynamics(key["backend"], key["task"])}
+    backend, task, _ = grid.tested_on(key)
+    now = {**grid.versions(key["backend"], backend), "dynamics": dynamics(backend, task)}
+    then = {**key, **(key.get("test_on") or {})}.get("dynamics")
     return [
         f"{name} {now.get(name)} (was {old})"
-        for name, old in {**record["versions"], "dynamics": key.get("dynamics")}.items()
+        for name, old in {**record["versions"], "dynamics": then}.items()
         if now.get(name) != old
     ]

@@ -17,7 +17,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager
 from typing import Any
 
-from experiments.study.rerun import Case, differences, play_again
+from experiments.study.replaying.rerun import Case, differences, play_again
 from experiments.support.errors import UserError
 
 HORIZON = 5  # policy steps in which all sequences are tried

@@ -11,14 +11,15 @@ import numpy as np
 import pandas as pd
 
 from agents.policies import Policy
-from experiments.study.arms import ALL_TRAFFICS, TRAFFICS, scenario_seed, stream_seed
-from experiments.study.unseen import UNSEEN, UnseenRisk
+from experiments.study.compute.wrappers import UnseenRisk
+from experiments.study.design.arms import scenario_seed, stream_seed
+from experiments.study.design.traffic import TRAFFICS, traffic_named
 
 STOPPED = 1.0  # [m/s] an ego slower than this stands
 ACTIONS = 5
 # Columns of episodes.parquet and their types, one row a test episode.
 COLUMNS: dict[str, str] = {
-    "traffic": "str",  # "regular" or "risky", a dose between (arms.ALL_TRAFFICS), or one of unseen.UNSEEN
+    "traffic": "str",  # "regular", "risky", or another of `traffic.ALL`
     "scenario": "int64",  # number of the scenario, the same seed in both traffics
     "return": "float64",  # undiscounted sum of rewards
     "length": "int64",  # policy steps
@@ -62,18 +63,19 @@ def play(
 
     Args:
         env: an environment of this task and level.
-        traffic: of `arms.ALL_TRAFFICS` or `unseen.UNSEEN`.
+        traffic: of `traffic.ALL`.
         scenario: number of the test scenario.
         on_step: called after the reset and after every step (a recorder).
         purpose: what the scenario is for, "test" or "gate".
         options: of the reset, beside the dose of risk.
     """
-    if traffic in UNSEEN:
-        env = UnseenRisk(env, traffic)
+    named = traffic_named(traffic)
+    if named.is_unseen:
+        env = UnseenRisk(env, named)
     policy.reset(stream_seed("policy", task, level, traffic, scenario))
+    seed = scenario_seed(task, level, scenario, purpose)
     observation, info = env.reset(
-        seed=scenario_seed(task, level, scenario, purpose),
-        options={"config": {"risk": ALL_TRAFFICS.get(traffic, 1.0)}, **(options or {})},
+        seed=seed, options={"config": {"risk": named.dose_of(seed)}, **(options or {})}
     )
     if on_step:
         on_step()
@@ -133,11 +135,3 @@ def evaluate(
             if on_episode:
                 on_episode()
     return pd.DataFrame(rows, columns=list(COLUMNS)).astype(COLUMNS)
-
-
-def share(happened: pd.Series) -> str:
-    """A share of some episodes in per cent, with Wilson's 95 % interval over them: " 10% [4, 21]"."""
-    from scipy.stats import binomtest
-
-    interval = binomtest(int(happened.sum()), len(happened)).proportion_ci(method="wilson")
-    return f"{happened.mean():4.0%} [{100 * interval.low:.0f}, {100 * interval.high:.0f}]"

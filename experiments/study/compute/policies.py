@@ -9,35 +9,22 @@ from typing import Any
 import gymnasium as gym
 
 from agents.checkpoint import CheckpointError
-from agents.plugins import sha256, split
+from agents.plugins import foreign
 from agents.policies import Policy, foreign_policy
 from agents.rules import make_policy
-from experiments.study.grid import learner_of
-from experiments.study.rules import TrainingRules
-from experiments.study.wrappers import observed
+from experiments.study.compute.wrappers import observed
+from experiments.study.design.grid import learner_of
+from experiments.study.design.rules import TrainingRules
 from experiments.support.errors import UserError
-
-
-def foreign(name: str) -> tuple[str, str]:
-    """Label and fingerprint of something in a user's file, "FILE:NAME" or "model.zip".
-
-    The label names the file without its folder, so that a cell is called the same wherever the file lies.
-
-    Raises:
-        UserError: there is no such file.
-    """
-    try:
-        path, attribute = (Path(name), "") if name.endswith(".zip") else split(name)
-        return f"{path.name}:{attribute}" if attribute else path.name, sha256(path)
-    except OSError:
-        raise UserError(f"there is no file {name}") from None
-    except ValueError as error:
-        raise UserError(str(error)) from None
 
 
 def check(source: str, profile: Mapping[str, Any]) -> None:
     """Raise UserError unless the user's file is the one that the cell was named by."""
-    if foreign(source)[1] not in (profile.get(f"{part}_sha256") for part in ("learner", "network", "policy")):
+    try:
+        _, digits = foreign(source)
+    except ValueError as error:
+        raise UserError(str(error)) from None
+    if digits not in (profile.get(f"{part}_sha256") for part in ("learner", "network", "policy")):
         raise UserError(f"{source} has changed since the sweep began: run the sweep again")
 
 

@@ -11,11 +11,11 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from experiments.study.fingerprint import dynamics
+from experiments.study.design.fingerprint import dynamics
 from experiments.support.files import write_json
 
 SCHEMA = 2
-STORED = Path(__file__).resolve().parents[1] / "validation" / "verdict.json"
+STORED = Path(__file__).resolve().parents[2] / "validation" / "verdict.json"
 
 
 def versions() -> dict[str, str]:

@@ -11,8 +11,9 @@ from rich.console import Console
 from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 from rich.progress import Progress as Bars
 
-from experiments.study.grid import Cell
-from experiments.study.run import RETRIES, Observer, Task, fraction_done
+from experiments.study.compute.run import RETRIES, Observer, Task
+from experiments.study.design.grid import Cell
+from experiments.study.results.working import fraction_done
 
 # Processor seconds of a common server, roughly: for a policy step of each simulator, and for an update of the learner.
 STEP = {"sumo": 0.002, "replica": 0.001, "highway-env": 0.15}

@@ -16,7 +16,7 @@ import ray
 
 from experiments.support import VARIABLES
 
-ROOT = Path(__file__).resolve().parents[3]
+ROOT = Path(__file__).resolve().parents[4]
 
 
 class RayExecutor(Executor):

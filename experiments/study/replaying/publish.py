@@ -1,6 +1,6 @@
 """Write results/agents.npz: of each arm and setting of a study the agent with the first training seed.
 
-    python -m experiments.study.publish results/sumo-second
+    python -m experiments.study.replaying.publish results/sumo-second
 
 Agents of other settings that are in the file stay. Weights are stored at half precision where the first test
 scenarios of both traffics end with the same return. Agents that observe the dose are left out.
@@ -20,12 +20,12 @@ import tyro
 from agents import pretrained
 from agents.greedy import Greedy, Timed
 from experiments.backends import make_env
-from experiments.study.arms import TRAFFICS
-from experiments.study.evaluate import evaluate
-from experiments.study.grid import LEARNER
-from experiments.study.policies import driver
-from experiments.study.store import EPISODES, Store
-from experiments.study.wrappers import TimeObserved
+from experiments.study.compute.evaluate import evaluate
+from experiments.study.compute.policies import driver
+from experiments.study.compute.wrappers import TimeObserved
+from experiments.study.design.grid import LEARNER, tested_on
+from experiments.study.design.traffic import TRAFFICS
+from experiments.study.results.store import EPISODES, Store
 from sumo_env.tasks import TASKS
 
 COMPARED = 25  # test scenarios of each traffic
@@ -62,7 +62,7 @@ def published(directory: Path, name: str, command: str) -> tuple[dict[str, Any],
     record, weights = store.record(name), store.weights(name)
     assert weights is not None
     key = record["key"]
-    with closing(make_env(key["backend"], key["task"], key["env_config"])) as env:
+    with closing(make_env(*tested_on(key))) as env:
         seen, policy = driver(key, record["source"], env, weights)
         if key["profile"].get("dose_observed") or key["policy"] != LEARNER or not isinstance(policy, Greedy):
             return None

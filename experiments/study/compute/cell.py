@@ -14,13 +14,13 @@ import pandas as pd
 
 from agents.checkpoint import CheckpointError
 from agents.policies import Policy
-from experiments.study.arms import gate_traffics
-from experiments.study.evaluate import evaluate
-from experiments.study.grid import Cell
-from experiments.study.policies import driver
-from experiments.study.progress import costs
-from experiments.study.run import Beat
-from experiments.study.store import (
+from experiments.study.compute.evaluate import evaluate
+from experiments.study.compute.policies import driver
+from experiments.study.compute.progress import costs
+from experiments.study.compute.run import Beat
+from experiments.study.design.arms import gate_traffics
+from experiments.study.design.grid import Cell, tested_on
+from experiments.study.results.store import (
     EPISODES,
     GATE_COLUMNS,
     GATES,
@@ -98,7 +98,7 @@ class CellTask:
             files = {TRAINING: episodes, WEIGHTS: self.folder / WEIGHTS}
             learner = {"learner": record}
         started = time.monotonic()
-        with closing(self.make_env(cell.runs_on, cell.task, dict(cell.tested["env_config"]))) as env:
+        with closing(self.make_env(*tested_on(cell.key()))) as env:
             files |= self._test(env, on_episode)
         timing["test_seconds"] = time.monotonic() - started
         timing["finished"] = time.strftime("%Y-%m-%dT%H:%M:%SZ", time.gmtime())
@@ -106,7 +106,7 @@ class CellTask:
 
     def _train(self, progress: Callable[[int], None]) -> tuple[Trained, pd.DataFrame, dict[str, Any]]:
         """The trained agent, see `train.train_cell`."""
-        from experiments.study.train import CHECKPOINT, train_cell  # baselines need no learner
+        from experiments.study.compute.train import CHECKPOINT, train_cell  # baselines need no learner
 
         cell = self.cell
         try:

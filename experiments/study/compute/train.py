@@ -15,10 +15,10 @@ import pandas as pd
 
 from agents.learner import Trained
 from agents.streams import episode_seed
-from experiments.study.arms import DRAWN, drawn_dose, training_seed
-from experiments.study.grid import Cell, learner_of
-from experiments.study.policies import check
-from experiments.study.wrappers import Training, observed
+from experiments.study.compute.policies import check
+from experiments.study.compute.wrappers import Training, observed
+from experiments.study.design.arms import EVERY_ARM, training_seed
+from experiments.study.design.grid import Cell, learner_of
 from experiments.support.errors import UserError
 
 CHECKPOINT = "checkpoint.npz"
@@ -60,8 +60,9 @@ def train_cell(
         except ValueError as error:
             raise UserError(str(error)) from None
     episodes = pd.DataFrame(trained.episodes)
-    if cell.arm in DRAWN:
-        episodes["risk"] = [drawn_dose(cell.arm, episode_seed(seed, k)) for k in range(len(episodes))]
+    traffic = EVERY_ARM[str(cell.arm)].traffic
+    if traffic.drawn:
+        episodes["risk"] = [traffic.dose_of(episode_seed(seed, k)) for k in range(len(episodes))]
     return trained, episodes, learner_record(trained)
 
 
@@ -76,7 +77,8 @@ def environments(
     def one(first: int = 0, count: int = 1) -> gym.Env[Any, Any]:
         env = make_env(cell.backend, cell.task, cell.training_config)
         opened.enter_context(closing(env))
-        return Training(observed(env, cell.rules), cell.rules, str(cell.arm), seed, first, count)
+        traffic = EVERY_ARM[str(cell.arm)].traffic
+        return Training(observed(env, cell.rules), cell.rules, traffic, seed, first, count)
 
     if number is None:
         return one()

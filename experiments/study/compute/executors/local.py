@@ -20,7 +20,7 @@ from pebble import ProcessPool
 from rich.console import Console
 from rich.progress import track
 
-from experiments.study.run import SPOILT, Ended
+from experiments.study.compute.run import SPOILT, Ended
 from experiments.support.errors import UserError
 
 TASKS_PER_PROCESS = 25  # then a fresh process takes over, so that whatever a simulator leaks is given back

@@ -32,18 +32,18 @@ def open_executor(
     """
     try:
         if name == "ray":
-            from experiments.study.executors.ray import RayExecutor
+            from experiments.study.compute.executors.ray import RayExecutor
 
             cluster = RayExecutor(workers, tasks_per_process)
             return cluster, workers or cluster.workers
         if name == "slurm":
-            from experiments.study.executors.slurm import SlurmExecutor
+            from experiments.study.compute.executors.slurm import SlurmExecutor
 
             return SlurmExecutor(directory / "slurm"), workers or SLURM_JOBS
     except ModuleNotFoundError as error:
         raise UserError(
             f"--executor {name} needs the package {error.name}: .venv/bin/python -m pip install '.[{name}]'"
         ) from None
-    from experiments.study.executors.local import LocalExecutor
+    from experiments.study.compute.executors.local import LocalExecutor
 
     return LocalExecutor(workers or cores(), tasks_per_process), workers or cores()

@@ -1,4 +1,4 @@
-"""What a training changes about its environment, by gymnasium's wrappers."""
+"""What a training, or unseen traffic, changes about an environment, by gymnasium's wrappers."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ import numpy as np
 
 from agents.greedy import with_column
 from agents.streams import episode_seed
-from experiments.study.arms import DOSES, DRAWN, drawn_dose
-from experiments.study.rules import TrainingRules
+from experiments.study.design.rules import TrainingRules
+from experiments.study.design.traffic import Traffic
+from sumo_env.traffic.scenario import Scenario
 
 Env = gym.Env[Any, Any]
 
@@ -68,10 +69,10 @@ class Training(gym.Wrapper[Any, Any, Any, Any]):
     """
 
     def __init__(
-        self, env: Env, rules: TrainingRules, arm: str, seed: int, first: int = 0, count: int = 1
+        self, env: Env, rules: TrainingRules, traffic: Traffic, seed: int, first: int = 0, count: int = 1
     ) -> None:
         super().__init__(env)
-        self._rules, self._arm, self._seed = rules, arm, seed
+        self._rules, self._traffic, self._seed = rules, traffic, seed
         self._episode, self._count = first, count
 
     def reset(
@@ -81,7 +82,7 @@ class Training(gym.Wrapper[Any, Any, Any, Any]):
         if seed is None:
             seed = episode_seed(self._seed, self._episode)
             self._episode += self._count
-        risk = drawn_dose(self._arm, seed) if self._arm in DRAWN else DOSES[self._arm]
+        risk = self._traffic.dose_of(seed)
         others = options or {}
         config = {**others.get("config", {}), "risk": risk}
         return self.env.reset(seed=seed, options={**others, "config": config})
@@ -103,3 +104,21 @@ def observed(env: Env, rules: TrainingRules) -> Env:
     # as a share of the episode, or of so many seconds in training and test alike
     seconds = inner.config["duration"] if rules.finite_horizon else rules.time_observed
     return TimeObserved(env, round(seconds * inner.config.get("policy_frequency", 1))) if seconds else env
+
+
+class UnseenRisk(gym.Wrapper[Any, Any, Any, Any]):
+    """An environment whose episodes have unseen traffic, whatever dose of risk `reset` asks for."""
+
+    def __init__(self, env: gym.Env[Any, Any], traffic: Traffic) -> None:
+        super().__init__(env)
+        self._traffic = traffic
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Begin an episode: draw the scenario of the seed in regular and in risky traffic, and mix the two."""
+        drawn: list[Scenario] = []
+        for risk in (0.0, 1.0):
+            self.env.reset(seed=seed, options={"config": {"risk": risk}})
+            drawn.append(self.env.unwrapped.scenario)  # type: ignore[attr-defined]
+        return self.env.reset(seed=seed, options={"scenario": self._traffic.scenario(*drawn)})

@@ -15,9 +15,10 @@ from typing import TYPE_CHECKING, Any
 
 from agents.rules import POLICIES
 from experiments.backends import SIMULATORS
-from experiments.study.arms import DOSE_TRAFFICS, DOSES, TRAFFICS, gate_traffics
-from experiments.study.rules import TrainingRules
-from experiments.study.sheet import sheet
+from experiments.study.design.arms import EVERY_ARM, gate_traffics
+from experiments.study.design.rules import TrainingRules
+from experiments.study.design.sheet import sheet
+from experiments.study.design.traffic import BETWEEN, TRAFFICS
 from experiments.support.errors import UserError, unknown
 from experiments.support.files import canonical_json, sha256_bytes
 from sumo_env.config import ConfigError, resolve
@@ -114,7 +115,7 @@ class Cell:
     @property
     def risk(self) -> float:
         """Dose of risk in the cell's training traffic (0 for baselines)."""
-        return DOSES[self.arm] if self.arm else 0.0
+        return EVERY_ARM[self.arm].traffic.dose if self.arm else 0.0
 
     @property
     def rules(self) -> TrainingRules:
@@ -174,6 +175,12 @@ def learner_of(key: Mapping[str, Any], source: str | None) -> tuple[Learner, Any
     return found, found.Settings(**values)
 
 
+def tested_on(key: Mapping[str, Any]) -> tuple[str, str, dict[str, Any]]:
+    """Backend, task and configuration of the environment that a cell is tested in, as `make_env` takes them."""
+    where = {**key, **(key.get("test_on") or {})}
+    return where["backend"], key["task"], dict(where["env_config"])
+
+
 def setting(key: Mapping[str, Any]) -> str:
     """The first part of a cell's name: backend, task and level, for example "sumo-highway-50"."""
     return f"{key['backend']}-{key['task']}-{key['level_name']}"
@@ -187,7 +194,7 @@ def slug(key: Mapping[str, Any]) -> str:
         last += f"-{policy}"
     if test_on := key.get("test_on"):
         elsewhere = test_on["backend"] != key["backend"]
-        here = "-doses" if set(test_on["traffics"]) <= set(DOSE_TRAFFICS) else "-unseen"
+        here = "-doses" if set(test_on["traffics"]) <= set(BETWEEN) else "-unseen"
         last += f"-on-{test_on['backend']}" if elsewhere else here
     return f"{setting(key)}-{last}"
 

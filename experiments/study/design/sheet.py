@@ -151,7 +151,7 @@ def sheet(task: str) -> Sheet:
     """The sheet of a task. Raises UserError for a task that has none."""
     if task not in SHEETS:
         raise UserError(
-            f"nothing is said of the task {task!r} in SHEETS of experiments/study/sheet.py, so that it cannot be "
-            f"studied: add its sheet there (there are {', '.join(SHEETS)})"
+            f"nothing is said of the task {task!r} in SHEETS of experiments/study/design/sheet.py, so that it cannot "
+            f"be studied: add its sheet there (there are {', '.join(SHEETS)})"
         )
     return SHEETS[task]

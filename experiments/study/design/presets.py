@@ -6,10 +6,10 @@ from collections.abc import Mapping
 from dataclasses import fields, replace
 from typing import Any
 
-from experiments.study.experiment import Dynamics, Experiment
-from experiments.study.fingerprint import dynamics
-from experiments.study.grid import Cell
-from experiments.study.sheet import SHEETS, sheet
+from experiments.study.design.experiment import Dynamics, Experiment
+from experiments.study.design.fingerprint import dynamics
+from experiments.study.design.grid import Cell
+from experiments.study.design.sheet import SHEETS, sheet
 from experiments.support.errors import unknown
 
 # Training episodes of an agent in the paper. Budgets are counted in updates, equal for both arms: the number of
@@ -44,7 +44,7 @@ def tuned(
 ) -> dict[str, dict[str, Any]]:
     """The learner of each task in the first version of "tuned": the defaults of `agents.dqn.DQNConfig`, but for these.
 
-    updates: budget of an agent by task. clock: by task how its training episodes end, see `experiments.study.wrappers`.
+    updates: budget of an agent by task. clock: by task how its training episodes end, see `rules.TrainingRules`.
     """
     return {task: {"updates": budget, **clock.get(task, {}), **settings} for task, budget in updates.items()}
 

@@ -1,0 +1,51 @@
+"""Cells computed in processes: those that are not finished, each once."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Sequence
+from pathlib import Path
+
+from experiments.backends import make_env
+from experiments.study.compute.cell import CellTask, MakeEnv
+from experiments.study.compute.executors import open_executor
+from experiments.study.compute.executors.local import TASKS_PER_PROCESS
+from experiments.study.compute.progress import Progress
+from experiments.study.compute.run import run
+from experiments.study.design.grid import Cell
+from experiments.study.results.store import Store
+
+
+def compute(
+    cells: Sequence[Cell],
+    directory: Path,
+    make_env: MakeEnv = make_env,
+    executor: str = "local",
+    workers: int | None = None,
+) -> dict[str, str]:
+    """Compute the cells that are not finished; returns the reason of each failure by the name of its cell.
+
+    make_env: of `backends`, or another that is importable in other processes. executor, workers: see
+    `executors.open_executor`.
+    """
+    store = Store(directory)
+    tasks = {cell.name: CellTask(cell, directory, make_env) for cell in cells}
+    there = {name for name, task in tasks.items() if task.done()}
+    for name in there:  # where a kill left it
+        shutil.rmtree(store.work / name, ignore_errors=True)
+    print(f"{len(tasks)} cells, {len(there)} of them finished before; results go to {directory}", flush=True)
+    # highway-env's tasks change class attributes of each other
+    simulators = {name for cell in cells for name in (cell.backend, cell.runs_on)}
+    per_process = 1 if "highway-env" in simulators else TASKS_PER_PROCESS
+    progress = Progress(store.work, cells, there)
+    failures: dict[str, str] = {}
+    try:
+        for kinds in (("agent", "baseline"), ("test",)):  # agents are tested elsewhere once all are trained
+            batch = [task for name, task in tasks.items() if name not in there and task.cell.kind in kinds]
+            if kinds == ("test",):
+                batch = [task for task in batch if store.weights(task.cell.parent.name)]
+            if batch:
+                failures |= run(batch, *open_executor(executor, workers, directory, per_process), progress)
+    finally:
+        progress.close()
+    return failures

@@ -24,17 +24,19 @@ def cross() -> list[tuple[float, bool]]:
     They drive on random ways across the intersection at constant speeds. Runs in a process of its own, because libsumo
     supports one simulation per process.
     """
-    from sumo_env.sumo.session import ALL_CHECKS_OFF, COMMANDED_LANE_CHANGES, Session, Settings
+    from sumo_env.sumo.session import ALL_CHECKS_OFF, COMMANDED_LANE_CHANGES, Session
+    from sumo_env.sumo.settings import placed_settings
 
     task, net = get_task("intersection"), network("intersection")
     attributes = vehicle_type(drivers("intersection", 0.0)[0], task.calibration)
     session = Session()
-    settings = Settings(net.net_file, tuple(net.routes.items()), STEP, (("car", attributes),))
+    settings = placed_settings(net.net_file, net.routes.items(), STEP, [("car", attributes)])
     rng = np.random.default_rng(1)
     arms = list(itertools.permutations(range(4), 2))
     results = []
     for _ in range(PAIRS):
-        session.load(settings)
+        if not session.clear(settings):
+            session.load(settings)
         for name, arm in zip("ab", arms[rng.integers(len(arms))], strict=True):
             goal = (arm + rng.integers(1, 4)) % 4
             speed = rng.uniform(5.0, 9.0)

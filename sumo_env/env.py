@@ -344,21 +344,18 @@ class SumoDrivingEnv(DrivingEnv):
         env = SumoDrivingEnv("town.sumocfg", ego_vehicle="taxi7")
         env = SumoDrivingEnv("town.net.xml", "town.rou.xml", ego_route=["in", "main", "out"])
 
-    SUMO loads, routes, inserts and removes what is in the files, as ``sumo`` does. docs/scenarios.md lists the keys of
-    `config`, what is added to SUMO's options, and how the episode ends.
+    SUMO drives the files as ``sumo`` does; docs/scenarios.md says how the ego comes and how an episode ends.
 
     Args:
         network: a configuration (.sumocfg) or a network (.net.xml) of SUMO.
-        routes: route files of SUMO, one or several. Or routes by name or in a row, each as edges, on which traffic is
-            drawn for each episode (``vehicles_count``, ``spawn_probability``).
-        ego_route: edges that the ego drives along, one after the other, or several such routes, of which one is drawn.
+        routes: route files of SUMO, one or several; or routes, each as edges, on which traffic is drawn.
+        ego_route: edges that the ego drives along, or several such routes, of which one is drawn.
         config: as of `DrivingEnv`.
         additional: additional files of SUMO, one or several.
         ego_trips: in place of a route, pairs of edges (from, to), of which one is drawn; SUMO finds the route.
         ego_vehicle: in place of a route, the id of a vehicle of the files, which is the ego.
         ego_type: vehicle type of an ego that is added; SUMO's default, else.
-        output_dir: folder for the outputs of the configuration and of `sumo_options`: each episode of each
-            environment has files of its own. Without it the outputs of a configuration are off.
+        output_dir: folder for SUMO's outputs, with files of its own for each episode of each environment.
         keywords: as of `DrivingEnv`.
 
     Raises:

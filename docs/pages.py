@@ -446,8 +446,8 @@ def as_lines(words: pd.Series) -> Iterator[list[str]]:
 
 def avoidable() -> Iterator[list[str]]:
     """Lines of a table: how many crashes could still be avoided 1, 2 and 3 s before."""
-    from experiments.study.avoid import SAFE
-    from experiments.study.evaluate import share
+    from experiments.study.replaying.avoid import SAFE
+    from experiments.test import share
 
     crashes = table("copies/avoidable.parquet")
     for (task, level, arm), own in crashes.groupby(["task", "level_name", "arm"]):

@@ -19,8 +19,8 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from experiments.analysis import estimate
 from experiments.analysis.analysis import own_agents
 from experiments.analysis.scores import arms_of, with_outcomes
-from experiments.study.arms import TRAFFICS
-from experiments.study.store import load
+from experiments.study.design.arms import TRAFFICS
+from experiments.study.results.store import load
 
 STUDY = Path(__file__).resolve().parents[1] / "results" / "second"
 RUNS = 2000

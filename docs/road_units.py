@@ -18,7 +18,7 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from agents.rules import make_policy
-from experiments.study.arms import scenario_seed
+from experiments.study.design.arms import scenario_seed
 from experiments.validation.episodes import traffic_near
 from sumo_env.contacts.measures import headways
 from sumo_env.env import DrivingEnv

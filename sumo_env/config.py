@@ -84,8 +84,10 @@ LARGEST = {
     "scaling": math.inf,
     "risk": 1.0,
     "spawn_probability": 1.0,
+    "warm_up": 100_000.0,
+    "wait": 100_000.0,
 }
-MAY_BE_ZERO = ("risk", "spawn_probability")  # of those
+MAY_BE_ZERO = ("risk", "spawn_probability", "warm_up", "wait")  # of those
 # Keys of highway-env and rl-agents that the tasks on SUMO do not have. A whole configuration of theirs is accepted if
 # it describes the same task and kept: these keys have no effect, and those of `FIXED` may only have one value.
 # rl-agents hands its whole JSON file to `configure`.

@@ -4,10 +4,7 @@ from __future__ import annotations
 
 import copy
 import math
-import shlex
-import tempfile
 from collections.abc import Mapping, Sequence
-from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ClassVar
@@ -20,21 +17,18 @@ from sumo_env.actions import Moment, PlainAction, ego_route
 from sumo_env.config import COMMON, Config, ConfigError, resolve
 from sumo_env.contacts.rectangles import state_of
 from sumo_env.interface import information, interface, on_its_way
-from sumo_env.networks import files
 from sumo_env.networks.roads import LaneIndex
 from sumo_env.observation import TimeToCollision
 from sumo_env.occupancy import OccupancyGrid
+from sumo_env.own_sumo import OwnSumo
 from sumo_env.scene import Scene
 from sumo_env.simulator import Command, EgoCommand, Simulator, Step
 from sumo_env.sumo.options import OUTPUT_DIR, REFUSED, REFUSED_FOR_FILES, check_effect, check_options
 from sumo_env.sumo.process import SumoProcess
-from sumo_env.sumo.proxy import Sumo
-from sumo_env.sumo.settings import file_settings
 from sumo_env.tasks import get_task
 from sumo_env.tasks.base import EgoState, Task, nearest_index
 from sumo_env.tasks.network import NetworkTask
 from sumo_env.traffic.scenario import Scenario
-from sumo_env.traffic.sumo_files import is_output
 from sumo_env.views import ReadAsHighwayEnv
 
 if TYPE_CHECKING:
@@ -46,7 +40,7 @@ Observation = NDArray[np.float32]
 VARIED = ("risk_rates", "risk_ranges", "calibration")  # parts of a task that `reset` may change
 
 
-class DrivingEnv(ReadAsHighwayEnv):
+class DrivingEnv(ReadAsHighwayEnv, OwnSumo):
     """One of the five driving tasks on SUMO.
 
     Observations, actions, rewards, endings and `config` keys are highway-env's; docs/environments has a page for each
@@ -241,64 +235,6 @@ class DrivingEnv(ReadAsHighwayEnv):
             self._renderer = Renderer()
         return self._renderer.draw(self.scene, self.task.road(self.config), self.config)
 
-    def export(self, folder: str | Path) -> list[Path]:
-        """Write the present episode, as far as it was driven, for ``sumo`` and ``sumo-gui``; returns the files.
-
-        ``episode.sumocfg`` shows what happened. The episode is driven a second time, in a simulator of its own, so that
-        every simulation step is in the files.
-        """
-        from sumo_env import export
-
-        if self.scenario is None:
-            raise gym.error.ResetNeeded("call reset() before export()")
-        with tempfile.TemporaryDirectory(prefix="sumo_env-") as temporary:
-            recorded = None
-            try:
-                simulator: Simulator = copy.deepcopy(self._given) or SumoProcess()
-            except TypeError:  # it cannot be copied
-                simulator = SumoProcess()
-            if self.scenario.traffic is not None:
-                recorded = Path(temporary) / "fcd.xml"
-                acting = [one for one in self._options if not is_output(one.removeprefix("--").split("=")[0])]
-                acting = [one for one in acting if not one.startswith(OUTPUT_DIR)]
-                simulator = SumoProcess(options=(*acting, f"--fcd-output={recorded}"))
-            with closing(simulator):
-                scenes = [simulator.reset(self.scenario)]
-                for command in self._commands:
-                    scenes += simulator.step(command, trace=True).trace
-            return export.write(Path(folder), self.scenario, scenes, recorded)
-
-    @property
-    def sumo(self) -> Sumo:
-        """SUMO of this very environment, in a worker too: ``env.unwrapped.sumo.vehicle.getFuelConsumption("ego")``.
-
-        All functions of libsumo, but those that load, step or end a simulation.
-        """
-        simulator = self._simulator
-        if self.scenario is None or not isinstance(simulator, SumoProcess):
-            raise gym.error.ResetNeeded("call reset() of an environment on SUMO before asking its SUMO")
-        return Sumo(simulator.call)
-
-    @property
-    def ego_id(self) -> str:
-        """Id of the ego in SUMO and in `scene`."""
-        return self.scene.ids[0]
-
-    @property
-    def sumo_command(self) -> str:
-        """The command of ``sumo`` that drives the traffic of this episode, with SUMO's own files."""
-        if self.scenario is None or self.scenario.traffic is None:
-            raise gym.error.ResetNeeded("call reset() of a SumoDrivingEnv before sumo_command")
-        settings = file_settings(self.scenario, self._options)
-        options = dict(settings.options)
-        if settings.elements:  # drawn traffic, in a file that is left to the user
-            with tempfile.NamedTemporaryFile("w", suffix=".add.xml", delete=False) as written:
-                written.write(settings.elements)
-            options["additional-files"] = ",".join(
-                filter(None, (written.name, options.get("additional-files")))
-            )
-        return shlex.join(["sumo", *(f"--{name}={value}" for name, value in options.items())])
-
     def set_record_video_wrapper(self, wrapper: RecordVideo[Any, Any]) -> None:
         """Make a `gymnasium.wrappers.RecordVideo` film every simulation step, in real time, as in highway-env.
 
@@ -368,16 +304,6 @@ class DrivingEnv(ReadAsHighwayEnv):
             scene=scene,
         )
 
-    def _find_route(self) -> None:
-        """What is left of the ego's route, as SUMO has it now."""
-        assert self.scenario is not None and self.scene.place is not None
-        edges = self.scene.place.ahead
-        self._route = tuple(node for edge in edges for node in files.lane(edge)[:2])
-        last = files.lane(edges[-1])
-        if last in self._road.lanes:
-            ego = self.scenario.ego._replace(lane=last, destination=last[1])
-            self._spec_of = {ego.id: ego}
-
     def _ego_place(self) -> tuple[LaneIndex, float, float, bool]:
         """The ego's lane, its coordinates there [m], and whether it is on the road."""
         x, y, _, heading = state_of(self.scene, 0)
@@ -434,21 +360,18 @@ class SumoDrivingEnv(DrivingEnv):
         env = SumoDrivingEnv("town.sumocfg", ego_vehicle="taxi7")
         env = SumoDrivingEnv("town.net.xml", "town.rou.xml", ego_route=["in", "main", "out"])
 
-    SUMO loads, routes, inserts and removes what is in the files, as ``sumo`` does. docs/scenarios.md lists the keys of
-    `config`, what is added to SUMO's options, and how the episode ends.
+    SUMO drives the files as ``sumo`` does; docs/scenarios.md says how the ego comes and how an episode ends.
 
     Args:
         network: a configuration (.sumocfg) or a network (.net.xml) of SUMO.
-        routes: route files of SUMO, one or several. Or routes by name or in a row, each as edges, on which traffic is
-            drawn for each episode (``vehicles_count``, ``spawn_probability``).
-        ego_route: edges that the ego drives along, one after the other, or several such routes, of which one is drawn.
+        routes: route files of SUMO, one or several; or routes, each as edges, on which traffic is drawn.
+        ego_route: edges that the ego drives along, or several such routes, of which one is drawn.
         config: as of `DrivingEnv`.
         additional: additional files of SUMO, one or several.
         ego_trips: in place of a route, pairs of edges (from, to), of which one is drawn; SUMO finds the route.
         ego_vehicle: in place of a route, the id of a vehicle of the files, which is the ego.
         ego_type: vehicle type of an ego that is added; SUMO's default, else.
-        output_dir: folder for the outputs of the configuration and of `sumo_options`: each episode of each
-            environment has files of its own. Without it the outputs of a configuration are off.
+        output_dir: folder for SUMO's outputs, with files of its own for each episode of each environment.
         keywords: as of `DrivingEnv`.
 
     Raises:

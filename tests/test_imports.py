@@ -69,7 +69,7 @@ def test_imports_point_one_way() -> None:
 FLOORS = {
     "sumo_env": """
         networks < scene streams config < contacts < traffic < tasks simulator < actions
-        < observation rendering views export < occupancy < interface < sumo < env
+        < observation rendering views export < occupancy < interface < sumo < own_sumo < env
     """,
     "experiments": """
         support < backends < study < analysis < reporting < validation

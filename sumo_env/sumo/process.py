@@ -116,9 +116,9 @@ class SumoProcess:
         """See `Simulator.imagine`."""
         self._ask("imagine", scenario)
 
-    def call(self, path: str, arguments: tuple[Any, ...]) -> Any:
+    def call(self, path: str, arguments: tuple[Any, ...], named: dict[str, Any]) -> Any:
         """A function of libsumo, such as ``vehicle.getSpeed``, in the simulation of this simulator."""
-        value = self._ask("call", path, arguments)
+        value = self._ask("call", path, arguments, named)
         if path.rpartition(".")[2].startswith("get"):
             self._calls.pop()  # a copy need not ask again
         return value

@@ -24,10 +24,10 @@ class Sumo:
     """``sumo.vehicle.getSpeed("ego")``: as libsumo, in the simulation of one environment.
 
     Args:
-        call: of a function by its name (``vehicle.getSpeed``) and its arguments.
+        call: of a function by its name (``vehicle.getSpeed``), its arguments and those by name.
     """
 
-    def __init__(self, call: Callable[[str, tuple[Any, ...]], Any], path: str = "") -> None:
+    def __init__(self, call: Callable[[str, tuple[Any, ...], dict[str, Any]], Any], path: str = "") -> None:
         self._call, self._path = call, path
 
     def __getattr__(self, name: str) -> Sumo:
@@ -39,9 +39,9 @@ class Sumo:
             )
         return Sumo(self._call, f"{self._path}.{name}".lstrip("."))
 
-    def __call__(self, *arguments: Any) -> Any:
+    def __call__(self, *arguments: Any, **named: Any) -> Any:
         """Call the function of this name; its result has SUMO's values, of plain types."""
-        return self._call(self._path, arguments)
+        return self._call(self._path, arguments, named)
 
     def __repr__(self) -> str:
         return f"<libsumo{'.' if self._path else ''}{self._path} of an environment>"

@@ -208,9 +208,9 @@ class Session:
         if not deviation.gives_way:
             _vehicle.setSpeedMode(name, NO_RULES)
 
-    def call(self, path: str, arguments: tuple[Any, ...]) -> Any:
+    def call(self, path: str, arguments: tuple[Any, ...], named: dict[str, Any]) -> Any:
         """A function of libsumo by its name, such as ``vehicle.getSpeed``; objects of SUMO become plain ones."""
-        return _plain(operator.attrgetter(path)(libsumo)(*arguments))
+        return _plain(operator.attrgetter(path)(libsumo)(*arguments, **named))
 
     def set_speed(self, name: str, speed: float) -> None:
         """Command a speed [m/s] from now on; -1 gives it back to the car-following model."""

@@ -91,9 +91,9 @@ class SumoSimulator:
         self._scenario = scenario
         self._events.imagine(scenario.events)
 
-    def call(self, path: str, arguments: tuple[Any, ...]) -> Any:
+    def call(self, path: str, arguments: tuple[Any, ...], named: dict[str, Any]) -> Any:
         """A function of libsumo, such as ``vehicle.getSpeed``."""
-        return self._session.call(path, arguments)
+        return self._session.call(path, arguments, named)
 
     def clone(self) -> NoReturn:
         """SUMO cannot be copied within a process: see `SumoProcess`."""

@@ -79,9 +79,7 @@ class NetworkTask(Task):
         ego_type: str = "",
     ) -> None:
         """See `sumo_env.env.SumoDrivingEnv`; errors are ValueErrors."""
-        file = Path(network).resolve()
-        if not file.is_file():
-            raise ConfigError(f"there is no SUMO network {file}")
+        (file,) = paths("network", network)
         self.outputs: tuple[tuple[str, str], ...] = ()  # of the configuration, which are off
         options = {"net-file": str(file)}
         if file.name.endswith(".sumocfg"):
@@ -191,6 +189,11 @@ class NetworkTask(Task):
             _warn_once(
                 f"risk changes no {lacks} of drivers of the car-following model {model}, which lacks them"
             )
+        for key in ("begin", "initial_speed"):
+            if config[key] is not None and not (isinstance(config[key], int | float) and config[key] >= 0):
+                raise ConfigError(
+                    f"config key {key!r} must be a number of at least 0 or None, not {config[key]!r}"
+                )
         rng = stream(seed, "scenario")
         origin = self._origins[int(rng.integers(len(self._origins)))]
         if config["initial_speed"] is not None:

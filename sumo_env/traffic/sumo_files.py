@@ -9,7 +9,8 @@ from __future__ import annotations
 import difflib
 import gzip
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Generator, Mapping, Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -67,8 +68,8 @@ def configuration(file: Path) -> dict[str, str]:
             if value is not None:
                 found[SYNONYMS.get(item.tag, item.tag)] = value
     for name in set(found).intersection(INPUTS):
-        paths = [file.parent / part.strip() for part in found[name].split(",") if part.strip()]
-        found[name] = ",".join(str(path.resolve()) for path in paths)
+        files = [file.parent / part.strip() for part in found[name].split(",") if part.strip()]
+        found[name] = ",".join(map(str, paths(f"{file}: {name}", files)))
     if "net-file" not in found:
         raise ConfigError(
             f"{file} is no configuration of SUMO with a network: it has no <net-file value=.../>"
@@ -87,6 +88,10 @@ def paths(name: str, given: str | Path | Sequence[str | Path]) -> tuple[Path, ..
     for path in found:
         if not path.is_file():
             raise ConfigError(f"{name}: there is no file {path}")
+        if "," in str(path) or "${" in str(path):
+            raise ConfigError(
+                f"{name}: SUMO cannot read {path}: it takes a comma as the end of a name, and ${{...}} as a variable"
+            )
     return found
 
 
@@ -116,18 +121,23 @@ class Contents:
         """Time of the first departure [s], for SUMO reads files in the order of departure; None without one."""
         times = []
         for file in self.files:
-            for item in _elements(file):
-                text = item.get("depart", item.get("begin"))
-                if item.tag in DEPARTING and text is not None:
-                    if re.fullmatch(r"[\d.:]+", text):
-                        times.append(seconds("depart", text))
-                    break
+            with closing(_elements(file)) as elements:
+                for item in elements:
+                    text = item.get("depart", item.get("begin"))
+                    if item.tag in DEPARTING and text is not None:
+                        if re.fullmatch(r"[\d.:]+", text):
+                            times.append(seconds("depart", text))
+                        break
         return min(times, default=None)
 
     def has_id(self, name: str) -> bool:
         """Whether something in the files may have this id."""
         pattern = re.compile(rb"""\bid\s*=\s*["']%s["']""" % re.escape(name.encode()))
-        return any(pattern.search(_opened(file).read()) for file in self.files)
+        for file in self.files:
+            with _opened(file) as opened:
+                if pattern.search(opened.read()):
+                    return True
+        return False
 
     def check_vehicle(self, name: str) -> None:
         """That a vehicle of this id comes, as far as the files say.
@@ -174,7 +184,7 @@ def _root(file: Path) -> ElementTree.Element:
         raise ConfigError(f"{file} cannot be read: {error}") from error
 
 
-def _elements(file: Path) -> Iterator[ElementTree.Element]:
+def _elements(file: Path) -> Generator[ElementTree.Element, None, None]:
     """The elements of a file, as far as they are asked for."""
     try:
         with _opened(file) as opened:

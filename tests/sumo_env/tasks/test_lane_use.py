@@ -7,9 +7,9 @@ from typing import Any
 
 import pytest
 
-from sumo_env.config import ConfigError
 from sumo_env.env import SumoDrivingEnv
 from sumo_env.networks import files
+from sumo_env.simulator import SimulatorError
 from tests.sumo_env.plans import QUIET, build, needs_sumo, opened, route_file
 from tests.sumo_env.rollout import drive
 
@@ -62,10 +62,9 @@ def test_connections_decide_which_lane_follows(tmp_path: Path, lane: int, ends: 
     road = files.network(net).road
     assert road.next_lane(road.next_lane(files.lane("ab", lane), way), way)[2] in ends
     env = SumoDrivingEnv(net, [], ["ab", "bc"], {**QUIET, "policy_frequency": 10, "initial_speed": 14})
-    for seed in range(20):
-        env.reset(seed=seed)
-        if env.vehicle.lane_index[2] == lane:
-            break
+    env.reset(seed=0)
+    while (here := env.vehicle.lane_index[2]) != lane:
+        env.step(0 if here > lane else 2)
     driven = set()
     for _ in drive(env, 250 * [1]):
         driven |= {env.vehicle.lane_index[2]} if env.vehicle.lane_index[0] == "bc:from" else set()
@@ -102,13 +101,27 @@ def test_vehicles_drive_where_their_class_may(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("demand", "message"),
     [
-        ('<vehicle id="v" depart="0"><route edges="ab bc"/></vehicle>', "edge 'bc', .* passenger cars"),
-        ('<vehicle id="v" depart="0" type="bike"><route edges="ab bc"/></vehicle>', "class 'bicycle'"),
-        ('<trip id="v" depart="0" type="bike" from="ab" to="bc"/>', "no route .* 'ab' to edge 'bc'"),
-        ('<vehicle id="v" depart="0" departLane="2"><route edges="ab"/></vehicle>', "departs on lane 2"),
+        (
+            '<vehicle id="v" depart="0"><route edges="ab bc"/></vehicle>',
+            "'v' has no valid route.* 'ab' and edge 'bc'",
+        ),
+        ('<trip id="v" depart="0" type="bike" from="ab" to="bc"/>', "'v' has no valid route"),
+        ('<vehicle id="v" depart="0" departLane="2"><route edges="ab"/></vehicle>', "departLane .* 'v'"),
     ],
 )
-def test_a_route_that_a_class_may_not_drive_is_named(tmp_path: Path, demand: str, message: str) -> None:
-    file = route_file(tmp_path, TYPES + demand)
-    with pytest.raises(ConfigError, match=message):
-        SumoDrivingEnv(build(tmp_path, LANES), file, FAR).reset(seed=0)
+def test_a_route_that_a_class_may_not_drive_is_named_by_sumo(
+    tmp_path: Path, demand: str, message: str
+) -> None:
+    env = SumoDrivingEnv(build(tmp_path, LANES), route_file(tmp_path, TYPES + demand), FAR)
+    with pytest.raises(SimulatorError, match=message):
+        env.reset(seed=0)
+
+
+def test_an_ego_of_another_class_drives_where_its_class_may(tmp_path: Path) -> None:
+    file = route_file(tmp_path, TYPES)
+    net = build(tmp_path, LANES)
+    env = SumoDrivingEnv(net, file, ["ab", "bc", "cd"], ego_type="bus")
+    env.reset(seed=0)
+    assert env.ego_state.lane == files.lane("ab/closed", 0) and env.scene.sizes["ego"] == (12.0, 2.5)
+    with pytest.raises(SimulatorError, match=r"valid route|no lane for vehicles of class 'bicycle'|'ego'"):
+        SumoDrivingEnv(net, file, ["ab", "bc"], {"wait": 3}, ego_type="bike").reset(seed=0)

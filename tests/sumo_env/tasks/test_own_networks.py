@@ -119,7 +119,7 @@ def test_a_network_written_by_hand_with_its_demand(merge: Path) -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"network": "nowhere.net.xml"}, "there is no SUMO network"),
+        ({"network": "nowhere.net.xml"}, "there is no file .*nowhere.net.xml"),
         ({"ego_route": ["A0A1", "B1B2"]}, "no connection leads from edge 'A0A1' to edge 'B1B2'"),
         ({"ego_route": ["A0A9"]}, "edge 'A0A9'"),
         ({"routes": [["A0A1", "B1B2"]]}, "route 0"),

@@ -1,0 +1,103 @@
+"""What a user has of the SUMO under an environment: libsumo's functions, the command of ``sumo``, exported files."""
+
+from __future__ import annotations
+
+import copy
+import shlex
+import tempfile
+from contextlib import closing
+from pathlib import Path
+
+import gymnasium as gym
+
+from sumo_env import export
+from sumo_env.networks import files
+from sumo_env.networks.roads import Road
+from sumo_env.scene import Scene
+from sumo_env.simulator import EgoCommand, Simulator
+from sumo_env.sumo.options import OUTPUT_DIR
+from sumo_env.sumo.process import SumoProcess
+from sumo_env.sumo.proxy import Sumo
+from sumo_env.sumo.settings import file_settings
+from sumo_env.traffic.scenario import Scenario, VehicleSpec
+from sumo_env.traffic.sumo_files import is_output
+
+
+class OwnSumo:
+    """The part of `DrivingEnv` that hands out its SUMO."""
+
+    scene: Scene
+    scenario: Scenario | None
+    _given: Simulator | None
+    _simulator: Simulator | None
+    _options: tuple[str, ...]
+    _commands: list[EgoCommand]
+    _road: Road
+    _route: tuple[str, ...]
+    _spec_of: dict[str, VehicleSpec]
+
+    def export(self, folder: str | Path) -> list[Path]:
+        """Write the present episode, as far as it was driven, for ``sumo`` and ``sumo-gui``; returns the files.
+
+        ``episode.sumocfg`` shows what happened. The episode is driven a second time, in a simulator of its own, so that
+        every simulation step is in the files.
+        """
+        if self.scenario is None:
+            raise gym.error.ResetNeeded("call reset() before export()")
+        with tempfile.TemporaryDirectory(prefix="sumo_env-") as temporary:
+            recorded = None
+            try:
+                simulator: Simulator = copy.deepcopy(self._given) or SumoProcess()
+            except TypeError:  # it cannot be copied
+                simulator = SumoProcess()
+            if self.scenario.traffic is not None:
+                recorded = Path(temporary) / "fcd.xml"
+                acting = [one for one in self._options if not is_output(one.removeprefix("--").split("=")[0])]
+                acting = [one for one in acting if not one.startswith(OUTPUT_DIR)]
+                simulator = SumoProcess(options=(*acting, f"--fcd-output={recorded}"))
+            with closing(simulator):
+                scenes = [simulator.reset(self.scenario)]
+                for command in self._commands:
+                    scenes += simulator.step(command, trace=True).trace
+            return export.write(Path(folder), self.scenario, scenes, recorded)
+
+    @property
+    def sumo(self) -> Sumo:
+        """SUMO of this very environment, in a worker too: ``env.unwrapped.sumo.vehicle.getFuelConsumption("ego")``.
+
+        All functions of libsumo, but those that load, step or end a simulation.
+        """
+        simulator = self._simulator
+        if self.scenario is None or not isinstance(simulator, SumoProcess):
+            raise gym.error.ResetNeeded("call reset() of an environment on SUMO before asking its SUMO")
+        return Sumo(simulator.call)
+
+    @property
+    def ego_id(self) -> str:
+        """Id of the ego in SUMO and in `scene`."""
+        return self.scene.ids[0]
+
+    @property
+    def sumo_command(self) -> str:
+        """The command of ``sumo`` that drives the traffic of this episode, with SUMO's own files."""
+        if self.scenario is None or self.scenario.traffic is None:
+            raise gym.error.ResetNeeded("call reset() of a SumoDrivingEnv before sumo_command")
+        settings = file_settings(self.scenario, self._options)
+        options = dict(settings.options)
+        if settings.elements:  # drawn traffic, in a file that is left to the user
+            with tempfile.NamedTemporaryFile("w", suffix=".add.xml", delete=False) as written:
+                written.write(settings.elements)
+            options["additional-files"] = ",".join(
+                filter(None, (written.name, options.get("additional-files")))
+            )
+        return shlex.join(["sumo", *(f"--{name}={value}" for name, value in options.items())])
+
+    def _find_route(self) -> None:
+        """What is left of the ego's route, as SUMO has it now."""
+        assert self.scenario is not None and self.scene.place is not None
+        edges = self.scene.place.ahead
+        self._route = tuple(node for edge in edges for node in files.lane(edge)[:2])
+        last = files.lane(edges[-1])
+        if last in self._road.lanes:
+            ego = self.scenario.ego._replace(lane=last, destination=last[1])
+            self._spec_of = {ego.id: ego}

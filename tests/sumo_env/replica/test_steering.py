@@ -18,6 +18,7 @@ from highway_env.envs import RoundaboutEnv, TwoWayEnv
 from highway_env.vehicle.controller import MDPVehicle
 
 import sumo_env
+from experiments.backends import make_env
 from sumo_env.actions import ContinuousAction
 from sumo_env.config import ConfigError
 from sumo_env.env import DrivingEnv
@@ -28,9 +29,11 @@ from .test_batch import assert_equal
 
 TASKS = ("highway", "two-way", "roundabout", "intersection", "u-turn")
 FEW = {"highway": 1, "two-way": 6, "roundabout": 3, "intersection": 2, "u-turn": 4}
+WAYS = {"u-turn": 3, "intersection": 1, "roundabout": 2}  # episodes for each way to steer
 EACH = 200  # episodes of each task in the long comparison
 TABLE = {"type": "Kinematics"}
 STEERING: dict[str, Any] = {"type": "ContinuousAction"}
+SHORTER = {"highway": {"duration": 12}}  # highway-env needs half a second for each of its steps
 QUICK = {"simulation_frequency": 15, "policy_frequency": 5, "duration": 6}
 ACTIONS: list[dict[str, Any]] = [
     {**STEERING, "lateral": False, "acceleration_range": [-6.0, 3.0]},
@@ -112,17 +115,17 @@ def different(
 @pytest.mark.parametrize("task", TASKS)
 def test_a_steered_episode_is_that_of_highway_env(task: str) -> None:
     few, config = FEW[task], {"action": STEERING}
-    assert different(task, range(few), config, wild) == []
+    assert different(task, range(few), {**config, **SHORTER.get(task, {})}, wild) == []
     quick = {key: value for key, value in QUICK.items() if key != "duration" or task != "two-way"}
     assert different(task, range(few), {**config, **quick}, along_the_road) == []
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("task", ["u-turn", "intersection", "roundabout"])
+@pytest.mark.parametrize("task", WAYS)
 @pytest.mark.parametrize("action", ACTIONS, ids=str)
 def test_every_way_to_steer(action: dict[str, Any], task: str) -> None:
     """Also among cars that are not far from the ego, that give way to it, and on two lanes around a bend."""
-    assert different(task, range(3), {"action": action}, wild) == []
+    assert different(task, range(WAYS[task]), {"action": action}, wild) == []
 
 
 @pytest.mark.slow
@@ -147,12 +150,10 @@ def test_later_versions_are_those_of_highway_env(id: str) -> None:
 def test_steered_episodes_are_the_same_in_99_percent(task: str) -> None:
     """To 1e-6 throughout, half of them under any action and half along the road."""
     quick = {key: value for key, value in QUICK.items() if key != "duration" or task != "two-way"}
-    shorter = (
-        {"duration": 12} if task == "highway" else {}
-    )  # highway-env needs half a second for each of its steps
-    found = different(task, range(1000, 1000 + EACH // 2), {"action": STEERING, **shorter}, wild, slow=EQUAL)
+    config = {"action": STEERING, **SHORTER.get(task, {})}
+    found = different(task, range(1000, 1000 + EACH // 2), config, wild, slow=EQUAL)
     found += different(
-        task, range(2000, 2000 + EACH // 2), {"action": STEERING, **quick}, along_the_road, slow=EQUAL
+        task, range(2001, 2001 + EACH // 2), {"action": STEERING, **quick}, along_the_road, slow=EQUAL
     )
     print(f"{task}: {EACH - len(found)} of {EACH} episodes the same", *found, sep="\n")
     assert len(found) <= 0.01 * EACH
@@ -231,6 +232,14 @@ def test_the_ids_that_highway_env_calls_out_of_date_warn() -> None:
                 ]
             )
         assert said[0] == said[1], id
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_the_study_makes_its_environments_by_task_and_variant_and_never_warns(task: str) -> None:
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        env: Any = make_env("replica", task, {"variant": "v0"}).unwrapped
+    assert env.replica.variant == "v0" and env.observation_type.features
 
 
 def test_copies_and_scenarios_go_on_as_the_original() -> None:

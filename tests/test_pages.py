@@ -69,20 +69,21 @@ def test_an_effect_that_is_not_stored_is_an_error() -> None:
 
 NAME = re.compile(
     rf"(sumo|replica)-(?P<task>{'|'.join(TASKS)})-(?P<level>.+?)"
-    r"-(?P<arm>control|treatment|mixed-seen|mixed|drawn|dense|penalty|dose\d\d)-s\d+-[0-9a-f]{12}"
+    r"-(?P<arm>control|treatment|mixed-seen|mixed|drawn|dense|penalty|dose\d\d)-s\d+(?P<place>-on-replica)?-[0-9a-f]{12}"
 )
-Agents = dict[tuple[str, str], dict[str, pd.DataFrame]]  # setting ("u-turn 3") and arm -> agent -> episodes
+Agents = dict[tuple[str, str], dict[str, pd.DataFrame]]  # setting ("u-turn 3"), arm -> agent -> episodes
 
 
 @cache
 def agents(folder: str) -> Agents:
-    """The test episodes of each agent in the simulator of its training, from the names of the cells alone."""
+    """The test episodes of each agent, from the names of the cells alone; "-on-replica" is part of an arm's name."""
     columns = ["cell", "traffic", "scenario", "crashed", "mean_speed", "distance", "crash_time", "crash_type"]
     found: Agents = {}
     for name, rows in pd.read_parquet(RESULTS / folder / "episodes.parquet", columns=columns).groupby("cell"):
         parts = NAME.fullmatch(str(name))
         if parts:  # else a driver of fixed rules, or a further test of an agent
-            found.setdefault((f"{parts['task']} {parts['level']}", parts["arm"]), {})[str(name)] = rows
+            arm = parts["arm"] + (parts["place"] or "")
+            found.setdefault((f"{parts['task']} {parts['level']}", arm), {})[str(name)] = rows
     return found
 
 
@@ -131,6 +132,13 @@ def test_an_effect_is_the_difference_of_the_agents_means(
         - mean(folder, "crashed", "control", traffic, settings)
     )
     assert effect(folder, "crashed", traffic, scope, arm).value == pytest.approx(points, abs=1e-9)
+
+
+@pytest.mark.parametrize("folder", ["second", "standard"])
+def test_an_effect_elsewhere_is_that_of_the_same_agents_there(folder: str) -> None:
+    there = [mean(folder, "crashed", f"{arm}-on-replica", "risky") for arm in BOTH]
+    found = effect(folder, "crashed", "risky", tested_on="replica")
+    assert found.value == pytest.approx(100 * (there[1] - there[0]), abs=1e-9)
 
 
 def test_speed_and_rates_are_the_agents_means() -> None:

@@ -14,7 +14,7 @@ from sumo_env import export
 from sumo_env.networks import files
 from sumo_env.networks.roads import Road
 from sumo_env.scene import Scene
-from sumo_env.simulator import EgoCommand, Simulator
+from sumo_env.simulator import Command, Simulator
 from sumo_env.sumo.options import OUTPUT_DIR
 from sumo_env.sumo.process import SumoProcess
 from sumo_env.sumo.proxy import Sumo
@@ -31,7 +31,7 @@ class OwnSumo:
     _given: Simulator | None
     _simulator: Simulator | None
     _options: tuple[str, ...]
-    _commands: list[EgoCommand]
+    _commands: list[Command]
     _road: Road
     _route: tuple[str, ...]
     _spec_of: dict[str, VehicleSpec]

@@ -50,6 +50,8 @@ class RouteEgo:
         session, name = self._session, self._name
         if self.crashed:
             return
+        self._lane = ""  # routes and lanes may have changed since it came here
+        self.look()
         self._target_speed, self._target_lane = command
         if self._target_lane is not None and self._target_lane not in self._sides:
             self._target_lane = self._index

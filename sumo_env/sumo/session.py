@@ -307,10 +307,6 @@ class Session:
         """Vehicles that wait until SUMO can insert them."""
         return tuple(_simulation.getPendingVehicles())
 
-    def is_gone(self, name: str) -> bool:
-        """Whether a vehicle is not on the road (any more)."""
-        return name not in _vehicle.getIDList()
-
     def time(self) -> float:
         """SUMO's time [s]."""
         return float(_simulation.getTime())

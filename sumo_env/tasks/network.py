@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
-from functools import cache
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -96,7 +96,7 @@ class NetworkTask(Task):
             files.check_route(self._driven, name, way)
         contents = Contents(options)
         self._first = None if "begin" in options else contents.first_departure()
-        self._models = tuple(contents.models().items())
+        self._contents = contents
         self._origins = self._take_ego(ego_route, ego_trips, ego_vehicle, ego_type)
         if ego_vehicle:
             contents.check_vehicle(ego_vehicle)
@@ -184,7 +184,8 @@ class NetworkTask(Task):
 
     def scenario(self, config: Config, seed: int) -> Scenario:
         """Draw the scenario number `seed`: the ego's way, and what is drawn of the traffic."""
-        for model in sorted({model for _, model in self._models} & LACKING.keys() if config["risk"] else ()):
+        models = self._models if config["risk"] else ()
+        for model in sorted({model for _, model in models} & LACKING.keys()):
             lacks = ", ".join(LACKING[model])
             _warn_once(
                 f"risk changes no {lacks} of drivers of the car-following model {model}, which lacks them"
@@ -224,10 +225,14 @@ class NetworkTask(Task):
                 wait=float(config["wait"]),
                 ranges=self.risk_ranges,
                 rates=self.risk_rates,
-                models=self._models,
+                models=models,
                 duration=float(config["duration"]),
             ),
         )
+
+    @cached_property
+    def _models(self) -> tuple[tuple[str, str], ...]:
+        return tuple(self._contents.models().items())
 
     def _begin(self, config: Config) -> float | None:
         """Where SUMO's clock begins [s]; None where the files say it."""

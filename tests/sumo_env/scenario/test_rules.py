@@ -67,7 +67,16 @@ def test_a_closed_lane_is_not_available_also_if_it_is_closed_on_the_way(tmp_path
     assert env.scene.place.left
     env.sumo.lane.setDisallowed(f"ab_{before + 1}", ["passenger"])
     env.step(LEFT)
-    assert number(env) == before
+    assert number(env) == before and not env.scene.place.left
+
+
+def test_a_route_that_sumo_changes_on_the_way_is_the_ego_s(tmp_path: Path) -> None:
+    env = start(road(tmp_path, ""))
+    env.step(IDLE)
+    assert env.scene.place.ahead == ("ab", "bc")
+    env.sumo.vehicle.setRoute("ego", ["ab", "bd"])
+    env.step(IDLE)
+    assert env.scene.place.ahead == ("ab", "bd") and np.isfinite(env.scene.place.free)
 
 
 def test_a_turn_is_missed_where_the_ego_can_no_longer_turn(tmp_path: Path) -> None:

@@ -125,6 +125,7 @@ def pack(code: Path, settings: Iterable[str], out: Path) -> None:
     records: dict[str, Any] = {}
     tables: dict[str, Any] = {}
     weights: dict[str, Path] = {}
+    out.mkdir(parents=True, exist_ok=True)
     there = set(Store(out).finished())
     with tempfile.TemporaryDirectory() as folder:
         for setting in settings:

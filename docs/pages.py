@@ -30,6 +30,7 @@ from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from scipy import stats
 
 from experiments.analysis.analysis import Analysis, stored
+from experiments.analysis.gates import CROSSINGS
 from experiments.analysis.plan import OUTCOMES
 from experiments.reporting.tables import UNITS, chosen, plain
 from sumo_env.tasks import TASKS
@@ -39,6 +40,7 @@ TEMPLATES = ROOT / "docs" / "templates"
 NOTE = "<!-- Filled by `make pages` from {template}: edit that file. -->\n"
 ALL = "all tasks"
 LIGHTEST = "lightest"
+SAFE = 5.0  # [s] without a contact, which the stored search for ways out of a crash asked for
 CONSTANT = ("idle", "random", "faster", "slower")
 NO_BREAK = "\N{NO-BREAK SPACE}"  # in cells of a table: a narrow screen scrolls instead of breaking numbers
 WORDS = [
@@ -385,8 +387,6 @@ def additional_crashes(folder: str, setting: str, traffic: str, kind: str) -> Co
 
 def entering(folder: str, setting: str, traffic: str, arm: str) -> str:
     """In how many per cent of the episodes the ego gets into the roundabout or intersection: "28"."""
-    from experiments.analysis.gates import CROSSINGS
-
     way = drives(folder, setting, traffic, arm)["distance"]
     return plain(100 * float((way >= CROSSINGS[setting.split()[0]]).mean()), 0)
 
@@ -444,15 +444,18 @@ def as_lines(words: pd.Series) -> Iterator[list[str]]:
         yield [", ".join(map(str, row)), *values]
 
 
+def share(found: Count) -> str:
+    """A share in per cent with Wilson's 95 % interval: "10% [4, 21]"."""
+    interval = stats.binomtest(found.number, found.of).proportion_ci(method="wilson")
+    return f"{found.number / found.of:.0%} [{100 * interval.low:.0f}, {100 * interval.high:.0f}]"
+
+
 def avoidable() -> Iterator[list[str]]:
     """Lines of a table: how many crashes could still be avoided 1, 2 and 3 s before."""
-    from experiments.study.replaying.avoid import SAFE
-    from experiments.test import share
-
     crashes = table("copies/avoidable.parquet")
     for (task, level, arm), own in crashes.groupby(["task", "level_name", "arm"]):
         before = own["contact"] - own["last"]
-        shares = [share(before <= seconds).strip() for seconds in (1, 2, 3)]
+        shares = [share(count(before <= seconds)) for seconds in (1, 2, 3)]
         yield [f"{task} {level}, {arm}", str(len(own)), *shares, str((own["clear"] < SAFE).sum())]
 
 

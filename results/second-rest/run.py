@@ -82,6 +82,7 @@ def compute(code: Path, setting: str, out: Path) -> int:
     from experiments.study.fingerprint import check_dynamics
     from experiments.study.presets import cells_of
     from experiments.study.store import Store
+
     from experiments.sweep import Options
     from experiments.sweep import compute as compute_cells
 
@@ -117,14 +118,15 @@ def pack(code: Path, settings: Iterable[str], out: Path) -> None:
     """Add the saved cells of some settings to the packed tables of a folder, if they are not in it."""
     sys.path[0] = str(code)
     import pandas as pd
-
     from experiments.study.packed import add
     from experiments.study.store import Store
+
     from experiments.support.files import sha256_bytes
 
     records: dict[str, Any] = {}
     tables: dict[str, Any] = {}
     weights: dict[str, Path] = {}
+    out.mkdir(parents=True, exist_ok=True)
     there = set(Store(out).finished())
     with tempfile.TemporaryDirectory() as folder:
         for setting in settings:

@@ -20,6 +20,7 @@ from xml.etree import ElementTree
 
 from sumo_env.networks.lanes import Lane, Point, PolyLane
 from sumo_env.networks.mapping import Network, SumoLane, read_net, sumo_lanes_of
+from sumo_env.networks.meeting import Meeting
 from sumo_env.networks.roads import LaneIndex, Road
 
 Routes = tuple[tuple[str, tuple[str, ...]], ...]  # (name, SUMO's edges)
@@ -168,7 +169,8 @@ def _read(path: Path, changed: int) -> Network:
         )
     leads = {index: tuple(indices[name] for name in names) for index, names in following.items()}
     road = Road(path.name, lanes, leads=leads)
-    return Network(path.name, road, path, {}, first, indices, sumo_lanes)
+    meeting = Meeting(net, {name: found.shape for name, found in sumo_lanes.items()})
+    return Network(path.name, road, path, {}, first, indices, sumo_lanes, meeting=meeting)
 
 
 def _to_scale(found: SumoLane) -> SumoLane:

@@ -18,6 +18,7 @@ from typing import Any
 
 from sumo_env.networks import plans, roads
 from sumo_env.networks.lanes import VEHICLE_LENGTH, Lane, Point, SineLane
+from sumo_env.networks.meeting import Meeting
 from sumo_env.networks.roads import LaneIndex, Road
 
 FOLDER = Path(__file__).resolve().parent
@@ -67,6 +68,7 @@ class Network:
         lanes: highway-env's lane -> SUMO's.
         indices: SUMO lane id -> highway-env's lane; of a joint, the lane it leads to.
         sumo_lanes: SUMO lane id -> SUMO's lane, joints included.
+        meeting: which vehicles can meet; None where no road crosses another one without a junction: all can.
     """
 
     task: str
@@ -77,6 +79,7 @@ class Network:
     indices: Mapping[str, LaneIndex]
     sumo_lanes: Mapping[str, SumoLane]
     ends: tuple[str, ...] = ()
+    meeting: Meeting | None = None
     _beginnings: dict[tuple[LaneIndex, str | None], tuple[str, SumoLane, float, int]] = field(
         default_factory=dict, repr=False
     )

@@ -17,6 +17,7 @@ from types import SimpleNamespace
 from typing import Any
 
 from sumo_env.contacts.rectangles import Half, State
+from sumo_env.networks.meeting import Spot
 from sumo_env.scene import CAR_SIZE, GREEN, NO_LIGHT, RED, VEHICLE_LENGTH, YELLOW, Light
 from sumo_env.sumo.settings import Settings
 from sumo_env.traffic.drivers import Deviation
@@ -234,6 +235,11 @@ class Session:
         """Id of the lane that the front bumper is on; ids of lanes inside junctions begin with a colon."""
         lane: str = _vehicle.getLaneID(name)
         return lane
+
+    def spot(self, name: str) -> Spot:
+        """The place of a vehicle on the network."""
+        height = float(_vehicle.getPosition3D(name)[2])
+        return Spot(_vehicle.getLaneID(name), float(_vehicle.getLanePosition(name)), height)
 
     def changes_lane(self, name: str) -> bool:
         """Whether a lane change of a vehicle is running: it is not in the middle of its lane."""

@@ -6,11 +6,14 @@ the same states and takes longer than the rest of a sub-step on small roads (doc
 
 from __future__ import annotations
 
+from collections.abc import Collection
+from itertools import repeat
 from math import inf
 
 from sumo_env.contacts.crash import SUMO_TOLERANCE
 from sumo_env.contacts.measures import TTC_RADIUS, ego_ttc
-from sumo_env.contacts.rectangles import DIAGONAL, State, reach_of, stay_apart
+from sumo_env.contacts.rectangles import CAR, DIAGONAL, Half, State, reach_of, stay_apart
+from sumo_env.networks.meeting import Meeting, Spot
 from sumo_env.sumo.session import Session
 from sumo_env.traffic.scenario import EGO
 
@@ -18,10 +21,16 @@ FASTEST = 200.0  # [m/s] no two vehicles close in faster
 
 
 class Surroundings:
-    """The ego and the vehicles near it, those that somebody else has added to the simulation included."""
+    """The ego and the vehicles near it, those that somebody else has added to the simulation included.
 
-    def __init__(self, session: Session, speed: float, *, ego: str = EGO) -> None:
-        self._session, self._name = session, ego
+    meeting: which vehicles can meet on the network; None where all can.
+    """
+
+    def __init__(
+        self, session: Session, speed: float, meeting: Meeting | None = None, *, ego: str = EGO
+    ) -> None:
+        self._session, self._name, self._meeting = session, ego, meeting
+        self._spot: Spot | None = None  # the ego's, once asked for
         self.ego: State
         self.near: dict[str, State]  # whose front is within `TTC_RADIUS` of the ego's, in alphabetical order
         self.take_stock()
@@ -43,20 +52,33 @@ class Surroundings:
         if due:
             others = [name for name in others if due.get(name, time) <= time]
         (x, y, _, heading), self.near, distant = self._session.near(self._name, others, TTC_RADIUS)
+        self._spot = None
         # SUMO's speed is the commanded one, which covers the way of a sub-step
         self.ego = x, y, speed, heading
         for name, further in distant:
             due[name] = time + further / FASTEST
 
     def time_to_collision(self, horizon: float) -> float:
-        """Least time to collision of the ego [s], inf without one within `horizon` [s]."""
-        if not self._session.sizes:
-            return ego_ttc(self.ego, self.near.values(), horizon)
-        sized = zip(self.near.values(), self._session.halves(self.near), strict=True)
-        return min((ego_ttc(self.ego, (other,), horizon, half) for other, half in sized), default=inf)
+        """Least time to collision of the ego with a vehicle that it can meet [s], inf without one within `horizon`."""
+        sizes = self._session.sizes
+        if not sizes:
+            least = ego_ttc(self.ego, self.near.values(), horizon)
+            if self._meeting is None or least == inf:
+                return least
+        least, halves = inf, self._session.halves(self.near) or repeat(CAR)
+        for (name, other), half in zip(self.near.items(), halves, strict=False):
+            time = ego_ttc(self.ego, (other,), min(horizon, least), half)
+            if time < least and self._can_meet(name, half, time):
+                least = time
+        return least
 
-    def within_reach(self, ego: State, before: dict[str, State], dt: float) -> list[str]:
-        """Who may have touched the ego in the last `dt` [s], or nearly; `ego` and `before` are the states then."""
+    def within_reach(
+        self, ego: State, before: dict[str, State], dt: float, reported: Collection[str] = ()
+    ) -> list[str]:
+        """Who may have touched the ego in the last `dt` [s], or nearly; `ego` and `before` are the states then.
+
+        reported: whom SUMO reports in collision with the ego, and who therefore can meet it.
+        """
         x, y, _, _ = self.ego
         reach = DIAGONAL + SUMO_TOLERANCE
         if self._session.sizes:
@@ -69,4 +91,17 @@ class Surroundings:
                 was = before[name]
                 if not stay_apart(was[0] - ego[0], was[1] - ego[1], dx, dy, reach):
                     found.append(name)
-        return found
+        if self._meeting is None or not found:
+            return found
+        halves = dict(zip(found, self._session.halves(found), strict=False))
+        return [name for name in found if name in reported or self._can_meet(name, halves.get(name, CAR), dt)]
+
+    def _can_meet(self, name: str, half: Half, time: float) -> bool:
+        """Whether the network lets the ego and a vehicle of half size `half` [m] be in contact within `time` [s]."""
+        if self._meeting is None:
+            return True
+        if self._spot is None:
+            self._spot = self._session.spot(self._name)
+        driven = (abs(self.ego[2]) + abs(self.near[name][2])) * time
+        lengths = 2.0 * (CAR[0] + half[0])
+        return self._meeting.can_meet(self._spot, self._session.spot(name), lengths, driven)

@@ -8,7 +8,7 @@ policy step.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import replace
 from math import inf
 from pathlib import Path
@@ -126,7 +126,7 @@ class SumoSimulator:
         self._drive_warm_up()
         self._ego = Ego(self._session, scenario, self._network)
         self._place(scenario.ego)
-        self._around = Surroundings(self._session, scenario.ego.speed)
+        self._around = Surroundings(self._session, scenario.ego.speed, self._network.meeting)
         return self._read()
 
     def _settings(self, scenario: Scenario) -> Settings:
@@ -237,7 +237,10 @@ class SumoSimulator:
         around, detector, own = self._around, self._detector, self._name
         seen, before = around.ego, around.near
         around.look(self._time, ego.speed)
-        ids = around.within_reach(seen, before, self._dt)
+        partners: Collection[str] = ()  # whom SUMO reports in collision with the ego
+        if reported:
+            partners = {one if other == own else other for one, other in reported if own in (one, other)}
+        ids = around.within_reach(seen, before, self._dt, partners)
         if ids or reported or detector.reported:
             crash = detector.look(
                 self._time,
@@ -245,7 +248,7 @@ class SumoSimulator:
                 (own, *ids),
                 (seen, *[before[name] for name in ids]),
                 (around.ego, *[around.near[name] for name in ids]),
-                {first if second == own else second for first, second in reported if own in (first, second)},
+                partners,
                 self._session.halves((own, *ids)),
             )
             if crash is not None and not ego.crashed:

@@ -1,0 +1,147 @@
+"""Where two vehicles can meet on a SUMO network, which their outlines in plan view do not say.
+
+A bridge is drawn over the road below it, and SUMO knows two roads that cross without a junction. So a contact needs
+more than outlines: the way from one vehicle to the other along the roads has to be short. It is short on one road
+(opposite lanes and `bidi` included), across a junction that joins the two edges, and within a junction.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from heapq import heappop, heappush
+from math import inf
+from typing import Any, NamedTuple
+
+from sumo_env.networks.lanes import Point
+
+# [m] That the way along one edge, or across the junction that joins two, may be longer than the vehicles. A road that
+# loops back over itself has a longer way.
+JOINED = 50.0
+BESIDE = 5.0  # [m] between the middles of two lanes: vehicles on lanes that are further apart do not touch
+SAMPLE = 5.0  # [m] between the points of a lane that are looked at
+FURTHEST = 100.0  # [m] between two junctions that are looked at: TTC_RADIUS of `sumo_env.contacts.measures`
+CLEARANCE = 3.0  # [m] of height between two roads, one above the other
+STEEPEST = 0.15  # metres of height per metre of road
+
+
+class Spot(NamedTuple):
+    """Where SUMO has the front of a vehicle: the id of its lane, the metres along the lane, the height [m]."""
+
+    lane: str
+    position: float
+    height: float = 0.0
+
+
+class Meeting:
+    """Which vehicles can meet on one network."""
+
+    def __init__(self, net: Any, shapes: Mapping[str, Sequence[Point]]) -> None:
+        """Read a network of sumolib (with the lanes inside junctions); `shapes` are the middles of its lanes [m]."""
+        self._shapes = shapes
+        self._together: dict[tuple[str, str, str], float] = {}  # see `_side_by_side`
+        self._edges: dict[str, _Edge] = {}
+        self._opposite: dict[str, set[str]] = {}  # edge -> those that are the same road, the other way
+        self._leading: dict[
+            str, list[tuple[str, float]]
+        ] = {}  # junction -> (a next one, metres between them)
+        self._ways: dict[str, dict[str, float]] = {}  # see `_ways_from`
+        for edge in net.getEdges():
+            name, start, end = edge.getID(), edge.getFromNode().getID(), edge.getToNode().getID()
+            inside = name.startswith(":")
+            self._edges[name] = _Edge(start, end, 0.0 if inside else edge.getLength())
+            if not inside:
+                self._leading.setdefault(start, []).append((end, edge.getLength()))
+                self._leading.setdefault(end, []).append((start, edge.getLength()))
+            others = {_edge_of(lane.getNeigh()) for lane in edge.getLanes() if lane.getNeigh()}
+            for other in others | ({edge.getBidi().getID()} if edge.getBidi() else set()):
+                self._opposite.setdefault(name, set()).add(other)
+                self._opposite.setdefault(other, set()).add(name)
+
+    def can_meet(self, one: Spot, other: Spot, lengths: float, driven: float) -> bool:
+        """Whether two vehicles can be in contact, now or in a moment.
+
+        Args:
+            one, other: where they are now.
+            lengths: of both together [m]; the back of a long vehicle may be several edges behind its front.
+            driven: by both together until then [m]; 0 for now.
+        """
+        if abs(one.height - other.height) > CLEARANCE + STEEPEST * driven:
+            return False
+        first, second = _edge_of(one.lane), _edge_of(other.lane)
+        if first not in self._edges or second not in self._edges:
+            return True  # off the road, where somebody else has put it
+        reach = lengths + driven
+        if first == second and not first.startswith(":"):
+            return abs(one.position - other.position) - JOINED <= reach
+        if self._are_one_road(first, second):
+            return True
+        for junction, way in self._edges[first].ways_to_ends(one.position):
+            for goal, further in self._edges[second].ways_to_ends(other.position):
+                gap = way + further - reach
+                if junction != goal:
+                    gap += self._ways_from(junction).get(goal, inf)
+                elif gap > JOINED:
+                    gap -= JOINED + 2.0 * self._side_by_side(one.lane, other.lane, junction)
+                if gap <= 0.0:
+                    return True
+        return False
+
+    def _are_one_road(self, first: str, second: str) -> bool:
+        """Whether two edges are opposite lanes, or otherwise join the same two junctions."""
+        one, other = self._edges[first], self._edges[second]
+        same_ends = {one.start, one.end} == {other.start, other.end} and one.start != one.end
+        return same_ends or second in self._opposite.get(first, ())
+
+    def _side_by_side(self, one: str, other: str, junction: str) -> float:
+        """How far from a junction a lane stays beside another one [m], as a ramp does that joins at a small angle."""
+        key = one, other, junction
+        found = self._together.get(key)
+        if found is None:
+            from sumolib.geomhelper import distancePointToPolygon, positionAtShapeOffset
+
+            shape, ends, found = self._shapes[one], self._edges[_edge_of(one)], 0.0
+            shape = shape if ends.start == junction else shape[::-1]
+            while found < ends.length:
+                point = positionAtShapeOffset(shape, found)
+                if point is None or distancePointToPolygon(point, self._shapes[other]) > BESIDE:
+                    break
+                found += SAMPLE
+            self._together[key] = found
+        return found
+
+    def _ways_from(self, junction: str) -> dict[str, float]:
+        """The least way along the roads, in whatever direction, to each junction within `FURTHEST` of this one [m].
+
+        The lanes inside junctions count nothing.
+        """
+        found = self._ways.get(junction)
+        if found is None:
+            found = self._ways[junction] = {}
+            queue = [(0.0, junction)]
+            while queue:
+                way, node = heappop(queue)
+                if node not in found:
+                    found[node] = way
+                    for following, length in self._leading.get(node, ()):
+                        if way + length <= FURTHEST:
+                            heappush(queue, (way + length, following))
+        return found
+
+
+class _Edge(NamedTuple):
+    """The junctions at both ends of an edge, and its length [m]; within a junction this one twice, and 0."""
+
+    start: str
+    end: str
+    length: float
+
+    def ways_to_ends(self, position: float) -> tuple[tuple[str, float], ...]:
+        """How far the junctions are from `position` [m] of the edge."""
+        if not self.length:
+            return ((self.start, 0.0),)
+        return (self.start, position), (self.end, self.length - position)
+
+
+def _edge_of(lane: str) -> str:
+    """The edge of a lane."""
+    return lane.rpartition("_")[0]

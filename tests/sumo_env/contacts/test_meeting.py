@@ -1,0 +1,306 @@
+"""Contacts and times to collision where two vehicles can meet, and none where one road merely crosses another."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from contextlib import closing
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import libsumo
+import numpy as np
+import pytest
+from sumolib.geomhelper import polygonOffsetWithMinimumDistanceToPoint
+
+from sumo_env.env import SumoDrivingEnv
+from sumo_env.networks import files
+from sumo_env.networks.mapping import Network, network
+from sumo_env.networks.meeting import Meeting, Spot
+from sumo_env.tasks import TASKS
+from tests.sumo_env.plans import QUIET, build, needs_sumo
+from tests.sumo_env.rollout import drive
+
+pytestmark = needs_sumo
+
+FASTER = 3
+SIDE_ROAD = "s 200 -200 {0}, n 200 200 {0}"
+CAR, BUS = 5.0, 18.0  # lengths [m]
+
+
+def nodes(text: str) -> str:
+    """Nodes with heights, each as "id x y z"."""
+    rows = (row.split() for row in text.split(","))
+    return "".join(f'<node id="{id}" x="{x}" y="{y}" z="{z}"/>' for id, x, y, z in rows)
+
+
+def edges(*rows: str) -> str:
+    """Edges with one lane, each as its two nodes and, after a space, further attributes."""
+    found = [f"{row} ".split(" ", 1) for row in rows]
+    return "".join(f'<edge id="{id}" from="{id[0]}" to="{id[1]}" speed="14" {more}/>' for id, more in found)
+
+
+def neighbours(one: str, other: str) -> str:
+    """An edge whose only lane is beside another one, for overtaking."""
+    lane = f'<lane index="0"><neigh lane="{other}_0"/></lane>'
+    return f'<edge id="{one}" from="{one[0]}" to="{one[1]}" numLanes="1" speed="14">{lane}</edge>'
+
+
+# Roads that cross at (200, 0) without a junction, at these heights.
+FLAT = nodes(f"w 0 0 0, e 400 0 0, {SIDE_ROAD.format(0)}"), edges("we", "sn")
+ABOVE = nodes(f"w 0 0 0, e 400 0 0, {SIDE_ROAD.format(8)}"), edges("we", "sn")
+LOW = nodes(f"w 0 0 0, e 400 0 0, {SIDE_ROAD.format(2)}"), edges("we", "sn")
+# A road that crosses itself at (140, 0): as one edge, as two that a junction joins, as a ramp over its own road.
+TURN = "200,0 260,60 200,120"
+LOOP = nodes("a 0 0 0, b 140 -150 0"), edges(f'ab shape="0,0 {TURN} 140,60 140,-150"')
+TWO_EDGES = (
+    nodes("a 0 0 0, m 200 120 0, b 140 -150 0"),
+    edges(f'am shape="0,0 {TURN}"', 'mb shape="200,120 140,60 140,-150"'),
+)
+FLYOVER = (
+    nodes("a 0 0 0, m 100 0 0, e 500 0 0, n 240 200 0"),
+    edges("am", "me", 'mn shape="100,0 160,-40 230,-40 240,-20 240,200"'),
+)
+# Two roads drawn over each other that share no junction, and two that share both.
+PARALLEL = nodes("w 0 0 0, e 400 0 0, v 0 1 0, f 400 1 0"), edges("we", "vf")
+OPPOSITE = nodes("w 0 0 0, e 400 0 0"), edges('we shape="0,0 400,0"', 'ew shape="400,-2 0,-2"')
+BIDI = (
+    nodes("w 0 0 0, e 400 0 0"),
+    edges('we spreadType="center" bidi="ew"', 'ew spreadType="center" bidi="we"'),
+)
+OVERTAKING = nodes("w 0 0 0, e 400 0 0"), neighbours("we", "ew") + neighbours("ew", "we")
+JUNCTION = (
+    nodes(f"w 0 0 0, m 200 0 0, e 400 0 0, {SIDE_ROAD.format(0)}"),
+    edges("wm", "me", "sm", "mn"),
+    '<connection from="sm" to="mn"/><connection from="wm" to="me"/>',
+)
+HILL = nodes("w 0 0 0, m 200 0 20, e 400 0 0"), edges("wm", "me")
+MERGE = (
+    nodes("w 0 0 0, s 40 -90 0, m 200 0 0, e 400 0 0"),
+    edges("wm", "sm", "me"),
+)
+NARROW = (  # a ramp that is drawn over the main road for some hundred metres
+    nodes("w 0 0 0, s 0 -9 0, m 300 0 0, e 400 0 0"),
+    edges("wm", "sm", "me"),
+)
+PIECES = (  # edges of a metre
+    nodes("w 0 0 0, a 200 0 0, b 201 0 0, c 202 0 0, e 400 0 0"),
+    edges("wa", "ab", "bc", "ce"),
+)
+
+
+class Other(NamedTuple):
+    """A vehicle beside the ego: its route, the lane, the point of the lane nearest to its front, the speed it keeps."""
+
+    route: Sequence[str]
+    lane: str
+    x: float
+    y: float
+    speed: float = 0.0
+    length: float = CAR
+
+
+class Drive(NamedTuple):
+    """What an ego that goes straight ahead met with: with whom it crashed, and what `info` said at each step."""
+
+    crash: dict[str, Any]
+    infos: list[dict[str, Any]]
+
+    @property
+    def least_ttc(self) -> float:
+        """[s]"""
+        return min(info["min_ttc_before_contact"] for info in self.infos)
+
+
+def straight_on(
+    folder: Path, plan: tuple[str, ...], way: Sequence[str], other: Other, changes: bool = False
+) -> Drive:
+    """The ego drives its way as fast as allowed, and the other one knows nothing of it."""
+    net = netconvert(folder, plan)
+    lane = files.network(net).sumo_lanes[other.lane]
+    place = polygonOffsetWithMinimumDistanceToPoint((other.x, -other.y), lane.shape)
+    vehicle = libsumo.vehicle
+    with closing(SumoDrivingEnv(net, [way], way, {**QUIET, "duration": 50})) as env:
+        env.reset(seed=0)
+        libsumo.route.add("another", other.route)
+        libsumo.vehicletype.copy("DEFAULT_VEHTYPE", "another")
+        libsumo.vehicletype.setLength("another", other.length)
+        vehicle.add("another", "another", "another", departSpeed="0")
+        vehicle.moveTo("another", other.lane, min(place * lane.length / lane.drawn, lane.length))
+        vehicle.setSpeedMode("another", 32)
+        vehicle.setLaneChangeMode("another", 0)
+        vehicle.setSpeed("another", other.speed)
+        if changes:
+            vehicle.changeLaneRelative("another", 1, 0.0)
+        infos = [result[-1] for result in drive(env, FASTER)]
+        return Drive(infos[-1]["crash"], infos)
+
+
+def netconvert(folder: Path, plan: tuple[str, ...]) -> Path:
+    """The network of a plan, in its coordinates."""
+    return build(folder, plan, "--no-turnarounds", "--offset.disable-normalization")
+
+
+def inside(network: Network, start: str, end: str) -> str:
+    """The lane within the junction from one edge to another."""
+    lanes = network.sumo_lanes
+    return next(name for name in lanes[f"{start}_0"].following if lanes[name].following == (f"{end}_0",))
+
+
+# -- no contact --------------------------------------------------------------------------------------------
+
+ACROSS = Other(["sn"], "sn_0", 201.6, 0.0)
+NEVER = {
+    "crossing at one height": (FLAT, ["we"], ACROSS),
+    "bridge 8 m above": (ABOVE, ["we"], ACROSS),
+    "crossing 2 m above": (LOW, ["we"], ACROSS),
+    "a ramp over its own road": (FLYOVER, ["am", "me"], Other(["mn"], "mn_0", 241.6, 0.0)),
+    "roads drawn over each other": (PARALLEL, ["we"], Other(["vf"], "vf_0", 150.0, 0.0)),
+}
+
+
+@pytest.mark.parametrize("case", NEVER)
+def test_roads_that_cross_without_a_junction_never_meet(
+    case: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    found = straight_on(tmp_path, *NEVER[case])
+    assert found.infos[-1]["arrived"] and not found.crash["other"]
+    assert found.least_ttc == math.inf
+    assert not any(info["near_miss"] or info["cost"] for info in found.infos)
+    # the outlines alone do touch
+    monkeypatch.setattr(Meeting, "can_meet", lambda *_: True)
+    assert straight_on(tmp_path, *NEVER[case]).crash["detected_by"] == "geometry"
+
+
+@pytest.mark.parametrize(
+    ("plan", "way", "lane"),
+    [(LOOP, ["ab"], "ab_0"), (TWO_EDGES, ["am", "mb"], "mb_0")],
+    ids=["one edge", "two edges"],
+)
+def test_a_road_that_crosses_itself_is_met_by_the_way_round_only(
+    plan, way, lane, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    other = Other(way[-1:], lane, 138.4, -3.5)
+    found = straight_on(tmp_path, plan, way, other)
+    assert (found.crash["other"], found.crash["type"]) == ("another", "rear-end")
+    driven = np.cumsum([info["distance"] for info in found.infos])
+    assert all(
+        info["min_ttc"] == math.inf for info, way in zip(found.infos, driven, strict=True) if way < 160
+    )
+    monkeypatch.setattr(Meeting, "can_meet", lambda *_: True)
+    assert straight_on(tmp_path, plan, way, other).crash["type"] == "junction"
+
+
+@pytest.mark.slow
+def test_two_hundred_episodes_over_bridges_have_no_crash(tmp_path: Path) -> None:
+    """The ego's road crosses two others among dense traffic: one 8 m below, one at the same height."""
+    below = "s 100 -120 0, n 100 120 0, t 150 120 8, q 150 -120 8"
+    plan = nodes(f"w 0 0 8, e 250 0 8, {below}"), edges("we", "sn", "tq")
+    net = netconvert(tmp_path, plan)
+    config = {"vehicles_count": 24, "risk": 1.0}
+    with closing(SumoDrivingEnv(net, [["sn"], ["tq"]], ["we"], config)) as env:
+        others = 0
+        for seed in range(200):
+            infos = [result[-1] for result in drive(env, FASTER, seed)]
+            assert infos[-1]["arrived"] and not infos[-1]["crashed"], seed
+            assert min(info["min_ttc"] for info in infos) == math.inf
+            others += max(info["density"] for info in infos)
+        assert others > 200 * 5
+
+
+# -- real crashes ------------------------------------------------------------------------------------------
+
+REAL = {
+    "on one road": (FLAT, ["we"], Other(["we"], "we_0", 150.0, 0.0), "rear-end"),
+    "behind the top of a hill": (HILL, ["wm", "me"], Other(["me"], "me_0", 230.0, 0.0), "rear-end"),
+    "on a road that crosses itself": (LOOP, ["ab"], Other(["ab"], "ab_0", 200.0, 120.0), "rear-end"),
+    "where a ramp begins": (FLYOVER, ["am", "me"], Other(["me"], "me_0", 120.0, 0.0), "rear-end"),
+    "edges between the same junctions": (OPPOSITE, ["we"], Other(["ew"], "ew_0", 200.0, 0.0), "frontal"),
+    "one lane for both directions": (BIDI, ["we"], Other(["ew"], "ew_0", 200.0, 0.0), "frontal"),
+    "across the end of an edge": (JUNCTION, ["wm", "me"], Other(["me"], "me_0", 206.0, 0.0), "rear-end"),
+    "a ramp drawn over the road": (NARROW, ["wm", "me"], Other(["sm", "me"], "sm_0", 240.0, 0.0), "side"),
+    "a bus over edges of a metre": (
+        *(PIECES, ["wa", "ab", "bc", "ce"]),
+        *(Other(["ce"], "ce_0", 206.0, 0.0, length=BUS), "rear-end"),
+    ),
+}
+
+
+@pytest.mark.parametrize("case", REAL)
+def test_a_real_crash_is_found(case: str, tmp_path: Path) -> None:
+    *given, kind = REAL[case]
+    found = straight_on(tmp_path, *given)
+    assert (found.crash["other"], found.crash["type"]) == ("another", kind)
+    assert found.infos[-1]["cost"] == 1.0
+    assert found.least_ttc < 0.2
+
+
+@pytest.mark.parametrize(
+    ("plan", "route", "kind"),
+    [(JUNCTION, ["sm", "mn"], "junction"), (MERGE, ["sm", "me"], "rear-end")],
+    ids=["crossing", "merging"],
+)
+def test_a_real_crash_within_a_junction_is_found(plan, route, kind, tmp_path: Path) -> None:
+    within = inside(files.network(netconvert(tmp_path, plan)), *route)
+    found = straight_on(tmp_path, plan, ["wm", "me"], Other(route, within, 201.6, 1.0))
+    assert (found.crash["other"], found.crash["type"]) == ("another", kind)
+    assert found.least_ttc < 0.2
+
+
+def test_an_oncoming_vehicle_that_overtakes_is_met(tmp_path: Path) -> None:
+    found = straight_on(tmp_path, OVERTAKING, ["we"], Other(["ew"], "ew_0", 250.0, 0.0, 8.0), changes=True)
+    assert (found.crash["other"], found.crash["type"]) == ("another", "frontal")
+    assert found.least_ttc < 0.2
+
+
+def test_the_time_to_collision_looks_beyond_short_edges(tmp_path: Path) -> None:
+    """At a vehicle 60 m away, on an edge with which the ego's own shares no junction."""
+    found = straight_on(tmp_path, PIECES, ["wa", "ab", "bc", "ce"], Other(["ce"], "ce_0", 260.0, 0.0))
+    assert found.infos[-1]["crashed"]
+    assert any(4.0 < info["min_ttc"] < 8.0 for info in found.infos)
+
+
+# -- the rule itself ---------------------------------------------------------------------------------------
+
+
+def meeting(folder: Path, plan: tuple[str, ...]) -> Meeting:
+    found = files.network(netconvert(folder, plan)).meeting
+    assert found is not None
+    return found
+
+
+def test_the_five_tasks_ask_nothing() -> None:
+    """No road of theirs crosses another one without a junction."""
+    assert all(network(task).meeting is None for task in TASKS)
+
+
+def test_the_back_of_a_long_vehicle_is_on_the_edges_behind(tmp_path: Path) -> None:
+    rule = meeting(tmp_path, PIECES)
+    behind, ahead = Spot("wa_0", 197.0), Spot("ce_0", 10.0)
+    assert rule.can_meet(behind, ahead, BUS + CAR, 0.0)
+    assert not rule.can_meet(behind, ahead, CAR + CAR, 0.0)
+    assert rule.can_meet(behind, ahead, CAR + CAR, 15.0)  # soon
+
+
+def test_edges_that_a_junction_joins_meet_near_it(tmp_path: Path) -> None:
+    rule = meeting(tmp_path, FLYOVER)
+    assert rule.can_meet(Spot("me_0", 5.0), Spot("mn_0", 5.0), 10.0, 0.0)
+    assert not rule.can_meet(Spot("me_0", 140.0), Spot("mn_0", 170.0), 10.0, 0.0)
+
+
+def test_a_ramp_and_its_road_meet_as_long_as_they_are_beside_each_other(tmp_path: Path) -> None:
+    rule = meeting(tmp_path, NARROW)
+    assert rule.can_meet(Spot("wm_0", 200.0), Spot("sm_0", 200.0), 10.0, 0.0)
+    assert not rule.can_meet(Spot("wm_0", 20.0), Spot("sm_0", 20.0), 10.0, 0.0)
+
+
+def test_heights_differ_more_where_vehicles_have_a_way_to_go(tmp_path: Path) -> None:
+    rule = meeting(tmp_path, HILL)
+    low, high = Spot("wm_0", 160.0, 14.0), Spot("wm_0", 180.0, 18.0)
+    assert not rule.can_meet(low, high, 10.0, 0.0)
+    assert rule.can_meet(low, high, 10.0, 20.0)
+    assert rule.can_meet(low, Spot("wm_0", 165.0, 16.9), 10.0, 0.0)
+
+
+def test_a_vehicle_off_the_road_may_meet_anybody(tmp_path: Path) -> None:
+    assert meeting(tmp_path, FLAT).can_meet(Spot("", -1e9), Spot("we_0", 5.0), 10.0, 0.0)

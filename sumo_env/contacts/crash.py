@@ -142,7 +142,7 @@ class CrashDetector:
             ids: of the vehicles that may have touched the ego; the ego is the first.
             before, after: their states at the start and at the end of the sub-step, in the order of `ids`.
             reported: ids of the vehicles with which SUMO reports a collision of the ego in this sub-step.
-            halves: half sizes in the order of `ids`; all are cars without them.
+            halves: half sizes in the order of `ids`, the ego's first; all are cars without them.
         """
         # SUMO may see a contact a sub-step before the geometry does, or a sub-step later.
         earlier, self.reported = self.reported, reported
@@ -150,7 +150,8 @@ class CrashDetector:
             if self.crash.detected_by == "geometry" and self.crash.other in reported:
                 self.crash = replace(self.crash, detected_by="both")
             return self.crash
-        touch = first_touch(before[0], after[0], before[1:], after[1:], halves[1:])
+        own = halves[0] if halves else CAR
+        touch = first_touch(before[0], after[0], before[1:], after[1:], halves[1:], own)
         if touch is not None:
             row, moment = touch[0] + 1, touch[1]
             by: Detector = "both" if ids[row] in reported or ids[row] in earlier else "geometry"
@@ -159,7 +160,7 @@ class CrashDetector:
                 row
                 for row in range(1, len(ids))
                 if ids[row] in reported
-                and is_confirmed(after[0], after[row], CAR, halves[row] if halves else CAR)
+                and is_confirmed(after[0], after[row], own, halves[row] if halves else CAR)
             )
             row, moment, by = next(confirmed, 0), 1.0, "sumo"
             if row == 0:

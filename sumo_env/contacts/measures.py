@@ -24,16 +24,18 @@ PARALLEL = 1e-12  # [m/s] relative speed along an axis that counts as none
 CLEARANCE = 1e-3  # [m2] beyond the squared distance of centres at which two vehicles may touch
 
 
-def ego_ttc(ego: State, others: Iterable[State], horizon: float = HORIZON, half: Half = CAR) -> float:
+def ego_ttc(
+    ego: State, others: Iterable[State], horizon: float = HORIZON, half: Half = CAR, own: Half = CAR
+) -> float:
     """Least time to collision of the ego with any of the others [s]; inf if there is none within `horizon` [s].
 
-    0 in contact. The others have the half size `half` [m].
+    0 in contact. The ego has the half size `own` [m], the others have `half`.
     """
     x, y, speed, heading = ego
     c1, s1 = cos(heading), sin(heading)
     vx, vy = speed * c1, speed * s1
     fastest, limit, found = abs(speed), horizon, False
-    diagonal = DIAGONAL if half == CAR else reach_of(half)
+    diagonal = DIAGONAL if half == CAR and own == CAR else reach_of(half, own)
     apart_from = diagonal * diagonal + CLEARANCE
     for ox, oy, other_speed, other_heading in others:
         dx, dy = ox - x, oy - y
@@ -50,13 +52,13 @@ def ego_ttc(ego: State, others: Iterable[State], horizon: float = HORIZON, half:
         ):
             continue  # who is out of touch and moves away stays so, and who passes by does not come into it
         parallel, across = abs(c1 * c2 + s1 * s2), abs(c1 * s2 - s1 * c2)
-        length, width = extents(CAR, half, parallel, across)
+        length, width = extents(own, half, parallel, across)
         # Along each of the four directions of the sides the shadows of the rectangles overlap during one interval of
         # time; the rectangles are in contact while all four do. Across the ego first: it rules out other lanes.
         beside, drift = dy * c1 - dx * s1, wy * c1 - wx * s1
         if abs(beside) > width + abs(drift) * limit:
             continue
-        other_length, other_width = extents(half, CAR, parallel, across)
+        other_length, other_width = extents(half, own, parallel, across)
         begin, end = 0.0, limit
         for apart, rate, extent in (
             (beside, drift, width),

@@ -52,9 +52,9 @@ def state_between(before: State, after: State, moment: float) -> State:
     )
 
 
-def reach_of(half: Half) -> float:
-    """Between the centres of a car and a vehicle of this size [m]: further apart they are not in contact."""
-    return DIAGONAL / 2.0 + hypot(half[0], half[1])
+def reach_of(half: Half, own: Half = CAR) -> float:
+    """Between the centres of two vehicles of these half sizes [m]: further apart they are not in contact."""
+    return hypot(own[0], own[1]) + hypot(half[0], half[1])
 
 
 def separation(first: State, second: State, half: Half = CAR, other: Half = CAR) -> float:
@@ -125,15 +125,23 @@ def stay_apart(x: float, y: float, x_after: float, y_after: float, reach: float)
 
 
 def touch_moment(
-    first: State, first_after: State, second: State, second_after: State, other: Half = CAR
+    first: State,
+    first_after: State,
+    second: State,
+    second_after: State,
+    other: Half = CAR,
+    own: Half = CAR,
 ) -> float:
-    """When a car and a vehicle of half size `other` first touch within a sub-step, 0 (its start) to 1; inf if not.
+    """When two vehicles first touch within a sub-step, 0 (its start) to 1; inf if not.
+
+    `own` and `other` are the half sizes of the first and the second.
 
     Both move evenly from their pose before to the one after and turn the short way. Where they are apart by a gap,
     they cannot meet before the fastest of their points have come that far: the next look is there (conservative
     advancement), or `FINEST` later, whichever is more.
     """
-    reach = DIAGONAL if other == CAR else reach_of(other)
+    cars = own == CAR and other == CAR
+    reach = DIAGONAL if cars else reach_of(other, own)
     # the way from the first centre to the second, and how it changes during the sub-step
     rx, ry = second[0] - first[0], second[1] - first[1]
     sx, sy = second_after[0] - first_after[0], second_after[1] - first_after[1]
@@ -148,12 +156,12 @@ def touch_moment(
     h1, h2 = first[3], second[3]
     turn1, turn2 = wrap_to_pi(first_after[3] - h1), wrap_to_pi(second_after[3] - h2)
     fastest = sqrt(squared) + reach / 2.0 * (abs(turn1) + abs(turn2))
-    if other != CAR:
-        fastest = sqrt(squared) + DIAGONAL / 2.0 * abs(turn1) + hypot(*other) * abs(turn2)
+    if not cars:
+        fastest = sqrt(squared) + hypot(*own) * abs(turn1) + hypot(*other) * abs(turn2)
     moment = 0.0
     while True:
         now = rx + moment * ux, ry + moment * uy, 0.0, h2 + moment * turn2  # as seen from the first
-        gap = separation((0.0, 0.0, 0.0, h1 + moment * turn1), now, CAR, other)
+        gap = separation((0.0, 0.0, 0.0, h1 + moment * turn1), now, own, other)
         if gap <= ROUNDING:
             return moment
         if moment == 1.0 or gap > fastest * (1.0 - moment):
@@ -167,15 +175,16 @@ def first_touch(
     others: Sequence[State],
     others_after: Sequence[State],
     halves: Sequence[Half] = (),
+    own: Half = CAR,
 ) -> tuple[int, float] | None:
     """Which of the others the ego touches first within a sub-step, as (row, moment), and None if none; `touch_moment`.
 
     The rows of `others` (before the sub-step), `others_after` and `halves` are the same vehicles; all are cars without
-    `halves`.
+    `halves`. `own` is the ego's half size.
     """
     least, row = inf, -1
     for k, (other, other_after) in enumerate(zip(others, others_after, strict=True)):
-        moment = touch_moment(ego, ego_after, other, other_after, halves[k] if halves else CAR)
+        moment = touch_moment(ego, ego_after, other, other_after, halves[k] if halves else CAR, own)
         if moment < least:
             least, row = moment, k
     return None if row < 0 else (row, least)

@@ -65,9 +65,9 @@ class Surroundings:
             least = ego_ttc(self.ego, self.near.values(), horizon)
             if self._meeting is None or least == inf:
                 return least
-        least, halves = inf, self._session.halves(self.near) or repeat(CAR)
+        least, own, halves = inf, self._own_half(), self._session.halves(self.near) or repeat(CAR)
         for (name, other), half in zip(self.near.items(), halves, strict=False):
-            time = ego_ttc(self.ego, (other,), min(horizon, least), half)
+            time = ego_ttc(self.ego, (other,), min(horizon, least), half, own)
             if time < least and self._can_meet(name, half, time):
                 least = time
         return least
@@ -82,7 +82,9 @@ class Surroundings:
         x, y, _, _ = self.ego
         reach = DIAGONAL + SUMO_TOLERANCE
         if self._session.sizes:
-            reach += max((reach_of(half) - DIAGONAL for half in self._session.halves(self.near)), default=0.0)
+            own = self._own_half()
+            reach = max((reach_of(half, own) for half in self._session.halves(self.near)), default=DIAGONAL)
+            reach += SUMO_TOLERANCE
         far = reach + FASTEST * dt
         found = []
         for name, other in self.near.items():
@@ -96,6 +98,10 @@ class Surroundings:
         halves = dict(zip(found, self._session.halves(found), strict=False))
         return [name for name in found if name in reported or self._can_meet(name, halves.get(name, CAR), dt)]
 
+    def _own_half(self) -> Half:
+        """The ego's half size [m]."""
+        return next(iter(self._session.halves((self._name,))), CAR)
+
     def _can_meet(self, name: str, half: Half, time: float) -> bool:
         """Whether the network lets the ego and a vehicle of half size `half` [m] be in contact within `time` [s]."""
         if self._meeting is None:
@@ -103,5 +109,5 @@ class Surroundings:
         if self._spot is None:
             self._spot = self._session.spot(self._name)
         driven = (abs(self.ego[2]) + abs(self.near[name][2])) * time
-        lengths = 2.0 * (CAR[0] + half[0])
+        lengths = 2.0 * (self._own_half()[0] + half[0])
         return self._meeting.can_meet(self._spot, self._session.spot(name), lengths, driven)

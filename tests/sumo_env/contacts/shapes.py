@@ -5,15 +5,18 @@ from __future__ import annotations
 import numpy as np
 import shapely
 
-from sumo_env.contacts.rectangles import State
+from sumo_env.contacts.rectangles import Half, State
 
-CORNERS = np.array([[2.5, 1.0], [2.5, -1.0], [-2.5, -1.0], [-2.5, 1.0]])  # [m] of a car of 5 m by 2 m
+CORNERS = np.array([[1, 1], [1, -1], [-1, -1], [-1, 1]])  # in half sizes
 
 
-def polygons(x, y, heading) -> np.ndarray:
-    """Polygons of vehicles at x, y [m] with these headings [rad]: arrays of one shape, which is the result's."""
+def polygons(x, y, heading, half: Half = (2.5, 1.0)) -> np.ndarray:
+    """Polygons of vehicles at x, y [m] with these headings [rad]: arrays of one shape, which is the result's.
+
+    half: their half size [m], that of a car of 5 m by 2 m unless given.
+    """
     cos, sin = np.cos(heading)[..., None], np.sin(heading)[..., None]
-    along, across = CORNERS.T
+    along, across = (CORNERS * half).T
     x, y = x[..., None] + along * cos - across * sin, y[..., None] + along * sin + across * cos
     return shapely.polygons(np.stack([x, y], axis=-1))
 

@@ -78,6 +78,24 @@ def test_at_that_time_they_touch_and_before_they_do_not(traffic) -> None:
         assert (gap < 1e-8).all() if touch else (gap[~at_once] > 0).all()
 
 
+def test_the_sizes_of_both_count(traffic) -> None:
+    truck, bus = (8.0, 1.25), (9.0, 1.3)
+    ego, *others = states_of(traffic)
+    ours = np.array([ego_ttc(ego, [other], half=bus, own=truck) for other in others])
+    np.testing.assert_allclose([ego_ttc(other, [ego], half=truck, own=bus) for other in others], ours)
+    hits = np.flatnonzero(np.isfinite(ours) & (ours > 0.0))
+    assert len(hits) > 200 and (ours <= ttc(traffic)).all()
+    for share, most in ((1.0, 1e-8), (0.999, math.inf)):
+        x, y, heading = (traffic[:, k] for k in (0, 1, 3))
+        t = ours[hits] * share
+        step = traffic[:, 2] * np.cos(heading), traffic[:, 2] * np.sin(heading)
+        one = polygons(x[0] + t * step[0][0], y[0] + t * step[1][0], np.full(len(t), heading[0]), truck)
+        other = 1 + hits
+        two = polygons(x[other] + t * step[0][other], y[other] + t * step[1][other], heading[other], bus)
+        gap = shapely.distance(one, two)
+        assert (gap <= most).all() and (share == 1.0 or (gap > 0.0).all())
+
+
 def test_the_time_of_the_ego_is_the_least_of_all(traffic) -> None:
     ego, *others = states_of(traffic)
     everybody = ttc(traffic)

@@ -18,7 +18,7 @@ from sumo_env.networks import files
 from sumo_env.networks.mapping import Network, network
 from sumo_env.networks.meeting import Meeting, Spot
 from sumo_env.tasks import TASKS
-from tests.sumo_env.plans import QUIET, build, needs_sumo
+from tests.sumo_env.plans import QUIET, build, needs_sumo, route_file
 from tests.sumo_env.rollout import drive
 
 pytestmark = needs_sumo
@@ -304,3 +304,18 @@ def test_heights_differ_more_where_vehicles_have_a_way_to_go(tmp_path: Path) -> 
 
 def test_a_vehicle_off_the_road_may_meet_anybody(tmp_path: Path) -> None:
     assert meeting(tmp_path, FLAT).can_meet(Spot("", -1e9), Spot("we_0", 5.0), 10.0, 0.0)
+
+
+def test_the_ego_is_as_large_as_its_vehicle_type(tmp_path: Path) -> None:
+    """A lorry of 16 m hits what stands 8 m ahead of its middle."""
+    demand = route_file(
+        tmp_path,
+        '<vType id="lorry" vClass="truck" length="16" width="2.5"/>'
+        '<vehicle id="parked" depart="0" departPos="120"><route edges="we"/>'
+        '<stop lane="we_0" endPos="121" duration="99"/></vehicle>',
+    )
+    with closing(SumoDrivingEnv(netconvert(tmp_path, FLAT), demand, ["we"], ego_type="lorry")) as env:
+        *_, (_, _, _, _, info) = drive(env, FASTER, seed=0)
+        crash = info["crash"]
+    assert (crash["other"], crash["type"]) == ("parked", "rear-end")
+    assert crash["relative_x"] == pytest.approx(8.0 + 2.5, abs=0.01)

@@ -112,6 +112,26 @@ def test_touches_on_the_way_equal_shapely_with_a_recall_of_999(ways) -> None:
     assert np.abs(ours[both] - (gaps[:, both] == 0.0).argmax(axis=0) / looks).max() <= FINEST + 1e-4
 
 
+def test_touches_of_a_truck_and_a_bicycle_equal_shapely(ways) -> None:
+    sizes = (8.0, 1.25), (0.8, 0.3)
+    starts, ends = ways
+    states = [rows(poses[i].T) for i in (0, 1) for poses in ways]
+    ours = np.array([touch_moment(*four, other=sizes[1], own=sizes[0]) for four in zip(*states, strict=True)])
+    again = [
+        touch_moment(c, d, a, b, other=sizes[0], own=sizes[1]) for a, b, c, d in zip(*states, strict=True)
+    ]
+    np.testing.assert_allclose(again, ours, atol=1e-9)
+    met = np.isfinite(ours)
+    assert 0.3 < met.mean() < 0.95
+
+    def gaps(moment: np.ndarray) -> np.ndarray:
+        poses = starts + moment * (ends - starts)
+        return shapely.distance(*(polygons(*poses[i], sizes[i]) for i in (0, 1)))
+
+    assert gaps(np.where(met, ours, 0.0))[met].max() < 1e-6
+    assert min(gaps(np.full(len(ours), moment))[~met].min() for moment in np.linspace(0, 1, 21)) > 0.0
+
+
 def test_turning_the_short_way_through_the_half_turn() -> None:
     # Nobody turns: 2 pi apart is the same heading. A vehicle that spun round would touch.
     before, after = state(0.0, 0.0, math.pi - 0.01), state(0.0, 0.0, -math.pi - 0.01)

@@ -1,8 +1,9 @@
 """Where two vehicles can meet on a SUMO network, which their outlines in plan view do not say.
 
 A bridge is drawn over the road below it, and SUMO knows two roads that cross without a junction. So a contact needs
-more than outlines: the way from one vehicle to the other along the roads has to be short. It is short on one road
-(opposite lanes and `bidi` included), across a junction that joins the two edges, and within a junction.
+more than outlines: the way from one vehicle to the other along the roads has to be short. It is short on one edge,
+across a junction that joins two edges, and within a junction. Lanes that run side by side all the way from such a
+junction count as one road: opposite lanes, `bidi` edges, a ramp that joins at a small angle.
 """
 
 from __future__ import annotations
@@ -14,8 +15,8 @@ from typing import Any, NamedTuple
 
 from sumo_env.networks.lanes import Point
 
-# [m] That the way along one edge, or across the junction that joins two, may be longer than the vehicles. A road that
-# loops back over itself has a longer way.
+# [m] That the way along one edge, or across the junction that joins two, may be longer than the vehicles: SUMO's length
+# of an edge may be a multiple of the drawn one. A road that loops back over itself has a longer way.
 JOINED = 50.0
 BESIDE = 5.0  # [m] between the middles of two lanes: vehicles on lanes that are further apart do not touch
 SAMPLE = 5.0  # [m] between the points of a lane that are looked at
@@ -40,7 +41,6 @@ class Meeting:
         self._shapes = shapes
         self._together: dict[tuple[str, str, str], float] = {}  # see `_side_by_side`
         self._edges: dict[str, _Edge] = {}
-        self._opposite: dict[str, set[str]] = {}  # edge -> those that are the same road, the other way
         self._leading: dict[
             str, list[tuple[str, float]]
         ] = {}  # junction -> (a next one, metres between them)
@@ -52,10 +52,6 @@ class Meeting:
             if not inside:
                 self._leading.setdefault(start, []).append((end, edge.getLength()))
                 self._leading.setdefault(end, []).append((start, edge.getLength()))
-            others = {_edge_of(lane.getNeigh()) for lane in edge.getLanes() if lane.getNeigh()}
-            for other in others | ({edge.getBidi().getID()} if edge.getBidi() else set()):
-                self._opposite.setdefault(name, set()).add(other)
-                self._opposite.setdefault(other, set()).add(name)
 
     def can_meet(self, one: Spot, other: Spot, lengths: float, driven: float) -> bool:
         """Whether two vehicles can be in contact, now or in a moment.
@@ -73,8 +69,6 @@ class Meeting:
         reach = lengths + driven
         if first == second and not first.startswith(":"):
             return abs(one.position - other.position) - JOINED <= reach
-        if self._are_one_road(first, second):
-            return True
         for junction, way in self._edges[first].ways_to_ends(one.position):
             for goal, further in self._edges[second].ways_to_ends(other.position):
                 gap = way + further - reach
@@ -86,26 +80,22 @@ class Meeting:
                     return True
         return False
 
-    def _are_one_road(self, first: str, second: str) -> bool:
-        """Whether two edges are opposite lanes, or otherwise join the same two junctions."""
-        one, other = self._edges[first], self._edges[second]
-        same_ends = {one.start, one.end} == {other.start, other.end} and one.start != one.end
-        return same_ends or second in self._opposite.get(first, ())
-
     def _side_by_side(self, one: str, other: str, junction: str) -> float:
-        """How far from a junction a lane stays beside another one [m], as a ramp does that joins at a small angle."""
+        """How far from a junction a lane stays beside another one, in SUMO's metres of the first."""
         key = one, other, junction
         found = self._together.get(key)
         if found is None:
-            from sumolib.geomhelper import distancePointToPolygon, positionAtShapeOffset
+            from sumolib.geomhelper import distancePointToPolygon, polyLength, positionAtShapeOffset
 
             shape, ends, found = self._shapes[one], self._edges[_edge_of(one)], 0.0
             shape = shape if ends.start == junction else shape[::-1]
-            while found < ends.length:
+            drawn = polyLength(shape)
+            while ends.length and found < drawn:  # 0 for lanes inside junctions
                 point = positionAtShapeOffset(shape, found)
                 if point is None or distancePointToPolygon(point, self._shapes[other]) > BESIDE:
                     break
                 found += SAMPLE
+            found *= ends.length / drawn if found else 0.0
             self._together[key] = found
         return found
 

@@ -249,6 +249,13 @@ def test_a_real_crash_within_a_junction_is_found(plan, route, kind, tmp_path: Pa
     assert found.least_ttc < 0.2
 
 
+def test_a_report_of_sumo_counts_in_any_case(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Meeting, "can_meet", lambda *_: False)
+    crash = straight_on(tmp_path, FLAT, ["we"], Other(["we"], "we_0", 150.0, 0.0)).crash
+    assert (crash["other"], crash["type"]) == ("another", "rear-end")
+    assert crash["detected_by"] in ("sumo", "both")
+
+
 def test_an_oncoming_vehicle_that_overtakes_is_met(tmp_path: Path) -> None:
     found = straight_on(tmp_path, OVERTAKING, ["we"], Other(["ew"], "ew_0", 250.0, 0.0, 8.0), changes=True)
     assert (found.crash["other"], found.crash["type"]) == ("another", "frontal")

@@ -74,6 +74,7 @@ JUNCTION = (
     edges("wm", "me", "sm", "mn"),
     '<connection from="sm" to="mn"/><connection from="wm" to="me"/>',
 )
+STRETCHED = nodes("w 0 0 0, e 400 0 0"), edges('we length="1600"')
 HILL = nodes("w 0 0 0, m 200 0 20, e 400 0 0"), edges("wm", "me")
 MERGE = (
     nodes("w 0 0 0, s 40 -90 0, m 200 0 0, e 400 0 0"),
@@ -212,6 +213,7 @@ def test_two_hundred_episodes_over_bridges_have_no_crash(tmp_path: Path) -> None
 
 REAL: dict[str, tuple[Any, ...]] = {
     "on one road": (FLAT, ["we"], Other(["we"], "we_0", 150.0, 0.0), "rear-end"),
+    "on an edge that is longer than drawn": (STRETCHED, ["we"], Other(["we"], "we_0", 60.0, 0.0), "rear-end"),
     "behind the top of a hill": (HILL, ["wm", "me"], Other(["me"], "me_0", 230.0, 0.0), "rear-end"),
     "on a road that crosses itself": (LOOP, ["ab"], Other(["ab"], "ab_0", 200.0, 120.0), "rear-end"),
     "where a ramp begins": (FLYOVER, ["am", "me"], Other(["me"], "me_0", 120.0, 0.0), "rear-end"),
@@ -247,6 +249,13 @@ def test_a_real_crash_within_a_junction_is_found(plan, route, kind, tmp_path: Pa
     assert found.least_ttc < 0.2
 
 
+def test_a_report_of_sumo_counts_in_any_case(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(Meeting, "can_meet", lambda *_: False)
+    crash = straight_on(tmp_path, FLAT, ["we"], Other(["we"], "we_0", 150.0, 0.0)).crash
+    assert (crash["other"], crash["type"]) == ("another", "rear-end")
+    assert crash["detected_by"] in ("sumo", "both")
+
+
 def test_an_oncoming_vehicle_that_overtakes_is_met(tmp_path: Path) -> None:
     found = straight_on(tmp_path, OVERTAKING, ["we"], Other(["ew"], "ew_0", 250.0, 0.0, 8.0), changes=True)
     assert (found.crash["other"], found.crash["type"]) == ("another", "frontal")
@@ -280,6 +289,16 @@ def test_the_back_of_a_long_vehicle_is_on_the_edges_behind(tmp_path: Path) -> No
     assert rule.can_meet(behind, ahead, BUS + CAR, 0.0)
     assert not rule.can_meet(behind, ahead, CAR + CAR, 0.0)
     assert rule.can_meet(behind, ahead, CAR + CAR, 15.0)  # soon
+
+
+def test_lanes_without_a_length(tmp_path: Path) -> None:
+    """Within junctions that have no extent."""
+    net = build(tmp_path, PIECES, "--no-turnarounds", "--default.junctions.radius=0")
+    rule = files.network(net).meeting
+    assert rule is not None
+    within = Spot(":a_0_0", 0.0)
+    assert rule.can_meet(within, Spot("wa_0", 190.0), 10.0, 0.0)
+    assert not rule.can_meet(within, Spot("wa_0", 10.0), 10.0, 0.0)
 
 
 def test_edges_that_a_junction_joins_meet_near_it(tmp_path: Path) -> None:

@@ -192,6 +192,15 @@ def test_a_road_that_crosses_itself_is_met_by_the_way_round_only(
     assert straight_on(tmp_path, plan, way, other).crash["type"] == "junction"
 
 
+@pytest.mark.parametrize(("height", "kind"), [(8, "rear-end"), (2, "junction")])
+def test_where_the_way_is_short_heights_decide(height: int, kind: str, tmp_path: Path) -> None:
+    """A road crosses itself, and SUMO's length of its edge is an eighth of the drawn one."""
+    up = f"200,0,0 260,60,{height} 200,120,{height} 140,60,{height} 140,-150,{height}"
+    spiral = nodes(f"a 0 0 0, b 140 -150 {height}"), edges(f'ab length="80" shape="0,0,0 {up}"')
+    found = straight_on(tmp_path, spiral, ["ab"], Other(["ab"], "ab_0", 138.4, -3.5))
+    assert (found.crash["other"], found.crash["type"]) == ("another", kind)
+
+
 @pytest.mark.slow
 def test_two_hundred_episodes_over_bridges_have_no_crash(tmp_path: Path) -> None:
     """The ego's road crosses two others among dense traffic: one 8 m below, one at the same height."""

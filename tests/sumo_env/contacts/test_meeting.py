@@ -64,6 +64,10 @@ FLYOVER = (
 # Two roads drawn over each other that share no junction, and two that share both.
 PARALLEL = nodes("w 0 0 0, e 400 0 0, v 0 1 0, f 400 1 0"), edges("we", "vf")
 OPPOSITE = nodes("w 0 0 0, e 400 0 0"), edges('we shape="0,0 400,0"', 'ew shape="400,-2 0,-2"')
+ISLANDS = (  # at both ends between the directions
+    nodes("w 0 0 0, e 400 0 0"),
+    edges('we shape="0,0 400,0"', 'ew shape="400,12 300,12 200,-2 100,12 0,12"'),
+)
 BIDI = (
     nodes("w 0 0 0, e 400 0 0"),
     edges('we spreadType="center" bidi="ew"', 'ew spreadType="center" bidi="we"'),
@@ -227,6 +231,7 @@ REAL = {
     "on a road that crosses itself": (LOOP, ["ab"], Other(["ab"], "ab_0", 200.0, 120.0), "rear-end"),
     "where a ramp begins": (FLYOVER, ["am", "me"], Other(["me"], "me_0", 120.0, 0.0), "rear-end"),
     "edges between the same junctions": (OPPOSITE, ["we"], Other(["ew"], "ew_0", 200.0, 0.0), "frontal"),
+    "both directions, between two islands": (ISLANDS, ["we"], Other(["ew"], "ew_0", 200.0, 0.0), "frontal"),
     "one lane for both directions": (BIDI, ["we"], Other(["ew"], "ew_0", 200.0, 0.0), "frontal"),
     "across the end of an edge": (JUNCTION, ["wm", "me"], Other(["me"], "me_0", 206.0, 0.0), "rear-end"),
     "a ramp drawn over the road": (NARROW, ["wm", "me"], Other(["sm", "me"], "sm_0", 240.0, 0.0), "side"),

@@ -2,8 +2,9 @@
 
 A bridge is drawn over the road below it, and SUMO knows two roads that cross without a junction. So a contact needs
 more than outlines: the way from one vehicle to the other along the roads has to be short. It is short on one edge,
-across a junction that joins two edges, and within a junction. Lanes that run side by side all the way from such a
-junction count as one road: opposite lanes, `bidi` edges, a ramp that joins at a small angle.
+across a junction that joins two edges, and within a junction. Two edges count as one road where they are the two
+directions between two junctions (opposite lanes, `bidi`), and as far as they run side by side from a junction (a ramp
+that joins at a small angle).
 """
 
 from __future__ import annotations
@@ -69,8 +70,11 @@ class Meeting:
         reach = lengths + driven
         if first == second and not first.startswith(":"):
             return abs(one.position - other.position) - JOINED <= reach
-        for junction, way in self._edges[first].ways_to_ends(one.position):
-            for goal, further in self._edges[second].ways_to_ends(other.position):
+        own, others = self._edges[first], self._edges[second]
+        if (own.start, own.end) == (others.end, others.start) and own.length and others.length:
+            return True
+        for junction, way in own.ways_to_ends(one.position):
+            for goal, further in others.ways_to_ends(other.position):
                 gap = way + further - reach
                 if junction != goal:
                     gap += self._ways_from(junction).get(goal, inf)

@@ -64,6 +64,10 @@ FLYOVER = (
 # Two roads drawn over each other that share no junction, and two that share both.
 PARALLEL = nodes("w 0 0 0, e 400 0 0, v 0 1 0, f 400 1 0"), edges("we", "vf")
 OPPOSITE = nodes("w 0 0 0, e 400 0 0"), edges('we shape="0,0 400,0"', 'ew shape="400,-2 0,-2"')
+ISLANDS = (  # at both ends between the directions
+    nodes("w 0 0 0, e 400 0 0"),
+    edges('we shape="0,0 400,0"', 'ew shape="400,12 300,12 200,-2 100,12 0,12"'),
+)
 BIDI = (
     nodes("w 0 0 0, e 400 0 0"),
     edges('we spreadType="center" bidi="ew"', 'ew spreadType="center" bidi="we"'),
@@ -192,6 +196,15 @@ def test_a_road_that_crosses_itself_is_met_by_the_way_round_only(
     assert straight_on(tmp_path, plan, way, other).crash["type"] == "junction"
 
 
+@pytest.mark.parametrize(("height", "kind"), [(8, "rear-end"), (2, "junction")])
+def test_where_the_way_is_short_heights_decide(height: int, kind: str, tmp_path: Path) -> None:
+    """A road crosses itself, and SUMO's length of its edge is an eighth of the drawn one."""
+    up = f"200,0,0 260,60,{height} 200,120,{height} 140,60,{height} 140,-150,{height}"
+    spiral = nodes(f"a 0 0 0, b 140 -150 {height}"), edges(f'ab length="80" shape="0,0,0 {up}"')
+    found = straight_on(tmp_path, spiral, ["ab"], Other(["ab"], "ab_0", 138.4, -3.5))
+    assert (found.crash["other"], found.crash["type"]) == ("another", kind)
+
+
 @pytest.mark.slow
 def test_two_hundred_episodes_over_bridges_have_no_crash(tmp_path: Path) -> None:
     """The ego's road crosses two others among dense traffic: one 8 m below, one at the same height."""
@@ -218,6 +231,7 @@ REAL: dict[str, tuple[Any, ...]] = {
     "on a road that crosses itself": (LOOP, ["ab"], Other(["ab"], "ab_0", 200.0, 120.0), "rear-end"),
     "where a ramp begins": (FLYOVER, ["am", "me"], Other(["me"], "me_0", 120.0, 0.0), "rear-end"),
     "edges between the same junctions": (OPPOSITE, ["we"], Other(["ew"], "ew_0", 200.0, 0.0), "frontal"),
+    "both directions, between two islands": (ISLANDS, ["we"], Other(["ew"], "ew_0", 200.0, 0.0), "frontal"),
     "one lane for both directions": (BIDI, ["we"], Other(["ew"], "ew_0", 200.0, 0.0), "frontal"),
     "across the end of an edge": (JUNCTION, ["wm", "me"], Other(["me"], "me_0", 206.0, 0.0), "rear-end"),
     "a ramp drawn over the road": (NARROW, ["wm", "me"], Other(["sm", "me"], "sm_0", 240.0, 0.0), "side"),

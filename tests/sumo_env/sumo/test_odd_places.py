@@ -14,6 +14,7 @@ from sumo_env.networks.mapping import network
 from sumo_env.simulator import SimulatorError
 from sumo_env.sumo import options, process
 from tests.processes import python
+from tests.sumo_env.sumo.fake import scenario
 
 # SUMO takes a comma as the end of a name, and ${HOME} as a variable; PYTHONPATH takes a colon as the end of a name.
 NAME = "one, two: ${HOME} $HOME%2C;"
@@ -94,6 +95,6 @@ def test_where_no_program_is_found_the_error_says_how_to_name_one(monkeypatch: p
     with pytest.raises(
         SimulatorError, match=r"none at '/nowhere/bin/python3.*multiprocessing\.set_executable"
     ):
-        process.SumoProcess().clone()._begin(None)
+        process.SumoProcess("no:Simulator")._begin(scenario(0))
     monkeypatch.setattr("multiprocessing.spawn._python_exe", b"/bin/sh")
     assert process._interpreter() == "/bin/sh"

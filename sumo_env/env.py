@@ -199,7 +199,9 @@ class DrivingEnv(ReadAsHighwayEnv, OwnSumo):
         if self._simulator is None or self.scenario is None:
             raise gym.error.ResetNeeded("call reset() before step()")
         here = self.scene.x.item(0), self.scene.y.item(0), self.scene.speed.item(0)
-        moment = Moment(self._road, self._route, self._target_lane, self._speed_index, *here, self.scene.place)
+        moment = Moment(
+            self._road, self._route, self._target_lane, self._speed_index, *here, self.scene.place
+        )
         command = self._action_type.command(action, moment)
         if isinstance(command, EgoCommand):
             self._speed_index = self.target_speeds.index(command.target_speed)

@@ -35,6 +35,7 @@ check: lint test docs
 
 lint: setup
 	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
 # Everything but what is marked "long", on two processes: under ten minutes.

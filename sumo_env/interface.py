@@ -17,6 +17,7 @@ from sumo_env.observation import Kinematics, TimeToCollision
 from sumo_env.occupancy import OccupancyGrid
 from sumo_env.scene import Place, Scene
 from sumo_env.tasks.base import Task
+from sumo_env.tasks.network import NetworkTask
 
 NO_CRASH: dict[str, Any] = {
     field.name: "" if field.name in ("other", "type", "detected_by") else 0.0 for field in fields(CrashRecord)
@@ -62,7 +63,9 @@ def interface(task: Task, config: Config, steers: bool = False) -> Interface:
     road = task.road(config)
     observation: Kinematics | TimeToCollision | OccupancyGrid
     if config["observation"]["type"] == "Kinematics":
-        observation = Kinematics(config["observation"], road.count(*task.ego_road))
+        observation = Kinematics(
+            config["observation"], road.count(*task.ego_road), on_its_way=isinstance(task, NetworkTask)
+        )
     elif config["observation"]["type"] == "OccupancyGrid":
         observation = OccupancyGrid(config["observation"])
     elif kind.steers:

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from sumo_env.config import KINEMATICS, MOST_VEHICLES, ConfigError, one_of
 from sumo_env.networks.lanes import wrap_to_pi
 from sumo_env.networks.roads import LaneIndex, Road
-from sumo_env.scene import PERCEPTION_DISTANCE, VEHICLE_LENGTH, Scene
+from sumo_env.scene import ON_ITS_WAY, PERCEPTION_DISTANCE, VEHICLE_LENGTH, Scene
 from sumo_env.tasks.base import EgoState
 from sumo_env.traffic.scenario import VehicleSpec
 
@@ -47,8 +47,13 @@ class Kinematics:
     Features with a range are mapped to [-1, 1]. The rows of the others are relative to the ego unless `absolute`.
     """
 
-    def __init__(self, config: Mapping[str, Any], side_lanes: int) -> None:
-        """`side_lanes`: lanes of the ego's first road, which sets the default range of y.
+    def __init__(self, config: Mapping[str, Any], side_lanes: int, *, on_its_way: bool = False) -> None:
+        """Make the table of a configuration.
+
+        Args:
+            config: the configuration's entry ``observation``.
+            side_lanes: lanes of the ego's first road, which sets the default range of y.
+            on_its_way: whether there are the features `ON_ITS_WAY`.
 
         Raises:
             ConfigError: unknown feature, order or malformed range.
@@ -57,7 +62,8 @@ class Kinematics:
         features = given["features"] or ("presence", "x", "y", "vx", "vy")
         if not isinstance(features, list | tuple):
             raise ConfigError(f"observation 'features' must be a list of names, not {features!r}")
-        self.features = tuple(one_of("observation feature", feature, FEATURES) for feature in features)
+        known = (*FEATURES, *ON_ITS_WAY) if on_its_way else FEATURES
+        self.features = tuple(one_of("observation feature", feature, known) for feature in features)
         rows = given["vehicles_count"]
         if not isinstance(rows, int) or not 1 <= rows <= MOST_VEHICLES:
             raise ConfigError(
@@ -76,7 +82,7 @@ class Kinematics:
         columns = len(self.features)
         self.space = spaces.Box(-np.inf, np.inf, (rows, columns), np.float32)
         self.eyes = Eyes(
-            np.array([FEATURES.index(feature) for feature in self.features]),
+            np.array([known.index(feature) for feature in self.features]),
             np.array([feature in RELATIVE and not self.absolute for feature in self.features]),
             *(np.ones(columns), np.zeros(columns), np.full(columns, -np.inf), np.full(columns, np.inf)),
             rows=rows,
@@ -172,6 +178,9 @@ class Kinematics:
         if any(feature in OFFSETS for feature in self.features):
             offsets = [self._offsets(scene, road, row) for row in rows]
             columns["long_off"], columns["lat_off"], columns["ang_off"] = zip(*offsets, strict=True)
+        if any(feature in ON_ITS_WAY for feature in self.features):
+            nobody = [0.0] * (len(rows) - 1)
+            columns |= {name: [value, *nobody] for name, value in _on_its_way(scene).items()}
         return columns
 
     @staticmethod
@@ -180,6 +189,14 @@ class Kinematics:
         lane = road.lane(road.closest_lane(x, y, heading))
         s, lateral = lane.local_coordinates(x, y)
         return s, lateral, wrap_to_pi(heading - lane.heading_at(s))
+
+
+def _on_its_way(scene: Scene) -> dict[str, float]:
+    """Values of the ego for `ON_ITS_WAY`."""
+    assert scene.place is not None
+    ends = (scene.place.free, scene.place.free_left, scene.place.free_right)
+    distances = [min(distance, PERCEPTION_DISTANCE) for distance in (*ends, scene.light.distance)]
+    return dict(zip(ON_ITS_WAY, (*distances[:3], float(scene.light.state), distances[3]), strict=True))
 
 
 def ranges_of(given: Any) -> dict[str, tuple[float, float]]:

@@ -30,6 +30,11 @@ class Light(NamedTuple):
 
 NO_LIGHT = Light()
 
+# Features of an observation, of the ego alone, on a network of a user's own: how far its lane and the lanes beside it
+# lead along its route [m], the state of the next traffic light, and how far its stop line is [m]. Distances are
+# PERCEPTION_DISTANCE at most.
+ON_ITS_WAY = ("lane_end", "lane_end_left", "lane_end_right", "light", "light_distance")
+
 
 class Place(NamedTuple):
     """Where SUMO says that the ego is on its way through a network of a user's own.
@@ -39,6 +44,8 @@ class Place(NamedTuple):
         left, right: whether it may change to the lane beside, by the road's markings and the lanes' classes.
         ahead: what is left of its route, as edges, the present one (or the one before the junction) first.
         free: how far it gets along its route without a lane change [m]; inf where the lane leads on.
+        free_left, free_right: likewise from the lane beside; 0 where it may not change to that lane.
+        progress: share of its route that it has driven in this policy step; from departure to arrival they add up to 1.
         ended: "" on its way, "arrived", "missed turn" (its lane does not lead on, and it can no longer change),
             or "removed" (by SUMO: teleported, say).
         red_light: whether it has driven over a stop line at red in this policy step.
@@ -50,6 +57,9 @@ class Place(NamedTuple):
     right: bool
     ahead: tuple[str, ...]
     free: float
+    free_left: float = 0.0
+    free_right: float = 0.0
+    progress: float = 0.0
     ended: str = ""
     red_light: bool = False
     waiting: int = 0

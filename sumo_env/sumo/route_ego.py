@@ -41,13 +41,18 @@ class RouteEgo:
         self._target_lane: LaneIndex | None = None
         self._lane, self._length, self._leads_on, self._may_turn = "", 0.0, True, True
         self._sides: tuple[LaneIndex | None, LaneIndex | None] = (None, None)
+        self._reaches: tuple[float, float] = (0.0, 0.0)  # how far the lanes beside lead, from their start [m]
         self.ahead: tuple[str, ...] = ()
         self._index: LaneIndex = next(iter(network.lanes))
         self.look()
+        self._left = self._way = (
+            self._remaining()
+        )  # [m] at the start of this policy step, and at the departure
 
     def obey(self, command: EgoCommand) -> None:
         """Take over the command of a policy step, and give SUMO back what is not commanded."""
         session, name = self._session, self._name
+        self._left = self._remaining()
         if self.crashed:
             return
         self._lane = ""  # routes and lanes may have changed since it came here
@@ -121,6 +126,7 @@ class RouteEgo:
             )
         self._index = self._network.indices[lane]
         self._leads_on, self._may_turn, self._sides = True, True, (None, None)
+        self._reaches = 0.0, 0.0
         if not lane.startswith(":"):
             self._look_along_the_edge(lane)
         if self._target_lane is None or self._index[:2] != self._target_lane[:2]:
@@ -139,8 +145,12 @@ class RouteEgo:
             beside.append(other if may else None)
         self._sides = (beside[0], beside[1])
         if len(self.ahead) <= 1:
+            self._reaches = (inf if beside[0] else 0.0, inf if beside[1] else 0.0)
             return
         lanes = session.lanes_ahead(self._name)
+        reaches = {found: inf if leads else length for found, length, leads in lanes}
+        left, right = (reaches.get(network.lanes[side].id, 0.0) if side else 0.0 for side in beside)
+        self._reaches = left, right
         here = next(k for k, found in enumerate(lanes) if found[0] == lane)
         _, self._length, self._leads_on = lanes[here]
         self._may_turn = self._leads_on or any(self._gets_on(lanes, here, side) for side in (1, -1))
@@ -160,6 +170,12 @@ class RouteEgo:
         """How far the ego gets without a lane change [m]; inf where its lane leads on."""
         return inf if self._leads_on else self._length - self._session.position_of(self._name)
 
+    def _remaining(self) -> float:
+        """From the front of the ego to the end of its route [m], without the ways through junctions."""
+        here, *rest = (self._network.sumo_lanes[f"{edge}_0"].length for edge in self.ahead)
+        present = 0.0 if self._lane.startswith(":") else here - self._session.position_of(self._name)
+        return present + sum(rest)
+
     def is_near_its_end(self, dt: float) -> bool:
         """Whether the ego was on the last edge of its route, or could get over the rest within a step of `dt` [s]."""
         rest = sum(self._network.sumo_lanes[f"{edge}_0"].length for edge in self.ahead[1:])
@@ -174,12 +190,22 @@ class RouteEgo:
     def place(self, waiting: int) -> Place:
         """As a scene has it."""
         left, right = (side is not None for side in self._sides)
+        arrived = self.ended == "arrived"
+        driven = 0.0 if self.ended in ("arrived", "removed") else self._session.position_of(self._name)
+        beside = [max(reach - driven, 0.0) for reach in self._reaches]
+        if self.ended == "removed":
+            progress = 0.0
+        else:
+            progress = (self._left - (0.0 if arrived else self._remaining())) / max(self._way, 1.0)
         return Place(
             lane=self._index,
             left=left,
             right=right,
             ahead=self.ahead,
             free=0.0 if self.ended == "missed turn" else self.free,
+            free_left=beside[0],
+            free_right=beside[1],
+            progress=progress,
             ended=self.ended,
             red_light=self.red_light,
             waiting=waiting,

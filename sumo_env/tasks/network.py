@@ -17,7 +17,7 @@ from sumo_env.config import DISCRETE_META_ACTION, Config, ConfigError
 from sumo_env.networks import files
 from sumo_env.networks.lanes import VEHICLE_LENGTH
 from sumo_env.networks.roads import Road
-from sumo_env.scene import Place
+from sumo_env.scene import ON_ITS_WAY, Place
 from sumo_env.streams import stream
 from sumo_env.tasks.base import Drivers, EgoState, Task, ego_driver, make_on_lane, speed_term
 from sumo_env.traffic.drivers import LACKING, vehicle_type
@@ -41,8 +41,8 @@ class NetworkTask(Task):
         "observation": {
             "type": "Kinematics",
             "vehicles_count": 10,
-            "features": ["presence", "x", "y", "vx", "vy", "cos_h", "sin_h", "cos_d", "sin_d"],
-            "features_range": {"x": [-100, 100], "y": [-100, 100], "vx": [-40, 40], "vy": [-40, 40]},
+            "features": ["presence", "x", "y", "vx", "vy", "cos_h", "sin_h", *ON_ITS_WAY],
+            "features_range": {},  # made of the network's speed limits, see `_ranges`
         },
         "action": DISCRETE_META_ACTION,
         "vehicles_count": 20,  # placed at random on the routes that are given as lists
@@ -53,11 +53,13 @@ class NetworkTask(Task):
         "obey_traffic_lights": False,  # whether the ego stops at red and yellow lights, whatever the agent does
         "initial_speed": None,  # of the ego [m/s]; None for SUMO's choice
         "duration": 60,  # [s]
-        "collision_reward": -1,
-        "high_speed_reward": 0.4,
-        "arrived_reward": 1,
-        "missed_turn_reward": -1,
+        # A crash costs what the whole way and the arrival bring, at any policy frequency.
+        "progress_reward": 5,  # for the whole way
+        "arrived_reward": 5,
+        "collision_reward": -10,
+        "missed_turn_reward": -5,
         "red_light_reward": 0,
+        "high_speed_reward": 0,  # in each policy step
         "red_light_terminal": False,  # whether the episode ends when the ego runs a red light
         "reward_speed_range": None,  # [m/s]; None for half the speed limit to the speed limit
         "offroad_terminal": False,
@@ -106,8 +108,13 @@ class NetworkTask(Task):
         self._limit = self._speed_limit()
         if type(self).target_speeds is Task.target_speeds:  # else a subclass has speeds of its own
             self.target_speeds = (0.0, round(self._limit / 2, 2), round(self._limit, 2))
+        seen = {
+            **self.defaults["observation"],
+            "features_range": self.defaults["observation"]["features_range"] or _ranges(self._limit),
+        }
         self.defaults = {
             **self.defaults,
+            "observation": seen,
             "simulation_frequency": _frequency(options.get("step-length", STEP)),
         }
         if not drawn:  # what files say is all the traffic there is
@@ -337,6 +344,7 @@ class NetworkTask(Task):
         limits = config["reward_speed_range"] or [self._limit / 2, self._limit]
         place = _place(ego)
         return {
+            "progress_reward": place.progress,
             "collision_reward": float(ego.crashed),
             "high_speed_reward": speed_term(ego.speed, limits),
             "arrived_reward": float(self.arrived(ego)),
@@ -357,6 +365,15 @@ class NetworkTask(Task):
 def _place(ego: EgoState) -> Place:
     assert ego.scene is not None and ego.scene.place is not None
     return ego.scene.place
+
+
+def _ranges(limit: float) -> dict[str, list[float]]:
+    """Ranges of features where roads are driven at up to `limit` [m/s]: five seconds ahead, and oncoming vehicles."""
+    sight = max(5.0 * limit, 50.0)
+    ranges = {name: [-sight, sight] for name in ("x", "y")}
+    ranges |= {name: [-2.0 * limit, 2.0 * limit] for name in ("vx", "vy")}
+    ranges |= {name: [0.0, sight] for name in ON_ITS_WAY}
+    return {**ranges, "light": [-1.0, 2.0]}
 
 
 @cache

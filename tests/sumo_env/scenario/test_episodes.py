@@ -14,8 +14,8 @@ import pytest
 
 from sumo_env.config import ConfigError
 from sumo_env.env import DrivingEnv, SumoDrivingEnv
-from sumo_env.scene import Scene
-from sumo_env.simulator import SimulatorError
+from sumo_env.scene import ON_ITS_WAY, Scene
+from sumo_env.simulator import EgoCommand, SimulatorError
 from sumo_env.sumo.process import SumoProcess
 from sumo_env.tasks.network import NetworkTask
 from tests.sumo_env.plans import floating_car_data, needs_sumo
@@ -263,6 +263,53 @@ def test_outputs_are_off_or_each_episode_has_its_own(town: Path, tmp_path: Path)
     envs[0].reset(seed=0)
     with pytest.raises(TypeError, match="cannot be copied"):
         copy.deepcopy(envs[0])
+
+
+# -- reward and observation --------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("frequency", [1, 5])
+def test_the_shares_of_the_route_add_up_to_one_on_arrival(town: Path, frequency: int) -> None:
+    config = {
+        "policy_frequency": frequency,
+        "duration": 600,
+        "obey_traffic_lights": True,
+        "vehicles_count": 0,
+    }
+    env = SumoDrivingEnv(town, ego_trips=[("B2B1", "A1A0")], config=config)
+    env.reset(seed=1)
+    shares = []
+    for _ in range(600 * frequency):
+        step = env._simulator.step(EgoCommand(None, None))  # SUMO drives
+        shares.append(step.scene.place.progress)
+        if step.scene.place.ended:
+            break
+    assert step.scene.place.ended == "arrived"
+    assert sum(shares) == pytest.approx(1.0) and min(shares) >= 0.0
+    env.close()
+
+
+def test_a_crash_costs_what_a_route_can_bring() -> None:
+    weights = NetworkTask.defaults
+    gain = weights["progress_reward"] + weights["arrived_reward"]
+    assert -weights["collision_reward"] >= gain > -weights["missed_turn_reward"] > 0
+
+
+def test_the_ego_sees_the_end_of_its_lane_and_the_next_light(town: Path) -> None:
+    seen = {"type": "Kinematics", "features": list(ON_ITS_WAY), "normalize": False}
+    env = SumoDrivingEnv(town, ego_trips=[("B2B1", "A1A0")], config={"observation": seen})
+    observation, info = env.reset(seed=1)
+    ego, others = observation[0], observation[1:]
+    place = env.scene.place
+    expected = [min(reach, 200.0) for reach in (place.free, place.free_left, place.free_right)]
+    assert ego[:3].tolist() == pytest.approx(expected)
+    assert ego[3] == info["traffic_light"] and ego[4] == pytest.approx(
+        min(info["traffic_light_distance"], 200.0)
+    )
+    assert not others.any()
+    env.close()
+    with pytest.raises(ConfigError, match="lane_end"):
+        DrivingEnv("highway", {"observation": {"type": "Kinematics", "features": ["lane_end"]}})
 
 
 # -- SUMO of an environment --------------------------------------------------------------------------------

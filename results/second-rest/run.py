@@ -103,7 +103,9 @@ def compute(code: Path, setting: str, out: Path) -> int:
     check_dynamics(dict.fromkeys((name, task) for cell in cells for name in (cell.backend, cell.runs_on)))
     Store(out).write_sweep(f"results/second-rest/run.py, setting {setting}", cells)
     agents = [cell for cell in cells if cell.kind == "agent"]
-    groups = [[agent, *(cell for cell in cells if cell.kind == "test" and cell.parent == agent)] for agent in agents]
+    groups = [
+        [agent, *(cell for cell in cells if cell.kind == "test" and cell.parent == agent)] for agent in agents
+    ]
     groups.append([cell for cell in cells if cell.kind == "baseline"])
     assert sum(map(len, groups)) == CELLS
     there = set(Store(out).finished())
@@ -137,8 +139,12 @@ def pack(code: Path, settings: Iterable[str], out: Path) -> None:
                 del records[name]["checksum"]
                 for file, data in files.items():
                     if sha256_bytes(data) != records[name]["files"][file]:
-                        sys.exit(f"{file} of {setting}/{name}{CELL} is damaged: restore it with git, or delete it")
-                tables[name] = {file: pd.read_parquet(io.BytesIO(files[file])) for file in TABLES if file in files}
+                        sys.exit(
+                            f"{file} of {setting}/{name}{CELL} is damaged: restore it with git, or delete it"
+                        )
+                tables[name] = {
+                    file: pd.read_parquet(io.BytesIO(files[file])) for file in TABLES if file in files
+                }
                 if WEIGHTS in files:
                     weights[name] = Path(folder) / f"{name}.npz"
                     weights[name].write_bytes(files[WEIGHTS])
@@ -187,7 +193,9 @@ def save(setting: str, out: Path, unfinished: bool) -> None:
     for name in sorted(there - saved(setting)):
         files = ["cell.json", *TABLES]
         if agent := re.fullmatch(r"(.*-(?:control|treatment|mixed)-s(\d+))-[0-9a-f]{12}", name):
-            tests = [test for test in there if test.startswith((f"{agent[1]}-unseen-", f"{agent[1]}-on-replica-"))]
+            tests = [
+                test for test in there if test.startswith((f"{agent[1]}-unseen-", f"{agent[1]}-on-replica-"))
+            ]
             if len(tests) < 2 and not unfinished:
                 continue
             if len(tests) < 2 or agent[2] == FIRST_SEED:
@@ -254,7 +262,16 @@ def note_cost(cell: str, seconds: float, state: str) -> None:
 
 def follow(setting: str, code: Path, out: Path, wanted: Any) -> bool:
     """Compute a setting in a process of its own, and save; returns whether it was stopped. wanted: what signals ask."""
-    words = [".venv/bin/python", str(HERE / "run.py"), "--code", str(code), "--work", str(out), "--compute", setting]
+    words = [
+        ".venv/bin/python",
+        str(HERE / "run.py"),
+        "--code",
+        str(code),
+        "--work",
+        str(out),
+        "--compute",
+        setting,
+    ]
     with (out / "log.txt").open("a") as log:
         process = subprocess.Popen(
             words,
@@ -293,10 +310,16 @@ def follow(setting: str, code: Path, out: Path, wanted: Any) -> bool:
 
 def main() -> None:
     """The command line."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--code", type=Path, required=True, help=f"a clean checkout of {COMMIT} after make setup")
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument(
+        "--code", type=Path, required=True, help=f"a clean checkout of {COMMIT} after make setup"
+    )
     parser.add_argument("--work", type=Path, help="a folder outside of git for the sweeps")
-    parser.add_argument("--settings", nargs="+", choices=SETTINGS, default=list(SETTINGS), help="default: all")
+    parser.add_argument(
+        "--settings", nargs="+", choices=SETTINGS, default=list(SETTINGS), help="default: all"
+    )
     parser.add_argument("--pack", type=Path, metavar="DIR", help="add all saved cells to this folder instead")
     parser.add_argument("--compute", choices=SETTINGS, help=argparse.SUPPRESS)
     options = parser.parse_args()

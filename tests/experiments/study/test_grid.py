@@ -10,6 +10,7 @@ from agents.streams import episode_seed
 from experiments.study.design import experiment, grid
 from experiments.study.design.arms import DOSE_ARMS, EVERY_ARM, TEST, scenario_seed, training_seed
 from experiments.study.design.experiment import Experiment
+from experiments.study.design.presets import cells_of
 from experiments.study.design.traffic import unseen_traffics
 from experiments.support.errors import UserError
 from sumo_env.tasks import TASKS
@@ -127,3 +128,15 @@ def test_seeds_of_tests_and_of_trainings_are_apart_from_each_other():
     trainings, tests = ({seed(*place) for place in places} for seed in (training_seed, scenario_seed))
     assert max(episodes | trainings) < TEST <= min(tests)
     assert len(trainings) == len(tests) == len(places)
+
+
+@pytest.mark.parametrize("learner", ["dqn", "sb3-dqn", "sb3-ppo"])
+def test_learners_from_elsewhere_have_the_steps_of_the_second_study(learner: str):
+    def steps(**asked) -> dict[str, int]:
+        found = cells_of(Experiment(backend="replica", levels=(1,), arms=("control",), **asked))
+        return {cell.task: cell.budget[0] for cell in found if cell.kind == "agent"}
+
+    ours = steps(preset="second")
+    assert len(ours) == 5
+    for preset in ("rl-agents-dueling", "rl-agents-attention"):
+        assert steps(preset=preset, learner=learner) == ours

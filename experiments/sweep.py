@@ -42,7 +42,7 @@ from experiments.study.design.fingerprint import check_dynamics, known_dynamics
 from experiments.study.design.grid import Cell
 from experiments.study.design.presets import cells_of, complete
 from experiments.study.design.verdict import keep
-from experiments.study.results.store import Store
+from experiments.study.results.store import Store, find_cell
 from experiments.study.results.working import LOG
 from experiments.support.errors import UserError, run_command, unknown, writing
 
@@ -60,7 +60,7 @@ class Options(Experiment):
     shard: Annotated[str, argument("I/N", "1/1")] = "1/1"
     """Compute only this part of the cells, for job arrays."""
     cell: Annotated[str | None, argument("NAME", "all")] = None
-    """Compute this cell alone and in this process, to see why it fails."""
+    """Compute this cell alone (the beginning of its name is enough) and in this process, to see why it fails."""
     dry_run: Flag = False
     """Print the cells and an estimate of the time, and compute nothing."""
 
@@ -127,17 +127,15 @@ def refuse_early(cells: Iterable[Cell], make_env: MakeEnv, executor: str) -> Non
             try:
                 torch.empty(0, device=device)
             except (RuntimeError, AssertionError) as error:
-                raise UserError(f"--device {device}: {str(error).splitlines()[0]}") from None
+                raise UserError(f"device {device}: {str(error).splitlines()[0]}") from None
 
 
 def compute_one(wanted: str, cells: Sequence[Cell], directory: Path, make_env: MakeEnv = make_env) -> int:
     """Compute one cell in this process, to see why it fails."""
-    for cell in cells:
-        if wanted in (cell.name, cell.slug):
-            compute_here(CellTask(cell, directory, make_env))
-            print(f"finished: {Store(directory).cells / cell.name}")
-            return 0
-    raise unknown("cell", wanted, (cell.slug for cell in cells))
+    name = find_cell(wanted, [cell.name for cell in cells])
+    compute_here(CellTask(next(cell for cell in cells if cell.name == name), directory, make_env))
+    print(f"finished: {Store(directory).cells / name}")
+    return 0
 
 
 def say_failures(failures: Mapping[str, str], directory: Path, again: str) -> int:

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from PIL import Image
 
-from experiments.replay import Options, find_cell, parse_case, replay
+from experiments.replay import Options, parse_case, replay
 from experiments.study.replaying.rerun import Case, play_again
 from experiments.study.results import store
 from experiments.support.errors import UserError

@@ -433,7 +433,7 @@ def test_a_misspelt_setting_is_an_error(options, message):
     [
         ({"policy": ("model.zip",)}, "no model of Stable-Baselines3"),
         ({"policy": ("mine.py:Other",)}, "defines no Other"),
-        ({"device": "toaster"}, "--device toaster"),
+        ({"settings": ("device=toaster",)}, "device toaster"),
     ],
 )
 def test_what_would_fail_after_the_trainings_is_refused_before_them(tmp_path, monkeypatch, options, reason):

@@ -80,20 +80,16 @@ class Experiment:
     """Test the careful driver at five cautions: with the constant policies, the crashes of a speed without learning."""
     config: Annotated[tuple[str, ...], argument("KEY=VALUE ...", "none")] = ()
     """Keys of the environments' configuration to set, for training and test (values as in JSON, or plain words)."""
-    gamma: Annotated[float | None, argument("X")] = None
-    """Discount factor."""
     crash_reward: Annotated[float | None, argument("X", "none")] = None
     """Added to the reward of a crash in training, in all arms (the two-way road's own has no term for crashes)."""
     learner: Annotated[str, argument("NAME", "dqn")] = LEARNER
     """Who learns: dqn, sb3-dqn, sb3-ppo, or FILE:NAME for a learner of your own; for as many steps as dqn would."""
     settings: Annotated[tuple[str, ...], argument("KEY=VALUE ...")] = ()
-    """Settings of the learner (the fields of its dataclass, agents/dqn.py and agents/stable.py)."""
+    """Settings of the learner, for example gamma=0.9 or device=cuda (all: agents/dqn.py, agents/stable.py)."""
     network: Annotated[str | None, argument("NAME")] = None
     """Network of the agents: attention, dueling, or FILE:CLASS for a class of your own."""
     policy: Annotated[tuple[str, ...], argument("FILE:MAKE ...", "none")] = ()
     """Policies of your own to test as well: FILE:MAKE, or a model.zip of Stable-Baselines3."""
-    device: Annotated[str | None, argument("NAME", "cpu")] = None
-    """Where agents learn: cpu or cuda."""
     about: Annotated[str, *PRESETS_ALONE] = ""
     learners: Annotated[Mapping[str, Mapping[str, Any]] | None, *PRESETS_ALONE] = None
     gate_episodes: Annotated[int | None, *PRESETS_ALONE] = None
@@ -215,7 +211,7 @@ class Experiment:
             if not math.isfinite(self.crash_reward):
                 raise UserError(f"the reward of a crash has to be a finite number, not {self.crash_reward}")
             rules = replace(rules, crash_reward=self.crash_reward)
-        asked = {"updates": self.updates, "gamma": self.gamma, "network": self.network, "device": self.device}
+        asked = {"updates": self.updates, "network": self.network}
         files = {}
         try:
             if self.learner != LEARNER:  # of the preset's settings, the number of steps is everybody's

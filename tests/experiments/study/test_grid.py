@@ -74,7 +74,7 @@ def test_the_configuration_can_be_changed():
 def test_the_name_follows_everything_that_changes_the_result_and_no_label():
     cell = cells()[0]
     assert cells(preset="quick")[0].name == cell.name
-    assert cells(gamma=0.99)[0].name != cell.name
+    assert cells(settings=("gamma=0.99",))[0].name != cell.name
     assert replace(cell, eval={"episodes": 6}).name != cell.name
     assert replace(cell, env_config={**cell.env_config, "duration": 21}).name != cell.name
 
@@ -83,7 +83,7 @@ def test_a_baseline_does_not_depend_on_the_learner():
     def names(**profile):
         return {c.name for c in cells(**profile) if c.kind == "baseline"}
 
-    assert names(gamma=0.95) == names(gamma=0.99)
+    assert names(settings=("gamma=0.95",)) == names(settings=("gamma=0.99",))
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,7 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
@@ -98,17 +98,29 @@ def settings_of(cls: type[T], given: Mapping[str, Any], whose: str) -> T:
     known = [field.name for field in dataclasses.fields(cls)]  # type: ignore[arg-type]
     for name in given:
         if name not in known:
-            near = difflib.get_close_matches(name, known, 1)
-            hint = f"did you mean {near[0]!r}? " if near else ""
-            raise ValueError(f"unknown setting {name!r} of {whose}: {hint}known are {', '.join(known)}")
+            raise unknown("setting", name, known, f" of {whose}")
     return cls(**given)
 
 
-def check_numbers(settings: Any) -> None:
-    """Raise ValueError for a number of a dataclass of settings that is not above 0, or has another type than there."""
+def unknown(kind: str, name: str, known: Sequence[str], whose: str = "") -> ValueError:
+    """The error for a name that does not exist, with the nearest known one."""
+    near = difflib.get_close_matches(name, known, 1)
+    hint = f"did you mean {near[0]!r}? " if near else ""
+    return ValueError(f"unknown {kind} {name!r}{whose}: {hint}known are {', '.join(known)}")
+
+
+def check_numbers(settings: Any, may_be_0: Sequence[str] = ()) -> None:
+    """Check the values of a dataclass of settings.
+
+    Raises:
+        ValueError: another type than the default's, or a number that is not finite and above 0.
+    """
     for field in dataclasses.fields(settings):
         value, default = getattr(settings, field.name), field.default
         fits = type(value) is type(default) or (isinstance(default, float) and type(value) is int)
-        if not fits or (isinstance(value, int | float) and not 0 < value < float("inf")):
-            kind = "text" if isinstance(default, str) else f"a number above 0 such as {default!r}"
+        if fits and isinstance(value, int | float) and not isinstance(value, bool):
+            fits = 0 < value < float("inf") or (value == 0 and field.name in may_be_0)
+        if not fits:
+            kinds = {str: "text", bool: "true or false", int: f"a whole number above 0 such as {default!r}"}
+            kind = kinds.get(type(default), f"a number above 0 such as {default!r}")
             raise ValueError(f"{field.name} must be {kind}, got {value!r}")

@@ -19,8 +19,8 @@ import pandas as pd
 from agents.rules import Policy, make_policy
 from agents.rules.constant import Constant
 from experiments.backends import make_env
-from experiments.study.compute.evaluate import play
 from experiments.study.compute import run as runner
+from experiments.study.compute.evaluate import play
 from experiments.study.compute.executors.local import LocalExecutor
 from experiments.study.compute.progress import Progress
 from experiments.study.design.arms import stream_seed

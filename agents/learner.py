@@ -5,7 +5,8 @@ FILE:NAME. `agents.stable` has learners of another library.
 
 * ``Settings``: a frozen dataclass with the properties ``steps`` (environment steps of a training) and ``updates``
   (gradient updates). Its fields are the profile, its comments the help, `settings_of` the check: a name that it does
-  not have is an error.
+  not have is an error. A setting whose default is a `Path` names a file, for example weights that the training begins
+  with (`Path()`: none); a study names its cells by the file's content.
 * ``train(make_env, settings, seed, *, checkpoint, progress)``: `make_env()` gives an environment whose episodes follow
   from the training's seed, whatever `reset` is given; `make_env(n)` gymnasium's vector environment of n of them, which
   share the episodes out. Traffic and rules of the training are in them. `progress` is called with environment steps.
@@ -24,6 +25,7 @@ from typing import Any, Protocol, TypeVar
 import gymnasium as gym
 import numpy as np
 
+from agents.plugins import sha256
 from agents.policies import Policy
 
 # How a training has got to its end, for the record.
@@ -95,11 +97,19 @@ def settings_of(cls: type[T], given: Mapping[str, Any], whose: str) -> T:
     Raises:
         ValueError: a name that is no setting, with the nearest one; or a value that makes no sense.
     """
-    known = [field.name for field in dataclasses.fields(cls)]  # type: ignore[arg-type]
+    known = {field.name: field.default for field in dataclasses.fields(cls)}  # type: ignore[arg-type]
     for name in given:
         if name not in known:
-            raise unknown("setting", name, known, f" of {whose}")
-    return cls(**given)
+            raise unknown("setting", name, list(known), f" of {whose}")
+    return cls(
+        **{k: Path(v) if isinstance(known[k], Path) and isinstance(v, str) else v for k, v in given.items()}
+    )
+
+
+def files_of(settings: Any) -> dict[str, str]:
+    """SHA-256 of the files that settings name, by setting. ValueError for a file that is not there."""
+    paths = {field.name: getattr(settings, field.name) for field in dataclasses.fields(settings)}
+    return {k: sha256(path) for k, path in paths.items() if isinstance(path, Path) and path != Path()}
 
 
 def unknown(kind: str, name: str, known: Sequence[str], whose: str = "") -> ValueError:

@@ -32,7 +32,7 @@ from typing import Annotated, Any
 import gymnasium as gym
 import tyro
 
-from experiments.backends import make_env
+from experiments import backends
 from experiments.reporting.showcase import ending
 from experiments.study.compute.cell import MakeEnv
 from experiments.study.design.grid import tested_on
@@ -87,7 +87,7 @@ def parse_case(text: str) -> Case:
     return Case(store, name, store.record(name), dict(rows.iloc[0]))
 
 
-def replay(options: Options, make_env: MakeEnv = make_env) -> int:
+def replay(options: Options, make_env: MakeEnv = backends.make_env) -> int:
     """Do what the options ask for; returns the exit status."""
     if options.horizon < 1:
         raise UserError(f"--horizon is at least 1, not {options.horizon}")

@@ -6,7 +6,7 @@ import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
-from experiments.backends import make_env
+from experiments import backends
 from experiments.study.compute.cell import CellTask, MakeEnv
 from experiments.study.compute.executors import open_executor
 from experiments.study.compute.executors.local import TASKS_PER_PROCESS
@@ -19,7 +19,7 @@ from experiments.study.results.store import Store
 def compute(
     cells: Sequence[Cell],
     directory: Path,
-    make_env: MakeEnv = make_env,
+    make_env: MakeEnv = backends.make_env,
     executor: str = "local",
     workers: int | None = None,
 ) -> dict[str, str]:

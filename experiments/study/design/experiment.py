@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
@@ -201,7 +202,7 @@ class Experiment:
             UserError: a name that there is not, or a value that makes no sense.
         """
         from agents.dqn import DQNConfig  # here: not every command needs the learner
-        from agents.learner import settings_of
+        from agents.learner import files_of, settings_of
         from agents.learners import learner
         from agents.models import network_class
 
@@ -226,9 +227,11 @@ class Experiment:
             settings = settings_of(chosen.Settings, said, f"the learner {self.learner}")
             if not self._own_network and hasattr(settings, "network"):
                 network_class(settings.network)
+            files |= {f"{name}_sha256": digits for name, digits in files_of(settings).items()}
         except ValueError as error:
             raise UserError(str(error)) from None
-        return {**asdict(settings), **rules.entries(), **files}
+        values = {k: str(v) if isinstance(v, Path) else v for k, v in asdict(settings).items()}
+        return {**values, **rules.entries(), **files}
 
     @property
     def _own_network(self) -> str | None:

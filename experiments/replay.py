@@ -24,7 +24,7 @@ if __package__ in (None, ""):  # run as a file: import from the project, not fro
 import copy
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from contextlib import closing
 from dataclasses import dataclass
 from typing import Annotated, Any
@@ -32,16 +32,15 @@ from typing import Annotated, Any
 import gymnasium as gym
 import tyro
 
-from experiments.backends import make_env
+from experiments import backends
 from experiments.reporting.showcase import ending
 from experiments.study.compute.cell import MakeEnv
 from experiments.study.design.grid import tested_on
 from experiments.study.replaying.avoid import HORIZON, SAFE, rewound, way_out
 from experiments.study.replaying.rerun import Case, changed_versions, differences, play_again
-from experiments.study.results.store import EPISODES, Store
+from experiments.study.results.store import EPISODES, Store, find_cell
 from experiments.support.errors import UserError, disk_error, run_command, unknown
 from experiments.support.films import Film, Pictures, save_gif, side_by_side
-from sumo_env.config import did_you_mean
 
 
 @dataclass(frozen=True)
@@ -88,21 +87,7 @@ def parse_case(text: str) -> Case:
     return Case(store, name, store.record(name), dict(rows.iloc[0]))
 
 
-def find_cell(word: str, names: Sequence[str]) -> str:
-    """The cell with this name, with or without its hash, or the only one whose name begins so.
-
-    Raises:
-        UserError: none or several; the nearest one is named.
-    """
-    fitting = [name for name in names if word in (name, name.rpartition("-")[0])]
-    fitting = fitting or [name for name in names if name.startswith(word)]
-    if len(fitting) == 1:
-        return fitting[0]
-    hint = did_you_mean(word, fitting or names)
-    raise UserError(f"{len(fitting)} of {len(names)} cells begin with {word!r}, not one; {hint}")
-
-
-def replay(options: Options, make_env: MakeEnv = make_env) -> int:
+def replay(options: Options, make_env: MakeEnv = backends.make_env) -> int:
     """Do what the options ask for; returns the exit status."""
     if options.horizon < 1:
         raise UserError(f"--horizon is at least 1, not {options.horizon}")

@@ -38,15 +38,15 @@ ARGUMENTS = {
     "seeds": st.none() | st.integers(-3, 30),
     "episodes": st.none() | NUMBERS,
     "updates": st.none() | NUMBERS,
-    "gamma": st.none() | st.floats(),
     "crash_reward": st.none() | st.floats(),
     "frontier": st.booleans(),
     "unseen": st.booleans(),
     "learner": some(["dqn", "sb3-dqn", "sb3-ppo", "none.py:learner"]),
-    "settings": st.lists(some(["gamma=0.9", "gama=1", "=", "n_steps=8"]), max_size=2).map(tuple),
+    "settings": st.lists(
+        some(["gamma=0.9", "gamma=NaN", "device=cpu", "gama=1", "=", "n_steps=8"]), max_size=2
+    ).map(tuple),
     "network": st.none() | some(["attention", "dueling", "none.py:Net", ":", "a:b:c"]),
     "policy": st.lists(some(["none.py:make", "none.zip"]), max_size=1).map(tuple),
-    "device": st.none() | some(["cpu"]),
     "arms": st.lists(some(EVERY_ARM), max_size=3).map(tuple),
     "placebo": st.booleans(),
     "test_on": st.lists(some(BACKENDS), max_size=2).map(tuple),

@@ -13,7 +13,7 @@ import gymnasium as gym
 import numpy as np
 import pandas as pd
 
-from agents.learner import Trained
+from agents.learner import Trained, files_of
 from agents.streams import episode_seed
 from experiments.study.compute.policies import check
 from experiments.study.compute.wrappers import Training, observed
@@ -50,6 +50,9 @@ def train_cell(
     seed = training_seed(cell.task, cell.level, cell.seed or 0)
     with ExitStack() as opened:
         try:
+            for name, digits in files_of(settings).items():
+                if digits != cell.profile[f"{name}_sha256"]:
+                    raise ValueError(f"the file of the setting {name} has changed: run the sweep again")
             trained = learner.train(
                 partial(environments, cell, make_env, seed, opened),
                 settings,

@@ -161,7 +161,8 @@ def learner_of(key: Mapping[str, Any], source: str | None) -> tuple[Learner, Any
     Raises:
         UserError: the user's file is not there or does not fit.
     """
-    from agents.learners import learner  # here: not every command needs one
+    from agents.learner import settings_of  # here: not every command needs a learner
+    from agents.learners import learner
 
     profile = key["profile"]
     try:
@@ -172,7 +173,7 @@ def learner_of(key: Mapping[str, Any], source: str | None) -> tuple[Learner, Any
     values = {name: value for name, value in profile.items() if name in names}
     if source and "network_sha256" in profile:
         values["network"] = source  # where it lies now; the key has its label
-    return found, found.Settings(**values)
+    return found, settings_of(found.Settings, values, f"the learner {key['policy']}")
 
 
 def tested_on(key: Mapping[str, Any]) -> tuple[str, str, dict[str, Any]]:

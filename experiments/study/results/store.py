@@ -37,6 +37,7 @@ from experiments.study.results.packed import (
 from experiments.study.results.working import last_words
 from experiments.support.errors import UserError
 from experiments.support.files import alone, publish, sha256_bytes, sha256_file, write_file, write_json
+from sumo_env.config import did_you_mean
 
 CELL, EPISODES, GATES = "cell.json", "episodes.parquet", "gates.parquet"
 TRAINING, WEIGHTS = "training.parquet", "weights.npz"
@@ -254,6 +255,20 @@ def read_cell(path: Path) -> dict[str, Any]:
     except OSError as error:
         raise DamagedCell(file, error.strerror or "unreadable") from None
     return record
+
+
+def find_cell(word: str, names: Sequence[str]) -> str:
+    """The cell with this name, with or without its hash, or the only one whose name begins so.
+
+    Raises:
+        UserError: none or several; the nearest one is named.
+    """
+    fitting = [name for name in names if word in (name, name.rpartition("-")[0])]
+    fitting = fitting or [name for name in names if name.startswith(word)]
+    if len(fitting) == 1:
+        return fitting[0]
+    hint = did_you_mean(word, fitting or names)
+    raise UserError(f"{len(fitting)} of {len(names)} cells begin with {word!r}, not one; {hint}")
 
 
 # Columns of the key that every table of `Results` carries.

@@ -17,7 +17,7 @@ from sumo_env.config import DISCRETE_META_ACTION, MOST_VEHICLES, Config, ConfigE
 from sumo_env.networks import files
 from sumo_env.networks.lanes import VEHICLE_LENGTH
 from sumo_env.networks.roads import Road
-from sumo_env.scene import ON_ITS_WAY, Place
+from sumo_env.scene import CLOSING, GAPS, LANE_ENDS, ON_ITS_WAY, Place
 from sumo_env.streams import stream
 from sumo_env.tasks.base import Drivers, EgoState, Task, ego_driver, make_on_lane, speed_term
 from sumo_env.traffic.drivers import LACKING, vehicle_type
@@ -31,6 +31,7 @@ SPACING = 15.0  # [m] between centres when vehicles are placed
 EGO_SPACING = 25.0  # [m] likewise, from the place where the ego departs
 QUIET = 60.0  # [s] without a departure after which SUMO's begin is not taken, unless it was given
 STEP = "0.1"  # [s]
+BESIDE = 50.0  # [m] to the sides that the observation shows: a lane is a sixteenth of it
 
 
 class NetworkTask(Task):
@@ -384,10 +385,10 @@ def _place(ego: EgoState) -> Place:
 def _ranges(limit: float) -> dict[str, list[float]]:
     """Ranges of features where roads are driven at up to `limit` [m/s]: five seconds ahead, and oncoming vehicles."""
     sight = max(5.0 * limit, 50.0)
-    ranges = {name: [-sight, sight] for name in ("x", "y")}
+    ranges = {"x": [-sight, sight], "y": [-BESIDE, BESIDE]}
     ranges |= {name: [-2.0 * limit, 2.0 * limit] for name in ("vx", "vy")}
-    ranges |= {name: [0.0, sight] for name in ON_ITS_WAY}
-    return {**ranges, "light": [-1.0, 2.0]}
+    ranges |= {name: [0.0, sight] for name in (*LANE_ENDS, "light_distance", *GAPS)}
+    return {**ranges, "light": [-1.0, 2.0], **{name: [-limit, limit] for name in CLOSING}}
 
 
 @cache

@@ -381,6 +381,8 @@ def test_the_ego_sees_the_end_of_its_lane_and_the_next_light(town: Path) -> None
     assert ego[3] == info["traffic_light"] and ego[4] == pytest.approx(
         min(info["traffic_light_distance"], 200.0)
     )
+    assert ego[5:10].tolist() == pytest.approx([min(gap, 200.0) for gap in place.gaps])
+    assert ego[10:].tolist() == pytest.approx(place.closing)
     assert not others.any()
     env.close()
     with pytest.raises(ConfigError, match="lane_end"):

@@ -84,10 +84,13 @@ LARGEST = {
     "scaling": math.inf,
     "risk": 1.0,
     "spawn_probability": 1.0,
+    "begin": math.inf,
     "warm_up": 100_000.0,
     "wait": 100_000.0,
 }
-MAY_BE_ZERO = ("risk", "spawn_probability", "warm_up", "wait")  # of those
+MAY_BE_ZERO = ("risk", "spawn_probability", "begin", "warm_up", "wait")  # of those
+# What keys are that may also be None.
+OR_NONE: Config = {"begin": 0, "initial_speed": 0, "reward_speed_range": [0.0, 1.0]}
 # Keys of highway-env and rl-agents that the tasks on SUMO do not have. A whole configuration of theirs is accepted if
 # it describes the same task and kept: these keys have no effect, and those of `FIXED` may only have one value.
 # rl-agents hands its whole JSON file to `configure`.
@@ -204,10 +207,12 @@ def _plain(value: Any) -> Any:
 
 def _check(config: Config, defaults: Config) -> None:
     for key in defaults:
-        _check_kind(f"config key {key!r}", defaults[key], config[key])
+        given, default = config[key], defaults[key]
+        if given is not None or default is not None:
+            _check_kind(f"config key {key!r}", OR_NONE.get(key) if default is None else default, given)
     for key, value in config.items():
         most = LARGEST.get(key, MOST_VEHICLES if key.endswith("_count") else None)
-        if most is None:
+        if most is None or value is None:
             continue
         if key.endswith(("_count", "_frequency")) and value != int(value):
             raise ConfigError(f"config key {key!r} must be a whole number, not {value!r}")

@@ -155,8 +155,9 @@ class DrivingEnv(ReadAsHighwayEnv, OwnSumo):
             scenario = options.get("scenario") or self._draw(task)
             ego = scenario.ego
             if scenario.traffic is not None:
-                if seed is not None and "scenario" not in options:  # SUMO's numbers have 31 bits
-                    scenario = replace(scenario, traffic=replace(scenario.traffic, seed=seed % 2**31))
+                # SUMO's numbers have 31 bits; of a larger seed SUMO gets the scenario's
+                if seed is not None and seed < 2**31 and "scenario" not in options:
+                    scenario = replace(scenario, traffic=replace(scenario.traffic, seed=seed))
             else:
                 scenario.network.place(ego.lane, ego.s, ego.destination)  # there are such a network and place
         except ValueError as error:

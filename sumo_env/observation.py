@@ -53,7 +53,8 @@ class Kinematics:
         Args:
             config: the configuration's entry ``observation``.
             side_lanes: lanes of the ego's first road, which sets the default range of y.
-            on_its_way: whether there are the features `ON_ITS_WAY`.
+            on_its_way: whether there are the features `ON_ITS_WAY`, and the table is seen in the ego's axes: x ahead, y
+                to its right, headings from its own (unless `absolute`).
 
         Raises:
             ConfigError: unknown feature, order or malformed range.
@@ -81,6 +82,7 @@ class Kinematics:
         self.absolute, self.observe_intentions = bool(given["absolute"]), bool(given["observe_intentions"])
         columns = len(self.features)
         self.space = spaces.Box(-np.inf, np.inf, (rows, columns), np.float32)
+        self._own_axes = on_its_way and not self.absolute
         self.eyes = Eyes(
             np.array([known.index(feature) for feature in self.features]),
             np.array([feature in RELATIVE and not self.absolute for feature in self.features]),
@@ -153,6 +155,11 @@ class Kinematics:
             [values[row] for row in rows]
             for values in (scene.x.tolist(), scene.y.tolist(), scene.speed.tolist(), scene.heading.tolist())
         )
+        own = heading[0]
+        if self._own_axes:
+            places = [_rotated(a - x[0], b - y[0], -own) for a, b in zip(x, y, strict=True)]
+            x, y = [place[0] for place in places], [place[1] for place in places]
+            heading = [wrap_to_pi(angle - own) for angle in heading]
         cos, sin = [math.cos(angle) for angle in heading], [math.sin(angle) for angle in heading]
         columns: dict[str, Sequence[float]] = {
             "presence": [1.0] * len(rows),
@@ -175,6 +182,9 @@ class Kinematics:
                 ],
                 strict=True,
             )
+            if self._own_axes:
+                ends = zip(columns["cos_d"], columns["sin_d"], strict=True)
+                columns["cos_d"], columns["sin_d"] = zip(*[_rotated(*end, -own) for end in ends], strict=True)
         if any(feature in OFFSETS for feature in self.features):
             offsets = [self._offsets(scene, road, row) for row in rows]
             columns["long_off"], columns["lat_off"], columns["ang_off"] = zip(*offsets, strict=True)
@@ -191,12 +201,20 @@ class Kinematics:
         return s, lateral, wrap_to_pi(heading - lane.heading_at(s))
 
 
+def _rotated(x: float, y: float, angle: float) -> tuple[float, float]:
+    """A vector, turned by an angle from x towards y [rad]."""
+    cos, sin = math.cos(angle), math.sin(angle)
+    return cos * x - sin * y, sin * x + cos * y
+
+
 def _on_its_way(scene: Scene) -> dict[str, float]:
     """Values of the ego for `ON_ITS_WAY`."""
-    assert scene.place is not None
-    ends = (scene.place.free, scene.place.free_left, scene.place.free_right)
-    distances = [min(distance, PERCEPTION_DISTANCE) for distance in (*ends, scene.light.distance)]
-    return dict(zip(ON_ITS_WAY, (*distances[:3], float(scene.light.state), distances[3]), strict=True))
+    place, light = scene.place, scene.light
+    assert place is not None
+    ends = (place.free, place.free_left, place.free_right)
+    distances = [min(distance, PERCEPTION_DISTANCE) for distance in (*ends, light.distance, *place.gaps)]
+    values = (*distances[:3], float(light.state), *distances[3:], *place.closing)
+    return dict(zip(ON_ITS_WAY, values, strict=True))
 
 
 def ranges_of(given: Any) -> dict[str, tuple[float, float]]:

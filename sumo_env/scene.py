@@ -30,10 +30,15 @@ class Light(NamedTuple):
 
 NO_LIGHT = Light()
 
+# The nearest vehicles on the ego's lane and on those beside it, with the names of their features.
+NEIGHBOURS = ("leader", "left_leader", "left_follower", "right_leader", "right_follower")
 # Features of an observation, of the ego alone, on a network of a user's own: how far its lane and the lanes beside it
-# lead along its route [m], the state of the next traffic light, and how far its stop line is [m]. Distances are
-# PERCEPTION_DISTANCE at most.
-ON_ITS_WAY = ("lane_end", "lane_end_left", "lane_end_right", "light", "light_distance")
+# lead along its route [m], the state of the next traffic light, how far its stop line is [m], and how far each
+# neighbour is [m] and at which speed the gap closes [m/s]. Distances are PERCEPTION_DISTANCE at most.
+LANE_ENDS = ("lane_end", "lane_end_left", "lane_end_right")
+GAPS = tuple(f"{name}_gap" for name in NEIGHBOURS)
+CLOSING = tuple(f"{name}_closing" for name in NEIGHBOURS)
+ON_ITS_WAY = (*LANE_ENDS, "light", "light_distance", *GAPS, *CLOSING)
 
 
 class Place(NamedTuple):
@@ -50,6 +55,9 @@ class Place(NamedTuple):
             or "removed" (by SUMO: teleported, say).
         red_light: whether it has driven over a stop line at red in this policy step.
         waiting: number of vehicles that wait until SUMO can insert them.
+        gaps: to each of `NEIGHBOURS`, between bumpers [m]; inf where nobody is, and 0 beside the ego and where it may
+            not change to that lane.
+        closing: speeds at which these gaps close [m/s].
     """
 
     lane: LaneIndex
@@ -63,6 +71,8 @@ class Place(NamedTuple):
     ended: str = ""
     red_light: bool = False
     waiting: int = 0
+    gaps: tuple[float, ...] = (inf,) * len(NEIGHBOURS)
+    closing: tuple[float, ...] = (0.0,) * len(NEIGHBOURS)
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,7 @@ from math import inf
 
 from sumo_env.networks.mapping import Network
 from sumo_env.networks.roads import LaneIndex
-from sumo_env.scene import Place
+from sumo_env.scene import NEIGHBOURS, PERCEPTION_DISTANCE, Place
 from sumo_env.simulator import EgoCommand
 from sumo_env.sumo.ego import TAU, approach, coast, speed_before
 from sumo_env.sumo.session import (
@@ -166,6 +166,13 @@ class RouteEgo:
         return False
 
     @property
+    def _is_mirrored(self) -> bool:
+        """Whether the lane on the left has the lower of SUMO's numbers, as where people drive on the left."""
+        number, here = self._network.sumo_index, self._network.sumo_index(self._index)
+        left, right = self._sides
+        return (left is not None and number(left) < here) or (right is not None and number(right) > here)
+
+    @property
     def free(self) -> float:
         """How far the ego gets without a lane change [m]; inf where its lane leads on."""
         return inf if self._leads_on else self._length - self._session.position_of(self._name)
@@ -193,6 +200,13 @@ class RouteEgo:
         arrived = self.ended == "arrived"
         driven = 0.0 if self.ended in ("arrived", "removed") else self._session.position_of(self._name)
         beside = [max(reach - driven, 0.0) for reach in self._reaches]
+        gaps, closing = [0.0] * len(NEIGHBOURS), [0.0] * len(NEIGHBOURS)
+        if self.ended not in ("arrived", "removed"):
+            gaps, closing = self._session.neighbours(self._name, PERCEPTION_DISTANCE)
+            if self._is_mirrored:
+                gaps, closing = ([one[0], *one[3:], *one[1:3]] for one in (gaps, closing))
+            may = (True, left, left, right, right)
+            gaps = [max(gap, 0.0) if open else 0.0 for gap, open in zip(gaps, may, strict=True)]
         if self.ended == "removed":
             progress = 0.0
         else:
@@ -209,4 +223,6 @@ class RouteEgo:
             ended=self.ended,
             red_light=self.red_light,
             waiting=waiting,
+            gaps=tuple(gaps),
+            closing=tuple(closing),
         )

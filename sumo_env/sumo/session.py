@@ -11,7 +11,7 @@ import io
 import operator
 import tempfile
 from collections.abc import Iterable, Sequence
-from math import cos, pi, radians, sin, sqrt
+from math import cos, inf, pi, radians, sin, sqrt
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -277,6 +277,31 @@ class Session:
         """Lanes of a vehicle's edge from SUMO's lane 0 on: id, length [m], whether its route goes on from there."""
         best = _vehicle.getBestLanes(name)
         return [(lane, float(libsumo.lane.getLength(lane)), bool(leads)) for lane, _, _, _, leads, _ in best]
+
+    def neighbours(self, name: str, radius: float) -> tuple[list[float], list[float]]:
+        """Gaps to the vehicles around one [m], and speeds at which they close [m/s].
+
+        The leader, which is looked for along the route within `radius` [m]; the leader and the follower on the lane
+        of SUMO's next number, and on that of the last one. A gap is inf and its speed 0 where nobody is.
+        """
+        leader = _vehicle.getLeader(name, radius)
+        gaps, closing = [], []
+        for number, found in enumerate(
+            (
+                [leader] if leader and leader[0] else [],
+                _vehicle.getLeftLeaders(name),
+                _vehicle.getLeftFollowers(name),
+                _vehicle.getRightLeaders(name),
+                _vehicle.getRightFollowers(name),
+            )
+        ):
+            other, gap = min(found, key=operator.itemgetter(1), default=("", inf))
+            behind, ahead = (other, name) if number in (2, 4) else (name, other)
+            gaps.append(float(gap) + (float(_vehicle.getMinGap(behind)) if other else 0.0))
+            closing.append(
+                float(_vehicle.getSpeed(behind)) - float(_vehicle.getSpeed(ahead)) if other else 0.0
+            )
+        return gaps, closing
 
     def may_change(self, lane: str, beside: str, vehicles: str) -> bool:
         """Whether a class of vehicles may change between two lanes that lie side by side."""

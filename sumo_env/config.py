@@ -240,6 +240,8 @@ def _check_type(group: str, given: Config, types: Mapping[str, Config]) -> None:
     for key, value in given.items():
         if key not in defaults:
             raise ConfigError(f"unknown key {key!r} in config[{group!r}]: {_meant(str(key), defaults)}")
+        if key in ("longitudinal", "lateral") and value == "sumo":  # SUMO drives (`actions`)
+            continue
         _check_kind(f"{group} {key!r}", defaults[key], value)
 
 

@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import gymnasium as gym
 import numpy as np
@@ -22,6 +22,7 @@ from sumo_env.observation import TimeToCollision
 from sumo_env.occupancy import OccupancyGrid
 from sumo_env.own_sumo import OwnSumo
 from sumo_env.scene import Scene
+from sumo_env.screen import OnScreen
 from sumo_env.simulator import Command, EgoCommand, Simulator, Step
 from sumo_env.sumo.options import OUTPUT_DIR, REFUSED, REFUSED_FOR_FILES, check_effect, check_options
 from sumo_env.sumo.process import SumoProcess
@@ -31,16 +32,11 @@ from sumo_env.tasks.network import NetworkTask
 from sumo_env.traffic.scenario import Scenario
 from sumo_env.views import ReadAsHighwayEnv
 
-if TYPE_CHECKING:
-    from gymnasium.wrappers import RecordVideo
-
-    from sumo_env.rendering import Renderer
-
 Observation = NDArray[np.float32]
 VARIED = ("risk_rates", "risk_ranges", "calibration")  # parts of a task that `reset` may change
 
 
-class DrivingEnv(ReadAsHighwayEnv, OwnSumo):
+class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
     """One of the five driving tasks on SUMO.
 
     Observations, actions, rewards, endings and `config` keys are highway-env's; docs/environments has a page for each
@@ -85,10 +81,9 @@ class DrivingEnv(ReadAsHighwayEnv, OwnSumo):
         self._options = check_options(sumo_options, refused)
         if not isinstance(self.task, NetworkTask):
             check_effect(self._options)
-        self._renderer: Renderer | None = None
-        self._video: RecordVideo[Any, Any] | None = None
         self._configured: Config | None = None
         self.scenario: Scenario | None = None
+        self._handed_over = False
         self.configure(config)
 
     # -- configuration -------------------------------------------------------------------------------------
@@ -101,7 +96,7 @@ class DrivingEnv(ReadAsHighwayEnv, OwnSumo):
         """Change these keys of the configuration; they take effect at the next reset."""
         changed = resolve(self.task.name, self.default_config(), getattr(self, "config", None), config)
         offered = interface(self.task, changed, self.steers)
-        if not offered.action_type.steers:
+        if offered.actions:
             self._refuse_backwards("'target_speeds'", offered.target_speeds[0])
         self._refuse_backwards("'initial_speed'", changed.get("initial_speed") or 0.0)
         self._action_type, self.observation_type = offered
@@ -175,7 +170,7 @@ class DrivingEnv(ReadAsHighwayEnv, OwnSumo):
             self._target_lane, speed = self.scene.place.lane, self.scene.speed.item(0)
             self._find_route()
         self._speed_index = nearest_index(speed, self.target_speeds)
-        self.steps = 0
+        self.steps, self._handed_over = 0, False
         self._commands: list[Command] = []
         self._last = Step(self.scene, self._target_lane, None, math.inf, 0.0)
         self.ego_state = self._ego_state(None)
@@ -204,19 +199,24 @@ class DrivingEnv(ReadAsHighwayEnv, OwnSumo):
             self._road, self._route, self._target_lane, self._speed_index, *here, self.scene.place
         )
         command = self._action_type.command(action, moment)
-        if isinstance(command, EgoCommand):
-            self._speed_index = self.target_speeds.index(command.target_speed)
+        if self._handed_over:
+            command = EgoCommand(None, None)
         self._commands.append(command)
-        film = self._video if self._video is not None and self._video.recording else None
-        self._last = step = self._simulator.step(command, trace=film is not None)
-        if film is not None:
-            for scene in step.trace[:-1]:
-                self.scene = scene
-                film._capture_frame()
+        films = self._video is not None and self._video.recording
+        self._last = step = self._simulator.step(command, trace=films)
+        self._film(step.trace[:-1])
         self.scene, self._target_lane = step.scene, step.target_lane
         if self.scene.place is not None:
             self._find_route()
         self.steps += 1
+        if (
+            isinstance(command, EgoCommand)
+            and command.target_speed is not None
+            and command.acceleration is None
+        ):
+            self._speed_index = self.target_speeds.index(command.target_speed)
+        else:
+            self._speed_index = nearest_index(self.scene.speed.item(0), self.target_speeds)
         plain = self._action_type.plain(action)
         action = plain if isinstance(plain, int) else np.array(action, np.float32)
         self.ego_state = self._ego_state(plain)
@@ -225,35 +225,16 @@ class DrivingEnv(ReadAsHighwayEnv, OwnSumo):
         terminated, truncated = bool(self._is_terminated()), bool(self._is_truncated())
         return observation, reward, terminated, truncated, self._info(observation, action)
 
-    def render(self) -> NDArray[np.uint8] | None:
-        """The scene as a picture, uint8 of shape (screen_height, screen_width, 3); None without a render mode."""
-        if self.render_mode is None:
-            gym.logger.warn('render() needs gym.make(..., render_mode="rgb_array")')
-            return None
-        if self.scenario is None:
-            raise gym.error.ResetNeeded("call reset() before render()")
-        if self._renderer is None:
-            from sumo_env.rendering import Renderer  # Pillow is imported when the first picture is drawn
+    def hand_over(self, to_sumo: bool = True) -> None:
+        """Let SUMO drive the ego from the next step on, whatever the actions are, or take it back; also in a copy.
 
-            self._renderer = Renderer()
-        return self._renderer.draw(self.scene, self.task.road(self.config), self.config)
-
-    def set_record_video_wrapper(self, wrapper: RecordVideo[Any, Any]) -> None:
-        """Make a `gymnasium.wrappers.RecordVideo` film every simulation step, in real time, as in highway-env.
-
-        >>> env = RecordVideo(gym.make("sumo/highway-v0", render_mode="rgb_array"), "videos")
-        >>> env.unwrapped.set_record_video_wrapper(env)
-
-        Without this call, a film has one frame per policy step. ``config["simulation_frequency"]`` is the frame rate.
+        `reset` takes it back. `sumo_env.hand_over.HandOver` does both by a rule.
         """
-        self._video = wrapper
-        self._set_frame_rate()
-
-    def _set_frame_rate(self) -> None:
-        if self._video is not None:
-            frequency = self.task.frequency(self.config)
-            self.metadata = {**self.metadata, "render_fps": frequency}
-            self._video.frames_per_sec = frequency
+        if self.steers:
+            raise ConfigError(
+                "SUMO drives nothing on the replica: hand_over is for sumo/* and networks of your own"
+            )
+        self._handed_over = to_sumo
 
     def imagine(self, seed: int) -> DrivingEnv:
         """A copy of this environment in which new risk events replace those that have not begun.
@@ -290,8 +271,6 @@ class DrivingEnv(ReadAsHighwayEnv, OwnSumo):
     def _ego_state(self, action: PlainAction | None) -> EgoState:
         lane, s, lateral, on_road = self._ego_place()
         scene = self.scene
-        if self._action_type.steers:
-            self._speed_index = nearest_index(scene.speed.item(0), self.target_speeds)
         return EgoState(
             lane=lane,
             s=s,

@@ -46,14 +46,9 @@ def interface(task: Task, config: Config, steers: bool = False) -> Interface:
 
     Raises:
         ConfigError: the reward cannot be normalised, the entry of the action or of the observation is malformed, or the
-            action steers and the simulator does not.
+            simulator has no use for it.
     """
-    kind = action_type(config["action"], task.target_speeds)
-    if kind.steers and not steers:
-        raise ConfigError(
-            f"action type {config['action']['type']!r}: steering is the replica's (replica/{task.name}-v0, or later), "
-            "and SUMO moves cars along lanes; here the type can only be 'DiscreteMetaAction'"
-        )
+    kind = action_type(config["action"], task.target_speeds, steers)
     limits = task.reward_limits(config)
     if limits and config["normalize_reward"] and limits[0] == limits[1]:
         raise ConfigError(
@@ -68,7 +63,7 @@ def interface(task: Task, config: Config, steers: bool = False) -> Interface:
         )
     elif config["observation"]["type"] == "OccupancyGrid":
         observation = OccupancyGrid(config["observation"])
-    elif kind.steers:
+    elif not kind.names:
         raise ConfigError(
             f"observation type 'TimeToCollision' needs target speeds, which {config['action']['type']!r} does not have "
             "(nor in highway-env): choose 'Kinematics'"

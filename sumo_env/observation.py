@@ -14,11 +14,9 @@ from numpy.typing import NDArray
 from sumo_env.config import KINEMATICS, MOST_VEHICLES, ConfigError, one_of
 from sumo_env.networks.lanes import wrap_to_pi
 from sumo_env.networks.roads import LaneIndex, Road
-from sumo_env.scene import ON_ITS_WAY, PERCEPTION_DISTANCE, VEHICLE_LENGTH, Scene
+from sumo_env.scene import MAX_SPEED, ON_ITS_WAY, PERCEPTION_DISTANCE, VEHICLE_LENGTH, Scene
 from sumo_env.tasks.base import EgoState
 from sumo_env.traffic.scenario import VehicleSpec
-
-MAX_SPEED = 40.0  # [m/s] Vehicle.MAX_SPEED
 
 Array = NDArray[np.float32]
 POSE = ("presence", "x", "y", "vx", "vy", "heading", "cos_h", "sin_h")

@@ -15,6 +15,7 @@ from sumo_env.networks.roads import LaneIndex
 VEHICLE_LENGTH = 5.0  # [m] highway_env.vehicle.kinematics.Vehicle.LENGTH
 VEHICLE_WIDTH = 2.0  # [m] Vehicle.WIDTH
 CAR_SIZE = (VEHICLE_LENGTH, VEHICLE_WIDTH)
+MAX_SPEED = 40.0  # [m/s] Vehicle.MAX_SPEED
 PERCEPTION_DISTANCE = 200.0  # [m] 5 * Vehicle.MAX_SPEED, AbstractEnv.PERCEPTION_DISTANCE
 
 Floats = NDArray[np.float64]

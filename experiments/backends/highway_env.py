@@ -88,7 +88,11 @@ class ScenarioEnv(AbstractEnv):
         chosen = resolve(self.task.name, self.default_config(), self.config, config)
         variant = one_of("'variant'", chosen["variant"], VARIANTS)
         one_of("risk_law", chosen["risk_law"], LAWS)
-        self._offered = interface(self.task, chosen)
+        self._offered = interface(self.task, chosen, steers=True)
+        if not self._offered.actions:
+            raise ConfigError(
+                f"action type {chosen['action']['type']!r}: here it can only be 'DiscreteMetaAction'"
+            )
         self.actions, self.target_speeds = self._offered.actions, self._offered.target_speeds
         # a ladder that is not given is the task's, as in `sumo_env`; in highway-env it would be the highway's
         chosen["action"] = {**chosen["action"], "target_speeds": list(self.target_speeds)}

@@ -11,14 +11,8 @@ from sumo_env.networks.mapping import Network
 from sumo_env.networks.roads import LaneIndex
 from sumo_env.scene import NEIGHBOURS, PERCEPTION_DISTANCE, Place
 from sumo_env.simulator import EgoCommand
-from sumo_env.sumo.ego import TAU, approach, coast, speed_before
-from sumo_env.sumo.session import (
-    ALL_CHECKS_OFF,
-    COMMANDED_LANE_CHANGES,
-    OWN_LANE_CHANGES,
-    REGULAR,
-    Session,
-)
+from sumo_env.sumo.ego import Controls, coast, driven, speed_before
+from sumo_env.sumo.session import OWN_LANE_CHANGES, REGULAR, Session
 
 
 class RouteEgo:
@@ -36,8 +30,9 @@ class RouteEgo:
         self._class = session.class_of(name)
         self.speed, self.crashed = session.speed_of(name), False
         self.ended, self.red_light = "", False
-        self._commanded_speed = self._commanded_lane = False  # which of the two has ever been taken from SUMO
+        self._controls = Controls(session, name, (REGULAR, OWN_LANE_CHANGES), False, False)
         self._target_speed: float | None = None
+        self._acceleration: float | None = None
         self._target_lane: LaneIndex | None = None
         self._lane, self._length, self._leads_on, self._may_turn = "", 0.0, True, True
         self._sides: tuple[LaneIndex | None, LaneIndex | None] = (None, None)
@@ -51,36 +46,27 @@ class RouteEgo:
 
     def obey(self, command: EgoCommand) -> None:
         """Take over the command of a policy step, and give SUMO back what is not commanded."""
-        session, name = self._session, self._name
         self._left = self._remaining()
         if self.crashed:
             return
         self._lane = ""  # routes and lanes may have changed since it came here
         self.look()
-        self._target_speed, self._target_lane = command
+        self._target_speed, self._target_lane, self._acceleration = command
         if self._target_lane is not None and self._target_lane not in self._sides:
             self._target_lane = self._index
         self.red_light = False
-        speed, lane = self._target_speed is not None, self._target_lane is not None
-        if speed != self._commanded_speed:
-            session.set_modes(name, speed_mode=ALL_CHECKS_OFF if speed else REGULAR)
-            if not speed:
-                session.set_speed(name, -1.0)
-        if lane != self._commanded_lane:
-            session.set_modes(name, lane_change_mode=COMMANDED_LANE_CHANGES if lane else OWN_LANE_CHANGES)
-        self._commanded_speed, self._commanded_lane = speed, lane
+        self._controls.command(self._target_speed is not None, self._target_lane is not None)
 
     def drive(self, dt: float) -> None:
         """Command the next step of `dt` [s]."""
         session, name, before = self._session, self._name, self.speed
         self._signal = session.next_signal(name)
         if self.crashed:
-            if not (self._commanded_speed and self._commanded_lane):
-                session.set_modes(name, ALL_CHECKS_OFF, COMMANDED_LANE_CHANGES)
+            self._controls.command(True, True)
             session.set_speed(name, coast(before, dt)[0])
         elif self._target_speed is not None:
             accel, decel, hardest = session.limits_of(name)
-            wanted = approach(before, self._target_speed, TAU, dt)[0]
+            wanted = driven(before, self._target_speed, self._acceleration, dt)[0]
             speed = min(max(wanted, before - decel * dt, 0.0), before + accel * dt)
             if self._obeys_lights:
                 allowed = speed_before(session.next_light(name), before, dt)
@@ -93,6 +79,8 @@ class RouteEgo:
 
     def _change_lane(self) -> None:
         """Ask for the target lane; SUMO changes there within the step, or in the time that its options say."""
+        if self._target_lane is not None and not self._controls.may_change_lane():
+            self._target_lane = self._index
         target = self._target_lane
         if target is None or target == self._index or target not in self._sides:
             return

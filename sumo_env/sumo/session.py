@@ -11,6 +11,7 @@ import io
 import operator
 import tempfile
 from collections.abc import Iterable, Sequence
+from importlib.util import find_spec
 from math import cos, inf, pi, radians, sin, sqrt
 from pathlib import Path
 from types import SimpleNamespace
@@ -28,10 +29,14 @@ try:
     with contextlib.redirect_stdout(io.StringIO()):
         import libsumo
 except ImportError as error:
-    raise ImportError(
-        "SUMO is missing: libsumo cannot be imported. Install it with 'pip install libsumo==1.28.0' "
-        f"(the wheel brings SUMO along; no system-wide SUMO is needed). Python says: {error}"
-    ) from error
+    reason = (
+        "SUMO is here, but this system cannot load it. It needs about 1 GB of address space (ulimit -v), and on Linux "
+        "libraries that slim containers lack: apt-get install libx11-6 libxext6 libxrender1 libgl1"
+        if find_spec("libsumo")
+        else "SUMO is missing. Install it with 'pip install libsumo==1.28.0' (the wheel brings SUMO along; no "
+        "system-wide SUMO is needed)"
+    )
+    raise ImportError(f"{reason}. Python says: {error}") from error
 
 _vehicle, _simulation = libsumo.vehicle, libsumo.simulation
 SumoErrors = (libsumo.TraCIException, libsumo.FatalTraCIError)

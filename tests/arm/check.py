@@ -25,7 +25,12 @@ def main() -> int:
     for id in IDS:
         task = task_of(id)
         found = scenes.differences(scenes.table(task), json.loads((GOLDEN / f"{task}.json").read_text()))
-        print(f"  {'FAIL' if found else 'ok':6}{task}: scenes as the golden ones", *found[:5], sep="\n", flush=True)
+        print(
+            f"  {'FAIL' if found else 'ok':6}{task}: scenes as the golden ones",
+            *found[:5],
+            sep="\n",
+            flush=True,
+        )
         if found:
             return 1
     envs = [gym.make("sumo/roundabout-v0", config={"risk": 1.0}) for _ in range(2)]

@@ -20,7 +20,7 @@ import pytest
 from experiments.analysis.analysis import analyse, as_json
 from experiments.analysis.cells import comparable
 from experiments.study.compute import train
-from experiments.study.compute.run import Ended, attempt
+from experiments.study.compute.run import Attempt, attempt
 from experiments.study.design import grid
 from experiments.study.design.experiment import shard
 from experiments.study.results import store
@@ -275,7 +275,7 @@ def test_a_full_disk_stops_the_sweep_in_one_line_and_loses_nothing(tmp_path, mon
     assert "\n" not in answer.reason
     monkeypatch.undo()
     assert (first.done(), second.done()) == (True, False)
-    assert attempt(second) == Ended("done")
+    assert attempt(second) == Attempt("done")
     assert second.done()
 
 

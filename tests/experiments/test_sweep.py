@@ -42,7 +42,9 @@ def no_report():
 
 def run(directory: Path, **options) -> int:
     asked = Options(out=directory, **{**TINY, "workers": 2, **options})
-    return sweep(asked, make_env=make_env, check=list)  # the fake environment behaves as no simulator does
+    return sweep(
+        asked, make_env=make_env, check=lambda _: None
+    )  # the fake environment behaves as no simulator does
 
 
 @pytest.fixture

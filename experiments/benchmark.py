@@ -151,10 +151,10 @@ class Process(BaseManager):
 Process.register("Driver", Driver)
 
 
-def beside(rates: pd.DataFrame) -> list[Record]:
+def ratios(rates: pd.DataFrame) -> list[Record]:
     """Each side (a column): the median of its rate over the turns (rows), and of its ratio to the first side's."""
-    ratios = rates.div(rates.iloc[:, 0], axis="index")
-    medians = {"steps_per_second": rates.median(), "ratio": ratios.median()}
+    relative = rates.div(rates.iloc[:, 0], axis="index")
+    medians = {"steps_per_second": rates.median(), "ratio": relative.median()}
     return pd.DataFrame(medians).rename_axis("of").reset_index().to_dict("records")
 
 
@@ -176,7 +176,7 @@ def in_turns(
             {side: driver.rate(seconds)[clock == "wall"] for side, driver in drivers.items()}
             for _ in range(turns)
         )
-        yield from zip(drivers.values(), beside(rates), strict=True)
+        yield from zip(drivers.values(), ratios(rates), strict=True)
 
 
 def has_envpool() -> bool:
@@ -210,9 +210,9 @@ def measure_peers(task: str, turns: int, seconds: float) -> Iterator[Record]:
 
 
 def measure_batches(task: str, turns: int, seconds: float) -> Iterator[Record]:
-    """64 environments of the replica in one call, beside 64 of EnvPool if it is there.
+    """64 environments of the replica in one call, compared with 64 of EnvPool if it is installed.
 
-    Then, in wall time, on two threads beside one. EnvPool drives its default configuration.
+    Then, in wall time, on two threads compared with one. EnvPool drives its default configuration.
     """
     levels = TASKS[task].levels
     for name in ("default", next(iter(levels)), next(reversed(levels))):

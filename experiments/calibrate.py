@@ -4,11 +4,15 @@
     python experiments/calibrate.py --out /tmp/calibration --tasks u-turn --trials 5 --scenarios 10
 
 The same command run again goes on where it was stopped: what is driven is stored, and a search of the same scenarios
-takes the same way. There are three parts. `drivers` searches the calibrated
-settings of SUMO's drivers (`Calibration`); `risk` searches the rates of risk events (`RiskRates`) and the ranges of
-the drivers' parameters (`RiskRanges`; of a range of factors the lower end). Both write what they found beside what is
-in force, judged on the scenarios of validation. `doses` measures how often egos crash at every dose in both simulators,
-with and without events. Nothing in the package is changed: what is worth it is written into the task's file by hand.
+takes the same way. There are three parts:
+
+drivers   searches the calibrated settings of SUMO's drivers (`Calibration`)
+risk      searches the rates of risk events (`RiskRates`) and the ranges of the drivers' parameters (`RiskRanges`; of a
+          range of factors the lower end)
+doses     measures how often egos crash at every dose in both simulators, with and without events
+
+The first two write the present and the found settings, judged on the scenarios of validation. No file of the package is
+changed: settings are copied into the task's file by hand.
 Writes calibration.json and doses.csv.
 """
 

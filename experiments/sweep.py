@@ -41,7 +41,7 @@ from experiments.study.design.experiment import Experiment, Flag, argument, shar
 from experiments.study.design.fingerprint import check_dynamics, known_dynamics
 from experiments.study.design.grid import Cell
 from experiments.study.design.presets import cells_of, complete
-from experiments.study.design.verdict import keep
+from experiments.study.design.verdict import copy_verdict
 from experiments.study.results.store import Store, find_cell
 from experiments.study.results.working import LOG
 from experiments.support.errors import UserError, run_command, unknown, writing
@@ -99,7 +99,7 @@ def sweep(
         if options.cell:
             return compute_one(options.cell, mine, options.directory, make_env)
         Store(options.directory).write_sweep(again, cells)
-        keep(options.backend, tuple(dict.fromkeys(cell.task for cell in cells)), options.directory)
+        copy_verdict(options.backend, tuple(dict.fromkeys(cell.task for cell in cells)), options.directory)
         failures = compute(mine, options.directory, make_env, options.executor, options.workers)
         if len(failures) < len(mine):
             from experiments.report import print_report, report_placebo
@@ -167,7 +167,7 @@ def describe(options: Options, cells: Sequence[Cell], workers: int) -> None:
     )
 
 
-def words_of(arguments: Iterable[str]) -> list[str]:
+def split_arguments(arguments: Iterable[str]) -> list[str]:
     """`--tasks highway,u-turn` and `--policy A --policy B` as tyro takes them: with spaces, and each option once."""
     values: dict[str, list[str]] = {}
     name = ""
@@ -182,7 +182,7 @@ def words_of(arguments: Iterable[str]) -> list[str]:
 
 def main() -> int:
     """The command line."""
-    arguments = words_of(sys.argv[1:])
+    arguments = split_arguments(sys.argv[1:])
     options = tyro.cli(Options, args=arguments, description=__doc__, config=(tyro.conf.FlagCreatePairsOff,))
     return sweep(options, sys.argv[1:])
 

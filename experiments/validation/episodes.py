@@ -20,9 +20,9 @@ from agents.rules import Policy, make_policy
 from agents.rules.constant import Constant
 from experiments.backends import make_env
 from experiments.study.compute import run as runner
-from experiments.study.compute.evaluate import play
+from experiments.study.compute.evaluate import Drive, play
 from experiments.study.compute.executors.local import LocalExecutor
-from experiments.study.compute.progress import Progress
+from experiments.study.compute.progress import ProgressDisplay
 from experiments.study.design.arms import stream_seed
 from experiments.study.design.fingerprint import dynamics
 from experiments.study.design.grid import level_names
@@ -134,8 +134,8 @@ def _lane(scene: Scene, row: int, task: str, road: Road, lanes: Mapping[str, Lan
 class Engine:
     """A simulator with its settings.
 
-    name: how tables call it. config: changes of a task's configuration. options: of `reset`, beside the dose of risk
-    (highway-env itself has none). one_in: drives a random episode in so many. egos: all of the task if empty.
+    name: how tables call it. config: changes of a task's configuration. options: of `reset`, more than the dose of
+    risk (highway-env itself has none). one_in: drives a random episode in so many. egos: all of the task if empty.
     """
 
     name: str
@@ -182,22 +182,22 @@ class Part:
         drawn = stream_seed("recomputed episode", self.task, self.level, self.traffic, scenario, ego)
         return drawn % self.engine.one_in == 0
 
-    def drive(self, beat: Callable[[float], None] = lambda _: None) -> pd.DataFrame:
-        """Drive all episodes in this process, telling `beat` the share that is done: a row of COLUMNS for each."""
+    def drive(self, heartbeat: Callable[[float], None] = lambda _: None) -> pd.DataFrame:
+        """Drive all episodes in this process, telling `heartbeat` the share that is done: a row of COLUMNS for each."""
         level = TASKS[self.task].levels[level_names(self.task)[self.level - 1]]
         env = make_env(self.engine.backend, self.task, {**level, **self.engine.config})
         rows, episodes = [], self.episodes()
         for number, episode in enumerate(episodes):
-            beat(number / len(episodes))
+            heartbeat(number / len(episodes))
             rows.append(self._row(env, *episode))
         env.close()
         return pd.DataFrame(rows, columns=list(COLUMNS)).astype(COLUMNS)
 
     def _row(self, env: Any, scenario: int, ego: str) -> dict[str, Any]:
         inner, scenes = env.unwrapped, []
-        place = self.task, self.level, self.traffic, scenario
+        drive = Drive(self.task, self.level, self.traffic, scenario)
         row = play(
-            env, make_ego(ego, env), *place, lambda: scenes.append(inner.scene), options=self.engine.options
+            env, make_ego(ego, env), drive, lambda: scenes.append(inner.scene), options=self.engine.options
         )
         ending = "time" if row["truncated"] else "left"
         road, interval = TASKS[self.task].road(inner.config), 1.0 / inner.config["policy_frequency"]
@@ -234,11 +234,11 @@ class PartTask:
         """Whether it is stored."""
         return (self.directory / self.name).exists()
 
-    def compute(self, beat: runner.Beat) -> None:
+    def compute(self, heartbeat: runner.Heartbeat) -> None:
         """Drive all episodes and write the table as a parquet file."""
         path = self.directory / self.name
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_file(path, self.part.drive(beat).to_parquet(index=False, compression="zstd"))
+        write_file(path, self.part.drive(heartbeat).to_parquet(index=False, compression="zstd"))
 
 
 def plan(
@@ -278,7 +278,7 @@ def run(parts: Sequence[Part], directory: Path, workers: int, show: bool = False
     tasks = [PartTask(part, directory) for part in parts]
     there = [task.name for task in tasks if task.done()]
     sizes = {task.name: float(len(task.part.episodes())) for task in tasks}
-    progress = Progress(directory / "work", sizes, there, "parts") if show else None
+    progress = ProgressDisplay(directory / "work", sizes, there, "parts") if show else None
     missing = [task for task in tasks if task.name not in there]
     try:
         failures = runner.run(missing, LocalExecutor(workers), workers, progress)

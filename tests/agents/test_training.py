@@ -39,7 +39,8 @@ def road(risk: float = 0.0) -> FakeEnv:
 
 def network_of(env: FakeEnv, config: DQNConfig) -> Any:
     """What an agent has learned, whose statistics of the inputs a type checker does not know."""
-    return train(env, config, 0).policy.network
+    policy: Any = train(env, config, 0).policy
+    return policy.network
 
 
 def assert_equal(one: Trained, other: Trained) -> None:
@@ -182,7 +183,8 @@ def test_values_are_watched_on_the_first_observations() -> None:
     probe_size = len(first)
     watched = train(road(), replace(SMALL, probe_size=probe_size), 0)
     assert watched.policy.sha256 == trained.policy.sha256  # watching changes nothing
-    values = np.array([np.abs(watched.policy.q(observation)).max() for observation in first])
+    policy: Any = watched.policy
+    values = np.array([np.abs(policy.q(observation)).max() for observation in first])
     assert watched.record["probe_q"][-1][1:] == pytest.approx([values.mean(), values.max()])
 
 

@@ -17,7 +17,7 @@ from experiments.study.design.arms import EVERY_ARM
 from experiments.study.design.experiment import shard
 from experiments.study.design.presets import PRESETS
 from experiments.support.errors import UserError
-from experiments.sweep import Options, cells_of, words_of
+from experiments.sweep import Options, cells_of, split_arguments
 from sumo_env.tasks import TASKS
 from tests.processes import ROOT, ended, python
 
@@ -94,7 +94,7 @@ def test_the_help_names_all_that_can_be_asked_for(capsys):
 
 def test_a_repeated_option_adds_values():
     words = ["--policy", "a:make", "--seeds=2", "--policy", "b.zip", "--placebo", "--policy=c"]
-    assert words_of(words) == ["--policy", "a:make", "b.zip", "c", "--seeds", "2", "--placebo"]
+    assert split_arguments(words) == ["--policy", "a:make", "b.zip", "c", "--seeds", "2", "--placebo"]
 
 
 @pytest.mark.slow

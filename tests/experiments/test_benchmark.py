@@ -10,12 +10,12 @@ import pandas as pd
 import pytest
 
 from experiments import benchmark
-from experiments.benchmark import Driver, Options, beside, run
+from experiments.benchmark import Driver, Options, ratios, run
 
 
 def test_ratios_are_taken_turn_by_turn() -> None:
     rates = pd.DataFrame({"theirs": [1, 0.5, 2], "ours": [10, 5, 10]})  # the second turn was slow for both
-    assert beside(rates) == [
+    assert ratios(rates) == [
         {"of": "theirs", "steps_per_second": 1.0, "ratio": 1.0},
         {"of": "ours", "steps_per_second": 10.0, "ratio": 10.0},
     ]

@@ -10,7 +10,7 @@ from experiments import backends
 from experiments.study.compute.cell import CellTask, MakeEnv
 from experiments.study.compute.executors import open_executor
 from experiments.study.compute.executors.local import TASKS_PER_PROCESS
-from experiments.study.compute.progress import Progress, seconds
+from experiments.study.compute.progress import ProgressDisplay, seconds
 from experiments.study.compute.run import run
 from experiments.study.design.grid import Cell
 from experiments.study.results.store import Store
@@ -37,7 +37,7 @@ def compute(
     # highway-env's tasks change class attributes of each other
     simulators = {name for cell in cells for name in (cell.backend, cell.runs_on)}
     per_process = 1 if "highway-env" in simulators else TASKS_PER_PROCESS
-    progress = Progress(store.work, {cell.name: seconds(cell) for cell in cells}, there)
+    progress = ProgressDisplay(store.work, {cell.name: seconds(cell) for cell in cells}, there)
     failures: dict[str, str] = {}
     try:
         for kinds in (("agent", "baseline"), ("test",)):  # agents are tested elsewhere once all are trained

@@ -8,8 +8,14 @@ from collections.abc import Collection, Mapping
 from pathlib import Path
 
 from rich.console import Console
-from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-from rich.progress import Progress as Bars
+from rich.progress import (
+    BarColumn,
+    Progress,
+    TaskProgressColumn,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 
 from experiments.study.compute.run import RETRIES, Observer, Task
 from experiments.study.design.grid import Cell
@@ -42,7 +48,7 @@ def duration(seconds: float) -> str:
     return f"{minutes} min" if minutes < 90 else f"{minutes // 60} h {minutes % 60:02d} min"
 
 
-class Progress(Observer):
+class ProgressDisplay(Observer):
     """Follows tasks.
 
     Args:
@@ -57,7 +63,7 @@ class Progress(Observer):
         self._state = {name: "finished" if name in finished else "waiting" for name in costs}
         self._console = Console(highlight=False)
         columns = BarColumn(), TaskProgressColumn(), TimeElapsedColumn(), TimeRemainingColumn()
-        self._bars = Bars(
+        self._bars = Progress(
             *columns,
             TextColumn("left"),
             console=self._console,

@@ -16,7 +16,7 @@ import pandas as pd
 from agents.learner import Trained, files_of
 from agents.streams import episode_seed
 from experiments.study.compute.policies import check
-from experiments.study.compute.wrappers import Training, observed
+from experiments.study.compute.wrappers import TrainingEnv, observed
 from experiments.study.design.arms import EVERY_ARM, training_seed
 from experiments.study.design.grid import Cell, learner_of
 from experiments.support.errors import UserError
@@ -81,7 +81,7 @@ def environments(
         env = make_env(cell.backend, cell.task, cell.training_config)
         opened.enter_context(closing(env))
         traffic = EVERY_ARM[str(cell.arm)].traffic
-        return Training(observed(env, cell.rules), cell.rules, traffic, seed, first, count)
+        return TrainingEnv(observed(env, cell.rules), cell.rules, traffic, seed, first, count)
 
     if number is None:
         return one()

@@ -20,7 +20,7 @@ import tyro
 from agents import pretrained
 from agents.greedy import Greedy, Timed
 from experiments.backends import make_env
-from experiments.study.compute.evaluate import evaluate
+from experiments.study.compute.evaluate import drives, evaluate
 from experiments.study.compute.policies import driver
 from experiments.study.compute.wrappers import TimeObserved
 from experiments.study.design.grid import LEARNER, tested_on
@@ -71,8 +71,9 @@ def published(directory: Path, name: str, command: str) -> tuple[dict[str, Any],
         if steps:
             policy = Timed(policy.network, steps)
         first = int(key["eval"].get("first_scenario", 0))
+        scenarios = range(first, first + COMPARED)
         returns = [
-            evaluate(env, greedy, key["task"], key["level"], COMPARED, first=first)["return"]
+            evaluate(env, greedy, drives(key["task"], key["level"], scenarios))["return"]
             for greedy in (policy, halved(policy))
         ]
         actions: Any = env.action_space

@@ -9,7 +9,7 @@ from typing import Any
 
 import gymnasium as gym
 
-from experiments.study.compute.evaluate import play
+from experiments.study.compute.evaluate import Drive, play
 from experiments.study.compute.policies import driver
 from experiments.study.design import grid
 from experiments.study.design.fingerprint import dynamics
@@ -64,9 +64,10 @@ def play_again(
         UserError: the weights or the user's file are not there, or do not fit.
     """
     key, source, actions = case.record["key"], case.record["source"], case.row.get("actions")
-    weights, place = None, (str(case.row["traffic"]), int(case.row["scenario"]))
+    weights = None
+    drive = Drive(key["task"], key["level"], str(case.row["traffic"]), int(case.row["scenario"]))
     if isinstance(actions, str) and actions:
-        return play(env, Repeated(actions), key["task"], key["level"], *place, on_step)
+        return play(env, Repeated(actions), drive, on_step)
     if key["kind"] == "test":
         raise UserError(
             f"{case.cell} is a further test of an agent, stored without its actions by an earlier version: "
@@ -79,7 +80,7 @@ def play_again(
                 f"the weights of {case.cell} are not here: train it again with the command in sweep.json, "
                 f"--cell {case.cell} and another --out"
             )
-    return play(*driver(key, source, env, weights), key["task"], key["level"], *place, on_step)
+    return play(*driver(key, source, env, weights), drive, on_step)
 
 
 def differences(stored: Mapping[str, Any], row: Mapping[str, Any]) -> list[str]:

@@ -57,7 +57,7 @@ def packed_weights(directory: Path, name: str) -> Path:
 
 
 def checksums(directory: Path) -> dict[str, tuple[str, ...]]:
-    """The checksums that each packed table may have: two while it is being replaced, else one.
+    """The valid checksums of each packed table: the old and the new one while the table is being replaced, else one.
 
     Raises:
         UserError: the manifest is damaged, or of a version that this one does not know.

@@ -1,6 +1,6 @@
-"""Processes of this machine, by pebble: the death of one takes no other along and says whose task it was.
+"""Processes of this machine, by pebble. If one dies, the others continue, and the error names its task.
 
-They end with the process that started them.
+Workers end when the process that started them ends.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import Any
 
 from pebble import ProcessPool
 
-from experiments.study.compute.run import SPOILT, Ended
+from experiments.study.compute.run import SPOILT, Attempt
 
 TASKS_PER_PROCESS = 25  # then a fresh process takes over, so that whatever a simulator leaks is given back
 
@@ -101,6 +101,6 @@ class LocalExecutor(Executor):
 def _call(function: Callable[..., Any], args: tuple[Any, ...], kwargs: dict[str, Any]) -> Any:
     result = function(*args, **kwargs)
     # After an error nobody knows in what state a simulator is: the next try gets a fresh process.
-    if isinstance(result, Ended) and result.state == "failed":
+    if isinstance(result, Attempt) and result.state == "failed":
         os._exit(SPOILT)
     return result

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from sumo_env.config import KINEMATICS, MOST_VEHICLES, ConfigError, one_of
 from sumo_env.networks.lanes import wrap_to_pi
 from sumo_env.networks.roads import LaneIndex, Road
-from sumo_env.scene import MAX_SPEED, ON_ITS_WAY, PERCEPTION_DISTANCE, VEHICLE_LENGTH, Scene
+from sumo_env.scene import MAX_SPEED, ON_ITS_WAY, PERCEPTION_DISTANCE, SECONDS_LEFT, VEHICLE_LENGTH, Scene
 from sumo_env.tasks.base import EgoState
 from sumo_env.traffic.scenario import VehicleSpec
 
@@ -60,7 +60,7 @@ class Kinematics:
         features = given["features"] or ("presence", "x", "y", "vx", "vy")
         if not isinstance(features, list | tuple):
             raise ConfigError(f"observation 'features' must be a list of names, not {features!r}")
-        known = (*FEATURES, *ON_ITS_WAY) if on_its_way else FEATURES
+        known = (*FEATURES, *ON_ITS_WAY, SECONDS_LEFT) if on_its_way else FEATURES
         self.features = tuple(one_of("observation feature", feature, known) for feature in features)
         rows = given["vehicles_count"]
         if not isinstance(rows, int) or not 1 <= rows <= MOST_VEHICLES:
@@ -176,9 +176,9 @@ class Kinematics:
         if any(feature in OFFSETS for feature in self.features):
             offsets = [self._offsets(scene, road, row) for row in rows]
             columns["long_off"], columns["lat_off"], columns["ang_off"] = zip(*offsets, strict=True)
-        if any(feature in ON_ITS_WAY for feature in self.features):
+        if any(feature in (*ON_ITS_WAY, SECONDS_LEFT) for feature in self.features):
             nobody = [0.0] * (len(rows) - 1)
-            columns |= {name: [value, *nobody] for name, value in _on_its_way(scene).items()}
+            columns |= {name: [value, *nobody] for name, value in on_its_way(scene).items()}
         return columns
 
     @staticmethod
@@ -189,12 +189,13 @@ class Kinematics:
         return s, lateral, wrap_to_pi(heading - lane.heading_at(s))
 
 
-def _on_its_way(scene: Scene) -> dict[str, float]:
-    """Values of the ego for `ON_ITS_WAY`."""
+def on_its_way(scene: Scene) -> dict[str, float]:
+    """Values of the ego for `ON_ITS_WAY`, and `SECONDS_LEFT`."""
     assert scene.place is not None
     ends = (scene.place.free, scene.place.free_left, scene.place.free_right)
     distances = [min(distance, PERCEPTION_DISTANCE) for distance in (*ends, scene.light.distance)]
-    return dict(zip(ON_ITS_WAY, (*distances[:3], float(scene.light.state), distances[3]), strict=True))
+    values = dict(zip(ON_ITS_WAY, (*distances[:3], float(scene.light.state), distances[3]), strict=True))
+    return {**values, SECONDS_LEFT: scene.light.seconds}
 
 
 def ranges_of(given: Any) -> dict[str, tuple[float, float]]:

@@ -23,10 +23,14 @@ UNLIT, RED, YELLOW, GREEN = -1, 0, 1, 2  # states of a traffic light; UNLIT wher
 
 
 class Light(NamedTuple):
-    """The next traffic light on the ego's way: its state, and how far its stop line is from the ego's front [m]."""
+    """The next traffic light on the ego's way: its state, and how far its stop line is from the ego's front [m].
+
+    seconds: until the next phase begins, as far as the light has planned [s].
+    """
 
     state: int = UNLIT
     distance: float = inf
+    seconds: float = 0.0
 
 
 NO_LIGHT = Light()
@@ -35,6 +39,18 @@ NO_LIGHT = Light()
 # lead along its route [m], the state of the next traffic light, and how far its stop line is [m]. Distances are
 # PERCEPTION_DISTANCE at most.
 ON_ITS_WAY = ("lane_end", "lane_end_left", "lane_end_right", "light", "light_distance")
+SECONDS_LEFT = "light_seconds"  # likewise, where it is asked for: until the light's next phase [s]
+
+
+class Neighbour(NamedTuple):
+    """A leader or follower in a lane: its id, the gap between the bumpers [m], its speed along the lane [m/s]."""
+
+    id: str
+    gap: float
+    speed: float
+
+
+NOBODY = Neighbour("", inf, 0.0)
 
 
 class Place(NamedTuple):
@@ -51,6 +67,8 @@ class Place(NamedTuple):
             or "removed" (by SUMO: teleported, say).
         red_light: whether it has driven over a stop line at red in this policy step.
         waiting: number of vehicles that wait until SUMO can insert them.
+        neighbours: leader and follower in the lane to the left, in the own lane and in that to the right, by SUMO.
+        fuel: burnt in this policy step [mg]; electricity: consumed [Wh].
     """
 
     lane: LaneIndex
@@ -64,6 +82,9 @@ class Place(NamedTuple):
     ended: str = ""
     red_light: bool = False
     waiting: int = 0
+    neighbours: tuple[Neighbour, ...] = (NOBODY,) * 6
+    fuel: float = 0.0
+    electricity: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

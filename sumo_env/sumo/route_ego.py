@@ -5,14 +5,17 @@ Its type limits what commands can do. Without a target speed or a target lane SU
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from math import inf
 
 from sumo_env.networks.mapping import Network
 from sumo_env.networks.roads import LaneIndex
-from sumo_env.scene import Place
+from sumo_env.scene import NOBODY, Neighbour, Place
 from sumo_env.simulator import EgoCommand
 from sumo_env.sumo.ego import Controls, coast, driven, speed_before
 from sumo_env.sumo.session import OWN_LANE_CHANGES, REGULAR, Session
+from sumo_env.sumo.surroundings import neighbours
+from sumo_env.traffic.scenario import ENERGY, NEIGHBOURS
 
 
 class RouteEgo:
@@ -24,12 +27,21 @@ class RouteEgo:
         red_light: whether it has run a red light since `obey`.
     """
 
-    def __init__(self, session: Session, network: Network, name: str, obeys_lights: bool) -> None:
+    def __init__(
+        self,
+        session: Session,
+        network: Network,
+        name: str,
+        obeys_lights: bool,
+        measured: Collection[str] = (),
+    ) -> None:
+        """measured: see `SumoTraffic`."""
         self._session, self._network, self._name = session, network, name
-        self._obeys_lights = obeys_lights
+        self._obeys_lights, self._measured = obeys_lights, measured
         self._class = session.class_of(name)
         self.speed, self.crashed = session.speed_of(name), False
         self.ended, self.red_light = "", False
+        self._fuel = self._electricity = 0.0  # in this policy step
         self._controls = Controls(session, name, (REGULAR, OWN_LANE_CHANGES), False, False)
         self._target_speed: float | None = None
         self._acceleration: float | None = None
@@ -47,6 +59,7 @@ class RouteEgo:
     def obey(self, command: EgoCommand) -> None:
         """Take over the command of a policy step, and give SUMO back what is not commanded."""
         self._left = self._remaining()
+        self._fuel = self._electricity = 0.0
         if self.crashed:
             return
         self._lane = ""  # routes and lanes may have changed since it came here
@@ -91,6 +104,10 @@ class RouteEgo:
         """After the step: what SUMO has made of the commands; returns the distance that was driven [m]."""
         session, before = self._session, self._lane
         self.speed = session.speed_of(self._name)
+        if ENERGY in self._measured:
+            fuel, electricity = session.consumption_of(self._name)
+            self._fuel += fuel * dt
+            self._electricity += electricity * dt
         self.look()
         if self._signal and self._lane != before and not before.startswith(":"):
             edge = before.rpartition("_")[0]
@@ -178,8 +195,8 @@ class RouteEgo:
     def place(self, waiting: int) -> Place:
         """As a scene has it."""
         left, right = (side is not None for side in self._sides)
-        arrived = self.ended == "arrived"
-        driven = 0.0 if self.ended in ("arrived", "removed") else self._session.position_of(self._name)
+        arrived, gone = self.ended == "arrived", self.ended in ("arrived", "removed")
+        driven = 0.0 if gone else self._session.position_of(self._name)
         beside = [max(reach - driven, 0.0) for reach in self._reaches]
         if self.ended == "removed":
             progress = 0.0
@@ -197,4 +214,14 @@ class RouteEgo:
             ended=self.ended,
             red_light=self.red_light,
             waiting=waiting,
+            neighbours=(NOBODY,) * 6 if gone or NEIGHBOURS not in self._measured else self._neighbours(),
+            fuel=self._fuel,
+            electricity=self._electricity,
         )
+
+    def _neighbours(self) -> tuple[Neighbour, ...]:
+        """Leaders and followers, the driver's left lane first; SUMO's left is that of the higher number."""
+        found, (start, end, _) = neighbours(self._session, self._name), self._index
+        last = self._network.road.count(start, end) - 1
+        left, right = (self._network.sumo_index((start, end, place)) for place in (0, last))
+        return found if left >= right else (*found[4:], *found[2:4], *found[:2])

@@ -95,6 +95,9 @@ class Origin:
     speed: str = "avg"
 
 
+NEIGHBOURS, ENERGY = "neighbours", "energy"  # leaders and followers of the ego; what it consumes
+
+
 @dataclass(frozen=True, slots=True)
 class SumoTraffic:
     """Traffic that SUMO loads, routes and inserts itself.
@@ -109,6 +112,7 @@ class SumoTraffic:
         models: car-following models of vehicle types, where the files name one.
         duration: of the episode [s], after which no event begins.
         seed: of SUMO's random numbers; None for that of the scenario.
+        measured: what is read of the ego beside, `NEIGHBOURS` or `ENERGY`.
         imagined: seed of the risk events after `Simulator.imagine`; None for that of the scenario.
     """
 
@@ -123,6 +127,7 @@ class SumoTraffic:
     duration: float = 60.0
     seed: int | None = None
     imagined: int | None = None
+    measured: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

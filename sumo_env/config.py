@@ -66,8 +66,9 @@ OCCUPANCY_GRID: Config = {
     "as_image": False,
 }
 TIME_TO_COLLISION: Config = {"type": "TimeToCollision", "horizon": 10}
+LEADERS_FOLLOWERS: Config = {"type": "LeadersFollowers", "features": None, "normalize": True}
 TYPES: dict[str, tuple[Config, ...]] = {
-    "observation": (KINEMATICS, TIME_TO_COLLISION, OCCUPANCY_GRID),
+    "observation": (KINEMATICS, TIME_TO_COLLISION, OCCUPANCY_GRID, LEADERS_FOLLOWERS),
     "action": ({**DISCRETE_META_ACTION, "target_speeds": None}, CONTINUOUS_ACTION, DISCRETE_ACTION),
 }
 # Largest values. More vehicles, metres or seconds take all memory or all time, and SUMO's clock counts milliseconds.
@@ -97,11 +98,11 @@ OR_NONE: Config = {"begin": 0, "initial_speed": 0, "reward_speed_range": [0.0, 1
 WITHOUT_EFFECT = {
     *("id", "import_module", "offscreen_rendering", "real_time_rendering", "render_agent", "show_history"),
     *("show_trajectories", "neighbour_vehicles_connected_lanes"),
+    "manual_control",  # of a window (`screen`)
 }
 FIXED: dict[str, tuple[Any, str]] = {
     "traffic_model": ("sumo", "SUMO's own drivers are the only ones"),  # stored configurations have it
     "controlled_vehicles": (1, "there is one ego"),
-    "manual_control": (False, "the agent drives the ego"),
     "obey_traffic_lights": (False, "this road has no traffic lights"),
     "other_vehicles_type": (
         "highway_env.vehicle.behavior.IDMVehicle",

@@ -17,6 +17,7 @@ from sumo_env.actions import Moment, PlainAction, ego_route
 from sumo_env.config import COMMON, Config, ConfigError, resolve
 from sumo_env.contacts.rectangles import state_of
 from sumo_env.interface import information, interface, on_its_way
+from sumo_env.neighbours import LeadersFollowers
 from sumo_env.networks.roads import LaneIndex
 from sumo_env.observation import TimeToCollision
 from sumo_env.occupancy import OccupancyGrid
@@ -49,7 +50,7 @@ class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
     Args:
         task: highway, two-way, roundabout, intersection or u-turn, or a task of your own (docs/own-parts.md).
         config: configuration keys to change; the defaults are `config.COMMON` and the task's `defaults`.
-        render_mode: None or ``"rgb_array"``.
+        render_mode: None, ``"rgb_array"`` or ``"human"``, a window (docs/first-steps.md).
         simulator: the simulator that drives the traffic; None for SUMO. The environment closes it.
         sumo_options: further options of SUMO, such as ``["--tripinfo-output", "trips.xml"]`` (docs/own-parts.md).
 
@@ -58,7 +59,7 @@ class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
     """
 
     steers: ClassVar[bool] = False  # whether the simulator can obey a `SteeringCommand`
-    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 5}  # noqa: RUF012 (gymnasium's way)
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array", "human"], "render_fps": 5}  # noqa: RUF012 (gymnasium's way)
 
     def __init__(
         self,
@@ -68,14 +69,12 @@ class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
         simulator: Simulator | None = None,
         sumo_options: Sequence[str] = (),
     ) -> None:
-        if render_mode not in (None, *self.metadata["render_modes"]):
-            raise ValueError(f"render_mode must be None or 'rgb_array', not {render_mode!r}")
         if simulator is not None and sumo_options:
             raise ValueError(
                 "sumo_options are for SUMO, which this environment starts itself: leave out `simulator`"
             )
         self.task: Task = get_task(task)
-        self.render_mode = render_mode
+        self._open(render_mode)
         self._given = self._simulator = simulator
         refused = REFUSED_FOR_FILES if isinstance(self.task, NetworkTask) else REFUSED
         self._options = check_options(sumo_options, refused)
@@ -95,6 +94,8 @@ class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
     def configure(self, config: Mapping[str, Any] | None) -> None:
         """Change these keys of the configuration; they take effect at the next reset."""
         changed = resolve(self.task.name, self.default_config(), getattr(self, "config", None), config)
+        if changed.get("manual_control") and self.render_mode != "human":
+            raise ConfigError("'manual_control' needs render_mode='human': keys are pressed in its window")
         offered = interface(self.task, changed, self.steers)
         if offered.actions:
             self._refuse_backwards("'target_speeds'", offered.target_speeds[0])
@@ -170,10 +171,11 @@ class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
             self._target_lane, speed = self.scene.place.lane, self.scene.speed.item(0)
             self._find_route()
         self._speed_index = nearest_index(speed, self.target_speeds)
-        self.steps, self._handed_over = 0, False
+        self.steps, self._handed_over, self._is_closed = 0, False, False
         self._commands: list[Command] = []
         self._last = Step(self.scene, self._target_lane, None, math.inf, 0.0)
         self.ego_state = self._ego_state(None)
+        self._film((self.scene,))
         observation = self._observe()
         return observation, self._info(observation)
 
@@ -194,6 +196,7 @@ class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
         """
         if self._simulator is None or self.scenario is None:
             raise gym.error.ResetNeeded("call reset() before step()")
+        action = self._chosen(action)
         here = self.scene.x.item(0), self.scene.y.item(0), self.scene.speed.item(0)
         moment = Moment(
             self._road, self._route, self._target_lane, self._speed_index, *here, self.scene.place
@@ -202,9 +205,8 @@ class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
         if self._handed_over:
             command = EgoCommand(None, None)
         self._commands.append(command)
-        films = self._video is not None and self._video.recording
-        self._last = step = self._simulator.step(command, trace=films)
-        self._film(step.trace[:-1])
+        self._last = step = self._simulator.step(command, trace=self._is_watched)
+        self._film(step.trace)
         self.scene, self._target_lane = step.scene, step.target_lane
         if self.scene.place is not None:
             self._find_route()
@@ -222,7 +224,7 @@ class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
         self.ego_state = self._ego_state(plain)
         observation = self._observe()
         reward = float(self._reward(action))
-        terminated, truncated = bool(self._is_terminated()), bool(self._is_truncated())
+        terminated, truncated = bool(self._is_terminated()), bool(self._is_truncated()) or self._is_closed
         return observation, reward, terminated, truncated, self._info(observation, action)
 
     def hand_over(self, to_sumo: bool = True) -> None:
@@ -256,7 +258,8 @@ class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
         return twin
 
     def close(self) -> None:
-        """Close the simulator; `reset` opens it again."""
+        """Close the window and the simulator; `reset` opens the simulator again."""
+        self._shut()
         if self._simulator is not None:
             self._simulator.close()
             self._simulator = self._given
@@ -270,7 +273,9 @@ class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
 
     def _ego_state(self, action: PlainAction | None) -> EgoState:
         lane, s, lateral, on_road = self._ego_place()
-        scene = self.scene
+        scene, frequency = self.scene, self.config["policy_frequency"]
+        last = None if action is None else self.ego_state
+        acceleration = (scene.speed.item(0) - last.speed) * frequency if last else 0.0
         return EgoState(
             lane=lane,
             s=s,
@@ -284,6 +289,9 @@ class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
             crashed=scene.crashed.item(0),
             on_road=on_road,
             scene=scene,
+            acceleration=acceleration,
+            jerk=(acceleration - last.acceleration) * frequency if last else 0.0,
+            before=last.scene if last else None,
         )
 
     def _ego_place(self) -> tuple[LaneIndex, float, float, bool]:
@@ -299,6 +307,8 @@ class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
         kind, seen = self.observation_type, (self.scene, self._road, self.ego_state)
         if isinstance(kind, TimeToCollision):
             return kind.observe(*seen, self.target_speeds, self._route)
+        if isinstance(kind, LeadersFollowers):
+            return kind.observe(*seen)
         if isinstance(kind, OccupancyGrid):
             return kind.observe(self.scene, self._road, self._spec_of)
         return kind.observe(*seen, self._spec_of, self.np_random)
@@ -323,8 +333,8 @@ class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
 
     def _info(self, obs: Observation, action: Any = None) -> dict[str, Any]:
         """What `step` and `reset` return beside the observation."""
-        state, step = self.ego_state, self._last
-        return information(
+        state, step, place = self.ego_state, self._last, self.scene.place
+        info = information(
             self.scene,
             step.crash,
             step.min_ttc,
@@ -333,7 +343,10 @@ class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
             on_road=state.on_road,
             rewards=self._rewards(action),
             action=self._action_type.no_action if action is None else action,
-        ) | (on_its_way(place) if (place := self.scene.place) is not None else {})
+        )
+        if not self.steers:
+            info |= {"acceleration": state.acceleration, "jerk": state.jerk}
+        return info if place is None else info | on_its_way(place)
 
 
 class SumoDrivingEnv(DrivingEnv):

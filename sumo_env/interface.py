@@ -13,6 +13,7 @@ from sumo_env.actions import ActionType, action_type
 from sumo_env.config import Config, ConfigError
 from sumo_env.contacts.crash import CrashRecord
 from sumo_env.contacts.measures import NEAR_MISS_TTC, density
+from sumo_env.neighbours import LeadersFollowers
 from sumo_env.observation import Kinematics, TimeToCollision
 from sumo_env.occupancy import OccupancyGrid
 from sumo_env.scene import Place, Scene
@@ -24,11 +25,14 @@ NO_CRASH: dict[str, Any] = {
 }
 
 
+ObservationType = Kinematics | TimeToCollision | OccupancyGrid | LeadersFollowers
+
+
 class Interface(NamedTuple):
     """What the spaces of a task are made of."""
 
     action_type: ActionType  # makes the commands
-    observation_type: Kinematics | TimeToCollision | OccupancyGrid  # makes the observations
+    observation_type: ObservationType  # makes the observations
 
     @property
     def actions(self) -> dict[int, str]:
@@ -56,13 +60,15 @@ def interface(task: Task, config: Config, steers: bool = False) -> Interface:
             "change 'collision_reward' or another weight, or set 'normalize_reward' to False"
         )
     road = task.road(config)
-    observation: Kinematics | TimeToCollision | OccupancyGrid
+    observation: ObservationType
     if config["observation"]["type"] == "Kinematics":
         observation = Kinematics(
             config["observation"], road.count(*task.ego_road), on_its_way=isinstance(task, NetworkTask)
         )
     elif config["observation"]["type"] == "OccupancyGrid":
         observation = OccupancyGrid(config["observation"])
+    elif config["observation"]["type"] == "LeadersFollowers":
+        observation = LeadersFollowers(config["observation"], on_its_way=isinstance(task, NetworkTask))
     elif not kind.names:
         raise ConfigError(
             f"observation type 'TimeToCollision' needs target speeds, which {config['action']['type']!r} does not have "
@@ -116,4 +122,6 @@ def on_its_way(place: Place) -> dict[str, Any]:
         "removed": place.ended == "removed",
         "red_light": place.red_light,
         "vehicles_waiting": place.waiting,
+        "fuel": place.fuel,
+        "electricity": place.electricity,
     }

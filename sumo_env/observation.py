@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from sumo_env.config import KINEMATICS, MOST_VEHICLES, ConfigError, one_of
 from sumo_env.networks.lanes import wrap_to_pi
 from sumo_env.networks.roads import LaneIndex, Road
-from sumo_env.scene import MAX_SPEED, ON_ITS_WAY, PERCEPTION_DISTANCE, VEHICLE_LENGTH, Scene
+from sumo_env.scene import MAX_SPEED, ON_ITS_WAY, PERCEPTION_DISTANCE, SECONDS_LEFT, VEHICLE_LENGTH, Scene
 from sumo_env.tasks.base import EgoState
 from sumo_env.traffic.scenario import VehicleSpec
 
@@ -61,7 +61,7 @@ class Kinematics:
         features = given["features"] or ("presence", "x", "y", "vx", "vy")
         if not isinstance(features, list | tuple):
             raise ConfigError(f"observation 'features' must be a list of names, not {features!r}")
-        known = (*FEATURES, *ON_ITS_WAY) if on_its_way else FEATURES
+        known = (*FEATURES, *ON_ITS_WAY, SECONDS_LEFT) if on_its_way else FEATURES
         self.features = tuple(one_of("observation feature", feature, known) for feature in features)
         rows = given["vehicles_count"]
         if not isinstance(rows, int) or not 1 <= rows <= MOST_VEHICLES:
@@ -186,9 +186,9 @@ class Kinematics:
         if any(feature in OFFSETS for feature in self.features):
             offsets = [self._offsets(scene, road, row) for row in rows]
             columns["long_off"], columns["lat_off"], columns["ang_off"] = zip(*offsets, strict=True)
-        if any(feature in ON_ITS_WAY for feature in self.features):
+        if any(feature in (*ON_ITS_WAY, SECONDS_LEFT) for feature in self.features):
             nobody = [0.0] * (len(rows) - 1)
-            columns |= {name: [value, *nobody] for name, value in _on_its_way(scene).items()}
+            columns |= {name: [value, *nobody] for name, value in on_its_way(scene).items()}
         return columns
 
     @staticmethod
@@ -205,14 +205,28 @@ def _rotated(x: float, y: float, angle: float) -> tuple[float, float]:
     return cos * x - sin * y, sin * x + cos * y
 
 
-def _on_its_way(scene: Scene) -> dict[str, float]:
-    """Values of the ego for `ON_ITS_WAY`."""
-    place, light = scene.place, scene.light
+def on_its_way(scene: Scene) -> dict[str, float]:
+    """Values of the ego for `ON_ITS_WAY`, and `SECONDS_LEFT`.
+
+    A gap is 0 beside the ego, and to a lane to which it may not change.
+    """
+    place, light, speed = scene.place, scene.light, scene.speed.item(0)
     assert place is not None
+    left_leader, left_follower, leader, _, right_leader, right_follower = place.neighbours
+    gaps, closing = [], []
+    for other, may, sign in (
+        (leader, True, 1.0),
+        (left_leader, place.left, 1.0),
+        (left_follower, place.left, -1.0),
+        (right_leader, place.right, 1.0),
+        (right_follower, place.right, -1.0),
+    ):
+        gaps.append(max(other.gap, 0.0) if may else 0.0)
+        closing.append(sign * (speed - other.speed) if other.id else 0.0)
     ends = (place.free, place.free_left, place.free_right)
-    distances = [min(distance, PERCEPTION_DISTANCE) for distance in (*ends, light.distance, *place.gaps)]
-    values = (*distances[:3], float(light.state), *distances[3:], *place.closing)
-    return dict(zip(ON_ITS_WAY, values, strict=True))
+    distances = [min(distance, PERCEPTION_DISTANCE) for distance in (*ends, light.distance, *gaps)]
+    values = (*distances[:3], float(light.state), *distances[3:], *closing)
+    return dict(zip(ON_ITS_WAY, values, strict=True)) | {SECONDS_LEFT: light.seconds}
 
 
 def ranges_of(given: Any) -> dict[str, tuple[float, float]]:

@@ -23,10 +23,14 @@ UNLIT, RED, YELLOW, GREEN = -1, 0, 1, 2  # states of a traffic light; UNLIT wher
 
 
 class Light(NamedTuple):
-    """The next traffic light on the ego's way: its state, and how far its stop line is from the ego's front [m]."""
+    """The next traffic light on the ego's way: its state, and how far its stop line is from the ego's front [m].
+
+    seconds: until the next phase begins, as far as the light has planned [s].
+    """
 
     state: int = UNLIT
     distance: float = inf
+    seconds: float = 0.0
 
 
 NO_LIGHT = Light()
@@ -40,6 +44,18 @@ LANE_ENDS = ("lane_end", "lane_end_left", "lane_end_right")
 GAPS = tuple(f"{name}_gap" for name in NEIGHBOURS)
 CLOSING = tuple(f"{name}_closing" for name in NEIGHBOURS)
 ON_ITS_WAY = (*LANE_ENDS, "light", "light_distance", *GAPS, *CLOSING)
+SECONDS_LEFT = "light_seconds"  # likewise, where it is asked for: until the light's next phase [s]
+
+
+class Neighbour(NamedTuple):
+    """A leader or follower in a lane: its id, the gap between the bumpers [m], its speed along the lane [m/s]."""
+
+    id: str
+    gap: float
+    speed: float
+
+
+NOBODY = Neighbour("", inf, 0.0)
 
 
 class Place(NamedTuple):
@@ -56,9 +72,8 @@ class Place(NamedTuple):
             or "removed" (by SUMO: teleported, say).
         red_light: whether it has driven over a stop line at red in this policy step.
         waiting: number of vehicles that wait until SUMO can insert them.
-        gaps: to each of `NEIGHBOURS`, between bumpers [m]; inf where nobody is, and 0 beside the ego and where it may
-            not change to that lane.
-        closing: speeds at which these gaps close [m/s].
+        neighbours: leader and follower in the lane to the left, in the own lane and in that to the right, by SUMO.
+        fuel: burnt in this policy step [mg]; electricity: consumed [Wh].
     """
 
     lane: LaneIndex
@@ -72,8 +87,9 @@ class Place(NamedTuple):
     ended: str = ""
     red_light: bool = False
     waiting: int = 0
-    gaps: tuple[float, ...] = (inf,) * len(NEIGHBOURS)
-    closing: tuple[float, ...] = (0.0,) * len(NEIGHBOURS)
+    neighbours: tuple[Neighbour, ...] = (NOBODY,) * 6
+    fuel: float = 0.0
+    electricity: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -58,7 +58,9 @@ class FileSimulator(SumoSimulator):
         self._time = 0.0
         for name in self._modes:
             self._plan(name, 0.0)
-        self._route_ego = RouteEgo(self._session, self._network, self._name, scenario.obeys_lights)
+        self._route_ego = RouteEgo(
+            self._session, self._network, self._name, scenario.obeys_lights, traffic.measures_energy
+        )
         self._around = Surroundings(
             self._session, self._route_ego.speed, self._network.meeting, ego=self._name
         )

@@ -9,10 +9,11 @@ from math import inf
 
 from sumo_env.networks.mapping import Network
 from sumo_env.networks.roads import LaneIndex
-from sumo_env.scene import NEIGHBOURS, PERCEPTION_DISTANCE, Place
+from sumo_env.scene import NOBODY, Neighbour, Place
 from sumo_env.simulator import EgoCommand
 from sumo_env.sumo.ego import Controls, coast, driven, speed_before
 from sumo_env.sumo.session import OWN_LANE_CHANGES, REGULAR, Session
+from sumo_env.sumo.surroundings import neighbours
 
 
 class RouteEgo:
@@ -24,12 +25,21 @@ class RouteEgo:
         red_light: whether it has run a red light since `obey`.
     """
 
-    def __init__(self, session: Session, network: Network, name: str, obeys_lights: bool) -> None:
+    def __init__(
+        self,
+        session: Session,
+        network: Network,
+        name: str,
+        obeys_lights: bool,
+        measures_energy: bool = False,
+    ) -> None:
+        """measures_energy: see `SumoTraffic`."""
         self._session, self._network, self._name = session, network, name
-        self._obeys_lights = obeys_lights
+        self._obeys_lights, self._measures_energy = obeys_lights, measures_energy
         self._class = session.class_of(name)
         self.speed, self.crashed = session.speed_of(name), False
         self.ended, self.red_light = "", False
+        self._fuel = self._electricity = 0.0  # in this policy step
         self._controls = Controls(session, name, (REGULAR, OWN_LANE_CHANGES), False, False)
         self._target_speed: float | None = None
         self._acceleration: float | None = None
@@ -47,6 +57,7 @@ class RouteEgo:
     def obey(self, command: EgoCommand) -> None:
         """Take over the command of a policy step, and give SUMO back what is not commanded."""
         self._left = self._remaining()
+        self._fuel = self._electricity = 0.0
         if self.crashed:
             return
         self._lane = ""  # routes and lanes may have changed since it came here
@@ -91,6 +102,10 @@ class RouteEgo:
         """After the step: what SUMO has made of the commands; returns the distance that was driven [m]."""
         session, before = self._session, self._lane
         self.speed = session.speed_of(self._name)
+        if self._measures_energy:
+            fuel, electricity = session.consumption_of(self._name)
+            self._fuel += fuel * dt
+            self._electricity += electricity * dt
         self.look()
         if self._signal and self._lane != before and not before.startswith(":"):
             edge = before.rpartition("_")[0]
@@ -154,13 +169,6 @@ class RouteEgo:
         return False
 
     @property
-    def _is_mirrored(self) -> bool:
-        """Whether the lane on the left has the lower of SUMO's numbers, as where people drive on the left."""
-        number, here = self._network.sumo_index, self._network.sumo_index(self._index)
-        left, right = self._sides
-        return (left is not None and number(left) < here) or (right is not None and number(right) > here)
-
-    @property
     def free(self) -> float:
         """How far the ego gets without a lane change [m]; inf where its lane leads on."""
         return inf if self._leads_on else self._length - self._session.position_of(self._name)
@@ -185,16 +193,9 @@ class RouteEgo:
     def place(self, waiting: int) -> Place:
         """As a scene has it."""
         left, right = (side is not None for side in self._sides)
-        arrived = self.ended == "arrived"
-        driven = 0.0 if self.ended in ("arrived", "removed") else self._session.position_of(self._name)
+        arrived, gone = self.ended == "arrived", self.ended in ("arrived", "removed")
+        driven = 0.0 if gone else self._session.position_of(self._name)
         beside = [max(reach - driven, 0.0) for reach in self._reaches]
-        gaps, closing = [0.0] * len(NEIGHBOURS), [0.0] * len(NEIGHBOURS)
-        if self.ended not in ("arrived", "removed"):
-            gaps, closing = self._session.neighbours(self._name, PERCEPTION_DISTANCE)
-            if self._is_mirrored:
-                gaps, closing = ([one[0], *one[3:], *one[1:3]] for one in (gaps, closing))
-            may = (True, left, left, right, right)
-            gaps = [max(gap, 0.0) if open else 0.0 for gap, open in zip(gaps, may, strict=True)]
         if self.ended == "removed":
             progress = 0.0
         else:
@@ -211,6 +212,14 @@ class RouteEgo:
             ended=self.ended,
             red_light=self.red_light,
             waiting=waiting,
-            gaps=tuple(gaps),
-            closing=tuple(closing),
+            neighbours=(NOBODY,) * 6 if gone else self._neighbours(),
+            fuel=self._fuel,
+            electricity=self._electricity,
         )
+
+    def _neighbours(self) -> tuple[Neighbour, ...]:
+        """Leaders and followers, the driver's left lane first; SUMO's left is that of the higher number."""
+        found, (start, end, _) = neighbours(self._session, self._name), self._index
+        last = self._network.road.count(start, end) - 1
+        left, right = (self._network.sumo_index((start, end, place)) for place in (0, last))
+        return found if left >= right else (*found[4:], *found[2:4], *found[:2])

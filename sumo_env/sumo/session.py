@@ -12,15 +12,15 @@ import operator
 import tempfile
 from collections.abc import Iterable, Sequence
 from importlib.util import find_spec
-from math import cos, inf, pi, radians, sin, sqrt
+from math import cos, pi, radians, sin, sqrt
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 from sumo_env.contacts.rectangles import Half, State
 from sumo_env.networks.meeting import Spot
 from sumo_env.scene import CAR_SIZE, GREEN, NO_LIGHT, RED, VEHICLE_LENGTH, YELLOW, Light
 from sumo_env.sumo.options import readable
+from sumo_env.sumo.proxy import plain
 from sumo_env.sumo.settings import Settings
 from sumo_env.traffic.drivers import Deviation
 
@@ -215,7 +215,7 @@ class Session:
 
     def call(self, path: str, arguments: tuple[Any, ...], named: dict[str, Any]) -> Any:
         """A function of libsumo by its name, such as ``vehicle.getSpeed``; objects of SUMO become plain ones."""
-        return _plain(operator.attrgetter(path)(libsumo)(*arguments, **named))
+        return plain(operator.attrgetter(path)(libsumo)(*arguments, **named))
 
     def set_speed(self, name: str, speed: float) -> None:
         """Command a speed [m/s] from now on; -1 gives it back to the car-following model."""
@@ -283,31 +283,6 @@ class Session:
         best = _vehicle.getBestLanes(name)
         return [(lane, float(libsumo.lane.getLength(lane)), bool(leads)) for lane, _, _, _, leads, _ in best]
 
-    def neighbours(self, name: str, radius: float) -> tuple[list[float], list[float]]:
-        """Gaps to the vehicles around one [m], and speeds at which they close [m/s].
-
-        The leader, which is looked for along the route within `radius` [m]; the leader and the follower on the lane
-        of SUMO's next number, and on that of the last one. A gap is inf and its speed 0 where nobody is.
-        """
-        leader = _vehicle.getLeader(name, radius)
-        gaps, closing = [], []
-        for number, found in enumerate(
-            (
-                [leader] if leader and leader[0] else [],
-                _vehicle.getLeftLeaders(name),
-                _vehicle.getLeftFollowers(name),
-                _vehicle.getRightLeaders(name),
-                _vehicle.getRightFollowers(name),
-            )
-        ):
-            other, gap = min(found, key=operator.itemgetter(1), default=("", inf))
-            behind, ahead = (other, name) if number in (2, 4) else (name, other)
-            gaps.append(float(gap) + (float(_vehicle.getMinGap(behind)) if other else 0.0))
-            closing.append(
-                float(_vehicle.getSpeed(behind)) - float(_vehicle.getSpeed(ahead)) if other else 0.0
-            )
-        return gaps, closing
-
     def may_change(self, lane: str, beside: str, vehicles: str) -> bool:
         """Whether a class of vehicles may change between two lanes that lie side by side."""
         side = 1 if int(beside.rpartition("_")[2]) > int(lane.rpartition("_")[2]) else -1
@@ -343,10 +318,15 @@ class Session:
 
     def next_light(self, name: str) -> Light:
         """The next traffic light on a vehicle's way."""
-        for _, _, distance, letter in _vehicle.getNextTLS(name) if self.has_lights else ():
+        for signal, _, distance, letter in _vehicle.getNextTLS(name) if self.has_lights else ():
             if letter in LIGHTS:
-                return Light(LIGHTS[letter], float(distance))
+                left = libsumo.trafficlight.getNextSwitch(signal) - _simulation.getTime()
+                return Light(LIGHTS[letter], float(distance), max(float(left), 0.0))
         return NO_LIGHT
+
+    def consumption_of(self, name: str) -> tuple[float, float]:
+        """Fuel [mg/s] and electricity [Wh/s] that a vehicle consumed in the last step."""
+        return _vehicle.getFuelConsumption(name), _vehicle.getElectricityConsumption(name)
 
     def vehicles(self) -> tuple[str, ...]:
         """Names of the vehicles on the road, in alphabetical order."""
@@ -428,20 +408,6 @@ def _state(front: tuple[float, float], angle: float, speed: float, half: float =
     if heading > pi:
         heading -= 2.0 * pi
     return front[0] - half * cos(heading), -front[1] - half * sin(heading), speed, heading
-
-
-def _plain(value: Any) -> Any:
-    """What libsumo returns, as values that can be sent to another process."""
-    if isinstance(value, tuple | list):
-        return tuple(map(_plain, value))
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    if value is None or isinstance(value, str | int | float):
-        return value
-    names = [name for name in dir(value) if not name.startswith("_") and name not in ("this", "thisown")]
-    return SimpleNamespace(
-        **{name: _plain(item) for name in names if not callable(item := getattr(value, name))}
-    )
 
 
 def version() -> str:

@@ -20,6 +20,7 @@ from sumo_env.networks.roads import Road
 from sumo_env.scene import CLOSING, GAPS, LANE_ENDS, ON_ITS_WAY, Place
 from sumo_env.streams import stream
 from sumo_env.tasks.base import Drivers, EgoState, Task, ego_driver, make_on_lane, speed_term
+from sumo_env.tasks.terms import TERMS, measures_energy, terms
 from sumo_env.traffic.drivers import LACKING, vehicle_type
 from sumo_env.traffic.risk import RiskRates
 from sumo_env.traffic.scenario import EGO, Origin, Scenario, SumoTraffic, VehicleSpec
@@ -64,6 +65,7 @@ class NetworkTask(Task):
         "high_speed_reward": 0,  # in each policy step
         "red_light_terminal": False,  # whether the episode ends when the ego runs a red light
         "reward_speed_range": None,  # [m/s]; None for half the speed limit to the speed limit
+        **TERMS,
         "offroad_terminal": False,
         "screen_width": 600,
         "screen_height": 600,
@@ -240,6 +242,7 @@ class NetworkTask(Task):
                 rates=self.risk_rates,
                 models=models,
                 duration=float(config["duration"]),
+                measures_energy=measures_energy(config),
             ),
         )
 
@@ -366,6 +369,7 @@ class NetworkTask(Task):
             "missed_turn_reward": float(place.ended == "missed turn"),
             "red_light_reward": float(place.red_light),
             "on_road_reward": float(ego.on_road),
+            **terms(ego, config),
         }
 
     def arrived(self, ego: EgoState) -> bool:

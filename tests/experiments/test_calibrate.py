@@ -87,7 +87,7 @@ def test_the_lower_end_of_a_range_is_searched_and_its_upper_end_kept() -> None:
 @pytest.mark.slow
 def test_the_present_settings_are_best_where_sumo_is_its_own_reference(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(calibrate, "HIGHWAY_ENV", Engine(REFERENCE, "sumo"))  # both sides are quick
-    options = Options(tmp_path, tasks=("u-turn",), trials=3, scenarios=3, workers=1)
+    options = Options(tmp_path, tasks=("u-turn",), trials=2, scenarios=2, workers=1)
     result = calibrate.calibrate(options)
     assert json.loads((tmp_path / "calibration.json").read_text()) == result
     for part in ("drivers", "risk"):

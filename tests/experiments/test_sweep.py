@@ -212,8 +212,15 @@ def test_twenty_random_kills_lose_nothing_and_change_nothing(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("send", [os.kill, os.killpg])
+@pytest.mark.parametrize(
+    ("number", "send"),
+    [
+        (signal.SIGINT, os.killpg),
+        (signal.SIGTERM, os.kill),
+        pytest.param(signal.SIGINT, os.kill, marks=pytest.mark.long),
+        pytest.param(signal.SIGTERM, os.killpg, marks=pytest.mark.long),
+    ],
+)
 def test_a_stopped_sweep_says_how_to_go_on_and_leaves_no_process(tmp_path, number, send):
     """To the process alone as by `kill`, and to the whole group as by a terminal or a scheduler."""
     directory = tmp_path / "results"

@@ -56,11 +56,14 @@ class Options:
     """Write a folder that sumo and sumo-gui open instead of a film (GIF): network, vehicles and the ego's way."""
     avoid: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = False
     """Search for actions that would have avoided the crash; writes CASE-avoided.gif."""
+    code: Annotated[str | None, tyro.conf.arg(metavar="FILE:NAME", help_behavior_hint="")] = None
+    """The cell's own policy, network or learner, for episodes that are stored without their actions; code is run only
+    where you name it."""
     horizon: int = HORIZON
     """Policy steps in which --avoid tries all sequences of actions."""
 
 
-def parse_case(text: str) -> Case:
+def parse_case(text: str, code: str | None = None) -> Case:
     """Find the cell, traffic and scenario of a case; by default the cell's first crash.
 
     Raises:
@@ -84,7 +87,7 @@ def parse_case(text: str) -> Case:
     if rows.empty:
         first, last = test["scenario"].min(), test["scenario"].max()
         raise UserError(f"{name} has the scenarios {first} to {last}: no {match['scenario']}")
-    return Case(store, name, store.record(name), dict(rows.iloc[0]))
+    return Case(store, name, store.record(name), dict(rows.iloc[0]), code)
 
 
 def replay(options: Options, make_env: MakeEnv = backends.make_env) -> int:
@@ -94,7 +97,7 @@ def replay(options: Options, make_env: MakeEnv = backends.make_env) -> int:
     if options.avoid and options.sumo:
         raise UserError("--avoid writes a film of its own: leave out --sumo")
     try:
-        case = parse_case(options.case)
+        case = parse_case(options.case, options.code)
         key, act = case.record["key"], _avoid if options.avoid else _again
         with closing(make_env(*tested_on(key), "rgb_array")) as env:
             return act(options, case, env)

@@ -57,13 +57,18 @@ def halved(policy: Greedy) -> Greedy:
 
 
 def published(directory: Path, name: str, command: str) -> tuple[dict[str, Any], Greedy] | None:
-    """Card and policy of a stored agent; None of another's learner, or if it observes the dose, which nobody knows."""
+    """Card and policy of a stored agent.
+
+    None of another's learner or network, or if it observes the dose, which nobody knows.
+    """
     store = Store(directory)
     record, weights = store.record(name), store.weights(name)
     assert weights is not None
     key = record["key"]
+    if ":" in key["profile"]["network"]:
+        return None
     with closing(make_env(*tested_on(key))) as env:
-        seen, policy = driver(key, record["source"], env, weights)
+        seen, policy = driver(key, None, env, weights)
         if key["profile"].get("dose_observed") or key["policy"] != LEARNER or not isinstance(policy, Greedy):
             return None
         space: Any = seen.observation_space

@@ -36,7 +36,17 @@ from experiments.study.results.packed import (
 )
 from experiments.study.results.working import last_words
 from experiments.support.errors import UserError
-from experiments.support.files import alone, publish, sha256_bytes, sha256_file, write_file, write_json
+from agents.checkpoint import open_regular
+from experiments.support.files import (
+    alone,
+    is_name,
+    publish,
+    read_text,
+    sha256_bytes,
+    sha256_file,
+    write_file,
+    write_json,
+)
 from sumo_env.config import did_you_mean
 
 CELL, EPISODES, GATES = "cell.json", "episodes.parquet", "gates.parquet"
@@ -153,11 +163,11 @@ class Store:
         """
         path = self.directory / SWEEPS
         try:
-            sweeps = json.loads(path.read_text())["sweeps"]
+            sweeps = json.loads(read_text(path))["sweeps"]
             return [{"command": sweep["command"], "cells": list(sweep["cells"])} for sweep in sweeps]
         except FileNotFoundError:
             return []
-        except (ValueError, KeyError, TypeError) as error:
+        except (OSError, ValueError, KeyError, TypeError) as error:
             reason = str(error).partition("\n")[0]
             raise UserError(
                 f"{path} is damaged ({reason}): delete this file and run the sweep again"
@@ -240,7 +250,8 @@ def read_cell(path: Path) -> dict[str, Any]:
     """
     file = path / CELL
     try:
-        data = file.read_bytes()
+        with open_regular(file) as opened:
+            data = opened.read()
         begin = len(HEAD % ("0" * 64))
         if data[:begin] != (HEAD % sha256_bytes(data[begin:])).encode():
             raise DamagedCell(file, "its checksum does not match")
@@ -248,6 +259,8 @@ def read_cell(path: Path) -> dict[str, Any]:
         del record["checksum"]
         if (name := cell_name(record["key"], record["versions"])) != path.name:
             raise DamagedCell(file, f"its content is that of {name}")
+        if wrong := [name for name in record["files"] if not is_name(name)]:
+            raise DamagedCell(file, f"it names files elsewhere: {wrong}")
         for file, checksum in ((path / name, checksum) for name, checksum in record["files"].items()):
             found = sha256_file(file)
             if found != checksum:

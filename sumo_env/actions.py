@@ -330,8 +330,8 @@ def action_type(action: Mapping[str, Any], target_speeds: tuple[float, ...], ste
     if not steers:
         if "steering_range" in given or given.get("dynamical"):
             raise ConfigError(
-                "steering ('steering_range', 'dynamical') is the replica's (replica/*): SUMO moves cars along lanes, "
-                f"and the lateral number of {kind!r} changes lanes"
+                f"action type {kind!r} with 'steering_range' or 'dynamical': steering is the replica's (replica/*). "
+                "SUMO moves cars along lanes, where the lateral number changes lanes"
             )
         given["steering_range"] = -1.0, 1.0
     given |= {"longitudinal": agent[0], "lateral": agent[1], "steers": steers}

@@ -69,6 +69,7 @@ class ScenarioEnv(AbstractEnv):
 
     task: ClassVar[Task]
     config: Config
+    _motion: tuple[float, float]  # speed [m/s] and acceleration [m/s2] at the end of the last step
     joins: ClassVar[bool] = True  # whether the road has lanes that continue others
 
     # -- configuration -------------------------------------------------------------------------------------
@@ -144,7 +145,11 @@ class ScenarioEnv(AbstractEnv):
 
     def _info(self, obs: np.ndarray, action: Any = None) -> dict[str, Any]:
         action = int(action) if self.steps else None  # at a reset highway-env passes a random one
-        return information(
+        speed, frequency = float(self.scene.speed[0]), self.config["policy_frequency"]
+        before, last = self._motion if self.steps else (speed, 0.0)
+        acceleration = (speed - before) * frequency
+        self._motion = speed, acceleration
+        return {"acceleration": acceleration, "jerk": (acceleration - last) * frequency} | information(
             self.scene,
             self.crash,
             self.min_ttc,

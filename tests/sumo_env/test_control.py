@@ -10,6 +10,8 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 import pytest
+from gymnasium.utils.env_checker import check_env
+from stable_baselines3.common.env_checker import check_env as sb3_check_env
 
 import sumo_env
 from sumo_env.config import ConfigError
@@ -312,6 +314,15 @@ def test_environments_side_by_side_take_numbers_too() -> None:
     with pytest.raises(ValueError, match="actions must be 2 of Box"):
         envs.step(np.zeros(2))
     envs.close()
+
+
+def test_checkers_of_gymnasium_and_stable_baselines_pass() -> None:
+    action = {"type": "ContinuousAction", "lateral": "sumo"}
+    config = {"action": action, "observation": {"type": "LeadersFollowers"}, "vehicles_count": 3}
+    env = DrivingEnv("highway", config)
+    check_env(env, skip_render_check=True)
+    sb3_check_env(env, skip_render_check=True)
+    env.close()
 
 
 @needs_sumo

@@ -2,7 +2,7 @@
 not learn (pip install stable-baselines3 eclipse-sumo, and this package).
 
     python examples/arrive.py --out arrive.json              # all, some hours; goes on where it was stopped
-    python examples/arrive.py --only ramp/sb3-dqn --steps 2000
+    python examples/arrive.py --only ramp/sb3-dqn --steps 2000 --episodes 10
 
 ramp: from the acceleration lane between the cars of a motorway, and on. grid: a left and a right turn and three traffic
 lights, which the agent has to learn. town: three trips through Braunschweig, where the ego obeys its light by itself.
@@ -25,11 +25,7 @@ import torch
 from sumo_env.env import SumoDrivingEnv
 from sumo_env.simulator import EgoCommand
 
-TEST, TUNE, EPISODES = (
-    10_000,
-    50_000,
-    100,
-)  # first seeds of the test and of the choice of settings; their number
+TEST, TUNE = 10_000, 50_000  # first seeds of the test, and of the choice of settings
 
 RAMP = {
     "node-files": '<nodes><node id="west" x="-300" y="0"/><node id="south" x="-250" y="-100"/>'
@@ -99,10 +95,10 @@ def ending(info):
     )
 
 
-def drive(env, act, first, begin=lambda seed: None):
+def drive(env, act, seeds, begin=lambda seed: None):
     """Count how episodes end, and in how many a red light was run."""
     ends, red = Counter(), 0
-    for seed in range(first, first + EPISODES):
+    for seed in seeds:
         observation, info = env.reset(seed=seed)
         begin(seed)
         over = ran = False
@@ -115,10 +111,10 @@ def drive(env, act, first, begin=lambda seed: None):
     return {**dict(sorted(ends.items())), "ran a red light": red}
 
 
-def sumo_drives(env, first):
+def sumo_drives(env, seeds):
     """Likewise where SUMO drives the ego, which the simulator does and no action says yet."""
     ends, red = Counter(), 0
-    for seed in range(first, first + EPISODES):
+    for seed in seeds:
         env.reset(seed=seed)
         end, ran = "time is up", False
         for _ in range(env.config["duration"] * env.config["policy_frequency"]):
@@ -177,7 +173,7 @@ def rows(seeds):
         yield from (f"{name}/{learner}/{seed}" for learner in LEARNERS for seed in seeds)
 
 
-def row(key, folder, first, steps):
+def row(key, folder, seeds, steps):
     """One line: endings at risk 0 and 1, and the CPU seconds of the training."""
     name, driver, *seed = key.split("/")
     found, begin = {}, lambda seed: None
@@ -190,7 +186,7 @@ def row(key, folder, first, steps):
     for risk in (0, 1):
         env.configure({"risk": risk})
         if driver == "SUMO":
-            found[f"risk {risk}"] = sumo_drives(env, first)
+            found[f"risk {risk}"] = sumo_drives(env, seeds)
             continue
         if driver == "careful":
             from agents.rules import make_policy
@@ -200,7 +196,7 @@ def row(key, folder, first, steps):
         elif driver in CONSTANTS:
             number = next(number for number, action in env.actions.items() if action == driver)
             act = lambda _, number=number: number  # noqa: E731
-        found[f"risk {risk}"] = drive(env, act, first, begin)
+        found[f"risk {risk}"] = drive(env, act, seeds, begin)
     env.close()
     return found
 
@@ -213,14 +209,15 @@ if __name__ == "__main__":
     parser.add_argument("--only", default="", help="lines whose names begin so, such as grid/dqn")
     parser.add_argument("--seeds", type=int, nargs="+", default=[0, 1, 2], help="of the trainings")
     parser.add_argument("--steps", type=int, help="of a training")
+    parser.add_argument("--episodes", type=int, default=100, help="of the test, at each dose")
     parser.add_argument("--tune", action="store_true", help="test on the seeds for the choice of settings")
     args = parser.parse_args()
     torch.set_num_threads(1)
-    out = Path(args.out)
+    out, first = Path(args.out), TUNE if args.tune else TEST
     with tempfile.TemporaryDirectory() as folder:
         for key in rows(args.seeds):
             if key.startswith(args.only) and key not in (json.loads(out.read_text()) if out.exists() else {}):
-                line = row(key, folder, TUNE if args.tune else TEST, args.steps)
+                line = row(key, folder, range(first, first + args.episodes), args.steps)
                 lines = (
                     json.loads(out.read_text()) if out.exists() else {}
                 )  # another process may write as well

@@ -15,6 +15,8 @@ from sumo_env.sumo.ego import Controls, coast, driven, speed_before
 from sumo_env.sumo.session import OWN_LANE_CHANGES, REGULAR, Session
 from sumo_env.sumo.surroundings import neighbours
 
+REACHED = 0.1  # [m] how exactly SUMO says where a stop line is
+
 
 class RouteEgo:
     """The ego of one episode, from its departure on.
@@ -108,8 +110,9 @@ class RouteEgo:
             self._electricity += electricity * dt
         self.look()
         if self._signal and self._lane != before and not before.startswith(":"):
-            edge = before.rpartition("_")[0]
-            if self._lane.rpartition("_")[0] != edge and session.shows_red(*self._signal[:2]):
+            signal, connection, distance = self._signal
+            edge, reached = before.rpartition("_")[0], distance <= self.speed * dt + REACHED
+            if self._lane.rpartition("_")[0] != edge and reached and session.shows_red(signal, connection):
                 self.red_light = True
         if not self._may_turn and self._target_lane is not None:
             self.ended = "missed turn"

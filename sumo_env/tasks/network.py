@@ -174,7 +174,7 @@ class NetworkTask(Task):
         for origin in origins:
             vehicles = "" if type else files.CAR
             if origin.is_trip:
-                files.check_trip(self._driven, *origin.edges, vehicles)
+                files.check_trip(self._driven, origin.edges[0], origin.edges[-1], vehicles)
             else:
                 files.check_route(self._driven, "the ego's", origin.edges, vehicles)
         return origins

@@ -159,6 +159,26 @@ def test_the_ego_sees_who_is_ahead_and_behind_on_its_lane_and_beside(tmp_path: P
     assert met == set(NEIGHBOURS)
 
 
+def test_a_junction_before_a_red_light_is_no_red_light(tmp_path: Path) -> None:
+    """The next light on the way is red already when the ego drives over b."""
+    nodes = '<node id="a" x="0" y="0"/><node id="b" x="200" y="0"/><node id="s" x="200" y="-100"/>'
+    nodes += '<node id="c" x="400" y="0" type="traffic_light"/><node id="t" x="400" y="-100"/>'
+    nodes += '<node id="d" x="600" y="0"/>'
+    roads = ("ab", "bc", "cd", "sb", "tc")
+    edges = "".join(f'<edge id="{road}" from="{road[0]}" to="{road[1]}" speed="14"/>' for road in roads)
+    env = SumoDrivingEnv(
+        build(tmp_path, (nodes, edges)), ego_route=["ab", "bc", "cd"], config={**QUIET, "duration": 90}
+    )
+    env.reset(seed=0)
+    light = env.sumo.trafficlight.getIDList()[0]
+    env.sumo.trafficlight.setRedYellowGreenState(light, "rr")
+    seen = []
+    while not env.scene.place.ended:
+        info = env.step(FASTER)[-1]
+        seen.append((info["red_light"], env.scene.x[0] > 390.0))
+    assert [beyond for ran, beyond in seen if ran] == [True]
+
+
 def red_lights(env: SumoDrivingEnv) -> tuple[list[bool], bool]:
     seen = []
     for _ in range(900):

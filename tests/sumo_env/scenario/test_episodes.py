@@ -381,8 +381,16 @@ def test_the_ego_sees_the_end_of_its_lane_and_the_next_light(town: Path) -> None
     assert ego[3] == info["traffic_light"] and ego[4] == pytest.approx(
         min(info["traffic_light_distance"], 200.0)
     )
-    assert ego[5:10].tolist() == pytest.approx([min(gap, 200.0) for gap in place.gaps])
-    assert ego[10:].tolist() == pytest.approx(place.closing)
+    left_leader, left_follower, leader, _, right_leader, right_follower = place.neighbours
+    around = (leader, left_leader, left_follower, right_leader, right_follower)
+    open_lanes = (True, place.left, place.left, place.right, place.right)
+    gaps = [min(one.gap, 200.0) if open else 0.0 for one, open in zip(around, open_lanes, strict=True)]
+    signs = (1.0, 1.0, -1.0, 1.0, -1.0)
+    closing = [
+        sign * (info["speed"] - one.speed) if one.id else 0.0 for one, sign in zip(around, signs, strict=True)
+    ]
+    assert ego[5:10].tolist() == pytest.approx(gaps)
+    assert ego[10:].tolist() == pytest.approx(closing)
     assert not others.any()
     env.close()
     with pytest.raises(ConfigError, match="lane_end"):

@@ -44,6 +44,8 @@ BESIDE: tuple[str, int, str, dict[str, Any]] = (
     "u-turn", 2, "careful",
     {"screen_width": 400, "screen_height": 240, "scaling": 2.9, "centering_position": [0.4, 0.8]},
 )  # fmt: skip
+
+
 def film(task: str, seed: int, name: str, config: dict[str, Any], seconds: int = 12) -> Pictures:
     """An episode that a rule drives, as pictures."""
     env = DrivingEnv(task, config, render_mode="rgb_array")

@@ -344,8 +344,7 @@ class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
             rewards=self._rewards(action),
             action=self._action_type.no_action if action is None else action,
         )
-        if not self.steers:
-            info |= {"acceleration": state.acceleration, "jerk": state.jerk}
+        info |= {"acceleration": state.acceleration, "jerk": state.jerk}
         return info if place is None else info | on_its_way(place)
 
 

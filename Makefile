@@ -1,4 +1,4 @@
-# make setup | sweep [ARGS=..] | check | lint | test | test-fast | test-long | pages | docs | lock
+# make setup | sweep [ARGS=..] | check | lint | test | test-fast | test-long | test-arm | pages | docs | lock
 #
 #   make sweep ARGS="--preset smoke --out results/try"
 
@@ -11,7 +11,7 @@ TORCH  ?= https://download.pytorch.org/whl/cpu
 # Simulators and learner use one thread each; parallel work is done by processes.
 export OMP_NUM_THREADS ?= 1
 
-.PHONY: setup sweep check lint test test-fast test-long pages docs lock clean
+.PHONY: setup sweep check lint test test-fast test-long test-arm pages docs lock clean
 
 setup: $(STAMP)
 
@@ -49,6 +49,10 @@ test-fast: setup
 # What takes longer; before a release.
 test-long: setup
 	$(BIN)/python -m pytest -n 2 -m long --timeout 3600 --durations=0 $(ARGS)
+
+# The simulator on Linux for aarch64, under emulation: what tests/arm/run.sh says.
+test-arm: setup
+	PYTHON=$(BIN)/python bash tests/arm/run.sh
 
 # The pages that quote results, from docs/templates and the stored tables.
 pages: setup

@@ -1,14 +1,12 @@
-"""Refuses to build where the folder of the roads is missing; everything else is in pyproject.toml."""
+"""Which packages are installed; everything else is in pyproject.toml.
 
-from pathlib import Path
+The roads are the folder networks, which the package has as sumo_env.networks. In the checkout, sumo_env/networks is a
+link to the folder. A clone without symbolic links, as on Windows, has a file in its place, and needs no link.
+"""
 
-from setuptools import setup
+from setuptools import find_packages, setup
 
-if not (Path(__file__).parent / "sumo_env" / "networks" / "__init__.py").is_file():
-    raise SystemExit(
-        "sumo_env/networks should be a link to the folder networks, but this copy was made without symbolic links. "
-        "In a clone: git config core.symlinks true && git checkout -- sumo_env/networks (on Windows in developer "
-        "mode); else copy the folder networks there."
-    )
-
-setup()
+ROADS = "sumo_env.networks"
+found = find_packages(include=["sumo_env*"], exclude=[ROADS, f"{ROADS}.*"])
+roads = [f"sumo_env.{name}" for name in find_packages(include=["networks*"])]
+setup(packages=[*found, *roads], package_dir={ROADS: "networks"})

@@ -2,10 +2,12 @@
 
 Knows gymnasium, numpy and torch; knows no simulator and no task by name.
 
+    learner      the contract of a learner; learners: all by name
+    dqn          double DQN, its settings; stable: DQN and PPO of Stable-Baselines3
+    training     the loop of double DQN: whole episodes, then updates; resumable bit for bit
+    episodes     what is written down about training episodes
     models       Q-networks: the paper's dueling network, ego attention, inputs standardised
-    dqn          settings and learner
     replay       uniform replay memory
-    training     the loop: whole episodes, then updates; resumable bit for bit
     checkpoint   atomic files of arrays that detect damage
     greedy       the policy of a trained network, and its file
     policies     what drives: the interface, models of Stable-Baselines3, objects of a user's file

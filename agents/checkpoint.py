@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import errno
+import io
 import os
+import stat
 import zipfile
 import zlib
 from collections.abc import Iterator, Mapping
@@ -26,6 +29,13 @@ def sync(path: Path) -> None:
         os.close(descriptor)
 
 
+def open_regular(path: Path) -> io.BufferedReader:
+    """A file to be read. Raises OSError where it is a folder, a device or a pipe, which may hang the reader."""
+    if not stat.S_ISREG(path.stat().st_mode):
+        raise OSError(errno.EINVAL, "no regular file", str(path))
+    return path.open("rb")
+
+
 @contextmanager
 def atomic(path: Path) -> Iterator[BinaryIO]:
     """A file to be written in the place of ``path``: readers see the old content or all of the new one.
@@ -33,8 +43,9 @@ def atomic(path: Path) -> Iterator[BinaryIO]:
     Raises OSError when the directory cannot be written or the disk is full; the old content stays.
     """
     temporary = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    temporary.unlink(missing_ok=True)
     try:
-        with temporary.open("wb") as file:
+        with temporary.open("xb") as file:  # a link that somebody has put there is not followed
             yield file
             file.flush()
             os.fsync(file.fileno())
@@ -60,7 +71,7 @@ def load_arrays(path: str | Path) -> dict[str, np.ndarray]:
 
     Raises CheckpointError when the file is damaged, FileNotFoundError when there is none.
     """
-    with open(path, "rb") as file:
+    with open_regular(Path(path)) as file:
         try:
             with np.load(file, allow_pickle=False) as archive:
                 return {

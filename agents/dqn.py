@@ -14,6 +14,7 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from agents.greedy import Greedy
+from agents.learner import check_numbers
 from agents.models import Network, Standardised, network_class
 from agents.replay import Replay
 from agents.streams import generator_state, number, restore_generator, stream
@@ -49,29 +50,12 @@ class DQNConfig:
     device: str = "cpu"  # or "cuda"
 
     def __post_init__(self) -> None:
-        whole = (
-            "updates",
-            "steps_per_update",
-            "batch_size",
-            "target_interval",
-            "replay_capacity",
-            "warm_up",
-            "block",
-        )
-        for name in (*whole, "probe_size", "probe_interval"):
-            value = getattr(self, name)
-            if type(value) is not int or value < 1:
-                raise ValueError(f"{name} must be a whole number of at least 1, got {value!r}.")
-        for name in ("learning_rate", "max_grad_norm", "epsilon_decay"):
-            if not getattr(self, name) > 0:
-                raise ValueError(f"{name} must be greater than 0, got {getattr(self, name)!r}.")
-        if not 0 < self.gamma < 1:
-            raise ValueError(f"gamma must lie between 0 and 1, both excluded, got {self.gamma!r}.")
-        if not 0 < self.tau <= 1:
-            raise ValueError(f"tau must be greater than 0 and at most 1, got {self.tau!r}.")
-        for name in ("learning_rate_final", "epsilon_final"):
-            if not 0 <= getattr(self, name) <= 1:
-                raise ValueError(f"{name} must lie between 0 and 1, got {getattr(self, name)!r}.")
+        check_numbers(self, may_be_0=("learning_rate_final", "epsilon_final"))
+        if self.gamma >= 1:
+            raise ValueError(f"gamma must be below 1, got {self.gamma!r}")
+        for name in ("tau", "learning_rate_final", "epsilon_final"):
+            if getattr(self, name) > 1:
+                raise ValueError(f"{name} must be at most 1, got {getattr(self, name)!r}")
 
     @property
     def steps(self) -> int:

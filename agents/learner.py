@@ -5,7 +5,8 @@ FILE:NAME. `agents.stable` has learners of another library.
 
 * ``Settings``: a frozen dataclass with the properties ``steps`` (environment steps of a training) and ``updates``
   (gradient updates). Its fields are the profile, its comments the help, `settings_of` the check: a name that it does
-  not have is an error.
+  not have is an error. A setting whose default is a `Path` names a file, for example weights that the training begins
+  with (`Path()`: none); a study names its cells by the file's content.
 * ``train(make_env, settings, seed, *, checkpoint, progress)``: `make_env()` gives an environment whose episodes follow
   from the training's seed, whatever `reset` is given; `make_env(n)` gymnasium's vector environment of n of them, which
   share the episodes out. Traffic and rules of the training are in them. `progress` is called with environment steps.
@@ -16,7 +17,7 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol, TypeVar
@@ -24,6 +25,7 @@ from typing import Any, Protocol, TypeVar
 import gymnasium as gym
 import numpy as np
 
+from agents.plugins import sha256
 from agents.policies import Policy
 
 # How a training has got to its end, for the record.
@@ -95,20 +97,40 @@ def settings_of(cls: type[T], given: Mapping[str, Any], whose: str) -> T:
     Raises:
         ValueError: a name that is no setting, with the nearest one; or a value that makes no sense.
     """
-    known = [field.name for field in dataclasses.fields(cls)]  # type: ignore[arg-type]
+    known = {field.name: field.default for field in dataclasses.fields(cls)}  # type: ignore[arg-type]
     for name in given:
         if name not in known:
-            near = difflib.get_close_matches(name, known, 1)
-            hint = f"did you mean {near[0]!r}? " if near else ""
-            raise ValueError(f"unknown setting {name!r} of {whose}: {hint}known are {', '.join(known)}")
-    return cls(**given)
+            raise unknown("setting", name, list(known), f" of {whose}")
+    return cls(
+        **{k: Path(v) if isinstance(known[k], Path) and isinstance(v, str) else v for k, v in given.items()}
+    )
 
 
-def check_numbers(settings: Any) -> None:
-    """Raise ValueError for a number of a dataclass of settings that is not above 0, or has another type than there."""
+def files_of(settings: Any) -> dict[str, str]:
+    """SHA-256 of the files that settings name, by setting. ValueError for a file that is not there."""
+    paths = {field.name: getattr(settings, field.name) for field in dataclasses.fields(settings)}
+    return {k: sha256(path) for k, path in paths.items() if isinstance(path, Path) and path != Path()}
+
+
+def unknown(kind: str, name: str, known: Sequence[str], whose: str = "") -> ValueError:
+    """The error for a name that does not exist, with the nearest known one."""
+    near = difflib.get_close_matches(name, known, 1)
+    hint = f"did you mean {near[0]!r}? " if near else ""
+    return ValueError(f"unknown {kind} {name!r}{whose}: {hint}known are {', '.join(known)}")
+
+
+def check_numbers(settings: Any, may_be_0: Sequence[str] = ()) -> None:
+    """Check the values of a dataclass of settings.
+
+    Raises:
+        ValueError: another type than the default's, or a number that is not finite and above 0.
+    """
     for field in dataclasses.fields(settings):
         value, default = getattr(settings, field.name), field.default
         fits = type(value) is type(default) or (isinstance(default, float) and type(value) is int)
-        if not fits or (isinstance(value, int | float) and not 0 < value < float("inf")):
-            kind = "text" if isinstance(default, str) else f"a number above 0 such as {default!r}"
+        if fits and isinstance(value, int | float) and not isinstance(value, bool):
+            fits = 0 < value < float("inf") or (value == 0 and field.name in may_be_0)
+        if not fits:
+            kinds = {str: "text", bool: "true or false", int: f"a whole number above 0 such as {default!r}"}
+            kind = kinds.get(type(default), f"a number above 0 such as {default!r}")
             raise ValueError(f"{field.name} must be {kind}, got {value!r}")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -11,7 +10,7 @@ import gymnasium as gym
 
 from agents.dqn import DQNConfig
 from agents.greedy import Greedy
-from agents.learner import RESUMED, UNINTERRUPTED, Learner, MakeEnv, Trained
+from agents.learner import Learner, MakeEnv, Trained, unknown
 from agents.models import Standardised, network_class
 from agents.plugins import load_object
 from agents.stable import DQNSettings, PPOSettings, StableBaselines3
@@ -37,23 +36,14 @@ class DoubleDQN:
         progress: Callable[[int], None] = lambda _: None,
     ) -> Trained:
         """See `Learner`."""
-        there = checkpoint is not None and checkpoint.exists()
-        agent = train(
+        return train(
             make_env(),
             settings,
             seed,
             checkpoint=checkpoint,
             checkpoint_interval=max(settings.updates // CHECKPOINTS, MIN_INTERVAL),
-            progress=lambda updates: progress(settings.warm_up + settings.steps_per_update * updates),
+            progress=progress,
         )
-        record = {
-            "steps": agent.steps,
-            "updates": agent.updates,
-            "interruption": RESUMED if there else UNINTERRUPTED,
-            "probe_q": [[look.update, look.mean, look.largest] for look in agent.probe_q],
-            "q_bound": agent.q_bound,
-        }
-        return Trained(agent.policy, agent.episodes, record)
 
     def load(self, path: Path, settings: DQNConfig, env: gym.Env[Any, Any]) -> Greedy:
         """See `Learner`."""
@@ -78,9 +68,7 @@ def learner(name: str) -> Learner:
     if name in LEARNERS:
         return LEARNERS[name]
     if ":" not in name:
-        near = difflib.get_close_matches(name, LEARNERS, 1)
-        hint = f"did you mean {near[0]!r}? " if near else ""
-        raise ValueError(f"unknown learner {name!r}: {hint}known are {', '.join(LEARNERS)}, or FILE:NAME")
+        raise unknown("learner", name, [*LEARNERS, "FILE:NAME"])
     own: Learner = load_object(name)
     for part in ("Settings", "train", "load"):
         if not hasattr(own, part):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import importlib.util
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +21,11 @@ def split(name: str) -> tuple[Path, str]:
 
 
 def sha256(path: Path) -> str:
-    """Fingerprint of a file."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+    """Fingerprint of a file. Raises ValueError when it cannot be read."""
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError:
+        raise ValueError(f"there is no file {path}") from None
 
 
 def foreign(name: str) -> tuple[str, str]:
@@ -32,10 +36,7 @@ def foreign(name: str) -> tuple[str, str]:
     Raises ValueError when there is no such file.
     """
     path, attribute = (Path(name), "") if name.endswith(".zip") else split(name)
-    try:
-        return f"{path.name}:{attribute}" if attribute else path.name, sha256(path)
-    except OSError:
-        raise ValueError(f"there is no file {name}") from None
+    return f"{path.name}:{attribute}" if attribute else path.name, sha256(path)
 
 
 def load_object(name: str) -> Any:
@@ -49,6 +50,7 @@ def load_object(name: str) -> Any:
     if description is None or description.loader is None:
         raise ValueError(f"{path} is no Python file.")
     module = importlib.util.module_from_spec(description)
+    sys.modules[label] = module  # dataclasses look their module up
     try:
         description.loader.exec_module(module)
     except Exception as error:

@@ -17,6 +17,7 @@ import numpy as np
 
 if TYPE_CHECKING:
     from agents.greedy import Greedy
+    from agents.models import Network
 
 FILE = Path(__file__).resolve().parents[1] / "results" / "agents.npz"
 CARDS = "cards"  # the entry with the cards as JSON; an agent's weights are the entries "SETTING/ARM/NAME"
@@ -43,31 +44,39 @@ def card(setting: str, arm: str, file: str | Path = FILE) -> dict[str, Any]:
     return known[wanted]
 
 
-def load(setting: str, arm: str, file: str | Path = FILE) -> Greedy:
+def load(setting: str, arm: str, file: str | Path = FILE, network: Network | None = None) -> Greedy:
     """The greedy policy of an agent, for example of the setting "u-turn-3" and the arm "mixed".
 
     Call its ``reset()`` when an episode begins: some agents observe the time, which they count themselves.
 
-    Raises ValueError when there is no such agent, FileNotFoundError or CheckpointError when the file is not in order.
+    `network`: the class of an agent whose network is not one of ours; a file alone never runs code of its author.
+
+    Raises ValueError when there is no such agent or its network is needed, FileNotFoundError or CheckpointError when
+    the file is not in order.
     """
     import gymnasium as gym
     import torch
 
     from agents.greedy import Greedy, Timed
-    from agents.models import Standardised, network_class
+    from agents.models import NETWORKS, Standardised
 
     about = card(setting, arm, file)
+    kind = network or NETWORKS.get(about["network"])
+    if kind is None:
+        raise ValueError(
+            f"{file}: the network {about['network']!r} is none of ours. Give its class: load(..., network=...)"
+        )
     space = gym.spaces.Box(-np.inf, np.inf, about["observations"], np.float32)
-    network = Standardised(network_class(about["network"])(space, about["actions"]), space)
+    inner = Standardised(kind(space, about["actions"]), space)
     prefix = f"{setting}/{arm}/"
     weights = {
         name.removeprefix(prefix): torch.from_numpy(array.astype(np.float32))
         for name, array in _arrays(Path(file)).items()
         if name.startswith(prefix)
     }
-    network.load_state_dict(weights)
+    inner.load_state_dict(weights)
     steps = about["time_observed"]
-    return Timed(network, steps) if steps else Greedy(network)
+    return Timed(inner, steps) if steps else Greedy(inner)
 
 
 def save(agents: Mapping[str, tuple[Mapping[str, Any], Greedy]], file: str | Path = FILE) -> None:

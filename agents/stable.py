@@ -8,14 +8,13 @@ from pathlib import Path
 from typing import Any, ClassVar
 
 import gymnasium as gym
-import numpy as np
 import torch
 from torch import nn
 
+from agents.episodes import Episodes
 from agents.greedy import Greedy
 from agents.learner import BEGUN_AGAIN, UNINTERRUPTED, MakeEnv, Trained, check_numbers
 
-COLUMNS = ("episode", "step", "return", "length", "crashed", "arrived", "mean_speed")
 LEARNERS_OWN = {"steps", "hidden", "layers"}  # settings that are no arguments of the algorithm
 
 
@@ -89,40 +88,12 @@ class Logits(nn.Module):
         return logits
 
 
-class Episodes(gym.Wrapper[Any, Any, Any, Any]):
-    """Writes down the training episodes. Stable-Baselines3 resets with a seed of its own, which is left out."""
-
-    def __init__(self, env: gym.Env[Any, Any], progress: Callable[[int], None]) -> None:
-        super().__init__(env)
-        self.columns: dict[str, list[Any]] = {name: [] for name in COLUMNS}
-        self._progress, self._steps = progress, 0
+class Unseeded(Episodes):
+    """Stable-Baselines3 resets with a seed of its own, which is left out: the training's next episode begins."""
 
     def reset(self, **_: Any) -> tuple[Any, dict[str, Any]]:  # gymnasium's checker looks for this name
         """Begin the training's next episode."""
-        self._rewards: list[float] = []
-        self._speeds: list[float] = []
-        return self.env.reset()
-
-    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
-        """A step; the last one of an episode completes its row."""
-        observation, reward, terminated, truncated, info = self.env.step(int(action))
-        self._steps += 1
-        self._rewards.append(float(reward))
-        self._speeds.append(float(info.get("speed", np.nan)))
-        if terminated or truncated:
-            row = (
-                len(self.columns["episode"]),
-                self._steps,
-                sum(self._rewards),
-                len(self._rewards),
-                bool(info.get("crashed", False)),
-                bool(info.get("arrived", False)),
-                float(np.mean(self._speeds)),
-            )
-            for name, value in zip(COLUMNS, row, strict=True):
-                self.columns[name].append(value)
-            self._progress(self._steps)
-        return observation, reward, terminated, truncated, info
+        return super().reset()
 
 
 class StableBaselines3:
@@ -155,7 +126,7 @@ class StableBaselines3:
         if checkpoint is not None:
             checkpoint.parent.mkdir(parents=True, exist_ok=True)
             checkpoint.touch()
-        env = Episodes(make_env(), progress)
+        env = Unseeded(make_env(), progress)
         model = self._model(env, settings, seed)
         model.learn(settings.steps)
         record = {
@@ -163,13 +134,9 @@ class StableBaselines3:
             "updates": settings.updates,
             "interruption": BEGUN_AGAIN if again else UNINTERRUPTED,
         }
-        episodes = {name: np.array(values) for name, values in env.columns.items()}
-        return Trained(self._greedy(model), episodes, record)
+        policy = Greedy(Logits(model.policy.cpu()).requires_grad_(False))
+        return Trained(policy, env.columns(), record)
 
     def load(self, path: Path, settings: Any, env: gym.Env[Any, Any]) -> Greedy:
         """See `agents.learner.Learner`."""
         return Greedy.load(path, Logits(self._model(env, settings, None).policy))
-
-    @staticmethod
-    def _greedy(model: Any) -> Greedy:
-        return Greedy(Logits(model.policy.cpu()).requires_grad_(False))

@@ -4,7 +4,7 @@ docs/img/environments/*.png   one moment of each task, as its page shows it
 docs/img/films/*.gif          up to 12 s of each task at risk 1, all of one size
 docs/img/risk.gif             one scenario at risk 0 and at risk 1
 
-``python docs/films.py town`` trains the agent of scenarios.md in Braunschweig and films it: docs/img/films/town.gif.
+``python docs/films.py town`` trains an agent of examples/arrive.py in Braunschweig: docs/img/films/town.gif
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ sys.path[0] = str(ROOT)
 
 from agents.rules import make_policy
 from experiments.support.films import Film, Pictures, save_gif, side_by_side
-from sumo_env.env import DrivingEnv, SumoDrivingEnv
+from sumo_env.env import DrivingEnv
 
 IMAGES = ROOT / "docs" / "img"
 
@@ -44,14 +44,6 @@ BESIDE: tuple[str, int, str, dict[str, Any]] = (
     "u-turn", 2, "careful",
     {"screen_width": 400, "screen_height": 240, "scaling": 2.9, "centering_position": [0.4, 0.8]},
 )  # fmt: skip
-# of Stable-Baselines3's DQN in the town
-SETTINGS: dict[str, Any] = {
-    "learning_rate": 5e-4,
-    "gamma": 0.9,
-    "learning_starts": 200,
-    "target_update_interval": 100,
-    "exploration_fraction": 0.3,
-}
 
 
 def film(task: str, seed: int, name: str, config: dict[str, Any], seconds: int = 12) -> Pictures:
@@ -91,30 +83,25 @@ def risk() -> None:
     save_gif(side_by_side(both), IMAGES / "risk.gif")
 
 
-def town(steps: int = 3_500, seed: int = 1001, seconds: int = 24) -> None:
-    """The lines of scenarios.md, with fewer steps; needs Stable-Baselines3 and eclipse-sumo."""
-    import sumo
-    from stable_baselines3 import DQN
+def town(seed: int = 10_000, seconds: int = 60) -> None:
+    """An agent of examples/arrive.py in Braunschweig, from its departure to its arrival; needs eclipse-sumo."""
+    from examples.arrive import STEPS, make, own_dqn
 
-    net = f"{sumo.SUMO_HOME}/tools/game/bs3d/bs.net.xml"
-    trips = [("33049438#0", "23204862"), ("33049407#2", "4314834#0")]
-    flows = [
-        f'<flow id="f{k}" begin="0" end="600" probability="0.2" from="{start}" to="{end}"/>'
-        for k, (start, end) in enumerate(trips)
-    ]
-    demand = Path(tempfile.mkdtemp()) / "town.rou.xml"
-    demand.write_text(f"<routes>{''.join(flows)}</routes>")
     size = {"screen_width": 420, "screen_height": 260, "scaling": 3.0}
-    config = {"risk": 0.5, "obey_traffic_lights": True, "warm_up": 20, **size}
-    env = SumoDrivingEnv(net, demand, ego_trips=trips[:1], config=config, render_mode="rgb_array")
-    model = DQN("MlpPolicy", env, seed=0, **SETTINGS).learn(steps)
-    recorded = Film(env)
-    observation, _ = env.reset(seed=seed)
-    for _ in range(seconds):
-        observation, *_ = env.step(int(model.predict(observation, deterministic=True)[0]))
-        recorded.frame()
-    env.close()
-    save_gif(recorded.pictures, IMAGES / "films" / "town.gif")
+    with tempfile.TemporaryDirectory() as folder:
+        env = make("town", folder, render_mode="rgb_array")
+        act = own_dqn(env, 0, STEPS["dqn"])
+        env.configure(size)
+        recorded = Film(env)
+        observation, _ = env.reset(seed=seed)
+        for _ in range(seconds):
+            observation, _, terminated, _, info = env.step(act(observation))
+            recorded.frame()
+            if terminated:
+                print("arrived" if info["arrived"] else info)
+                break
+        env.close()
+    save_gif(recorded.pictures[::2], IMAGES / "films" / "town.gif")  # at twice the speed
 
 
 if __name__ == "__main__":

@@ -94,7 +94,7 @@ def simulated(settings: dict[str, Parts], case: Case) -> pd.DataFrame:
             weighted = [(first - second, 1.0)] if case.by_pair else [(first, 1.0), (second, -1.0)]
             rows.append({"run": run, "task": task, **estimate.linear(weighted)._asdict()})
     frame = pd.DataFrame(rows)
-    return estimate.combine(frame, ["run"], estimate.alike(frame, ["run"]))
+    return estimate.combine(frame, ["run"], estimate.equal_task_weights(frame, ["run"]))
 
 
 def main() -> None:

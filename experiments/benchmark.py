@@ -1,4 +1,4 @@
-"""Speed side by side: the environments against highway-env and EnvPool, and the time of the learner.
+"""Speed side by side: the environments against highway-env and EnvPool.
 
     python experiments/benchmark.py --out results/benchmark            # long: two tasks took over 8 minutes
     python experiments/benchmark.py --out /tmp/benchmark --quick       # minutes, less certain
@@ -18,7 +18,6 @@ if __package__ in (None, ""):  # run as a file: import from the project, not fro
 
 import os
 import statistics
-import subprocess
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack
@@ -26,7 +25,7 @@ from dataclasses import dataclass
 from importlib.util import find_spec
 from multiprocessing import get_context
 from multiprocessing.managers import BaseManager
-from typing import Any
+from typing import Any, Literal
 
 import gymnasium as gym
 import numpy as np
@@ -36,18 +35,17 @@ import tyro
 from experiments.backends import make_env
 from experiments.study.design.grid import choose_tasks
 from experiments.study.design.sheet import GRID
-from experiments.support.errors import run_command, unknown, writing
+from experiments.support.errors import run_command, writing
 from experiments.support.files import write_json
 from experiments.support.provenance import provenance
 from sumo_env.tasks import TASKS
 
-SCHEMA = 6
+SCHEMA = 7
 # highway-env's own code alone, whose drivers see beyond the ends of their lanes; 15 Hz is its own frequency.
 REFERENCE_CONFIG = {"variant": "connected", "simulation_frequency": 15}
 BACKENDS = {"sumo": (10, 15), "replica": (15,)}  # and the frequencies that they are driven at [Hz]
 LEAST = 3  # steps in a slice
 IDLE = 1  # of the actions
-STORED = 10_000  # random transitions in the learner's replay
 SEEDS = 100  # whose first observations are compared
 BATCH = 64  # environments
 TURNS, SECONDS = 9, 1.0  # of each comparison; of a slice
@@ -153,10 +151,10 @@ class Process(BaseManager):
 Process.register("Driver", Driver)
 
 
-def beside(rates: pd.DataFrame) -> list[Record]:
+def ratios(rates: pd.DataFrame) -> list[Record]:
     """Each side (a column): the median of its rate over the turns (rows), and of its ratio to the first side's."""
-    ratios = rates.div(rates.iloc[:, 0], axis="index")
-    medians = {"steps_per_second": rates.median(), "ratio": ratios.median()}
+    relative = rates.div(rates.iloc[:, 0], axis="index")
+    medians = {"steps_per_second": rates.median(), "ratio": relative.median()}
     return pd.DataFrame(medians).rename_axis("of").reset_index().to_dict("records")
 
 
@@ -178,7 +176,7 @@ def in_turns(
             {side: driver.rate(seconds)[clock == "wall"] for side, driver in drivers.items()}
             for _ in range(turns)
         )
-        yield from zip(drivers.values(), beside(rates), strict=True)
+        yield from zip(drivers.values(), ratios(rates), strict=True)
 
 
 def has_envpool() -> bool:
@@ -200,40 +198,6 @@ def measure_env(task: str, turns: int, seconds: float) -> Iterator[Record]:
             yield {**line, "reset_ms": driver.reset_ms()}
 
 
-def measure_start(task: str, turns: int, seconds: float) -> Iterator[Record]:
-    """Wall time from the start of a fresh Python to the end of the first step."""
-    for backend in BACKENDS:
-        code = "from experiments.backends import make_env\n"
-        code += f"env = make_env({backend!r}, {task!r}); env.reset(seed=0); env.step(0)"
-        waited = []
-        for _ in range(turns):
-            start = time.perf_counter()
-            subprocess.run([sys.executable, "-c", code], cwd=Path(__file__).resolve().parents[1], check=True)
-            waited.append(time.perf_counter() - start)
-        yield {"of": f"{backend}, {task}", "first_step_seconds": statistics.median(waited)}
-
-
-def measure_learner(task: str, turns: int, seconds: float) -> Iterator[Record]:
-    """Processor time of an update by each network, on random transitions; the same for all tasks."""
-    from agents.dqn import DQN, DQNConfig
-
-    rng = np.random.default_rng(0)
-    for network in ("attention", "dueling"):
-        config = DQNConfig(network=network, replay_capacity=STORED)
-        learner = DQN(config, gym.spaces.Box(-1.0, 1.0, (5, 5)), gym.spaces.Discrete(5), 0)
-        for _ in range(STORED):
-            before, after = rng.uniform(-1.0, 1.0, (2, 5, 5)).astype(np.float32)
-            learner.replay.add(before, int(rng.integers(5)), rng.random(), after, rng.random() < 0.1)
-        learner.standardise()
-        spent, count = [], round(200 * seconds)
-        for _ in range(turns):
-            start = time.process_time()
-            for _ in range(count):
-                learner.update()
-            spent.append((time.process_time() - start) / count)
-        yield {"of": f"{network}, batch {config.batch_size}", "update_ms": 1e3 * statistics.median(spent)}
-
-
 def measure_peers(task: str, turns: int, seconds: float) -> Iterator[Record]:
     """highway-env, EnvPool's copy of it, the replica and SUMO as they come; EnvPool is left out if it is missing.
 
@@ -246,9 +210,9 @@ def measure_peers(task: str, turns: int, seconds: float) -> Iterator[Record]:
 
 
 def measure_batches(task: str, turns: int, seconds: float) -> Iterator[Record]:
-    """64 environments of the replica in one call, beside 64 of EnvPool if it is there.
+    """64 environments of the replica in one call, compared with 64 of EnvPool if it is installed.
 
-    Then, in wall time, on two threads beside one. EnvPool drives its default configuration.
+    Then, in wall time, on two threads compared with one. EnvPool drives its default configuration.
     """
     levels = TASKS[task].levels
     for name in ("default", next(iter(levels)), next(reversed(levels))):
@@ -263,8 +227,6 @@ def measure_batches(task: str, turns: int, seconds: float) -> Iterator[Record]:
 # Name of a part -> what measures it, from a task, turns and seconds of a slice.
 PARTS: dict[str, Callable[[str, int, float], Iterator[Record]]] = {
     "env": measure_env,
-    "start": measure_start,
-    "learner": measure_learner,
     "peers": measure_peers,
     "batches": measure_batches,
 }
@@ -280,8 +242,8 @@ class Options:
     """Fewer and shorter turns."""
     tasks: tuple[str, ...] = ()
     """Some of highway, two-way, roundabout, intersection, u-turn (default: all)."""
-    parts: tuple[str, ...] = tuple(PARTS)
-    """What to measure: env, start, learner, peers, batches (the last two with EnvPool where it is installed)."""
+    parts: tuple[Literal["env", "peers", "batches"], ...] = ("env", "peers", "batches")
+    """What to measure (the last two with EnvPool where it is installed)."""
 
 
 def run(options: Options) -> dict[str, Any]:
@@ -299,8 +261,7 @@ def run(options: Options) -> dict[str, Any]:
         print("EnvPool is left out: pip install envpool", file=sys.stderr)
     for part in options.parts:
         print(part, flush=True)
-        asked = tasks[:1] if part == "learner" else tasks
-        results[part] = [line for task in asked for line in PARTS[part](task, *effort)]
+        results[part] = [line for task in tasks for line in PARTS[part](task, *effort)]
         write_json(options.out / "benchmark.json", results)
         print(pd.DataFrame(results[part]).to_string(index=False, float_format="{:.3g}".format, na_rep=""))
     return results
@@ -309,9 +270,6 @@ def run(options: Options) -> dict[str, Any]:
 def main() -> int:
     """The command line."""
     options = tyro.cli(Options, description=__doc__)
-    for part in options.parts:
-        if part not in PARTS:
-            raise unknown("part", part, PARTS)
     with writing(options.out):
         run(options)
     return 0

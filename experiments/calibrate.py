@@ -4,11 +4,15 @@
     python experiments/calibrate.py --out /tmp/calibration --tasks u-turn --trials 5 --scenarios 10
 
 The same command run again goes on where it was stopped: what is driven is stored, and a search of the same scenarios
-takes the same way. There are three parts. `drivers` searches the calibrated
-settings of SUMO's drivers (`Calibration`); `risk` searches the rates of risk events (`RiskRates`) and the ranges of
-the drivers' parameters (`RiskRanges`; of a range of factors the lower end). Both write what they found beside what is
-in force, judged on the scenarios of validation. `doses` measures how often egos crash at every dose in both simulators,
-with and without events. Nothing in the package is changed: what is worth it is written into the task's file by hand.
+takes the same way. There are three parts:
+
+drivers   searches the calibrated settings of SUMO's drivers (`Calibration`)
+risk      searches the rates of risk events (`RiskRates`) and the ranges of the drivers' parameters (`RiskRanges`; of a
+          range of factors the lower end)
+doses     measures how often egos crash at every dose in both simulators, with and without events
+
+The first two write the present and the found settings, judged on the scenarios of validation. No file of the package is
+changed: settings are copied into the task's file by hand.
 Writes calibration.json and doses.csv.
 """
 
@@ -23,20 +27,19 @@ if __package__ in (None, ""):  # run as a file: import from the project, not fro
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 import optuna
 import pandas as pd
 import tyro
 from optuna.distributions import BaseDistribution, CategoricalDistribution, FloatDistribution
-from rich.console import Console
 from rich.progress import track
 
 from experiments.study.design import grid
 from experiments.study.design.fingerprint import check_dynamics
 from experiments.study.design.sheet import GRID, Between, Space, sheet
 from experiments.study.design.traffic import AT_A_DOSE
-from experiments.support.errors import run_command, unknown, writing
+from experiments.support.errors import run_command, writing
 from experiments.support.files import write_file, write_json
 from experiments.validation import episodes
 from experiments.validation.checks import MARGINS, REFERENCE, level_checks
@@ -44,7 +47,6 @@ from experiments.validation.episodes import CORE, Engine
 from sumo_env.tasks import TASKS
 from sumo_env.tasks.base import Task
 
-PARTS = ("drivers", "risk", "doses")
 FITTED = 1000  # number of the first scenario used for fitting; validation's begin at 0
 EGOS = ("careful", "idm", "idle")  # of the doses
 DOSES = tuple(AT_A_DOSE)
@@ -61,8 +63,8 @@ class Options:
 
     out: Path
     """Directory for the results."""
-    parts: tuple[str, ...] = PARTS
-    """What to do: drivers, risk, doses."""
+    parts: tuple[Literal["drivers", "risk", "doses"], ...] = ("drivers", "risk", "doses")
+    """What to do."""
     tasks: tuple[str, ...] = ()
     """Some of highway, two-way, roundabout, intersection, u-turn (default: all)."""
     trials: int = 40
@@ -212,7 +214,7 @@ def doses(options: Options, task: str) -> pd.DataFrame:
     return responses(episodes.run(work, options.out / "parts", options.workers))
 
 
-def calibrate(options: Options, console: Console) -> dict[str, Any]:
+def calibrate(options: Options) -> dict[str, Any]:
     """Do the parts for every task and write the results; returns the content of calibration.json."""
     tasks = grid.choose_tasks(options.tasks or tuple(GRID))
     check_dynamics((engine.backend, task) for engine in (SUMO, HIGHWAY_ENV) for task in tasks)
@@ -221,12 +223,12 @@ def calibrate(options: Options, console: Console) -> dict[str, Any]:
     for task in tasks:
         result[task] = {}
         for part in options.parts:
-            console.print(f"{task}: {part}")
+            print(f"{task}: {part}")
             if part == "doses":
                 tables.append(doses(options, task))
             elif found := search(options, part, task):
                 result[task][part] = found
-                console.print(found)
+                print(found)
         write_json(options.out / "calibration.json", result)
     if tables:
         table = pd.concat(tables, ignore_index=True).round(4)
@@ -237,11 +239,8 @@ def calibrate(options: Options, console: Console) -> dict[str, Any]:
 def main() -> int:
     """The command line."""
     options = tyro.cli(Options, description=__doc__)
-    for part in options.parts:
-        if part not in PARTS:
-            raise unknown("part", part, PARTS)
     with writing(options.out):
-        calibrate(options, Console())
+        calibrate(options)
     return 0
 
 

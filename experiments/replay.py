@@ -24,7 +24,7 @@ if __package__ in (None, ""):  # run as a file: import from the project, not fro
 import copy
 import math
 import re
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from contextlib import closing
 from dataclasses import dataclass
 from typing import Annotated, Any
@@ -32,16 +32,15 @@ from typing import Annotated, Any
 import gymnasium as gym
 import tyro
 
-from experiments.backends import make_env
+from experiments import backends
 from experiments.reporting.showcase import ending
 from experiments.study.compute.cell import MakeEnv
 from experiments.study.design.grid import tested_on
 from experiments.study.replaying.avoid import HORIZON, SAFE, rewound, way_out
 from experiments.study.replaying.rerun import Case, changed_versions, differences, play_again
-from experiments.study.results.store import EPISODES, Store
+from experiments.study.results.store import EPISODES, Store, find_cell
 from experiments.support.errors import UserError, disk_error, run_command, unknown
 from experiments.support.films import Film, Pictures, save_gif, side_by_side
-from sumo_env.config import did_you_mean
 
 
 @dataclass(frozen=True)
@@ -57,11 +56,14 @@ class Options:
     """Write a folder that sumo and sumo-gui open instead of a film (GIF): network, vehicles and the ego's way."""
     avoid: Annotated[bool, tyro.conf.arg(help_behavior_hint="")] = False
     """Search for actions that would have avoided the crash; writes CASE-avoided.gif."""
+    code: Annotated[str | None, tyro.conf.arg(metavar="FILE:NAME", help_behavior_hint="")] = None
+    """The cell's own policy, network or learner, for episodes that are stored without their actions; code is run only
+    where you name it."""
     horizon: int = HORIZON
     """Policy steps in which --avoid tries all sequences of actions."""
 
 
-def parse_case(text: str) -> Case:
+def parse_case(text: str, code: str | None = None) -> Case:
     """Find the cell, traffic and scenario of a case; by default the cell's first crash.
 
     Raises:
@@ -85,31 +87,17 @@ def parse_case(text: str) -> Case:
     if rows.empty:
         first, last = test["scenario"].min(), test["scenario"].max()
         raise UserError(f"{name} has the scenarios {first} to {last}: no {match['scenario']}")
-    return Case(store, name, store.record(name), dict(rows.iloc[0]))
+    return Case(store, name, store.record(name), dict(rows.iloc[0]), code)
 
 
-def find_cell(word: str, names: Sequence[str]) -> str:
-    """The cell with this name, with or without its hash, or the only one whose name begins so.
-
-    Raises:
-        UserError: none or several; the nearest one is named.
-    """
-    fitting = [name for name in names if word in (name, name.rpartition("-")[0])]
-    fitting = fitting or [name for name in names if name.startswith(word)]
-    if len(fitting) == 1:
-        return fitting[0]
-    hint = did_you_mean(word, fitting or names)
-    raise UserError(f"{len(fitting)} of {len(names)} cells begin with {word!r}, not one; {hint}")
-
-
-def replay(options: Options, make_env: MakeEnv = make_env) -> int:
+def replay(options: Options, make_env: MakeEnv = backends.make_env) -> int:
     """Do what the options ask for; returns the exit status."""
     if options.horizon < 1:
         raise UserError(f"--horizon is at least 1, not {options.horizon}")
     if options.avoid and options.sumo:
         raise UserError("--avoid writes a film of its own: leave out --sumo")
     try:
-        case = parse_case(options.case)
+        case = parse_case(options.case, options.code)
         key, act = case.record["key"], _avoid if options.avoid else _again
         with closing(make_env(*tested_on(key), "rgb_array")) as env:
             return act(options, case, env)

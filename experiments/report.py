@@ -30,7 +30,7 @@ import tyro
 
 from agents.plugins import load_object
 from experiments.analysis.analysis import analyse, as_json
-from experiments.analysis.effects import ALL_TASKS, HIDDEN
+from experiments.analysis.effects import ALL_TASKS, WORKING_COLUMNS
 from experiments.analysis.plan import OUTCOMES, Outcome
 from experiments.backends import make_env
 from experiments.reporting.page import page, render
@@ -78,7 +78,10 @@ def write_report(directory: Path, *others: Path, own: Mapping[str, Outcome] | No
         films = showcase(results, set(analysis.notes["left_out"]), make_env)
         variables = page(results, analysis, films, beside)
         write_file(directory / ANALYSIS, (json.dumps(as_json(analysis), allow_nan=False) + "\n").encode())
-        for name, table in ((SUMMARY, analysis.policies), (EFFECTS, analysis.effects.drop(columns=HIDDEN))):
+        for name, table in (
+            (SUMMARY, analysis.policies),
+            (EFFECTS, analysis.effects.drop(columns=WORKING_COLUMNS)),
+        ):
             write_file(directory / name, table.to_csv(index=False, float_format="%.10g").encode())
         for name in (TEXT, APPENDIX, REPORT):
             write_file(directory / name, render(variables, f"{name}.j2").encode())

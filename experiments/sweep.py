@@ -22,7 +22,7 @@ if __package__ in (None, ""):  # run as a file: import from the project, not fro
     sys.path[0] = str(Path(__file__).resolve().parents[1])
 
 import shlex
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from typing import Annotated
@@ -30,7 +30,7 @@ from typing import Annotated
 import pandas as pd
 import tyro
 
-from experiments.backends import make_env
+from experiments import backends
 from experiments.study.compute.cell import CellTask, MakeEnv
 from experiments.study.compute.cells import compute
 from experiments.study.compute.executors import EXECUTORS, cores
@@ -41,8 +41,8 @@ from experiments.study.design.experiment import Experiment, Flag, argument, shar
 from experiments.study.design.fingerprint import check_dynamics, known_dynamics
 from experiments.study.design.grid import Cell
 from experiments.study.design.presets import cells_of, complete
-from experiments.study.design.verdict import keep
-from experiments.study.results.store import Store
+from experiments.study.design.verdict import copy_verdict
+from experiments.study.results.store import Store, find_cell
 from experiments.study.results.working import LOG
 from experiments.support.errors import UserError, run_command, unknown, writing
 
@@ -60,7 +60,7 @@ class Options(Experiment):
     shard: Annotated[str, argument("I/N", "1/1")] = "1/1"
     """Compute only this part of the cells, for job arrays."""
     cell: Annotated[str | None, argument("NAME", "all")] = None
-    """Compute this cell alone and in this process, to see why it fails."""
+    """Compute this cell alone (the beginning of its name is enough) and in this process, to see why it fails."""
     dry_run: Flag = False
     """Print the cells and an estimate of the time, and compute nothing."""
 
@@ -72,14 +72,14 @@ class Options(Experiment):
 
 def sweep(
     options: Options,
-    make_env: MakeEnv = make_env,
     arguments: Sequence[str] = (),
-    checked: bool = False,
+    make_env: MakeEnv = backends.make_env,
+    check: Callable[[Iterable[tuple[str, str]]], None] = check_dynamics,
 ) -> int:
     """Do what the options ask for; returns the exit status.
 
-    make_env: of `backends`, or another that is importable in other processes. arguments: the command line, to say how
-    to resume. checked: whether the simulators are checked before anything is trained.
+    arguments: the command line, to say how to resume. make_env: of `backends`, or another that is importable in other
+    processes. check: of the simulators of these backends and tasks, before anything is trained.
     """
     if options.workers is not None and options.workers < 1:
         raise UserError(f"--workers must be at least 1, not {options.workers}")
@@ -91,10 +91,7 @@ def sweep(
         return 0
     cells = cells_of(options)
     mine = shard(cells, options.shard)
-    if checked:
-        check_dynamics(
-            dict.fromkeys((name, cell.task) for cell in mine for name in (cell.backend, cell.runs_on))
-        )
+    check(dict.fromkeys((name, cell.task) for cell in mine for name in (cell.backend, cell.runs_on)))
     there = set(Store(options.directory).finished())
     refuse_early([cell for cell in mine if cell.name not in there], make_env, options.executor)
     again = shlex.join(["python", "experiments/sweep.py", *arguments])
@@ -102,8 +99,7 @@ def sweep(
         if options.cell:
             return compute_one(options.cell, mine, options.directory, make_env)
         Store(options.directory).write_sweep(again, cells)
-        if checked:
-            keep(options.backend, tuple(dict.fromkeys(cell.task for cell in cells)), options.directory)
+        copy_verdict(options.backend, tuple(dict.fromkeys(cell.task for cell in cells)), options.directory)
         failures = compute(mine, options.directory, make_env, options.executor, options.workers)
         if len(failures) < len(mine):
             from experiments.report import print_report, report_placebo
@@ -127,17 +123,15 @@ def refuse_early(cells: Iterable[Cell], make_env: MakeEnv, executor: str) -> Non
             try:
                 torch.empty(0, device=device)
             except (RuntimeError, AssertionError) as error:
-                raise UserError(f"--device {device}: {str(error).splitlines()[0]}") from None
+                raise UserError(f"device {device}: {str(error).splitlines()[0]}") from None
 
 
-def compute_one(wanted: str, cells: Sequence[Cell], directory: Path, make_env: MakeEnv = make_env) -> int:
+def compute_one(wanted: str, cells: Sequence[Cell], directory: Path, make_env: MakeEnv) -> int:
     """Compute one cell in this process, to see why it fails."""
-    for cell in cells:
-        if wanted in (cell.name, cell.slug):
-            compute_here(CellTask(cell, directory, make_env))
-            print(f"finished: {Store(directory).cells / cell.name}")
-            return 0
-    raise unknown("cell", wanted, (cell.slug for cell in cells))
+    name = find_cell(wanted, [cell.name for cell in cells])
+    compute_here(CellTask(next(cell for cell in cells if cell.name == name), directory, make_env))
+    print(f"finished: {Store(directory).cells / name}")
+    return 0
 
 
 def say_failures(failures: Mapping[str, str], directory: Path, again: str) -> int:
@@ -173,7 +167,7 @@ def describe(options: Options, cells: Sequence[Cell], workers: int) -> None:
     )
 
 
-def words_of(arguments: Iterable[str]) -> list[str]:
+def split_arguments(arguments: Iterable[str]) -> list[str]:
     """`--tasks highway,u-turn` and `--policy A --policy B` as tyro takes them: with spaces, and each option once."""
     values: dict[str, list[str]] = {}
     name = ""
@@ -188,9 +182,9 @@ def words_of(arguments: Iterable[str]) -> list[str]:
 
 def main() -> int:
     """The command line."""
-    arguments = words_of(sys.argv[1:])
+    arguments = split_arguments(sys.argv[1:])
     options = tyro.cli(Options, args=arguments, description=__doc__, config=(tyro.conf.FlagCreatePairsOff,))
-    return sweep(options, arguments=sys.argv[1:], checked=True)
+    return sweep(options, sys.argv[1:])
 
 
 if __name__ == "__main__":

@@ -24,7 +24,6 @@ from typing import Annotated, Any
 
 import pandas as pd
 import tyro
-from rich.console import Console
 
 from experiments.study.design import grid
 from experiments.study.design.fingerprint import check_dynamics, dynamics
@@ -76,7 +75,7 @@ def engines(options: Options) -> list[Engine]:
     return [*judged, *variants, Engine(checks.TRUTH, "highway-env", path, one_in=options.one_in)]
 
 
-def validate(options: Options, console: Console, arguments: Sequence[str] = ()) -> dict[str, Any]:
+def validate(options: Options, arguments: Sequence[str] = ()) -> dict[str, Any]:
     """Drive, compare, write the results into `options.out`, and return the content of validation.json.
 
     Raises:
@@ -87,7 +86,7 @@ def validate(options: Options, console: Console, arguments: Sequence[str] = ()) 
     scenarios = min(options.scenarios, QUICK_SCENARIOS) if options.quick else options.scenarios
     check_dynamics((backend, task) for backend in ("sumo", "replica") for task in tasks)
     work = episodes.plan(engines(options), levels, tuple(TRAFFICS), range(scenarios))
-    table = episodes.run(work, options.out / "parts", options.workers, console)
+    table = episodes.run(work, options.out / "parts", options.workers, show=True)
     # the directory's name, not the machine's path to it
     named = [options.out.name if word == str(options.out) else word for word in arguments]
     found = checks.scorecard(table)
@@ -144,9 +143,8 @@ def main() -> int:
     options = tyro.cli(Options, description=__doc__)
     if min(options.scenarios, options.workers, options.one_in) < 1:
         raise UserError("--scenarios, --workers and --one-in must be at least 1")
-    console = Console()
     with writing(options.out):
-        record = validate(options, console, sys.argv[1:])
+        record = validate(options, sys.argv[1:])
     for title in (COUNTS, MISSED):
         print(f"{title}\n{tables(record)[title].to_string()}\n")
     print(f"every check: {options.out / 'validation.html'}")

@@ -43,6 +43,8 @@ class Options:
     """A part of the agent's name; by default the agent that was trained last."""
     scenario: int | None = None
     """Number of the test scenario; by default the first one with a crash at risk 1."""
+    code: Annotated[str | None, tyro.conf.arg(metavar="FILE:NAME")] = None
+    """The agent's network or learner, if it is one of your own; code is run only where you name it."""
     out: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None
     """File to write; by default DIR/AGENT-SCENARIO.gif."""
 
@@ -80,7 +82,7 @@ def watch(options: Options) -> int:
             film = Film(env)
             at = table[(table["traffic"] == traffic) & (table["scenario"] == scenario)]
             stored = dict(at.iloc[0]) if len(at) else {"traffic": traffic, "scenario": scenario}
-            row = play_again(Case(store, name, record, stored), env, film.frame)
+            row = play_again(Case(store, name, record, stored, options.code), env, film.frame)
         films.append((f"risk {ALL[traffic].dose:g}: {ending(row)}", film.pictures))
     file = options.out or options.directory / f"{name.rpartition('-')[0]}-{scenario}.gif"
     save_gif(side_by_side(films), file)

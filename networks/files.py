@@ -99,6 +99,26 @@ def check_route(network: Network, name: str, way: Sequence[str], vehicles: str =
             raise ValueError(f"route {name!r}: no connection leads from edge {one!r} to edge {other!r}")
 
 
+def check_trip(network: Network, start: str, end: str, vehicles: str = CAR) -> None:
+    """That vehicles of a class find a way between two edges.
+
+    Raises:
+        ValueError: the network has no such edge for them, or no way; the message names the edges.
+    """
+    for edge in (start, end):
+        check_route(network, f"{start} to {end}", (edge,), vehicles)
+    found, goal = lanes_for(network, start, vehicles), set(lanes_for(network, end, vehicles))
+    seen, leads = set(found), network.road.leads
+    while found and not goal & seen:  # on every road vehicles may change to any lane
+        roads = {
+            after[0].rpartition(":")[0] for index in found for joint in leads[index] for after in leads[joint]
+        }
+        found = [index for name in roads for index in lanes_for(network, name, vehicles) if index not in seen]
+        seen.update(found)
+    if not goal & seen:
+        raise ValueError(f"no way leads from edge {start!r} to edge {end!r}")
+
+
 @lru_cache(maxsize=4)
 def _read(path: Path, changed: int) -> Network:
     """The network of a file without routes."""

@@ -8,9 +8,16 @@ and the later versions that highway-env has, such as ``replica/u-turn-v1`` (extr
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
+
+_HERE = Path(__file__).parent
+if not (
+    _HERE / "networks"
+).is_dir():  # a clone without symbolic links: the folder networks is beside this package
+    __path__.append(str(_HERE.parent))
 
 __version__ = "0.1.0"
 

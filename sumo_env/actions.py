@@ -1,8 +1,9 @@
 """highway-env's types of action: a gymnasium space, and a function from an action to the command for a simulator.
 
 `DiscreteMetaAction` changes the ego's target speed and target lane, and the simulator decides how the ego reaches them;
-`ContinuousAction` and `DiscreteAction` are its acceleration and the angle of its front wheels. All are pure functions
-of the road and the scene (``highway_env.envs.common.action``).
+`ContinuousAction` and `DiscreteAction` are its acceleration and the angle of its front wheels or, on SUMO, which moves
+cars along lanes, the lane. All are pure functions of the road and the scene (``highway_env.envs.common.action``).
+Where the configuration says "sumo" in place of True, SUMO drives what the agent does not (`EgoCommand`).
 """
 
 from __future__ import annotations
@@ -21,13 +22,15 @@ from numpy.typing import NDArray
 
 from sumo_env.config import ConfigError
 from sumo_env.networks.roads import LaneIndex, Road
-from sumo_env.scene import Place
-from sumo_env.simulator import EgoCommand, SteeringCommand
+from sumo_env.scene import MAX_SPEED, Place
+from sumo_env.simulator import Command, EgoCommand, SteeringCommand
 from sumo_env.tasks.base import TARGET_SPEEDS, lmap, nearest_index
 from sumo_env.traffic.scenario import VehicleSpec
 
 NO_ACTION = -1  # in ``info``, at a reset
 MOST_PER_AXIS = 100  # actions; their product is a table
+BY_SUMO = "sumo"  # a value of the keys 'longitudinal' and 'lateral'
+CHANGES_LANE = 1 / 3  # the lateral number of `ContinuousAction` beyond which the ego changes lane on SUMO
 PlainAction = int | float | tuple[float, ...]
 
 
@@ -61,20 +64,13 @@ LONGITUDINAL = {0: "SLOWER", 1: "IDLE", 2: "FASTER"}
 LATERAL = {0: "LANE_LEFT", 1: "IDLE", 2: "LANE_RIGHT"}
 
 
-def action_names(action: dict[str, Any]) -> dict[int, str]:
-    """Meta-actions by index for a config's ``action`` entry (``DiscreteMetaAction``).
-
-    Raises:
-        ConfigError: the actions are neither longitudinal nor lateral.
-    """
-    longitudinal, lateral = action.get("longitudinal", True), action.get("lateral", True)
-    if longitudinal and lateral:
-        return LONGITUDINAL_AND_LATERAL
-    if longitudinal:
-        return LONGITUDINAL
-    if lateral:
-        return LATERAL
-    raise ConfigError("the action must be longitudinal, lateral or both")
+# by whether they are longitudinal, and lateral
+NAMES = {
+    (True, True): LONGITUDINAL_AND_LATERAL,
+    (True, False): LONGITUDINAL,
+    (False, True): LATERAL,
+    (False, False): {0: "IDLE"},
+}
 
 
 @dataclass(frozen=True)
@@ -84,10 +80,12 @@ class DiscreteMetaAction:
     Attributes:
         names: meta-actions by index.
         target_speeds: that the ego can be commanded, rising [m/s].
+        by_sumo: whether SUMO drives the ego's speed, and its lanes.
     """
 
     names: dict[int, str]
     target_speeds: tuple[float, ...]
+    by_sumo: tuple[bool, bool] = (False, False)
     steers = False
     no_action = NO_ACTION
 
@@ -102,11 +100,11 @@ class DiscreteMetaAction:
             name = self.names[index(action)]
         except (KeyError, TypeError):
             raise ValueError(f"action must be one of {self.names}, not {action!r}") from None
-        road, route, lane, previous, x, y, speed, place = moment
-        target_speed = self.target_speeds[target_speed_index(name, previous, speed, self.target_speeds)]
-        if place is not None:
-            return EgoCommand(target_speed, lane_beside(name, place, lane))
-        return EgoCommand(target_speed, target_lane(name, road, lane, route, x, y))
+        index_of_speed = target_speed_index(name, moment.speed_index, moment.speed, self.target_speeds)
+        return EgoCommand(
+            None if self.by_sumo[0] else self.target_speeds[index_of_speed],
+            None if self.by_sumo[1] else lane_after(name, moment),
+        )
 
     def plain(self, action: Any) -> int:
         """The index of an action."""
@@ -134,6 +132,13 @@ def target_lane(
         if road.lane(beside).is_reachable_from(x, y):
             return beside
     return lane
+
+
+def lane_after(action: str, moment: Moment) -> LaneIndex:
+    """Target lane after a meta-action, by what SUMO or else the road says may be done."""
+    if moment.place is not None:
+        return lane_beside(action, moment.place, moment.target_lane)
+    return target_lane(action, moment.road, moment.target_lane, moment.route, moment.x, moment.y)
 
 
 def lane_beside(action: str, place: Place, lane: LaneIndex) -> LaneIndex:
@@ -168,13 +173,18 @@ def ego_route(road: Road, ego: VehicleSpec) -> tuple[str, ...]:
 class ContinuousAction:
     """The ego's acceleration, the angle of its front wheels, or both in this order, each from -1 to 1.
 
+    Where it does not steer, the second number changes lanes: below -1/3 to the left, above 1/3 to the right.
+
     Attributes:
         acceleration_range: that -1 and 1 stand for [m/s2].
         steering_range: likewise [rad].
         speed_range: speeds beyond which the ego is slowed down softly [m/s]; None: highway-env's 40 m/s either way.
+            On SUMO it stops accelerating and braking there, and at 0.
         longitudinal, lateral: which of the two there are; the other one is 0.
         dynamical: whether tyres slip (``BicycleVehicle``).
         clip: whether numbers beyond -1 and 1 are clipped.
+        by_sumo: whether SUMO drives the ego's speed, and its lanes.
+        steers: whether the angle is that of the front wheels.
     """
 
     acceleration_range: tuple[float, float] = (-5.0, 5.0)
@@ -184,10 +194,11 @@ class ContinuousAction:
     lateral: bool = True
     dynamical: bool = False
     clip: bool = True
+    by_sumo: tuple[bool, bool] = (False, False)
+    steers: bool = True
     # by which highway-env pays a car that has no target speeds (``MDPVehicle.get_speed_index``)
     target_speeds = TARGET_SPEEDS
     names: ClassVar[dict[int, str]] = {}  # there are no meta-actions
-    steers = True
 
     @property
     def size(self) -> int:
@@ -204,12 +215,23 @@ class ContinuousAction:
         """Zeros."""
         return np.zeros(self.size, np.float32)
 
-    def command(self, action: Any, moment: Moment) -> SteeringCommand:
-        """The pedals and the steering wheel; ValueError if these are not the axes' numbers."""
+    def command(self, action: Any, moment: Moment) -> Command:
+        """The pedals and the steering wheel, or the lane; ValueError if these are not the axes' numbers."""
         if np.shape(action) != self.space.shape:
             raise ValueError(f"action must be one of {self.space}, not {action!r}")
-        acceleration, steering = self.controls(self.numbers(action))
-        return SteeringCommand(float(acceleration), float(steering), self.speed_range, self.dynamical)
+        acceleration, steering = map(float, self.controls(self.numbers(action)))
+        if self.steers:
+            return SteeringCommand(acceleration, steering, self.speed_range, self.dynamical)
+        low, high = self.speed_range or (0.0, MAX_SPEED)
+        speed = high if acceleration > 0.0 else max(low, 0.0) if acceleration < 0.0 else moment.speed
+        change = (
+            "LANE_LEFT" if steering < -CHANGES_LANE else "LANE_RIGHT" if steering > CHANGES_LANE else "IDLE"
+        )
+        return EgoCommand(
+            None if self.by_sumo[0] else speed,
+            None if self.by_sumo[1] else lane_after(change, moment),
+            abs(acceleration),
+        )
 
     def plain(self, action: Any) -> PlainAction:
         """A number, or a tuple of both."""
@@ -234,12 +256,11 @@ class ContinuousAction:
         """
         if self.clip:
             numbers = np.clip(numbers, -1, 1)
+        values: Any = numbers
         nothing = np.zeros(numbers.shape[:-1])
-        first: Any = numbers[..., 0]
-        last: Any = numbers[..., -1]
         return (
-            lmap(first, (-1, 1), self.acceleration_range) if self.longitudinal else nothing,
-            lmap(last, (-1, 1), self.steering_range) if self.lateral else nothing,
+            lmap(values[..., 0], (-1, 1), self.acceleration_range) if self.longitudinal else nothing,
+            lmap(values[..., -1], (-1, 1), self.steering_range) if self.lateral else nothing,
         )
 
 
@@ -283,23 +304,38 @@ class DiscreteAction(ContinuousAction):
 ActionType = DiscreteMetaAction | ContinuousAction
 
 
-def action_type(action: Mapping[str, Any], target_speeds: tuple[float, ...]) -> ActionType:
+def action_type(action: Mapping[str, Any], target_speeds: tuple[float, ...], steers: bool) -> ActionType:
     """What a config's ``action`` entry says; target_speeds [m/s]: the task's, where the entry has none.
 
+    steers: whether the simulator steers the ego's wheels; else it is SUMO.
+
     Raises:
-        ConfigError: a value that makes no sense.
+        ConfigError: a value that makes no sense, or that the simulator has no use for.
     """
-    if action["type"] == "DiscreteMetaAction":
-        return DiscreteMetaAction(action_names(dict(action)), _rising(action, target_speeds))
-    given: dict[str, Any] = {}
-    for name, value in action.items():
-        if name.endswith("_range") and value:
-            given[name] = _range(name, value)
-        elif name in ("longitudinal", "lateral", "dynamical", "clip"):
-            given[name] = bool(value)
-    if not (given.get("longitudinal", True) or given.get("lateral", True)):
+    kind, axes = action["type"], [action.get(name, True) for name in ("longitudinal", "lateral")]
+    if not any(axes):
         raise ConfigError("the action must be longitudinal, lateral or both")
-    if action["type"] == "ContinuousAction":
+    lengthwise, sideways = (axis == BY_SUMO for axis in axes)
+    if steers and (lengthwise or sideways):
+        raise ConfigError(
+            "SUMO drives nothing on the replica: 'longitudinal' and 'lateral' can be \"sumo\" on sumo/* and on "
+            "networks of your own"
+        )
+    agent = bool(axes[0]) and not lengthwise, bool(axes[1]) and not sideways
+    shared: dict[str, Any] = {"by_sumo": (lengthwise, sideways)}
+    if kind == "DiscreteMetaAction":
+        return DiscreteMetaAction(NAMES[agent], _rising(action, target_speeds), **shared)
+    given = shared | {name: bool(action[name]) for name in ("dynamical", "clip") if name in action}
+    given |= {name: _range(name, action[name]) for name in action if name.endswith("_range") and action[name]}
+    if not steers:
+        if "steering_range" in given or given.get("dynamical"):
+            raise ConfigError(
+                f"action type {kind!r} with 'steering_range' or 'dynamical': steering is the replica's (replica/*). "
+                "SUMO moves cars along lanes, where the lateral number changes lanes"
+            )
+        given["steering_range"] = -1.0, 1.0
+    given |= {"longitudinal": agent[0], "lateral": agent[1], "steers": steers}
+    if kind == "ContinuousAction" and any(agent):
         return ContinuousAction(**given)
     count = action.get("actions_per_axis", 3)
     if count != int(count) or not 1 <= count <= MOST_PER_AXIS:

@@ -66,8 +66,9 @@ OCCUPANCY_GRID: Config = {
     "as_image": False,
 }
 TIME_TO_COLLISION: Config = {"type": "TimeToCollision", "horizon": 10}
+LEADERS_FOLLOWERS: Config = {"type": "LeadersFollowers", "features": None, "normalize": True}
 TYPES: dict[str, tuple[Config, ...]] = {
-    "observation": (KINEMATICS, TIME_TO_COLLISION, OCCUPANCY_GRID),
+    "observation": (KINEMATICS, TIME_TO_COLLISION, OCCUPANCY_GRID, LEADERS_FOLLOWERS),
     "action": ({**DISCRETE_META_ACTION, "target_speeds": None}, CONTINUOUS_ACTION, DISCRETE_ACTION),
 }
 # Largest values. More vehicles, metres or seconds take all memory or all time, and SUMO's clock counts milliseconds.
@@ -84,21 +85,24 @@ LARGEST = {
     "scaling": math.inf,
     "risk": 1.0,
     "spawn_probability": 1.0,
+    "begin": math.inf,
     "warm_up": 100_000.0,
     "wait": 100_000.0,
 }
-MAY_BE_ZERO = ("risk", "spawn_probability", "warm_up", "wait")  # of those
+MAY_BE_ZERO = ("risk", "spawn_probability", "begin", "warm_up", "wait")  # of those
+# What keys are that may also be None.
+OR_NONE: Config = {"begin": 0, "initial_speed": 0, "reward_speed_range": [0.0, 1.0]}
 # Keys of highway-env and rl-agents that the tasks on SUMO do not have. A whole configuration of theirs is accepted if
 # it describes the same task and kept: these keys have no effect, and those of `FIXED` may only have one value.
 # rl-agents hands its whole JSON file to `configure`.
 WITHOUT_EFFECT = {
     *("id", "import_module", "offscreen_rendering", "real_time_rendering", "render_agent", "show_history"),
     *("show_trajectories", "neighbour_vehicles_connected_lanes"),
+    "manual_control",  # of a window (`screen`)
 }
 FIXED: dict[str, tuple[Any, str]] = {
     "traffic_model": ("sumo", "SUMO's own drivers are the only ones"),  # stored configurations have it
     "controlled_vehicles": (1, "there is one ego"),
-    "manual_control": (False, "the agent drives the ego"),
     "obey_traffic_lights": (False, "this road has no traffic lights"),
     "other_vehicles_type": (
         "highway_env.vehicle.behavior.IDMVehicle",
@@ -204,10 +208,12 @@ def _plain(value: Any) -> Any:
 
 def _check(config: Config, defaults: Config) -> None:
     for key in defaults:
-        _check_kind(f"config key {key!r}", defaults[key], config[key])
+        given, default = config[key], defaults[key]
+        if given is not None or default is not None:
+            _check_kind(f"config key {key!r}", OR_NONE.get(key) if default is None else default, given)
     for key, value in config.items():
         most = LARGEST.get(key, MOST_VEHICLES if key.endswith("_count") else None)
-        if most is None:
+        if most is None or value is None:
             continue
         if key.endswith(("_count", "_frequency")) and value != int(value):
             raise ConfigError(f"config key {key!r} must be a whole number, not {value!r}")
@@ -235,6 +241,8 @@ def _check_type(group: str, given: Config, types: Mapping[str, Config]) -> None:
     for key, value in given.items():
         if key not in defaults:
             raise ConfigError(f"unknown key {key!r} in config[{group!r}]: {_meant(str(key), defaults)}")
+        if key in ("longitudinal", "lateral") and value == "sumo":  # SUMO drives (`actions`)
+            continue
         _check_kind(f"{group} {key!r}", defaults[key], value)
 
 

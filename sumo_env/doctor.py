@@ -98,7 +98,10 @@ def examine(checks: Sequence[Check], out: TextIO) -> int:
             print(f"  ok    {name:14}{check()}", file=out, flush=True)
         except Exception as error:
             print(f"  FAIL  {name:14}{type(error).__name__}: {error}", file=out, flush=True)
-            print("install the package again; if that does not help, please report these lines", file=out)
+            print(
+                "if the line above does not help: install the package again, then report these lines",
+                file=out,
+            )
             return 1
     print("all is well", file=out)
     return 0

@@ -7,7 +7,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar
+from typing import Any, ClassVar
 
 import gymnasium as gym
 import numpy as np
@@ -17,11 +17,13 @@ from sumo_env.actions import Moment, PlainAction, ego_route
 from sumo_env.config import COMMON, Config, ConfigError, resolve
 from sumo_env.contacts.rectangles import state_of
 from sumo_env.interface import information, interface, on_its_way
+from sumo_env.neighbours import LeadersFollowers
 from sumo_env.networks.roads import LaneIndex
 from sumo_env.observation import TimeToCollision
 from sumo_env.occupancy import OccupancyGrid
 from sumo_env.own_sumo import OwnSumo
 from sumo_env.scene import Scene
+from sumo_env.screen import OnScreen
 from sumo_env.simulator import Command, EgoCommand, Simulator, Step
 from sumo_env.sumo.options import OUTPUT_DIR, REFUSED, REFUSED_FOR_FILES, check_effect, check_options
 from sumo_env.sumo.process import SumoProcess
@@ -31,16 +33,11 @@ from sumo_env.tasks.network import NetworkTask
 from sumo_env.traffic.scenario import Scenario
 from sumo_env.views import ReadAsHighwayEnv
 
-if TYPE_CHECKING:
-    from gymnasium.wrappers import RecordVideo
-
-    from sumo_env.rendering import Renderer
-
 Observation = NDArray[np.float32]
 VARIED = ("risk_rates", "risk_ranges", "calibration")  # parts of a task that `reset` may change
 
 
-class DrivingEnv(ReadAsHighwayEnv, OwnSumo):
+class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
     """One of the five driving tasks on SUMO.
 
     Observations, actions, rewards, endings and `config` keys are highway-env's; docs/environments has a page for each
@@ -53,7 +50,7 @@ class DrivingEnv(ReadAsHighwayEnv, OwnSumo):
     Args:
         task: highway, two-way, roundabout, intersection or u-turn, or a task of your own (docs/own-parts.md).
         config: configuration keys to change; the defaults are `config.COMMON` and the task's `defaults`.
-        render_mode: None or ``"rgb_array"``.
+        render_mode: None, ``"rgb_array"`` or ``"human"``, a window (docs/first-steps.md).
         simulator: the simulator that drives the traffic; None for SUMO. The environment closes it.
         sumo_options: further options of SUMO, such as ``["--tripinfo-output", "trips.xml"]`` (docs/own-parts.md).
 
@@ -62,7 +59,7 @@ class DrivingEnv(ReadAsHighwayEnv, OwnSumo):
     """
 
     steers: ClassVar[bool] = False  # whether the simulator can obey a `SteeringCommand`
-    metadata: dict[str, Any] = {"render_modes": ["rgb_array"], "render_fps": 5}  # noqa: RUF012 (gymnasium's way)
+    metadata: dict[str, Any] = {"render_modes": ["rgb_array", "human"], "render_fps": 5}  # noqa: RUF012 (gymnasium's way)
 
     def __init__(
         self,
@@ -72,23 +69,20 @@ class DrivingEnv(ReadAsHighwayEnv, OwnSumo):
         simulator: Simulator | None = None,
         sumo_options: Sequence[str] = (),
     ) -> None:
-        if render_mode not in (None, *self.metadata["render_modes"]):
-            raise ValueError(f"render_mode must be None or 'rgb_array', not {render_mode!r}")
         if simulator is not None and sumo_options:
             raise ValueError(
                 "sumo_options are for SUMO, which this environment starts itself: leave out `simulator`"
             )
         self.task: Task = get_task(task)
-        self.render_mode = render_mode
+        self._open(render_mode)
         self._given = self._simulator = simulator
         refused = REFUSED_FOR_FILES if isinstance(self.task, NetworkTask) else REFUSED
         self._options = check_options(sumo_options, refused)
         if not isinstance(self.task, NetworkTask):
             check_effect(self._options)
-        self._renderer: Renderer | None = None
-        self._video: RecordVideo[Any, Any] | None = None
         self._configured: Config | None = None
         self.scenario: Scenario | None = None
+        self._handed_over = False
         self.configure(config)
 
     # -- configuration -------------------------------------------------------------------------------------
@@ -100,8 +94,10 @@ class DrivingEnv(ReadAsHighwayEnv, OwnSumo):
     def configure(self, config: Mapping[str, Any] | None) -> None:
         """Change these keys of the configuration; they take effect at the next reset."""
         changed = resolve(self.task.name, self.default_config(), getattr(self, "config", None), config)
+        if changed.get("manual_control") and self.render_mode != "human":
+            raise ConfigError("'manual_control' needs render_mode='human': keys are pressed in its window")
         offered = interface(self.task, changed, self.steers)
-        if not offered.action_type.steers:
+        if offered.actions:
             self._refuse_backwards("'target_speeds'", offered.target_speeds[0])
         self._refuse_backwards("'initial_speed'", changed.get("initial_speed") or 0.0)
         self._action_type, self.observation_type = offered
@@ -155,8 +151,9 @@ class DrivingEnv(ReadAsHighwayEnv, OwnSumo):
             scenario = options.get("scenario") or self._draw(task)
             ego = scenario.ego
             if scenario.traffic is not None:
-                if seed is not None and "scenario" not in options:  # SUMO's numbers have 31 bits
-                    scenario = replace(scenario, traffic=replace(scenario.traffic, seed=seed % 2**31))
+                # SUMO's numbers have 31 bits; of a larger seed SUMO gets the scenario's
+                if seed is not None and seed < 2**31 and "scenario" not in options:
+                    scenario = replace(scenario, traffic=replace(scenario.traffic, seed=seed))
             else:
                 scenario.network.place(ego.lane, ego.s, ego.destination)  # there are such a network and place
         except ValueError as error:
@@ -174,10 +171,11 @@ class DrivingEnv(ReadAsHighwayEnv, OwnSumo):
             self._target_lane, speed = self.scene.place.lane, self.scene.speed.item(0)
             self._find_route()
         self._speed_index = nearest_index(speed, self.target_speeds)
-        self.steps = 0
+        self.steps, self._handed_over, self._is_closed = 0, False, False
         self._commands: list[Command] = []
         self._last = Step(self.scene, self._target_lane, None, math.inf, 0.0)
         self.ego_state = self._ego_state(None)
+        self._film((self.scene,))
         observation = self._observe()
         return observation, self._info(observation)
 
@@ -198,61 +196,47 @@ class DrivingEnv(ReadAsHighwayEnv, OwnSumo):
         """
         if self._simulator is None or self.scenario is None:
             raise gym.error.ResetNeeded("call reset() before step()")
+        action = self._chosen(action)
         here = self.scene.x.item(0), self.scene.y.item(0), self.scene.speed.item(0)
         moment = Moment(
             self._road, self._route, self._target_lane, self._speed_index, *here, self.scene.place
         )
         command = self._action_type.command(action, moment)
-        if isinstance(command, EgoCommand):
-            self._speed_index = self.target_speeds.index(command.target_speed)
+        if self._handed_over:
+            command = EgoCommand(None, None)
         self._commands.append(command)
-        film = self._video if self._video is not None and self._video.recording else None
-        self._last = step = self._simulator.step(command, trace=film is not None)
-        if film is not None:
-            for scene in step.trace[:-1]:
-                self.scene = scene
-                film._capture_frame()
+        self._last = step = self._simulator.step(command, trace=self._is_watched)
+        self._film(step.trace)
         self.scene, self._target_lane = step.scene, step.target_lane
         if self.scene.place is not None:
             self._find_route()
         self.steps += 1
+        if (
+            isinstance(command, EgoCommand)
+            and command.target_speed is not None
+            and command.acceleration is None
+        ):
+            self._speed_index = self.target_speeds.index(command.target_speed)
+        else:
+            self._speed_index = nearest_index(self.scene.speed.item(0), self.target_speeds)
         plain = self._action_type.plain(action)
         action = plain if isinstance(plain, int) else np.array(action, np.float32)
         self.ego_state = self._ego_state(plain)
         observation = self._observe()
         reward = float(self._reward(action))
-        terminated, truncated = bool(self._is_terminated()), bool(self._is_truncated())
+        terminated, truncated = bool(self._is_terminated()), bool(self._is_truncated()) or self._is_closed
         return observation, reward, terminated, truncated, self._info(observation, action)
 
-    def render(self) -> NDArray[np.uint8] | None:
-        """The scene as a picture, uint8 of shape (screen_height, screen_width, 3); None without a render mode."""
-        if self.render_mode is None:
-            gym.logger.warn('render() needs gym.make(..., render_mode="rgb_array")')
-            return None
-        if self.scenario is None:
-            raise gym.error.ResetNeeded("call reset() before render()")
-        if self._renderer is None:
-            from sumo_env.rendering import Renderer  # Pillow is imported when the first picture is drawn
+    def hand_over(self, to_sumo: bool = True) -> None:
+        """Let SUMO drive the ego from the next step on, whatever the actions are, or take it back; also in a copy.
 
-            self._renderer = Renderer()
-        return self._renderer.draw(self.scene, self.task.road(self.config), self.config)
-
-    def set_record_video_wrapper(self, wrapper: RecordVideo[Any, Any]) -> None:
-        """Make a `gymnasium.wrappers.RecordVideo` film every simulation step, in real time, as in highway-env.
-
-        >>> env = RecordVideo(gym.make("sumo/highway-v0", render_mode="rgb_array"), "videos")
-        >>> env.unwrapped.set_record_video_wrapper(env)
-
-        Without this call, a film has one frame per policy step. ``config["simulation_frequency"]`` is the frame rate.
+        `reset` takes it back. `sumo_env.hand_over.HandOver` does both by a rule.
         """
-        self._video = wrapper
-        self._set_frame_rate()
-
-    def _set_frame_rate(self) -> None:
-        if self._video is not None:
-            frequency = self.task.frequency(self.config)
-            self.metadata = {**self.metadata, "render_fps": frequency}
-            self._video.frames_per_sec = frequency
+        if self.steers:
+            raise ConfigError(
+                "SUMO drives nothing on the replica: hand_over is for sumo/* and networks of your own"
+            )
+        self._handed_over = to_sumo
 
     def imagine(self, seed: int) -> DrivingEnv:
         """A copy of this environment in which new risk events replace those that have not begun.
@@ -274,7 +258,8 @@ class DrivingEnv(ReadAsHighwayEnv, OwnSumo):
         return twin
 
     def close(self) -> None:
-        """Close the simulator; `reset` opens it again."""
+        """Close the window and the simulator; `reset` opens the simulator again."""
+        self._shut()
         if self._simulator is not None:
             self._simulator.close()
             self._simulator = self._given
@@ -288,9 +273,9 @@ class DrivingEnv(ReadAsHighwayEnv, OwnSumo):
 
     def _ego_state(self, action: PlainAction | None) -> EgoState:
         lane, s, lateral, on_road = self._ego_place()
-        scene = self.scene
-        if self._action_type.steers:
-            self._speed_index = nearest_index(scene.speed.item(0), self.target_speeds)
+        scene, frequency = self.scene, self.config["policy_frequency"]
+        last = None if action is None else self.ego_state
+        acceleration = (scene.speed.item(0) - last.speed) * frequency if last else 0.0
         return EgoState(
             lane=lane,
             s=s,
@@ -304,6 +289,9 @@ class DrivingEnv(ReadAsHighwayEnv, OwnSumo):
             crashed=scene.crashed.item(0),
             on_road=on_road,
             scene=scene,
+            acceleration=acceleration,
+            jerk=(acceleration - last.acceleration) * frequency if last else 0.0,
+            before=last.scene if last else None,
         )
 
     def _ego_place(self) -> tuple[LaneIndex, float, float, bool]:
@@ -319,6 +307,8 @@ class DrivingEnv(ReadAsHighwayEnv, OwnSumo):
         kind, seen = self.observation_type, (self.scene, self._road, self.ego_state)
         if isinstance(kind, TimeToCollision):
             return kind.observe(*seen, self.target_speeds, self._route)
+        if isinstance(kind, LeadersFollowers):
+            return kind.observe(*seen)
         if isinstance(kind, OccupancyGrid):
             return kind.observe(self.scene, self._road, self._spec_of)
         return kind.observe(*seen, self._spec_of, self.np_random)
@@ -343,8 +333,8 @@ class DrivingEnv(ReadAsHighwayEnv, OwnSumo):
 
     def _info(self, obs: Observation, action: Any = None) -> dict[str, Any]:
         """What `step` and `reset` return beside the observation."""
-        state, step = self.ego_state, self._last
-        return information(
+        state, step, place = self.ego_state, self._last, self.scene.place
+        info = information(
             self.scene,
             step.crash,
             step.min_ttc,
@@ -353,7 +343,9 @@ class DrivingEnv(ReadAsHighwayEnv, OwnSumo):
             on_road=state.on_road,
             rewards=self._rewards(action),
             action=self._action_type.no_action if action is None else action,
-        ) | (on_its_way(place) if (place := self.scene.place) is not None else {})
+        )
+        info |= {"acceleration": state.acceleration, "jerk": state.jerk}
+        return info if place is None else info | on_its_way(place)
 
 
 class SumoDrivingEnv(DrivingEnv):

@@ -13,6 +13,7 @@ from sumo_env.actions import ActionType, action_type
 from sumo_env.config import Config, ConfigError
 from sumo_env.contacts.crash import CrashRecord
 from sumo_env.contacts.measures import NEAR_MISS_TTC, density
+from sumo_env.neighbours import LeadersFollowers
 from sumo_env.observation import Kinematics, TimeToCollision
 from sumo_env.occupancy import OccupancyGrid
 from sumo_env.scene import Place, Scene
@@ -24,11 +25,14 @@ NO_CRASH: dict[str, Any] = {
 }
 
 
+ObservationType = Kinematics | TimeToCollision | OccupancyGrid | LeadersFollowers
+
+
 class Interface(NamedTuple):
     """What the spaces of a task are made of."""
 
     action_type: ActionType  # makes the commands
-    observation_type: Kinematics | TimeToCollision | OccupancyGrid  # makes the observations
+    observation_type: ObservationType  # makes the observations
 
     @property
     def actions(self) -> dict[int, str]:
@@ -46,14 +50,9 @@ def interface(task: Task, config: Config, steers: bool = False) -> Interface:
 
     Raises:
         ConfigError: the reward cannot be normalised, the entry of the action or of the observation is malformed, or the
-            action steers and the simulator does not.
+            simulator has no use for it.
     """
-    kind = action_type(config["action"], task.target_speeds)
-    if kind.steers and not steers:
-        raise ConfigError(
-            f"action type {config['action']['type']!r}: steering is the replica's (replica/{task.name}-v0, or later), "
-            "and SUMO moves cars along lanes; here the type can only be 'DiscreteMetaAction'"
-        )
+    kind = action_type(config["action"], task.target_speeds, steers)
     limits = task.reward_limits(config)
     if limits and config["normalize_reward"] and limits[0] == limits[1]:
         raise ConfigError(
@@ -61,14 +60,16 @@ def interface(task: Task, config: Config, steers: bool = False) -> Interface:
             "change 'collision_reward' or another weight, or set 'normalize_reward' to False"
         )
     road = task.road(config)
-    observation: Kinematics | TimeToCollision | OccupancyGrid
+    observation: ObservationType
     if config["observation"]["type"] == "Kinematics":
         observation = Kinematics(
             config["observation"], road.count(*task.ego_road), on_its_way=isinstance(task, NetworkTask)
         )
     elif config["observation"]["type"] == "OccupancyGrid":
         observation = OccupancyGrid(config["observation"])
-    elif kind.steers:
+    elif config["observation"]["type"] == "LeadersFollowers":
+        observation = LeadersFollowers(config["observation"], on_its_way=isinstance(task, NetworkTask))
+    elif not kind.names:
         raise ConfigError(
             f"observation type 'TimeToCollision' needs target speeds, which {config['action']['type']!r} does not have "
             "(nor in highway-env): choose 'Kinematics'"
@@ -121,4 +122,6 @@ def on_its_way(place: Place) -> dict[str, Any]:
         "removed": place.ended == "removed",
         "red_light": place.red_light,
         "vehicles_waiting": place.waiting,
+        "fuel": place.fuel,
+        "electricity": place.electricity,
     }

@@ -14,11 +14,9 @@ from numpy.typing import NDArray
 from sumo_env.config import KINEMATICS, MOST_VEHICLES, ConfigError, one_of
 from sumo_env.networks.lanes import wrap_to_pi
 from sumo_env.networks.roads import LaneIndex, Road
-from sumo_env.scene import ON_ITS_WAY, PERCEPTION_DISTANCE, VEHICLE_LENGTH, Scene
+from sumo_env.scene import MAX_SPEED, ON_ITS_WAY, PERCEPTION_DISTANCE, SECONDS_LEFT, VEHICLE_LENGTH, Scene
 from sumo_env.tasks.base import EgoState
 from sumo_env.traffic.scenario import VehicleSpec
-
-MAX_SPEED = 40.0  # [m/s] Vehicle.MAX_SPEED
 
 Array = NDArray[np.float32]
 POSE = ("presence", "x", "y", "vx", "vy", "heading", "cos_h", "sin_h")
@@ -53,7 +51,8 @@ class Kinematics:
         Args:
             config: the configuration's entry ``observation``.
             side_lanes: lanes of the ego's first road, which sets the default range of y.
-            on_its_way: whether there are the features `ON_ITS_WAY`.
+            on_its_way: whether there are the features `ON_ITS_WAY`, and the table is seen in the ego's axes: x ahead, y
+                to its right, headings from its own (unless `absolute`).
 
         Raises:
             ConfigError: unknown feature, order or malformed range.
@@ -62,7 +61,7 @@ class Kinematics:
         features = given["features"] or ("presence", "x", "y", "vx", "vy")
         if not isinstance(features, list | tuple):
             raise ConfigError(f"observation 'features' must be a list of names, not {features!r}")
-        known = (*FEATURES, *ON_ITS_WAY) if on_its_way else FEATURES
+        known = (*FEATURES, *ON_ITS_WAY, SECONDS_LEFT) if on_its_way else FEATURES
         self.features = tuple(one_of("observation feature", feature, known) for feature in features)
         rows = given["vehicles_count"]
         if not isinstance(rows, int) or not 1 <= rows <= MOST_VEHICLES:
@@ -81,6 +80,7 @@ class Kinematics:
         self.absolute, self.observe_intentions = bool(given["absolute"]), bool(given["observe_intentions"])
         columns = len(self.features)
         self.space = spaces.Box(-np.inf, np.inf, (rows, columns), np.float32)
+        self._own_axes = on_its_way and not self.absolute
         self.eyes = Eyes(
             np.array([known.index(feature) for feature in self.features]),
             np.array([feature in RELATIVE and not self.absolute for feature in self.features]),
@@ -153,6 +153,11 @@ class Kinematics:
             [values[row] for row in rows]
             for values in (scene.x.tolist(), scene.y.tolist(), scene.speed.tolist(), scene.heading.tolist())
         )
+        own = heading[0]
+        if self._own_axes:
+            places = [_rotated(a - x[0], b - y[0], -own) for a, b in zip(x, y, strict=True)]
+            x, y = [place[0] for place in places], [place[1] for place in places]
+            heading = [wrap_to_pi(angle - own) for angle in heading]
         cos, sin = [math.cos(angle) for angle in heading], [math.sin(angle) for angle in heading]
         columns: dict[str, Sequence[float]] = {
             "presence": [1.0] * len(rows),
@@ -175,12 +180,15 @@ class Kinematics:
                 ],
                 strict=True,
             )
+            if self._own_axes:
+                ends = zip(columns["cos_d"], columns["sin_d"], strict=True)
+                columns["cos_d"], columns["sin_d"] = zip(*[_rotated(*end, -own) for end in ends], strict=True)
         if any(feature in OFFSETS for feature in self.features):
             offsets = [self._offsets(scene, road, row) for row in rows]
             columns["long_off"], columns["lat_off"], columns["ang_off"] = zip(*offsets, strict=True)
-        if any(feature in ON_ITS_WAY for feature in self.features):
+        if any(feature in (*ON_ITS_WAY, SECONDS_LEFT) for feature in self.features):
             nobody = [0.0] * (len(rows) - 1)
-            columns |= {name: [value, *nobody] for name, value in _on_its_way(scene).items()}
+            columns |= {name: [value, *nobody] for name, value in on_its_way(scene).items()}
         return columns
 
     @staticmethod
@@ -191,12 +199,34 @@ class Kinematics:
         return s, lateral, wrap_to_pi(heading - lane.heading_at(s))
 
 
-def _on_its_way(scene: Scene) -> dict[str, float]:
-    """Values of the ego for `ON_ITS_WAY`."""
-    assert scene.place is not None
-    ends = (scene.place.free, scene.place.free_left, scene.place.free_right)
-    distances = [min(distance, PERCEPTION_DISTANCE) for distance in (*ends, scene.light.distance)]
-    return dict(zip(ON_ITS_WAY, (*distances[:3], float(scene.light.state), distances[3]), strict=True))
+def _rotated(x: float, y: float, angle: float) -> tuple[float, float]:
+    """A vector, turned by an angle from x towards y [rad]."""
+    cos, sin = math.cos(angle), math.sin(angle)
+    return cos * x - sin * y, sin * x + cos * y
+
+
+def on_its_way(scene: Scene) -> dict[str, float]:
+    """Values of the ego for `ON_ITS_WAY`, and `SECONDS_LEFT`.
+
+    A gap is 0 beside the ego, and to a lane to which it may not change.
+    """
+    place, light, speed = scene.place, scene.light, scene.speed.item(0)
+    assert place is not None
+    left_leader, left_follower, leader, _, right_leader, right_follower = place.neighbours
+    gaps, closing = [], []
+    for other, may, sign in (
+        (leader, True, 1.0),
+        (left_leader, place.left, 1.0),
+        (left_follower, place.left, -1.0),
+        (right_leader, place.right, 1.0),
+        (right_follower, place.right, -1.0),
+    ):
+        gaps.append(max(other.gap, 0.0) if may else 0.0)
+        closing.append(sign * (speed - other.speed) if other.id else 0.0)
+    ends = (place.free, place.free_left, place.free_right)
+    distances = [min(distance, PERCEPTION_DISTANCE) for distance in (*ends, light.distance, *gaps)]
+    values = (*distances[:3], float(light.state), *distances[3:], *closing)
+    return dict(zip(ON_ITS_WAY, values, strict=True)) | {SECONDS_LEFT: light.seconds}
 
 
 def ranges_of(given: Any) -> dict[str, tuple[float, float]]:

@@ -12,8 +12,8 @@ from numpy.typing import NDArray
 
 from sumo_env.config import OCCUPANCY_GRID, ConfigError, one_of
 from sumo_env.networks.roads import Road
-from sumo_env.observation import FEATURES, MAX_SPEED, RELATIVE, Kinematics, ranges_of
-from sumo_env.scene import Scene
+from sumo_env.observation import FEATURES, RELATIVE, Kinematics, ranges_of
+from sumo_env.scene import MAX_SPEED, Scene
 from sumo_env.traffic.scenario import VehicleSpec
 
 ON_ROAD = "on_road"

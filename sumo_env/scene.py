@@ -15,6 +15,7 @@ from sumo_env.networks.roads import LaneIndex
 VEHICLE_LENGTH = 5.0  # [m] highway_env.vehicle.kinematics.Vehicle.LENGTH
 VEHICLE_WIDTH = 2.0  # [m] Vehicle.WIDTH
 CAR_SIZE = (VEHICLE_LENGTH, VEHICLE_WIDTH)
+MAX_SPEED = 40.0  # [m/s] Vehicle.MAX_SPEED
 PERCEPTION_DISTANCE = 200.0  # [m] 5 * Vehicle.MAX_SPEED, AbstractEnv.PERCEPTION_DISTANCE
 
 Floats = NDArray[np.float64]
@@ -22,18 +23,39 @@ UNLIT, RED, YELLOW, GREEN = -1, 0, 1, 2  # states of a traffic light; UNLIT wher
 
 
 class Light(NamedTuple):
-    """The next traffic light on the ego's way: its state, and how far its stop line is from the ego's front [m]."""
+    """The next traffic light on the ego's way: its state, and how far its stop line is from the ego's front [m].
+
+    seconds: until the next phase begins, as far as the light has planned [s].
+    """
 
     state: int = UNLIT
     distance: float = inf
+    seconds: float = 0.0
 
 
 NO_LIGHT = Light()
 
+# The nearest vehicles on the ego's lane and on those beside it, with the names of their features.
+NEIGHBOURS = ("leader", "left_leader", "left_follower", "right_leader", "right_follower")
 # Features of an observation, of the ego alone, on a network of a user's own: how far its lane and the lanes beside it
-# lead along its route [m], the state of the next traffic light, and how far its stop line is [m]. Distances are
-# PERCEPTION_DISTANCE at most.
-ON_ITS_WAY = ("lane_end", "lane_end_left", "lane_end_right", "light", "light_distance")
+# lead along its route [m], the state of the next traffic light, how far its stop line is [m], and how far each
+# neighbour is [m] and at which speed the gap closes [m/s]. Distances are PERCEPTION_DISTANCE at most.
+LANE_ENDS = ("lane_end", "lane_end_left", "lane_end_right")
+GAPS = tuple(f"{name}_gap" for name in NEIGHBOURS)
+CLOSING = tuple(f"{name}_closing" for name in NEIGHBOURS)
+ON_ITS_WAY = (*LANE_ENDS, "light", "light_distance", *GAPS, *CLOSING)
+SECONDS_LEFT = "light_seconds"  # likewise, where it is asked for: until the light's next phase [s]
+
+
+class Neighbour(NamedTuple):
+    """A leader or follower in a lane: its id, the gap between the bumpers [m], its speed along the lane [m/s]."""
+
+    id: str
+    gap: float
+    speed: float
+
+
+NOBODY = Neighbour("", inf, 0.0)
 
 
 class Place(NamedTuple):
@@ -50,6 +72,8 @@ class Place(NamedTuple):
             or "removed" (by SUMO: teleported, say).
         red_light: whether it has driven over a stop line at red in this policy step.
         waiting: number of vehicles that wait until SUMO can insert them.
+        neighbours: leader and follower in the lane to the left, in the own lane and in that to the right, by SUMO.
+        fuel: burnt in this policy step [mg]; electricity: consumed [Wh].
     """
 
     lane: LaneIndex
@@ -63,6 +87,9 @@ class Place(NamedTuple):
     ended: str = ""
     red_light: bool = False
     waiting: int = 0
+    neighbours: tuple[Neighbour, ...] = (NOBODY,) * 6
+    fuel: float = 0.0
+    electricity: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,16 +23,18 @@ class SimulatorError(RuntimeError):
 class EgoCommand(NamedTuple):
     """The ego's command for one policy step, after the meta-action was applied (``MDPVehicle.act``).
 
-    Among the traffic of SUMO's own files each part may be None: SUMO drives the ego itself then.
+    SUMO as the simulator also takes None for the speed or the lane: then SUMO drives the ego as it drives others.
 
     Attributes:
-        target_speed: [m/s], which the ego approaches with highway-env's first-order lag of 0.6 s; None for SUMO's car
-            following.
+        target_speed: [m/s]; None for SUMO's car following.
         target_lane: lane to steer for; None for SUMO's lane changes.
+        acceleration: at which the ego approaches the target speed [m/s2], from above or from below; None for
+            highway-env's first-order lag of 0.6 s.
     """
 
     target_speed: float | None
     target_lane: LaneIndex | None
+    acceleration: float | None = None
 
 
 class SteeringCommand(NamedTuple):

@@ -89,10 +89,14 @@ class SumoVectorEnv(SyncVectorEnv):
             ValueError: not one action of the action space for each environment.
         """
         actions = np.asarray(actions)
-        if not np.issubdtype(actions.dtype, np.integer) or not self.action_space.contains(actions):
+        if isinstance(self.single_action_space, gym.spaces.Box):  # each environment checks its own numbers
+            known = actions.shape == self.action_space.shape
+        else:
+            known = np.issubdtype(actions.dtype, np.integer) and self.action_space.contains(actions)
+        if not known:
             raise ValueError(f"actions must be {self.num_envs} of {self.single_action_space}, not {actions}")
         resets = self.autoreset_mode is AutoresetMode.NEXT_STEP
-        for env, action, over in zip(self._ahead, actions.tolist(), self._autoreset_envs, strict=True):
+        for env, action, over in zip(self._ahead, list(actions), self._autoreset_envs, strict=True):
             if over and resets:
                 env.begin("reset", seed=None, options=None)
             else:

@@ -189,7 +189,7 @@ class ReadAsHighwayEnv(gym.Env[NDArray[np.float32], Any]):
                 "target_speed": self.target_speeds[self._speed_index],
                 "target_speeds": np.array(self.target_speeds),
             }
-            self._view = road_view(self.scene, self._road, **({} if self._action_type.steers else targets))
+            self._view = road_view(self.scene, self._road, **(targets if self.actions else {}))
         return self._view
 
     @property
@@ -200,7 +200,7 @@ class ReadAsHighwayEnv(gym.Env[NDArray[np.float32], Any]):
     @property
     def action_type(self) -> Any:
         """The meta-actions: actions, actions_indexes, target_speeds, get_available_actions(); or `ContinuousAction`."""
-        if self._action_type.steers:
+        if not self.actions:
             return self._action_type
         indexes = {name: index for index, name in self.actions.items()}
         return ActionType(self.actions, indexes, np.array(self.target_speeds), self.get_available_actions)

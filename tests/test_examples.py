@@ -16,6 +16,10 @@ SCRIPTS = {
         ["--steps", "128", "--envs", "8", "--rollout", "16", "--scenarios", "2"],
         "of 2 scenarios",
     ),
+    "arrive.py": (
+        ["--only", "ramp/sb3-dqn/0", "--steps", "1010", "--episodes", "1"],
+        "ramp/sb3-dqn/0 {'training CPU s'",
+    ),
     "ppo.py": (["--steps", "96", "--envs", "2", "--rollout", "24"], "96 steps, return of the last"),
     "rl_agents_config.py": (["--steps", "30"], "observation (15, 7)"),
     "torchrl_rollout.py": (["--steps", "12"], "torch.Size([12, 5, 5])"),

@@ -69,7 +69,7 @@ def test_imports_point_one_way() -> None:
 FLOORS = {
     "sumo_env": """
         networks < scene streams config < contacts < traffic < tasks simulator < actions
-        < observation rendering views export < occupancy < interface < sumo < own_sumo < env
+        < observation rendering views export window < occupancy neighbours < interface < sumo < own_sumo screen < env
     """,
     "experiments": """
         support < backends < study < analysis < reporting < validation

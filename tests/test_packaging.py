@@ -9,6 +9,7 @@ import sys
 import sysconfig
 import tarfile
 import venv
+import zipfile
 from functools import partial
 from pathlib import Path
 
@@ -88,17 +89,28 @@ def test_hostile_files_beside_the_script_change_nothing(python: Path, tmp_path: 
     assert Path(done.stdout.strip()).is_relative_to(site_packages(python))
 
 
-def test_a_copy_without_symbolic_links_is_not_built(tmp_path: Path) -> None:
-    """Git makes such copies on Windows; their wheel would lack the roads."""
-    for name in ("setup.py", "pyproject.toml", "README.md", "LICENSE"):
-        shutil.copy(ROOT / name, tmp_path)
-    (tmp_path / "sumo_env").mkdir()
-    (tmp_path / "sumo_env" / "networks").write_text("../networks")
-    done = subprocess.run(
-        [sys.executable, "-c", "from setuptools import build_meta; build_meta.build_wheel('.')"],
-        cwd=tmp_path, capture_output=True, text=True, check=False,
-    )  # fmt: skip
-    assert done.returncode != 0 and "core.symlinks" in done.stderr
+def test_a_clone_without_symbolic_links_is_whole(python: Path, source: Path, tmp_path: Path) -> None:
+    """Git makes such clones on Windows: a file is in the place of the link."""
+    link = source / "sumo_env" / "networks"
+    link.unlink()
+    try:
+        link.write_text("../networks")
+        script = tmp_path / "script.py"
+        script.write_text(SCRIPT)
+        environment = {**clean_environment(), "PYTHONPATH": str(source)}
+        run = partial(subprocess.run, cwd=tmp_path, capture_output=True, text=True, check=True)
+        assert Path(run([sys.executable, script], env=environment).stdout.strip()).is_relative_to(source)
+        build = f"from setuptools import build_meta; print(build_meta.build_wheel({str(tmp_path)!r}))"
+        run([sys.executable, "-c", build], cwd=source)
+    finally:
+        link.unlink()
+        link.symlink_to("../networks")
+    with_link, without = (
+        {name for name in zipfile.ZipFile(wheel).namelist() if name.startswith("sumo_env/")}
+        for folder in (source.parent, tmp_path)
+        for wheel in folder.glob("*.whl")
+    )
+    assert sorted(without ^ with_link) == [] and "sumo_env/networks/u_turn/u_turn.net.xml" in without
 
 
 def test_the_source_distribution_holds_documentation_and_tests(source: Path, tmp_path: Path) -> None:
@@ -112,7 +124,7 @@ def test_the_source_distribution_holds_documentation_and_tests(source: Path, tmp
         "docs/own-parts.md", "docs/environments/highway.md", "docs/img/films/highway.gif", "examples/tour.ipynb",
         "tests/test_packaging.py", "tests/sumo_env/test_env.py", "agents/dqn.py", "experiments/sweep.py",
         "experiments/templates/report.html.j2", "networks/build.py", "sumo_env/env.py",
-        "sumo_env/networks/u_turn/u_turn.net.xml",
+        "networks/u_turn/u_turn.net.xml",
     }  # fmt: skip
     assert wanted - files == set()
     assert not any("__pycache__" in name for name in files)

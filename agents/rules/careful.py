@@ -39,7 +39,7 @@ BRAKING = 2.0  # [s] vehicles that brake go on braking for so long
 # nearer to its own lane than they are.
 TURN_AHEAD, TURN_SHIFT = 25.0, 2.0  # [m] ahead, [m] to the right
 GAP = 6.0  # [m] between centres along a curve: a vehicle length and a little
-RUNGS = {"SLOWER": -1, "FASTER": 1}
+SPEED_CHANGES = {"SLOWER": -1, "FASTER": 1}
 
 FUTURE = np.arange(1, round(HORIZON / STEP) + 1) * STEP  # [s] times at which the plans are judged
 SPAN = 1.0  # [s] the ego is followed so much before and beyond, to compare it with others at other times
@@ -58,7 +58,7 @@ class Careful:
         self._caution = caution
         source: Any = env.unwrapped
         self._numbers = {name: number for number, name in source.actions.items()}
-        self._ladder = np.array(source.target_speeds, dtype=float)
+        self._target_speeds = np.array(source.target_speeds, dtype=float)
         self._perception = Perception(env)
         known = [
             name for name in ("IDLE", "SLOWER", "FASTER", "LANE_LEFT", "LANE_RIGHT") if name in self._numbers
@@ -66,12 +66,12 @@ class Careful:
         plans: list[tuple[str, list[int]]] = []  # of equal plans the first one is taken
         for first in known:
             for later in product((0, -1, 1), repeat=PLANNED - 1):
-                rungs = [RUNGS.get(first, 0), *later]
-                if not {-1, 1} <= set(rungs):  # speeding up in order to brake is creeping into a crossing
-                    plans.append((first, rungs))
+                changes = [SPEED_CHANGES.get(first, 0), *later]
+                if not {-1, 1} <= set(changes):  # speeding up in order to brake is creeping into a crossing
+                    plans.append((first, changes))
         self._first = np.array([first for first, _ in plans])
         self._sides = np.array([SIDES.get(first, 0) for first, _ in plans])
-        self._rungs = np.array([rungs for _, rungs in plans])
+        self._changes = np.array([changes for _, changes in plans])
         self.reset()
 
     def reset(self, seed: int | None = None) -> None:
@@ -97,17 +97,17 @@ class Careful:
 
     def _way(self, speed: float) -> np.ndarray:
         """Way of each plan [m] at each of TIMES, (plans, times), with a first-order speed control."""
-        rung = np.full(len(self._rungs), np.abs(self._ladder - speed).argmin())
+        index = np.full(len(self._changes), np.abs(self._target_speeds - speed).argmin())
         decay = np.exp(-STEP / SPEED_LAG)
-        v = np.full(len(rung), speed)
-        ways = [speed * np.minimum(time, 0.0) * np.ones(len(rung)) for time in TIMES[TIMES <= 0]]
+        v = np.full(len(index), speed)
+        ways = [speed * np.minimum(time, 0.0) * np.ones(len(index)) for time in TIMES[TIMES <= 0]]
         for number in range(len(TIMES) - len(ways)):
             second, part = divmod(number * STEP, 1.0)
             if part == 0 and second < PLANNED:
-                rung = np.clip(rung + self._rungs[:, int(second)], 0, len(self._ladder) - 1)
-            excess = v - self._ladder[rung]
-            ways.append(ways[-1] + self._ladder[rung] * STEP + excess * SPEED_LAG * (1 - decay))
-            v = self._ladder[rung] + excess * decay
+                index = np.clip(index + self._changes[:, int(second)], 0, len(self._target_speeds) - 1)
+            excess = v - self._target_speeds[index]
+            ways.append(ways[-1] + self._target_speeds[index] * STEP + excess * SPEED_LAG * (1 - decay))
+            v = self._target_speeds[index] + excess * decay
         return np.stack(ways, axis=1)
 
     def _price(self, view: View, way: np.ndarray) -> np.ndarray:

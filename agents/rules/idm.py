@@ -21,7 +21,7 @@ DISTANCE = 10.0  # [m] between centres in a jam
 EXPONENT = 4.0
 GAIN = 0.2  # [m/s2] that a lane change has to bring
 SAFE_BRAKING = 2.0  # [m/s2] that a new follower may be asked for
-HOLD = 1.0  # [m/s2] a rung of the ladder is worth no smaller acceleration
+HOLD = 1.0  # [m/s2] the target speed is kept for smaller accelerations
 CORRIDOR = LANE_WIDTH / 2  # [m] to either side
 
 
@@ -34,7 +34,7 @@ class IDM:
     def __init__(self, env: gym.Env[Any, Any]) -> None:
         source: Any = env.unwrapped
         self._numbers = {name: number for number, name in source.actions.items()}
-        self._ladder = np.array(source.target_speeds, dtype=float)
+        self._target_speeds = np.array(source.target_speeds, dtype=float)
         self._perception = Perception(env)
         self.reset()
 
@@ -45,7 +45,7 @@ class IDM:
         self._action: str | None = None
 
     def act(self, observation: np.ndarray) -> int:
-        """The lane change that MOBIL wants, else a rung up or down as IDM accelerates or brakes."""
+        """The lane change that MOBIL wants, else the next higher or lower target speed as IDM accelerates or brakes."""
         view = self._perception.look(observation, self._action in SIDES)
         self._memory.learn(view, self._action)
         along, across = _along(view)
@@ -65,7 +65,7 @@ class IDM:
     def _behind(self, view: View, along: np.ndarray, across: np.ndarray, side: int) -> float:
         """IDM's acceleration [m/s2] behind the leader on this lane."""
         ahead = (np.abs(across - side * LANE_WIDTH) < CORRIDOR) & (along > 0)
-        top = float(self._ladder[-1])
+        top = float(self._target_speeds[-1])
         if not ahead.any():
             return acceleration(view.speed, top, math.inf, 0.0)
         leader = np.flatnonzero(ahead)[along[ahead].argmin()]

@@ -14,14 +14,14 @@ import pandas as pd
 from scipy.stats import binom
 
 from experiments.analysis import plan as plans
-from experiments.analysis.cells import comparable, is_main, unfinished, without
+from experiments.analysis.cells import comparable, is_main, leave_out, unfinished
 from experiments.analysis.claims import claims, price
-from experiments.analysis.effects import HIDDEN, KEY, adjusted, contrasts, decided, means, slopes
-from experiments.analysis.estimate import OK, alike, combine
+from experiments.analysis.effects import KEY, WORKING_COLUMNS, adjusted, contrasts, decided, means, slopes
+from experiments.analysis.estimate import OK, combine, equal_task_weights
 from experiments.analysis.frontier import to_frontier
 from experiments.analysis.gates import THRESHOLDS, gates, learner_checks
 from experiments.analysis.plan import ALPHA, DEFAULT, OUTCOMES, TERMS, Outcome, Plan
-from experiments.analysis.scores import PLACE, arms_of, in_order, with_outcomes
+from experiments.analysis.scores import SETTING, arms_of, in_order, with_outcomes
 from experiments.study.design.arms import ARMS, EXTRA_ARMS
 from experiments.study.design.grid import BASELINES, LEARNER
 from experiments.study.results.store import Results
@@ -32,12 +32,12 @@ SCHEMA = 3
 BOTH = ("treatment", "control")
 ONE_TRAFFIC = ("risky", "regular")
 CRASHES = [("crashed", term) for term in ONE_TRAFFIC]
-# Comparisons beside the plan's: further arms, and the rule driver that is the mark to beat, as (arm, against).
+# Comparisons in addition to the plan's: further arms, and the rule driver that is the mark to beat, as (arm, against).
 FURTHER = [(arm, against) for arm in EXTRA_ARMS for against in ("control", "treatment")]
-BESIDE = [*FURTHER, *((arm, "careful") for arm in ARMS)]
+FURTHER_COMPARISONS = [*FURTHER, *((arm, "careful") for arm in ARMS)]
 SHOWN = [(outcome, term) for outcome in ("crashed", "return", "mean_speed") for term in ONE_TRAFFIC]
 DESCRIPTIVE = ("length", "distance", "arrived", "density", "stopped", "progress", "crash_closing_speed")
-AGENT = [*PLACE, "arm", "seed"]
+AGENT = [*SETTING, "arm", "seed"]
 LEAST = 4  # control agents of a setting that can be dealt into two arms
 
 
@@ -80,7 +80,7 @@ def analyse(results: Results, own: Mapping[str, Outcome] | None = None) -> Analy
     main = [cell["key"] for cell in chosen.cells.values() if is_main(cell)]
     plan = plans.plan_of(str(key["profile"].get("preset")) for key in main)
     early = unfinished(results, chosen, plan.arms) if plan.version > 2 else {}
-    known = without(chosen, settings=early)
+    known = leave_out(chosen, settings=early)
     if early and not known.cells:
         lacking = "; ".join(f"{setting}: {reason}" for setting, reason in early.items())
         raise UserError(f"no setting is complete yet ({lacking}): run the sweep again to go on")
@@ -98,11 +98,11 @@ def analyse(results: Results, own: Mapping[str, Outcome] | None = None) -> Analy
     both = effects[effects["arm"] == "treatment"]
     trends = slopes(looks, plan)
     everybody = arms_of(pd.concat([agents, careful_as(["careful"], episodes)]))
-    beside = [contrasts(everybody, dict.fromkeys(BESIDE, SHOWN)), *transfers(episodes)]
+    beside = [contrasts(everybody, dict.fromkeys(FURTHER_COMPARISONS, SHOWN)), *transfers(episodes)]
     crashes = both[(both["outcome"] == "crashed") & both["term"].isin(ONE_TRAFFIC)]
     mean = [
         means(at_looks[at_looks["arm"] == "treatment"], plan, outcomes=outcomes),
-        means(crashes.assign(look=0), without=True),
+        means(crashes.assign(look=0), leave_one_out=True),
         *map(means, beside),
     ]
     effects = pd.concat([effects, *beside], ignore_index=True)
@@ -168,9 +168,9 @@ def placebo(episodes: pd.DataFrame, plan: Plan = DEFAULT) -> pd.DataFrame:
         are expected) and the mean over settings of the plan's primary term: estimate, low, high.
     """
     control = episodes[episodes["arm"] == "control"]
-    number = control.groupby(PLACE)["seed"].transform(lambda seeds: seeds.rank(method="dense") - 1)
+    number = control.groupby(SETTING)["seed"].transform(lambda seeds: seeds.rank(method="dense") - 1)
     halves = control.assign(arm=(number % 2).map({0.0: "control", 1.0: "treatment"}))
-    enough = number.groupby([control[column] for column in PLACE]).transform("max") >= LEAST - 1
+    enough = number.groupby([control[column] for column in SETTING]).transform("max") >= LEAST - 1
     asked = [(outcome, term) for outcome in ("return", "crashed") for term in ("sum", plan.primary_term)]
     effects = contrasts(arms_of(halves[enough]), {BOTH: asked})
     by = ["backend", "outcome"]
@@ -180,7 +180,7 @@ def placebo(episodes: pd.DataFrame, plan: Plan = DEFAULT) -> pd.DataFrame:
     )
     found["p"] = binom.sf(found["rejected"] - 1, found["comparisons"], ALPHA)
     primary = effects[effects["term"] == plan.primary_term]
-    mean = combine(primary, by, alike(primary, by))
+    mean = combine(primary, by, equal_task_weights(primary, by))
     return found.reset_index().merge(mean[[*by, "estimate", "low", "high"]])
 
 
@@ -194,7 +194,7 @@ def policies(episodes: pd.DataFrame, outcomes: Iterable[str] = OUTCOMES) -> pd.D
     """How every policy does, in every setting and traffic: trained agents by arm, and the others.
 
     Returns:
-        A row a PLACE, policy, arm (empty for policies that are not trained) and traffic, in the grid's order: n and
+        A row a SETTING, policy, arm (empty for policies that are not trained) and traffic, in the grid's order: n and
         unit ("training seed" or "test episode"), the mean of every outcome and of length [steps], distance [m], arrived
         (share), density (other vehicles within 200 m), stopped (share of the steps) and progress (m per second that the
         episode was to last); "<outcome> se" over those units, NaN with one of them.
@@ -203,7 +203,7 @@ def policies(episodes: pd.DataFrame, outcomes: Iterable[str] = OUTCOMES) -> pd.D
     arms = rows["arm"].where(rows["kind"] != "baseline", "").fillna("").astype(str)
     rows = rows.assign(arm=arms, unit=rows["seed"].where(arms != "", rows["scenario"]))
     columns = [*outcomes, *DESCRIPTIVE]
-    group = [*PLACE, "policy", "arm", "traffic"]
+    group = [*SETTING, "policy", "arm", "traffic"]
     rows = rows.astype(dict.fromkeys(columns, float))
     grouped = rows.groupby([*group, "unit"], sort=False)[columns].mean().groupby(group, sort=False)
     errors = grouped[list(outcomes)].sem().add_suffix(" se")
@@ -253,7 +253,7 @@ def as_json(analysis: Analysis) -> dict[str, Any]:
     for part in fields(analysis):
         content = getattr(analysis, part.name)
         if isinstance(content, pd.DataFrame):
-            table = content.drop(columns=HIDDEN, errors="ignore")
+            table = content.drop(columns=WORKING_COLUMNS, errors="ignore")
             content = {"columns": list(table.columns), "rows": table.to_numpy(dtype=object).tolist()}
         value[part.name] = _strict(content)
     return value

@@ -11,7 +11,7 @@ from collections.abc import Container, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
-from experiments.analysis.scores import PLACE
+from experiments.analysis.scores import SETTING
 from experiments.study.design.arms import ARMS
 from experiments.study.design.grid import setting
 from experiments.study.results.store import Results
@@ -33,10 +33,10 @@ def comparable(results: Results) -> tuple[Results, dict[str, str]]:
     left_out: dict[str, str] = {}
     places: dict[tuple[Any, ...], dict[str, Cell]] = {}
     for name, cell in results.cells.items():
-        places.setdefault(tuple(cell["key"][column] for column in PLACE), {})[name] = cell
+        places.setdefault(tuple(cell["key"][column] for column in SETTING), {})[name] = cell
     for cells in places.values():
-        left_out |= _strangers(cells, results.expected)
-    return without(results, left_out), left_out
+        left_out |= _of_other_settings(cells, results.expected)
+    return leave_out(results, left_out), left_out
 
 
 def is_main(cell: Cell) -> bool:
@@ -45,8 +45,8 @@ def is_main(cell: Cell) -> bool:
     return kind == "baseline" or (kind == "agent" and cell["key"]["arm"] in ARMS)
 
 
-def _strangers(cells: Mapping[str, Cell], expected: Sequence[str]) -> dict[str, str]:
-    """The cells of a place that do not belong to its setting, with the reason."""
+def _of_other_settings(cells: Mapping[str, Cell], expected: Sequence[str]) -> dict[str, str]:
+    """The cells of a task and level that were computed with other settings, with the reason."""
     settings = {name: _settings(cell) for name, cell in cells.items()}
     main = [name for name, cell in cells.items() if is_main(cell)]
     agents = [name for name in main if cells[name]["key"]["kind"] == "agent"]
@@ -93,11 +93,11 @@ def unfinished(results: Results, chosen: Results, arms: Sequence[str]) -> dict[s
         found = re.fullmatch(rf"(.+)-({'|'.join(arms)})-s\d+(-.+)?-[0-9a-f]+", name)
         if found and not FURTHER.search(found[3] or ""):
             asked.setdefault(found[1], []).append(name)
-    lacking = {place: sum(name not in chosen.cells for name in names) for place, names in asked.items()}
+    lacking = {part: sum(name not in chosen.cells for name in names) for part, names in asked.items()}
     return {p: f"{n} of {len(asked[p])} agents are missing" for p, n in lacking.items() if n}
 
 
-def without(results: Results, gone: Container[str] = (), settings: Container[str] = ()) -> Results:
+def leave_out(results: Results, gone: Container[str] = (), settings: Container[str] = ()) -> Results:
     """The results without some cells, and without the agents of some settings, named as in `grid.setting`."""
     stay = {
         name: cell

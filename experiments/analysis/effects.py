@@ -7,7 +7,7 @@ fail a gate count as the others do: an agent that did not learn is an outcome of
 Frames: `contrasts` has a row an effect, `means` a row a mean over settings, `slopes` a row a task; where the plan has
 looks, at each of them, of which `decided` leaves one. All share the columns of an estimate: estimate, se, df, low, high
 (95 % interval, in the unit of the outcome), p (two-sided) and status ("ok", or why there is no interval, see
-`estimate`). The columns of HIDDEN are what further means are made of.
+`estimate`). The columns of WORKING_COLUMNS are what further means are made of.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ import pandas as pd
 from experiments.analysis import estimate
 from experiments.analysis.estimate import OK, SATURATED, Estimate
 from experiments.analysis.plan import ALPHA, DEFAULT, OUTCOMES, TERMS, Outcome, Plan
-from experiments.analysis.scores import PLACE, Arm, Arms, Place
+from experiments.analysis.scores import SETTING, Arm, Arms, Setting
 from experiments.study.design.arms import EVERY_ARM
 from experiments.study.design.traffic import TRAFFICS
 
@@ -34,11 +34,11 @@ COMPARISON = ["backend", "tested_on", "scenarios", "arm", "against"]
 QUESTION = ["outcome", "term"]
 KEY = [*COMPARISON, "task", "level", "level_name", *QUESTION]
 MEANS = ["mean_arm", "mean_against", "seeds_arm", "seeds_against"]
-HIDDEN = ["variance", "dof", "smallest", "look"]
+WORKING_COLUMNS = ["variance", "dof", "smallest", "look"]
 
 
 def contrasts(
-    arms: Mapping[Place, Arms],
+    arms: Mapping[Setting, Arms],
     asked: Mapping[tuple[str, str], Iterable[tuple[str, str]]],
     signs: tuple[float, float] = (1.0, -1.0),
     look: int = 0,
@@ -52,21 +52,21 @@ def contrasts(
         labels: tested_on and scenarios, where they are not those of the training.
 
     Returns:
-        A row an effect: KEY, ESTIMATE, mean_arm and mean_against, seeds_arm and seeds_against, and HIDDEN.
+        A row an effect: KEY, ESTIMATE, mean_arm and mean_against, seeds_arm and seeds_against, and WORKING_COLUMNS.
     """
     rows = [
-        {**dict(zip(PLACE, place, strict=True)), "tested_on": place[0], "scenarios": "own", **labels}
+        {**dict(zip(SETTING, setting, strict=True)), "tested_on": setting[0], "scenarios": "own", **labels}
         | {"arm": arm, "against": against, "outcome": outcome, "term": term, "look": look}
         | _contrast(by_name[arm], by_name[against], against in EVERY_ARM, outcome, term, signs)
-        for place, by_name in arms.items()
+        for setting, by_name in arms.items()
         for (arm, against), questions in asked.items()
         if {arm, against} <= by_name.keys()
         for outcome, term in questions
     ]
-    columns = [*KEY, "estimate", *MEANS, *HIDDEN, "saturated"]
+    columns = [*KEY, "estimate", *MEANS, *WORKING_COLUMNS, "saturated"]
     frame = estimate.with_intervals(pd.DataFrame(rows, columns=columns))
     frame.loc[frame["saturated"].astype(bool), ESTIMATE[1:]] = [*[np.nan] * 5, SATURATED]
-    return frame[[*KEY, *ESTIMATE, *MEANS, *HIDDEN]]
+    return frame[[*KEY, *ESTIMATE, *MEANS, *WORKING_COLUMNS]]
 
 
 def _contrast(
@@ -89,8 +89,8 @@ def _contrast(
 def decided(frame: pd.DataFrame, plan: Plan) -> pd.DataFrame:
     """Of each effect, mean or slope at all planned looks the last that was held, with a p-value right for all of them.
 
-    The looks share the error rate (Bonferroni), so that it is kept whatever the first look makes one do. A look is held
-    once `smallest` agents have its number.
+    The looks share the error rate (Bonferroni), so the error rate holds whether or not the study continues after the
+    first look. A look counts once every arm has its number of seeds.
     """
     if not plan.looks:
         return frame
@@ -131,13 +131,13 @@ def adjusted(effects: pd.DataFrame, plan: Plan = DEFAULT) -> pd.DataFrame:
 def means(
     effects: pd.DataFrame,
     plan: Plan = DEFAULT,
-    without: bool = False,
+    leave_one_out: bool = False,
     outcomes: Mapping[str, Outcome] = OUTCOMES,
 ) -> pd.DataFrame:
     """Means of effects over settings: every task counts alike, and in a task every level.
 
     They are over the levels of each task, and over all tasks if the outcome means the same on every task; or over all
-    tasks `without` each of several.
+    tasks but one (`leave_one_out`), in turn.
 
     Args:
         effects: at all looks of the plan.
@@ -148,7 +148,7 @@ def means(
         "open" if not; empty for outcomes of which neither more nor less is better.
     """
     tasks = effects["task"].unique()
-    if without:
+    if leave_one_out:
         scopes = {f"without {task}": effects["task"] != task for task in tasks if len(tasks) > 1}
     else:
         poolable = effects["outcome"].isin([name for name, one in outcomes.items() if one.poolable])
@@ -157,7 +157,7 @@ def means(
     scoped = [nothing, *(effects[chosen].assign(scope=scope) for scope, chosen in scopes.items())]
     rows = pd.concat(scoped, ignore_index=True)
     by = [*COMPARISON, "scope", *QUESTION, "look"]
-    frame = estimate.combine(rows, by, estimate.alike(rows, by))
+    frame = estimate.combine(rows, by, estimate.equal_task_weights(rows, by))
     # A mean has held a look if one of its settings has, and all have held the first.
     most = rows.groupby(by, sort=False)["smallest"].max().to_numpy()
     frame["smallest"] = frame["smallest"].where(frame["smallest"] < plan.schedule[0].seeds, most)
@@ -167,7 +167,7 @@ def means(
     return frame.assign(side=np.select([better == 0, is_open, good], ["", "open", "better"], "worse"))
 
 
-def slopes(looks: Sequence[Mapping[Place, Arms]], plan: Plan = DEFAULT) -> pd.DataFrame:
+def slopes(looks: Sequence[Mapping[Setting, Arms]], plan: Plan = DEFAULT) -> pd.DataFrame:
     """Change per traffic level within each task, of the effect ("effect", the sum) and of the outcome ("mean").
 
     "mean" averages over the two test traffics and the two arms. Each level has test scenarios of its own, and their

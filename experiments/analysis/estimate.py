@@ -101,7 +101,7 @@ def linear(arms: Sequence[tuple[Scores, float]], floor: float = 0.0) -> Mean:
     return Mean(value, variance, variance**2 / below if below > 0 else 1.0, min(n))
 
 
-def of_units(values: SeriesGroupBy) -> pd.DataFrame:
+def mean_of_units(values: SeriesGroupBy) -> pd.DataFrame:
     """The mean of values in each group, one of each unit, as rows with the columns of `Mean`; NaN does not count."""
     rows = values.agg(estimate="mean", variance="sem", smallest="count").reset_index()
     smallest = rows["smallest"].clip(lower=1)
@@ -111,10 +111,10 @@ def of_units(values: SeriesGroupBy) -> pd.DataFrame:
 
 
 def binomial_floor(tables: Sequence[Scores] | NDArray[np.float64]) -> float:
-    """The least variance of a sum of proportions that counts, from those tables of crashes that are (almost) all alike.
+    """Lower bound for the variance of a difference of crash rates when an arm has almost no, or almost only, crashes.
 
-    The mean of episodes that do not hinder each other varies at least as much as that of independent ones; with fewer
-    than FEW crashes (or episodes without) the scores say little of their own variance. With one of each added to an arm
+    A mean of episodes has at least the variance of independent episodes. With fewer than FEW crashes (or fewer than FEW
+    episodes without a crash) the sample variance is unreliable. With one of each added to an arm
     (Agresti and Caffo 2000) it is above 0 where no agent crashed at all.
     """
     size = np.asarray(tables[0]).size
@@ -155,11 +155,11 @@ def combine(means: pd.DataFrame, by: Sequence[str], weights: pd.Series) -> pd.Da
 
 
 def with_intervals(means: pd.DataFrame) -> pd.DataFrame:
-    """Rows with the columns of `Mean`, and those of `Estimate` beside them."""
+    """The rows, which have the columns of `Mean`, with the columns of `Estimate` added."""
     return means.assign(**interval(Mean(*(means[name].astype(float) for name in Mean._fields)))._asdict())
 
 
-def alike(rows: pd.DataFrame, by: Sequence[str]) -> pd.Series:
+def equal_task_weights(rows: pd.DataFrame, by: Sequence[str]) -> pd.Series:
     """Weights of settings: in each group of `by` every task counts alike, and in a task every level."""
     tasks = rows.groupby([*by], sort=False)["task"].transform("nunique")
     return 1 / tasks / rows.groupby([*by, "task"], sort=False)["task"].transform("size")

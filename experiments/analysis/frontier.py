@@ -6,12 +6,12 @@ import numpy as np
 import pandas as pd
 
 from agents.rules import CAUTIONS
-from experiments.analysis.estimate import of_units, with_intervals
-from experiments.analysis.scores import PLACE
+from experiments.analysis.estimate import mean_of_units, with_intervals
+from experiments.analysis.scores import SETTING
 from experiments.study.design.grid import BASELINES
 
 RULES = {*BASELINES, *CAUTIONS} - {"idm", "random"}  # the careful driver and the constant policies
-COLUMNS = [*PLACE, "arm", "traffic", "agents", "inside", "estimate", "low", "high"]
+COLUMNS = [*SETTING, "arm", "traffic", "agents", "inside", "estimate", "low", "high"]
 
 
 def lower_hull(points: pd.DataFrame) -> pd.DataFrame:
@@ -35,15 +35,15 @@ def to_frontier(episodes: pd.DataFrame) -> pd.DataFrame:
         episodes: as from `scores.with_outcomes`.
 
     Returns:
-        A row a PLACE, arm and traffic: agents, how many of them have a distance (inside), and their mean crash rate
+        A row a SETTING, arm and traffic: agents, how many of them have a distance (inside), and their mean crash rate
         above the frontier with its 95 % interval over agents. Exploratory.
     """
     rows = episodes[episodes["tested_on"] == episodes["backend"]]
     rows = rows.assign(arm=rows["arm"].fillna("").astype(str))
-    drivers = rows.groupby([*PLACE, "traffic", "kind", "policy", "arm", "cell"], sort=False)
+    drivers = rows.groupby([*SETTING, "traffic", "kind", "policy", "arm", "cell"], sort=False)
     drivers = drivers[["progress", "crashed"]].mean().reset_index()
     agents = []
-    for _, own in drivers.groupby([*PLACE, "traffic"], sort=False):
+    for _, own in drivers.groupby([*SETTING, "traffic"], sort=False):
         hull = lower_hull(own[own["policy"].isin(RULES)])
         if len(hull) > 1:
             of_hull = np.interp(own["progress"], hull["progress"], hull["crashed"], left=np.nan, right=np.nan)
@@ -51,6 +51,6 @@ def to_frontier(episodes: pd.DataFrame) -> pd.DataFrame:
     if not agents:
         return pd.DataFrame(columns=COLUMNS)
     rows = pd.concat(agents)
-    group = [*PLACE, "arm", "traffic"]
+    group = [*SETTING, "arm", "traffic"]
     number = rows.groupby(group, sort=False)["above"].agg(agents="size", inside="count").reset_index()
-    return number.merge(with_intervals(of_units(rows.groupby(group, sort=False)["above"])))[COLUMNS]
+    return number.merge(with_intervals(mean_of_units(rows.groupby(group, sort=False)["above"])))[COLUMNS]

@@ -5,7 +5,7 @@ of significance notices. Agents that fail are shown, and the effects they enter 
 judged on scenarios of their own: chosen by the test scenarios, the agents left over would be the lucky ones.
 
 By plan 3 all agents together are checked too, before anything is compared: has the learner finished, did it learn, does
-it know when a test ends? What fails is reported beside the effects and excludes nothing.
+it know when a test ends? Failed checks are reported with the effects; nothing is excluded.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ import numpy as np
 import pandas as pd
 from scipy import stats
 
-from experiments.analysis.estimate import DEGENERATE, OK, Estimate, alike, combine, of_units
+from experiments.analysis.estimate import DEGENERATE, OK, Estimate, combine, equal_task_weights, mean_of_units
 from experiments.analysis.plan import ALPHA, Learner, Plan
-from experiments.analysis.scores import PLACE, in_order
+from experiments.analysis.scores import SETTING, in_order
 from experiments.study.design.arms import gate_traffics
 from experiments.study.design.sheet import GRID, SHEETS
 
@@ -105,8 +105,8 @@ def gates(cells: Mapping[str, Mapping[str, Any]], episodes: pd.DataFrame) -> pd.
         cells: cell.json by name. episodes: the gate episodes of all of them, as in `store.Results`.
 
     Returns:
-        A row an agent: cell, PLACE, arm, seed, passed (False if any gate fails, None if one could not be checked, True
-        otherwise), failed (the names of the gates), and the same verdict for each of GATES.
+        A row an agent: cell, SETTING, arm, seed, passed (False if any gate fails, None if one could not be checked,
+        True otherwise), failed (the names of the gates), and the same verdict for each of GATES.
     """
     tables = {
         name: table.set_index(["traffic", "scenario"]).sort_index()
@@ -118,7 +118,7 @@ def gates(cells: Mapping[str, Mapping[str, Any]], episodes: pd.DataFrame) -> pd.
         traffics = list(gate_traffics(key["arm"]))  # of its training
         if not {*traffics} <= {*tables[name].index.unique("traffic")}:
             continue
-        there = references[(references[PLACE] == key[PLACE]).all(axis=1)]
+        there = references[(references[SETTING] == key[SETTING]).all(axis=1)]
         own = tables[name].loc[traffics]
         others = {policy: tables[cell].loc[traffics] for cell, policy in there["policy"].items()}
         record = cells[name].get("learner") or {}
@@ -132,8 +132,8 @@ def gates(cells: Mapping[str, Mapping[str, Any]], episodes: pd.DataFrame) -> pd.
         # of a learner without Q-values, the first has nothing to ask
         asked = found[1:] if record and "probe_q" not in record else found
         sound = False if failed else None if None in asked else True
-        rows.append([name, *key[[*PLACE, "arm", "seed"]], sound, failed, *found])
-    frame = pd.DataFrame(rows, columns=["cell", *PLACE, "arm", "seed", "passed", "failed", *GATES])
+        rows.append([name, *key[[*SETTING, "arm", "seed"]], sound, failed, *found])
+    frame = pd.DataFrame(rows, columns=["cell", *SETTING, "arm", "seed", "passed", "failed", *GATES])
     return in_order(frame, "backend", "task", "level", "arm", "seed").reset_index(drop=True)
 
 
@@ -201,8 +201,8 @@ def change(trained: Sequence[Mapping[str, Any]], rules: Learner) -> Estimate:
         difference = np.nanmean(curve[-tenth:]) - np.nanmean(curve[quarter - tenth : quarter])
         rows.append([key["task"], key["level"], float(difference) / rules.ranges[key["task"]]])
     frame = pd.DataFrame(rows, columns=["task", "level", "change"])
-    settings = of_units(frame.groupby(["task", "level"], sort=False)["change"]).assign(arm="")
-    [found] = combine(settings, ["arm"], alike(settings, ["arm"])).itertuples()
+    settings = mean_of_units(frame.groupby(["task", "level"], sort=False)["change"]).assign(arm="")
+    [found] = combine(settings, ["arm"], equal_task_weights(settings, ["arm"])).itertuples()
     return found
 
 

@@ -14,7 +14,7 @@ from experiments.study.design.traffic import AT_A_DOSE, TRAFFICS
 from experiments.study.results.store import Results
 from sumo_env.tasks import TASKS
 
-PLACE = ["backend", "task", "level", "level_name"]  # a setting: what a comparison is made within
+SETTING = ["backend", "task", "level", "level_name"]  # columns; every comparison is made within a setting
 TASK_ORDER = {task: number for number, task in enumerate(TASKS)}
 
 
@@ -29,8 +29,8 @@ def in_order(rows: pd.DataFrame, *columns: str) -> pd.DataFrame:
 def with_outcomes(results: Results, outcomes: Mapping[str, Outcome] = OUTCOMES) -> pd.DataFrame:
     """The test episodes with all outcomes as columns: those of the plan and the user's own.
 
-    Columns beside those of `results.episodes`: the names of the outcomes; tested_on (the simulator of the test);
-    seconds that the episode was to last, and progress: metres per second of them.
+    Columns more than in `results.episodes`: the names of the outcomes; tested_on (the simulator of the test); seconds
+    that the episode was to last, and progress: metres per second of them.
     """
     episodes = results.episodes
 
@@ -41,7 +41,7 @@ def with_outcomes(results: Results, outcomes: Mapping[str, Outcome] = OUTCOMES) 
     crashed = episodes["crashed"].astype(float)
     grouped = episodes.assign(crashed=crashed).groupby(["cell", "traffic"], sort=False)
     way, crashes = grouped["distance"].transform("mean"), grouped["crashed"].transform("mean")
-    # A ratio of sums, written so that the mean over an agent's episodes is the ratio and their spread its error.
+    # Linearised ratio of sums: the mean over an agent's episodes is the ratio, their spread gives its standard error.
     rate = crashes / way
     per_metre = rate + (crashed - rate * episodes["distance"]) / way
     seconds = of_cell(lambda key: key["env_config"].get("duration", TASKS[key["task"]].defaults["duration"]))
@@ -58,13 +58,15 @@ def with_outcomes(results: Results, outcomes: Mapping[str, Outcome] = OUTCOMES) 
     )
 
 
-Place = tuple[str, str, int, str]  # backend, task, level, level_name
+Setting = tuple[str, str, int, str]  # backend, task, level, level_name
 # The agents of an arm in a setting: of each outcome an array (traffic in the order of TRAFFICS, agent, scenario).
 Arm = Mapping[str, NDArray[np.float64]]
 Arms = Mapping[str, Arm]  # by name
 
 
-def arms_of(episodes: pd.DataFrame, outcomes: Iterable[str] = tuple(OUTCOMES)) -> dict[Place, dict[str, Arm]]:
+def arms_of(
+    episodes: pd.DataFrame, outcomes: Iterable[str] = tuple(OUTCOMES)
+) -> dict[Setting, dict[str, Arm]]:
     """The scores of all outcomes by setting and arm, in the grid's order.
 
     Args:
@@ -73,9 +75,9 @@ def arms_of(episodes: pd.DataFrame, outcomes: Iterable[str] = tuple(OUTCOMES)) -
     rows = episodes[episodes["traffic"].isin(list(TRAFFICS))]
     rows = in_order(rows, "backend", "task", "level", "arm", "traffic", "seed", "scenario")
     there = [name for name in outcomes if name in rows]
-    result: dict[Place, dict[str, Arm]] = {}
-    for (*place, arm), group in rows.groupby([*PLACE, "arm"], sort=False):
+    result: dict[Setting, dict[str, Arm]] = {}
+    for (*setting, arm), group in rows.groupby([*SETTING, "arm"], sort=False):
         shape = (len(TRAFFICS), group["seed"].nunique(), -1)
         values = {name: group[name].to_numpy(dtype=np.float64).reshape(shape) for name in there}
-        result.setdefault((place[0], place[1], place[2], place[3]), {})[str(arm)] = values
+        result.setdefault((setting[0], setting[1], setting[2], setting[3]), {})[str(arm)] = values
     return result

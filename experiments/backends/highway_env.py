@@ -69,6 +69,7 @@ class ScenarioEnv(AbstractEnv):
 
     task: ClassVar[Task]
     config: Config
+    _motion: tuple[float, float]  # speed [m/s] and acceleration [m/s2] at the end of the last step
     joins: ClassVar[bool] = True  # whether the road has lanes that continue others
 
     # -- configuration -------------------------------------------------------------------------------------
@@ -88,9 +89,13 @@ class ScenarioEnv(AbstractEnv):
         chosen = resolve(self.task.name, self.default_config(), self.config, config)
         variant = one_of("'variant'", chosen["variant"], VARIANTS)
         one_of("risk_law", chosen["risk_law"], LAWS)
-        self._offered = interface(self.task, chosen)
+        self._offered = interface(self.task, chosen, steers=True)
+        if not self._offered.actions:
+            raise ConfigError(
+                f"action type {chosen['action']['type']!r}: here it can only be 'DiscreteMetaAction'"
+            )
         self.actions, self.target_speeds = self._offered.actions, self._offered.target_speeds
-        # a ladder that is not given is the task's, as in `sumo_env`; in highway-env it would be the highway's
+        # target speeds that are not given are the task's, as in `sumo_env`; in highway-env it would be the highway's
         chosen["action"] = {**chosen["action"], "target_speeds": list(self.target_speeds)}
         connected = self.joins and variant != "v0"
         self.config = {**chosen, **FIXED, "neighbour_vehicles_connected_lanes": connected}
@@ -140,7 +145,11 @@ class ScenarioEnv(AbstractEnv):
 
     def _info(self, obs: np.ndarray, action: Any = None) -> dict[str, Any]:
         action = int(action) if self.steps else None  # at a reset highway-env passes a random one
-        return information(
+        speed, frequency = float(self.scene.speed[0]), self.config["policy_frequency"]
+        before, last = self._motion if self.steps else (speed, 0.0)
+        acceleration = (speed - before) * frequency
+        self._motion = speed, acceleration
+        return {"acceleration": acceleration, "jerk": (acceleration - last) * frequency} | information(
             self.scene,
             self.crash,
             self.min_ttc,
@@ -179,7 +188,7 @@ class ScenarioEnv(AbstractEnv):
     def _make_vehicles(self, *_: Any) -> None:
         """Place the scenario, in place of highway-env's draws, and drive its warm-up (`Simulator.reset`)."""
         scenario, spec = self.scenario, self.scenario.ego
-        vehicles = self.road.vehicles = [self._placed(other) for other in scenario.vehicles]
+        vehicles = self.road.vehicles = [self._vehicle_of(other) for other in scenario.vehicles]
         if scenario.warm_up:
             for _frame in range(round(scenario.warm_up * self.config["simulation_frequency"])):
                 self.road.act()
@@ -202,9 +211,9 @@ class ScenarioEnv(AbstractEnv):
         """Add the vehicles that the scenario sends after this policy step, unless another one is within 15 m."""
         for spawn in self.scenario.spawns:
             if spawn.step == step and fits(spawn.vehicle, [tuple(v.position) for v in self.road.vehicles]):
-                self.road.vehicles.append(self._placed(spawn.vehicle))
+                self.road.vehicles.append(self._vehicle_of(spawn.vehicle))
 
-    def _placed(self, spec: VehicleSpec) -> ScenarioVehicle:
+    def _vehicle_of(self, spec: VehicleSpec) -> ScenarioVehicle:
         """A vehicle of the scenario, with its driver."""
         if spec.id not in self._linear:
             return self._driver().place(self.road, spec)

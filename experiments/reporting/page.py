@@ -1,4 +1,4 @@
-"""What the templates show: frames of text, figures and films of one folder. It decides nothing and says nothing."""
+"""What the templates show: frames of text, figures and films of one folder; no decisions, no words."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def page(
     """The templates' variables.
 
     Args:
-        films: from `showcase.showcase`. others: analyses of folders to show beside this one, by name.
+        films: from `showcase.showcase`. others: analyses of further folders to compare with this one, by name.
     """
     names = list(dict.fromkeys(analysis.policies["backend"]))
     places = [place for place in films["places"] if place["films"]]
@@ -47,7 +47,7 @@ def page(
         "films": Markup(canonical_json(places).replace("<", "\\u003c")) if places else None,
         "rule": films["rule"],
         "missing_films": films["notes"],
-        "beside": tables.side_by_side({str(results.directory): analysis, **others}),
+        "side_by_side": tables.side_by_side({str(results.directory): analysis, **others}),
         "notes": analysis.notes,
         "checks": checks(results.directory, names),
         "directory": str(results.directory),

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from experiments.analysis.scores import PLACE, in_order
+from experiments.analysis.scores import SETTING, in_order
 from experiments.study.compute.cell import MakeEnv
 from experiments.study.design.arms import ARMS
 from experiments.study.design.grid import tested_on
@@ -95,11 +95,11 @@ def _stored(path: Path) -> list[dict[str, Any]]:
 def duos(results: Results, left_out: set[str]) -> Iterator[dict[str, Any]]:
     """The agents that are shown: of each simulator and task at the lowest level, of the lowest seed in both arms.
 
-    By PLACE and seed, with the names of their cells by arm.
+    By SETTING and seed, with the names of their cells by arm.
     """
     agents = results.episodes[list(KEY_COLUMNS)].drop_duplicates()
     mine = (agents["kind"] == "agent") & agents["arm"].isin(list(ARMS)) & ~agents["cell"].isin(list(left_out))
-    setting = [*PLACE, "seed"]
+    setting = [*SETTING, "seed"]
     whole = agents[mine].groupby(setting).filter(lambda pair: set(pair["arm"]) == set(ARMS))
     lowest = in_order(whole, "backend", "task", "level", "seed", "arm").groupby(["backend", "task"])
     for _, pair in lowest.head(len(ARMS)).groupby(setting, sort=False):

@@ -110,7 +110,7 @@ def wide(
     return pd.DataFrame(list(lines.values()))
 
 
-def placed(frame: pd.DataFrame) -> pd.DataFrame:
+def with_setting(frame: pd.DataFrame) -> pd.DataFrame:
     """The rows with their task and traffic level as "setting"."""
     return frame.assign(setting=frame["task"].astype(str) + " " + frame["level_name"].astype(str))
 
@@ -144,7 +144,7 @@ def by_setting(analysis: Analysis, backend: str, outcome: str) -> pd.DataFrame:
         agents = f"{row['seeds_arm']}, {row['seeds_against']}"
         return {title: effect(row, outcome), **tested, "agents": agents}
 
-    return wide(placed(chosen(main(analysis.effects, backend), outcome=outcome)), ["setting"], cells)
+    return wide(with_setting(chosen(main(analysis.effects, backend), outcome=outcome)), ["setting"], cells)
 
 
 def further(analysis: Analysis, backend: str) -> pd.DataFrame:
@@ -171,13 +171,13 @@ def unseen(analysis: Analysis, backend: str) -> pd.DataFrame:
         speed = plain(row["crash_closing_speed"], 1)
         return {row["arm"]: f"{number(row['crashed'], 'crashed')} ± {error}, {speed} m/s"}
 
-    return wide(placed(rows), ("setting", "traffic"), cells)
+    return wide(with_setting(rows), ("setting", "traffic"), cells)
 
 
 def gates(analysis: Analysis, backend: str) -> pd.DataFrame:
     """How many agents of each setting and arm pass the gates, and what the others fail."""
     lines = []
-    rows = placed(chosen(analysis.gates, backend=backend))
+    rows = with_setting(chosen(analysis.gates, backend=backend))
     for (setting, arm), own in rows.groupby(["setting", "arm"], sort=False):
         failed = [gate for names in own["failed"] for gate in names.split()]
         words = ", ".join(f"{failed.count(gate)} {FAILURES[gate]}" for gate in dict.fromkeys(failed))
@@ -240,7 +240,7 @@ def frontier(analysis: Analysis, backend: str) -> pd.DataFrame:
         agents = f"{row['inside']} of {row['agents']}"
         return {f"{row['traffic']} traffic": above, f"agents, {row['traffic']}": agents}
 
-    return wide(placed(chosen(analysis.frontier, backend=backend)), ("setting", "arm"), cells)
+    return wide(with_setting(chosen(analysis.frontier, backend=backend)), ("setting", "arm"), cells)
 
 
 TABLES: dict[str, Callable[[Analysis, str], pd.DataFrame]] = {  # of one simulator, by the templates' names

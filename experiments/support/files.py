@@ -13,7 +13,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
-from agents.checkpoint import atomic, sync
+from agents.checkpoint import atomic, open_regular, sync
 
 
 def canonical_json(value: Any) -> str:
@@ -27,9 +27,25 @@ def sha256_bytes(data: bytes) -> str:
 
 
 def sha256_file(path: Path) -> str:
-    """Hexadecimal SHA-256 of a file's bytes."""
-    with path.open("rb") as file:
+    """Hexadecimal SHA-256 of a regular file's bytes."""
+    with open_regular(path) as file:
         return hashlib.file_digest(file, "sha256").hexdigest()
+
+
+def read_text(path: Path) -> str:
+    """The text of a regular file. Raises OSError, or UnicodeDecodeError."""
+    with open_regular(path) as file:
+        return file.read().decode()
+
+
+def is_name(name: object) -> bool:
+    """Whether this can be the name of a file in a folder, and leads nowhere else."""
+    return (
+        isinstance(name, str)
+        and name == Path(name).name
+        and name.isprintable()
+        and name not in ("", ".", "..")
+    )
 
 
 def write_file(path: Path, data: bytes) -> None:

@@ -1,4 +1,4 @@
-"""The checks of a task, level and traffic: what was measured, beside its margin.
+"""The checks of a task, level and traffic: what was measured, and its margin.
 
 A margin says how far SUMO's traffic may be from highway-env's before a researcher would conclude something else. The
 margins were fixed before SUMO's drivers were validated with them, and are never fitted to results. A check is judged by
@@ -163,7 +163,7 @@ def difference(metric: str, both: pd.DataFrame) -> Difference:
     """How far the two simulators of `pairs` are apart in one of MEASURES."""
     if metric == "headway":
         return headway_distance(both)
-    if metric == "same_outcome":  # a share, beside all of them
+    if metric == "same_outcome":  # a share of the pairs
         both = both.assign(same_outcome_a=both["crashed_a"] == both["crashed_b"], same_outcome_b=True)
     return mean_difference(both, metric)
 

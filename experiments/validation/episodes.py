@@ -2,31 +2,33 @@
 
 The ego is measured as the study measures it (`play`), the other vehicles in ``env.unwrapped.scene`` at the start and
 after every policy step. The egos are the rules of `agents`, and two that repeat a few actions. Each `Part` of the
-episodes is a file of its own.
+episodes is a file of its own, which the study's runner has written.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pandas as pd
-from rich.console import Console
 
 from agents.rules import Policy, make_policy
 from agents.rules.constant import Constant
 from experiments.backends import make_env
-from experiments.study.compute.evaluate import play
-from experiments.study.compute.executors.local import call_all
+from experiments.study.compute import run as runner
+from experiments.study.compute.evaluate import Drive, play
+from experiments.study.compute.executors.local import LocalExecutor
+from experiments.study.compute.progress import ProgressDisplay
 from experiments.study.design.arms import stream_seed
 from experiments.study.design.fingerprint import dynamics
 from experiments.study.design.grid import level_names
 from experiments.study.design.sheet import sheet
+from experiments.study.results.working import LOG
+from experiments.support.errors import UserError
 from experiments.support.files import canonical_json, sha256_bytes, write_file
 from sumo_env.contacts.measures import DENSITY_RADIUS, headways
 from sumo_env.networks.roads import LaneIndex, Road
@@ -132,8 +134,8 @@ def _lane(scene: Scene, row: int, task: str, road: Road, lanes: Mapping[str, Lan
 class Engine:
     """A simulator with its settings.
 
-    name: how tables call it. config: changes of a task's configuration. options: of `reset`, beside the dose of risk
-    (highway-env itself has none). one_in: drives a random episode in so many. egos: all of the task if empty.
+    name: how tables call it. config: changes of a task's configuration. options: of `reset`, more than the dose of
+    risk (highway-env itself has none). one_in: drives a random episode in so many. egos: all of the task if empty.
     """
 
     name: str
@@ -180,19 +182,22 @@ class Part:
         drawn = stream_seed("recomputed episode", self.task, self.level, self.traffic, scenario, ego)
         return drawn % self.engine.one_in == 0
 
-    def drive(self) -> pd.DataFrame:
-        """Drive all episodes in this process: a row of COLUMNS for each."""
+    def drive(self, heartbeat: Callable[[float], None] = lambda _: None) -> pd.DataFrame:
+        """Drive all episodes in this process, telling `heartbeat` the share that is done: a row of COLUMNS for each."""
         level = TASKS[self.task].levels[level_names(self.task)[self.level - 1]]
         env = make_env(self.engine.backend, self.task, {**level, **self.engine.config})
-        rows = [self._row(env, *episode) for episode in self.episodes()]
+        rows, episodes = [], self.episodes()
+        for number, episode in enumerate(episodes):
+            heartbeat(number / len(episodes))
+            rows.append(self._row(env, *episode))
         env.close()
         return pd.DataFrame(rows, columns=list(COLUMNS)).astype(COLUMNS)
 
     def _row(self, env: Any, scenario: int, ego: str) -> dict[str, Any]:
         inner, scenes = env.unwrapped, []
-        place = self.task, self.level, self.traffic, scenario
+        drive = Drive(self.task, self.level, self.traffic, scenario)
         row = play(
-            env, make_ego(ego, env), *place, lambda: scenes.append(inner.scene), options=self.engine.options
+            env, make_ego(ego, env), drive, lambda: scenes.append(inner.scene), options=self.engine.options
         )
         ending = "time" if row["truncated"] else "left"
         road, interval = TASKS[self.task].road(inner.config), 1.0 / inner.config["policy_frequency"]
@@ -206,11 +211,34 @@ class Part:
             **traffic_near(scenes, self.task, road, interval),
         }
 
-    def write(self, folder: Path) -> None:
+
+@dataclass(frozen=True)
+class PartTask:
+    """A part that is driven and stored below a directory (a `run.Task`)."""
+
+    part: Part
+    directory: Path
+    silence: float = 900.0  # [s]
+
+    @property
+    def name(self) -> str:
+        """Name of its file."""
+        return self.part.file
+
+    @property
+    def folder(self) -> Path:
+        """Its working folder."""
+        return self.directory / "work" / self.name
+
+    def done(self) -> bool:
+        """Whether it is stored."""
+        return (self.directory / self.name).exists()
+
+    def compute(self, heartbeat: runner.Heartbeat) -> None:
         """Drive all episodes and write the table as a parquet file."""
-        path = folder / self.file
+        path = self.directory / self.name
         path.parent.mkdir(parents=True, exist_ok=True)
-        write_file(path, self.drive().to_parquet(index=False, compression="zstd"))
+        write_file(path, self.part.drive(heartbeat).to_parquet(index=False, compression="zstd"))
 
 
 def plan(
@@ -235,11 +263,11 @@ def plan(
     ]
 
 
-def run(parts: Sequence[Part], folder: Path, workers: int, console: Console | None = None) -> pd.DataFrame:
+def run(parts: Sequence[Part], directory: Path, workers: int, show: bool = False) -> pd.DataFrame:
     """Drive the parts whose files are not there yet, in processes, and return the table of all episodes.
 
     Args:
-        console: where progress is shown, if at all.
+        show: whether progress is shown.
 
     Returns:
         COLUMNS, and the name of the engine as the column ``engine``.
@@ -247,7 +275,18 @@ def run(parts: Sequence[Part], folder: Path, workers: int, console: Console | No
     Raises:
         UserError: a part failed. What is finished stays, and the same call goes on from there.
     """
-    work = {part.file: partial(part.write, folder) for part in parts if not (folder / part.file).exists()}
-    call_all(work, workers, "driving", console)
-    tables = [pd.read_parquet(folder / part.file).assign(engine=part.engine.name) for part in parts]
+    tasks = [PartTask(part, directory) for part in parts]
+    there = [task.name for task in tasks if task.done()]
+    sizes = {task.name: float(len(task.part.episodes())) for task in tasks}
+    progress = ProgressDisplay(directory / "work", sizes, there, "parts") if show else None
+    missing = [task for task in tasks if task.name not in there]
+    try:
+        failures = runner.run(missing, LocalExecutor(workers), workers, progress)
+    finally:
+        if progress:
+            progress.close()
+    for name, reason in failures.items():
+        log = directory / "work" / name / LOG
+        raise UserError(f"{name} failed: {reason}; see {log}, and run the same command again to go on")
+    tables = [pd.read_parquet(directory / part.file).assign(engine=part.engine.name) for part in parts]
     return pd.concat(tables, ignore_index=True)

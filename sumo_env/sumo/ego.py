@@ -1,7 +1,8 @@
 """The ego in SUMO: highway-env's low-level driver as speeds and lane changes that SUMO is commanded.
 
-Speed follows the target with a first-order lag of 0.6 s, without a limit on acceleration, as in highway-env; the
-sideways motion of a lane change is SUMO's. Where it obeys traffic lights, it brakes for them.
+Speed follows the target with a first-order lag of 0.6 s, without a limit on acceleration, as in highway-env, or at a
+commanded acceleration; the sideways motion of a lane change is SUMO's. Where it obeys traffic lights, it brakes for
+them. What is not commanded SUMO drives, as the task's regular driver.
 """
 
 from __future__ import annotations
@@ -13,7 +14,8 @@ from sumo_env.actions import ego_route, follow_road
 from sumo_env.networks.mapping import Network
 from sumo_env.scene import RED, YELLOW, Light
 from sumo_env.simulator import EgoCommand
-from sumo_env.sumo.session import Session
+from sumo_env.sumo.events import modes
+from sumo_env.sumo.session import ALL_CHECKS_OFF, COMMANDED_LANE_CHANGES, Session
 from sumo_env.traffic.scenario import EGO, Scenario
 
 TAU = 0.6  # [s] ControlledVehicle.TAU_ACC
@@ -22,6 +24,37 @@ REFERENCE_STEP = 1.0 / 15.0  # [s] highway-env's step, whose Euler lag is reprod
 BRAKING, HARDEST = 4.0, 9.0
 STOPS_FOR = {RED: 8.0, YELLOW: 5.0}
 STOP_DISTANCE = 1.0  # [m] from its front to the stop line
+
+
+class Controls:
+    """Who drives a vehicle's speed, and who its lanes: commands, or SUMO.
+
+    Attributes:
+        speed, lanes: whether they are commanded.
+    """
+
+    def __init__(self, session: Session, name: str, modes: tuple[int, int], speed: bool, lanes: bool) -> None:
+        """modes: speed mode and lane-change mode with which SUMO drives it; speed, lanes: what is commanded now."""
+        self._session, self._name, self._modes = session, name, modes
+        self.speed, self.lanes = speed, lanes
+        self._is_changing = False  # whether a lane change of SUMO's may still be running
+
+    def command(self, speed: bool, lanes: bool) -> None:
+        """From now on the speed, the lanes, both or neither are commanded."""
+        if speed != self.speed:
+            self._session.set_modes(self._name, speed_mode=ALL_CHECKS_OFF if speed else self._modes[0])
+            if not speed:
+                self._session.set_speed(self._name, -1.0)
+        if lanes != self.lanes:
+            mode = COMMANDED_LANE_CHANGES if lanes else self._modes[1]
+            self._session.set_modes(self._name, lane_change_mode=mode)
+            self._is_changing = lanes
+        self.speed, self.lanes = speed, lanes
+
+    def may_change_lane(self) -> bool:
+        """Whether a lane may be commanded: once lanes are taken from SUMO, it ends the change that it has begun."""
+        self._is_changing = self._is_changing and self._session.changes_lane(self._name)
+        return self.lanes and not self._is_changing
 
 
 class Ego:
@@ -35,24 +68,32 @@ class Ego:
         self.crashed = False  # since a contact it only coasts to a stop
         self._obeys_lights = scenario.obeys_lights
         self._lane, self._stretch = "", 1.0  # of SUMO
+        self._acceleration: float | None = None
+        self.controls = Controls(session, EGO, modes(spec, scenario.calibration), True, True)
 
     def obey(self, command: EgoCommand) -> None:
-        """Take over the command of a policy step."""
-        if command.target_speed is None or command.target_lane is None:
-            raise ValueError(
-                "SUMO drives the ego itself among the traffic of its own files alone (SumoDrivingEnv)"
-            )
-        self.target_speed, self.target_lane = command.target_speed, command.target_lane
+        """Take over the command of a policy step, and give SUMO what is not commanded."""
+        speed, lane, self._acceleration = command
+        if not self.crashed:
+            self.controls.command(speed is not None, lane is not None)
+        self.target_speed = self.speed if speed is None else speed
+        self.target_lane = self.target_lane if lane is None else lane
 
     def drive(self, x: float, y: float, dt: float) -> float:
-        """Command the next `dt` [s] from the centre (x, y) [m]; returns the distance that will be covered [m]."""
+        """Command the next `dt` [s] from the centre (x, y) [m]; returns the distance that will be covered [m].
+
+        Where SUMO drives, `settle` returns the distance.
+        """
         session = self._session
         self.target_lane = follow_road(self._road, self.target_lane, self._route, x, y)
         if self.crashed:
+            self.controls.command(True, True)
             self.speed, distance = coast(self.speed, dt)
+        elif not self.controls.speed:
+            distance = 0.0
         else:
             before = self.speed
-            self.speed, distance = approach(before, self.target_speed, TAU, dt)
+            self.speed, distance = driven(before, self.target_speed, self._acceleration, dt)
             if self._obeys_lights:
                 allowed = speed_before(session.next_light(EGO), before, dt)
                 if allowed < self.speed:
@@ -62,10 +103,18 @@ class Ego:
             self._follow_fork(self._lane, lane)
             self._lane, self._stretch = lane, self._network.stretch(lane)
         # lanes of one edge share one length in SUMO, so a metre in a bend is not a metre on the road
-        session.set_speed(EGO, distance / session.step_length * self._stretch)
+        if self.controls.speed:
+            session.set_speed(EGO, distance / session.step_length * self._stretch)
         if not self.crashed:
             self._change_lane(lane)
         return distance
+
+    def settle(self) -> float:
+        """After a step in which SUMO has chosen the speed; returns the distance that was covered [m]."""
+        if self.controls.speed:
+            return 0.0
+        self.speed = self._session.speed_of(EGO) / self._stretch
+        return self.speed * self._session.step_length
 
     def _follow_fork(self, before: str, lane: str) -> None:
         """Where SUMO's lane `before` forks inside a junction: steer for the way that SUMO has taken."""
@@ -76,9 +125,12 @@ class Ego:
 
     def _change_lane(self, lane: str) -> None:
         """Begin a lane change where the ego is on another lane than it steers for, and no change is running."""
+        start, end, place = self._network.indices[lane]
+        if not self.controls.may_change_lane():
+            self.target_lane = (*self.target_lane[:2], place) if self._road.oncoming else (start, end, place)
+            return
         if lane.startswith(":"):
             return
-        start, end, place = self._network.indices[lane]
         target = self.target_lane[2]
         if place == target or self._session.changes_lane(EGO):
             return
@@ -103,6 +155,15 @@ def approach(speed: float, target: float, tau: float, dt: float) -> tuple[float,
     kept = _kept(tau, dt)
     difference = speed - target
     return target + difference * kept, target * dt + difference * tau * (1.0 - kept)
+
+
+def driven(speed: float, target: float, acceleration: float | None, dt: float) -> tuple[float, float]:
+    """Speed [m/s] after `dt` [s] at an acceleration [m/s2], or None for the lag, and the distance covered [m]."""
+    if acceleration is None:
+        return approach(speed, target, TAU, dt)
+    change = acceleration * dt
+    after = min(max(target, speed - change), speed + change)
+    return after, (speed + after) / 2.0 * dt
 
 
 def speed_before(light: Light, speed: float, dt: float) -> float:

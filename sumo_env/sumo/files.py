@@ -38,7 +38,8 @@ RISKY_CLASSES = {
 class FileSimulator(SumoSimulator):
     """SUMO as a `Simulator` of scenarios with `SumoTraffic`."""
 
-    _folder, _episodes = "", 0  # of SUMO's outputs, and how many episodes are in it
+    _scratch: tempfile.TemporaryDirectory[str] | None = None  # for outputs that nobody wants
+    _folder, _episodes = "", 0  # of outputs that somebody wants, and how many episodes are in it
 
     def _begin(self, scenario: Scenario) -> Scene:
         traffic = scenario.traffic
@@ -57,14 +58,16 @@ class FileSimulator(SumoSimulator):
         self._time = 0.0
         for name in self._modes:
             self._plan(name, 0.0)
-        self._route_ego = RouteEgo(self._session, self._network, self._name, scenario.obeys_lights)
+        self._route_ego = RouteEgo(
+            self._session, self._network, self._name, scenario.obeys_lights, traffic.measures_energy
+        )
         self._around = Surroundings(
             self._session, self._route_ego.speed, self._network.meeting, ego=self._name
         )
         return self._read()
 
-    def _episode_folder(self) -> Path | None:
-        """A new folder for SUMO's outputs, where they have a place of their own."""
+    def _episode_folder(self) -> Path:
+        """Where SUMO writes: a new folder of the user's; without one, a folder that is deleted with the simulator."""
         for option in self._options:
             if option.startswith(f"{OUTPUT_DIR}="):
                 if not self._folder:
@@ -75,7 +78,18 @@ class FileSimulator(SumoSimulator):
                 folder = Path(self._folder) / f"episode-{self._episodes}"
                 folder.mkdir()
                 return folder
-        return None
+        if self._scratch is None:
+            self._scratch = tempfile.TemporaryDirectory(prefix="sumo_env-")
+        folder = Path(self._scratch.name)
+        folder.mkdir(exist_ok=True)  # a forked process may have ended, and deleted it
+        return folder
+
+    def close(self) -> None:
+        """See `Simulator.close`."""
+        super().close()
+        if self._scratch is not None:
+            self._scratch.cleanup()
+            self._scratch = None
 
     def _insert_ego(self, scenario: Scenario, traffic: SumoTraffic) -> None:
         """Drive until the ego has departed, at the end of the warm-up or later."""

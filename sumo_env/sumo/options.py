@@ -29,14 +29,8 @@ DESCRIPTORS = Path("/proc/self/fd")  # the files that this process has open, as 
 # Likewise, where SUMO loads the traffic of its own files.
 REFUSED_FOR_FILES = (
     *("--configuration-file", "--net-file", "--route-files", "--begin", "--end", "--step-length", "--seed"),
-    *(
-        "--random",
-        "--collision.action",
-        "--collision.check-junctions",
-        "--collision.mingap-factor",
-        "--load-state",
-    ),
-    *("--remote-port", "--num-clients", "--gui", "--start"),
+    *("--random", "--collision.action", "--collision.check-junctions", "--collision.mingap-factor"),
+    *("--load-state", "--output-prefix", "--remote-port", "--num-clients", "--gui", "--start"),
 )
 OUTPUT_DIR = "--output-dir"  # no option of SUMO: the folder for its outputs
 

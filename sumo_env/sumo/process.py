@@ -7,6 +7,7 @@ and answers are pickles on a socket of their own, so that nothing that SUMO prin
 the socket is closed, by this process or by its death.
 
 An episode is copied by forking its worker. One of this process is first driven again in a worker, to the same bits.
+Where a process cannot be forked, every copy is driven again.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ from gymnasium import logger
 
 from sumo_env.scene import Scene
 from sumo_env.simulator import EgoCommand, SimulatorError, Step
+from sumo_env.sumo import link
 from sumo_env.sumo.options import check_copyable
 from sumo_env.sumo.worker import make
 from sumo_env.traffic.scenario import Scenario
@@ -134,9 +136,12 @@ class SumoProcess:
         check_copyable(self._options)
         twin = SumoProcess(self._name, self._options)
         if self._episode:
-            if isinstance(self._talk(lambda host: host), _Here):
+            if isinstance(self._talk(lambda host: host), _Here) and link.FORKS:
                 self._move_out()
-            twin._adopt(self._talk(lambda host: host.fork(self.timeout)))
+            if link.FORKS:
+                twin._adopt(self._talk(lambda host: host.fork(self.timeout)))
+            else:
+                twin._adopt(self._driven_again())
             twin._running = self._running
             twin._episode, twin._calls, twin._scene = self._episode, self._calls.copy(), self._scene
         twin._may_be_here = self._may_be_here
@@ -168,6 +173,12 @@ class SumoProcess:
 
     def _move_out(self) -> None:
         """Go on in a worker, where the episode is driven again up to here."""
+        there = self._driven_again()
+        self._end()
+        self._adopt(there)
+
+    def _driven_again(self) -> _Worker:
+        """A new worker in which the episode has been driven again up to here."""
         there = SumoProcess(self._name, self._options)
         try:
             for command, arguments in self._calls:
@@ -180,10 +191,9 @@ class SumoProcess:
         except BaseException:
             there.close()
             raise
-        self._end()
-        assert there._host is not None
+        assert isinstance(there._host, _Worker)
         there._forgotten.detach()
-        self._adopt(there._host)
+        return there._host
 
     def _ask(self, command: str, *arguments: Any) -> Any:
         error, value = self._talk(lambda host: host.exchange(command, arguments, self.timeout), command)
@@ -273,30 +283,20 @@ class _Here:
 class _Worker:
     """A process, and the socket to talk with it. The process has the only other end, so both end together."""
 
-    def __init__(self, pid: int, link: socket.socket, child: subprocess.Popen[bytes] | None = None) -> None:
+    def __init__(self, pid: int, ours: socket.socket, child: subprocess.Popen[bytes] | None = None) -> None:
         self.pid, self._child = pid, child  # a copy is a child of the worker that has made it
         self._owner = os.getpid()
-        self._socket, self._stream = link, link.makefile("rb")
+        self._socket, self._stream = ours, ours.makefile("rb")
         _workers.add(self)
 
     @classmethod
     def start(cls, simulator: str, options: tuple[str, ...]) -> _Worker:
         """A new process."""
-        python = _interpreter()
-        ours, theirs = socket.socketpair()
-        with theirs:  # closed here, so that reading ends when the worker does
-            # The worker imports what this process would import. PYTHONPATH cannot have a colon in a name.
-            path = [
-                entry or os.getcwd() for entry in sys.path if isinstance(entry, str)
-            ]  # Python skips others
-            begin = f"import sys; sys.path[:] = {path!r}; from sumo_env.sumo.worker import main; main()"
-            child = subprocess.Popen(
-                [python, "-c", begin, str(theirs.fileno()), simulator, *options],
-                env={**os.environ, **SINGLE_THREAD},
-                stdin=subprocess.DEVNULL,
-                pass_fds=(theirs.fileno(),),
-                start_new_session=True,  # Ctrl-C in the terminal is for this process alone
-            )
+        # The worker imports what this process would import. PYTHONPATH cannot have a colon in a name.
+        path = [entry or os.getcwd() for entry in sys.path if isinstance(entry, str)]  # Python skips others
+        begin = f"import sys; sys.path[:] = {path!r}; from sumo_env.sumo.worker import main; main()"
+        program = [_interpreter(), "-c", begin]
+        child, ours = link.start(program, [simulator, *options], {**os.environ, **SINGLE_THREAD})
         return cls(child.pid, ours, child)
 
     def fork(self, timeout: float) -> _Worker:
@@ -329,9 +329,7 @@ class _Worker:
             return "is gone (it was a copy: how it ended is not known)"
         with suppress(subprocess.TimeoutExpired):
             code = self._child.wait(GRACE)
-            return (
-                f"was killed by {signal.Signals(-code).name}" if code < 0 else f"ended with exit code {code}"
-            )
+            return f"was killed by {_signal(-code)}" if code < 0 else f"ended with exit code {code}"
         return f"closed its connection ({error})"
 
     def end(self, grace: float = GRACE) -> None:
@@ -340,7 +338,10 @@ class _Worker:
             with suppress(OSError):
                 self._socket.shutdown(socket.SHUT_WR)  # tells the worker to end
             if not self._is_gone(grace):
-                os.kill(self.pid, signal.SIGKILL)
+                if self._child is not None:
+                    self._child.kill()
+                else:
+                    os.kill(self.pid, signal.SIGKILL)
                 self._is_gone(GRACE)
             if self._child is not None:
                 self._child.wait()
@@ -364,6 +365,13 @@ class _Worker:
         """Close the socket."""
         self._stream.close()
         self._socket.close()
+
+
+def _signal(number: int) -> str:
+    """The name of a signal; those for real time have none."""
+    with suppress(ValueError):
+        return signal.Signals(number).name
+    return f"signal {number}"
 
 
 def _interpreter() -> str:

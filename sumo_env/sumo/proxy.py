@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from types import SimpleNamespace
 from typing import Any
 
 # Functions that would end the episode behind the environment's back.
@@ -45,3 +46,17 @@ class Sumo:
 
     def __repr__(self) -> str:
         return f"<libsumo{'.' if self._path else ''}{self._path} of an environment>"
+
+
+def plain(value: Any) -> Any:
+    """What libsumo returns, as values that can be sent to another process."""
+    if isinstance(value, tuple | list):
+        return tuple(map(plain, value))
+    if isinstance(value, dict):
+        return {key: plain(item) for key, item in value.items()}
+    if value is None or isinstance(value, str | int | float):
+        return value
+    names = [name for name in dir(value) if not name.startswith("_") and name not in ("this", "thisown")]
+    return SimpleNamespace(
+        **{name: plain(item) for name in names if not callable(item := getattr(value, name))}
+    )

@@ -9,16 +9,13 @@ from math import inf
 
 from sumo_env.networks.mapping import Network
 from sumo_env.networks.roads import LaneIndex
-from sumo_env.scene import Place
+from sumo_env.scene import NOBODY, Neighbour, Place
 from sumo_env.simulator import EgoCommand
-from sumo_env.sumo.ego import TAU, approach, coast, speed_before
-from sumo_env.sumo.session import (
-    ALL_CHECKS_OFF,
-    COMMANDED_LANE_CHANGES,
-    OWN_LANE_CHANGES,
-    REGULAR,
-    Session,
-)
+from sumo_env.sumo.ego import Controls, coast, driven, speed_before
+from sumo_env.sumo.session import OWN_LANE_CHANGES, REGULAR, Session
+from sumo_env.sumo.surroundings import neighbours
+
+REACHED = 0.1  # [m] how exactly SUMO says where a stop line is
 
 
 class RouteEgo:
@@ -30,14 +27,24 @@ class RouteEgo:
         red_light: whether it has run a red light since `obey`.
     """
 
-    def __init__(self, session: Session, network: Network, name: str, obeys_lights: bool) -> None:
+    def __init__(
+        self,
+        session: Session,
+        network: Network,
+        name: str,
+        obeys_lights: bool,
+        measures_energy: bool = False,
+    ) -> None:
+        """measures_energy: see `SumoTraffic`."""
         self._session, self._network, self._name = session, network, name
-        self._obeys_lights = obeys_lights
+        self._obeys_lights, self._measures_energy = obeys_lights, measures_energy
         self._class = session.class_of(name)
         self.speed, self.crashed = session.speed_of(name), False
         self.ended, self.red_light = "", False
-        self._commanded_speed = self._commanded_lane = False  # which of the two has ever been taken from SUMO
+        self._fuel = self._electricity = 0.0  # in this policy step
+        self._controls = Controls(session, name, (REGULAR, OWN_LANE_CHANGES), False, False)
         self._target_speed: float | None = None
+        self._acceleration: float | None = None
         self._target_lane: LaneIndex | None = None
         self._lane, self._length, self._leads_on, self._may_turn = "", 0.0, True, True
         self._sides: tuple[LaneIndex | None, LaneIndex | None] = (None, None)
@@ -51,36 +58,28 @@ class RouteEgo:
 
     def obey(self, command: EgoCommand) -> None:
         """Take over the command of a policy step, and give SUMO back what is not commanded."""
-        session, name = self._session, self._name
         self._left = self._remaining()
+        self._fuel = self._electricity = 0.0
         if self.crashed:
             return
         self._lane = ""  # routes and lanes may have changed since it came here
         self.look()
-        self._target_speed, self._target_lane = command
+        self._target_speed, self._target_lane, self._acceleration = command
         if self._target_lane is not None and self._target_lane not in self._sides:
             self._target_lane = self._index
         self.red_light = False
-        speed, lane = self._target_speed is not None, self._target_lane is not None
-        if speed != self._commanded_speed:
-            session.set_modes(name, speed_mode=ALL_CHECKS_OFF if speed else REGULAR)
-            if not speed:
-                session.set_speed(name, -1.0)
-        if lane != self._commanded_lane:
-            session.set_modes(name, lane_change_mode=COMMANDED_LANE_CHANGES if lane else OWN_LANE_CHANGES)
-        self._commanded_speed, self._commanded_lane = speed, lane
+        self._controls.command(self._target_speed is not None, self._target_lane is not None)
 
     def drive(self, dt: float) -> None:
         """Command the next step of `dt` [s]."""
         session, name, before = self._session, self._name, self.speed
         self._signal = session.next_signal(name)
         if self.crashed:
-            if not (self._commanded_speed and self._commanded_lane):
-                session.set_modes(name, ALL_CHECKS_OFF, COMMANDED_LANE_CHANGES)
+            self._controls.command(True, True)
             session.set_speed(name, coast(before, dt)[0])
         elif self._target_speed is not None:
             accel, decel, hardest = session.limits_of(name)
-            wanted = approach(before, self._target_speed, TAU, dt)[0]
+            wanted = driven(before, self._target_speed, self._acceleration, dt)[0]
             speed = min(max(wanted, before - decel * dt, 0.0), before + accel * dt)
             if self._obeys_lights:
                 allowed = speed_before(session.next_light(name), before, dt)
@@ -93,6 +92,8 @@ class RouteEgo:
 
     def _change_lane(self) -> None:
         """Ask for the target lane; SUMO changes there within the step, or in the time that its options say."""
+        if self._target_lane is not None and not self._controls.may_change_lane():
+            self._target_lane = self._index
         target = self._target_lane
         if target is None or target == self._index or target not in self._sides:
             return
@@ -103,10 +104,15 @@ class RouteEgo:
         """After the step: what SUMO has made of the commands; returns the distance that was driven [m]."""
         session, before = self._session, self._lane
         self.speed = session.speed_of(self._name)
+        if self._measures_energy:
+            fuel, electricity = session.consumption_of(self._name)
+            self._fuel += fuel * dt
+            self._electricity += electricity * dt
         self.look()
         if self._signal and self._lane != before and not before.startswith(":"):
-            edge = before.rpartition("_")[0]
-            if self._lane.rpartition("_")[0] != edge and session.shows_red(*self._signal[:2]):
+            signal, connection, distance = self._signal
+            edge, reached = before.rpartition("_")[0], distance <= self.speed * dt + REACHED
+            if self._lane.rpartition("_")[0] != edge and reached and session.shows_red(signal, connection):
                 self.red_light = True
         if not self._may_turn and self._target_lane is not None:
             self.ended = "missed turn"
@@ -190,8 +196,8 @@ class RouteEgo:
     def place(self, waiting: int) -> Place:
         """As a scene has it."""
         left, right = (side is not None for side in self._sides)
-        arrived = self.ended == "arrived"
-        driven = 0.0 if self.ended in ("arrived", "removed") else self._session.position_of(self._name)
+        arrived, gone = self.ended == "arrived", self.ended in ("arrived", "removed")
+        driven = 0.0 if gone else self._session.position_of(self._name)
         beside = [max(reach - driven, 0.0) for reach in self._reaches]
         if self.ended == "removed":
             progress = 0.0
@@ -209,4 +215,14 @@ class RouteEgo:
             ended=self.ended,
             red_light=self.red_light,
             waiting=waiting,
+            neighbours=(NOBODY,) * 6 if gone else self._neighbours(),
+            fuel=self._fuel,
+            electricity=self._electricity,
         )
+
+    def _neighbours(self) -> tuple[Neighbour, ...]:
+        """Leaders and followers, the driver's left lane first; SUMO's left is that of the higher number."""
+        found, (start, end, _) = neighbours(self._session, self._name), self._index
+        last = self._network.road.count(start, end) - 1
+        left, right = (self._network.sumo_index((start, end, place)) for place in (0, last))
+        return found if left >= right else (*found[4:], *found[2:4], *found[:2])

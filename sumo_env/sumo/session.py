@@ -11,15 +11,16 @@ import io
 import operator
 import tempfile
 from collections.abc import Iterable, Sequence
+from importlib.util import find_spec
 from math import cos, pi, radians, sin, sqrt
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 from sumo_env.contacts.rectangles import Half, State
 from sumo_env.networks.meeting import Spot
 from sumo_env.scene import CAR_SIZE, GREEN, NO_LIGHT, RED, VEHICLE_LENGTH, YELLOW, Light
 from sumo_env.sumo.options import readable
+from sumo_env.sumo.proxy import plain
 from sumo_env.sumo.settings import Settings
 from sumo_env.traffic.drivers import Deviation
 
@@ -28,10 +29,14 @@ try:
     with contextlib.redirect_stdout(io.StringIO()):
         import libsumo
 except ImportError as error:
-    raise ImportError(
-        "SUMO is missing: libsumo cannot be imported. Install it with 'pip install libsumo==1.28.0' "
-        f"(the wheel brings SUMO along; no system-wide SUMO is needed). Python says: {error}"
-    ) from error
+    reason = (
+        "SUMO is here, but this system cannot load it. It needs about 1 GB of address space (ulimit -v), and on Linux "
+        "libraries that slim containers lack: apt-get install libx11-6 libxext6 libxrender1 libgl1"
+        if find_spec("libsumo")
+        else "SUMO is missing. Install it with 'pip install libsumo==1.28.0' (the wheel brings SUMO along; no "
+        "system-wide SUMO is needed)"
+    )
+    raise ImportError(f"{reason}. Python says: {error}") from error
 
 _vehicle, _simulation = libsumo.vehicle, libsumo.simulation
 SumoErrors = (libsumo.TraCIException, libsumo.FatalTraCIError)
@@ -210,7 +215,7 @@ class Session:
 
     def call(self, path: str, arguments: tuple[Any, ...], named: dict[str, Any]) -> Any:
         """A function of libsumo by its name, such as ``vehicle.getSpeed``; objects of SUMO become plain ones."""
-        return _plain(operator.attrgetter(path)(libsumo)(*arguments, **named))
+        return plain(operator.attrgetter(path)(libsumo)(*arguments, **named))
 
     def set_speed(self, name: str, speed: float) -> None:
         """Command a speed [m/s] from now on; -1 gives it back to the car-following model."""
@@ -313,10 +318,15 @@ class Session:
 
     def next_light(self, name: str) -> Light:
         """The next traffic light on a vehicle's way."""
-        for _, _, distance, letter in _vehicle.getNextTLS(name) if self.has_lights else ():
+        for signal, _, distance, letter in _vehicle.getNextTLS(name) if self.has_lights else ():
             if letter in LIGHTS:
-                return Light(LIGHTS[letter], float(distance))
+                left = libsumo.trafficlight.getNextSwitch(signal) - _simulation.getTime()
+                return Light(LIGHTS[letter], float(distance), max(float(left), 0.0))
         return NO_LIGHT
+
+    def consumption_of(self, name: str) -> tuple[float, float]:
+        """Fuel [mg/s] and electricity [Wh/s] that a vehicle consumed in the last step."""
+        return _vehicle.getFuelConsumption(name), _vehicle.getElectricityConsumption(name)
 
     def vehicles(self) -> tuple[str, ...]:
         """Names of the vehicles on the road, in alphabetical order."""
@@ -398,20 +408,6 @@ def _state(front: tuple[float, float], angle: float, speed: float, half: float =
     if heading > pi:
         heading -= 2.0 * pi
     return front[0] - half * cos(heading), -front[1] - half * sin(heading), speed, heading
-
-
-def _plain(value: Any) -> Any:
-    """What libsumo returns, as values that can be sent to another process."""
-    if isinstance(value, tuple | list):
-        return tuple(map(_plain, value))
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in value.items()}
-    if value is None or isinstance(value, str | int | float):
-        return value
-    names = [name for name in dir(value) if not name.startswith("_") and name not in ("this", "thisown")]
-    return SimpleNamespace(
-        **{name: _plain(item) for name in names if not callable(item := getattr(value, name))}
-    )
 
 
 def version() -> str:

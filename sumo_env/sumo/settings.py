@@ -20,7 +20,8 @@ COLLISIONS = {
 SILENT = {"no-step-log": "true", "no-warnings": "true", "duration-log.disable": "true"}
 # [s] The ego's centre then crosses the line between two lanes when highway-env's does, after 0.45 to 0.5 s.
 LANE_CHANGE_DURATION = 0.8
-
+TO_THE_ROOT = "../" * 64  # from any folder
+NO_FILES = ("stdout", "stderr", "/dev/null", "NUL", "nul")  # that SUMO can write to
 
 # Of scenarios of SUMO's files, where neither the files nor the user say otherwise.
 USUAL = {"lanechange.duration": "0", "xml-validation": "never", **SILENT}
@@ -87,7 +88,8 @@ def file_settings(scenario: Scenario, further: Sequence[str] = (), outputs: Path
     Args:
         scenario: with `traffic`.
         further: options of SUMO that a user adds, as ``--name=value``.
-        outputs: folder into which SUMO writes its files; by default they are where the options say.
+        outputs: folder into which SUMO writes all its files, those of detectors in additional files included; by
+            default they are where files and options say.
     """
     assert scenario.traffic is not None
     given = dict(option.removeprefix("--").split("=", 1) for option in further)
@@ -95,9 +97,18 @@ def file_settings(scenario: Scenario, further: Sequence[str] = (), outputs: Path
     added = (options.get("additional-files", ""), given.pop("additional-files", ""))
     if any(added):
         options["additional-files"] = ",".join(filter(None, added))
-    given.pop(OUTPUT_DIR.removeprefix("--"), None)
-    if outputs is not None:
-        given |= {name: str(outputs / Path(value).name) for name, value in given.items() if is_output(name)}
+    all_are_wanted = given.pop(OUTPUT_DIR.removeprefix("--"), None)
+    if outputs is not None and not all_are_wanted:  # but those that the user names
+        for name, value in given.items():
+            if is_output(name) and value not in NO_FILES:
+                link = outputs / f"{name}-{Path(value).name}"
+                link.unlink(missing_ok=True)
+                link.symlink_to(Path(value).absolute())
+                given[name] = link.name
+    if (
+        outputs is not None
+    ):  # SUMO puts the prefix between the folder and the name of every file that it writes
+        given["output-prefix"] = f"{TO_THE_ROOT}{str(outputs).lstrip('/')}/"
     seed = scenario.seed if scenario.traffic.seed is None else scenario.traffic.seed
     options |= {**given, **COLLISIONS, "seed": str(seed)}
     return Settings(float(options["step-length"]), options, scenario.traffic.elements)

@@ -9,11 +9,14 @@ from __future__ import annotations
 from collections.abc import Collection
 from itertools import repeat
 from math import inf
+from operator import itemgetter
+from typing import Any
 
 from sumo_env.contacts.crash import SUMO_TOLERANCE
 from sumo_env.contacts.measures import TTC_RADIUS, ego_ttc
 from sumo_env.contacts.rectangles import CAR, DIAGONAL, Half, State, reach_of, stay_apart
 from sumo_env.networks.meeting import Meeting, Spot
+from sumo_env.scene import NOBODY, PERCEPTION_DISTANCE, Neighbour
 from sumo_env.sumo.session import Session
 from sumo_env.traffic.scenario import EGO
 
@@ -111,3 +114,23 @@ class Surroundings:
         driven = (abs(self.ego[2]) + abs(self.near[name][2])) * time
         lengths = 2.0 * (self._own_half()[0] + half[0])
         return self._meeting.can_meet(self._spot, self._session.spot(name), lengths, driven)
+
+
+def neighbours(session: Session, name: str) -> tuple[Neighbour, ...]:
+    """Leader and follower of a vehicle in the lane on SUMO's left, in its own lane, and in that on the right."""
+
+    def ask(function: str, *arguments: Any) -> Any:
+        return session.call(f"vehicle.{function}", arguments, {})
+
+    own = ask("getLeader", name, PERCEPTION_DISTANCE), ask("getFollower", name, PERCEPTION_DISTANCE)
+    around = []
+    for side in ("Left", "", "Right"):
+        for behind, others in enumerate(("Leaders", "Followers")):
+            found = ask(f"get{side}{others}", name) if side else filter(None, own[behind : behind + 1])
+            nearest = NOBODY
+            for other, further in found:
+                if other:  # SUMO's gaps are those beyond the minGap of the vehicle behind
+                    gap = further + ask("getMinGap", other if behind else name)
+                    nearest = min(nearest, Neighbour(other, gap, session.speed_of(other)), key=itemgetter(1))
+            around.append(nearest)
+    return tuple(around)

@@ -1,4 +1,4 @@
-"""The worker of `process.SumoProcess`: `main`, with the arguments DESCRIPTOR MODULE:CLASS OPTIONS.
+"""The worker of `process.SumoProcess`: `main`, with the arguments LINK MODULE:CLASS OPTIONS.
 
 Answers requests (command, arguments) to a simulator by (exception or None, value) until the other end is gone. The
 command "fork" makes a copy of the process, which serves a socket of its own. Nothing is printed but what SUMO prints,
@@ -18,6 +18,7 @@ from pkgutil import resolve_name
 from typing import Any
 
 from sumo_env.simulator import SimulatorError
+from sumo_env.sumo.link import FORKS, connect
 
 
 def make(name: str, options: tuple[str, ...]) -> Any:
@@ -69,9 +70,10 @@ def fork(link: socket.socket) -> socket.socket | None:
 def main() -> None:
     """Serve the socket of the command line."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is the client's to handle
-    signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # nobody waits for copies; the system clears them away
-    descriptor, name, *options = sys.argv[1:]
-    serve(socket.socket(fileno=int(descriptor)), name, tuple(options))
+    if FORKS:
+        signal.signal(signal.SIGCHLD, signal.SIG_IGN)  # nobody waits for copies; the system clears them away
+    link, name, *options = sys.argv[1:]
+    serve(connect(link), name, tuple(options))
     sys.stdout.flush()
     os._exit(0)  # SUMO has nothing to save, and taking down its modules takes time
 

@@ -203,7 +203,9 @@ class SumoSimulator:
             self._events.act(self._time, self._dt)
             x, y, _, _ = around.ego
             distance += ego.drive(x, y, self._dt)
-            self._look(ego, self._advance())
+            reported = self._advance()
+            distance += ego.settle()
+            self._look(ego, reported)
             if not ego.crashed and around.near:
                 least_ttc = min(least_ttc, around.time_to_collision(min(least_ttc, HORIZON)))
             if trace:

@@ -44,6 +44,8 @@ class EgoState(NamedTuple):
         action: the action of this step, None at a reset; a number or, if it has two axes, a tuple of numbers.
         crashed, on_road: after the step.
         scene: all vehicles, for rewards that depend on the traffic; the ego is row 0.
+        acceleration: mean of this step [m/s2]; jerk: its change since the step before, over time [m/s3].
+        before: the scene before this step, None at a reset.
     """
 
     lane: LaneIndex
@@ -58,6 +60,9 @@ class EgoState(NamedTuple):
     crashed: bool
     on_road: bool
     scene: Scene | None = None
+    acceleration: float = 0.0
+    jerk: float = 0.0
+    before: Scene | None = None
 
 
 class Task:

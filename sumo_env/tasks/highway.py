@@ -8,7 +8,7 @@ import numpy as np
 
 from sumo_env.config import DISCRETE_META_ACTION, Config, ConfigError
 from sumo_env.networks.roads import LaneIndex, Road, highway
-from sumo_env.scene import PERCEPTION_DISTANCE, Floats
+from sumo_env.scene import MAX_SPEED, PERCEPTION_DISTANCE, Floats
 from sumo_env.tasks.base import Drivers, EgoState, Task, ego_driver, make_on_lane, speed_term
 from sumo_env.traffic.drivers import Calibration
 from sumo_env.traffic.risk import RiskRates
@@ -76,7 +76,10 @@ class Highway(Task):
         # Even at full speed the ego gets no closer than 400 m to a crashed vehicle further ahead. Leaving such vehicles
         # out changed what the ego sees by less than 2e-5 in 80 episodes; at 200 m, where LC2013 looks further ahead
         # than the ego sees, by more than 1e-4 in every fifth (docs/developers/decisions.md).
-        fastest = max(config["action"].get("target_speeds") or self.target_speeds)
+        action = config["action"]
+        fastest = max(action.get("target_speeds") or self.target_speeds)
+        if action["type"] != "DiscreteMetaAction" or action.get("longitudinal") == "sumo":
+            fastest = max(fastest, *(action.get("speed_range") or (MAX_SPEED,)))
         reach = ego.s + fastest * config["duration"] + 2 * PERCEPTION_DISTANCE
         vehicles = zip(lanes.tolist(), places.tolist(), speeds.tolist(), strict=True)
         return [

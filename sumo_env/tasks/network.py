@@ -13,13 +13,14 @@ from xml.etree import ElementTree
 import numpy as np
 from gymnasium import logger
 
-from sumo_env.config import DISCRETE_META_ACTION, Config, ConfigError
+from sumo_env.config import DISCRETE_META_ACTION, MOST_VEHICLES, Config, ConfigError
 from sumo_env.networks import files
 from sumo_env.networks.lanes import VEHICLE_LENGTH
 from sumo_env.networks.roads import Road
-from sumo_env.scene import ON_ITS_WAY, Place
+from sumo_env.scene import CLOSING, GAPS, LANE_ENDS, ON_ITS_WAY, Place
 from sumo_env.streams import stream
 from sumo_env.tasks.base import Drivers, EgoState, Task, ego_driver, make_on_lane, speed_term
+from sumo_env.tasks.terms import TERMS, measures_energy, terms
 from sumo_env.traffic.drivers import LACKING, vehicle_type
 from sumo_env.traffic.risk import RiskRates
 from sumo_env.traffic.scenario import EGO, Origin, Scenario, SumoTraffic, VehicleSpec
@@ -31,6 +32,7 @@ SPACING = 15.0  # [m] between centres when vehicles are placed
 EGO_SPACING = 25.0  # [m] likewise, from the place where the ego departs
 QUIET = 60.0  # [s] without a departure after which SUMO's begin is not taken, unless it was given
 STEP = "0.1"  # [s]
+BESIDE = 50.0  # [m] to the sides that the observation shows: a lane is a sixteenth of it
 
 
 class NetworkTask(Task):
@@ -47,6 +49,7 @@ class NetworkTask(Task):
         "action": DISCRETE_META_ACTION,
         "vehicles_count": 20,  # placed at random on the routes that are given as lists
         "spawn_probability": 0.3,  # [1/s] that a vehicle comes at the beginning of such a route
+        "traffic_scale": [1, 1],  # numbers between which a factor on all traffic is drawn for each episode
         "begin": None,  # [s] of SUMO's clock; None for the begin of the files, or their first departure
         "warm_up": 0,  # [s] that the traffic drives before the ego comes
         "wait": 600,  # [s] that SUMO may need to insert the ego
@@ -62,6 +65,7 @@ class NetworkTask(Task):
         "high_speed_reward": 0,  # in each policy step
         "red_light_terminal": False,  # whether the episode ends when the ego runs a red light
         "reward_speed_range": None,  # [m/s]; None for half the speed limit to the speed limit
+        **TERMS,
         "offroad_terminal": False,
         "screen_width": 600,
         "screen_height": 600,
@@ -168,8 +172,11 @@ class NetworkTask(Task):
             several = [route] if isinstance(route[0], str) else route
             origins = tuple(Origin(tuple(way), False, kind) for way in several)
         for origin in origins:
-            for way in [(edge,) for edge in origin.edges] if origin.is_trip else [origin.edges]:
-                files.check_route(self._driven, "the ego's", way, "" if type else files.CAR)
+            vehicles = "" if type else files.CAR
+            if origin.is_trip:
+                files.check_trip(self._driven, origin.edges[0], origin.edges[-1], vehicles)
+            else:
+                files.check_route(self._driven, "the ego's", origin.edges, vehicles)
         return origins
 
     def _speed_limit(self) -> float:
@@ -197,11 +204,6 @@ class NetworkTask(Task):
             _warn_once(
                 f"risk changes no {lacks} of drivers of the car-following model {model}, which lacks them"
             )
-        for key in ("begin", "initial_speed"):
-            if config[key] is not None and not (isinstance(config[key], int | float) and config[key] >= 0):
-                raise ConfigError(
-                    f"config key {key!r} must be a number of at least 0 or None, not {config[key]!r}"
-                )
         rng = stream(seed, "scenario")
         origin = self._origins[int(rng.integers(len(self._origins)))]
         if config["initial_speed"] is not None:
@@ -212,8 +214,14 @@ class NetworkTask(Task):
         options = {**self._options, "step-length": f"{1.0 / self.frequency(config):.6g}"}
         if begin is not None:
             options["begin"] = f"{begin:g}"
-        start = seconds("begin", options.get("begin", "0"))
-        drawn = self._draw(config, spec, start, rng, seed) if self._drawn else ""
+        start, drawn = seconds("begin", options.get("begin", "0")), ""
+        scale = self._scale(config, seed)
+        if self._drawn:
+            for key, most in (("vehicles_count", MOST_VEHICLES), ("spawn_probability", 1.0)):
+                config = {**config, key: min(scale * config[key], most)}
+            drawn = self._draw(config, spec, start, rng, seed)
+        elif scale != 1.0:
+            options["scale"] = f"{scale * float(options.get('scale', 1.0)):.6g}"
         return Scenario(
             task=self.name,
             seed=seed,
@@ -234,8 +242,18 @@ class NetworkTask(Task):
                 rates=self.risk_rates,
                 models=models,
                 duration=float(config["duration"]),
+                measures_energy=measures_energy(config),
             ),
         )
+
+    def _scale(self, config: Config, seed: int) -> float:
+        """The factor on the traffic of an episode."""
+        low, high = config["traffic_scale"]
+        if not 0.0 <= low <= high:
+            raise ConfigError(
+                f"config key 'traffic_scale' must be [low, high] from 0 on, not {[low, high]!r}"
+            )
+        return float(stream(seed, "traffic scale").uniform(low, high)) if low < high else float(low)
 
     @cached_property
     def _models(self) -> tuple[tuple[str, str], ...]:
@@ -351,6 +369,7 @@ class NetworkTask(Task):
             "missed_turn_reward": float(place.ended == "missed turn"),
             "red_light_reward": float(place.red_light),
             "on_road_reward": float(ego.on_road),
+            **terms(ego, config),
         }
 
     def arrived(self, ego: EgoState) -> bool:
@@ -370,10 +389,10 @@ def _place(ego: EgoState) -> Place:
 def _ranges(limit: float) -> dict[str, list[float]]:
     """Ranges of features where roads are driven at up to `limit` [m/s]: five seconds ahead, and oncoming vehicles."""
     sight = max(5.0 * limit, 50.0)
-    ranges = {name: [-sight, sight] for name in ("x", "y")}
+    ranges = {"x": [-sight, sight], "y": [-BESIDE, BESIDE]}
     ranges |= {name: [-2.0 * limit, 2.0 * limit] for name in ("vx", "vy")}
-    ranges |= {name: [0.0, sight] for name in ON_ITS_WAY}
-    return {**ranges, "light": [-1.0, 2.0]}
+    ranges |= {name: [0.0, sight] for name in (*LANE_ENDS, "light_distance", *GAPS)}
+    return {**ranges, "light": [-1.0, 2.0], **{name: [-limit, limit] for name in CLOSING}}
 
 
 @cache

@@ -178,6 +178,25 @@ class RiskRanges:
 
 SPREAD_PARAMETERS = ("accel", "decel", "tau", "min_gap", "emergency_decel", "assertive", "speed_gain")
 RISK_RANGES = RiskRanges()
+# What is drawn from one stream, in this order, on which all published results depend. A parameter that is added later
+# is not added here: it has a stream of its own, and shifts no other draw.
+ONE_STREAM = (
+    *("delta", "accel", "decel", "tau", "min_gap", "emergency_decel", "assertive", "speed_gain"),
+    *("gives_way", "attention"),
+)
+
+
+@lru_cache
+def quantiles(parameter: str) -> np.ndarray:
+    """Quantile in (0, 1) of a parameter of each driver of a pool, (POOL,): one draw in each of POOL equal parts."""
+    before = 0
+    if parameter in ONE_STREAM:
+        rng, before = stream(0, "driver pool"), ONE_STREAM.index(parameter)
+    else:
+        rng = stream(0, f"driver pool {parameter}")
+    for _ in range(before):
+        rng.permutation(POOL)
+    return (rng.permutation(POOL) + 0.5) / POOL
 
 
 class DriverPool(NamedTuple):
@@ -204,29 +223,20 @@ class DriverPool(NamedTuple):
         The paper's law (section "Experiment Setup"): ``p = p_min + U(0, 1) * (p_max - p_min)`` with one fixed draw per
         driver and parameter. The dose widens every range from the regular value to the whole of `ranges`.
         """
-        rng = stream(0, "driver pool")
-
-        def uniform() -> np.ndarray:
-            """A stratified uniform sample over the pool (one draw in each of POOL equal parts)."""
-            return (rng.permutation(POOL) + 0.5) / POOL
-
-        exponent = uniform()
-        draws = {name: uniform() for name in SPREAD_PARAMETERS}
-        gives_way = uniform() >= self.ranges.not_giving_way * self.dose
-        attention = uniform()
+        gives_way = quantiles("gives_way") >= self.ranges.not_giving_way * self.dose
 
         def parameter(name: str, k: int) -> Any:
             regular = float(getattr(self.base, name, 1.0))
             low, high = (
                 regular * (1.0 + (factor - 1.0) * self.dose) for factor in getattr(self.ranges, name)
             )
-            return low + float(draws[name][k]) * (high - low)
+            return low + float(quantiles(name)[k]) * (high - low)
 
         return tuple(
             Driver(
                 type=f"{'f' if self.fixed_delta else 'd'}{k}@{self.dose:g}",
-                delta=4.0 if self.fixed_delta else 3.5 + float(exponent[k]),
-                attention=float(attention[k]),
+                delta=4.0 if self.fixed_delta else 3.5 + float(quantiles("delta")[k]),
+                attention=float(quantiles("attention")[k]),
                 gives_way=bool(gives_way[k]),
                 **{name: parameter(name, k) for name in SPREAD_PARAMETERS},
             )
@@ -256,12 +266,17 @@ class Deviation(NamedTuple):
     @classmethod
     def draw(cls, ranges: RiskRanges, dose: float, seed: int, vehicle: str) -> Deviation:
         """Of the driver of a vehicle: one fixed quantile a parameter, as of the drivers of a `DriverPool`."""
-        quantiles = stream(seed, f"driver of {vehicle}").random(len(SPREAD_PARAMETERS) + 1).tolist()
+        together = ONE_STREAM[1:-1]
+        drawn = dict(
+            zip(together, stream(seed, f"driver of {vehicle}").random(len(together)).tolist(), strict=True)
+        )
         factors = {}
-        for name, quantile in zip(SPREAD_PARAMETERS, quantiles, strict=False):
+        for name in SPREAD_PARAMETERS:
+            if name not in drawn:
+                drawn[name] = float(stream(seed, f"{name} of the driver of {vehicle}").random())
             low, high = getattr(ranges, name)
-            factors[name] = 1.0 + dose * (low + quantile * (high - low) - 1.0)
-        return cls(**factors, gives_way=quantiles[-1] >= ranges.not_giving_way * dose)
+            factors[name] = 1.0 + dose * (low + drawn[name] * (high - low) - 1.0)
+        return cls(**factors, gives_way=drawn["gives_way"] >= ranges.not_giving_way * dose)
 
     def of_model(self, model: str) -> Deviation:
         """For a car-following model: without the parameters that it lacks."""

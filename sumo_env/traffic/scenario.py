@@ -109,6 +109,7 @@ class SumoTraffic:
         models: car-following models of vehicle types, where the files name one.
         duration: of the episode [s], after which no event begins.
         seed: of SUMO's random numbers; None for that of the scenario.
+        measures_energy: whether SUMO is asked what the ego consumes.
         imagined: seed of the risk events after `Simulator.imagine`; None for that of the scenario.
     """
 
@@ -123,6 +124,7 @@ class SumoTraffic:
     duration: float = 60.0
     seed: int | None = None
     imagined: int | None = None
+    measures_energy: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,8 +9,10 @@ from __future__ import annotations
 import difflib
 import gzip
 import re
+import tempfile
 from collections.abc import Generator, Mapping, Sequence
 from contextlib import closing
+from functools import cache
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
@@ -41,7 +43,7 @@ INPUTS = (
 # Of a configuration: what belongs to sumo-gui, to a server, or to the episode.
 LEFT_OUT = (
     *("end", "seed", "random", "remote-port", "num-clients", "save-configuration", "start", "quit-on-end"),
-    *("verbose", "duration-log.statistics", "print-options"),
+    *("verbose", "duration-log.statistics", "print-options", "output-prefix"),
 )
 LOGS = {"log", "message-log", "error-log", "netstate-dump", "device.ssm.file", "device.toc.file"}
 DEPARTING = ("vehicle", "trip", "flow", "person", "personFlow", "container", "containerFlow")
@@ -88,12 +90,40 @@ def paths(name: str, given: str | Path | Sequence[str | Path]) -> tuple[Path, ..
     for path in found:
         if not path.is_file():
             raise ConfigError(f"{name}: there is no file {path}")
-        # a network is opened here, see `options.readable`; of the others there may be several
-        if ("," in str(path) or "${" in str(path)) and not name.endswith(("network", "net-file")):
-            raise ConfigError(
-                f"{name}: SUMO cannot read {path}: it takes a comma as the end of a name, and ${{...}} as a variable"
-            )
-    return found
+    # a network is opened by the session, see `options.readable`; of the others there may be several
+    return found if name.endswith(("network", "net-file")) else tuple(map(_plain_path, found))
+
+
+@cache
+def _plain_path(path: Path) -> Path:
+    """A path to a file that SUMO understands, which takes a comma as the end of a name, and ``${...}`` as a variable.
+
+    Raises:
+        ConfigError: there is none, because the folder for temporary files has such a name.
+    """
+    folder_is_odd, name_is_odd = ("," in part or "${" in part for part in (str(path.parent), path.name))
+    if not (folder_is_odd or name_is_odd):
+        return path
+    folder = Path(_links().name)
+    ending = re.search(r"(\.\w+)*$", path.name)
+    assert ending is not None
+    link = folder / f"{len(list(folder.iterdir()))}{ending[0]}"
+    if "," in str(link) or "${" in str(link):
+        raise ConfigError(
+            f"SUMO cannot read {path}: it takes a comma as the end of a name, and ${{...}} as a variable. Choose "
+            "another folder (TMPDIR is the variable for temporary files)"
+        )
+    if name_is_odd:
+        link.symlink_to(path)
+        return link
+    link.symlink_to(path.parent, target_is_directory=True)  # files beside this one can be found as well
+    return link / path.name
+
+
+@cache
+def _links() -> tempfile.TemporaryDirectory[str]:
+    """A folder of this process, deleted at its end."""
+    return tempfile.TemporaryDirectory(prefix="sumo_env-")
 
 
 def seconds(option: str, text: str) -> float:

@@ -185,10 +185,15 @@ def test_epsilon_is_one_in_the_warm_up_and_then_decays_with_the_steps() -> None:
 @pytest.mark.parametrize(
     ("setting", "message"),
     [
-        ({"gamma": 0.0}, "gamma must lie between 0 and 1"),
-        ({"tau": 0.0}, "tau must be greater than 0"),
-        ({"max_grad_norm": float("nan")}, "max_grad_norm must be greater than 0"),
+        ({"gamma": 0.0}, "gamma must be a number above 0"),
+        ({"gamma": 1.0}, "gamma must be below 1"),
+        ({"tau": 0.0}, "tau must be a number above 0"),
+        ({"max_grad_norm": float("nan")}, "max_grad_norm must be a number above 0"),
+        ({"max_grad_norm": float("inf")}, "max_grad_norm must be a number above 0"),
         ({"target_interval": 2.5}, "target_interval must be a whole number"),
+        ({"learning_rate": "fast"}, "learning_rate must be a number above 0"),
+        ({"epsilon_final": 1.5}, "epsilon_final must be at most 1"),
+        ({"standardise": 1}, "standardise must be true or false"),
     ],
 )
 def test_settings_that_make_no_sense_are_refused(setting: dict, message: str) -> None:

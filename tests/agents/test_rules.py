@@ -10,7 +10,7 @@ import pytest
 
 from agents.rules import CAUTIONS, POLICIES, make_policy
 from experiments.backends import make_env
-from experiments.study.compute.evaluate import evaluate
+from experiments.study.compute.evaluate import drives, evaluate
 
 FIVE = {0: "LANE_LEFT", 1: "IDLE", 2: "LANE_RIGHT", 3: "FASTER", 4: "SLOWER"}
 THREE = {0: "SLOWER", 1: "IDLE", 2: "FASTER"}
@@ -159,7 +159,7 @@ def test_careful_on_highway_env(task: str) -> None:
     """On its physics, by the replica. At the intersection the return pays for crossing blindly."""
     env = make_env("replica", task)
     careful, idle = (
-        evaluate(env, make_policy(name, env), task, 1, 30, traffics=("regular",))
+        evaluate(env, make_policy(name, env), drives(task, 1, range(30), ("regular",)))
         for name in ("careful", "idle")
     )
     assert careful["crashed"].mean() <= 0.1 < 0.3 <= idle["crashed"].mean()

@@ -16,35 +16,37 @@ import torch
 from agents import training
 from agents.checkpoint import CheckpointError, save_arrays
 from agents.dqn import DQNConfig
-from agents.training import TrainedAgent
-from tests.agents.networks import Noisy, Small
+from agents.learner import Trained
+from agents.training import train
+from tests.agents import networks
+from tests.agents.networks import Small
 from tests.experiments.computed import Interrupted, interrupting
 from tests.experiments.fake_env import FakeEnv
 
-SMALL = DQNConfig(updates=300, steps_per_update=1, batch_size=16, warm_up=30, probe_interval=90)
+SMALL = DQNConfig(
+    f"{networks.__file__}:Small",
+    updates=300,
+    steps_per_update=1,
+    batch_size=16,
+    warm_up=30,
+    probe_interval=90,
+)
 
-train = partial(training.train, network=Small)
 
-
-def road() -> FakeEnv:
-    return FakeEnv("u-turn", {"duration": 20})
+def road(risk: float = 0.0) -> FakeEnv:
+    return FakeEnv("u-turn", {"duration": 20, "risk": risk})
 
 
 def network_of(env: FakeEnv, config: DQNConfig) -> Any:
     """What an agent has learned, whose statistics of the inputs a type checker does not know."""
-    return train(env, config, 0).policy.network
+    policy: Any = train(env, config, 0).policy
+    return policy.network
 
 
-def risky(dose: float) -> dict[str, Any]:
-    """Options of a reset to such traffic."""
-    return {"config": {"risk": dose}}
-
-
-def assert_equal(one: TrainedAgent, other: TrainedAgent) -> None:
+def assert_equal(one: Trained, other: Trained) -> None:
     """Bit for bit."""
     assert one.policy.sha256 == other.policy.sha256
-    assert (one.probe_q, one.steps, one.updates) == (other.probe_q, other.steps, other.updates)
-    assert (one.max_abs_reward, one.q_bound) == (other.max_abs_reward, other.q_bound)
+    assert one.record | {"interruption": ""} == other.record | {"interruption": ""}
     for name, column in one.episodes.items():
         np.testing.assert_array_equal(column, other.episodes[name], err_msg=name)
 
@@ -52,16 +54,18 @@ def assert_equal(one: TrainedAgent, other: TrainedAgent) -> None:
 @pytest.mark.parametrize("steps_per_update", [1, 4])
 def test_every_agent_gets_the_same_budget(steps_per_update: int) -> None:
     config = replace(SMALL, steps_per_update=steps_per_update)
-    agents = [train(road(), config, 0, reset_options=risky(dose)) for dose in (0.0, 0.9, 4.0)]
+    agents = [train(road(dose), config, 0) for dose in (0.0, 0.9, 4.0)]
     for agent in agents:
-        assert agent.updates == 300
-        assert config.steps <= agent.steps < config.steps + 20  # the last episode is played to its end
-        assert agent.episodes["length"].sum() == agent.steps == agent.episodes["step"][-1]
+        assert agent.record["updates"] == 300
+        assert (
+            config.steps <= agent.record["steps"] < config.steps + 20
+        )  # the last episode is played to its end
+        assert agent.episodes["length"].sum() == agent.record["steps"] == agent.episodes["step"][-1]
     assert len({len(agent.episodes["episode"]) for agent in agents}) > 1
 
 
 def test_episode_log_says_what_happened() -> None:
-    agent = train(road(), SMALL, 0, reset_options=risky(1.2))
+    agent = train(road(1.2), SMALL, 0)
     log = agent.episodes
     assert list(log["episode"]) == list(range(len(log["episode"])))
     np.testing.assert_array_equal(np.cumsum(log["length"]), log["step"])
@@ -75,7 +79,7 @@ def test_episode_log_says_what_happened() -> None:
 def test_one_seed_meets_the_same_scenarios_in_both_arms() -> None:
     def met(seed: int, dose: float) -> list[int]:
         FakeEnv.met.clear()
-        train(road(), SMALL, seed, reset_options=risky(dose))
+        train(road(dose), SMALL, seed)
         return [met for met, _, _ in FakeEnv.met]
 
     calm, wild, other = met(3, 0.0), met(3, 0.9), met(4, 0.0)
@@ -98,21 +102,25 @@ needs_cuda = pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a C
 
 @pytest.mark.parametrize("moments", [(20, 140), (260, 300), (300,)])
 @pytest.mark.parametrize(
-    ("network", "device"), [(Small, "cpu"), (Noisy, "cpu"), pytest.param(Small, "cuda", marks=needs_cuda)]
+    ("network", "device"),
+    [("Small", "cpu"), ("Noisy", "cpu"), pytest.param("Small", "cuda", marks=needs_cuda)],
 )
 def test_an_interrupted_training_goes_on_bit_for_bit(tmp_path: Path, network, device, moments) -> None:
-    config = replace(SMALL, device=device, replay_capacity=200)  # which wraps
+    network = f"{networks.__file__}:{network}"
+    config = replace(SMALL, network=network, device=device, replay_capacity=200)  # which wraps
     file = tmp_path / "new folder" / "checkpoint.npz"
-    run = partial(training.train, network=network, config=config, seed=0)
+    run = partial(train, config=config, seed=0)
     expected = run(road())
     kept: dict[str, Any] = {"checkpoint": file, "checkpoint_interval": 60}
     for moment in moments:
         with pytest.raises(Interrupted):
-            run(road(), **kept, progress=interrupting(moment))
+            run(road(), **kept, progress=interrupting(config.warm_up + moment))
     seen: list[int] = []
     actual = run(road(), **kept, progress=seen.append)
     first = moments[-1] // 60 * 60 + 20
-    assert seen == list(range(first, 301, 20))  # it went on, it did not begin again
+    assert seen == [
+        config.warm_up + updates for updates in range(first, 301, 20)
+    ]  # it went on, it did not begin again
     assert_equal(expected, actual)
 
 
@@ -135,13 +143,12 @@ def test_a_full_disk_leaves_the_old_checkpoint(tmp_path, monkeypatch) -> None:
     [
         ({"config": replace(SMALL, gamma=0.9)}, "gamma 0.95 instead of 0.9"),
         ({"seed": 1}, "seed 0 instead of 1"),
-        ({"reset_options": risky(0.2)}, "reset_options"),
     ],
 )
 def test_a_checkpoint_of_another_training_is_refused(tmp_path, changed: dict[str, Any], message: str) -> None:
     arguments: dict[str, Any] = {"config": SMALL, "seed": 0, "checkpoint": tmp_path / "checkpoint.npz"}
     with pytest.raises(Interrupted):
-        train(road(), **arguments, checkpoint_interval=20, progress=interrupting(20))
+        train(road(), **arguments, checkpoint_interval=20, progress=interrupting(SMALL.warm_up + 20))
     with pytest.raises(CheckpointError, match=message):
         train(road(), **(arguments | changed))
 
@@ -153,25 +160,32 @@ def test_a_target_network_without_lag_shows_as_divergence() -> None:
         SMALL, updates=1000, tau=1.0, gamma=0.99, batch_size=100, learning_rate_final=5e-4, standardise=False,
         probe_interval=250, warm_up=300, epsilon_decay=0.15,
     )  # fmt: skip
-    agent = training.train(road(), replace(config, network="dueling"), 0)
-    assert agent.q_bound == pytest.approx(agent.max_abs_reward / 0.01)
-    assert max(look.largest for look in agent.probe_q) > 1.2 * agent.q_bound
-    assert agent.probe_q[-1].greedy_share == 1.0
-    stable = training.train(road(), replace(config, network="dueling", target_interval=500), 0)
-    assert max(look.largest for look in stable.probe_q) < 6 < 1.2 * stable.q_bound
+
+    def largest(record: dict[str, Any]) -> float:
+        return max(row[2] for row in record["probe_q"])
+
+    agent = train(road(), replace(config, network="dueling"), 0)
+    assert agent.record["q_bound"] == pytest.approx(1 / 0.01, rel=0.01)  # the fake environment pays at most 1
+    assert largest(agent.record) > 1.2 * agent.record["q_bound"]
+    observations = np.random.default_rng(0).uniform(-1, 1, (50, 2, 5)).astype(np.float32)
+    assert len({agent.policy.act(observation) for observation in observations}) == 1
+    stable = train(road(), replace(config, network="dueling", target_interval=500), 0)
+    assert largest(stable.record) < 6 < 1.2 * stable.record["q_bound"]
 
 
-def test_values_are_watched_on_the_first_observations_or_on_given_ones() -> None:
-    own = train(road(), SMALL, 0)
-    assert [look.update for look in own.probe_q] == [100, 180, 280, 300]
-    probe = np.random.default_rng(0).uniform(-1, 1, (7, 2, 5)).astype(np.float32)
-    given = train(road(), SMALL, 0, probe=probe)
-    assert given.policy.sha256 == own.policy.sha256  # looking changes nothing
-    values = np.array([np.abs(given.policy.q(observation)).max() for observation in probe])
-    assert given.probe_q[-1].mean == pytest.approx(values.mean())
-    assert given.probe_q[-1].largest == pytest.approx(values.max())
-    unknown = train(road(), replace(SMALL, updates=20), 0, probe=np.full_like(probe, np.nan))
-    assert np.isnan(unknown.probe_q[-1].largest)
+def test_values_are_watched_on_the_first_observations() -> None:
+    trained = train(road(), SMALL, 0)
+    assert [row[0] for row in trained.record["probe_q"]] == [100, 180, 280, 300]
+    env = road()
+    again = training.Training(training.DQN(SMALL, env.observation_space, env.action_space, 0), env)
+    again.play(SMALL.warm_up)  # the same random steps
+    first = again.agent.replay.first(SMALL.warm_up)
+    probe_size = len(first)
+    watched = train(road(), replace(SMALL, probe_size=probe_size), 0)
+    assert watched.policy.sha256 == trained.policy.sha256  # watching changes nothing
+    policy: Any = watched.policy
+    values = np.array([np.abs(policy.q(observation)).max() for observation in first])
+    assert watched.record["probe_q"][-1][1:] == pytest.approx([values.mean(), values.max()])
 
 
 def test_wrong_arguments_are_refused() -> None:
@@ -180,16 +194,16 @@ def test_wrong_arguments_are_refused() -> None:
     with pytest.raises(ValueError, match="checkpoint_interval"):
         train(road(), SMALL, 0, checkpoint_interval=0)
     with pytest.raises(ValueError, match="Unknown network"):
-        training.train(road(), replace(SMALL, network="none"), 0)
+        train(road(), replace(SMALL, network="none"), 0)
 
 
 def test_the_time_limit_is_no_end_to_the_values() -> None:
     """Only a crash is stored as terminal: what comes after the last step of an episode is still expected."""
     env = road()
     agent = training.DQN(SMALL, env.observation_space, env.action_space, 0, Small)
-    played = training.Training(agent, env, None, None)
+    played = training.Training(agent, env)
     played.play(200)
-    crashes, lengths = sum(played.log["crashed"]), played.log["length"]
+    crashes, lengths = sum(played.env.rows["crashed"]), played.env.rows["length"]
     assert max(lengths) == 20
     assert crashes < len(lengths)
     assert agent.replay.arrays["terminated"][: len(agent.replay)].sum() == crashes

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from experiments.study.compute.cell import CellTask
-from experiments.study.compute.run import Ended, attempt
+from experiments.study.compute.run import Attempt, attempt
 from experiments.study.results.store import Store
 from experiments.sweep import Options, cells_of
 from tests.experiments.fake_env import make_env
@@ -45,7 +45,7 @@ def tasks_of(directory: Path, **options: Any) -> list[CellTask]:
 
 def compute(tasks: Iterable[CellTask]) -> None:
     for task in tasks:
-        assert attempt(task) == Ended("done")
+        assert attempt(task) == Attempt("done")
 
 
 def sweep_of(directory: Path, **options: Any) -> None:

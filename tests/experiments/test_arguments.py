@@ -17,7 +17,7 @@ from experiments.study.design.arms import EVERY_ARM
 from experiments.study.design.experiment import shard
 from experiments.study.design.presets import PRESETS
 from experiments.support.errors import UserError
-from experiments.sweep import Options, cells_of, words_of
+from experiments.sweep import Options, cells_of, split_arguments
 from sumo_env.tasks import TASKS
 from tests.processes import ROOT, ended, python
 
@@ -38,15 +38,15 @@ ARGUMENTS = {
     "seeds": st.none() | st.integers(-3, 30),
     "episodes": st.none() | NUMBERS,
     "updates": st.none() | NUMBERS,
-    "gamma": st.none() | st.floats(),
     "crash_reward": st.none() | st.floats(),
     "frontier": st.booleans(),
     "unseen": st.booleans(),
     "learner": some(["dqn", "sb3-dqn", "sb3-ppo", "none.py:learner"]),
-    "settings": st.lists(some(["gamma=0.9", "gama=1", "=", "n_steps=8"]), max_size=2).map(tuple),
+    "settings": st.lists(
+        some(["gamma=0.9", "gamma=NaN", "device=cpu", "gama=1", "=", "n_steps=8"]), max_size=2
+    ).map(tuple),
     "network": st.none() | some(["attention", "dueling", "none.py:Net", ":", "a:b:c"]),
     "policy": st.lists(some(["none.py:make", "none.zip"]), max_size=1).map(tuple),
-    "device": st.none() | some(["cpu"]),
     "arms": st.lists(some(EVERY_ARM), max_size=3).map(tuple),
     "placebo": st.booleans(),
     "test_on": st.lists(some(BACKENDS), max_size=2).map(tuple),
@@ -94,7 +94,7 @@ def test_the_help_names_all_that_can_be_asked_for(capsys):
 
 def test_a_repeated_option_adds_values():
     words = ["--policy", "a:make", "--seeds=2", "--policy", "b.zip", "--placebo", "--policy=c"]
-    assert words_of(words) == ["--policy", "a:make", "b.zip", "c", "--seeds", "2", "--placebo"]
+    assert split_arguments(words) == ["--policy", "a:make", "b.zip", "c", "--seeds", "2", "--placebo"]
 
 
 @pytest.mark.slow

@@ -10,12 +10,12 @@ import pandas as pd
 import pytest
 
 from experiments import benchmark
-from experiments.benchmark import Driver, Options, beside, run
+from experiments.benchmark import Driver, Options, ratios, run
 
 
 def test_ratios_are_taken_turn_by_turn() -> None:
     rates = pd.DataFrame({"theirs": [1, 0.5, 2], "ours": [10, 5, 10]})  # the second turn was slow for both
-    assert beside(rates) == [
+    assert ratios(rates) == [
         {"of": "theirs", "steps_per_second": 1.0, "ratio": 1.0},
         {"of": "ours", "steps_per_second": 10.0, "ratio": 10.0},
     ]
@@ -43,9 +43,7 @@ def test_the_command_measures_every_part(tmp_path: Path, monkeypatch: pytest.Mon
         monkeypatch.setattr(benchmark, name, value)
     peers = run(Options(tmp_path, quick=True, tasks=("u-turn",), parts=("peers",)))
     monkeypatch.setattr(benchmark, "Process", Here)  # what follows would start many
-    results = run(
-        Options(tmp_path, quick=True, tasks=("u-turn",), parts=("env", "start", "learner", "batches"))
-    )
+    results = run(Options(tmp_path, quick=True, tasks=("u-turn",), parts=("env", "batches")))
     assert json.loads((tmp_path / "benchmark.json").read_text()) == results
     assert [r["of"] for r in results["env"]] == [
         f"{side}, u-turn {level}"
@@ -54,8 +52,6 @@ def test_the_command_measures_every_part(tmp_path: Path, monkeypatch: pytest.Mon
     ]
     ours = [r for r in results["env"] if not r["of"].startswith("highway-env")]
     assert all(r["ratio"] > 1.0 and r["reset_ms"] > 0.0 for r in ours)
-    assert 0.0 < results["start"][0]["first_step_seconds"] < 60.0
-    assert all(r["update_ms"] > 0.0 for r in results["learner"])
     stock, replica, sumo = peers["peers"]
     names = [r["of"].partition(", ") for r in (stock, replica, sumo)]
     assert names == [(name, ", ", "u-turn") for name in ("highway-env", "replica", "sumo")]
@@ -69,4 +65,4 @@ def test_the_command_measures_every_part(tmp_path: Path, monkeypatch: pytest.Mon
     assert results["batches"][0]["steps_per_second"] > replica["steps_per_second"]
     assert all(r["ratio"] > 0.0 for r in results["batches"])
     printed = capsys.readouterr()
-    assert "EnvPool is left out" in printed.err and "update_ms" in printed.out
+    assert "EnvPool is left out" in printed.err and "steps_per_second" in printed.out

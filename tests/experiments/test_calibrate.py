@@ -7,7 +7,6 @@ from dataclasses import asdict
 
 import pandas as pd
 import pytest
-from rich.console import Console
 
 from experiments import calibrate
 from experiments.calibrate import Options
@@ -88,8 +87,8 @@ def test_the_lower_end_of_a_range_is_searched_and_its_upper_end_kept() -> None:
 @pytest.mark.slow
 def test_the_present_settings_are_best_where_sumo_is_its_own_reference(tmp_path, monkeypatch) -> None:
     monkeypatch.setattr(calibrate, "HIGHWAY_ENV", Engine(REFERENCE, "sumo"))  # both sides are quick
-    options = Options(tmp_path, tasks=("u-turn",), trials=3, scenarios=3, workers=1)
-    result = calibrate.calibrate(options, Console(width=200))
+    options = Options(tmp_path, tasks=("u-turn",), trials=2, scenarios=2, workers=1)
+    result = calibrate.calibrate(options)
     assert json.loads((tmp_path / "calibration.json").read_text()) == result
     for part in ("drivers", "risk"):
         present, found = (result["u-turn"][part][name] for name in ("present", "found"))

@@ -14,7 +14,7 @@ from PIL import Image
 import agents
 from experiments import report, test, train, watch
 from experiments.backends import make_env
-from experiments.study.compute.evaluate import evaluate
+from experiments.study.compute.evaluate import drives, evaluate
 from experiments.study.design.presets import PRESETS
 from experiments.study.replaying import publish
 from experiments.study.results import store
@@ -122,7 +122,7 @@ def test_an_agent_can_be_published_and_loaded(tmp_path: Path, monkeypatch: pytes
         assert value == pytest.approx(regular["crashed"].mean())
         assert 0 <= low <= value <= high <= 1
         env = make_env("sumo", task, card["config"])
-        again = evaluate(env, agents.load(setting, "control", file), task, 1, 2, traffics=("regular",))
+        again = evaluate(env, agents.load(setting, "control", file), drives(task, 1, range(2), ("regular",)))
         env.close()
         assert list(again["actions"]) == list(regular["actions"][:2])
         assert list(again["return"]) == list(regular["return"][:2])

@@ -9,9 +9,10 @@ from typing import Any
 import pytest
 from PIL import Image
 
-from experiments.replay import Options, find_cell, parse_case, replay
+from experiments.replay import Options, parse_case, replay
 from experiments.study.replaying.rerun import Case, play_again
 from experiments.study.results import store
+from experiments.study.results.store import find_cell
 from experiments.support.errors import UserError
 from tests.experiments.computed import compute, tasks_of
 from tests.experiments.fake_env import make_env, make_other_env

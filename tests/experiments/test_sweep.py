@@ -20,7 +20,7 @@ import pytest
 from experiments.analysis.analysis import analyse, as_json
 from experiments.analysis.cells import comparable
 from experiments.study.compute import train
-from experiments.study.compute.run import Ended, attempt
+from experiments.study.compute.run import Attempt, attempt
 from experiments.study.design import grid
 from experiments.study.design.experiment import shard
 from experiments.study.results import store
@@ -41,7 +41,10 @@ def no_report():
 
 
 def run(directory: Path, **options) -> int:
-    return sweep(Options(out=directory, **{**TINY, "workers": 2, **options}), make_env=make_env)
+    asked = Options(out=directory, **{**TINY, "workers": 2, **options})
+    return sweep(
+        asked, make_env=make_env, check=lambda _: None
+    )  # the fake environment behaves as no simulator does
 
 
 @pytest.fixture
@@ -209,8 +212,15 @@ def test_twenty_random_kills_lose_nothing_and_change_nothing(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize("send", [os.kill, os.killpg])
+@pytest.mark.parametrize(
+    ("number", "send"),
+    [
+        (signal.SIGINT, os.killpg),
+        (signal.SIGTERM, os.kill),
+        pytest.param(signal.SIGINT, os.kill, marks=pytest.mark.long),
+        pytest.param(signal.SIGTERM, os.killpg, marks=pytest.mark.long),
+    ],
+)
 def test_a_stopped_sweep_says_how_to_go_on_and_leaves_no_process(tmp_path, number, send):
     """To the process alone as by `kill`, and to the whole group as by a terminal or a scheduler."""
     directory = tmp_path / "results"
@@ -274,7 +284,7 @@ def test_a_full_disk_stops_the_sweep_in_one_line_and_loses_nothing(tmp_path, mon
     assert "\n" not in answer.reason
     monkeypatch.undo()
     assert (first.done(), second.done()) == (True, False)
-    assert attempt(second) == Ended("done")
+    assert attempt(second) == Attempt("done")
     assert second.done()
 
 
@@ -342,7 +352,9 @@ def test_a_network_of_the_users_own_is_trained_and_stored(tmp_path, here):
 
 
 LEARNER = """
+from __future__ import annotations
 from dataclasses import dataclass
+from pathlib import Path
 import numpy as np
 import torch
 from agents.greedy import Greedy
@@ -353,6 +365,7 @@ class Settings:
     steps: int = 40
     scale: float = 1.0
     updates: int = 0
+    start: Path = Path()
 
 def network(env, scale):
     torch.manual_seed(0)
@@ -377,6 +390,27 @@ class Guess:
     def load(self, path, settings, env):
         return Greedy.load(path, network(env, settings.scale))
 """
+
+
+def test_a_file_that_a_setting_names_is_part_of_the_name_by_its_content(tmp_path):
+    file, start = tmp_path / "guess.py", tmp_path / "start.npz"
+    file.write_text(LEARNER + "\nown = Guess()\n")
+    own = {"learner": f"{file}:own", "updates": None, "network": None}
+
+    def agents(*settings: str) -> dict[str, Any]:
+        tasks = tasks_of(tmp_path, settings=settings, **own)
+        return {task.name: task for task in tasks if task.cell.arm}
+
+    start.write_text("weights")
+    first, again, without = agents(f"start={start}"), agents(f"start={start}"), agents()
+    assert set(first) == set(again) and not set(first) & set(without)
+    assert all("start_sha256" not in task.cell.profile for task in without.values())
+    start.write_text("other weights")
+    assert not set(agents(f"start={start}")) & set(first)
+    ended = attempt(next(iter(first.values())))
+    assert ended.state == "fatal" and "the file of the setting start has changed" in ended.reason
+    with pytest.raises(UserError, match="there is no file"):
+        agents(f"start={tmp_path / 'none.npz'}")
 
 
 @pytest.mark.parametrize("name", ["sb3-ppo", "guess.py:own"])
@@ -433,7 +467,7 @@ def test_a_misspelt_setting_is_an_error(options, message):
     [
         ({"policy": ("model.zip",)}, "no model of Stable-Baselines3"),
         ({"policy": ("mine.py:Other",)}, "defines no Other"),
-        ({"device": "toaster"}, "--device toaster"),
+        ({"settings": ("device=toaster",)}, "device toaster"),
     ],
 )
 def test_what_would_fail_after_the_trainings_is_refused_before_them(tmp_path, monkeypatch, options, reason):

@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from rich.console import Console
 
 import experiments.validate
 from experiments.study.design import verdict
@@ -19,7 +18,7 @@ from experiments.validate import MISSED, Options, tables, validate
 def test_the_command_writes_what_it_found(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(experiments.validate, "STORED", tmp_path / "verdict.json")
     few: dict[str, Any] = {"tasks": ("u-turn",), "levels": (1,), "scenarios": 3}
-    record = validate(Options(tmp_path, quick=True, **few, workers=1, update=True), Console(width=200))
+    record = validate(Options(tmp_path, quick=True, **few, workers=1, update=True))
     assert json.loads((tmp_path / "validation.json").read_text()) == record
     assert {item["traffic"] for item in record["checks"]} == {"regular", "risky"}
     assert record["replica"] == {}  # highway-env itself drives nothing in a quick run

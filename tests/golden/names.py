@@ -13,7 +13,7 @@ import tyro
 
 from experiments.study.design.presets import cells_of
 from experiments.study.results.store import Store
-from experiments.sweep import Options, words_of
+from experiments.sweep import Options, split_arguments
 
 FILE = Path(__file__).with_name("names.json")
 RESULTS = Path(__file__).resolve().parents[2] / "results"
@@ -36,7 +36,7 @@ MISSING_COMMANDS = [
 
 def asked(command: str) -> set[str]:
     """The names of the cells that a sweep's command asks for."""
-    arguments = words_of(shlex.split(command)[2:])
+    arguments = split_arguments(shlex.split(command)[2:])
     options = tyro.cli(Options, args=arguments, config=(tyro.conf.FlagCreatePairsOff,))
     return {cell.name for cell in cells_of(options)}
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -34,6 +35,18 @@ def test_a_problem_is_told_and_ends_the_examination(monkeypatch: pytest.MonkeyPa
     said = out.getvalue()
     assert "ok    first" in said and "FAIL  SUMO" in said and "SUMO is missing" in said
     assert "pip install libsumo==" in said and "third" not in said
+
+
+def test_a_system_that_cannot_load_sumo_is_told_what_it_lacks(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """As in a slim container, where the wheel is installed and the libraries of the window are not."""
+    (tmp_path / "libsumo.py").write_text("raise ImportError('libX11.so.6: cannot open shared object file')")
+    monkeypatch.delitem(sys.modules, "sumo_env.sumo.session", raising=False)
+    monkeypatch.delitem(sys.modules, "libsumo", raising=False)
+    monkeypatch.syspath_prepend(tmp_path)
+    with pytest.raises(ImportError, match=r"SUMO is here.*libx11-6.*libX11\.so\.6: cannot open"):
+        doctor.sumo()
 
 
 def test_episodes_that_differ_are_told(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,11 +13,10 @@ import gymnasium as gym
 import pandas as pd
 
 from agents.checkpoint import CheckpointError
-from agents.policies import Policy
-from experiments.study.compute.evaluate import evaluate
+from experiments.study.compute.evaluate import drives, evaluate
 from experiments.study.compute.policies import driver
 from experiments.study.compute.progress import costs
-from experiments.study.compute.run import Beat
+from experiments.study.compute.run import Heartbeat
 from experiments.study.design.arms import gate_traffics
 from experiments.study.design.grid import Cell, tested_on
 from experiments.study.results.store import (
@@ -74,7 +73,7 @@ class CellTask:
             return False
         return True
 
-    def compute(self, beat: Beat) -> None:
+    def compute(self, heartbeat: Heartbeat) -> None:
         """Train, test and store it."""
         cell, store = self.cell, Store(self.directory)
         training, tests = costs(cell)
@@ -86,12 +85,12 @@ class CellTask:
         def on_episode() -> None:
             nonlocal played
             played += 1
-            beat((training + tests * played / cell.work) / (training + tests))
+            heartbeat((training + tests * played / cell.work) / (training + tests))
 
         started = time.monotonic()
         if cell.kind == "agent":
             trained, episodes, record = self._train(
-                lambda made: beat(training * min(made / steps, 1.0) / (training + tests))
+                lambda made: heartbeat(training * min(made / steps, 1.0) / (training + tests))
             )
             timing["train_seconds"] = time.monotonic() - started
             trained.policy.save(self.folder / WEIGHTS)
@@ -120,17 +119,18 @@ class CellTask:
         """The tables of the tests, by file."""
         cell = self.cell
 
-        def play(drive: tuple[gym.Env[Any, Any], Policy], **options: Any) -> pd.DataFrame:
-            first = cell.eval.get("first_scenario", 0)
-            return evaluate(*drive, cell.task, cell.level, on_episode=on_episode, first=first, **options)
+        tested = driver(cell.key(), cell.source, env, self._weights())
+        first = cell.eval.get("first_scenario", 0)
 
-        usual = {name: cell.tested[name] for name in ("episodes", "traffics")}
-        drive = driver(cell.key(), cell.source, env, self._weights())
+        def table(purpose: str, traffics: Iterable[str], episodes: int) -> pd.DataFrame:
+            scenarios = range(first, first + episodes)
+            return evaluate(*tested, drives(cell.task, cell.level, scenarios, traffics, purpose), on_episode)
+
+        usual = "test", cell.tested["traffics"], cell.tested["episodes"]
         if cell.test_on is not None:
-            return {EPISODES: play(drive, **usual)}
-        judged = {"episodes": cell.gate_episodes, "traffics": gate_traffics(cell.arm)}
-        gates = play(drive, purpose="gate", **judged)
-        return {EPISODES: play(drive, **usual), GATES: gates[list(GATE_COLUMNS)]}
+            return {EPISODES: table(*usual)}
+        gates = table("gate", gate_traffics(cell.arm), cell.gate_episodes)
+        return {EPISODES: table(*usual), GATES: gates[list(GATE_COLUMNS)]}
 
     def _weights(self) -> Path | None:
         """Those that are tested; None for a policy that is not trained."""

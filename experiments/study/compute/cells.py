@@ -6,11 +6,11 @@ import shutil
 from collections.abc import Sequence
 from pathlib import Path
 
-from experiments.backends import make_env
+from experiments import backends
 from experiments.study.compute.cell import CellTask, MakeEnv
 from experiments.study.compute.executors import open_executor
 from experiments.study.compute.executors.local import TASKS_PER_PROCESS
-from experiments.study.compute.progress import Progress
+from experiments.study.compute.progress import ProgressDisplay, seconds
 from experiments.study.compute.run import run
 from experiments.study.design.grid import Cell
 from experiments.study.results.store import Store
@@ -19,7 +19,7 @@ from experiments.study.results.store import Store
 def compute(
     cells: Sequence[Cell],
     directory: Path,
-    make_env: MakeEnv = make_env,
+    make_env: MakeEnv = backends.make_env,
     executor: str = "local",
     workers: int | None = None,
 ) -> dict[str, str]:
@@ -37,7 +37,7 @@ def compute(
     # highway-env's tasks change class attributes of each other
     simulators = {name for cell in cells for name in (cell.backend, cell.runs_on)}
     per_process = 1 if "highway-env" in simulators else TASKS_PER_PROCESS
-    progress = Progress(store.work, cells, there)
+    progress = ProgressDisplay(store.work, {cell.name: seconds(cell) for cell in cells}, there)
     failures: dict[str, str] = {}
     try:
         for kinds in (("agent", "baseline"), ("test",)):  # agents are tested elsewhere once all are trained

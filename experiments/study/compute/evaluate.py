@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from typing import Any
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, NamedTuple
 
 import gymnasium as gym
 import numpy as np
@@ -48,34 +48,56 @@ COLUMNS: dict[str, str] = {
 CRASH_KEYS = tuple(name.removeprefix("crash_") for name in COLUMNS if name.startswith("crash_"))
 
 
+class Drive(NamedTuple):
+    """A test episode: a scenario of a task and level (1 is the lightest) in a traffic of `traffic.ALL`.
+
+    scenario: its number. purpose: "test", or "gate" for what an agent is judged on before.
+    """
+
+    task: str
+    level: int
+    traffic: str
+    scenario: int
+    purpose: str = "test"
+
+    @property
+    def seed(self) -> int:
+        """Seed of the environment's reset; it does not depend on the traffic."""
+        return scenario_seed(self.task, self.level, self.scenario, self.purpose)
+
+
+def drives(
+    task: str,
+    level: int,
+    scenarios: Iterable[int],
+    traffics: Iterable[str] = TRAFFICS,
+    purpose: str = "test",
+) -> list[Drive]:
+    """These scenarios of a task and level in each of the traffics."""
+    numbers = list(scenarios)
+    return [Drive(task, level, traffic, number, purpose) for traffic in traffics for number in numbers]
+
+
 def play(
     env: gym.Env[Any, Any],
     policy: Policy,
-    task: str,
-    level: int,
-    traffic: str,
-    scenario: int,
+    drive: Drive,
     on_step: Callable[[], None] | None = None,
-    purpose: str = "test",
     options: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
     """Play one test episode and return its row of COLUMNS.
 
     Args:
-        env: an environment of this task and level.
-        traffic: of `traffic.ALL`.
-        scenario: number of the test scenario.
+        env: an environment of the drive's task and level.
         on_step: called after the reset and after every step (a recorder).
-        purpose: what the scenario is for, "test" or "gate".
-        options: of the reset, beside the dose of risk.
+        options: of the reset, in addition to the dose of risk.
     """
-    named = traffic_named(traffic)
-    if named.is_unseen:
-        env = UnseenRisk(env, named)
-    policy.reset(stream_seed("policy", task, level, traffic, scenario))
-    seed = scenario_seed(task, level, scenario, purpose)
+    traffic = traffic_named(drive.traffic)
+    if traffic.is_unseen:
+        env = UnseenRisk(env, traffic)
+    policy.reset(stream_seed("policy", drive.task, drive.level, drive.traffic, drive.scenario))
     observation, info = env.reset(
-        seed=seed, options={"config": {"risk": named.dose_of(seed)}, **(options or {})}
+        seed=drive.seed, options={"config": {"risk": traffic.dose_of(drive.seed)}, **(options or {})}
     )
     if on_step:
         on_step()
@@ -94,8 +116,8 @@ def play(
     speeds = np.array([step["speed"] for step in steps])
     crash = info["crash"] if info["crashed"] else {}
     return {
-        "traffic": traffic,
-        "scenario": scenario,
+        "traffic": drive.traffic,
+        "scenario": drive.scenario,
         "return": math.fsum(rewards),
         "length": len(rewards),
         "crashed": bool(info["crashed"]),
@@ -116,22 +138,15 @@ def play(
 def evaluate(
     env: gym.Env[Any, Any],
     policy: Policy,
-    task: str,
-    level: int,
-    episodes: int,
-    on_episode: Callable[[], None] | None = None,
-    purpose: str = "test",
-    traffics: Sequence[str] = tuple(TRAFFICS),
-    first: int = 0,
+    asked: Iterable[Drive],
+    on_episode: Callable[[], None] = lambda: None,
 ) -> pd.DataFrame:
-    """Test a policy on `episodes` scenarios, from number `first` on, in each of the traffics; one row of COLUMNS each.
+    """Test a policy on these episodes of one task and level; one row of COLUMNS each.
 
     The result depends on the arguments alone, not on what `env` did before.
     """
     rows = []
-    for traffic in traffics:
-        for scenario in range(first, first + episodes):
-            rows.append(play(env, policy, task, level, traffic, scenario, purpose=purpose))
-            if on_episode:
-                on_episode()
+    for drive in asked:
+        rows.append(play(env, policy, drive))
+        on_episode()
     return pd.DataFrame(rows, columns=list(COLUMNS)).astype(COLUMNS)

@@ -25,7 +25,9 @@ def check(source: str, profile: Mapping[str, Any]) -> None:
     except ValueError as error:
         raise UserError(str(error)) from None
     if digits not in (profile.get(f"{part}_sha256") for part in ("learner", "network", "policy")):
-        raise UserError(f"{source} has changed since the sweep began: run the sweep again")
+        raise UserError(
+            f"{source} is not the file of the cell, or has changed since: its SHA-256 is another one"
+        )
 
 
 def driver(
@@ -33,11 +35,12 @@ def driver(
 ) -> tuple[gym.Env[Any, Any], Policy]:
     """The policy of a cell, and the environment as it observes it.
 
-    source: FILE:NAME or a zip file of the user's own policy, network or learner, None for one of ours. weights: of a
-    trained agent, None for a policy that is not trained here.
+    source: FILE:NAME or a zip file of the user's own policy, network or learner, as the user has named it; None for one
+    of ours. weights: of a trained agent, None for a policy that is not trained here.
 
     Raises:
-        UserError: the user's file is not there, has changed or does not fit, or the weights belong to another network.
+        UserError: the user's file is not named, not there, has changed or does not fit, or the weights belong to
+            another network.
     """
     if source is not None:
         check(source, key["profile"])

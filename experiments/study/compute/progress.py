@@ -4,12 +4,18 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping
 from pathlib import Path
 
 from rich.console import Console
-from rich.progress import BarColumn, TaskProgressColumn, TextColumn, TimeElapsedColumn, TimeRemainingColumn
-from rich.progress import Progress as Bars
+from rich.progress import (
+    BarColumn,
+    Progress,
+    TaskProgressColumn,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
 
 from experiments.study.compute.run import RETRIES, Observer, Task
 from experiments.study.design.grid import Cell
@@ -42,16 +48,22 @@ def duration(seconds: float) -> str:
     return f"{minutes} min" if minutes < 90 else f"{minutes // 60} h {minutes % 60:02d} min"
 
 
-class Progress(Observer):
-    """Follows the cells of a sweep. work: folder of their working folders. finished: cells that were there before."""
+class ProgressDisplay(Observer):
+    """Follows tasks.
 
-    def __init__(self, work: Path, cells: Sequence[Cell], finished: set[str]) -> None:
-        self._work = work
-        self._costs = {cell.name: seconds(cell) for cell in cells}
-        self._state = {name: "finished" if name in finished else "waiting" for name in self._costs}
+    Args:
+        work: folder of their working folders. costs: expected time of each [s], or another measure of its size.
+        finished: tasks that were there before. kind: what they are called.
+    """
+
+    def __init__(
+        self, work: Path, costs: Mapping[str, float], finished: Collection[str], kind: str = "cells"
+    ) -> None:
+        self._work, self._costs, self._kind = work, costs, kind
+        self._state = {name: "finished" if name in finished else "waiting" for name in costs}
         self._console = Console(highlight=False)
         columns = BarColumn(), TaskProgressColumn(), TimeElapsedColumn(), TimeRemainingColumn()
-        self._bars = Bars(
+        self._bars = Progress(
             *columns,
             TextColumn("left"),
             console=self._console,
@@ -63,7 +75,7 @@ class Progress(Observer):
         self._shown = time.monotonic()
 
     def tell(self, task: Task, state: str, words: str = "") -> None:
-        """A cell is in another state now."""
+        """A task is in another state now."""
         self._state[task.name] = state
         if words:
             end = f"; given up after {RETRIES} retries" if state == "failed" else ""
@@ -75,7 +87,7 @@ class Progress(Observer):
         if not self._console.is_terminal and time.monotonic() - self._shown >= EVERY:
             self._shown = time.monotonic()
             counts, bar = Counter(self._state.values()), self._bars.tasks[0]
-            parts = [f"{counts.pop('finished', 0)}/{len(self._state)} cells", f"{bar.percentage:.0f}%"]
+            parts = [f"{counts.pop('finished', 0)}/{len(self._state)} {self._kind}", f"{bar.percentage:.0f}%"]
             if left := bar.time_remaining:
                 parts.append(f"about {duration(left)} left")
             print(", ".join([*parts, *(f"{number} {state}" for state, number in counts.items())]), flush=True)
@@ -87,7 +99,7 @@ class Progress(Observer):
         self._bars.stop()
 
     def _done(self) -> float:
-        """Expected time of what is done of the cells [s]."""
+        """Expected time of what is done [s]."""
         part = {"finished": 1.0, "failed": 1.0}
         return sum(
             cost * (fraction_done(self._work / name) if state == "running" else part.get(state, 0.0))

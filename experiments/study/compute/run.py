@@ -36,7 +36,7 @@ RECHECK = 2.0  # [s] that a process waits for a task that another run computes
 # An error of these kinds awaits every task: the run stops instead of trying again.
 DISK = {errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EACCES, errno.EPERM, errno.EIO}
 
-Beat = Callable[[float], None]
+Heartbeat = Callable[[float], None]
 
 
 class Task(Protocol):
@@ -56,12 +56,12 @@ class Task(Protocol):
     def done(self) -> bool:
         """Whether the result is there."""
 
-    def compute(self, beat: Beat) -> None:
-        """Compute and write the result, calling `beat` with the share that is done."""
+    def compute(self, heartbeat: Heartbeat) -> None:
+        """Compute and write the result, calling `heartbeat` with the share that is done."""
 
 
 @dataclass(frozen=True)
-class Ended:
+class Attempt:
     """How a try ended.
 
     state: "done"; "elsewhere" if another process computes this task; "failed", to be tried again; "fatal" if nothing
@@ -88,25 +88,25 @@ class Observer:
 # -- In the process that computes ------------------------------------------------------------------------------------
 
 
-def attempt(task: Task) -> Ended:
+def attempt(task: Task) -> Attempt:
     """Compute a task unless its result is there or another process holds it; what executors run."""
     try:
         with locked(task.folder) as mine:
             if not mine:
                 time.sleep(RECHECK)  # then the runner hands it out again, after all others
-                return Ended("elsewhere")
-            with watched(task.folder, task.silence) as beat:
+                return Attempt("elsewhere")
+            with watched(task.folder, task.silence) as heartbeat:
                 if not task.done():
-                    task.compute(beat)
+                    task.compute(heartbeat)
             shutil.rmtree(task.folder, ignore_errors=True)
-        return Ended("done")
+        return Attempt("done")
     except UserError as error:
-        return Ended("fatal", str(error))
+        return Attempt("fatal", str(error))
     except Exception as error:  # whatever goes wrong in one task must not end the others
         if isinstance(error, OSError) and error.errno in DISK:
-            return Ended("fatal", str(disk_error(error, task.folder)))
+            return Attempt("fatal", str(disk_error(error, task.folder)))
         log(task.folder, "".join(traceback.format_exception(error)))
-        return Ended("failed", f"{type(error).__name__}: {error}".partition("\n")[0])
+        return Attempt("failed", f"{type(error).__name__}: {error}".partition("\n")[0])
 
 
 def compute_here(task: Task) -> None:
@@ -160,7 +160,7 @@ def _is_same(descriptor: int, path: Path) -> bool:
 
 
 @contextmanager
-def watched(folder: Path, silence: float) -> Iterator[Beat]:
+def watched(folder: Path, silence: float) -> Iterator[Heartbeat]:
     """Yields the function by which a computation says that it goes on.
 
     After a silence the process writes its stacks to the log and ends itself; the timer is a thread in C, which works
@@ -169,7 +169,7 @@ def watched(folder: Path, silence: float) -> Iterator[Beat]:
     last = -POLL
     with (folder / LOG).open("a") as file:
 
-        def beat(fraction: float) -> None:
+        def heartbeat(fraction: float) -> None:
             nonlocal last
             now = time.monotonic()
             if now - last < POLL:
@@ -180,9 +180,9 @@ def watched(folder: Path, silence: float) -> Iterator[Beat]:
                 (folder / PROGRESS).write_text(json.dumps(fraction))
 
         faulthandler.enable(file)
-        beat(0.0)
+        heartbeat(0.0)
         try:
-            yield beat
+            yield heartbeat
         finally:
             faulthandler.cancel_dump_traceback_later()
             faulthandler.disable()
@@ -206,7 +206,7 @@ def run(
         UserError: nothing can go on (the disk is full, say); everything finished is kept.
     """
     observer = observer or Observer()
-    waiting, running = deque(tasks), dict[Future[Ended], Task]()
+    waiting, running = deque(tasks), dict[Future[Attempt], Task]()
     tries, failures = Counter[str](), dict[str, str]()
     try:
         while waiting or running:
@@ -240,7 +240,7 @@ def run(
     return failures
 
 
-def _submit(executor: Executor, task: Task) -> Future[Ended]:
+def _submit(executor: Executor, task: Task) -> Future[Attempt]:
     try:
         return executor.submit(attempt, task)
     except Exception as error:
@@ -250,18 +250,18 @@ def _submit(executor: Executor, task: Task) -> Future[Ended]:
         ) from error
 
 
-def _ending(task: Task, future: Future[Ended]) -> Ended:
+def _ending(task: Task, future: Future[Attempt]) -> Attempt:
     """How a task ended, also if its process, node or job was lost."""
     error = future.exception()
     if error is None:
         return future.result()
     if isinstance(error, UserError):
-        return Ended("fatal", str(error))
+        return Attempt("fatal", str(error))
     code = getattr(error, "exitcode", None)  # pebble's ProcessExpired
     if code is None:
         reason = str(error).partition("\n")[0] or "its process was lost"  # an executor's own words
     elif code == SPOILT:
-        return Ended("failed", last_words(task.folder) or "it failed")
+        return Attempt("failed", last_words(task.folder) or "it failed")
     elif code == HUNG:
         reason = f"it hung: no sign of life for {task.silence:.0f} s"
     elif code < 0:
@@ -269,4 +269,4 @@ def _ending(task: Task, future: Future[Ended]) -> Ended:
     else:
         reason = f"its process ended with exit status {code}"
     log(task.folder, reason)
-    return Ended("failed", reason)
+    return Attempt("failed", reason)

@@ -13,10 +13,10 @@ import gymnasium as gym
 import numpy as np
 import pandas as pd
 
-from agents.learner import Trained
+from agents.learner import Trained, files_of
 from agents.streams import episode_seed
 from experiments.study.compute.policies import check
-from experiments.study.compute.wrappers import Training, observed
+from experiments.study.compute.wrappers import TrainingEnv, observed
 from experiments.study.design.arms import EVERY_ARM, training_seed
 from experiments.study.design.grid import Cell, learner_of
 from experiments.support.errors import UserError
@@ -50,6 +50,9 @@ def train_cell(
     seed = training_seed(cell.task, cell.level, cell.seed or 0)
     with ExitStack() as opened:
         try:
+            for name, digits in files_of(settings).items():
+                if digits != cell.profile[f"{name}_sha256"]:
+                    raise ValueError(f"the file of the setting {name} has changed: run the sweep again")
             trained = learner.train(
                 partial(environments, cell, make_env, seed, opened),
                 settings,
@@ -78,7 +81,7 @@ def environments(
         env = make_env(cell.backend, cell.task, cell.training_config)
         opened.enter_context(closing(env))
         traffic = EVERY_ARM[str(cell.arm)].traffic
-        return Training(observed(env, cell.rules), cell.rules, traffic, seed, first, count)
+        return TrainingEnv(observed(env, cell.rules), cell.rules, traffic, seed, first, count)
 
     if number is None:
         return one()

@@ -59,7 +59,7 @@ class TimeObserved(Observed):
         return super().step(action)
 
 
-class Training(gym.Wrapper[Any, Any, Any, Any]):
+class TrainingEnv(gym.Wrapper[Any, Any, Any, Any]):
     """An environment as an arm is trained on it: the arm's traffic, and the rules of the training.
 
     A reset without a seed begins the training's next episode, so that every learner meets the same scenarios in the

@@ -6,6 +6,7 @@ import json
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 from typing import Annotated, Any
 
 import tyro
@@ -56,7 +57,8 @@ class Experiment:
     backend: Annotated[str, argument("NAME", "sumo")] = "sumo"
     """Simulator: sumo, replica (highway-env's physics, compiled) or highway-env."""
     preset: Annotated[str, argument("NAME", "quick")] = "quick"
-    """Size: smoke (a minute), quick (20 minutes), standard, paper, first-clock (hours), second (days)."""
+    """Size: smoke (a minute), quick (20 minutes), standard, paper, first-clock, rl-agents-dueling, rl-agents-attention
+    (hours), second (days)."""
     tasks: Annotated[tuple[str, ...], argument("TASK ...", "the five")] = ()
     """Some of highway, two-way, roundabout, intersection, u-turn."""
     levels: Annotated[tuple[int, ...], argument("LEVEL ...")] = ()
@@ -79,20 +81,16 @@ class Experiment:
     """Test the careful driver at five cautions: with the constant policies, the crashes of a speed without learning."""
     config: Annotated[tuple[str, ...], argument("KEY=VALUE ...", "none")] = ()
     """Keys of the environments' configuration to set, for training and test (values as in JSON, or plain words)."""
-    gamma: Annotated[float | None, argument("X")] = None
-    """Discount factor."""
     crash_reward: Annotated[float | None, argument("X", "none")] = None
     """Added to the reward of a crash in training, in all arms (the two-way road's own has no term for crashes)."""
     learner: Annotated[str, argument("NAME", "dqn")] = LEARNER
     """Who learns: dqn, sb3-dqn, sb3-ppo, or FILE:NAME for a learner of your own; for as many steps as dqn would."""
     settings: Annotated[tuple[str, ...], argument("KEY=VALUE ...")] = ()
-    """Settings of the learner (the fields of its dataclass, agents/dqn.py and agents/stable.py)."""
+    """Settings of the learner, for example gamma=0.9 or device=cuda (all: agents/dqn.py, agents/stable.py)."""
     network: Annotated[str | None, argument("NAME")] = None
     """Network of the agents: attention, dueling, or FILE:CLASS for a class of your own."""
     policy: Annotated[tuple[str, ...], argument("FILE:MAKE ...", "none")] = ()
     """Policies of your own to test as well: FILE:MAKE, or a model.zip of Stable-Baselines3."""
-    device: Annotated[str | None, argument("NAME", "cpu")] = None
-    """Where agents learn: cpu or cuda."""
     about: Annotated[str, *PRESETS_ALONE] = ""
     learners: Annotated[Mapping[str, Mapping[str, Any]] | None, *PRESETS_ALONE] = None
     gate_episodes: Annotated[int | None, *PRESETS_ALONE] = None
@@ -204,7 +202,7 @@ class Experiment:
             UserError: a name that there is not, or a value that makes no sense.
         """
         from agents.dqn import DQNConfig  # here: not every command needs the learner
-        from agents.learner import settings_of
+        from agents.learner import files_of, settings_of
         from agents.learners import learner
         from agents.models import network_class
 
@@ -214,7 +212,7 @@ class Experiment:
             if not math.isfinite(self.crash_reward):
                 raise UserError(f"the reward of a crash has to be a finite number, not {self.crash_reward}")
             rules = replace(rules, crash_reward=self.crash_reward)
-        asked = {"updates": self.updates, "gamma": self.gamma, "network": self.network, "device": self.device}
+        asked = {"updates": self.updates, "network": self.network}
         files = {}
         try:
             if self.learner != LEARNER:  # of the preset's settings, the number of steps is everybody's
@@ -229,9 +227,11 @@ class Experiment:
             settings = settings_of(chosen.Settings, said, f"the learner {self.learner}")
             if not self._own_network and hasattr(settings, "network"):
                 network_class(settings.network)
+            files |= {f"{name}_sha256": digits for name, digits in files_of(settings).items()}
         except ValueError as error:
             raise UserError(str(error)) from None
-        return {**asdict(settings), **rules.entries(), **files}
+        values = {k: str(v) if isinstance(v, Path) else v for k, v in asdict(settings).items()}
+        return {**values, **rules.entries(), **files}
 
     @property
     def _own_network(self) -> str | None:

@@ -156,23 +156,36 @@ def learner_of(key: Mapping[str, Any], source: str | None) -> tuple[Learner, Any
     """The learner of an agent's cell, and its settings.
 
     Args:
-        source: FILE:NAME of the user's own learner or network, if there is one.
+        source: FILE:NAME of the user's own learner or network, if there is one: as the user has named it, never as a
+            stored record does.
 
     Raises:
-        UserError: the user's file is not there or does not fit.
+        UserError: the user's file is not named, not there or does not fit.
     """
-    from agents.learners import learner  # here: not every command needs one
+    from agents.learner import settings_of  # here: not every command needs a learner
+    from agents.learners import learner
+
+    def here(name: str) -> str:
+        """The name, or the file that the user has named in the place of a label such as mine.py:Mine."""
+        if ":" not in name:
+            return name
+        if source is None:
+            raise UserError(
+                f"{name} is code of somebody's own, which a stored cell alone never runs: read the file, then name it "
+                "(--code FILE:NAME)"
+            )
+        return source
 
     profile = key["profile"]
     try:
-        found = learner(source if source and "learner_sha256" in profile else key["policy"])
+        found = learner(here(key["policy"]))
     except ValueError as error:
         raise UserError(str(error)) from None
     names = {field.name for field in fields(found.Settings)}
     values = {name: value for name, value in profile.items() if name in names}
-    if source and "network_sha256" in profile:
-        values["network"] = source  # where it lies now; the key has its label
-    return found, found.Settings(**values)
+    if "network" in values:
+        values["network"] = here(values["network"])
+    return found, settings_of(found.Settings, values, f"the learner {key['policy']}")
 
 
 def tested_on(key: Mapping[str, Any]) -> tuple[str, str, dict[str, Any]]:

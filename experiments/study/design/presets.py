@@ -68,6 +68,36 @@ SECOND = Experiment(
     first_seed=100,
     first_scenario=1000,
 )
+# Settings of rl-agents' HighwayEnv/agents/DQNAgent/dueling_ddqn.json and IntersectionEnv/agents/DQNAgent/
+# ego_attention_2h.json; the networks, the clip of the gradient's norm and the random steps are this project's.
+RL_AGENTS = {
+    "steps_per_update": 1,
+    "learning_rate_final": 5e-4,
+    "tau": 1.0,
+    "replay_capacity": 15_000,
+    "warm_up": 200,
+    "standardise": False,
+    "epsilon_final": 0.05,
+}
+
+
+def rl_agents(network: str, exploration: int, **settings: Any) -> Experiment:
+    """A preset with rl-agents' settings, for as many environment steps as in the second study.
+
+    exploration: time constant of the decay of random actions [steps].
+    """
+    learners = {}
+    for task, own in SHEETS.items():
+        updates = own.second_steps + 800  # as many steps as after 1000 random ones
+        given = {"network": network, "updates": updates, "epsilon_decay": exploration / updates, **settings}
+        learners[task] = {**RL_AGENTS, **given}
+    name = f"rl-agents-{network}"
+    about = f"rl-agents' settings on the network {network}, in regular traffic: hours"
+    return replace(
+        SECOND, preset=name, about=about, levels=(1,), seeds=3, arms=("control",), learners=learners
+    )
+
+
 PRESETS = {
     experiment.preset: experiment
     for experiment in (
@@ -106,6 +136,8 @@ PRESETS = {
             levels=(1,),
             learners={task: second_version(task, FIRST_CLOCK.get(task, {})) for task in SHEETS},
         ),
+        rl_agents("dueling", 6000, gamma=0.8, batch_size=32, target_interval=50),
+        rl_agents("attention", 15_000, gamma=0.95, batch_size=64, target_interval=512),
         Experiment(
             preset="paper",
             about="the paper's 18 settings with its own learner, 3072 episodes' worth of updates: many hours",

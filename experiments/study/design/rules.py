@@ -9,7 +9,7 @@ from typing import Any
 
 @dataclass(frozen=True)
 class TrainingRules:
-    """How training episodes end, what a crash costs in them, and what is observed beside the vehicles.
+    """How training episodes end, what a crash costs in them, and what is observed in addition to the vehicles.
 
     finite_horizon: the test's time limit is terminal, and the share of it that is over is observed. training_clock:
     instead, episodes of so many seconds (the first, the second), whose end is terminal [s]; time_observed: the share of
@@ -36,7 +36,7 @@ class TrainingRules:
 
     @property
     def terminal(self) -> bool:
-        """Whether the time limit is an end like any other in training, beyond which nothing is expected."""
+        """Whether the time limit is terminal in training (no bootstrapping)."""
         return bool(self.finite_horizon or self.training_clock)
 
     @property

@@ -1,4 +1,4 @@
-"""The verdict on SUMO that lies beside results: how close it is to highway-env, task by task.
+"""The verdict on SUMO in a folder of results: how close it is to highway-env, task by task.
 
 `experiments/validate.py --update` stores it; a sweep keeps it with its results, where the report reads it.
 """
@@ -24,7 +24,7 @@ def versions() -> dict[str, str]:
 
 
 def of_results(directory: Path) -> dict[str, Any] | None:
-    """The verdict beside some results; None if there is none that this version understands."""
+    """The verdict in a folder of results; None if there is none that this version understands."""
     try:
         record: dict[str, Any] = json.loads((directory / STORED.name).read_text())
         return record if record["schema"] == SCHEMA else None
@@ -32,7 +32,7 @@ def of_results(directory: Path) -> dict[str, Any] | None:
         return None
 
 
-def keep(backend: str, tasks: Sequence[str], out: Path) -> None:
+def copy_verdict(backend: str, tasks: Sequence[str], out: Path) -> None:
     """Copy the stored verdict on SUMO's tasks into `out`, unless a verdict on them is there.
 
     It has to be of the same versions and dynamics; on other simulators there is none.

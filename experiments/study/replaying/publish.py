@@ -20,7 +20,7 @@ import tyro
 from agents import pretrained
 from agents.greedy import Greedy, Timed
 from experiments.backends import make_env
-from experiments.study.compute.evaluate import evaluate
+from experiments.study.compute.evaluate import drives, evaluate
 from experiments.study.compute.policies import driver
 from experiments.study.compute.wrappers import TimeObserved
 from experiments.study.design.grid import LEARNER, tested_on
@@ -57,13 +57,18 @@ def halved(policy: Greedy) -> Greedy:
 
 
 def published(directory: Path, name: str, command: str) -> tuple[dict[str, Any], Greedy] | None:
-    """Card and policy of a stored agent; None of another's learner, or if it observes the dose, which nobody knows."""
+    """Card and policy of a stored agent.
+
+    None of another's learner or network, or if it observes the dose, which nobody knows.
+    """
     store = Store(directory)
     record, weights = store.record(name), store.weights(name)
     assert weights is not None
     key = record["key"]
+    if ":" in key["profile"]["network"]:
+        return None
     with closing(make_env(*tested_on(key))) as env:
-        seen, policy = driver(key, record["source"], env, weights)
+        seen, policy = driver(key, None, env, weights)
         if key["profile"].get("dose_observed") or key["policy"] != LEARNER or not isinstance(policy, Greedy):
             return None
         space: Any = seen.observation_space
@@ -71,8 +76,9 @@ def published(directory: Path, name: str, command: str) -> tuple[dict[str, Any],
         if steps:
             policy = Timed(policy.network, steps)
         first = int(key["eval"].get("first_scenario", 0))
+        scenarios = range(first, first + COMPARED)
         returns = [
-            evaluate(env, greedy, key["task"], key["level"], COMPARED, first=first)["return"]
+            evaluate(env, greedy, drives(key["task"], key["level"], scenarios))["return"]
             for greedy in (policy, halved(policy))
         ]
         actions: Any = env.action_space

@@ -9,7 +9,7 @@ from typing import Any
 
 import gymnasium as gym
 
-from experiments.study.compute.evaluate import play
+from experiments.study.compute.evaluate import Drive, play
 from experiments.study.compute.policies import driver
 from experiments.study.design import grid
 from experiments.study.design.fingerprint import dynamics
@@ -24,13 +24,15 @@ class Case:
     """A test episode of a stored cell.
 
     cell: name of the cell. record: its cell.json. row: the episode in its table, or its `traffic` and `scenario` alone;
-        where it has `actions`, neither weights nor the user's file are needed to play it again.
+        where it has `actions`, neither weights nor code are needed to play it again. code: FILE:NAME or a zip file of
+        the cell's own policy, network or learner, as the user has named it.
     """
 
     store: Store
     cell: str
     record: Mapping[str, Any]
     row: Mapping[str, Any]
+    code: str | None = None
 
     @property
     def name(self) -> str:
@@ -61,12 +63,13 @@ def play_again(
     env: of its test, see `grid.tested_on`.
 
     Raises:
-        UserError: the weights or the user's file are not there, or do not fit.
+        UserError: the weights are not here, code is needed that is not named, or one of them does not fit.
     """
-    key, source, actions = case.record["key"], case.record["source"], case.row.get("actions")
-    weights, place = None, (str(case.row["traffic"]), int(case.row["scenario"]))
+    key, actions = case.record["key"], case.row.get("actions")
+    weights = None
+    drive = Drive(key["task"], key["level"], str(case.row["traffic"]), int(case.row["scenario"]))
     if isinstance(actions, str) and actions:
-        return play(env, Repeated(actions), key["task"], key["level"], *place, on_step)
+        return play(env, Repeated(actions), drive, on_step)
     if key["kind"] == "test":
         raise UserError(
             f"{case.cell} is a further test of an agent, stored without its actions by an earlier version: "
@@ -79,7 +82,7 @@ def play_again(
                 f"the weights of {case.cell} are not here: train it again with the command in sweep.json, "
                 f"--cell {case.cell} and another --out"
             )
-    return play(*driver(key, source, env, weights), key["task"], key["level"], *place, on_step)
+    return play(*driver(key, case.code, env, weights), drive, on_step)
 
 
 def differences(stored: Mapping[str, Any], row: Mapping[str, Any]) -> list[str]:

@@ -20,7 +20,7 @@ from typing import Any
 import pandas as pd
 
 from experiments.support.errors import UserError
-from experiments.support.files import sha256_bytes, sha256_file, write_file, write_json
+from experiments.support.files import is_name, read_text, sha256_bytes, sha256_file, write_file, write_json
 
 LAYOUT = 1  # of the tables; raise it with every change that older versions cannot read
 MANIFEST, CELLS, WEIGHTS = "packed.json", "cells.parquet", "weights"
@@ -57,18 +57,20 @@ def packed_weights(directory: Path, name: str) -> Path:
 
 
 def checksums(directory: Path) -> dict[str, tuple[str, ...]]:
-    """The checksums that each packed table may have: two while it is being replaced, else one.
+    """The valid checksums of each packed table: the old and the new one while the table is being replaced, else one.
 
     Raises:
         UserError: the manifest is damaged, or of a version that this one does not know.
     """
     manifest = directory / MANIFEST
     try:
-        value = json.loads(manifest.read_text())
+        value = json.loads(read_text(manifest))
         layout, files = value["layout"], {name: tuple(sums) for name, sums in value["files"].items()}
+        if not all(map(is_name, files)):
+            raise ValueError(f"it names files elsewhere: {list(files)}")
     except FileNotFoundError:
         return {}
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
         raise DamagedTable(manifest, f"{type(error).__name__}: {error}") from None
     if layout != LAYOUT:
         raise UserError(
@@ -80,6 +82,8 @@ def checksums(directory: Path) -> dict[str, tuple[str, ...]]:
 @lru_cache(8)
 def _records(path: Path, sums: tuple[str, ...]) -> dict[str, dict[str, Any]]:
     index = _read(path, sums)
+    if wrong := [name for name in index["cell"] if not is_name(name)]:
+        raise DamagedTable(path, f"names of cells that lead elsewhere: {wrong[:3]}")
     return {name: json.loads(text) for name, text in zip(index["cell"], index["record"], strict=True)}
 
 

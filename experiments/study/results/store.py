@@ -36,7 +36,18 @@ from experiments.study.results.packed import (
 )
 from experiments.study.results.working import last_words
 from experiments.support.errors import UserError
-from experiments.support.files import alone, publish, sha256_bytes, sha256_file, write_file, write_json
+from agents.checkpoint import open_regular
+from experiments.support.files import (
+    alone,
+    is_name,
+    publish,
+    read_text,
+    sha256_bytes,
+    sha256_file,
+    write_file,
+    write_json,
+)
+from sumo_env.config import did_you_mean
 
 CELL, EPISODES, GATES = "cell.json", "episodes.parquet", "gates.parquet"
 TRAINING, WEIGHTS = "training.parquet", "weights.npz"
@@ -152,11 +163,11 @@ class Store:
         """
         path = self.directory / SWEEPS
         try:
-            sweeps = json.loads(path.read_text())["sweeps"]
+            sweeps = json.loads(read_text(path))["sweeps"]
             return [{"command": sweep["command"], "cells": list(sweep["cells"])} for sweep in sweeps]
         except FileNotFoundError:
             return []
-        except (ValueError, KeyError, TypeError) as error:
+        except (OSError, ValueError, KeyError, TypeError) as error:
             reason = str(error).partition("\n")[0]
             raise UserError(
                 f"{path} is damaged ({reason}): delete this file and run the sweep again"
@@ -239,7 +250,8 @@ def read_cell(path: Path) -> dict[str, Any]:
     """
     file = path / CELL
     try:
-        data = file.read_bytes()
+        with open_regular(file) as opened:
+            data = opened.read()
         begin = len(HEAD % ("0" * 64))
         if data[:begin] != (HEAD % sha256_bytes(data[begin:])).encode():
             raise DamagedCell(file, "its checksum does not match")
@@ -247,6 +259,8 @@ def read_cell(path: Path) -> dict[str, Any]:
         del record["checksum"]
         if (name := cell_name(record["key"], record["versions"])) != path.name:
             raise DamagedCell(file, f"its content is that of {name}")
+        if wrong := [name for name in record["files"] if not is_name(name)]:
+            raise DamagedCell(file, f"it names files elsewhere: {wrong}")
         for file, checksum in ((path / name, checksum) for name, checksum in record["files"].items()):
             found = sha256_file(file)
             if found != checksum:
@@ -254,6 +268,20 @@ def read_cell(path: Path) -> dict[str, Any]:
     except OSError as error:
         raise DamagedCell(file, error.strerror or "unreadable") from None
     return record
+
+
+def find_cell(word: str, names: Sequence[str]) -> str:
+    """The cell with this name, with or without its hash, or the only one whose name begins so.
+
+    Raises:
+        UserError: none or several; the nearest one is named.
+    """
+    fitting = [name for name in names if word in (name, name.rpartition("-")[0])]
+    fitting = fitting or [name for name in names if name.startswith(word)]
+    if len(fitting) == 1:
+        return fitting[0]
+    hint = did_you_mean(word, fitting or names)
+    raise UserError(f"{len(fitting)} of {len(names)} cells begin with {word!r}, not one; {hint}")
 
 
 # Columns of the key that every table of `Results` carries.

@@ -22,12 +22,12 @@ from experiments.analysis import estimate
 from experiments.analysis.effects import ALL_TASKS, decided, means, slopes
 from experiments.analysis.estimate import OK
 from experiments.analysis.plan import ALPHA, DEFAULT, OUTCOMES, TWO_BATCHES, Plan
-from experiments.analysis.scores import Arm, Arms, Place
+from experiments.analysis.scores import Arm, Arms, Setting
 from tests.experiments.analysis.made_up import at_looks, first
 
 LEVELS = {"highway": 3, "two-way": 3, "roundabout": 3, "intersection": 5, "u-turn": 4}
 SCENARIOS = 100
-PLACE = ("sumo", "highway", 1, "1")
+SETTING = ("sumo", "highway", 1, "1")
 
 
 @dataclass(frozen=True)
@@ -72,21 +72,23 @@ def setting(world: World, n: int, random: np.random.Generator) -> dict[str, Arm]
     return pair
 
 
-def study(world: World, seeds: int, random: np.random.Generator) -> dict[Place, Arms]:
+def study(world: World, seeds: int, random: np.random.Generator) -> dict[Setting, Arms]:
     """All 18 settings."""
     levels = [(task, level) for task, number in LEVELS.items() for level in range(1, number + 1)]
     return {("sumo", task, k, str(k)): setting(world, seeds, random) for task, k in levels}
 
 
-def studies(draw: Callable[[np.random.Generator], Mapping[Place, Arms]], repeats: int) -> dict[Place, Arms]:
+def studies(
+    draw: Callable[[np.random.Generator], Mapping[Setting, Arms]], repeats: int
+) -> dict[Setting, Arms]:
     """The settings of many studies, each under a name of its own in the place of the simulator's."""
     random = np.random.default_rng(7)
     return {(str(k), *place[1:]): pair for k in range(repeats) for place, pair in draw(random).items()}
 
 
-def settings(world: World, seeds: int, repeats: int) -> dict[Place, Arms]:
+def settings(world: World, seeds: int, repeats: int) -> dict[Setting, Arms]:
     """Studies of one setting."""
-    return studies(lambda random: {PLACE: setting(world, seeds, random)}, repeats)
+    return studies(lambda random: {SETTING: setting(world, seeds, random)}, repeats)
 
 
 @dataclass(frozen=True)
@@ -106,12 +108,12 @@ def rates(found: pd.DataFrame, truth: float) -> Rates:
     return Rates((known["p"] < ALPHA).mean(), covered.mean(), 1 - len(known) / len(found), len(found))
 
 
-def effects(arms: Mapping[Place, Arms], outcome: str, term: str, plan: Plan = DEFAULT) -> pd.DataFrame:
+def effects(arms: Mapping[Setting, Arms], outcome: str, term: str, plan: Plan = DEFAULT) -> pd.DataFrame:
     """Treatment minus control in each setting."""
     return decided(at_looks(arms, [(outcome, term)], plan), plan)
 
 
-def balanced(arms: Mapping[Place, Arms], plan: Plan = DEFAULT) -> pd.DataFrame:
+def balanced(arms: Mapping[Setting, Arms], plan: Plan = DEFAULT) -> pd.DataFrame:
     """The mean effect on the crash rate in risky traffic over the settings of each study, tasks alike."""
     found = means(at_looks(arms, [("crashed", "risky")], plan), plan)
     return found[found["scope"] == ALL_TASKS]
@@ -131,7 +133,7 @@ def primary(world: World, seeds: int, repeats: int) -> Rates:
 def slope(outcome: str, quantity: str, seeds: int, repeats: int) -> Rates:
     """A slope over three levels that do not differ."""
 
-    def draw(random: np.random.Generator) -> dict[Place, Arms]:
+    def draw(random: np.random.Generator) -> dict[Setting, Arms]:
         return {("sumo", "highway", k, str(k)): setting(World(), seeds, random) for k in (1, 2, 3)}
 
     found = slopes([studies(draw, repeats)])

@@ -11,7 +11,7 @@ import pandas as pd
 from experiments.analysis.analysis import own_agents
 from experiments.analysis.effects import adjusted, contrasts, decided
 from experiments.analysis.plan import DEFAULT, OUTCOMES, TERMS, Plan
-from experiments.analysis.scores import Arm, Arms, Place, arms_of, with_outcomes
+from experiments.analysis.scores import Arm, Arms, Setting, arms_of, with_outcomes
 from experiments.study.design.sheet import GRID
 from experiments.study.results.store import Results
 
@@ -36,9 +36,9 @@ def agents(
     spread: float = 1.0,
     task: str = "highway",
     growth: float = 0.0,
-) -> dict[Place, Arms]:
+) -> dict[Setting, Arms]:
     """Settings of one task, each agent with nearly the same score in all scenarios, in every outcome."""
-    result: dict[Place, Arms] = {}
+    result: dict[Setting, Arms] = {}
     for level in range(1, levels + 1):
         pair = {}
         for arm in ("control", "treatment"):
@@ -50,7 +50,7 @@ def agents(
     return result
 
 
-def first(arms: Mapping[Place, Arms], agents: int) -> dict[Place, Arms]:
+def first(arms: Mapping[Setting, Arms], agents: int) -> dict[Setting, Arms]:
     """The first agents of each arm."""
     return {
         place: {
@@ -60,7 +60,7 @@ def first(arms: Mapping[Place, Arms], agents: int) -> dict[Place, Arms]:
     }
 
 
-def at_looks(arms: Mapping[Place, Arms], asked: Iterable[tuple[str, str]], plan: Plan) -> pd.DataFrame:
+def at_looks(arms: Mapping[Setting, Arms], asked: Iterable[tuple[str, str]], plan: Plan) -> pd.DataFrame:
     """Effects of treatment against control at every look of a plan."""
     looks = [first(arms, look.seeds) for look in plan.schedule]
     return pd.concat(
@@ -69,9 +69,9 @@ def at_looks(arms: Mapping[Place, Arms], asked: Iterable[tuple[str, str]], plan:
     )
 
 
-def effects(arms: Mapping[Place, Arms], plan: Plan = DEFAULT) -> pd.DataFrame:
+def effects(arms: Mapping[Setting, Arms], plan: Plan = DEFAULT) -> pd.DataFrame:
     return adjusted(decided(at_looks(arms, [(o, t) for o in OUTCOMES for t in TERMS], plan), plan), plan)
 
 
-def arms_in(results: Results) -> dict[Place, dict[str, Arm]]:
+def arms_in(results: Results) -> dict[Setting, dict[str, Arm]]:
     return arms_of(own_agents(with_outcomes(results)))

@@ -14,7 +14,7 @@ from scipy import stats
 from experiments.analysis.analysis import Analysis, analyse
 from experiments.analysis.cells import comparable
 from experiments.analysis.claims import claims
-from experiments.analysis.effects import HIDDEN, contrasts, means, slopes
+from experiments.analysis.effects import WORKING_COLUMNS, contrasts, means, slopes
 from experiments.analysis.estimate import Estimate, equivalence, interval, linear
 from experiments.analysis.gates import THRESHOLDS
 from experiments.analysis.plan import (
@@ -188,7 +188,7 @@ class TestEffects:
 
     def test_a_batch_that_is_not_complete_does_not_count_yet(self) -> None:
         arms = agents(3, 7, np.random.default_rng(2), effect=1.0)
-        found = [effects(some, TWO_BATCHES).drop(columns=HIDDEN) for some in (arms, first(arms, 5))]
+        found = [effects(some, TWO_BATCHES).drop(columns=WORKING_COLUMNS) for some in (arms, first(arms, 5))]
         pd.testing.assert_frame_equal(*found)
 
 
@@ -239,7 +239,9 @@ class TestAnalysis:
         )
         again = analyse(shuffled)
         for name in ("effects", "means", "claims", "gates", "policies"):
-            own, other = (getattr(a, name).drop(columns=HIDDEN, errors="ignore") for a in (analysis, again))
+            own, other = (
+                getattr(a, name).drop(columns=WORKING_COLUMNS, errors="ignore") for a in (analysis, again)
+            )
             pd.testing.assert_frame_equal(own, other, rtol=1e-9)
 
     def test_policies_are_means_of_seeds_and_of_episodes(self, results: Results, analysis: Analysis) -> None:

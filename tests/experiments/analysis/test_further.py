@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from experiments.analysis.analysis import Analysis, analyse
-from experiments.analysis.effects import HIDDEN
+from experiments.analysis.effects import WORKING_COLUMNS
 from experiments.study.results.store import Results, load
 from tests.experiments import synthetic
 from tests.experiments.analysis.made_up import find
@@ -30,7 +30,10 @@ def results(tmp_path_factory: pytest.TempPathFactory) -> Results:
 def test_nothing_that_the_plan_decides_changes(analysis: Analysis, tmp_path: Any) -> None:
     synthetic.write(tmp_path, LEVELS, **STUDY)
     alone = analyse(load(tmp_path))
-    own = [found.effects[found.effects["family"].notna()].drop(columns=HIDDEN) for found in (analysis, alone)]
+    own = [
+        found.effects[found.effects["family"].notna()].drop(columns=WORKING_COLUMNS)
+        for found in (analysis, alone)
+    ]
     pd.testing.assert_frame_equal(
         own[0].reset_index(drop=True), own[1].reset_index(drop=True), check_dtype=False
     )

@@ -12,7 +12,7 @@ import pandas as pd
 import pytest
 
 from experiments.analysis.analysis import negative_control, placebo
-from experiments.analysis.scores import Arms, Place, with_outcomes
+from experiments.analysis.scores import Arms, Setting, with_outcomes
 from experiments.study.results.store import load
 from tests.experiments import synthetic
 from tests.experiments.analysis import instrument
@@ -66,7 +66,7 @@ def test_the_whole_table() -> None:
     assert wrong == []
 
 
-def drawn(pairs: dict[Place, Arms]) -> pd.DataFrame:
+def drawn(pairs: dict[Setting, Arms]) -> pd.DataFrame:
     """Episodes of made-up settings."""
     tables = []
     for place, pair in pairs.items():
@@ -82,7 +82,7 @@ def drawn(pairs: dict[Place, Arms]) -> pd.DataFrame:
 
 def test_the_placebo_rejects_in_about_five_percent_whatever_the_effect() -> None:
     random = np.random.default_rng(4)
-    pairs: dict[Place, Arms] = {
+    pairs: dict[Setting, Arms] = {
         ("sumo", "highway", k, str(k)): instrument.setting(World(effect=0.3), 8, random) for k in range(100)
     }
     for record in placebo(drawn(pairs)).to_dict("records"):

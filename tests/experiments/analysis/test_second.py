@@ -16,7 +16,7 @@ from experiments.analysis.claims import all_hold, price
 from experiments.analysis.effects import contrasts
 from experiments.analysis.gates import change, last_second
 from experiments.analysis.plan import DEFAULT, SECOND, TWO_BATCHES, Learner, plan_of
-from experiments.analysis.scores import Arms, Place
+from experiments.analysis.scores import Arms, Setting
 from experiments.study.design.grid import env_config
 from experiments.study.design.sheet import SHEETS
 from experiments.study.results.store import EPISODES, load
@@ -36,12 +36,12 @@ def study(
     tasks: tuple[str, ...] = tuple(TASKS),
     scenarios: int = 400,
     hopeless: float = 0.0,
-) -> dict[Place, Arms]:
+) -> dict[Setting, Arms]:
     """All settings of some tasks: five agents an arm, of mixed training with these crash rates (regular, risky).
 
     hopeless: added to the rate of mixed training where nobody survives.
     """
-    places: dict[Place, Arms] = {}
+    places: dict[Setting, Arms] = {}
     for task in tasks:
         for level, name in enumerate(TASKS[task].levels, start=1):
             luck = random.uniform(size=(2, 1, scenarios))
@@ -59,7 +59,7 @@ def study(
 HOPELESS = [("two-way", "10+4"), ("two-way", "15+6")]
 
 
-def judged(places: dict[Place, Arms]) -> pd.DataFrame:
+def judged(places: dict[Setting, Arms]) -> pd.DataFrame:
     return price(contrasts(places, dict.fromkeys(PAIRS, CRASHES)), SECOND)
 
 

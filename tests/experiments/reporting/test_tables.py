@@ -9,7 +9,7 @@ import pandas as pd
 
 from experiments.reporting import tables
 
-PLACE = {"backend": "sumo", "task": "u-turn", "level": 1, "level_name": "3"}
+SETTING = {"backend": "sumo", "task": "u-turn", "level": 1, "level_name": "3"}
 NAN = float("nan")
 
 
@@ -27,7 +27,7 @@ def test_the_frontier_table_has_a_row_an_arm_and_says_how_many_agents_are_compar
             ["treatment", "risky", 5, 0, NAN, NAN, NAN],  # faster than all drivers
         ],
         columns=columns,
-    ).assign(**PLACE)
+    ).assign(**SETTING)
     elsewhere = found.assign(backend="replica", estimate=0.9)
     table = tables.frontier(analysis(frontier=pd.concat([found, elsewhere])), "sumo")
     shown = ["risky traffic", "agents, risky", "regular traffic", "agents, regular"]
@@ -40,7 +40,7 @@ def test_the_frontier_table_has_a_row_an_arm_and_says_how_many_agents_are_compar
 def test_the_unseen_table_sets_each_traffic_beside_that_of_the_training() -> None:
     rates = {"risky": (0.5, 0.25), "only-brake": (0.4, 0.4), "krauss": (0.3, 0.1)}
     rows = [
-        {**PLACE, "arm": arm, "policy": "dqn", "traffic": traffic, "crashed": rate, "crashed se": 0.02}
+        {**SETTING, "arm": arm, "policy": "dqn", "traffic": traffic, "crashed": rate, "crashed se": 0.02}
         for traffic, both in rates.items()
         for arm, rate in zip(("control", "treatment"), both, strict=True)
     ]

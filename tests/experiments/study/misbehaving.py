@@ -10,7 +10,7 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
-from experiments.study.compute.run import Beat
+from experiments.study.compute.run import Heartbeat
 from experiments.support.errors import UserError
 from experiments.support.files import write_file
 
@@ -42,13 +42,13 @@ class Sum:
     def done(self) -> bool:
         return self.result.exists()
 
-    def compute(self, beat: Beat) -> None:
+    def compute(self, heartbeat: Heartbeat) -> None:
         checkpoint = self.folder / "checkpoint"
         step, total = map(int, checkpoint.read_text().split()) if checkpoint.exists() else (0, 0)
         with (self.directory / f"{self.name}.tries").open("a") as file:
             file.write(f"{os.getpid()} {step}\n")
         while step < STEPS:
-            beat(step / STEPS)
+            heartbeat(step / STEPS)
             if step == STEPS // 2:
                 self._misbehave()
             time.sleep(self.pause)

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from experiments.backends import make_env
-from experiments.study.compute.evaluate import play
+from experiments.study.compute.evaluate import Drive, play
 from experiments.study.design.arms import scenario_seed
 from experiments.study.replaying.avoid import REST, rewound, way_out
 from experiments.study.replaying.rerun import Case, Repeated
@@ -111,7 +111,7 @@ def test_what_is_found_in_copies_comes_true_in_the_environment(backend: str) -> 
     faster = 3
     row = None
     for scenario in range(30):
-        row = play(env, Repeated(str(faster) * 10), "u-turn", 1, "risky", scenario)
+        row = play(env, Repeated(str(faster) * 10), Drive("u-turn", 1, "risky", scenario))
         if row["crashed"] and row["length"] > 1:
             break
     assert row["crashed"]

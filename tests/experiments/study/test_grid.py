@@ -10,6 +10,7 @@ from agents.streams import episode_seed
 from experiments.study.design import experiment, grid
 from experiments.study.design.arms import DOSE_ARMS, EVERY_ARM, TEST, scenario_seed, training_seed
 from experiments.study.design.experiment import Experiment
+from experiments.study.design.presets import cells_of
 from experiments.study.design.traffic import unseen_traffics
 from experiments.support.errors import UserError
 from sumo_env.tasks import TASKS
@@ -73,7 +74,7 @@ def test_the_configuration_can_be_changed():
 def test_the_name_follows_everything_that_changes_the_result_and_no_label():
     cell = cells()[0]
     assert cells(preset="quick")[0].name == cell.name
-    assert cells(gamma=0.99)[0].name != cell.name
+    assert cells(settings=("gamma=0.99",))[0].name != cell.name
     assert replace(cell, eval={"episodes": 6}).name != cell.name
     assert replace(cell, env_config={**cell.env_config, "duration": 21}).name != cell.name
 
@@ -82,7 +83,7 @@ def test_a_baseline_does_not_depend_on_the_learner():
     def names(**profile):
         return {c.name for c in cells(**profile) if c.kind == "baseline"}
 
-    assert names(gamma=0.95) == names(gamma=0.99)
+    assert names(settings=("gamma=0.95",)) == names(settings=("gamma=0.99",))
 
 
 @pytest.mark.parametrize(
@@ -127,3 +128,15 @@ def test_seeds_of_tests_and_of_trainings_are_apart_from_each_other():
     trainings, tests = ({seed(*place) for place in places} for seed in (training_seed, scenario_seed))
     assert max(episodes | trainings) < TEST <= min(tests)
     assert len(trainings) == len(tests) == len(places)
+
+
+@pytest.mark.parametrize("learner", ["dqn", "sb3-dqn", "sb3-ppo"])
+def test_learners_from_elsewhere_have_the_steps_of_the_second_study(learner: str):
+    def steps(**asked) -> dict[str, int]:
+        found = cells_of(Experiment(backend="replica", levels=(1,), arms=("control",), **asked))
+        return {cell.task: cell.budget[0] for cell in found if cell.kind == "agent"}
+
+    ours = steps(preset="second")
+    assert len(ours) == 5
+    for preset in ("rl-agents-dueling", "rl-agents-attention"):
+        assert steps(preset=preset, learner=learner) == ours

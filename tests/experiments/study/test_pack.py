@@ -68,7 +68,7 @@ def test_a_sweep_goes_on_from_packed_cells(results: Path, capsys: pytest.Capture
     pack(results)
     before = set(load(results).cells)
     options = Options(out=results, **{**TINY, "dry_run": True, "seeds": 2})
-    assert sweep(options, make_env=make_env) == 0
+    assert sweep(options, make_env=make_env, check=lambda _: None) == 0
     [row] = [line.split() for line in capsys.readouterr().out.splitlines() if line.startswith("u-turn")]
     assert row[5] == str(len(before))  # are finished
     sweep_of(results, seeds=2, test_on=("replica",))

@@ -9,7 +9,7 @@ import pytest
 
 from agents.rules import make_policy
 from experiments.backends import make_env
-from experiments.study.compute.evaluate import evaluate
+from experiments.study.compute.evaluate import drives, evaluate
 from experiments.study.design.grid import env_config
 from experiments.study.design.traffic import ALL, EIDM, KRAUSS, UNSEEN, unseen_traffics
 from experiments.support.errors import UserError
@@ -64,7 +64,7 @@ def test_episodes_depend_on_their_scenario_alone_and_differ_between_traffics() -
     traffics = unseen_traffics("roundabout")
     assert set(traffics) == set(UNSEEN)
     tables = [
-        evaluate(env, make_policy("idle", env), "roundabout", 1, 6, traffics=order).set_index("traffic")
+        evaluate(env, make_policy("idle", env), drives("roundabout", 1, range(6), order)).set_index("traffic")
         for order in (traffics, traffics[::-1])
     ]
     for traffic in traffics:
@@ -76,4 +76,4 @@ def test_episodes_depend_on_their_scenario_alone_and_differ_between_traffics() -
 def test_every_traffic_is_one_row_and_an_unknown_one_is_named() -> None:
     assert (*EVENTS, PARAMETERS, *MODELS) == UNSEEN
     with pytest.raises(UserError, match="unknown traffic 'risk': did you mean 'risky'"):
-        evaluate(None, None, "u-turn", 1, 1, traffics=("risk",))
+        evaluate(None, None, drives("u-turn", 1, [0], ["risk"]))

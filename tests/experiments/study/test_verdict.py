@@ -29,7 +29,7 @@ def stored(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def test_the_stored_verdict_is_kept_beside_results(stored: Path, tmp_path: Path) -> None:
-    verdict.keep("sumo", TASK, tmp_path)
+    verdict.copy_verdict("sumo", TASK, tmp_path)
     known = verdict.of_results(tmp_path)
     assert known == json.loads((tmp_path / "verdict.json").read_text())
     assert known["tasks"]["u-turn"]["passed"] is False
@@ -49,10 +49,10 @@ def test_the_stored_verdict_is_kept_beside_results(stored: Path, tmp_path: Path)
 )
 def test_a_verdict_on_others_is_not(stored: Path, tmp_path: Path, others, backend, tasks) -> None:
     stored.write_text(json.dumps({**json.loads(stored.read_text()), **others}))
-    verdict.keep(backend, tasks, tmp_path)
+    verdict.copy_verdict(backend, tasks, tmp_path)
     assert verdict.of_results(tmp_path) is None
 
 
 def test_the_package_knows_the_present_dynamics(tmp_path: Path) -> None:
-    verdict.keep("sumo", list(TASKS), tmp_path)
+    verdict.copy_verdict("sumo", list(TASKS), tmp_path)
     assert verdict.of_results(tmp_path) is not None

@@ -8,7 +8,7 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 from agents.streams import episode_seed
-from experiments.study.compute.wrappers import TimeObserved, Training, observed
+from experiments.study.compute.wrappers import TimeObserved, TrainingEnv, observed
 from experiments.study.design.rules import TrainingRules
 from experiments.study.design.traffic import ALL
 from sumo_env.env import DrivingEnv
@@ -39,7 +39,7 @@ def test_the_time_is_a_column_of_the_ego() -> None:
 def test_the_limit_is_terminal_in_training_and_truncates_in_the_test(rules: TrainingRules) -> None:
     test = observed(make_env("sumo", "u-turn"), rules)
     ends = []
-    for env in (Training(test, rules, ALL["regular"], 0), test):
+    for env in (TrainingEnv(test, rules, ALL["regular"], 0), test):
         env.reset(seed=0)
         for _ in range(10):
             _, _, terminated, truncated, _ = env.step(SLOWER)
@@ -64,7 +64,7 @@ def test_other_observations_are_refused() -> None:
 def test_a_clock_observed_on_the_trainings_scale_shows_the_same_in_a_shorter_test() -> None:
     """After five seconds an agent sees 5/13, in a training of 13 s as in a test of 10 s, and never 1 in the test."""
     rules = TrainingRules(training_clock=[13, 13], time_observed=13)
-    training = Training(
+    training = TrainingEnv(
         observed(make_env("sumo", "u-turn", {"duration": 13}), rules), rules, ALL["regular"], 0
     )
     test = observed(make_env("sumo", "u-turn"), rules)
@@ -89,7 +89,7 @@ def test_an_episode_has_a_dose_that_its_seed_draws(name: str) -> None:
     doses = [ALL[name].dose_of(seed) for seed in range(400)]
     assert np.mean(doses) == pytest.approx(0.5, abs=0.06)
     assert (set(doses) == {0.0, 1.0}) if name != "drawn" else (len(set(doses)) == 400 and max(doses) < 1)
-    env = Training(make_env("sumo", "u-turn"), PLAIN, ALL[name], 0)
+    env = TrainingEnv(make_env("sumo", "u-turn"), PLAIN, ALL[name], 0)
     env.reset(seed=17, options={"config": {"risk": 0.25}})
     assert env.get_wrapper_attr("config")["risk"] == doses[17]
 
@@ -99,7 +99,7 @@ def test_the_environments_of_a_training_share_its_episodes_out() -> None:
     expected = [episode_seed(5, k) for k in range(6)]
     for count in (1, 3):
         envs = [
-            Training(make_env("sumo", "u-turn"), PLAIN, ALL["risky"], 5, first, count)
+            TrainingEnv(make_env("sumo", "u-turn"), PLAIN, ALL["risky"], 5, first, count)
             for first in range(count)
         ]
         FakeEnv.met.clear()
@@ -111,7 +111,7 @@ def test_the_environments_of_a_training_share_its_episodes_out() -> None:
 
 def test_a_crash_reward_is_added_to_the_step_that_crashes_alone() -> None:
     faster = 3
-    env = Training(make_env("sumo", "two-way"), TrainingRules(crash_reward=-2.0), ALL["regular"], 0)
+    env = TrainingEnv(make_env("sumo", "two-way"), TrainingRules(crash_reward=-2.0), ALL["regular"], 0)
     plain = make_env("sumo", "two-way")
     env.reset(seed=1)
     plain.reset(seed=1)

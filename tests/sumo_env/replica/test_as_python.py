@@ -36,7 +36,10 @@ def flat(value: Any) -> list[float]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("task", "law"), [("intersection", "standard"), ("u-turn", "linear")])
+@pytest.mark.parametrize(
+    ("task", "law"),
+    [("u-turn", "linear"), pytest.param("intersection", "standard", marks=pytest.mark.long)],
+)
 def test_kernels_as_python_drive_as_compiled_ones_do(task: str, law: str) -> None:
     compiled = json.loads(python("-c", EPISODES, task, law))
     plain = json.loads(python("-c", EPISODES, task, law, NUMBA_DISABLE_JIT="1"))

@@ -19,7 +19,8 @@ from sumo_env.tasks.u_turn import UTurn
 from tests.sumo_env.rollout import assert_same_bits
 
 ENVS = 4
-LEFT_OUT = {"rewards", "crash", "traffic_light", "traffic_light_distance"}  # of the single environment's info
+# Of the single environment's info.
+LEFT_OUT = {"rewards", "crash", "traffic_light", "traffic_light_distance", "acceleration", "jerk"}
 SEE_BEHIND = {"type": "Kinematics", "see_behind": True, "features": ["x", "cos_h"]}
 SEEDED: dict[str, Any] = {"scenarios": "seeded"}
 

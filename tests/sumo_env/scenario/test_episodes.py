@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import copy
+import shutil
+import tempfile
 import warnings
 from itertools import pairwise
 from pathlib import Path
@@ -18,7 +20,7 @@ from sumo_env.scene import ON_ITS_WAY, Scene
 from sumo_env.simulator import EgoCommand, SimulatorError
 from sumo_env.sumo.process import SumoProcess
 from sumo_env.tasks.network import NetworkTask
-from tests.sumo_env.plans import floating_car_data, needs_sumo
+from tests.sumo_env.plans import QUIET, build, floating_car_data, needs_sumo
 from tests.sumo_env.scenario.files import written
 
 pytestmark = [needs_sumo, pytest.mark.filterwarnings("ignore:.*(its outputs are off|several environments)")]
@@ -171,12 +173,28 @@ def test_the_type_of_the_ego_limits_what_it_can_do(town: Path, tmp_path: Path) -
         ({"ego_trips": [["A0A1", "B9"]]}, "edge 'B9'"),
         ({"ego_trips": ["A0A1"]}, "pairs of edges"),
         ({"ego_route": "A0A1"}, "list of edges"),
+        (
+            {"ego_vehicle": "ego", "config": {"initial_speed": "max"}},
+            "'initial_speed' must be a number, not 'max'",
+        ),
+        (
+            {"ego_vehicle": "ego", "config": {"traffic_scale": 2}},
+            "'traffic_scale' must be a list of 2 numbers, not 2",
+        ),
         ({"ego_route": [["A0A1", "C1C2"]]}, "no connection leads from edge 'A0A1' to edge 'C1C2'"),
     ],
 )
 def test_an_ego_that_cannot_be_is_named(town: Path, change: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         SumoDrivingEnv(town, **change)
+
+
+def test_a_trip_without_a_way_is_refused_when_the_environment_is_made(tmp_path: Path) -> None:
+    """One way streets: nothing leads back from c."""
+    net = build(tmp_path, ("a 0 0,b 200 0,c 400 0", "ab a b 1 14,bc b c 1 14"))
+    assert SumoDrivingEnv(net, ego_trips=[("ab", "bc")], config=QUIET).reset(seed=0)[0].any()
+    with pytest.raises(ConfigError, match="no way leads from edge 'bc' to edge 'ab'"):
+        SumoDrivingEnv(net, ego_trips=[("ab", "bc"), ("bc", "ab")])
 
 
 def test_an_ego_that_does_not_come_says_why(town: Path) -> None:
@@ -247,6 +265,63 @@ def test_options_of_the_user_act(town: Path) -> None:
     assert counts[1] > 1.2 * counts[0]
 
 
+def test_traffic_may_vary_by_episode(town: Path) -> None:
+    """Of files by SUMO's own factor; drawn traffic by its numbers. The same seed draws the same."""
+    lists: dict[str, Any] = {"network": town.with_name("grid.net.xml"), "routes": [WAY], "ego_route": WAY}
+    for arguments in ({"network": town, "ego_route": WAY}, lists):
+        counts = []
+        for scale in ([0, 0], [1, 1], [0.5, 2]):
+            config = {"warm_up": 60, "traffic_scale": scale}
+            env = SumoDrivingEnv(**arguments, config=config)
+            for seed in (0, 1, 0):
+                env.reset(seed=seed)
+                counts.append(len(env.scene))
+            env.close()
+        assert counts[:3] == [1, 1, 1] and min(counts[3:]) > 3
+        assert counts[6] == counts[8] and (counts[3], counts[4]) != (counts[6], counts[7])
+    with pytest.raises(ConfigError, match="traffic_scale"):
+        SumoDrivingEnv(town, ego_route=WAY, config={"traffic_scale": [2, 1]}).reset(seed=0)
+
+
+def test_large_seeds_have_noise_of_their_own(town: Path) -> None:
+    env = SumoDrivingEnv(town, ego_vehicle="ego")
+    small, large = (seen(env, seed) for seed in (7, 7 + 2**31))
+    assert not np.array_equal(small[-1].y[:2], large[-1].y[:2])
+    assert_same(seen(env, 7 + 2**31), large)
+
+
+def test_files_may_be_anywhere(town: Path, tmp_path: Path) -> None:
+    """Commas and ${...}, which SUMO takes for something else, in folders and in names."""
+    odd = shutil.copytree(town.parent, tmp_path / "a, b ${HOME}")
+    expected = seen(SumoDrivingEnv(town, ego_vehicle="ego"), 0)
+    assert_same(seen(SumoDrivingEnv(odd / town.name, ego_vehicle="ego"), 0), expected)
+    route = shutil.copy(town.with_name("t.rou.xml"), odd / "c,d.rou.xml")
+    assert_same(seen(SumoDrivingEnv(odd / "grid.net.xml", route, ego_vehicle="ego"), 0), expected)
+
+
+def test_detectors_write_where_all_outputs_go(tmp_path: Path) -> None:
+    """Nowhere, or into the folder of the episode; what the user names is where the user says."""
+    config = written(tmp_path / "town", "additional")
+    more = config.with_name("more.add.xml")
+    more.write_text('<additional><edgeData id="e" file="edges.xml"/></additional>')
+    before = sorted(config.parent.iterdir())
+    trips = tmp_path / "mine.xml"
+    env = SumoDrivingEnv(
+        config, additional=more, ego_vehicle="ego", sumo_options=["--tripinfo-output", str(trips)]
+    )
+    seen(env, 0)
+    scratch = list(Path(tempfile.gettempdir()).glob("sumo_env-*/edges.xml"))
+    assert scratch
+    env.close()
+    assert sorted(config.parent.iterdir()) == before and trips.read_text().startswith("<?xml")
+    assert not any(file.exists() for file in scratch)
+    env = SumoDrivingEnv(config, additional=more, ego_vehicle="ego", output_dir=tmp_path / "out")
+    seen(env, 0)
+    env.close()
+    assert sorted(config.parent.iterdir()) == before
+    assert {file.name for file in (tmp_path / "out").rglob("*.*")} == {"edges.xml", "trips.xml", "log.txt"}
+
+
 def test_outputs_are_off_or_each_episode_has_its_own(town: Path, tmp_path: Path) -> None:
     with pytest.warns(UserWarning, match=r"outputs are off \(tripinfo-output, log\)"):
         quiet = SumoDrivingEnv(town, ego_vehicle="ego")
@@ -306,6 +381,16 @@ def test_the_ego_sees_the_end_of_its_lane_and_the_next_light(town: Path) -> None
     assert ego[3] == info["traffic_light"] and ego[4] == pytest.approx(
         min(info["traffic_light_distance"], 200.0)
     )
+    left_leader, left_follower, leader, _, right_leader, right_follower = place.neighbours
+    around = (leader, left_leader, left_follower, right_leader, right_follower)
+    open_lanes = (True, place.left, place.left, place.right, place.right)
+    gaps = [min(one.gap, 200.0) if open else 0.0 for one, open in zip(around, open_lanes, strict=True)]
+    signs = (1.0, 1.0, -1.0, 1.0, -1.0)
+    closing = [
+        sign * (info["speed"] - one.speed) if one.id else 0.0 for one, sign in zip(around, signs, strict=True)
+    ]
+    assert ego[5:10].tolist() == pytest.approx(gaps)
+    assert ego[10:].tolist() == pytest.approx(closing)
     assert not others.any()
     env.close()
     with pytest.raises(ConfigError, match="lane_end"):

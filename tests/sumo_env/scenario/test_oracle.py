@@ -90,6 +90,26 @@ def test_where_nothing_is_commanded_everybody_is_where_sumo_has_them(name: str, 
     env.close()
 
 
+def test_an_ego_that_sumo_drives_is_where_sumo_has_it(tmp_path: Path) -> None:
+    """By the actions' configuration, and by a hand-over, after which the car's own way goes on."""
+    config = written(tmp_path, "actuated")
+    both = {"type": "ContinuousAction", "longitudinal": "sumo", "lateral": "sumo"}
+    for action in (both, {"type": "DiscreteMetaAction"}):
+        settings = {"duration": SECONDS, "action": action, "policy_frequency": 10}
+        env = SumoDrivingEnv(config, ego_vehicle="ego", config=settings)
+        env.reset(seed=7)
+        begin = float(env.sumo.simulation.getTime())
+        scenes, over = [(begin, env.scene)], False
+        while not over:
+            if action is not both:
+                env.hand_over()
+            over = env.step(0)[2]
+            scenes.append((begin + env.scene.time, env.scene))
+        assert env.scene.place is not None and env.scene.place.ended == "arrived" and len(scenes) > 100
+        assert differences(scenes[:-1], plain(env.sumo_command, tmp_path, SECONDS), 0.1) == []
+        env.close()
+
+
 @pytest.mark.parametrize("name", SCENARIOS)
 def test_an_added_car_changes_nothing_before_it_comes_and_little_on_the_whole_later(
     name: str, tmp_path: Path

@@ -8,15 +8,19 @@ import numpy as np
 import pytest
 
 from sumo_env.tasks import TASKS
+from sumo_env.traffic import drivers as module
 from sumo_env.traffic.drivers import (
     MIN_GAIN,
+    ONE_STREAM,
     POOL,
     SAFE_BRAKING,
     SPREAD_PARAMETERS,
     Calibration,
     CarFollowing,
+    Driver,
     DriverPool,
     RiskRanges,
+    quantiles,
     vehicle_type,
 )
 from tests.sumo_env.scenarios import draw, drivers
@@ -65,6 +69,23 @@ def test_a_driver_keeps_its_place_in_the_ranges_at_every_dose() -> None:
     assert [driver.attention for driver in half] == [driver.attention for driver in full]
     careless = [{k for k, driver in enumerate(pool) if not driver.gives_way} for pool in (half, full)]
     assert [len(group) for group in careless] == [POOL // 4, POOL // 2] and careless[0] <= careless[1]
+
+
+def test_a_parameter_more_has_a_stream_of_its_own_and_shifts_no_other_draw(monkeypatch) -> None:
+    before = DriverPool(BASE, 0.5).drivers
+    assert sorted(quantiles("politeness")) == [(k + 0.5) / POOL for k in range(POOL)]
+    assert not any(np.array_equal(quantiles("politeness"), quantiles(name)) for name in ONE_STREAM)
+    drawn = {}
+
+    def driver(politeness: float, **known) -> Driver:
+        drawn[known["type"]] = politeness
+        return Driver(**known)
+
+    monkeypatch.setattr(module, "SPREAD_PARAMETERS", ("politeness", *SPREAD_PARAMETERS))
+    monkeypatch.setattr(RiskRanges, "politeness", (0.0, 1.0), raising=False)
+    monkeypatch.setattr(module, "Driver", driver)
+    assert vars(DriverPool)["drivers"].fget.__wrapped__(DriverPool(BASE, 0.5)) == before  # not from the cache
+    assert len(drawn) == len(set(drawn.values())) == POOL
 
 
 def test_the_counterparts_in_highway_env_are_mobil_s_two_thresholds() -> None:

@@ -1,6 +1,6 @@
-"""Processes of this machine, by pebble: the death of one takes no other along and says whose task it was.
+"""Processes of this machine, by pebble. If one dies, the others continue, and the error names its task.
 
-They end with the process that started them.
+Workers end when the process that started them ends.
 """
 
 from __future__ import annotations
@@ -8,8 +8,8 @@ from __future__ import annotations
 import fcntl
 import os
 import signal
-from collections.abc import Callable, Mapping
-from concurrent.futures import Executor, Future, as_completed
+from collections.abc import Callable
+from concurrent.futures import Executor, Future
 from contextlib import suppress
 from multiprocessing import parent_process, resource_tracker
 from multiprocessing.context import SpawnContext
@@ -17,11 +17,8 @@ from multiprocessing.synchronize import RLock
 from typing import Any
 
 from pebble import ProcessPool
-from rich.console import Console
-from rich.progress import track
 
-from experiments.study.compute.run import SPOILT, Ended
-from experiments.support.errors import UserError
+from experiments.study.compute.run import SPOILT, Attempt
 
 TASKS_PER_PROCESS = 25  # then a fresh process takes over, so that whatever a simulator leaks is given back
 
@@ -104,30 +101,6 @@ class LocalExecutor(Executor):
 def _call(function: Callable[..., Any], args: tuple[Any, ...], kwargs: dict[str, Any]) -> Any:
     result = function(*args, **kwargs)
     # After an error nobody knows in what state a simulator is: the next try gets a fresh process.
-    if isinstance(result, Ended) and result.state == "failed":
+    if isinstance(result, Attempt) and result.state == "failed":
         os._exit(SPOILT)
     return result
-
-
-def call_all(
-    work: Mapping[str, Callable[[], None]], workers: int, doing: str, console: Console | None = None
-) -> None:
-    """Call functions, each of which writes a result, in processes.
-
-    Args:
-        work: the functions by the names of their results.
-        doing: what they do, as one word.
-        console: where progress is shown, if at all.
-
-    Raises:
-        UserError: one failed; those that still run are given up.
-    """
-    executor = LocalExecutor(workers)
-    try:
-        running = {executor.submit(call): name for name, call in work.items()}
-        finished = as_completed(running)
-        for future in track(finished, doing, len(work), console=console, disable=console is None):
-            if error := future.exception():
-                raise UserError(f"{running[future]} failed ({error}): run the same command again to go on")
-    finally:  # on an error or Ctrl-C, whatever is running is given up
-        executor.shutdown(cancel_futures=True)

@@ -1,0 +1,70 @@
+"""What is written down about the episodes of a training, whoever learns."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+# One row a training episode. step: environment steps of the training after the episode; return: undiscounted;
+# mean_speed [m/s] is NaN when the environment reports no speed.
+COLUMNS = {
+    "episode": np.int64,
+    "step": np.int64,
+    "return": np.float64,
+    "length": np.int64,
+    "crashed": np.bool_,
+    "arrived": np.bool_,
+    "mean_speed": np.float64,
+}
+
+
+class Episodes(gym.Wrapper[Any, Any, Any, Any]):
+    """Writes down the episodes of an environment.
+
+    Args:
+        progress: called with environment steps after each episode.
+
+    Attributes:
+        rows: the values of each of COLUMNS, episode by episode.
+        steps: environment steps so far.
+    """
+
+    def __init__(self, env: gym.Env[Any, Any], progress: Callable[[int], None] = lambda _: None) -> None:
+        super().__init__(env)
+        self._progress = progress
+        self.rows: dict[str, list[Any]] = {name: [] for name in COLUMNS}
+        self.steps = 0
+
+    def reset(self, **options: Any) -> tuple[Any, dict[str, Any]]:  # gymnasium's checker looks for this name
+        """Begin an episode."""
+        self._rewards: list[float] = []
+        self._speeds: list[float] = []
+        return self.env.reset(**options)
+
+    def step(self, action: Any) -> tuple[Any, Any, bool, bool, dict[str, Any]]:
+        """A step; the last one of an episode completes its row."""
+        observation, reward, terminated, truncated, info = self.env.step(int(action))
+        self.steps += 1
+        self._rewards.append(float(reward))
+        self._speeds.append(float(info.get("speed", np.nan)))
+        if terminated or truncated:
+            row = {
+                "episode": len(self.rows["episode"]),
+                "step": self.steps,
+                "return": sum(self._rewards),
+                "length": len(self._rewards),
+                "crashed": bool(info.get("crashed", False)),
+                "arrived": bool(info.get("arrived", False)),
+                "mean_speed": float(np.mean(self._speeds)),
+            }
+            for name, value in row.items():
+                self.rows[name].append(value)
+            self._progress(self.steps)
+        return observation, reward, terminated, truncated, info
+
+    def columns(self) -> dict[str, np.ndarray]:
+        """The rows as an array for each column."""
+        return {name: np.array(self.rows[name], dtype) for name, dtype in COLUMNS.items()}

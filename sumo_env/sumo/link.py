@@ -1,0 +1,82 @@
+"""How this process starts a worker and gets a socket to it, on every system.
+
+Where a process can hand an open socket to one that it starts, it does so. Elsewhere, as on Windows, the worker connects
+to a port of this machine that is open for this alone, and shows a key that it was given on its standard input.
+"""
+
+from __future__ import annotations
+
+import hmac
+import os
+import secrets
+import socket
+import subprocess
+import sys
+from collections.abc import Mapping
+from contextlib import suppress
+from typing import Any
+
+INHERITS = os.name == "posix"  # whether a process can be given an open socket when it is started
+# Whether a process that has loaded SUMO can be forked. macOS has fork, but libraries of the system may fail after it.
+FORKS = sys.platform.startswith("linux")
+KEY = 32  # bytes
+PATIENCE = 1.0  # [s] between two looks at whether a worker is still alive, and for its key
+
+
+def start(
+    program: list[str], arguments: list[str], environment: Mapping[str, str]
+) -> tuple[subprocess.Popen[bytes], socket.socket]:
+    """Start a program that calls `connect` with its first argument; the process, and the socket to it.
+
+    If the program ends before it connects, the socket is one that nobody answers.
+    """
+    options: dict[str, Any] = {
+        "env": environment,
+        "start_new_session": True,  # Ctrl-C in the terminal is for this process alone; the same on Windows:
+        "creationflags": getattr(subprocess, "CREATE_NEW_PROCESS_GROUP", 0),
+    }
+    if INHERITS:
+        ours, theirs = socket.socketpair()
+        with theirs:  # closed here, so that reading ends when the worker does
+            descriptor, number = [f"descriptor:{theirs.fileno()}"], theirs.fileno()
+            child = subprocess.Popen(
+                [*program, *descriptor, *arguments], stdin=subprocess.DEVNULL, pass_fds=(number,), **options
+            )
+        return child, ours
+    key = secrets.token_bytes(KEY)
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = f"port:{server.getsockname()[1]}"
+        child = subprocess.Popen([*program, port, *arguments], stdin=subprocess.PIPE, **options)
+        assert child.stdin is not None
+        with suppress(OSError), child.stdin:
+            child.stdin.write(key)
+        server.settimeout(PATIENCE)
+        while child.poll() is None:
+            with suppress(OSError):
+                ours, _ = server.accept()
+                if _knows(ours, key):
+                    ours.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                    return child, ours
+                ours.close()
+    ours, theirs = socket.socketpair()
+    theirs.close()
+    return child, ours
+
+
+def _knows(other: socket.socket, key: bytes) -> bool:
+    """Whether the other end sends the key."""
+    other.settimeout(PATIENCE)
+    with suppress(OSError), other.makefile("rb") as stream:
+        return hmac.compare_digest(stream.read(KEY), key)
+    return False
+
+
+def connect(where: str) -> socket.socket:
+    """In the worker: the other end of the socket."""
+    kind, _, number = where.partition(":")
+    if kind == "descriptor":
+        return socket.socket(fileno=int(number))
+    link = socket.create_connection(("127.0.0.1", int(number)))
+    link.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    link.sendall(sys.stdin.buffer.read(KEY))
+    return link

@@ -1,0 +1,79 @@
+"""A window that shows an environment while it drives, and the keys that are pressed in it (extra ``[window]``)."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sumo_env.actions import ActionType, ContinuousAction, DiscreteAction
+from sumo_env.config import ConfigError
+
+PRESSED = 0.7  # of a number from -1 to 1 (``EventHandler.handle_continuous_action_event``)
+
+
+class Window:
+    """Opens with the first picture; a copy of an environment has none."""
+
+    def __init__(self) -> None:
+        try:
+            import pygame
+        except ImportError as error:
+            raise ImportError(
+                "render_mode='human' needs pygame: pip install 'sumo-risky-driving[window]', or pygame-ce"
+            ) from error
+        self._pygame: Any = pygame
+        self._clock: Any = pygame.time.Clock()
+        self._screen: Any = None
+        self._keys: set[int] = set()  # that were pressed since the last action
+
+    def __deepcopy__(self, memo: dict[int, object]) -> None:
+        return None
+
+    def show(self, picture: NDArray[np.uint8], title: str, frequency: float) -> bool:
+        """Show a picture, at most `frequency` of them in a second [Hz]; False once the user has closed the window."""
+        pygame = self._pygame
+        height, width, _ = picture.shape
+        if self._screen is None or self._screen.get_size() != (width, height):
+            pygame.display.init()
+            self._screen = pygame.display.set_mode((width, height))
+            pygame.display.set_caption(title)
+        self._screen.blit(pygame.surfarray.make_surface(picture.swapaxes(0, 1)), (0, 0))
+        pygame.display.flip()
+        self._clock.tick(frequency)
+        for event in pygame.event.get():
+            if event.type == pygame.QUIT:
+                return False
+            if event.type == pygame.KEYDOWN:
+                self._keys.add(event.key)
+        return True
+
+    def action(self, kind: ActionType) -> Any:
+        """The action that the arrow keys ask for, as in highway-env: IDLE, or zeros, without any."""
+        pygame, names = self._pygame, ("UP", "DOWN", "LEFT", "RIGHT")
+        held = pygame.key.get_pressed() if self._screen is not None else ()
+        keys = {
+            name
+            for name in names
+            if (key := getattr(pygame, f"K_{name}")) in self._keys or (held and held[key])
+        }
+        self._keys.clear()
+        if isinstance(kind, DiscreteAction):
+            raise ConfigError(
+                "'manual_control' needs the action type 'DiscreteMetaAction' or 'ContinuousAction'"
+            )
+        if isinstance(kind, ContinuousAction):
+            pedals, turn = (("UP" in keys) - ("DOWN" in keys)), (("RIGHT" in keys) - ("LEFT" in keys))
+            numbers = [*([pedals] if kind.longitudinal else []), *([turn] if kind.lateral else [])]
+            return np.array(numbers, np.float32) * np.float32(PRESSED)
+        wanted = {"RIGHT": "FASTER", "LEFT": "SLOWER", "DOWN": "LANE_RIGHT", "UP": "LANE_LEFT"}
+        asked = {wanted[key] for key in keys} or {"IDLE"}
+        numbers_of = {name: number for number, name in kind.names.items()}
+        return next((numbers_of[name] for name in sorted(asked) if name in numbers_of), numbers_of["IDLE"])
+
+    def close(self) -> None:
+        """Close the window."""
+        if self._screen is not None:
+            self._pygame.display.quit()
+            self._screen = None

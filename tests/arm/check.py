@@ -1,0 +1,48 @@
+"""On a processor of another kind: the doctor, the first steps of the golden episodes, and copies of an episode."""
+
+from __future__ import annotations
+
+import copy
+import json
+import platform
+import sys
+from pathlib import Path
+
+import gymnasium as gym
+import numpy as np
+
+from sumo_env import IDS, doctor, task_of
+from tests.golden import scenes
+
+GOLDEN = Path(scenes.__file__).parent / "scenes"
+
+
+def main() -> int:
+    """0 if everything is as on x86-64."""
+    print(platform.machine(), flush=True)
+    if doctor.examine(doctor.CHECKS, sys.stdout):
+        return 1
+    for id in IDS:
+        task = task_of(id)
+        found = scenes.differences(scenes.table(task), json.loads((GOLDEN / f"{task}.json").read_text()))
+        print(
+            f"  {'FAIL' if found else 'ok':6}{task}: scenes as the golden ones",
+            *found[:5],
+            sep="\n",
+            flush=True,
+        )
+        if found:
+            return 1
+    envs = [gym.make("sumo/roundabout-v0", config={"risk": 1.0}) for _ in range(2)]
+    for env in envs:
+        env.reset(seed=1)
+    envs += [copy.deepcopy(env) for env in envs]  # of this process's simulation, and of a worker's
+    for action in (1, 3, 0, 1):
+        first, *others = (env.step(action)[0] for env in envs)
+        assert all(np.array_equal(first, other) for other in others)
+    print("  ok    copies")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,141 @@
+"""Files of other people: what they name is neither run nor read, and nothing is written through their links."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import agents
+from agents import pretrained
+from agents.checkpoint import atomic
+from agents.models import EgoAttention
+from agents.plugins import sha256
+from experiments.study.compute.policies import driver
+from experiments.study.design.grid import learner_of
+from experiments.study.replaying.rerun import Case, play_again
+from experiments.study.results import packed, store
+from experiments.study.results.store import Store, load
+from experiments.support.errors import UserError
+from experiments.support.files import sha256_file
+from tests.experiments.fake_env import FakeEnv
+
+
+@pytest.fixture
+def evil(tmp_path: Path) -> Path:
+    """A file that leaves a trace when it is run."""
+    file = tmp_path / "evil.py"
+    file.write_text(
+        f"open({str(tmp_path / 'trace')!r}, 'w')\nclass Net: pass\nNet.Settings = Net.train = Net.load = Net\n"
+    )
+    return file
+
+
+def key_of(policy: str, **profile: str) -> dict[str, Any]:
+    common = {"kind": "agent", "task": "u-turn", "level": 1, "arm": "control"}
+    return {**common, "policy": policy, "profile": profile}
+
+
+@pytest.mark.parametrize("where", ["network", "learner", "rule"])
+def test_code_that_a_record_names_is_not_run(where: str, evil: Path, tmp_path: Path) -> None:
+    name, weights = f"{evil}:Net", tmp_path / "weights.npz"
+    key = key_of("dqn" if where == "network" else name, **({"network": name} if where == "network" else {}))
+    key["profile"] |= {f"{part}_sha256": sha256(evil) for part in ("network", "learner", "policy")}
+    row = {"traffic": "regular", "scenario": 0}
+    record = {"key": {**key, "kind": "baseline"} if where == "rule" else key, "source": name}
+    with pytest.raises(UserError):
+        driver(key, None, FakeEnv("u-turn", {"duration": 20}), None if where == "rule" else weights)
+    with pytest.raises(UserError):
+        play_again(Case(Store(tmp_path), "cell", record, row), FakeEnv("u-turn", {"duration": 20}))
+    if where != "rule":
+        with pytest.raises(UserError, match=r"evil\.py:Net is code of somebody's own.*--code FILE:NAME"):
+            learner_of(key, None)
+    assert not (tmp_path / "trace").exists()
+
+
+def test_code_that_the_user_names_has_to_be_the_cell_s(evil: Path, tmp_path: Path) -> None:
+    mine = tmp_path / "mine.py"
+    mine.write_text("class Net: pass\n")
+    key = key_of("dqn", network=f"{evil}:Net", network_sha256=sha256(evil))
+    with pytest.raises(UserError, match="is not the file of the cell"):
+        driver(key, f"{mine}:Net", FakeEnv("u-turn", {"duration": 20}), tmp_path / "weights.npz")
+    _, settings = learner_of(key, f"{mine}:Net")
+    assert settings.network == f"{mine}:Net"
+    assert not (tmp_path / "trace").exists()
+
+
+def test_an_agent_s_card_runs_nothing(evil: Path, tmp_path: Path) -> None:
+    file = tmp_path / "agents.npz"
+    with np.load(pretrained.FILE) as stored:
+        arrays = dict(stored)
+    cards = json.loads(str(arrays[pretrained.CARDS]))
+    cards["u-turn-3/control"]["network"] = f"{evil}:Net"
+    np.savez(file, **{**arrays, pretrained.CARDS: np.array(json.dumps(cards))})
+    with pytest.raises(ValueError, match=r"none of ours. Give its class: load\(\.\.\., network=\.\.\.\)"):
+        agents.load("u-turn-3", "control", file)
+    assert not (tmp_path / "trace").exists()
+    ours, given = agents.load("u-turn-3", "control"), agents.load("u-turn-3", "control", file, EgoAttention)
+    observation = np.zeros(cards["u-turn-3/control"]["observations"], np.float32)
+    assert np.array_equal(given.q(observation), ours.q(observation))
+
+
+def sealed(path: Path, **changes: Any) -> None:
+    """Change a cell's record, with a checksum that is right."""
+    record = json.loads((path / store.CELL).read_text())
+    del record["checksum"]
+    (path / store.CELL).write_bytes(store.seal({**record, **changes}))
+
+
+@pytest.mark.parametrize("name", ["/dev/zero", "../../../secret", "..", ""])
+def test_a_record_lists_files_of_its_own_folder_alone(results: Path, name: str) -> None:
+    cell = min((results / "cells").iterdir())
+    sealed(cell, files={name: "0" * 64})
+    assert "it names files elsewhere" in load(results).damaged[cell.name]
+
+
+@pytest.mark.parametrize("file", [store.CELL, store.EPISODES, store.SWEEPS, packed.MANIFEST])
+@pytest.mark.parametrize("kind", ["pipe", "device", "folder"])
+def test_what_is_no_file_is_not_read(results: Path, file: str, kind: str) -> None:
+    cell = min((results / "cells").iterdir())
+    place = (results if file in (store.SWEEPS, packed.MANIFEST) else cell) / file
+    place.unlink(missing_ok=True)
+    if kind == "pipe":
+        os.mkfifo(place)
+    elif kind == "device":
+        place.symlink_to("/dev/zero")
+    else:
+        place.mkdir()
+    if place.parent == cell:
+        assert "no regular file" in load(results).damaged[cell.name]
+    else:
+        with pytest.raises(UserError, match=rf"{file} is damaged .*no regular file"):
+            load(results)
+
+
+@pytest.mark.parametrize("name", ["/tmp/elsewhere", "../elsewhere", "a/b", "two\nlines"])
+def test_a_packed_cell_has_a_name_that_leads_nowhere(results: Path, name: str) -> None:
+    Store(results).pack()
+    shutil.rmtree(results / "cells")
+    table, manifest = results / packed.CELLS, json.loads((results / packed.MANIFEST).read_text())
+    index = pd.read_parquet(table)
+    index.loc[0, "cell"] = name
+    index.to_parquet(table)
+    manifest["files"][packed.CELLS] = [sha256_file(table)]
+    (results / packed.MANIFEST).write_text(json.dumps(manifest))
+    with pytest.raises(UserError, match="names of cells that lead elsewhere"):
+        load(results)
+
+
+def test_a_link_in_the_place_of_a_temporary_file_is_not_followed(tmp_path: Path) -> None:
+    precious, file = tmp_path / "precious", tmp_path / "out.json"
+    precious.write_text("mine")
+    (tmp_path / f".out.json.{os.getpid()}.tmp").symlink_to(precious)
+    with atomic(file) as opened:
+        opened.write(b"ours")
+    assert (precious.read_text(), file.read_text()) == ("mine", "ours")

@@ -1,0 +1,219 @@
+"""Leaders and followers, what is left of a light, and the terms of a reward that are made of them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from highway_env.road.road import Road, RoadNetwork
+from highway_env.vehicle.kinematics import Vehicle
+
+from sumo_env.config import ConfigError
+from sumo_env.env import DrivingEnv, SumoDrivingEnv
+from sumo_env.neighbours import neighbours_on
+from sumo_env.networks.roads import highway
+from sumo_env.scene import NOBODY, Neighbour, Scene
+from tests.sumo_env.plans import QUIET, build, route_file
+
+IDLE, FASTER, SLOWER = 1, 3, 4
+SEEN = {"type": "LeadersFollowers", "normalize": False}
+STRAIGHT = (
+    '<node id="a" x="0" y="0"/><node id="b" x="300" y="0" type="KIND"/><node id="c" x="600" y="0"/>',
+    '<edge id="ab" from="a" to="b" numLanes="3" speed="20"/><edge id="bc" from="b" to="c" numLanes="3" speed="20"/>',
+)
+
+
+def net(folder: Path, *options: str, kind: str = "priority") -> Path:
+    return build(folder, (STRAIGHT[0].replace("KIND", kind), STRAIGHT[1]), *options)
+
+
+def road(path: Path, seed: int = 0, **config: Any) -> SumoDrivingEnv:
+    env = SumoDrivingEnv(path, [["ab", "bc"]], ["ab", "bc"], {**QUIET, **config})
+    env.reset(seed=seed)
+    return env
+
+
+# -- leaders and followers -----------------------------------------------------------------------------------------
+
+
+def test_leaders_and_followers_are_highway_env_s_neighbours() -> None:
+    rng, ours = np.random.default_rng(0), highway(4)
+    theirs = Road(RoadNetwork.straight_road_network(4))
+    found = 0
+    for _ in range(30):
+        x, y = rng.uniform(100.0, 300.0, 12), rng.choice([0.0, 4.0, 8.0, 12.0], 12) + rng.uniform(-1, 1, 12)
+        theirs.vehicles = [Vehicle(theirs, [a, b], 0.0, 20.0) for a, b in zip(x, y, strict=True)]
+        still = np.zeros(12)
+        scene = Scene(tuple(map(str, range(12))), x, y, still + 20.0, still, still > 0, 0.0)
+        ego: Any = theirs.vehicles[0]
+        start, end, own = ego.lane_index
+        seen = neighbours_on(scene, ours, ego.lane_index)
+        for side, lane in enumerate((own - 1, own, own + 1)):
+            expected = [NOBODY, NOBODY]
+            if 0 <= lane < 4:
+                for place, other in enumerate(theirs.neighbour_vehicles(ego, (start, end, lane))):
+                    if other is not None:
+                        row = theirs.vehicles.index(other)
+                        expected[place] = Neighbour(str(row), abs(x[row] - x[0]) - 5.0, 20.0)
+                        found += 1
+            assert list(seen[2 * side : 2 * side + 2]) == expected
+    assert found > 60
+
+
+@pytest.mark.parametrize("hand", ["", "--lefthand=true"])
+def test_on_a_network_they_are_sumo_s_beyond_junctions_too(tmp_path: Path, hand: str) -> None:
+    """Against places on a straight road; left is left where people drive on the left."""
+    busy = {"vehicles_count": 30, "spawn_probability": 0.8, "warm_up": 6, "observation": SEEN, "duration": 25}
+    env = road(net(tmp_path, *filter(None, [hand])), 3, **busy)
+    found = beyond = steps = 0
+    over = False
+    while not over:
+        observation, _, over, late, _ = env.step(SLOWER if steps % 4 < 2 else FASTER)
+        scene, place, steps, over = env.scene, env.scene.place, steps + 1, over or late
+        assert place is not None
+        if place.lane[0].startswith(":"):
+            continue
+        for side, (exists, dy) in enumerate(((place.left, -3.2), (True, 0.0), (place.right, 3.2))):
+            gaps = [200.0, 200.0]
+            for row in range(1, len(scene)):
+                dx = scene.x[row] - scene.x[0]
+                if exists and abs(scene.y[row] - scene.y[0] - dy) < 0.5 and abs(dx) - 5.0 < gaps[int(dx < 0)]:
+                    gaps[int(dx < 0)] = abs(dx) - 5.0
+                    beyond += place.lane[0] == "ab:from" and scene.x[row] > 310.0
+            lane, ahead, _, behind, _ = observation[1 + 5 * side : 6 + 5 * side]
+            assert lane == exists and (ahead, behind) == pytest.approx(gaps, abs=0.2)
+            found += (ahead < 200.0) + (behind < 200.0)
+    assert found > 50 and beyond
+    env.close()
+
+
+@pytest.mark.parametrize("task", ["highway", "roundabout"])
+def test_the_observation_is_in_its_space_on_the_tasks(task: str) -> None:
+    env = DrivingEnv(task, {"observation": {"type": "LeadersFollowers"}})
+    assert env.observation_space.shape == (16,)
+    observation, _ = env.reset(seed=0)
+    for _ in range(5):
+        assert env.observation_space.contains(observation)
+        assert observation[0] == pytest.approx(env.scene.speed[0] / 40.0)
+        observation = env.step(IDLE)[0]
+    env.close()
+
+
+def test_features_of_the_way_are_those_of_networks(tmp_path: Path) -> None:
+    seen = {
+        "type": "LeadersFollowers",
+        "normalize": False,
+        "features": ["lane_end", "light", "light_seconds"],
+    }
+    env = road(net(tmp_path, kind="traffic_light"), observation=seen)
+    light = env.sumo.trafficlight.getIDList()[0]
+    left = []
+    for _ in range(6):
+        observation = env.step(SLOWER)[0]
+        left.append(observation[-1])
+        planned = env.sumo.trafficlight.getNextSwitch(light) - env.sumo.simulation.getTime()
+        assert observation[-1] == pytest.approx(min(planned, 60.0)) and observation[-2] in (0, 1, 2)
+        assert observation[-3] == 200.0
+    assert np.allclose(np.diff(left), -1.0) or max(left) == 60.0
+    table = {"type": "Kinematics", "features": ["x", "light_seconds"], "normalize": False}
+    env.reset(seed=0, options={"config": {"observation": table}})
+    assert env._observe()[0, 1] > 0.0
+    with pytest.raises(ConfigError, match="networks of your own alone"):
+        DrivingEnv("highway", {"observation": seen})
+    with pytest.raises(ConfigError, match="light_seconds"):
+        road(net(tmp_path), observation={**seen, "features": ["light_second"]})
+    env.close()
+
+
+# -- info, and terms of a reward -----------------------------------------------------------------------------------
+
+
+def test_info_has_acceleration_and_jerk() -> None:
+    action = {"type": "ContinuousAction", "lateral": False, "acceleration_range": [-5, 5]}
+    env = DrivingEnv("highway", {"action": action, "policy_frequency": 5, "vehicles_count": 0})
+    _, info = env.reset(seed=0)
+    assert (info["acceleration"], info["jerk"]) == (0.0, 0.0)
+    for number, acceleration, jerk in ((0.4, 2.0, 10.0), (0.4, 2.0, 0.0), (-0.2, -1.0, -15.0)):
+        *_, info = env.step(np.array([number], np.float32))
+        assert (info["acceleration"], info["jerk"]) == pytest.approx((acceleration, jerk), abs=1e-4)
+    env.close()
+
+
+def test_fuel_is_what_sumo_says_on_request(tmp_path: Path) -> None:
+    path = net(tmp_path)
+    env = road(path, policy_frequency=10, measure_energy=True)
+    for _ in range(20):
+        *_, info = env.step(FASTER)
+        assert (
+            info["fuel"] == pytest.approx(0.1 * env.sumo.vehicle.getFuelConsumption("ego"))
+            and info["fuel"] > 0
+        )
+        assert info["electricity"] == 0.0
+    electric = road(path, fuel_reward=-2.0, electricity_reward=-0.5)
+    electric.sumo.vehicle.setEmissionClass("ego", "Energy/unknown")
+    _, reward, _, _, info = electric.step(FASTER)
+    terms = info["rewards"]
+    assert info["electricity"] > 0.0 and terms["electricity_reward"] == info["electricity"]
+    assert reward == pytest.approx(5 * terms["progress_reward"] - 0.5 * terms["electricity_reward"])
+    quiet = road(path)
+    assert quiet.step(FASTER)[4]["fuel"] == 0.0
+    for one in (env, electric, quiet):
+        one.close()
+
+
+def test_comfort_counts_the_square_of_the_acceleration_over_time(tmp_path: Path) -> None:
+    path = net(tmp_path)
+    costs = []
+    for frequency in (1, 10):
+        action = {"type": "ContinuousAction", "lateral": False, "acceleration_range": [-4, 4]}
+        env = road(path, action=action, policy_frequency=frequency, comfort_reward=-1, progress_reward=0)
+        costs.append(sum(env.step(np.array([0.5], np.float32))[1] for _ in range(2 * frequency)))
+        env.close()
+    assert costs == pytest.approx([-8.0, -8.0], rel=1e-3)  # 2 s at 2 m/s2
+
+
+def test_a_gap_and_braking_that_is_caused_cost(tmp_path: Path) -> None:
+    """A car creeps ahead of the ego, and another one follows the ego, which brakes."""
+    kinds = {"slow": 'maxSpeed="3"', "even": 'speedDev="0" sigma="0"'}
+    ways = '<route id="r" edges="ab bc"/>'
+    ways += "".join(f'<vType id="{k}" lcKeepRight="0" lcSpeedGain="0" {v}/>' for k, v in kinds.items())
+    cars = (("ahead", "slow", 0), ("ego", "even", 25), ("behind", "even", 27))
+    for name, kind, depart in cars:
+        ways += (
+            f'<vehicle id="{name}" type="{kind}" route="r" depart="{depart}" departLane="1" departSpeed="0"/>'
+        )
+    weights = {"gap_reward": -1, "braking_reward": -0.1, "progress_reward": 0, "policy_frequency": 5}
+    action = {"type": "DiscreteMetaAction", "lateral": False, "target_speeds": [3, 12]}
+    env = SumoDrivingEnv(
+        net(tmp_path), route_file(tmp_path, ways), ego_vehicle="ego", config={**weights, "action": action}
+    )
+    env.reset(seed=0)
+    speed = env.sumo.vehicle.getSpeed
+    gaps = braking = lost = 0.0
+    brakes, slow = False, 0
+    while slow < 15:
+        assert env.scene.place is not None
+        brakes |= env.scene.place.neighbours[2].gap < 16.0
+        slow += brakes and env.scene.speed[0] < 3.5
+        before = speed("behind")
+        _, reward, _, _, info = env.step(0 if brakes else 2)  # SLOWER, FASTER
+        terms = info["rewards"]
+        lost += max(before - speed("behind"), 0.0) if before >= 0.0 else 0.0
+        braking += terms["braking_reward"]
+        gaps += terms["gap_reward"]
+        left = env.scene.place.neighbours[2].gap / max(info["speed"], 1e-9)
+        assert terms["gap_reward"] == pytest.approx(max(1.0 - left / 1.5, 0.0) / 5.0)
+        assert reward == pytest.approx(-terms["gap_reward"] - 0.1 * terms["braking_reward"])
+    assert gaps > 0.1 and braking == pytest.approx(lost, abs=0.01) and lost > 1.0
+    env.close()
+
+
+def test_terms_cost_nothing_by_default_and_are_in_info(tmp_path: Path) -> None:
+    env = road(net(tmp_path))
+    _, reward, _, _, info = env.step(FASTER)
+    assert reward == pytest.approx(5 * info["rewards"]["progress_reward"])
+    names = {"comfort_reward", "gap_reward", "fuel_reward", "electricity_reward", "braking_reward"}
+    assert names < info["rewards"].keys()
+    env.close()

@@ -25,12 +25,7 @@ from sumo_env.sumo.ego import Ego, coast
 from sumo_env.sumo.events import Events, modes
 from sumo_env.sumo.options import check_options
 from sumo_env.sumo.route_ego import RouteEgo
-from sumo_env.sumo.session import (
-    ALL_CHECKS_OFF,
-    COMMANDED_LANE_CHANGES,
-    Session,
-    SumoErrors,
-)
+from sumo_env.sumo.session import ALL_CHECKS_OFF, COMMANDED_LANE_CHANGES, Session
 from sumo_env.sumo.settings import Settings, placed_settings
 from sumo_env.sumo.surroundings import Surroundings
 from sumo_env.traffic.drivers import Calibration, Driver, DriverPool, vehicle_type
@@ -66,7 +61,7 @@ class SumoSimulator:
         for _ in range(2):  # SUMO may have been closed, or loaded with something else, behind our back
             try:
                 return self._begin(scenario)
-            except SumoErrors as error:
+            except self._session.errors as error:
                 self._session.forget()
                 refusal = error
         raise SimulatorError(
@@ -78,7 +73,7 @@ class SumoSimulator:
         """Drive one policy step."""
         try:
             return self._step(command, trace)
-        except SumoErrors as error:
+        except self._session.errors as error:
             self._session.forget()
             raise SimulatorError(
                 f"SUMO cannot go on with this episode ({self._scenario.task}, seed {self._scenario.seed}, "

@@ -35,7 +35,7 @@ class OnScreen:
     _renderer: Renderer | None = None
     _video: RecordVideo[Any, Any] | None = None
     _window: Window | None = None  # of render mode "human"
-    _is_closed = False  # whether the user has closed the window in this episode
+    _is_closed = False  # whether the user has closed a window in this episode
 
     def render(self) -> NDArray[np.uint8] | None:
         """The scene as a picture, uint8 of shape (screen_height, screen_width, 3); None without a render mode.

@@ -39,13 +39,15 @@ LIGHTS = {"r": RED, "u": RED, "s": RED, "y": YELLOW, "Y": YELLOW, "g": GREEN, "G
 
 HALF_LENGTH = VEHICLE_LENGTH / 2.0
 CENTRED = 0.05  # [m] from the middle of a lane
+EGO_COLOUR = (50, 200, 0, 255)  # highway-env's green
+VIEW, SEEN = "View #0", 100.0  # in SUMO's own window, and how much of the road it shows [m]
 
 
 class Session:
     """One simulation. `load` first; every method may raise one of `errors`."""
 
     def __init__(self, engine: Engine = LIBSUMO) -> None:
-        self._sumo, self._program, self.errors = engine
+        self._engine, self._sumo, self.errors = engine, engine.module, (*engine.errors, *engine.gone)
         self._vehicle, self._simulation = self._sumo.vehicle, self._sumo.simulation
         self.step_length = 0.0  # [s] as SUMO counts time, in whole milliseconds: 0.067 at 15 Hz
         self.has_lights = False  # whether the network has traffic lights
@@ -63,7 +65,7 @@ class Session:
         self._known.clear()
         self.sizes.clear()
         self._settings = None  # until all is loaded
-        values = dict(settings.options)
+        values = {**self._engine.options, **settings.options}
         with contextlib.ExitStack() as stack:
             (values["net-file"],) = stack.enter_context(readable(Path(values["net-file"])))
             if settings.elements:
@@ -78,9 +80,12 @@ class Session:
             if self._sumo.isLoaded():
                 self._sumo.load(options)
             else:
-                self._sumo.start([*self._program, *options])
+                self._engine.start([self._engine.program, *options])
+            self._begin, self._steps = float(self._simulation.getTime()), 0  # once all is read
+        if self._sumo.hasGUI():
+            self._sumo.gui.setSchema(VIEW, "real world")
+            self._sumo.gui.setBoundary(VIEW, 0.0, 0.0, SEEN, SEEN)
         self._limits.clear()
-        self._begin, self._steps = float(self._simulation.getTime()), 0
         self._settings = settings
         self.step_length = round(settings.step_length, 3)
         self.has_lights = self._sumo.trafficlight.getIDCount() > 0
@@ -103,6 +108,10 @@ class Session:
         """Whether nobody else has moved SUMO's clock; a state that is loaded has vehicle types with fewer digits."""
         return abs(self._simulation.getTime() - self._begin - self._steps * self.step_length) < 1e-6
 
+    def is_gone(self, error: Exception) -> bool:
+        """Whether an error says that the user has closed SUMO's own window."""
+        return isinstance(error, self._engine.gone)
+
     def forget(self) -> None:
         """Load again at the next `load`, whatever is loaded (somebody else may have changed it)."""
         self._settings = None
@@ -111,7 +120,14 @@ class Session:
         """End the simulation."""
         self._settings = None
         if self._sumo.isLoaded():
-            self._sumo.close()
+            with contextlib.suppress(*self.errors):  # SUMO's window may be closed already
+                self._sumo.close()
+
+    def follow(self, name: str) -> None:
+        """In SUMO's own window: a colour for a vehicle, and the view goes with it."""
+        if self._sumo.hasGUI():
+            self._vehicle.setColor(name, EGO_COLOUR)
+            self._sumo.gui.trackVehicle(VIEW, name)
 
     # -- vehicles ------------------------------------------------------------------------------------------
 
@@ -160,10 +176,8 @@ class Session:
         It draws none of SUMO's random numbers, so that the others come as without it: its speed factor is the mean.
 
         Args:
-            name: of the vehicle.
-            edges: of its route; of a trip the first and the last one, between which SUMO finds the fastest route.
-            is_trip: whether it is a trip.
-            vehicle_type: of which it gets a copy.
+            name, edges: of its route; of a trip the first and the last one, between which SUMO finds the fastest route.
+            is_trip, vehicle_type: whether it is a trip; the type of which it gets a copy.
             speed: at the departure [m/s], or SUMO's word for one.
         """
         route, own_type = f"route of {name}", f"{vehicle_type} of {name}"
@@ -191,9 +205,8 @@ class Session:
                 getattr(self._vehicle, f"set{key}")(name, factor * getattr(self._vehicle, f"get{key}")(name))
         for key, factor in (("lcAssertive", deviation.assertive), ("lcSpeedGain", deviation.speed_gain)):
             parameter = f"laneChangeModel.{key}"
-            with contextlib.suppress(
-                self._sumo.TraCIException, ValueError
-            ):  # models of lane changes without it
+            # there are models of lane changes without it
+            with contextlib.suppress(self._sumo.TraCIException, ValueError):
                 present = float(self._vehicle.getParameter(name, parameter))
                 self._vehicle.setParameter(name, parameter, f"{factor * present:.6g}")
         if not deviation.gives_way:
@@ -246,11 +259,8 @@ class Session:
 
     def limits_of(self, name: str) -> tuple[float, float, float]:
         """What a vehicle can do: acceleration, braking, hardest braking [m/s2]."""
-        return (
-            self._vehicle.getAccel(name),
-            self._vehicle.getDecel(name),
-            self._vehicle.getEmergencyDecel(name),
-        )
+        of = self._vehicle
+        return of.getAccel(name), of.getDecel(name), of.getEmergencyDecel(name)
 
     def class_of(self, name: str) -> str:
         """SUMO's class of a vehicle, such as passenger."""

@@ -57,10 +57,10 @@ class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
     Args:
         task: highway, two-way, roundabout, intersection or u-turn, or a task of your own (docs/own-parts.md).
         config: configuration keys to change; the defaults are `config.COMMON` and the task's `defaults`.
-        render_mode: None, ``"rgb_array"`` or ``"human"``, a window (docs/first-steps.md).
+        render_mode: None, ``"rgb_array"`` or ``"human"``, a window (docs/windows.md).
         simulator: the simulator that drives the traffic; None for SUMO. The environment closes it.
         sumo_options: further options of SUMO, such as ``["--tripinfo-output", "trips.xml"]`` (docs/own-parts.md).
-        live: None or ``"sumo-gui"``, SUMO's own window (docs/first-steps.md).
+        live: None or ``"sumo-gui"``, SUMO's own window (docs/windows.md).
 
     Raises:
         ConfigError: unknown task or key, wrong value.

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import runpy
+import sys
 from pathlib import Path
 
 import pytest
@@ -10,6 +12,8 @@ import pytest
 from tests.processes import ROOT, python
 
 EXAMPLES = ROOT / "examples"
+SCENARIOS = EXAMPLES / "scenarios"
+NAMES = sorted(path.stem for path in SCENARIOS.glob("*.py") if path.stem not in ("build", "train"))
 SCRIPTS = {
     "sb3_dqn.py": (["--steps", "120"], "risk 1: return"),
     "sb3_ppo.py": (
@@ -51,3 +55,25 @@ def test_the_notebook_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> N
             code = "".join(cell["source"]).replace("EPISODES = 20", "EPISODES = 1")
             exec(compile(code, cell["id"], "exec"), shared)
     assert (tmp_path / "episode" / "episode.sumocfg").is_file()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_scenario_is_short_and_can_be_trained(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert len((SCENARIOS / f"{name}.py").read_text(encoding="utf-8").splitlines()) <= 40
+    assert (SCENARIOS / "networks" / f"{name}.net.xml").is_file()
+    out = tmp_path / "results.json"
+    arguments = ["--steps", "20", "--episodes", "2", "--out", str(out), "--picture", str(tmp_path / "a.png")]
+    monkeypatch.setattr(sys, "argv", [name, *arguments])
+    monkeypatch.syspath_prepend(SCENARIOS)
+    runpy.run_path(str(SCENARIOS / f"{name}.py"), run_name="__main__")
+    assert json.loads(out.read_text())[name]["episodes"] == 2 and (tmp_path / "a.png").is_file()
+
+
+def test_the_page_has_what_the_scenarios_gave(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(SCENARIOS)
+    table = runpy.run_path(str(SCENARIOS / "train.py"))["table"]
+    rows = json.loads((SCENARIOS / "results.json").read_text())
+    assert set(rows) <= set(NAMES) and all(row["episodes"] == 100 for row in rows.values())
+    assert table(rows) in (ROOT / "docs" / "examples.md").read_text(encoding="utf-8")

@@ -39,7 +39,7 @@ LIGHTS = {"r": RED, "u": RED, "s": RED, "y": YELLOW, "Y": YELLOW, "g": GREEN, "G
 
 HALF_LENGTH = VEHICLE_LENGTH / 2.0
 CENTRED = 0.05  # [m] from the middle of a lane
-EGO_COLOUR = (50, 200, 0, 255)  # highway-env's green
+EGO_COLOUR = (0, 150, 255, 255)
 VIEW, SEEN = "View #0", 100.0  # in SUMO's own window, and how much of the road it shows [m]
 
 

@@ -71,7 +71,7 @@ def test_the_window_changes_nothing(id: str, seeds: int) -> None:
         for seed in range(seeds):
             actions = np.random.default_rng(seed).integers(env.action_space.n, size=100).tolist()
             assert_equal(ours, theirs, seed, actions, risk=float(seed % 2))
-        assert env.sumo.vehicle.getColor("ego") == (50, 200, 0, 255)
+        assert env.sumo.vehicle.getColor("ego") == (0, 150, 255, 255)
         assert env.sumo.gui.getTrackedVehicle() == "ego"
 
 

@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sumo_env.actions import Moment, PlainAction, ego_route
-from sumo_env.config import COMMON, Config, ConfigError, resolve
+from sumo_env.as_highway_env import ReadAsHighwayEnv, class_or_instance, configuring
+from sumo_env.config import COMMON, Config, ConfigError, pace, resolve
 from sumo_env.contacts.rectangles import state_of
 from sumo_env.interface import information, interface, on_its_way
 from sumo_env.neighbours import LeadersFollowers
@@ -31,7 +32,6 @@ from sumo_env.tasks import get_task
 from sumo_env.tasks.base import EgoState, Task, nearest_index
 from sumo_env.tasks.network import NetworkTask
 from sumo_env.traffic.scenario import Scenario
-from sumo_env.views import ReadAsHighwayEnv
 
 Observation = NDArray[np.float32]
 VARIED = ("risk_rates", "risk_ranges", "calibration")  # parts of a task that `reset` may change
@@ -87,26 +87,38 @@ class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
 
     # -- configuration -------------------------------------------------------------------------------------
 
+    @class_or_instance
     def default_config(self) -> Config:
-        """Every key with its default. A subclass may change defaults and add keys for a reward of its own."""
-        return copy.deepcopy({**COMMON, **self.task.defaults})
+        """Every key with its default. A subclass may change defaults and add keys for a reward of its own.
+
+        Of an environment, or of a class, as in highway-env: ``HighwayEnv.default_config()``.
+        """
+        task = getattr(self, "task", None)  # a class may have none
+        return copy.deepcopy({**COMMON, **(task.defaults if task else {})})
 
     def configure(self, config: Mapping[str, Any] | None) -> None:
         """Change these keys of the configuration; they take effect at the next reset."""
-        changed = resolve(self.task.name, self.default_config(), getattr(self, "config", None), config)
+        with configuring(self):
+            defaults = self.default_config()
+        changed = resolve(self.task.name, defaults, getattr(self, "config", None), config)
         if changed.get("manual_control") and self.render_mode != "human":
             raise ConfigError("'manual_control' needs render_mode='human': keys are pressed in its window")
         offered = interface(self.task, changed, self.steers)
         if offered.actions:
             self._refuse_backwards("'target_speeds'", offered.target_speeds[0])
         self._refuse_backwards("'initial_speed'", changed.get("initial_speed") or 0.0)
-        self._action_type, self.observation_type = offered
-        self.actions, self.target_speeds = offered.actions, offered.target_speeds
-        self.config: Config = changed  # assigned last: an error leaves the environment as it was
+        self._offered = offered
+        self.config: Config = changed  # after all checks: an error leaves the environment as it was
         self._configured = copy.deepcopy(changed)
-        self.observation_space = self.observation_type.space
-        self.action_space = self._action_type.space
+        self.define_spaces()
         self._set_frame_rate()
+
+    def define_spaces(self) -> None:
+        """Set the types and spaces of observation and action, whenever the configuration changes."""
+        self._action_type, self._observation_type = self._offered
+        self.actions, self.target_speeds = self._offered.actions, self._offered.target_speeds
+        self._own_observation = None
+        self.observation_space, self.action_space = self._observation_type.space, self._action_type.space
 
     def _refuse_backwards(self, what: str, speed: float) -> None:
         """An error if SUMO would have to drive at a negative speed [m/s]."""
@@ -273,7 +285,9 @@ class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
 
     def _ego_state(self, action: PlainAction | None) -> EgoState:
         lane, s, lateral, on_road = self._ego_place()
-        scene, frequency = self.scene, self.config["policy_frequency"]
+        assert self.scenario is not None
+        scene = self.scene
+        frequency = pace(self.scenario.simulation_frequency, self.scenario.policy_frequency)
         last = None if action is None else self.ego_state
         acceleration = (scene.speed.item(0) - last.speed) * frequency if last else 0.0
         return EgoState(
@@ -304,7 +318,9 @@ class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
         return index, s, lateral, lane.covers(s, lateral)
 
     def _observe(self) -> Observation:
-        kind, seen = self.observation_type, (self.scene, self._road, self.ego_state)
+        if self._own_observation is not None:
+            return self._own_observation.observe()
+        kind, seen = self._observation_type, (self.scene, self._road, self.ego_state)
         if isinstance(kind, TimeToCollision):
             return kind.observe(*seen, self.target_speeds, self._route)
         if isinstance(kind, LeadersFollowers):

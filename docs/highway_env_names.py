@@ -85,13 +85,13 @@ def keys_of_defaults(tree: ast.AST) -> Iterator[str]:
             }
             for each in ast.walk(node):
                 if isinstance(each, ast.Dict) and id(each) not in inner:
-                    yield from (key.value for key in each.keys if isinstance(key, ast.Constant))
+                    yield from (str(key.value) for key in each.keys if isinstance(key, ast.Constant))
 
 
 def _keys(tree: ast.AST) -> Iterator[str]:
     for node in ast.walk(tree):
         if isinstance(node, ast.Dict):
-            yield from (key.value for key in node.keys if isinstance(key, ast.Constant))
+            yield from (str(key.value) for key in node.keys if isinstance(key, ast.Constant))
 
 
 def _is_config(node: ast.AST) -> bool:
@@ -105,7 +105,7 @@ def tree_of(path: Path) -> ast.Module:
     return ast.parse(path.read_text(encoding="utf-8"))
 
 
-def environment(task: str) -> type:
+def environment(task: str) -> Any:
     """highway-env's class for a task."""
     return getattr(import_module("highway_env.envs"), ENVIRONMENTS[task])
 
@@ -145,7 +145,7 @@ def types(module: str) -> set[str]:
     compared = [
         each for node in ast.walk(factory) if isinstance(node, ast.Compare) for each in node.comparators
     ]
-    return {each.value for each in compared if isinstance(each, ast.Constant)}
+    return {str(each.value) for each in compared if isinstance(each, ast.Constant)}
 
 
 def names() -> dict[str, Any]:

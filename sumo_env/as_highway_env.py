@@ -40,7 +40,7 @@ class _ClassOrInstance:
         return MethodType(self._function, owner if instance is None else instance)
 
 
-class_or_instance = classmethod if TYPE_CHECKING else _ClassOrInstance  # highway-env's is a class method
+class_or_instance: Any = _ClassOrInstance  # subclasses may write a method or a class method
 _configured: ContextVar[ReadAsHighwayEnv | None] = ContextVar("_configured", default=None)
 
 

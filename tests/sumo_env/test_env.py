@@ -15,8 +15,9 @@ import stable_baselines3.common.env_checker
 from gymnasium.utils.env_checker import check_env
 
 import sumo_env
-from sumo_env.config import COMMON, ConfigError
+from sumo_env.config import COMMON, ConfigError, _meant, ignore
 from sumo_env.env import DrivingEnv
+from sumo_env.hints import highway_env
 from sumo_env.tasks import TASKS
 from tests.sumo_env.rollout import drive, leaves
 
@@ -66,9 +67,7 @@ def test_an_episode_ends_within_its_duration(id: str) -> None:
     ("task", "config", "message"),
     [
         ("highway", {"vehicle_count": 3}, "did you mean 'vehicles_count'"),
-        ("highway", {"initial_vehicle_count": 3}, "did you mean 'vehicles_count'"),
-        ("intersection", {"vehicles_count": 3}, "did you mean 'initial_vehicle_count'"),
-        ("highway", {"initial_spacing": 2}, "did you mean 'ego_spacing'"),  # its former name
+        ("highway", {"vehicles_cout": 3}, "did you mean 'vehicles_count'"),
         ("highway", {3: 3}, "unknown config key 3"),
         ("highway", {"vehicles_count": "50"}, "must be a number"),
         ("highway", {"vehicles_count": 2.5}, "whole number"),
@@ -76,7 +75,8 @@ def test_an_episode_ends_within_its_duration(id: str) -> None:
         ("highway", {"lanes_count": 9}, "must be one of"),
         ("highway", {"initial_lane_id": 4}, "lane below 'lanes_count'"),
         ("highway", {"risk": 1.5}, "must lie in"),
-        ("highway", {"policy_frequency": 3}, "must be a multiple"),
+        ("highway", {"policy_frequency": 16}, "'simulation_frequency' .15. must be at least"),
+        ("highway", {"policy_frequency": 15, "simulation_frequency": 10}, "must be at least"),
         ("highway", {"normalize_reward": "yes"}, "True or False"),
         ("highway", {"centering_position": 0.3}, "a list of 2 numbers"),
         ("highway", {"observation": "Kinematics"}, "must be a dict"),
@@ -106,7 +106,9 @@ def test_an_episode_ends_within_its_duration(id: str) -> None:
             "'ContinuousAction'",
         ),
         ("highway", {"controlled_vehicles": 3}, "there is one ego"),
-        ("intersection", {"observation": {"type": "LidarObservation"}}, "known: Kinematics"),
+        ("intersection", {"observation": {"type": "LidarObservation"}}, "is not here: .*known: Kinematics"),
+        ("highway", {"observation": {"type": "GrayscaleObservation"}}, r"AddRenderObservation.*docs/from-hi"),
+        ("highway", {"action": {"type": "MultiAgentAction"}}, "there is one ego"),
         ("two-way", {"road_length": 5000.0}, "road_length"),
         ("two-way", {"vehicles_count": 500}, "do not fit"),
         ("u-turn", {"vehicles_count": 13}, "at most 12"),
@@ -136,10 +138,17 @@ def test_hints_do_not_mislead(task: str) -> None:
         "other_vehicles",
     }
     same = {"initial_vehicle_count", "vehicles_count"}  # what one task calls so, the others call otherwise
+    ignored = highway_env()["ignored"][task]
     for key in others | scripts | {"seed", "initial_speed", "action_reward", "reward", "max_speed"}:
-        with pytest.raises(ConfigError, match="unknown config key") as caught:
-            DrivingEnv(task, {key: 1})
-        assert ("did you mean" in str(caught.value)) == (key in same), caught.value
+        if key in ignored:
+            with pytest.warns(UserWarning, match=f"'{key}' has no effect") as warned:
+                ignore.__wrapped__(task, key, _meant(key, {**COMMON, **TASKS[task].defaults}))
+            said = str(warned[0].message)
+        else:
+            with pytest.raises(ConfigError, match="unknown config key") as caught:
+                DrivingEnv(task, {key: 1})
+            said = str(caught.value)
+        assert ("did you mean" in said) == (key in same), said
 
 
 @pytest.mark.parametrize("task", TASKS)

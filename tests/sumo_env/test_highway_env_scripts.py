@@ -24,10 +24,14 @@ FEW = {"vehicles_count": 6, "duration": 4}
 @pytest.fixture(autouse=True)
 def _closed(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Scripts leave their environments open; here they are closed."""
-    made, make = [], gym.make
-    monkeypatch.setattr(
-        gym, "make", lambda *args, **keywords: made.append(make(*args, **keywords)) or made[-1]
-    )
+    made: list[Any] = []
+    make = gym.make
+
+    def remembered(*args: Any, **keywords: Any) -> Any:
+        made.append(make(*args, **keywords))
+        return made[-1]
+
+    monkeypatch.setattr(gym, "make", remembered)
     yield
     for env in made:
         env.close()

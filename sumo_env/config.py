@@ -113,7 +113,7 @@ FIXED: dict[str, tuple[Any, str]] = {
     "obey_traffic_lights": (False, "this road has no traffic lights"),
     "other_vehicles_type": (
         "highway_env.vehicle.behavior.IDMVehicle",
-        "SUMO drives the other vehicles of sumo/* (docs/own-parts.md brings drivers of your own), and replica/* has "
+        f"SUMO drives the other vehicles of sumo/* ({page('own-parts')} brings drivers of your own), and replica/* has "
         "IDMVehicle compiled; 'risk' makes both risky",
     ),
 }
@@ -200,6 +200,15 @@ def resolve(task: str, defaults: Config, *overrides: Mapping[str, Any] | None) -
             config[frequency] = max(known[frequency], STOCK_FREQUENCY)
     _check(config, known)
     return config
+
+
+def refuse_misplaced(keywords: Mapping[str, Any]) -> None:
+    """An error about arguments of ``gym.make`` that an environment does not have; most are keys of `config`."""
+    for key, value in keywords.items():
+        raise TypeError(
+            f"{key!r} is no argument of the environment. A key of the configuration is set by "
+            f"gym.make(..., config={{{key!r}: {value!r}}})"
+        )
 
 
 def pace(simulation_frequency: int, policy_frequency: int) -> float:

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 
 from sumo_env.actions import Moment, PlainAction, ego_route
 from sumo_env.as_highway_env import ReadAsHighwayEnv, class_or_instance, configuring
-from sumo_env.config import COMMON, Config, ConfigError, pace, resolve
+from sumo_env.config import COMMON, Config, ConfigError, pace, refuse_misplaced, resolve
 from sumo_env.contacts.rectangles import state_of
-from sumo_env.interface import information, interface, on_its_way
+from sumo_env.interface import ending, information, interface, on_its_way
 from sumo_env.neighbours import LeadersFollowers
 from sumo_env.networks.roads import LaneIndex
 from sumo_env.observation import TimeToCollision
@@ -68,7 +68,9 @@ class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
         render_mode: str | None = None,
         simulator: Simulator | None = None,
         sumo_options: Sequence[str] = (),
+        **misplaced: Any,
     ) -> None:
+        refuse_misplaced(misplaced)
         if simulator is not None and sumo_options:
             raise ValueError(
                 "sumo_options are for SUMO, which this environment starts itself: leave out `simulator`"
@@ -183,7 +185,7 @@ class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
             self._target_lane, speed = self.scene.place.lane, self.scene.speed.item(0)
             self._find_route()
         self._speed_index = nearest_index(speed, self.target_speeds)
-        self.steps, self._handed_over, self._is_closed = 0, False, False
+        self.steps, self._handed_over, self._is_closed, self._ending = 0, False, False, ""
         self._commands: list[Command] = []
         self._last = Step(self.scene, self._target_lane, None, math.inf, 0.0)
         self.ego_state = self._ego_state(None)
@@ -197,8 +199,9 @@ class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
         Returns:
             observation, reward, terminated (crash, arrival), truncated (time is up), info.
             ``info`` has the same keys after every step and reset: speed [m/s], crashed, arrived, on_road, action (-1 at
-            a reset), rewards (the raw terms), cost (1 at a crash), crash (a `CrashRecord` as a dict, with empty strings
-            and zeros without a crash), density (vehicles within 200 m), min_ttc [s] (0 at a contact, inf where nothing
+            a reset), rewards (the raw terms), cost (1 at a crash), crash (a `CrashRecord` as a dict, empty without a
+            crash), ending ("" while the episode goes on, then crash, arrived, missed turn, time and others, see
+            `interface.ending`), density (vehicles within 200 m), min_ttc [s] (0 at a contact, inf where nothing
             is near), min_ttc_before_contact, near_miss, distance [m] of this step, traffic_light (the next one on
             the ego's way: 0 red, 1 yellow, 2 green, -1 without one), traffic_light_distance [m] (inf without one).
 
@@ -236,7 +239,10 @@ class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
         self.ego_state = self._ego_state(plain)
         observation = self._observe()
         reward = float(self._reward(action))
-        terminated, truncated = bool(self._is_terminated()), bool(self._is_truncated()) or self._is_closed
+        terminated, truncated = bool(self._is_terminated()), bool(self._is_truncated())
+        self._ending = ending(self.ego_state, self.task.arrived(self.ego_state), terminated, truncated)
+        if self._is_closed:
+            truncated, self._ending = True, self._ending or "window closed"
         return observation, reward, terminated, truncated, self._info(observation, action)
 
     def hand_over(self, to_sumo: bool = True) -> None:
@@ -359,6 +365,7 @@ class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
             on_road=state.on_road,
             rewards=self._rewards(action),
             action=self._action_type.no_action if action is None else action,
+            ending=self._ending,
         )
         info |= {"acceleration": state.acceleration, "jerk": state.jerk}
         return info if place is None else info | on_its_way(place)

@@ -9,7 +9,7 @@ from functools import lru_cache
 from typing import Any
 
 from sumo_env.as_highway_env import class_or_instance
-from sumo_env.config import STOCK_FREQUENCY, Config, ConfigError, ignore, one_of
+from sumo_env.config import STOCK_FREQUENCY, Config, ConfigError, ignore, one_of, refuse_misplaced
 from sumo_env.env import VARIED, DrivingEnv, Observation
 from sumo_env.networks.roads import LaneIndex
 from sumo_env.observation import OFFSETS, Kinematics
@@ -96,7 +96,9 @@ class ReplicaEnv(DrivingEnv):
         variant: str = "stock",
         risk_law: str = LAWS[0],
         version: int = 0,
+        **misplaced: Any,
     ) -> None:
+        refuse_misplaced(misplaced)
         if version and (task, version) not in VERSIONS:
             known = ", ".join(f"{name}-v{number}" for name, number in VERSIONS)
             raise ConfigError(f"there is no version {version} of {task!r}; later versions are {known}")

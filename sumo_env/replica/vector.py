@@ -64,7 +64,7 @@ class ReplicaVectorEnv(VectorEnv):
     """`num_envs` environments that one compiled call steps.
 
     Each drives the episodes that the single environment drives with its seed, to the bit. ``infos`` has the entries of
-    its ``info``, as arrays, but for rewards, crash, traffic lights, acceleration and jerk.
+    its ``info``, as arrays, but for rewards, crash, ending, traffic lights, acceleration and jerk.
 
     Args:
         single: an environment, which draws the episodes of all.

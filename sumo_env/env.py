@@ -185,7 +185,8 @@ class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
             self._target_lane, speed = self.scene.place.lane, self.scene.speed.item(0)
             self._find_route()
         self._speed_index = nearest_index(speed, self.target_speeds)
-        self.steps, self._handed_over, self._is_closed, self._ending = 0, False, False, ""
+        self.steps, self._handed_over, self._is_closed = 0, False, False
+        self._ending = self._action_name = ""
         self._commands: list[Command] = []
         self._last = Step(self.scene, self._target_lane, None, math.inf, 0.0)
         self.ego_state = self._ego_state(None)

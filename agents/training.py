@@ -22,8 +22,6 @@ from agents.episodes import COLUMNS, Episodes
 from agents.learner import RESUMED, UNINTERRUPTED, Trained
 from agents.streams import episode_seed
 
-LOG = {**COLUMNS, "epsilon": np.float64}  # columns of the training episodes; epsilon: after the episode
-
 
 class Training:
     """One agent in training, with everything that is written down about it.
@@ -62,11 +60,9 @@ class Training:
         self.probe_q.append([self.agent.updates, float(size.mean()), float(size.max())])
 
     def log(self) -> dict[str, np.ndarray]:
-        """The training episodes, an array for each column of LOG."""
-        epsilon = np.array(
-            [self.agent.config.epsilon(step) for step in self.env.rows["step"]], LOG["epsilon"]
-        )
-        return {**self.env.columns(), "epsilon": epsilon}
+        """The training episodes, an array a column: those of `Episodes`, and epsilon after the episode."""
+        epsilon = [self.agent.config.epsilon(step) for step in self.env.rows["step"]]
+        return {**self.env.columns(), "epsilon": np.array(epsilon, np.float64)}
 
     def trained(self, interruption: str) -> Trained:
         """What is left when it is over."""

@@ -19,11 +19,8 @@ from experiments.support.errors import UserError
 
 
 def check(source: str, profile: Mapping[str, Any]) -> None:
-    """Raise UserError unless the user's file is the one that the cell was named by."""
-    try:
-        _, digits = foreign(source)
-    except ValueError as error:
-        raise UserError(str(error)) from None
+    """Raise UserError unless the user's file is the one that the cell was named by, ValueError without a file."""
+    _, digits = foreign(source)
     if digits not in (profile.get(f"{part}_sha256") for part in ("learner", "network", "policy")):
         raise UserError(
             f"{source} is not the file of the cell, or has changed since: its SHA-256 is another one"
@@ -42,9 +39,9 @@ def driver(
         UserError: the user's file is not named, not there, has changed or does not fit, or the weights belong to
             another network.
     """
-    if source is not None:
-        check(source, key["profile"])
     try:
+        if source is not None:
+            check(source, key["profile"])
         if weights is None:
             return env, foreign_policy(source, env) if source else make_policy(key["policy"], env)
         env = observed(env, TrainingRules.of(key["profile"]))

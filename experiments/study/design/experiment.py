@@ -12,12 +12,11 @@ from typing import Annotated, Any
 import tyro
 
 from agents.plugins import foreign
-from agents.rules import CAUTIONS
+from agents.rules import CAUTIONS, POLICIES
 from experiments.backends import BACKENDS
 from experiments.study.design.arms import ARMS, DOSE_ARMS, EVERY_ARM
 from experiments.study.design.fingerprint import dynamics
 from experiments.study.design.grid import (
-    BASELINES,
     LEARNER,
     Cell,
     choose_levels,
@@ -113,7 +112,7 @@ class Experiment:
         tasks = choose_tasks(self.tasks or tuple(GRID))
         levels = choose_levels(tasks, self.levels or None)
         policies = {label: (source, digits) for source in self.policy for label, digits in [_foreign(source)]}
-        drivers = dict.fromkeys((*BASELINES, *(CAUTIONS if self.frontier else ())))
+        drivers = dict.fromkeys((*POLICIES, *(CAUTIONS if self.frontier else ())))
         cells: list[Cell] = []
         for task, level in ((task, level) for task, numbers in levels.items() for level in numbers):
             common = self._common(task, level, dynamics)

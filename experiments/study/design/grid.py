@@ -13,9 +13,8 @@ from dataclasses import dataclass, fields, replace
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
-from agents.rules import POLICIES
 from experiments.backends import SIMULATORS
-from experiments.study.design.arms import EVERY_ARM, gate_traffics
+from experiments.study.design.arms import gate_traffics
 from experiments.study.design.rules import TrainingRules
 from experiments.study.design.sheet import sheet
 from experiments.study.design.traffic import BETWEEN, TRAFFICS
@@ -28,7 +27,6 @@ if TYPE_CHECKING:
     from agents.learner import Learner
 
 RESULT_SCHEMA = 4  # raise it with every change that makes stored results mean, or be, something else
-BASELINES = POLICIES
 LEARNER = "dqn"  # of the published studies
 # highway-env's own time step, and drivers that see along their path (see `backends.highway_env`).
 HIGHWAY_ENV = {"simulation_frequency": 15, "variant": "path"}
@@ -111,11 +109,6 @@ class Cell:
     def slug(self) -> str:
         """The readable part of the name, for example "sumo-highway-50-control-s0"."""
         return slug(self.key())
-
-    @property
-    def risk(self) -> float:
-        """Dose of risk in the cell's training traffic (0 for baselines)."""
-        return EVERY_ARM[self.arm].traffic.dose if self.arm else 0.0
 
     @property
     def rules(self) -> TrainingRules:

@@ -28,6 +28,15 @@ def unknown(kind: str, word: object, known: Iterable[object]) -> UserError:
     return UserError(str(plugins.unknown(kind, str(word), map(str, known))))
 
 
+@contextmanager
+def in_words(*errors: type[Exception]) -> Iterator[None]:
+    """Make a UserError of a ValueError, which says what is wrong with a name or a value; of further errors, too."""
+    try:
+        yield
+    except (ValueError, *errors) as error:
+        raise UserError(str(error)) from None
+
+
 def disk_error(error: OSError, directory: object) -> UserError:
     """A failed write in words: which place, why, and what to do."""
     place = error.filename or directory

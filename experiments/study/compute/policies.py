@@ -15,7 +15,7 @@ from agents.rules import make_policy
 from experiments.study.compute.wrappers import observed
 from experiments.study.design.grid import learner_of
 from experiments.study.design.rules import TrainingRules
-from experiments.support.errors import UserError
+from experiments.support.errors import UserError, in_words
 
 
 def check(source: str, profile: Mapping[str, Any]) -> None:
@@ -27,6 +27,7 @@ def check(source: str, profile: Mapping[str, Any]) -> None:
         )
 
 
+@in_words(CheckpointError)
 def driver(
     key: Mapping[str, Any], source: str | None, env: gym.Env[Any, Any], weights: Path | None = None
 ) -> tuple[gym.Env[Any, Any], Policy]:
@@ -39,13 +40,10 @@ def driver(
         UserError: the user's file is not named, not there, has changed or does not fit, or the weights belong to
             another network.
     """
-    try:
-        if source is not None:
-            check(source, key["profile"])
-        if weights is None:
-            return env, foreign_policy(source, env) if source else make_policy(key["policy"], env)
-        env = observed(env, TrainingRules.of(key["profile"]))
-        learner, settings = learner_of(key, source)
-        return env, learner.load(weights, settings, env)
-    except (ValueError, CheckpointError) as error:
-        raise UserError(str(error)) from None
+    if source is not None:
+        check(source, key["profile"])
+    if weights is None:
+        return env, foreign_policy(source, env) if source else make_policy(key["policy"], env)
+    env = observed(env, TrainingRules.of(key["profile"]))
+    learner, settings = learner_of(key, source)
+    return env, learner.load(weights, settings, env)

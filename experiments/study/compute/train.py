@@ -19,7 +19,7 @@ from experiments.study.compute.policies import check
 from experiments.study.compute.wrappers import TrainingEnv, observed
 from experiments.study.design.arms import EVERY_ARM, training_seed
 from experiments.study.design.grid import Cell, learner_of
-from experiments.support.errors import UserError
+from experiments.support.errors import UserError, in_words
 
 CHECKPOINT = "checkpoint.npz"
 CURVE = 20  # parts of a learning curve
@@ -46,22 +46,19 @@ def train_cell(
     """
     learner, settings = learner_of(cell.key(), cell.source)
     seed = training_seed(cell.task, cell.level, cell.seed or 0)
-    with ExitStack() as opened:
-        try:
-            if cell.source is not None:
-                check(cell.source, cell.profile)
-            for name, digits in files_of(settings).items():
-                if digits != cell.profile[f"{name}_sha256"]:
-                    raise ValueError(f"the file of the setting {name} has changed: run the sweep again")
-            trained = learner.train(
-                partial(environments, cell, make_env, seed, opened),
-                settings,
-                seed,
-                checkpoint=directory / CHECKPOINT,
-                progress=progress,
-            )
-        except ValueError as error:
-            raise UserError(str(error)) from None
+    with ExitStack() as opened, in_words():
+        if cell.source is not None:
+            check(cell.source, cell.profile)
+        for name, digits in files_of(settings).items():
+            if digits != cell.profile[f"{name}_sha256"]:
+                raise UserError(f"the file of the setting {name} has changed: run the sweep again")
+        trained = learner.train(
+            partial(environments, cell, make_env, seed, opened),
+            settings,
+            seed,
+            checkpoint=directory / CHECKPOINT,
+            progress=progress,
+        )
     episodes = pd.DataFrame(trained.episodes)
     traffic = EVERY_ARM[str(cell.arm)].traffic
     if traffic.drawn:

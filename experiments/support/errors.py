@@ -29,11 +29,11 @@ def unknown(kind: str, word: object, known: Iterable[object]) -> UserError:
 
 
 @contextmanager
-def in_words(*errors: type[Exception]) -> Iterator[None]:
-    """Make a UserError of a ValueError, which says what is wrong with a name or a value; of further errors, too."""
+def in_words(errors: tuple[type[Exception], ...] = (ValueError,)) -> Iterator[None]:
+    """Make a UserError of a ValueError, which says what is wrong with a name or a value, or of other errors."""
     try:
         yield
-    except (ValueError, *errors) as error:
+    except errors as error:
         raise UserError(str(error)) from None
 
 

@@ -27,7 +27,7 @@ def check(source: str, profile: Mapping[str, Any]) -> None:
         )
 
 
-@in_words(CheckpointError)
+@in_words((ValueError, CheckpointError))
 def driver(
     key: Mapping[str, Any], source: str | None, env: gym.Env[Any, Any], weights: Path | None = None
 ) -> tuple[gym.Env[Any, Any], Policy]:

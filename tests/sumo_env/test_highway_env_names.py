@@ -48,9 +48,11 @@ def test_a_key_that_highway_env_ignores_is_ignored_and_said_once(id: str) -> Non
 def test_what_the_replica_ignores_is_what_highway_env_ignores() -> None:
     """But for risk, which nobody wants to be ignored."""
     ignore.cache_clear()
-    with pytest.warns(UserWarning, match="'road_length' has no effect"):
-        env: Any = gym.make("replica/two-way-v0", config={"road_length": 500.0}).unwrapped
-    assert env.config["road_length"] == 800.0
+    config = {"road_length": 500.0, "vehicles_count": 10}
+    with pytest.warns(UserWarning, match='has no effect .*scenarios="seeded"') as warned:
+        env: Any = gym.make("replica/two-way-v0", config=config).unwrapped
+    assert len([each for each in warned if "no effect" in str(each.message)]) == 2
+    assert (env.config["road_length"], env.config["vehicles_count"]) == (800.0, 3)
     with pytest.raises(ConfigError, match="'risk' can only be"):
         gym.make("replica/two-way-v0", config={"risk": 1.0})
 

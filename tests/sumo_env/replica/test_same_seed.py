@@ -122,7 +122,7 @@ def test_what_is_refused_leaves_the_configuration_as_it_was() -> None:
     with pytest.raises(ConfigError, match='scenarios="seeded"'):
         env.reset(seed=0, options={"risk_rates": {"cut_in": 0.2}})
     with pytest.raises(ConfigError):
-        env.configure({"vehicles_count": 3})
+        env.configure({"risk": 1.0})
     assert env.config == before
 
 

@@ -37,9 +37,9 @@ def shot(name: str, kind: str) -> Image.Image:
     time.sleep(0.5)
     picture = ImageGrab.grab(xdisplay=os.environ["DISPLAY"]).convert("RGB")
     env.close()
-    left, top, right, bottom = picture.point(
-        lambda value: 255 * (value > 4)
-    ).getbbox()  # without the black around
+    drawn = picture.point(lambda value: 255 * (value > 4)).getbbox()
+    assert drawn is not None, "the display is black"
+    left, top, right, bottom = drawn
     if kind == "sumo-gui":  # nor its log, which names files of this machine
         bottom -= round(0.135 * (bottom - top))
     picture = picture.crop((left, top, right, bottom))

@@ -23,6 +23,7 @@ from pathlib import Path
 
 if __package__ in (None, ""):  # run as a file: import from the project, not from this folder
     sys.path[0] = str(Path(__file__).resolve().parents[1])
+    import experiments.support.needs  # noqa: F401  (says what has to be installed)
 
 import warnings
 from collections.abc import Callable, Mapping, Sequence
@@ -33,7 +34,6 @@ import optuna
 import pandas as pd
 import tyro
 from optuna.distributions import BaseDistribution, CategoricalDistribution, FloatDistribution
-from rich.progress import track
 
 from experiments.study.design import grid
 from experiments.study.design.fingerprint import check_dynamics
@@ -164,9 +164,10 @@ def minimise(
         else CategoricalDistribution(values)
         for name, values in space.items()
     }
-    for _ in track(range(trials), "searching"):
+    for number in range(trials):
         trial = study.ask(searched)
-        study.tell(trial, objective(trial.params))
+        study.tell(trial, found := objective(trial.params))
+        print(f"evaluation {number + 1} of {trials}: {found:.3g}", flush=True)
     return study
 
 

@@ -15,6 +15,7 @@ from pathlib import Path
 
 if __package__ in (None, ""):  # run as a file: import from the project, not from this folder
     sys.path[0] = str(Path(__file__).resolve().parents[1])
+    import experiments.support.needs  # noqa: F401  (says what has to be installed)
 
 import shlex
 from collections.abc import Mapping, Sequence
@@ -86,7 +87,7 @@ def validate(options: Options, arguments: Sequence[str] = ()) -> dict[str, Any]:
     scenarios = min(options.scenarios, QUICK_SCENARIOS) if options.quick else options.scenarios
     check_dynamics((backend, task) for backend in ("sumo", "replica") for task in tasks)
     work = episodes.plan(engines(options), levels, tuple(TRAFFICS), range(scenarios))
-    table = episodes.run(work, options.out / "parts", options.workers, show=True)
+    table = episodes.run(work, options.out / "parts", options.workers)
     # the directory's name, not the machine's path to it
     named = [options.out.name if word == str(options.out) else word for word in arguments]
     found = checks.scorecard(table)

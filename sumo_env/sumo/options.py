@@ -58,7 +58,7 @@ def check_live(live: str | None) -> bool:
         said = ", ".join(f"{package} is {what}" for package, what in found.items())
         raise ImportError(
             f"live='sumo-gui' needs eclipse-sumo and traci {needed}, as libsumo has it, but {said}: "
-            f"pip install 'sumo-risky-driving[gui]', or eclipse-sumo=={needed} traci=={needed}"
+            f"pip install eclipse-sumo=={needed} traci=={needed} (or, in a clone of this project, pip install '.[gui]')"
         )
     return True
 

@@ -48,6 +48,7 @@ class Session:
 
     def __init__(self, engine: Engine = LIBSUMO) -> None:
         self._engine, self._sumo, self.errors = engine, engine.module, (*engine.errors, *engine.gone)
+        self.gone = engine.gone  # errors that say that the user has closed SUMO's own window
         self._vehicle, self._simulation = self._sumo.vehicle, self._sumo.simulation
         self.step_length = 0.0  # [s] as SUMO counts time, in whole milliseconds: 0.067 at 15 Hz
         self.has_lights = False  # whether the network has traffic lights
@@ -107,10 +108,6 @@ class Session:
     def _clock_is_ours(self) -> bool:
         """Whether nobody else has moved SUMO's clock; a state that is loaded has vehicle types with fewer digits."""
         return abs(self._simulation.getTime() - self._begin - self._steps * self.step_length) < 1e-6
-
-    def is_gone(self, error: Exception) -> bool:
-        """Whether an error says that the user has closed SUMO's own window."""
-        return isinstance(error, self._engine.gone)
 
     def forget(self) -> None:
         """Load again at the next `load`, whatever is loaded (somebody else may have changed it)."""

@@ -88,7 +88,7 @@ class SumoSimulator:
 
     def _check_window(self, error: Exception) -> None:
         """An error if SUMO's window is gone."""
-        if self._session.is_gone(error):
+        if isinstance(error, self._session.gone):
             raise WindowClosed("SUMO's window was closed: this episode ends") from error
 
     def imagine(self, scenario: Scenario) -> None:

@@ -60,6 +60,9 @@ class LaneView(_View):
     def __hash__(self) -> int:
         return hash(self._of)
 
+    def __repr__(self) -> str:
+        return repr(self._of)
+
     def position(self, longitudinal: float, lateral: float) -> Floats:
         """The place (x, y) of a point of the lane [m]."""
         return np.array(self._of.position(float(longitudinal), float(lateral)))
@@ -210,6 +213,9 @@ class RoadNetwork(_View):
 
     kind = "network"
     road: Road
+
+    def __repr__(self) -> str:
+        return repr(self.road)
 
     @cached_property
     def graph(self) -> dict[str, dict[str, list[LaneView]]]:

@@ -181,12 +181,20 @@ def test_the_type_of_the_ego_limits_what_it_can_do(town: Path, tmp_path: Path) -
             {"ego_vehicle": "ego", "config": {"traffic_scale": 2}},
             "'traffic_scale' must be a list of 2 numbers, not 2",
         ),
+        ({"ego_vehicle": "ego", "sumo_options": ["--mesosim"]}, "--mesosim is the environment's own"),
         ({"ego_route": [["A0A1", "C1C2"]]}, "no connection leads from edge 'A0A1' to edge 'C1C2'"),
     ],
 )
 def test_an_ego_that_cannot_be_is_named(town: Path, change: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         SumoDrivingEnv(town, **change)
+
+
+def test_traffic_without_single_cars_is_refused(town: Path) -> None:
+    queues = town.with_name("mesoscopic.sumocfg")
+    queues.write_text(town.read_text().replace("</input>", '</input><mesosim value="true"/>'))
+    with pytest.raises(ConfigError, match="'mesosim'"):
+        SumoDrivingEnv(queues, ego_vehicle="ego")
 
 
 def test_a_trip_without_a_way_is_refused_when_the_environment_is_made(tmp_path: Path) -> None:
@@ -395,6 +403,20 @@ def test_the_ego_sees_the_end_of_its_lane_and_the_next_light(town: Path) -> None
     env.close()
     with pytest.raises(ConfigError, match="lane_end"):
         DrivingEnv("highway", {"observation": {"type": "Kinematics", "features": ["lane_end"]}})
+
+
+def test_what_an_observation_leaves_out_is_the_network_s(town: Path) -> None:
+    trip = {"ego_trips": [("B2B1", "A1A0")]}
+    whole, less, other = (
+        SumoDrivingEnv(town, **trip, config={"observation": {"type": "Kinematics", **given}})
+        for given in ({}, {"vehicles_count": 2}, {"features": ["vx", "light"], "vehicles_count": 1})
+    )
+    table = whole.reset(seed=1)[0]
+    assert less.reset(seed=1)[0].tolist() == table[:2].tolist()
+    columns = [whole.default_config()["observation"]["features"].index(name) for name in ("vx", "light")]
+    assert other.reset(seed=1)[0].tolist() == [table[0, columns].tolist()]
+    for env in (whole, less, other):
+        env.close()
 
 
 # -- SUMO of an environment --------------------------------------------------------------------------------

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from statistics import median
 
 import pytest
 
@@ -39,6 +40,34 @@ def test_every_example_is_listed_and_tested() -> None:
 def test_a_script_runs(name: str, tmp_path: Path) -> None:
     arguments, expected = SCRIPTS[name]
     assert expected in python(EXAMPLES / name, *arguments, cwd=tmp_path)
+
+
+def test_the_table_of_arrivals_is_what_was_measured() -> None:
+    """Arrivals at risk 0 / at risk 1 in `arrive.json`; of agents the median of the trainings, of constants the most."""
+    lines = json.loads((EXAMPLES / "arrive.json").read_text(encoding="utf-8"))
+    page = (ROOT / "docs" / "scenarios.md").read_text(encoding="utf-8")
+    title, _, *table = page.partition("| driver |")[2].partition("\n\n")[0].splitlines()
+    scenarios = dict(zip(title.replace("|", " ").split(), ("ramp", "grid", "town"), strict=True))
+    constants = ("LANE_LEFT", "IDLE", "LANE_RIGHT", "FASTER", "SLOWER")
+    drivers = {
+        **{"double DQN of this project": ("dqn", median), "DQN of Stable-Baselines3": ("sb3-dqn", median)},
+        **{"SUMO": ("SUMO", max), "careful driver of `agents/rules`": ("careful", max)},
+        **{"always IDLE": ("IDLE", max), "the best constant action": (constants, max)},
+    }
+    cells = 0
+    for row in table:
+        driver, *shown = [cell.strip() for cell in row.strip("|").split("|")]
+        names, several = drivers.pop(driver)
+        for scenario, cell in zip(scenarios.values(), shown, strict=True):
+            of = [
+                line
+                for key, line in lines.items()
+                if key.split("/")[0] == scenario and key.split("/")[1] in ((names,) if isinstance(names, str) else names)
+            ]
+            counts = [[line[f"risk {risk}"].get("arrived", 0) for line in of] for risk in (0, 1)]
+            assert cell == " / ".join(f"{several(arrived):g}" for arrived in counts)
+            cells += 1
+    assert not drivers and cells == 18
 
 
 def test_the_notebook_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

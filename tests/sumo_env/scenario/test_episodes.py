@@ -6,7 +6,7 @@ import copy
 import shutil
 import tempfile
 import warnings
-from itertools import pairwise
+from itertools import groupby, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -372,6 +372,20 @@ def test_the_shares_of_the_route_add_up_to_one_on_arrival(town: Path, frequency:
     env.close()
 
 
+def test_a_route_may_use_an_edge_twice(town: Path) -> None:
+    round_trip = ["A0A1", "A1B1", "B1B0", "B0A0", "A0A1", "A1A2"]
+    action = {"type": "DiscreteMetaAction", "longitudinal": "sumo", "lateral": "sumo"}
+    env = SumoDrivingEnv(town, ego_route=round_trip, config={"action": action, "duration": 300})
+    env.reset(seed=3)
+    shares, driven, over = [], [env.scene.place.ahead[0]], False
+    while not over:
+        *_, over, _, info = env.step(0)
+        shares.append(info["rewards"]["progress_reward"])
+        driven.append(env.scene.place.ahead[0])
+    assert info["arrived"] and sum(shares) == pytest.approx(1.0)
+    assert [edge for edge, _ in groupby(driven)] == round_trip
+
+
 def test_a_crash_costs_what_a_route_can_bring() -> None:
     weights = NetworkTask.defaults
     gain = weights["progress_reward"] + weights["arrived_reward"]
@@ -403,6 +417,16 @@ def test_the_ego_sees_the_end_of_its_lane_and_the_next_light(town: Path) -> None
     env.close()
     with pytest.raises(ConfigError, match="lane_end"):
         DrivingEnv("highway", {"observation": {"type": "Kinematics", "features": ["lane_end"]}})
+
+
+def test_distances_are_seen_as_far_as_five_seconds_at_the_limit(tmp_path: Path) -> None:
+    for limit, sight in ((30, 150), (5, 50)):
+        net = build(tmp_path, ("a 0 0,b 300 0", f"ab a b 1 {limit}"))
+        env = SumoDrivingEnv(net, ego_route=["ab"], config=QUIET)
+        ranges = env.default_config()["observation"]["features_range"]
+        ahead = ("x", "lane_end", "light_distance", "leader_gap")
+        assert [ranges[name][1] for name in ahead] == pytest.approx([sight] * 4)
+        assert ranges["vx"] == pytest.approx([-2 * limit, 2 * limit])
 
 
 def test_what_an_observation_leaves_out_is_the_network_s(town: Path) -> None:

@@ -430,10 +430,16 @@ def test_distances_are_seen_as_far_as_five_seconds_at_the_limit(tmp_path: Path) 
 
 
 def test_what_an_observation_leaves_out_is_the_network_s(town: Path) -> None:
-    trip = {"ego_trips": [("B2B1", "A1A0")]}
+    some: tuple[dict[str, Any], ...] = (
+        {},
+        {"vehicles_count": 2},
+        {"features": ["vx", "light"], "vehicles_count": 1},
+    )
     whole, less, other = (
-        SumoDrivingEnv(town, **trip, config={"observation": {"type": "Kinematics", **given}})
-        for given in ({}, {"vehicles_count": 2}, {"features": ["vx", "light"], "vehicles_count": 1})
+        SumoDrivingEnv(
+            town, ego_trips=[("B2B1", "A1A0")], config={"observation": {"type": "Kinematics", **given}}
+        )
+        for given in some
     )
     table = whole.reset(seed=1)[0]
     assert less.reset(seed=1)[0].tolist() == table[:2].tolist()

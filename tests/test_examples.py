@@ -8,7 +8,7 @@ from statistics import median
 
 import pytest
 
-from tests.processes import ROOT, python
+from tests.processes import ROOT, python_again
 
 EXAMPLES = ROOT / "examples"
 SCRIPTS = {
@@ -39,7 +39,7 @@ def test_every_example_is_listed_and_tested() -> None:
 @pytest.mark.parametrize("name", SCRIPTS)
 def test_a_script_runs(name: str, tmp_path: Path) -> None:
     arguments, expected = SCRIPTS[name]
-    assert expected in python(EXAMPLES / name, *arguments, cwd=tmp_path)
+    assert expected in python_again(EXAMPLES / name, *arguments, cwd=tmp_path)
 
 
 def test_the_table_of_arrivals_is_what_was_measured() -> None:

@@ -56,21 +56,22 @@ def interface(task: Task, config: Config, steers: bool = False) -> Interface:
         )
     road = task.road(config)
     observation: ObservationType
-    if config["observation"]["type"] == "Kinematics":
-        observation = Kinematics(
-            config["observation"], road.count(*task.ego_road), on_its_way=isinstance(task, NetworkTask)
-        )
-    elif config["observation"]["type"] == "OccupancyGrid":
-        observation = OccupancyGrid(config["observation"])
-    elif config["observation"]["type"] == "LeadersFollowers":
-        observation = LeadersFollowers(config["observation"], on_its_way=isinstance(task, NetworkTask))
+    given, of_network = config["observation"], isinstance(task, NetworkTask)
+    if of_network and given["type"] == task.defaults["observation"]["type"]:
+        given = {**task.defaults["observation"], **given}  # its ranges are made of the network
+    if given["type"] == "Kinematics":
+        observation = Kinematics(given, road.count(*task.ego_road), on_its_way=of_network)
+    elif given["type"] == "OccupancyGrid":
+        observation = OccupancyGrid(given)
+    elif given["type"] == "LeadersFollowers":
+        observation = LeadersFollowers(given, on_its_way=of_network)
     elif not kind.names:
         raise ConfigError(
             f"observation type 'TimeToCollision' needs target speeds, which {config['action']['type']!r} does not have "
             "(nor in highway-env): choose 'Kinematics'"
         )
     else:
-        observation = TimeToCollision(config["observation"], config["policy_frequency"])
+        observation = TimeToCollision(given, config["policy_frequency"])
     return Interface(kind, observation)
 
 

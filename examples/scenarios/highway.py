@@ -11,7 +11,7 @@ NETWORKS = Path(__file__).parent / "networks"
 CONFIG = {
     "action": {"type": "DiscreteMetaAction", "longitudinal": "sumo"},
     "observation": {"type": "LeadersFollowers"},
-    "warm_up": 50,
+    "warm_up": 60,
     "duration": 40,
     "progress_reward": 20,
     "arrived_reward": 0,
@@ -27,4 +27,4 @@ def make(**keywords):
 if __name__ == "__main__":
     from train import main
 
-    main("highway", make, "DQN", steps=16_000)
+    main("highway", make, "DQN", steps=10_000, gradient_steps=2)

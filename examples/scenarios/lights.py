@@ -31,4 +31,4 @@ def make(**keywords):
 if __name__ == "__main__":
     from train import main
 
-    main("lights", make, "DQN", steps=10_000)
+    main("lights", make, "DQN", steps=6_000)

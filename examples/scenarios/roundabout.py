@@ -29,4 +29,4 @@ def make(**keywords):
 if __name__ == "__main__":
     from train import main
 
-    main("roundabout", make, "DQN", steps=14_000)
+    main("roundabout", make, "DQN", steps=8_000)

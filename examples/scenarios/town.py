@@ -28,4 +28,4 @@ def make(**keywords):
 if __name__ == "__main__":
     from train import main
 
-    main("town", make, "DQN", steps=14_000)
+    main("town", make, "DQN", steps=6_000)

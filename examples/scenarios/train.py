@@ -56,7 +56,7 @@ def returns(env, act, seeds, sumo_drives=False):
     return np.array(totals), crashes
 
 
-def main(name, make, learner, steps, gamma=0.98):
+def main(name, make, learner, steps, **settings):
     """Train, test, and write down what was found; options of the command line change the sizes."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--steps", type=int, default=steps)
@@ -68,7 +68,7 @@ def main(name, make, learner, steps, gamma=0.98):
     begin = time.process_time()
     seen = VecNormalize(DummyVecEnv([lambda: gym.wrappers.FlattenObservation(make())]), norm_reward=False)
     kind = getattr(stable_baselines3, learner)
-    model = kind("MlpPolicy", seen, seed=0, gamma=gamma, device="cpu", **SETTINGS[learner])
+    model = kind("MlpPolicy", seen, seed=0, gamma=0.98, device="cpu", **SETTINGS[learner] | settings)
     model.learn(given.steps)
     seen.close()
     cost = time.process_time() - begin

@@ -135,7 +135,7 @@ def play(
     }
 
 
-def driving(episodes: pd.DataFrame) -> dict[str, tuple[float, float, float]]:
+def driving(episodes: pd.DataFrame) -> dict[str, list[float]]:
     """How a policy drives in some test episodes: crash_rate, return and speed [m/s].
 
     Each with the ends of its 95 % interval over the episodes: Wilson's of the rate, Student's of the means.
@@ -147,7 +147,7 @@ def driving(episodes: pd.DataFrame) -> dict[str, tuple[float, float, float]]:
     for name, values in (("return", episodes["return"]), ("speed", episodes["mean_speed"])):
         half = stats.t.ppf(0.975, len(values) - 1) * stats.sem(values)
         found[name] = (values.mean(), values.mean() - half, values.mean() + half)
-    return {name: tuple(map(float, values)) for name, values in found.items()}
+    return {name: [float(value) for value in values] for name, values in found.items()}
 
 
 def evaluate(

@@ -104,7 +104,7 @@ from experiments import report, sweep
 from experiments.study.results.store import load
 from experiments.sweep import Options
 
-options = Options(out=Path(sys.argv[1]), tasks=("on-ramp",), preset="smoke", seeds=2, updates=40, workers=1)
+options = Options(out=Path(sys.argv[1]), tasks=("on-ramp",), preset="smoke", seeds=2, updates=40, workers=2)
 assert sweep.sweep(options, make_env=ramp.make_env, check=list) == 0
 analysis = report.analyse(load(options.out))
 assert set(analysis.effects["task"]) == {"on-ramp"} and set(analysis.claims["right"]) == {0}

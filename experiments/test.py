@@ -42,7 +42,7 @@ class Options:
     """Directory of train.py or sweep.py."""
 
 
-def words(value: float, low: float, high: float, name: str) -> str:
+def words(name: str, value: float, low: float, high: float) -> str:
     """A number of `driving` with its interval: " 10% [4, 21]"."""
     if name == "crash_rate":
         return f"{value:4.0%} [{100 * low:.0f}, {100 * high:.0f}]"
@@ -89,7 +89,7 @@ def compared(directory: Path, setting: str) -> tuple[pd.DataFrame, int]:
         parts = table[table["scenario"].isin(common)].groupby("traffic")
         numbers = {traffic: driving(parts.get_group(traffic)) for traffic in TRAFFICS}
         found[number, label.removeprefix(f"{setting}-")] = {
-            f"{title}, risk {ALL[traffic].dose:g}": words(*numbers[traffic][name], name)
+            f"{title}, risk {ALL[traffic].dose:g}": words(name, *numbers[traffic][name])
             for title, name in SHOWN.items()
             for traffic in TRAFFICS
         }

@@ -71,8 +71,8 @@ def test_other_policies_are_tested_beside_it(trained: Path, capsys) -> None:
 def test_intervals() -> None:
     crashed = [True] * 5 + [False] * 45
     found = driving(pd.DataFrame({"crashed": crashed, "return": 1.0, "mean_speed": [1.0, 3.0] * 25}))
-    assert test.words(*found["crash_rate"], "crash_rate") == " 10% [4, 21]"  # Wilson
-    assert test.words(*found["speed"], "speed") == "  2.00 ± 0.29"  # Student: 2.0096 x 1.0102 / sqrt(50)
+    assert test.words("crash_rate", *found["crash_rate"]) == " 10% [4, 21]"  # Wilson
+    assert test.words("speed", *found["speed"]) == "  2.00 ± 0.29"  # Student: 2.0096 x 1.0102 / sqrt(50)
 
 
 def test_trainings_of_one_slug_are_told_apart_and_the_published_study_need_not_be_there(

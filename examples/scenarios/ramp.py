@@ -1,6 +1,7 @@
 """Ramp merge: the agent has pedals and lanes (ContinuousAction) on the acceleration lane of a motorway.
 
-It arrives only if it finds a gap among the cars of the motorway before its lane ends.
+It arrives only if it finds a gap among the cars of the motorway before its lane ends. After 16,000 steps the
+agent is not ahead of a constant action (docs/examples.md).
 """
 
 from pathlib import Path

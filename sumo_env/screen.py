@@ -88,8 +88,8 @@ class OnScreen:
         """The action, or under ``manual_control`` that of the keys."""
         if self.config.get("manual_control") and self._window is not None:
             action = self._window.action(self._action_type)
-        if np.ndim(action) == 0 and self.render_mode is not None:
-            self._action_name = self._action_type.names.get(action, "")
+        if np.ndim(action) == 0 and not isinstance(action, str):  # Stable-Baselines3 gives arrays
+            self._action_name = self._action_type.names.get(np.asarray(action).item(), "")
         return action
 
     def set_record_video_wrapper(self, wrapper: RecordVideo[Any, Any]) -> None:

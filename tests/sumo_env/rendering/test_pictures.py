@@ -134,4 +134,4 @@ def test_the_kind_of_an_event_is_written_above_its_ring() -> None:
     ring = Renderer().draw(now, highway(4), VIEW)
     named = Renderer().draw(now, highway(4), VIEW, "", {"v1": "brake"})
     rows, columns = np.nonzero((ring != named).any(axis=2))
-    assert rows.size and rows.max() <= 100 - 10 * RING and 200 < columns.min() < 250 < columns.max() < 300
+    assert rows.size and rows.max() <= 103 - 10 * RING and 200 < columns.min() < 250 < columns.max() < 300

@@ -69,7 +69,6 @@ PLANS = {
             f"e{k} q{k} q{(k + 1) % 4} 1 15 {circle(k, k + 1, 36.6).replace(' ', ';')}" for k in range(4)
         ),
     },
-    "platoon": {"node": "a 0 0\nb 300 0\nc 2000 0", "edge": "in a b 1 25\nroad b c 1 25"},
 }
 OPTIONS = {"roundabout": ["--roundabouts.guess"], "lights": ["--tls.cycle.time=60"]}
 TOWN = "--rand --rand.iterations=25 --rand.min-distance=70 --rand.max-distance=150 --seed=4 --tls.guess"

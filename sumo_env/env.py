@@ -30,6 +30,7 @@ from sumo_env.sumo.process import SumoProcess
 from sumo_env.tasks import get_task
 from sumo_env.tasks.base import EgoState, Task, nearest_index
 from sumo_env.tasks.network import NetworkTask
+from sumo_env.traffic.foreign import check_outputs
 from sumo_env.traffic.scenario import Scenario
 from sumo_env.views import ReadAsHighwayEnv
 
@@ -404,6 +405,7 @@ class SumoDrivingEnv(DrivingEnv):
             raise ConfigError(str(error)) from error
         super().__init__(task, config, **keywords)
         if output_dir is not None:
+            check_outputs(task.outputs)
             outputs = [f"--{name}={value}" for name, value in task.outputs]
             self._options = (*outputs, *self._options, f"{OUTPUT_DIR}={Path(output_dir).resolve()}")
         elif task.outputs:

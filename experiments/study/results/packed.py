@@ -19,6 +19,8 @@ from typing import Any
 
 import pandas as pd
 
+from agents.schema import Wrong, check, shortened
+from experiments.study.results.schema import TEXT, check_columns, check_episodes, check_record, parsed
 from experiments.support.errors import UserError
 from experiments.support.files import is_name, read_text, sha256_bytes, sha256_file, write_file, write_json
 
@@ -64,13 +66,14 @@ def checksums(directory: Path) -> dict[str, tuple[str, ...]]:
     """
     manifest = directory / MANIFEST
     try:
-        value = json.loads(read_text(manifest))
+        value = parsed(read_text(manifest))
+        check(value, {"layout": int, "files": dict})
         layout, files = value["layout"], {name: tuple(sums) for name, sums in value["files"].items()}
-        if not all(map(is_name, files)):
-            raise ValueError(f"it names files elsewhere: {list(files)}")
+        if layout == LAYOUT and not (CELLS in files and all(map(is_name, files))):
+            raise Wrong(f"it names files elsewhere, or no {CELLS}: {list(files)}")
     except FileNotFoundError:
         return {}
-    except (OSError, ValueError, KeyError, TypeError, AttributeError) as error:
+    except (OSError, ValueError, TypeError) as error:
         raise DamagedTable(manifest, f"{type(error).__name__}: {error}") from None
     if layout != LAYOUT:
         raise UserError(
@@ -81,10 +84,18 @@ def checksums(directory: Path) -> dict[str, tuple[str, ...]]:
 
 @lru_cache(8)
 def _records(path: Path, sums: tuple[str, ...]) -> dict[str, dict[str, Any]]:
-    index = _read(path, sums)
-    if wrong := [name for name in index["cell"] if not is_name(name)]:
-        raise DamagedTable(path, f"names of cells that lead elsewhere: {wrong[:3]}")
-    return {name: json.loads(text) for name, text in zip(index["cell"], index["record"], strict=True)}
+    index, found = _read(path, sums), {}
+    for name, text in zip(index["cell"], index["record"], strict=True):
+        try:
+            if not is_name(name):
+                raise Wrong("the name of a cell leads elsewhere")
+            if name in found:
+                raise Wrong("the cell is there twice")
+            found[name] = parsed(text)
+            check_record(name, found[name])
+        except (TypeError, ValueError) as error:
+            raise DamagedTable(path, f"{shortened(name)}: {error}") from None
+    return found
 
 
 @lru_cache(8)
@@ -106,7 +117,21 @@ def _read(path: Path, sums: tuple[str, ...]) -> pd.DataFrame:
         raise DamagedTable(path, error.strerror or "unreadable") from None
     if found not in sums:
         raise DamagedTable(path, "its checksum does not match")
-    return pd.read_parquet(path)
+    try:
+        table = read_table(path)
+        check_columns(table, {"cell": TEXT, "record": TEXT}, ("cell", "record") if path.name == CELLS else ("cell",))
+        check_episodes(path.name, table)
+    except Wrong as error:
+        raise DamagedTable(path, str(error)) from None
+    return table
+
+
+def read_table(path: Path) -> pd.DataFrame:
+    """A parquet file. Raises Wrong, whatever pyarrow stumbles over."""
+    try:
+        return pd.read_parquet(path)
+    except Exception as error:
+        raise Wrong(f"it is no table: {str(error).partition(chr(10))[0]}") from None
 
 
 def add(

@@ -128,7 +128,7 @@ def test_a_packed_cell_has_a_name_that_leads_nowhere(results: Path, name: str) -
     index.to_parquet(table)
     manifest["files"][packed.CELLS] = [sha256_file(table)]
     (results / packed.MANIFEST).write_text(json.dumps(manifest))
-    with pytest.raises(UserError, match="names of cells that lead elsewhere"):
+    with pytest.raises(UserError, match="the name of a cell leads elsewhere"):
         load(results)
 
 

@@ -28,7 +28,7 @@ from experiments.study.design.traffic import ALL, TRAFFICS
 from experiments.study.replaying.rerun import Case, play_again
 from experiments.study.results.store import EPISODES, Store
 from experiments.support.errors import UserError, run_command
-from experiments.support.films import Film, save_gif, side_by_side
+from experiments.support.films import Film, check_gif, save_gif, side_by_side
 
 VIEW = {"screen_width": 440, "screen_height": 280, "scaling": 3.4, "centering_position": [0.45, 0.65]}
 
@@ -67,6 +67,7 @@ def chosen(directory: Path, part: str) -> str:
 
 def watch(options: Options) -> int:
     """Do what the options ask for; returns the exit status."""
+    check_gif(options.out)
     name = chosen(options.directory, options.agent)
     store = Store(options.directory)
     record, table = store.record(name), store.tables(name)[EPISODES]

@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from agents.checkpoint import CheckpointError
 from sumo_env.config import did_you_mean
 
 USAGE = 2  # exit status: the call or the directory has to be put right first
@@ -92,7 +93,7 @@ def run_command(main: Callable[[], int], resumes: bool = False) -> None:
         signal.signal(each, interrupt)
     try:
         status = main()
-    except UserError as error:
+    except (UserError, CheckpointError) as error:
         print(f"error: {error}", file=sys.stderr)
         status = USAGE
     except KeyboardInterrupt:
@@ -101,4 +102,9 @@ def run_command(main: Callable[[], int], resumes: bool = False) -> None:
     except BrokenPipeError:  # the reader of our output (head, less) has gone
         sys.stderr.close()
         status = 1
+    except OSError as error:
+        if error.filename is None and error.errno != errno.ENOSPC:
+            raise
+        print(f"error: {disk_error(error, 'the files to write')}", file=sys.stderr)
+        status = USAGE
     sys.exit(status)

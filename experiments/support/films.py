@@ -9,6 +9,9 @@ from typing import Any
 import gymnasium as gym
 from PIL import Image, ImageDraw, ImageFont
 
+from agents.checkpoint import atomic
+from experiments.support.errors import UserError
+
 FREQUENCY = 5  # pictures per second
 HOLD = 5  # pictures for which the last one stays
 TITLE, GAP = 22, 8  # [px] above a picture, and between two
@@ -68,7 +71,19 @@ def side_by_side(films: Sequence[tuple[str, Pictures]], columns: int | None = No
     return sheets
 
 
+def check_gif(file: Path | None) -> None:
+    """That a film can be written to a file, before it is made. Raises UserError; None is always right."""
+    if file is not None and file.suffix.lower() != ".gif":
+        raise UserError(f"a film is an animated GIF: name a file that ends in .gif, not {file}")
+    if file is not None and not file.parent.is_dir():
+        raise UserError(
+            f"there is no folder {file.parent} for {file.name}: make it, or choose another one with --out"
+        )
+
+
 def save_gif(pictures: Pictures, file: Path) -> None:
-    """Write an animation; the last picture stays for a second."""
+    """Write an animation atomically; the last picture stays for a second."""
     first, *others = [picture.quantize(64) for picture in pictures + pictures[-1:] * HOLD]
-    first.save(file, save_all=True, append_images=others, duration=1000 // FREQUENCY, loop=0, optimize=True)
+    options: dict[str, Any] = {"duration": 1000 // FREQUENCY, "loop": 0, "optimize": True}
+    with atomic(file) as opened:
+        first.save(opened, "GIF", save_all=True, append_images=others, **options)

@@ -18,6 +18,7 @@ import pandas as pd
 
 from agents.rules import Policy, make_policy
 from agents.rules.constant import Constant
+from agents.schema import Wrong
 from experiments.backends import make_env
 from experiments.study.compute import run as runner
 from experiments.study.compute.evaluate import Drive, play
@@ -27,6 +28,8 @@ from experiments.study.design.arms import stream_seed
 from experiments.study.design.fingerprint import dynamics
 from experiments.study.design.grid import level_names
 from experiments.study.design.sheet import sheet
+from experiments.study.results.packed import read_table
+from experiments.study.results.schema import Column, check_columns
 from experiments.study.results.working import LOG
 from experiments.support.errors import UserError
 from experiments.support.files import canonical_json, sha256_bytes, write_file
@@ -65,6 +68,9 @@ COLUMNS: dict[str, str] = {
     "density": "float32",  # other vehicles within 200 m, mean over the steps
     **dict.fromkeys(HEADWAYS, "uint16"),
 }
+
+
+STORED = {name: Column(kind, missing=kind.startswith("float")) for name, kind in COLUMNS.items()}
 
 
 def egos(task: str) -> tuple[str, ...]:
@@ -231,8 +237,21 @@ class PartTask:
         return self.directory / "work" / self.name
 
     def done(self) -> bool:
-        """Whether it is stored."""
-        return (self.directory / self.name).exists()
+        """Whether it is stored; a part that is damaged is named, and driven again."""
+        try:
+            table = read_table(self.directory / self.name)
+            check_columns(table, STORED, COLUMNS)
+            if len(table) != len(self.part.episodes()):
+                raise Wrong(f"it has {len(table)} rows, not {len(self.part.episodes())}")
+        except FileNotFoundError:
+            return False
+        except Wrong as error:
+            print(
+                f"{self.directory / self.name} is damaged ({error}): its episodes are driven again",
+                flush=True,
+            )
+            return False
+        return True
 
     def compute(self, heartbeat: runner.Heartbeat) -> None:
         """Drive all episodes and write the table as a parquet file."""

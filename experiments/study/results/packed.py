@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import io
 import json
-import shutil
 from collections.abc import Mapping
 from functools import lru_cache
 from pathlib import Path
@@ -19,6 +18,7 @@ from typing import Any
 
 import pandas as pd
 
+from agents.checkpoint import open_regular
 from agents.schema import Wrong, check, shortened
 from experiments.study.results.schema import TEXT, check_columns, check_episodes, check_record, parsed
 from experiments.support.errors import UserError
@@ -127,9 +127,12 @@ def _read(path: Path, sums: tuple[str, ...]) -> pd.DataFrame:
 
 
 def read_table(path: Path) -> pd.DataFrame:
-    """A parquet file. Raises Wrong, whatever pyarrow stumbles over."""
+    """A parquet file. Raises Wrong, whatever pyarrow stumbles over; FileNotFoundError."""
     try:
-        return pd.read_parquet(path)
+        with open_regular(path) as file:
+            return pd.read_parquet(file)
+    except FileNotFoundError:
+        raise
     except Exception as error:
         raise Wrong(f"it is no table: {str(error).partition(chr(10))[0]}") from None
 
@@ -155,20 +158,25 @@ def add(
         | {name: own[file] for name, own in tables.items() if file in own}
         for file in sorted({*before, *(file for own in tables.values() for file in own)} - {CELLS})
     }
-    parts[CELLS] = {  # written last
+    parts[CELLS] = {
         name: pd.DataFrame({"record": [json.dumps(record, allow_nan=False)]})
         for name, record in everything.items()
     }
     contents = {file: _joined(file, of_cells) for file, of_cells in parts.items()}
     for name, path in weights.items():
         packed_weights(directory, name).parent.mkdir(exist_ok=True)
-        shutil.copyfile(path, packed_weights(directory, name))
+        write_file(packed_weights(directory, name), path.read_bytes())
     new = {file: [sha256_bytes(data)] for file, data in contents.items()}
-    either = {file: [*digest, *before.get(file, [])] for file, digest in new.items()}
-    write_json(directory / MANIFEST, {"layout": LAYOUT, "files": either})
-    for file, data in contents.items():
-        write_file(directory / file, data)
+    for file in contents.keys() - before.keys():  # nobody reads them before the manifest names them
+        write_file(directory / file, contents[file])
+    if before:
+        either = {file: [*digest, *before.get(file, [])] for file, digest in new.items()}
+        write_json(directory / MANIFEST, {"layout": LAYOUT, "files": either})
+    for file in contents.keys() & before.keys():
+        write_file(directory / file, contents[file])
     write_json(directory / MANIFEST, {"layout": LAYOUT, "files": new})
+    for left in directory.glob(".*.tmp"):  # by a packing that was killed; this one has the lock
+        left.unlink()
 
 
 def _joined(file: str, parts: Mapping[str, pd.DataFrame]) -> bytes:

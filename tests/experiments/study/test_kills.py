@@ -1,0 +1,113 @@
+"""A packing that is killed at any file operation: the folder can be read, and the same command packs it."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from pathlib import Path
+
+import pandas as pd
+import pytest
+
+from experiments.study.results import packed
+from experiments.study.results.store import Store, load
+from tests.experiments.computed import sweep_of
+
+OPERATIONS = ("open", "os.rename", "os.remove", "os.mkdir", "os.listdir", "os.scandir")
+
+
+@pytest.fixture(scope="module")
+def folders(finished: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """By what is packed already: nothing, or all cells but those of another seed."""
+    first = finished
+    later = tmp_path_factory.mktemp("later") / "results"
+    shutil.copytree(finished, later)
+    Store(later).pack()
+    shutil.rmtree(later / "cells")
+    sweep_of(later, seeds=2)
+    return {"first": first, "later": later}
+
+
+class Killed(BaseException):
+    """Nothing happens on the disk after it, as after a kill: whatever is tried to clean up fails."""
+
+
+class Killer:
+    """Lets so many operations on the files of a folder happen, and none after them."""
+
+    directory, left = "", 0
+
+    def __call__(self, event: str, arguments: tuple[object, ...]) -> None:
+        if self.directory and event in OPERATIONS and self.directory in str(arguments[0]):
+            self.left -= 1
+            if self.left < 0:
+                raise Killed
+
+    def packs(self, directory: Path, operations: int) -> bool:
+        """Whether a packing comes to its end before it is killed."""
+        clear_caches()
+        self.directory, self.left = str(directory), operations
+        try:
+            Store(directory).pack()
+        except Killed:
+            return False
+        finally:
+            self.directory = ""
+        return True
+
+
+@pytest.fixture(scope="module")
+def killer() -> Killer:
+    hook = Killer()
+    sys.addaudithook(hook)  # for as long as the process lives
+    return hook
+
+
+def clear_caches() -> None:
+    packed._records.cache_clear()
+    packed._tables.cache_clear()
+
+
+def content(directory: Path) -> pd.DataFrame:
+    clear_caches()
+    found = load(directory).episodes
+    return found.sort_values(["cell", "traffic", "scenario"]).reset_index(drop=True)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("kind", ["first", "later"])
+def test_every_kill(kind: str, folders: dict[str, Path], killer: Killer, tmp_path: Path) -> None:
+    """As many kills as a packing has operations on files."""
+    original, kills = folders[kind], 0
+    before, operations, whole = content(original), 0, False
+    while not whole:
+        directory = tmp_path / str(operations)
+        shutil.copytree(original, directory)
+        whole = killer.packs(directory, operations)
+        pd.testing.assert_frame_equal(content(directory), before)
+        Store(directory).pack()
+        shutil.rmtree(directory / "cells")
+        pd.testing.assert_frame_equal(content(directory), before)
+        assert not list(directory.glob(".*.tmp"))
+        shutil.rmtree(directory)
+        operations += 1
+        kills += not whole
+    print(f"{kills} kills of a {kind} packing")
+    assert kills >= 25
+
+
+@pytest.mark.parametrize("kind", ["first", "later"])
+@pytest.mark.parametrize("share", [0.5, 0.8, 0.9])
+def test_a_kill(kind: str, share: float, folders: dict[str, Path], killer: Killer, tmp_path: Path) -> None:
+    """Some of these kills, between the first table and the last manifest."""
+    shutil.copytree(folders[kind], tmp_path / "whole")
+    many = 10_000
+    assert killer.packs(tmp_path / "whole", many)
+    directory = tmp_path / "killed"
+    shutil.copytree(folders[kind], directory)
+    before = content(directory)
+    assert not killer.packs(directory, int(share * (many - killer.left)))
+    pd.testing.assert_frame_equal(content(directory), before)
+    Store(directory).pack()
+    shutil.rmtree(directory / "cells")
+    pd.testing.assert_frame_equal(content(directory), before)

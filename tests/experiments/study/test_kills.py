@@ -11,21 +11,27 @@ import pytest
 
 from experiments.study.results import packed
 from experiments.study.results.store import Store, load
-from tests.experiments.computed import sweep_of
+from tests.faults.corruptions import small, unpacked
 
 OPERATIONS = ("open", "os.rename", "os.remove", "os.mkdir", "os.listdir", "os.scandir")
 
 
 @pytest.fixture(scope="module")
-def folders(finished: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
-    """By what is packed already: nothing, or all cells but those of another seed."""
-    first = finished
-    later = tmp_path_factory.mktemp("later") / "results"
-    shutil.copytree(finished, later)
-    Store(later).pack()
-    shutil.rmtree(later / "cells")
-    sweep_of(later, seeds=2)
-    return {"first": first, "later": later}
+def folders(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """By what is packed already: nothing, or all cells but two."""
+    home = tmp_path_factory.mktemp("kills")
+    small(home / "whole")
+    unpacked(home / "first", home / "whole")
+    shutil.copytree(home / "first", home / "later")
+    aside = [home / "later" / "cells" / name for name in sorted(packed.packed_records(home / "whole"))[:2]]
+    for cell in aside:
+        cell.rename(home / cell.name)
+    Store(home / "later").pack()
+    shutil.rmtree(home / "later" / "cells")
+    for cell in aside:
+        cell.parent.mkdir(exist_ok=True)
+        (home / cell.name).rename(cell)
+    return {"first": home / "first", "later": home / "later"}
 
 
 class Killed(BaseException):

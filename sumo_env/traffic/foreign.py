@@ -22,16 +22,8 @@ from sumo_env.traffic.sumo_files import INPUTS
 # Elements of additional files that end the process when they stand in a network.
 NOT_IN_NETWORKS = {
     *("edgeData", "laneData", "e1Detector", "inductionLoop", "instantInductionLoop", "e2Detector"),
-    *(
-        "laneAreaDetector",
-        "e3Detector",
-        "entryExitDetector",
-        "routeProbe",
-        "vTypeProbe",
-        "calibrator",
-        "rerouter",
-    ),
-    *("timedEvent", "variableSpeedSign", "include"),
+    *("laneAreaDetector", "e3Detector", "include", "entryExitDetector", "routeProbe", "vTypeProbe"),
+    *("calibrator", "rerouter", "timedEvent", "variableSpeedSign"),
 }
 FLOWS = {"flow", "personFlow", "containerFlow"}
 DAY = 86400.0  # [s] after which a flow ends that names no end
@@ -40,57 +32,14 @@ DEEPEST = 50  # elements in each other; SUMO's own are ten at most
 LARGEST = 1e9  # of any number: seconds, metres, m/s
 # Attributes that are numbers, or words, or numbers among words such as normc(1, 0.1).
 NUMBERS = {
-    *(
-        "accel",
-        "decel",
-        "emergencyDecel",
-        "apparentDecel",
-        "maxSpeed",
-        "desiredMaxSpeed",
-        "speedFactor",
-        "speedDev",
-    ),
-    *(
-        "tau",
-        "minGap",
-        "length",
-        "width",
-        "height",
-        "sigma",
-        "impatience",
-        "actionStepLength",
-        "mass",
-        "speed",
-    ),
-    *(
-        "depart",
-        "departPos",
-        "departSpeed",
-        "departPosLat",
-        "arrivalPos",
-        "arrivalSpeed",
-        "begin",
-        "end",
-        "period",
-    ),
-    *(
-        "number",
-        "probability",
-        "vehsPerHour",
-        "perHour",
-        "duration",
-        "until",
-        "startPos",
-        "endPos",
-        "pos",
-        "freq",
-    ),
-    *("shape", "repeat", "x", "y", "z", "friction"),
+    *("accel", "decel", "emergencyDecel", "apparentDecel", "maxSpeed", "desiredMaxSpeed"),
+    *("speedFactor", "speedDev", "tau", "minGap", "length", "width", "height", "sigma", "impatience"),
+    *("actionStepLength", "mass", "speed", "depart", "departPos", "departSpeed", "departPosLat"),
+    *("arrivalPos", "period", "arrivalSpeed", "begin", "end", "number", "probability", "vehsPerHour"),
+    *("perHour", "duration", "until", "startPos", "endPos", "pos", "freq", "shape", "repeat", "x", "y"),
+    *("z", "friction"),
 }
-POSITIVE = {
-    *(("lane", "width"), ("lane", "length"), ("vType", "length"), ("vType", "width"), ("vType", "accel")),
-    *(("vType", "decel"), ("vType", "maxSpeed")),
-}
+POSITIVE = {"lane": {"width", "length"}, "vType": {"length", "width", "accel", "decel", "maxSpeed"}}
 WORDS = re.compile(r"[^\s,;:()]+")
 SUSPECT = re.compile(
     r"nan|inf|e\+?\d\d|(?<![\d.])\d{10}|0x", re.IGNORECASE
@@ -117,9 +66,7 @@ def check_outputs(outputs: Iterable[tuple[str, str]]) -> None:
     """
     for option, value in outputs:
         if _is_connection(value):
-            raise ConfigError(
-                f"{option}={value!r} opens a connection to another program: name a file, or leave it out"
-            )
+            raise ConfigError(f"{option}={value!r} opens a connection to another program: name a file")
 
 
 def _check(path: Path, is_network: bool, including: tuple[Path, ...]) -> None:
@@ -158,29 +105,22 @@ def _included(path: Path, is_network: bool, changed: int, size: int) -> tuple[Pa
                         refuse(f'<{tag} {name}="{text}"> is no number that SUMO can drive with')
             elif name in ("file", "output", "dest") and _is_connection(text):
                 refuse(f'<{tag} {name}="{text}"> opens a connection to another program: name a file')
-            if (tag, name) in POSITIVE and _number(text, 1.0) <= 0.0:
+            if name in POSITIVE.get(tag, ()) and _number(text, 1.0) <= 0.0:
                 refuse(f'<{tag} {name}="{text}"> must be above 0')
         if tag == "include" and "href" in has:
             found.append((path.parent / has["href"]).resolve())
-        elif (
-            tag == "param"
-            and re.search("file|output", has.get("key", ""))
-            and _is_connection(has.get("value", ""))
-        ):
+        elif re.search("file|output", has.get("key", "")) and _is_connection(has.get("value", "")):
             refuse(f'"{has["key"]}" opens a connection to {has["value"]}: name a file')
         elif tag in FLOWS and (rate := _rate(has)) > MOST:
-            refuse(
-                f"<{tag}> {has.get('id', '')!r} asks for {rate:.3g} departures a second; at most {MOST:g} are possible"
-            )
+            flow = f"<{tag}> {has.get('id', '')!r}"
+            refuse(f"{flow} asks for {rate:.3g} departures a second; at most {MOST:g} are possible")
 
     def end(_: str) -> None:
         nonlocal depth
         depth -= 1
 
     def document_type(*_: object) -> None:
-        refuse(
-            "a document type (<!DOCTYPE ...>) may hold entities that never end: remove it, SUMO's files have none"
-        )
+        refuse("a document type (<!DOCTYPE ...>) may hold entities that never end: remove it")
 
     parser.StartElementHandler, parser.EndElementHandler = element, end
     parser.StartDoctypeDeclHandler = document_type

@@ -11,9 +11,10 @@ from collections.abc import Container, Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
+from agents.rules import POLICIES
 from experiments.analysis.scores import SETTING
 from experiments.study.design.arms import ARMS
-from experiments.study.design.grid import BASELINES, setting
+from experiments.study.design.grid import setting
 from experiments.study.results.store import Results
 from experiments.support.files import canonical_json
 
@@ -107,7 +108,7 @@ def incomplete(results: Results) -> dict[str, str]:
             here.setdefault(key["arm"] or key["policy"], []).append(key["seed"])
     reasons = {}
     for name, here in found.items():
-        absent = [policy for policy in (*ARMS, *BASELINES) if policy not in here]
+        absent = [policy for policy in (*ARMS, *POLICIES) if policy not in here]
         seeds = [sorted(here.get(arm, ())) for arm in ARMS]
         said = [f"nothing of {', '.join(absent)}"] if absent else []
         if seeds[0] != seeds[1]:

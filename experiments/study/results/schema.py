@@ -171,7 +171,8 @@ def check_episodes(file: str, table: pd.DataFrame) -> None:
 def _all(good: pd.Series, message: str, values: pd.Series) -> None:
     if not good.all():
         row = int(np.flatnonzero(~good.to_numpy(dtype=bool))[0])
-        raise Wrong(f"row {row}: {message.format(shortened(values.iloc[row]))}")
+        [value] = values.iloc[row : row + 1].tolist()
+        raise Wrong(f"row {row}: {message.format(shortened(value))}")
 
 
 def check_rows(key: Mapping[str, Any], file: str, table: pd.DataFrame) -> None:

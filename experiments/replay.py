@@ -20,6 +20,7 @@ from pathlib import Path
 
 if __package__ in (None, ""):  # run as a file: import from the project, not from this folder
     sys.path[0] = str(Path(__file__).resolve().parents[1])
+    import experiments.support.needs  # noqa: F401  (says what has to be installed)
 
 import copy
 import math
@@ -40,7 +41,7 @@ from experiments.study.replaying.avoid import HORIZON, SAFE, rewound, way_out
 from experiments.study.replaying.rerun import Case, changed_versions, differences, play_again
 from experiments.study.results.store import EPISODES, Store, find_cell
 from experiments.support.errors import UserError, run_command, unknown
-from experiments.support.films import Film, Pictures, check_gif, save_gif, side_by_side
+from experiments.support.films import Film, Pictures, check_film, save_gif, side_by_side
 
 
 @dataclass(frozen=True)
@@ -97,7 +98,7 @@ def replay(options: Options, make_env: MakeEnv = backends.make_env) -> int:
     if options.avoid and options.sumo:
         raise UserError("--avoid writes a film of its own: leave out --sumo")
     if not options.sumo:
-        check_gif(options.out)
+        check_film(options.out, ".gif")
     case = parse_case(options.case, options.code)
     key, act = case.record["key"], _avoid if options.avoid else _again
     with closing(make_env(*tested_on(key), "rgb_array")) as env:

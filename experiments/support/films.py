@@ -1,4 +1,4 @@
-"""Episodes as animated pictures: recorded at every other simulation step, put side by side, saved as GIF."""
+"""Episodes as animated pictures: recorded at every other simulation step, put side by side, saved as GIF or MP4."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
+import numpy as np
 from PIL import Image, ImageDraw, ImageFont
 
 from agents.checkpoint import atomic
@@ -50,35 +51,60 @@ class Film:
         return Image.fromarray(self.env.render())
 
 
-def side_by_side(films: Sequence[tuple[str, Pictures]], columns: int | None = None) -> Pictures:
+def side_by_side(
+    films: Sequence[tuple[str, Pictures]], columns: int | None = None, caption: Sequence[str] = ()
+) -> Pictures:
     """Films of pictures of one size in one, each under its title, in one row or in so many columns.
 
-    The shorter ones stay at their end.
+    The shorter ones stay at their end. The lines of the caption stand below.
     """
     length, columns = max(len(pictures) for _, pictures in films), columns or len(films)
     width, height = films[0][1][0].size
     rows = -(-len(films) // columns)
     font, sheets = ImageFont.load_default(size=14), []
     for number in range(length):
-        size = (columns * (width + GAP) - GAP, rows * (height + TITLE))
+        size = (columns * (width + GAP) - GAP, rows * (height + TITLE) + len(caption) * TITLE)
         sheet = Image.new("RGB", size, "white")
         pen = ImageDraw.Draw(sheet)
         for place, (title, pictures) in enumerate(films):
             left, top = place % columns * (width + GAP), place // columns * (height + TITLE)
             pen.text((left + 4, top + 3), title, fill="black", font=font)
             sheet.paste(pictures[min(number, len(pictures) - 1)], (left, top + TITLE))
+        for line, text in enumerate(caption):
+            pen.text((4, rows * (height + TITLE) + line * TITLE + 3), text, fill="black", font=font)
         sheets.append(sheet)
     return sheets
 
 
-def check_gif(file: Path | None) -> None:
+def check_film(file: Path | None, *endings: str) -> None:
     """That a film can be written to a file, before it is made. Raises UserError; None is always right."""
-    if file is not None and file.suffix.lower() != ".gif":
-        raise UserError(f"a film is an animated GIF: name a file that ends in .gif, not {file}")
+    if file is not None and file.suffix not in endings:
+        raise UserError(f"{file}: the name of a film ends in {' or '.join(endings)}")
     if file is not None and not file.parent.is_dir():
         raise UserError(
             f"there is no folder {file.parent} for {file.name}: make it, or choose another one with --out"
         )
+
+
+def save_film(pictures: Pictures, file: Path) -> None:
+    """Write a film, as a GIF or, where the file's name ends so, as an MP4.
+
+    Raises:
+        UserError: moviepy is missing, which writes MP4.
+    """
+    if file.suffix == ".gif":
+        return save_gif(pictures, file)
+    try:
+        from moviepy import ImageSequenceClip  # type: ignore[import-untyped]
+    except ImportError:
+        raise UserError("an .mp4 needs moviepy: pip install moviepy (a .gif does not)") from None
+    width, height = pictures[0].size
+    even = [
+        picture.crop((0, 0, width // 2 * 2, height // 2 * 2)) for picture in pictures
+    ]  # as H.264 asks for
+    frames = [np.asarray(picture) for picture in even + even[-1:] * HOLD]
+    file.unlink(missing_ok=True)  # a link in its place is not followed
+    ImageSequenceClip(frames, fps=FREQUENCY).write_videofile(str(file), logger=None)
 
 
 def save_gif(pictures: Pictures, file: Path) -> None:

@@ -30,7 +30,7 @@ from experiments.study.results.store import Store, load
 from experiments.study.results.working import LOG, PROGRESS
 from experiments.support.errors import UserError, run_command
 from experiments.support.files import sha256_file
-from experiments.support.films import check_gif, save_gif
+from experiments.support.films import check_film, save_gif
 from tests.experiments.fake_env import FakeEnv
 
 
@@ -166,11 +166,11 @@ def test_a_link_in_the_place_of_an_output_is_not_followed(kind: str, tmp_path: P
 
 def test_a_film_is_refused_before_it_is_made(tmp_path: Path) -> None:
     for name in ("film.mp4", "film", "film.gif.txt"):
-        with pytest.raises(UserError, match="name a file that ends in"):
-            check_gif(tmp_path / name)
+        with pytest.raises(UserError, match="the name of a film ends in"):
+            check_film(tmp_path / name, ".gif")
     with pytest.raises(UserError, match=r"there is no folder .*/nowhere for film\.gif"):
-        check_gif(tmp_path / "nowhere" / "film.gif")
-    check_gif(tmp_path / "film.gif")
+        check_film(tmp_path / "nowhere" / "film.gif", ".gif")
+    check_film(tmp_path / "film.gif", ".gif")
 
 
 @pytest.mark.parametrize(

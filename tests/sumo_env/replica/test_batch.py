@@ -20,7 +20,7 @@ from tests.sumo_env.rollout import assert_same_bits
 
 ENVS = 4
 # Of the single environment's info.
-LEFT_OUT = {"rewards", "crash", "traffic_light", "traffic_light_distance", "acceleration", "jerk"}
+LEFT_OUT = {"rewards", "crash", "ending", "traffic_light", "traffic_light_distance", "acceleration", "jerk"}
 SEE_BEHIND = {"type": "Kinematics", "see_behind": True, "features": ["x", "cos_h"]}
 SEEDED: dict[str, Any] = {"scenarios": "seeded"}
 

@@ -200,8 +200,11 @@ def test_weights_and_values_are_numbers(tmp_path: Path) -> None:
 
 
 def test_rewards_are_numbers() -> None:
-    env = Episodes(FakeEnv("u-turn", {"duration": 20}))
+    class Lost(FakeEnv):
+        def step(self, action: int) -> Any:
+            return None, float("nan"), False, False, {}
+
+    env = Episodes(Lost("u-turn", {"duration": 20}))
     env.reset(seed=0)
-    env.env.step = lambda _: (None, float("nan"), False, False, {})
     with pytest.raises(ValueError, match="the reward of training step 1 is nan, not a finite number"):
         env.step(1)

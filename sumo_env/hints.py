@@ -23,7 +23,7 @@ CALLED = {
     "set_record_video_wrapper",
 }
 # Why a name of highway-env is not here, and what to use; by the names, and else by what has them.
-_COPY = "the simulator drives the vehicles: copy.deepcopy(env), then step, drives ahead"
+_COPY = "the simulator drives the vehicles; copy.deepcopy(env), then step, drives ahead"
 _TRAFFIC = "config key 'risk', or drivers of your own, change the other vehicles"
 _ROAD = "a road belongs to a task of your own"
 _PICTURES = "render_mode='rgb_array' makes pictures, 'human' opens a window"

@@ -60,6 +60,9 @@ class LaneView(_View):
     def __hash__(self) -> int:
         return hash(self._of)
 
+    def __repr__(self) -> str:
+        return repr(self._of)
+
     def position(self, longitudinal: float, lateral: float) -> Floats:
         """The place (x, y) of a point of the lane [m]."""
         return np.array(self._of.position(float(longitudinal), float(lateral)))
@@ -112,6 +115,7 @@ class Vehicle(_View):
     speed: float  # [m/s]
     heading: float  # [rad]
     crashed: bool
+    target_speed: float  # that its driver wants, or the ego approaches [m/s]
     LENGTH: float  # [m]
     WIDTH: float  # [m]
     road: RoadView  # the road and all vehicles
@@ -201,7 +205,6 @@ class Ego(Vehicle):
 
     target_lane_index: LaneIndex  # that it steers for
     speed_index: int  # of its target speed
-    target_speed: float  # that it approaches [m/s]
     target_speeds: NDArray[np.float64]  # that it can be commanded [m/s]
 
 
@@ -210,6 +213,9 @@ class RoadNetwork(_View):
 
     kind = "network"
     road: Road
+
+    def __repr__(self) -> str:
+        return repr(self.road)
 
     @cached_property
     def graph(self) -> dict[str, dict[str, list[LaneView]]]:
@@ -327,7 +333,8 @@ def road_view(
     vehicles = []
     for row, name in enumerate(scene.ids):
         length, width = scene.size(name)
-        make, further = (Vehicle, {}) if row else (Ego, ego)
+        spec = specs.get(name)
+        make, further = (Vehicle, {"target_speed": spec.target_speed} if spec else {}) if row else (Ego, ego)
         vehicles.append(
             make(
                 id=name,

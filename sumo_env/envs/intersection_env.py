@@ -1,7 +1,5 @@
 """highway-env's `IntersectionEnv` on SUMO."""
 
-from __future__ import annotations
-
 from sumo_env.envs.common.abstract import AbstractEnv
 from sumo_env.tasks import get_task
 

@@ -245,6 +245,7 @@ def alike(ours: Any, theirs: Any) -> None:
         own = pairs[id(vehicle)]
         assert own.road is ours.road and own.lane == mine.get_lane(own.lane_index)
         assert own.lane_index == vehicle.lane_index
+        assert own.target_speed == pytest.approx(vehicle.target_speed)
         assert own.lane_offset == pytest.approx(vehicle.lane_offset, abs=1e-6)
         assert own.to_dict(ours.vehicle) == pytest.approx(vehicle.to_dict(theirs.vehicle), abs=1e-5)
         assert own.lane_distance_to(ours.vehicle) == pytest.approx(

@@ -6,8 +6,6 @@ A: an error that names the file (a damaged cell is named, and not counted). unaf
 error without the file's name. C: a traceback, a hang or the end of the process. D: another result, without a word.
 """
 
-# mypy: disable-error-code="misc"  # the values that lambdas keep have no types
-
 from __future__ import annotations
 
 import json
@@ -20,6 +18,7 @@ import tempfile
 import warnings
 from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -94,10 +93,6 @@ def spoilt(file: Path) -> dict[str, Callable[[], None]]:
     return ways
 
 
-def every_row(table: pd.DataFrame, **values: Any) -> pd.DataFrame:
-    return table.assign(**values)
-
-
 def first_row(table: pd.DataFrame, column: str, value: Any) -> pd.DataFrame:
     changed = table.copy()
     if isinstance(value, str | float):
@@ -132,6 +127,18 @@ def without(keep: Callable[[Mapping[str, Any]], bool]) -> Change:
     return act
 
 
+def put_in(part: str, entry: str, value: Any, record: dict[str, Any]) -> None:
+    (record[part] if part else record)[entry] = value
+
+
+def take_out(part: str, entry: str, record: dict[str, Any]) -> None:
+    del (record[part] if part else record)[entry]
+
+
+def is_other(policy: str, key: Mapping[str, Any]) -> bool:
+    return bool(key["policy"] != policy)
+
+
 def wrong_contents() -> dict[str, Change]:
     """Tables and records that somebody has written with right checksums, and right names."""
     found: dict[str, Change] = {}
@@ -151,18 +158,18 @@ def wrong_contents() -> dict[str, Change]:
     }
     for entry, wrong in values.items():
         for value in wrong:
-            found[f"key.{entry}={value!r}"] = of_record(lambda r, e=entry, v=value: r["key"].update({e: v}))
-        found[f"no key.{entry}"] = of_record(lambda r, e=entry: r["key"].pop(e))
+            found[f"key.{entry}={value!r}"] = of_record(partial(put_in, "key", entry, value))
+        found[f"no key.{entry}"] = of_record(partial(take_out, "key", entry))
     for entry in ("schema", "key", "versions", "files", "timing", "learner"):
-        found[f"no {entry}"] = of_record(lambda r, e=entry: r.pop(e))
-        found[f"{entry} is a list"] = of_record(lambda r, e=entry: r.update({e: []}))
+        found[f"no {entry}"] = of_record(partial(take_out, "", entry))
+        found[f"{entry} is a list"] = of_record(partial(put_in, "", entry, []))
     for name, value in {
         "empty": [],
         "nan": [[1, 2.0, "x"]],
         "short": [[1]],
         "text": "many",
     }.items():
-        found[f"probe values {name}"] = of_record(lambda r, v=value: r["learner"].update(probe_q=v))
+        found[f"probe values {name}"] = of_record(partial(put_in, "learner", "probe_q", value))
     found["q_bound text"] = of_record(lambda r: r["learner"].update(q_bound="large"))
     wrong_rows: dict[str, Any] = {
         "traffic": "storm",
@@ -178,9 +185,9 @@ def wrong_contents() -> dict[str, Change]:
     for file in (store.EPISODES, store.GATES):
         for column, value in wrong_rows.items():
             found[f"{file} {column}={value!r}"] = of_table(
-                file, lambda t, c=column, v=value: first_row(t, c, v)
+                file, partial(first_row, column=column, value=value)
             )
-            found[f"{file} no {column}"] = of_table(file, lambda t, c=column: t.drop(columns=c))
+            found[f"{file} no {column}"] = of_table(file, partial(pd.DataFrame.drop, columns=column))
         found[f"{file} twice"] = of_table(file, lambda t: pd.concat([t, t], ignore_index=True))
         found[f"{file} half of the scenarios"] = of_table(file, lambda t: t[t["scenario"] % 2 == 0])
         found[f"{file} a cell without rows"] = of_table(file, lambda t: t[t["cell"] != t["cell"].iloc[0]])
@@ -197,16 +204,15 @@ def wrong_contents() -> dict[str, Change]:
     }
     for column, value in more.items():
         found[f"episodes {column}={value}"] = of_table(
-            store.EPISODES, lambda t, c=column, v=value: first_row(t, c, v)
+            store.EPISODES, partial(first_row, column=column, value=value)
         )
-    arms = {"control alone": ("control", None), "treatment alone": ("treatment", None)}
-    for name, kept in arms.items():
-        found[name] = without(lambda k, kept=kept: k["arm"] in kept)
+    found["control alone"] = without(lambda k: k["arm"] != "treatment")
+    found["treatment alone"] = without(lambda k: k["arm"] != "control")
     found["one agent alone"] = without(lambda k: k["arm"] == "control" and k["seed"] == 0)
     found["one agent in each arm"] = without(lambda k: k["seed"] in (0, None))
     found["one agent less"] = without(lambda k: (k["arm"], k["seed"]) != ("control", 0))
     for policy in ("careful", "slower", "idle", "random", "faster", "idm"):
-        found[f"no {policy}"] = without(lambda k, p=policy: k["policy"] != p)
+        found[f"no {policy}"] = without(partial(is_other, policy))
     found["no baselines"] = without(lambda k: k["kind"] == "agent")
     found["baselines alone"] = without(lambda k: k["kind"] != "agent")
     return found
@@ -350,7 +356,7 @@ def cases(home: Path) -> Iterator[Case]:
         yield (
             f"contents: {way}",
             folder,
-            lambda change=change: rewrite(folder, change),
+            partial(rewrite, folder, change),
             lambda: results_of(folder, report=True),
         )
     file = agent_file(home)

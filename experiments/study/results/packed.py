@@ -172,8 +172,9 @@ def add(
     if before:
         either = {file: [*digest, *before.get(file, [])] for file, digest in new.items()}
         write_json(directory / MANIFEST, {"layout": LAYOUT, "files": either})
-    for file in contents.keys() & before.keys():
-        write_file(directory / file, contents[file])
+    for file, data in contents.items():  # the records last: a cell of which one is there has all its rows
+        if file in before:
+            write_file(directory / file, data)
     write_json(directory / MANIFEST, {"layout": LAYOUT, "files": new})
     for left in directory.glob(".*.tmp"):  # by a packing that was killed; this one has the lock
         left.unlink()

@@ -176,8 +176,6 @@ def add(
         if file in before:
             write_file(directory / file, data)
     write_json(directory / MANIFEST, {"layout": LAYOUT, "files": new})
-    for left in directory.glob(".*.tmp"):  # by a packing that was killed; this one has the lock
-        left.unlink()
 
 
 def _joined(file: str, parts: Mapping[str, pd.DataFrame]) -> bytes:

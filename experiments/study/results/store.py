@@ -234,6 +234,8 @@ class Store:
         """
         self.check()
         with alone(self.directory):
+            for left in self.directory.glob(".*.tmp"):  # by a packing that was killed
+                left.unlink()
             packed = packed_records(self.directory)
             new = {name: self.record(name) for name in self.finished() if name not in packed}
             weights = {name: self.cells / name / WEIGHTS for name in new}

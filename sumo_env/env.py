@@ -25,8 +25,15 @@ from sumo_env.occupancy import OccupancyGrid
 from sumo_env.own_sumo import OwnSumo
 from sumo_env.scene import Scene
 from sumo_env.screen import OnScreen
-from sumo_env.simulator import Command, EgoCommand, Simulator, Step
-from sumo_env.sumo.options import OUTPUT_DIR, REFUSED, REFUSED_FOR_FILES, check_effect, check_options
+from sumo_env.simulator import Command, EgoCommand, Simulator, Step, WindowClosed
+from sumo_env.sumo.options import (
+    OUTPUT_DIR,
+    REFUSED,
+    REFUSED_FOR_FILES,
+    check_effect,
+    check_live,
+    check_options,
+)
 from sumo_env.sumo.process import SumoProcess
 from sumo_env.tasks import get_task
 from sumo_env.tasks.base import EgoState, Task, nearest_index
@@ -51,9 +58,10 @@ class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
     Args:
         task: highway, two-way, roundabout, intersection or u-turn, or a task of your own (docs/own-parts.md).
         config: configuration keys to change; the defaults are `config.COMMON` and the task's `defaults`.
-        render_mode: None, ``"rgb_array"`` or ``"human"``, a window (docs/first-steps.md).
+        render_mode: None, ``"rgb_array"`` or ``"human"``, a window (docs/windows.md).
         simulator: the simulator that drives the traffic; None for SUMO. The environment closes it.
         sumo_options: further options of SUMO, such as ``["--tripinfo-output", "trips.xml"]`` (docs/own-parts.md).
+        live: None or ``"sumo-gui"``, SUMO's own window (docs/windows.md).
 
     Raises:
         ConfigError: unknown task or key, wrong value.
@@ -69,13 +77,15 @@ class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
         render_mode: str | None = None,
         simulator: Simulator | None = None,
         sumo_options: Sequence[str] = (),
+        live: str | None = None,
         **misplaced: Any,
     ) -> None:
         refuse_misplaced(misplaced)
-        if simulator is not None and sumo_options:
+        if simulator is not None and (sumo_options or live):
             raise ValueError(
-                "sumo_options are for SUMO, which this environment starts itself: leave out `simulator`"
+                "sumo_options and live are for SUMO, which this environment starts itself: leave out `simulator`"
             )
+        self._live = check_live(live)
         self.task: Task = get_task(task)
         self._open(render_mode)
         self._given = self._simulator = simulator
@@ -180,7 +190,7 @@ class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
         self._spec_of |= {spawn.vehicle.id: spawn.vehicle for spawn in scenario.spawns}
         self._target_lane, speed = scenario.ego.lane, scenario.ego.speed
         if self._simulator is None:
-            self._simulator = SumoProcess(options=self._options, here=True)
+            self._simulator = SumoProcess(options=self._options, here=True, live=self._live)
         self.scene: Scene = self._simulator.reset(scenario)
         if self.scene.place is not None:  # SUMO has found a place for the ego
             self._target_lane, speed = self.scene.place.lane, self.scene.speed.item(0)
@@ -222,7 +232,11 @@ class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
         if self._handed_over:
             command = EgoCommand(None, None)
         self._commands.append(command)
-        self._last = step = self._simulator.step(command, trace=self._is_watched)
+        try:
+            step = self._simulator.step(command, trace=self._is_watched)
+        except WindowClosed:  # the episode ends where it was
+            self._is_closed, step = True, replace(self._last, distance=0.0, trace=())
+        self._last = step
         self._film(step.trace)
         self.scene, self._target_lane = step.scene, step.target_lane
         if self.scene.place is not None:

@@ -118,7 +118,7 @@ def sumo_drives(env, seeds):
         env.reset(seed=seed)
         end, ran = "time is up", False
         for _ in range(env.config["duration"] * env.config["policy_frequency"]):
-            scene = env._simulator.step(EgoCommand(None, None)).scene
+            scene = env._simulator.step({env.ego_id: EgoCommand(None, None)}).scene
             ran |= scene.place.red_light
             if scene.crashed[0] or scene.place.ended:
                 end = "crashed" if scene.crashed[0] else scene.place.ended.replace(" ", "_")

@@ -24,7 +24,7 @@ from sumo_env.occupancy import OccupancyGrid
 from sumo_env.own_sumo import OwnSumo
 from sumo_env.scene import Scene
 from sumo_env.screen import OnScreen
-from sumo_env.simulator import Command, EgoCommand, Simulator, Step
+from sumo_env.simulator import Command, Commands, EgoCommand, EgoStep, Simulator, Step
 from sumo_env.sumo.options import OUTPUT_DIR, REFUSED, REFUSED_FOR_FILES, check_effect, check_options
 from sumo_env.sumo.process import SumoProcess
 from sumo_env.tasks import get_task
@@ -160,20 +160,24 @@ class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
             raise ConfigError(str(error)) from error
         self._refuse_backwards("the ego at the start", ego.speed)
         self.scenario = scenario
+        if self._simulator is None:
+            self._simulator = SumoProcess(options=self._options, here=True)
+        return self._begin(scenario, self._simulator.reset(scenario))
+
+    def _begin(self, scenario: Scenario, scene: Scene) -> tuple[Observation, dict[str, Any]]:
+        """The ego is on the road: its first observation and ``info``."""
+        self.scenario, self.scene = scenario, scene
         self._road, self._route = scenario.road, ego_route(scenario.road, scenario.ego)
         self._spec_of = {spec.id: spec for spec in scenario.specs}
         self._spec_of |= {spawn.vehicle.id: spawn.vehicle for spawn in scenario.spawns}
         self._target_lane, speed = scenario.ego.lane, scenario.ego.speed
-        if self._simulator is None:
-            self._simulator = SumoProcess(options=self._options, here=True)
-        self.scene: Scene = self._simulator.reset(scenario)
         if self.scene.place is not None:  # SUMO has found a place for the ego
             self._target_lane, speed = self.scene.place.lane, self.scene.speed.item(0)
             self._find_route()
         self._speed_index = nearest_index(speed, self.target_speeds)
         self.steps, self._handed_over, self._is_closed = 0, False, False
-        self._commands: list[Command] = []
-        self._last = Step(self.scene, self._target_lane, None, math.inf, 0.0)
+        self._commands: list[Commands] = []
+        self._last = EgoStep(self._target_lane, None, math.inf, 0.0)
         self.ego_state = self._ego_state(None)
         self._film((self.scene,))
         observation = self._observe()
@@ -197,17 +201,32 @@ class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
         if self._simulator is None or self.scenario is None:
             raise gym.error.ResetNeeded("call reset() before step()")
         action = self._chosen(action)
+        command = self._command(action)
+        step = self._drive({self.ego_id: command})
+        return self._after(action, command, step.scene, step.ego)
+
+    def _command(self, action: Any) -> Command:
+        """What an action commands the ego."""
         here = self.scene.x.item(0), self.scene.y.item(0), self.scene.speed.item(0)
         moment = Moment(
             self._road, self._route, self._target_lane, self._speed_index, *here, self.scene.place
         )
         command = self._action_type.command(action, moment)
-        if self._handed_over:
-            command = EgoCommand(None, None)
-        self._commands.append(command)
-        self._last = step = self._simulator.step(command, trace=self._is_watched)
+        return EgoCommand(None, None) if self._handed_over else command
+
+    def _drive(self, commands: Commands) -> Step:
+        """A policy step of the simulator."""
+        assert self._simulator is not None
+        self._commands.append(commands)
+        step = self._simulator.step(commands, trace=self._is_watched)
         self._film(step.trace)
-        self.scene, self._target_lane = step.scene, step.target_lane
+        return step
+
+    def _after(
+        self, action: Any, command: Command, scene: Scene, ego: EgoStep
+    ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """What `step` returns after an action that meant this command."""
+        self.scene, self._last, self._target_lane = scene, ego, ego.target_lane
         if self.scene.place is not None:
             self._find_route()
         self.steps += 1

@@ -58,6 +58,7 @@ class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
         ConfigError: unknown task or key, wrong value.
     """
 
+    cars = 1  # learning cars of the scenario, of which this environment sees one
     steers: ClassVar[bool] = False  # whether the simulator can obey a `SteeringCommand`
     metadata: dict[str, Any] = {"render_modes": ["rgb_array", "human"], "render_fps": 5}  # noqa: RUF012 (gymnasium's way)
 
@@ -135,6 +136,10 @@ class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
         Raises:
             ConfigError: an unknown option, key or name, a wrong value.
         """
+        return self._begin(*self._start(seed, options))
+
+    def _start(self, seed: int | None, options: dict[str, Any] | None) -> tuple[Scenario, Scene]:
+        """Draw the traffic of an episode and let it drive until the ego is there, see `reset`."""
         super().reset(seed=seed)
         options = options or {}
         unknown = options.keys() - {"config", "scenario", *VARIED}
@@ -162,7 +167,8 @@ class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
         self.scenario = scenario
         if self._simulator is None:
             self._simulator = SumoProcess(options=self._options, here=True)
-        return self._begin(scenario, self._simulator.reset(scenario))
+        self._commands: list[Commands] = []
+        return scenario, self._simulator.reset(scenario)
 
     def _begin(self, scenario: Scenario, scene: Scene) -> tuple[Observation, dict[str, Any]]:
         """The ego is on the road: its first observation and ``info``."""
@@ -176,7 +182,6 @@ class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
             self._find_route()
         self._speed_index = nearest_index(speed, self.target_speeds)
         self.steps, self._handed_over, self._is_closed = 0, False, False
-        self._commands: list[Commands] = []
         self._last = EgoStep(self._target_lane, None, math.inf, 0.0)
         self.ego_state = self._ego_state(None)
         self._film((self.scene,))
@@ -203,7 +208,9 @@ class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
         action = self._chosen(action)
         command = self._command(action)
         step = self._drive({self.ego_id: command})
-        return self._after(action, command, step.scene, step.ego)
+        result = self._after(action, command, step.scene, step.ego)
+        self._follow_up()
+        return result
 
     def _command(self, action: Any) -> Command:
         """What an action commands the ego."""
@@ -246,6 +253,9 @@ class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
         terminated, truncated = bool(self._is_terminated()), bool(self._is_truncated()) or self._is_closed
         return observation, reward, terminated, truncated, self._info(observation, action)
 
+    def _follow_up(self) -> None:
+        """What happens between two steps."""
+
     def hand_over(self, to_sumo: bool = True) -> None:
         """Let SUMO drive the ego from the next step on, whatever the actions are, or take it back; also in a copy.
 
@@ -286,7 +296,12 @@ class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
 
     def _draw(self, task: Task) -> Scenario:
         """The traffic of an episode, drawn with the environment's generator."""
-        return task.scenario(self.config, int(self.np_random.integers(2**31)))
+        return task.scenario(self._law, int(self.np_random.integers(2**31)))
+
+    @property
+    def _law(self) -> Config:
+        """The configuration that traffic is drawn by; a single environment's has no number of learning cars."""
+        return {**self.config, "controlled_vehicles": self.cars} if self.cars > 1 else self.config
 
     # -- parts ---------------------------------------------------------------------------------------------
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from math import inf
-from typing import Generic, TypeVar
+from typing import Any, Generic, TypeVar
 
 from sumo_env.contacts.crash import CrashDetector, CrashRecord, record
 from sumo_env.contacts.measures import HORIZON
@@ -15,7 +15,7 @@ from sumo_env.sumo.route_ego import RouteEgo
 from sumo_env.sumo.session import Session
 from sumo_env.sumo.surroundings import Surroundings
 
-Driven = TypeVar("Driven", Ego, RouteEgo)
+Driven = TypeVar("Driven", bound=Ego | RouteEgo)
 BY_SUMO = EgoCommand(None, None)
 
 
@@ -36,7 +36,7 @@ class Car(Generic[Driven]):
         self._session, self._detector = session, CrashDetector()
         self._least_ttc, self.distance = inf, 0.0
 
-    def obey(self, command: EgoCommand | None) -> None:
+    def obey(self, command: Any) -> None:
         """Begin a policy step."""
         self.is_commanded = command is not None
         self.ego.obey(command or BY_SUMO)

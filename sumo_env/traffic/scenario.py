@@ -202,6 +202,11 @@ class Scenario:
         return (self.ego, *(spec for spec in self.vehicles if spec.id in self.further))
 
 
+def car_id(number: int) -> str:
+    """Id of a learning car of the five tasks, from 0 on."""
+    return f"{EGO}_{number}" if number else EGO
+
+
 def fits(vehicle: VehicleSpec, centres: Iterable[tuple[float, float]]) -> bool:
     """Whether a vehicle may be added among vehicles with these centres [m] (highway-env's spawn rule)."""
     return all(math.hypot(vehicle.x - x, vehicle.y - y) >= SPAWN_DISTANCE for x, y in centres)

@@ -98,6 +98,11 @@ class ParallelDrivingEnv(ParallelEnv[str, Any, Any]):
         # highway-env has one reward and one end, those of the first car, where it does not have one for each
         self._follows_first = cars.first.steers and not cars.first.task.shares_reward
 
+    @property
+    def ids(self) -> dict[str, str]:
+        """Ids in SUMO and in scenes of the cars that have come in this episode, by agents."""
+        return {self.possible_agents[number]: name for name, number in self._cars.numbers.items()}
+
     def observation_space(self, agent: str) -> gym.spaces.Space[Any]:
         """Of an agent."""
         return self.cars[agent].observation_space
@@ -110,7 +115,9 @@ class ParallelDrivingEnv(ParallelEnv[str, Any, Any]):
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[dict[str, Any], dict[str, dict[str, Any]]]:
         """Start an episode, see `DrivingEnv.reset`."""
-        known = {key: value for key, value in (options or {}).items() if key in ("config", "scenario", *VARIED)}
+        known = {
+            key: value for key, value in (options or {}).items() if key in ("config", "scenario", *VARIED)
+        }
         if unknown := (options or {}).keys() - known.keys():  # PettingZoo's own test gives some
             gym.logger.warn(f"options without effect: {', '.join(sorted(unknown))}")
         return self._enter(self._cars.reset(seed, known), [])

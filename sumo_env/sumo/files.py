@@ -130,9 +130,10 @@ class FileSimulator(SumoSimulator):
 
     def _why_not_here(self, traffic: SumoTraffic) -> str:
         session, name = self._session, self._name
-        if not self._is_alone:
-            name = f"of type {self._traffic.car_type}" if self._traffic.car_type else "of the learning cars"
         after = f"{traffic.wait:g} s ('wait') after the warm-up, at SUMO's time {session.time():g} s"
+        if not self._is_alone:
+            cars = f"of type {traffic.car_type!r}" if traffic.car_type else f"{name!r}, {self._scenario.further}"
+            return f"no learning car ({cars}) has departed within {after}"
         if name in session.waiting():
             return (
                 f"SUMO could not insert the ego {name!r} within {after}: there is no room for it where it departs, or "

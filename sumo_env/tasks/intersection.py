@@ -68,18 +68,14 @@ class Intersection(Task):
         return self.car(0, config, road, rng)
 
     def car(self, number: int, config: Config, road: Road, rng: np.random.Generator) -> VehicleSpec:
-        """A learning car at the start: each on the next arm, clockwise.
-
-        On the arm that is its destination it has no route, as in highway-env: its destination is the end of its road.
-        """
+        """A learning car at the start: each on the next arm, clockwise."""
         destination = config["destination"] or f"o{rng.integers(1, 4)}"
         if destination not in ("o1", "o2", "o3"):
             raise ConfigError(f"'destination' must be 'o1', 'o2', 'o3' or None, not {destination!r}")
         s, arm = 60.0 + 5.0 * float(rng.normal(1.0)), number % 4
-        lane = f"o{arm}", f"ir{arm}", 0
-        goal = lane[1] if destination == lane[0] else destination
+        lane, driver = (f"o{arm}", f"ir{arm}", 0), ego_driver(self)
         return make_on_lane(
-            road, car_id(number), lane, s, 10.0, ego_driver(self), destination=goal, target_speed=9.0
+            road, car_id(number), lane, s, 10.0, driver, destination=destination, target_speed=9.0
         )
 
     def with_cars(
@@ -96,13 +92,8 @@ class Intersection(Task):
                 f"'controlled_vehicles' of the intersection is at most 4, one on each arm, not {count}"
             )
         cars = [self.car(number, config, road, rng) for number in range(1, count)]
-        # a car without a route leaves by the way that highway-env's takes at its end
-        ways = [spec.destination == spec.lane[1] and road.next_lane(spec.lane)[1] for spec in cars]
-        cars = [
-            spec._replace(destination=f"o{way[2:]}") if way else spec
-            for spec, way in zip(cars, ways, strict=True)
-        ]
-        return [*vehicles, *cars]
+        # who comes from its destination takes the first exit of the way back there that highway-env's car drives
+        return [*vehicles, *(spec._replace(destination=_exit(road, spec)) for spec in cars)]
 
     def vehicles(
         self, config: Config, road: Road, ego: VehicleSpec, rng: np.random.Generator, drivers: Drivers
@@ -145,6 +136,12 @@ class Intersection(Task):
 
     def arrived(self, ego: EgoState) -> bool:
         return ego.lane[0].startswith("il") and ego.lane[1].startswith("o") and ego.s >= ARRIVAL
+
+
+def _exit(road: Road, car: VehicleSpec) -> str:
+    """The first arm on a car's way."""
+    assert car.destination is not None
+    return road.route(car.lane[1], car.destination)[2]
 
 
 def _two_arms(rng: np.random.Generator) -> tuple[int, int]:

@@ -174,7 +174,7 @@ def run(tmp_path: Path, script: str) -> subprocess.Popen[str]:
         "simulators = [open_simulator() for _ in range(3)]\n"
         "for seed, simulator in enumerate(simulators):\n"
         "    simulator.reset(scenario(seed))\n"
-        "    simulator.step(COMMAND)\n"
+        "    simulator.step({'ego': COMMAND})\n"
         "print(*[one.pid for one in simulators[1:]], flush=True)\n" + script
     )
     return started(file, TMPDIR=str(tmp_path))
@@ -263,16 +263,16 @@ def test_a_forked_process_has_its_own_workers(tmp_path: Path) -> None:
         tmp_path,
         "child = os.fork()\n"
         "if child == 0:\n"
-        "    try:\n        simulators[1].step(COMMAND)\n"
+        "    try:\n        simulators[1].step({'ego': COMMAND})\n"
         "    except RuntimeError as error:\n        print(error)\n"
         "    simulators[1].reset(scenario(40))\n"
         "    one = open_simulator()\n"
         "    one.reset(scenario(50))\n"
-        "    print(simulators[1].step(COMMAND).scene.x[-1], one.step(COMMAND).scene.x[-1])\n"
+        "    print(simulators[1].step({'ego': COMMAND}).scene.x[-1], one.step({'ego': COMMAND}).scene.x[-1])\n"
         "    print('here' if one.pid is None else 'in a worker')\n"
         "else:\n"
         "    print(os.waitpid(child, 0)[1])\n"
-        "    print([one.step(COMMAND).scene.time for one in simulators])\n",
+        "    print([one.step({'ego': COMMAND}).scene.time for one in simulators])\n",
     )
     workers = pids(script)
     with script:

@@ -71,7 +71,7 @@ class FleetTask(NetworkTask):
         drawn = super().scenario(config, seed)
         assert drawn.traffic is not None
         traffic = replace(drawn.traffic, car_type=self.vehicle_type, max_cars=self.max_cars)
-        return replace(drawn, traffic=traffic, further=self.vehicles[1:])
+        return replace(drawn, traffic=traffic, further=self.ids[1:])
 
 
 class ParallelDrivingEnv(ParallelEnv[str, Any, Any]):

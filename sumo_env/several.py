@@ -232,7 +232,7 @@ class TupleEnv(gym.Env[Any, Any]):
         envs = self.cars.envs
         actions = [None] * len(envs) if action is None else action
         states = [env.ego_state for env in envs]
-        together = {
+        together: dict[str, Any] = {
             "agents_rewards": tuple(float(env._reward(one)) for env, one in zip(envs, actions, strict=True)),
             "agents_terminated": tuple(state.crashed or envs[0].task.arrived(state) for state in states),
         }

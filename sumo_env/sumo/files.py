@@ -132,7 +132,9 @@ class FileSimulator(SumoSimulator):
         session, name = self._session, self._name
         after = f"{traffic.wait:g} s ('wait') after the warm-up, at SUMO's time {session.time():g} s"
         if not self._is_alone:
-            cars = f"of type {traffic.car_type!r}" if traffic.car_type else f"{name!r}, {self._scenario.further}"
+            cars = (
+                f"of type {traffic.car_type!r}" if traffic.car_type else f"{name!r}, {self._scenario.further}"
+            )
             return f"no learning car ({cars}) has departed within {after}"
         if name in session.waiting():
             return (

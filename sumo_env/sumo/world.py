@@ -214,8 +214,9 @@ class SumoSimulator:
     def _obey(self, commands: Commands) -> None:
         """Begin a policy step of the learning cars: who has no command is SUMO's."""
         if unknown := commands.keys() - self._cars.keys():
-            raise ValueError(
-                f"no learning car on the road is called {sorted(unknown)[0]!r}: {list(self._cars)}"
+            raise SimulatorError(
+                f"the learning car {sorted(unknown)[0]!r} is not on the road ({', '.join(self._cars) or 'no car is'}): "
+                "was it removed through libsumo? Call reset() to begin another episode."
             )
         for name in [name for name, command in commands.items() if command is None]:
             self._remove(name)

@@ -108,7 +108,6 @@ class DQN:
         # All weights lie in one vector, so that Adam, the norm and the target's moves are one operation each.
         self._weights, self._target_weights = flatten(self.online), flatten(self.target)
         self._optimizer = torch.optim.Adam([self._weights], lr=config.learning_rate, fused=True)
-        self._loss = torch.tensor(torch.nan)
 
     def act(self, observation: np.ndarray, epsilon: float) -> int:
         """A random action with probability ``epsilon``, else the greedy one."""
@@ -130,10 +129,11 @@ class DQN:
         for network in (self.online, self.target):
             network.fit(seen)
 
-    def update(self) -> None:
+    def update(self) -> Tensor:
         """One gradient step on a batch from the replay, then a move of the target network.
 
-        Raises ValueError when the replay is empty.
+        Returns the mean squared temporal-difference error of the batch, before that step. Raises ValueError when the
+        replay is empty.
         """
         config = self.config
         if not self.online.training:
@@ -148,9 +148,9 @@ class DQN:
 
         # Squared error, never Huber's with delta 1: at gamma .99 that prices a crash at one step of reward.
         q = self.online(batch.observations).gather(1, batch.actions[:, None]).squeeze(1)
-        self._loss = functional.mse_loss(q, goal)
+        loss = functional.mse_loss(q, goal)
         self._optimizer.zero_grad(set_to_none=False)
-        self._loss.backward()
+        loss.backward()
         nn.utils.clip_grad_norm_([self._weights], config.max_grad_norm)
         self._optimizer.param_groups[0]["lr"] = config.rate(self.updates)
         self._optimizer.step()
@@ -161,11 +161,7 @@ class DQN:
                 self._target_weights.lerp_(self._weights, config.tau)
                 for target, online in zip(self.target.buffers(), self.online.buffers(), strict=True):
                     target.copy_(online)
-
-    @property
-    def loss(self) -> float:
-        """Mean squared temporal-difference error of the last update's batch, before that update."""
-        return float(self._loss.detach())
+        return loss.detach()
 
     def policy(self) -> Greedy:
         """The greedy policy as it is now, on the CPU (a copy)."""

@@ -16,7 +16,6 @@ FILE:NAME. `agents.stable` has learners of another library.
 from __future__ import annotations
 
 import dataclasses
-import difflib
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -25,7 +24,7 @@ from typing import Any, Protocol, TypeVar
 import gymnasium as gym
 import numpy as np
 
-from agents.plugins import sha256
+from agents.plugins import sha256, unknown
 from agents.policies import Policy
 
 # How a training has got to its end, for the record.
@@ -100,7 +99,7 @@ def settings_of(cls: type[T], given: Mapping[str, Any], whose: str) -> T:
     known = {field.name: field.default for field in dataclasses.fields(cls)}  # type: ignore[arg-type]
     for name in given:
         if name not in known:
-            raise unknown("setting", name, list(known), f" of {whose}")
+            raise unknown("setting", name, known, f" of {whose}")
     return cls(
         **{k: Path(v) if isinstance(known[k], Path) and isinstance(v, str) else v for k, v in given.items()}
     )
@@ -110,13 +109,6 @@ def files_of(settings: Any) -> dict[str, str]:
     """SHA-256 of the files that settings name, by setting. ValueError for a file that is not there."""
     paths = {field.name: getattr(settings, field.name) for field in dataclasses.fields(settings)}
     return {k: sha256(path) for k, path in paths.items() if isinstance(path, Path) and path != Path()}
-
-
-def unknown(kind: str, name: str, known: Sequence[str], whose: str = "") -> ValueError:
-    """The error for a name that does not exist, with the nearest known one."""
-    near = difflib.get_close_matches(name, known, 1)
-    hint = f"did you mean {near[0]!r}? " if near else ""
-    return ValueError(f"unknown {kind} {name!r}{whose}: {hint}known are {', '.join(known)}")
 
 
 def check_numbers(settings: Any, may_be_0: Sequence[str] = ()) -> None:

@@ -10,9 +10,9 @@ import gymnasium as gym
 
 from agents.dqn import DQNConfig
 from agents.greedy import Greedy
-from agents.learner import Learner, MakeEnv, Trained, unknown
+from agents.learner import Learner, MakeEnv, Trained
 from agents.models import Standardised, network_class
-from agents.plugins import load_object
+from agents.plugins import named
 from agents.stable import DQNSettings, PPOSettings, StableBaselines3
 from agents.training import train
 
@@ -65,12 +65,8 @@ def learner(name: str) -> Learner:
 
     Raises ValueError when there is no such learner.
     """
-    if name in LEARNERS:
-        return LEARNERS[name]
-    if ":" not in name:
-        raise unknown("learner", name, [*LEARNERS, "FILE:NAME"])
-    own: Learner = load_object(name)
+    found = named("learner", name, LEARNERS)
     for part in ("Settings", "train", "load"):
-        if not hasattr(own, part):
+        if not hasattr(found, part):
             raise ValueError(f"{name} is no learner: it has no {part} (agents/learner.py says what one has)")
-    return own
+    return found

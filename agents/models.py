@@ -15,7 +15,7 @@ import gymnasium as gym
 import torch
 from torch import Tensor, nn
 
-from agents.plugins import load_object
+from agents.plugins import named
 
 Network = Callable[[gym.spaces.Box, int], nn.Module]
 
@@ -160,9 +160,4 @@ def network_class(name: str) -> Network:
 
     Raises ValueError when there is no such network.
     """
-    if name in NETWORKS:
-        return NETWORKS[name]
-    if ":" not in name:
-        raise ValueError(f"Unknown network {name!r}: choose {', '.join(NETWORKS)} or FILE:CLASS.")
-    network: Network = load_object(name)
-    return network
+    return named("network", name, NETWORKS)

@@ -1,12 +1,16 @@
-"""Objects from a user's own file, named "FILE:NAME"."""
+"""Things by name: those that there are, and objects from a user's own file, "FILE:NAME"."""
 
 from __future__ import annotations
 
+import difflib
 import hashlib
 import importlib.util
 import sys
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
+
+T = TypeVar("T")
 
 
 def split(name: str) -> tuple[Path, str]:
@@ -37,6 +41,24 @@ def foreign(name: str) -> tuple[str, str]:
     """
     path, attribute = (Path(name), "") if name.endswith(".zip") else split(name)
     return f"{path.name}:{attribute}" if attribute else path.name, sha256(path)
+
+
+def unknown(kind: str, name: str, known: Iterable[str], whose: str = "") -> ValueError:
+    """The error for a name that does not exist, with the nearest known one."""
+    names = list(known)
+    near = difflib.get_close_matches(name.lower(), names, 1, cutoff=0.5)
+    hint = f"did you mean {near[0]!r}? " if near else ""
+    return ValueError(f"unknown {kind} {name!r}{whose}: {hint}known are {', '.join(names)}")
+
+
+def named(kind: str, name: str, known: Mapping[str, T]) -> T:
+    """What this name means, or "FILE:NAME". Raises ValueError where there is no such thing."""
+    if name in known:
+        return known[name]
+    if ":" not in name:
+        raise unknown(kind, name, [*known, "FILE:NAME"])
+    own: T = load_object(name)
+    return own
 
 
 def load_object(name: str) -> Any:

@@ -22,21 +22,17 @@ from agents.episodes import COLUMNS, Episodes
 from agents.learner import RESUMED, UNINTERRUPTED, Trained
 from agents.streams import episode_seed
 
-LOG = {**COLUMNS, "epsilon": np.float64}  # columns of the training episodes; epsilon: after the episode
-
 
 class Training:
     """One agent in training, with everything that is written down about it.
 
     Attributes:
         probe: the agent's first observations, on which its Q-values are watched.
-        probe_q: rows of update, mean and largest of max_a |Q| on the probe, and the share of it in which the greedy
-            action is the most common one (1 for a constant policy): the signs of divergence.
+        probe_q: rows of update, mean and largest of max_a |Q| on the probe: the signs of divergence.
     """
 
     def __init__(self, agent: DQN, env: gym.Env[Any, Any]) -> None:
         self.agent, self.env = agent, Episodes(env)
-        self.epsilon: list[float] = []
         self.max_abs_reward = 0.0
         self.probe: np.ndarray | None = None
         self.probe_q: list[list[float]] = []
@@ -47,7 +43,7 @@ class Training:
             self._play_episode()
 
     def _play_episode(self) -> None:
-        observation, _ = self.env.reset(seed=episode_seed(self.agent.seed, len(self.epsilon)))
+        observation, _ = self.env.reset(seed=episode_seed(self.agent.seed, len(self.env.rows["episode"])))
         ended = False
         while not ended:
             action = self.agent.act(observation, self.agent.config.epsilon(self.env.steps))
@@ -55,20 +51,18 @@ class Training:
             self.agent.replay.add(observation, action, float(reward), after, bool(terminated))
             observation, ended = after, terminated or truncated
             self.max_abs_reward = max(self.max_abs_reward, abs(float(reward)))
-        self.epsilon.append(self.agent.config.epsilon(self.env.steps))
 
     def watch(self) -> None:
         """Note the Q-values on the probe."""
         if self.probe is None:
             self.probe = self.agent.replay.first(self.agent.config.probe_size)
-        q = self.agent.q(self.probe)
-        size = np.abs(q).max(1)
-        share = np.bincount(q.argmax(1)).max() / len(q)
-        self.probe_q.append([self.agent.updates, float(size.mean()), float(size.max()), float(share)])
+        size = np.abs(self.agent.q(self.probe)).max(1)
+        self.probe_q.append([self.agent.updates, float(size.mean()), float(size.max())])
 
     def log(self) -> dict[str, np.ndarray]:
-        """The training episodes, an array for each column of LOG."""
-        return {**self.env.columns(), "epsilon": np.array(self.epsilon, LOG["epsilon"])}
+        """The training episodes, an array a column: those of `Episodes`, and epsilon after the episode."""
+        epsilon = [self.agent.config.epsilon(step) for step in self.env.rows["step"]]
+        return {**self.env.columns(), "epsilon": np.array(epsilon, np.float64)}
 
     def trained(self, interruption: str) -> Trained:
         """What is left when it is over."""
@@ -76,7 +70,7 @@ class Training:
             "steps": self.env.steps,
             "updates": self.agent.updates,
             "interruption": interruption,
-            "probe_q": [row[:3] for row in self.probe_q],
+            "probe_q": self.probe_q,
             "q_bound": self.max_abs_reward / (1.0 - self.agent.config.gamma),
         }
         return Trained(self.agent.policy(), self.log(), record)
@@ -85,7 +79,7 @@ class Training:
         """Everything that the future depends on, as arrays."""
         state = {f"dqn.{name}": array for name, array in self.agent.state_dict().items()}
         state |= {f"log.{name}": column for name, column in self.log().items()}
-        state["looks"] = np.array(self.probe_q, dtype=float).reshape(-1, 4)
+        state["looks"] = np.array(self.probe_q, dtype=float).reshape(-1, 3)
         state["steps"] = np.array(self.env.steps)
         state["max_abs_reward"] = np.array(self.max_abs_reward)
         if self.probe is not None:
@@ -97,8 +91,8 @@ class Training:
         own = {k.removeprefix("dqn."): v for k, v in state.items() if k.startswith("dqn.")}
         self.agent.load_state_dict(own)
         self.env.rows = {name: state[f"log.{name}"].tolist() for name in COLUMNS}
-        self.epsilon = state["log.epsilon"].tolist()
-        self.probe_q = [[int(update), *rest] for update, *rest in state["looks"].tolist()]
+        # checkpoints of earlier versions have a fourth column
+        self.probe_q = [[int(update), mean, most] for update, mean, most, *_ in state["looks"].tolist()]
         self.env.steps = int(state["steps"])
         self.max_abs_reward = float(state["max_abs_reward"])
         self.probe = state.get("probe")

@@ -33,7 +33,6 @@ import optuna
 import pandas as pd
 import tyro
 from optuna.distributions import BaseDistribution, CategoricalDistribution, FloatDistribution
-from rich.progress import track
 
 from experiments.study.design import grid
 from experiments.study.design.fingerprint import check_dynamics
@@ -164,9 +163,10 @@ def minimise(
         else CategoricalDistribution(values)
         for name, values in space.items()
     }
-    for _ in track(range(trials), "searching"):
+    for number in range(trials):
         trial = study.ask(searched)
-        study.tell(trial, objective(trial.params))
+        study.tell(trial, found := objective(trial.params))
+        print(f"evaluation {number + 1} of {trials}: {found:.3g}", flush=True)
     return study
 
 

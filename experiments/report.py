@@ -38,7 +38,7 @@ from experiments.reporting.showcase import showcase
 from experiments.reporting.tables import chosen
 from experiments.study.compute.evaluate import COLUMNS
 from experiments.study.results.store import Store, load
-from experiments.support.errors import UserError, run_command, writing
+from experiments.support.errors import UserError, in_words, run_command, writing
 from experiments.support.files import write_file
 
 REPORT, APPENDIX, TEXT, ANALYSIS = "report.html", "appendix.html", "report.md", "analysis.json"
@@ -88,16 +88,14 @@ def write_report(directory: Path, *others: Path, own: Mapping[str, Outcome] | No
     return directory / REPORT
 
 
+@in_words()
 def own_outcome(name: str) -> tuple[str, Outcome]:
     """An outcome of the user's own, "FILE:NAME", and what the report calls it: NAME.
 
     Raises:
         UserError: there is no such object, it is no outcome, or the name is taken.
     """
-    try:
-        outcome = load_object(name)
-    except ValueError as error:
-        raise UserError(str(error)) from None
+    outcome = load_object(name)
     key = name.rpartition(":")[2]
     if not isinstance(outcome, Outcome) or outcome.of is None:
         raise UserError(f"{name} must be an experiments.analysis.plan.Outcome with a function `of`")

@@ -86,7 +86,7 @@ def validate(options: Options, arguments: Sequence[str] = ()) -> dict[str, Any]:
     scenarios = min(options.scenarios, QUICK_SCENARIOS) if options.quick else options.scenarios
     check_dynamics((backend, task) for backend in ("sumo", "replica") for task in tasks)
     work = episodes.plan(engines(options), levels, tuple(TRAFFICS), range(scenarios))
-    table = episodes.run(work, options.out / "parts", options.workers, show=True)
+    table = episodes.run(work, options.out / "parts", options.workers)
     # the directory's name, not the machine's path to it
     named = [options.out.name if word == str(options.out) else word for word in arguments]
     found = checks.scorecard(table)

@@ -17,7 +17,7 @@ from sumo_env.contacts.crash import CrashRecord
 from sumo_env.tasks import TASKS
 from sumo_env.tasks.network import NetworkTask
 from tests.pages import PAGES, ROOT, TEXTS
-from tests.processes import python
+from tests.processes import python_again
 
 names = [str(page.relative_to(ROOT)) for page in PAGES]
 each_page = pytest.mark.parametrize("page", PAGES, ids=names)
@@ -83,7 +83,7 @@ def test_links_resolve(page: Path) -> None:
 @pytest.mark.slow
 def test_a_snippet_runs_when_it_is_copied_alone(block: str, tmp_path: Path) -> None:
     (tmp_path / "snippet.py").write_text(block.replace("10_000", "150"), encoding="utf-8")
-    python("-c", "import snippet", cwd=tmp_path)
+    python_again("-c", "import snippet", cwd=tmp_path)
 
 
 # -- what the code has is named ----------------------------------------------------------------------------------------

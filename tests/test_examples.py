@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.processes import ROOT, python
+from tests.processes import ROOT, python_again
 
 EXAMPLES = ROOT / "examples"
 SCRIPTS = {
@@ -38,7 +38,7 @@ def test_every_example_is_listed_and_tested() -> None:
 @pytest.mark.parametrize("name", SCRIPTS)
 def test_a_script_runs(name: str, tmp_path: Path) -> None:
     arguments, expected = SCRIPTS[name]
-    assert expected in python(EXAMPLES / name, *arguments, cwd=tmp_path)
+    assert expected in python_again(EXAMPLES / name, *arguments, cwd=tmp_path)
 
 
 def test_the_notebook_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

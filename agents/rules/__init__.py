@@ -6,6 +6,7 @@ from typing import Any
 
 import gymnasium as gym
 
+from agents.plugins import unknown
 from agents.policies import Policy
 from agents.rules.careful import Careful
 from agents.rules.constant import Constant, Random
@@ -39,8 +40,7 @@ def make_policy(name: str, env: gym.Env[Any, Any]) -> Policy:
     if name in CAUTIONS:
         return Careful(env, CAUTIONS[name])
     if name not in POLICIES:
-        known = dict.fromkeys((*POLICIES, *CAUTIONS, *PLANNERS))
-        raise ValueError(f"Unknown policy {name!r}: choose one of {', '.join(known)}.")
+        raise unknown("policy", name, dict.fromkeys((*POLICIES, *CAUTIONS, *PLANNERS)))
     for number, action in actions.items():
         if action == name.upper():
             return Constant(number)

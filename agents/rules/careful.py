@@ -14,7 +14,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from agents.rules.perception import LANE_WIDTH, SIDES, LaneMemory, Perception, View
+from agents.rules.perception import LANE_WIDTH, SIDES, Rules, View
 
 STEP = 0.25  # [s] of the prediction
 HORIZON = 4.0  # [s]
@@ -46,20 +46,12 @@ SPAN = 1.0  # [s] the ego is followed so much before and beyond, to compare it w
 TIMES = np.arange(-round(SPAN / STEP), round((HORIZON + SPAN) / STEP) + 1) * STEP
 
 
-class Careful:
-    """Drives by prediction. ``env.unwrapped`` has actions, target_speeds [m/s] and observation_type.
-
-    ``caution``: factor on the margins that it keeps to others and on the price of being closer.
-
-    Raises ValueError when the observation lacks one of x, y, vx, vy.
-    """
+class Careful(Rules):
+    """Drives by prediction. ``caution``: factor on the margins that it keeps and on the price of being closer."""
 
     def __init__(self, env: gym.Env[Any, Any], caution: float = 1.0) -> None:
+        super().__init__(env)
         self._caution = caution
-        source: Any = env.unwrapped
-        self._numbers = {name: number for number, name in source.actions.items()}
-        self._target_speeds = np.array(source.target_speeds, dtype=float)
-        self._perception = Perception(env)
         known = [
             name for name in ("IDLE", "SLOWER", "FASTER", "LANE_LEFT", "LANE_RIGHT") if name in self._numbers
         ]
@@ -72,18 +64,9 @@ class Careful:
         self._first = np.array([first for first, _ in plans])
         self._sides = np.array([SIDES.get(first, 0) for first, _ in plans])
         self._changes = np.array([changes for _, changes in plans])
-        self.reset()
 
-    def reset(self, seed: int | None = None) -> None:
-        """Begin an episode: forget what was seen. The rule draws nothing at random."""
-        self._perception.reset()
-        self._action: str | None = None
-        self._memory = LaneMemory()
-
-    def act(self, observation: np.ndarray) -> int:
+    def decide(self, view: View) -> str:
         """The first action of the best plan."""
-        view = self._perception.look(observation, self._action in SIDES)
-        self._memory.learn(view, self._action)
         way = self._way(view.speed)
         price = self._price(view, way)
         gain = way[:, len(TIMES) - 1 - round(SPAN / STEP)] - price
@@ -92,8 +75,7 @@ class Careful:
             possible &= np.isin(self._first, ("IDLE", "SLOWER"))
         if price[possible].min() > UNSAFE:
             gain = -price - 1e-3 * way[:, -1]
-        self._action = str(self._first[np.argmax(np.where(possible, gain, -np.inf))])
-        return self._numbers[self._action]
+        return str(self._first[np.argmax(np.where(possible, gain, -np.inf))])
 
     def _way(self, speed: float) -> np.ndarray:
         """Way of each plan [m] at each of TIMES, (plans, times), with a first-order speed control."""

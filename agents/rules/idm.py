@@ -8,12 +8,10 @@ crossing traffic: on purpose, it is the careful driver that does.
 from __future__ import annotations
 
 import math
-from typing import Any
 
-import gymnasium as gym
 import numpy as np
 
-from agents.rules.perception import LANE_WIDTH, SIDES, LaneMemory, Perception, View
+from agents.rules.perception import LANE_WIDTH, SIDES, Rules, View
 
 ACCELERATION, DECELERATION = 3.0, 5.0  # [m/s2] comfortable
 TIME_GAP = 1.5  # [s]
@@ -25,29 +23,11 @@ HOLD = 1.0  # [m/s2] the target speed is kept for smaller accelerations
 CORRIDOR = LANE_WIDTH / 2  # [m] to either side
 
 
-class IDM:
-    """IDM and MOBIL. ``env.unwrapped`` has actions, target_speeds [m/s] and observation_type.
+class IDM(Rules):
+    """IDM and MOBIL."""
 
-    Raises ValueError when the observation lacks one of x, y, vx, vy.
-    """
-
-    def __init__(self, env: gym.Env[Any, Any]) -> None:
-        source: Any = env.unwrapped
-        self._numbers = {name: number for number, name in source.actions.items()}
-        self._target_speeds = np.array(source.target_speeds, dtype=float)
-        self._perception = Perception(env)
-        self.reset()
-
-    def reset(self, seed: int | None = None) -> None:
-        """Begin an episode: forget what was seen. The rule draws nothing at random."""
-        self._perception.reset()
-        self._memory = LaneMemory()
-        self._action: str | None = None
-
-    def act(self, observation: np.ndarray) -> int:
+    def decide(self, view: View) -> str:
         """The lane change that MOBIL wants, else the next higher or lower target speed as IDM accelerates or brakes."""
-        view = self._perception.look(observation, self._action in SIDES)
-        self._memory.learn(view, self._action)
         along, across = _along(view)
         own = self._behind(view, along, across, 0)
         gains = {
@@ -57,10 +37,8 @@ class IDM:
         }
         best = max(gains, key=gains.__getitem__, default=None)
         if best is not None and gains[best] > GAIN:
-            self._action = best
-        else:
-            self._action = "FASTER" if own > HOLD else "SLOWER" if own < -HOLD else "IDLE"
-        return self._numbers[self._action]
+            return best
+        return "FASTER" if own > HOLD else "SLOWER" if own < -HOLD else "IDLE"
 
     def _behind(self, view: View, along: np.ndarray, across: np.ndarray, side: int) -> float:
         """IDM's acceleration [m/s2] behind the leader on this lane."""

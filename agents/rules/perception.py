@@ -138,6 +138,39 @@ class LaneMemory:
             self.known[side] = self.known[side] or bool((parallel & beside).any())
 
 
+class Rules:
+    """A driver by rules: what it sees, and what it remembers; `decide` is its rule, which draws nothing at random.
+
+    ``env.unwrapped`` has actions, target_speeds [m/s] and observation_type.
+
+    Raises ValueError when the observation lacks one of x, y, vx, vy.
+    """
+
+    def __init__(self, env: gym.Env[Any, Any]) -> None:
+        source: Any = env.unwrapped
+        self._numbers = {name: number for number, name in source.actions.items()}
+        self._target_speeds = np.array(source.target_speeds, dtype=float)
+        self._perception = Perception(env)
+        self.reset()
+
+    def reset(self, seed: int | None = None) -> None:
+        """Begin an episode: forget what was seen."""
+        self._perception.reset()
+        self._memory = LaneMemory()
+        self._action: str | None = None
+
+    def act(self, observation: np.ndarray) -> int:
+        """The action that the rule decides for."""
+        view = self._perception.look(observation, self._action in SIDES)
+        self._memory.learn(view, self._action)
+        self._action = self.decide(view)
+        return self._numbers[self._action]
+
+    def decide(self, view: View) -> str:
+        """The name of the next meta-action; `self._action` is that of the last one, None at the start."""
+        raise NotImplementedError
+
+
 def _follow(before: View, now: View) -> View:
     """``now`` with the turning and the acceleration of the vehicles that were seen ``before``."""
     if not len(before.positions) or not len(now.positions):

@@ -17,17 +17,16 @@ import numpy as np
 from agents.streams import stream
 
 STEPS = 5  # of a sequence
-FUTURES = 1  # that are imagined for a decision
 CRASH = 10.0  # cost of a crash, in units of the reward
 REPEATED = ("IDLE", "SLOWER")
 
 
 class Planner:
-    """Takes the first action of the sequence with the best mean return over the futures.
+    """Takes the first action of the sequence with the best return.
 
     Args:
         env: that it drives; its `unwrapped` is copied, so that rewards are its own.
-        foresees: whether the copies meet the future that will come, instead of imagined ones.
+        foresees: whether the copies meet the future that will come, instead of an imagined one.
     """
 
     def __init__(self, env: gym.Env[Any, Any], foresees: bool) -> None:
@@ -46,19 +45,11 @@ class Planner:
         # IDLE first, so that nothing is done where it makes no difference
         firsts = sorted(self._env.get_available_actions(), key=lambda action: names[action] != "IDLE")
         repeated = [action for action, name in names.items() if name in REPEATED]
-        totals = {(first, then): 0.0 for first in firsts for then in repeated}
-        for _ in range(1 if self._foresees else FUTURES):
-            future = self._future()
-            for first in firsts:
-                for then, value in _values(future, first, repeated).items():
-                    totals[first, then] += value
-            future.close()
-        return max(totals, key=lambda sequence: totals[sequence])[0]
-
-    def _future(self) -> Any:
-        if self._foresees:
-            return copy.deepcopy(self._env)
-        return self._env.imagine(int(self._generator.integers(2**31)))
+        seed = int(self._generator.integers(2**31))
+        future = copy.deepcopy(self._env) if self._foresees else self._env.imagine(seed)
+        best = {first: max(_values(future, first, repeated).values()) for first in firsts}
+        future.close()
+        return max(best, key=lambda first: best[first])
 
 
 def imagining(env: gym.Env[Any, Any]) -> Planner:

@@ -13,6 +13,7 @@ import numpy as np
 import pandas as pd
 from scipy.stats import binom
 
+from agents.rules import POLICIES
 from experiments.analysis import plan as plans
 from experiments.analysis.cells import comparable, is_main, leave_out, unfinished
 from experiments.analysis.claims import claims, price
@@ -23,7 +24,7 @@ from experiments.analysis.gates import THRESHOLDS, gates, learner_checks
 from experiments.analysis.plan import ALPHA, DEFAULT, OUTCOMES, TERMS, Outcome, Plan
 from experiments.analysis.scores import SETTING, arms_of, in_order, with_outcomes
 from experiments.study.design.arms import ARMS, EXTRA_ARMS
-from experiments.study.design.grid import BASELINES, LEARNER
+from experiments.study.design.grid import LEARNER
 from experiments.study.results.store import Results
 from experiments.support.errors import UserError
 from experiments.support.files import canonical_json, sha256_bytes
@@ -210,8 +211,8 @@ def policies(episodes: pd.DataFrame, outcomes: Iterable[str] = OUTCOMES) -> pd.D
     frame = grouped.mean().join(errors).reset_index()
     frame.insert(len(group), "n", grouped.size().to_numpy())
     frame.insert(len(group) + 1, "unit", np.where(frame["arm"] != "", "training seed", "test episode"))
-    own = sorted({*frame["policy"]} - {LEARNER, *BASELINES})
-    ranks = {name: rank for rank, name in enumerate((*ARMS, *EXTRA_ARMS, *BASELINES, *own))}
+    own = sorted({*frame["policy"]} - {LEARNER, *POLICIES})
+    ranks = {name: rank for rank, name in enumerate((*ARMS, *EXTRA_ARMS, *POLICIES, *own))}
     frame["rank"] = frame["arm"].where(frame["arm"] != "", frame["policy"]).map(ranks)
     return (
         in_order(frame, "backend", "task", "level", "rank", "traffic")

@@ -5,12 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from agents.rules import CAUTIONS
+from agents.rules import CAUTIONS, POLICIES
 from experiments.analysis.estimate import mean_of_units, with_intervals
 from experiments.analysis.scores import SETTING
-from experiments.study.design.grid import BASELINES
 
-RULES = {*BASELINES, *CAUTIONS} - {"idm", "random"}  # the careful driver and the constant policies
+RULES = {*POLICIES, *CAUTIONS} - {"idm", "random"}  # the careful driver and the constant policies
 COLUMNS = [*SETTING, "arm", "traffic", "agents", "inside", "estimate", "low", "high"]
 
 

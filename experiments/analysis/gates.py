@@ -114,25 +114,25 @@ def gates(cells: Mapping[str, Mapping[str, Any]], episodes: pd.DataFrame) -> pd.
     }
     keys = pd.DataFrame([cells[name]["key"] for name in tables], index=[*tables], dtype=object)
     references, rows = keys[keys["kind"] != "agent"], []
-    for name, key in keys[keys["kind"] == "agent"].iterrows():
-        traffics = list(gate_traffics(key["arm"]))  # of its training
-        if not {*traffics} <= {*tables[name].index.unique("traffic")}:
-            continue
-        there = references[(references[SETTING] == key[SETTING]).all(axis=1)]
-        own = tables[name].loc[traffics]
+    for (*setting, arm), alike in keys[keys["kind"] == "agent"].groupby([*SETTING, "arm"], sort=False):
+        traffics = list(gate_traffics(arm))  # of their training
+        there = references[(references[SETTING] == setting).all(axis=1)]
         others = {policy: tables[cell].loc[traffics] for cell, policy in there["policy"].items()}
-        record = cells[name].get("learner") or {}
-        found = [
-            _q_bounded(record),
-            _not_constant(own, others),
-            _crosses(key["task"], own, others),
-            _beats_constant(own, others),
-        ]
-        failed = " ".join(gate for gate, passed in zip(GATES, found, strict=True) if passed is False)
-        # of a learner without Q-values, the first has nothing to ask
-        asked = found[1:] if record and "probe_q" not in record else found
-        sound = False if failed else None if None in asked else True
-        rows.append([name, *key[[*SETTING, "arm", "seed"]], sound, failed, *found])
+        for name, seed in alike["seed"].items():
+            if not {*traffics} <= {*tables[name].index.unique("traffic")}:
+                continue
+            own, record = tables[name].loc[traffics], cells[name].get("learner") or {}
+            found = [
+                _q_bounded(record),
+                _not_constant(own, others),
+                _crosses(setting[1], own, others),
+                _beats_constant(own, others),
+            ]
+            failed = " ".join(gate for gate, passed in zip(GATES, found, strict=True) if passed is False)
+            # of a learner without Q-values, the first has nothing to ask
+            asked = found[1:] if record and "probe_q" not in record else found
+            sound = False if failed else None if None in asked else True
+            rows.append([name, *setting, arm, seed, sound, failed, *found])
     frame = pd.DataFrame(rows, columns=["cell", *SETTING, "arm", "seed", "passed", "failed", *GATES])
     return in_order(frame, "backend", "task", "level", "arm", "seed").reset_index(drop=True)
 

@@ -16,9 +16,9 @@ from highway_env.vehicle.kinematics import Vehicle
 
 from sumo_env.replica.linear import LinearDriver
 from sumo_env.scene import VEHICLE_LENGTH
+from sumo_env.traffic.risk import SWERVE_TIME
 from sumo_env.traffic.scenario import VehicleSpec
 
-SWERVE_TIME = 3.0  # [s] that a cut-in into oncoming traffic lasts
 ALMOST = 1e-9  # [s] rounding of sums of steps
 
 

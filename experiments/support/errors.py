@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from sumo_env.config import did_you_mean
+from agents import plugins
 
 USAGE = 2  # exit status: the call or the directory has to be put right first
 INTERRUPTED = 130  # exit status after Ctrl-C, as a shell has it
@@ -24,16 +24,17 @@ class UserError(Exception):
 
 
 def unknown(kind: str, word: object, known: Iterable[object]) -> UserError:
-    """The error for a name that does not exist, with the nearest known one.
+    """The error for a name that does not exist, see `agents.plugins.unknown`."""
+    return UserError(str(plugins.unknown(kind, str(word), map(str, known))))
 
-    Args:
-        kind: what was asked for ("task", "preset", ...).
-        word: what the user wrote.
-        known: all that could have been meant.
-    """
-    names = [str(name) for name in known]
-    hint = did_you_mean(str(word).lower(), names)
-    return UserError(f"unknown {kind} {str(word)!r}: {hint}{' ' if hint else ''}known are {', '.join(names)}")
+
+@contextmanager
+def in_words(errors: tuple[type[Exception], ...] = (ValueError,)) -> Iterator[None]:
+    """Make a UserError of a ValueError, which says what is wrong with a name or a value, or of other errors."""
+    try:
+        yield
+    except errors as error:
+        raise UserError(str(error)) from None
 
 
 def disk_error(error: OSError, directory: object) -> UserError:

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field
+from contextlib import closing
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +32,7 @@ from experiments.study.results.working import LOG
 from experiments.support.errors import UserError
 from experiments.support.files import canonical_json, sha256_bytes, write_file
 from sumo_env.contacts.measures import DENSITY_RADIUS, headways
+from sumo_env.networks.lanes import WIDTH
 from sumo_env.networks.roads import LaneIndex, Road
 from sumo_env.scene import Scene
 from sumo_env.tasks import TASKS
@@ -46,7 +48,6 @@ BIN = 0.25  # [s] of the headway histogram
 BINS = 40  # the last one holds everything beyond 9.75 s
 HEADWAYS = [f"headway_{k:02d}" for k in range(BINS)]  # columns: observations in each bin
 SIZE = 25  # scenarios in a part
-LANE_WIDTH = 4.0  # [m]
 # Columns of the table of episodes, with their types.
 COLUMNS: dict[str, str] = {
     "task": "str",
@@ -123,7 +124,7 @@ def _lane(scene: Scene, row: int, task: str, road: Road, lanes: Mapping[str, Lan
     """The lane of a vehicle, which was on one of `lanes` a step before."""
     x, y = scene.x.item(row), scene.y.item(row)
     if task == "highway":
-        return ("0", "1", min(max(round(y / LANE_WIDTH), 0), road.count("0", "1") - 1))
+        return ("0", "1", min(max(round(y / WIDTH), 0), road.count("0", "1") - 1))
     known = lanes.get(scene.ids[row])
     if known is not None and road.lane(known).on_lane(x, y):  # nearly always, and quickly told
         return known
@@ -154,16 +155,21 @@ class Engine:
 
 @dataclass(frozen=True)
 class Part:
-    """The episodes of some scenarios of a level and traffic, by all egos of an engine."""
+    """The episodes of some scenarios of a level and traffic, by all egos of an engine (a `run.Task`).
+
+    directory: the folder of all parts.
+    """
 
     engine: Engine
     task: str
     level: int
     traffic: str
     scenarios: range
+    directory: Path = Path()
+    silence: float = 900.0  # [s]
 
     @property
-    def file(self) -> str:
+    def name(self) -> str:
         """Path of its table within the folder of all parts."""
         first, last = self.scenarios[0], self.scenarios[-1]
         return f"{self.engine.folder(self.task)}/{self.level}-{self.traffic}-{first:03d}-{last:03d}.parquet"
@@ -181,6 +187,21 @@ class Part:
     def _is_drawn(self, scenario: int, ego: str) -> bool:
         drawn = stream_seed("recomputed episode", self.task, self.level, self.traffic, scenario, ego)
         return drawn % self.engine.one_in == 0
+
+    @property
+    def folder(self) -> Path:
+        """Its working folder."""
+        return self.directory / "work" / self.name
+
+    def done(self) -> bool:
+        """Whether it is stored."""
+        return (self.directory / self.name).exists()
+
+    def compute(self, heartbeat: runner.Heartbeat) -> None:
+        """Drive all episodes and write the table as a parquet file."""
+        path = self.directory / self.name
+        path.parent.mkdir(parents=True, exist_ok=True)
+        write_file(path, self.drive(heartbeat).to_parquet(index=False, compression="zstd"))
 
     def drive(self, heartbeat: Callable[[float], None] = lambda _: None) -> pd.DataFrame:
         """Drive all episodes in this process, telling `heartbeat` the share that is done: a row of COLUMNS for each."""
@@ -212,35 +233,6 @@ class Part:
         }
 
 
-@dataclass(frozen=True)
-class PartTask:
-    """A part that is driven and stored below a directory (a `run.Task`)."""
-
-    part: Part
-    directory: Path
-    silence: float = 900.0  # [s]
-
-    @property
-    def name(self) -> str:
-        """Name of its file."""
-        return self.part.file
-
-    @property
-    def folder(self) -> Path:
-        """Its working folder."""
-        return self.directory / "work" / self.name
-
-    def done(self) -> bool:
-        """Whether it is stored."""
-        return (self.directory / self.name).exists()
-
-    def compute(self, heartbeat: runner.Heartbeat) -> None:
-        """Drive all episodes and write the table as a parquet file."""
-        path = self.directory / self.name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        write_file(path, self.part.drive(heartbeat).to_parquet(index=False, compression="zstd"))
-
-
 def plan(
     engines: Iterable[Engine],
     levels: Mapping[str, Sequence[int]],
@@ -263,11 +255,8 @@ def plan(
     ]
 
 
-def run(parts: Sequence[Part], directory: Path, workers: int, show: bool = False) -> pd.DataFrame:
+def run(parts: Sequence[Part], directory: Path, workers: int) -> pd.DataFrame:
     """Drive the parts whose files are not there yet, in processes, and return the table of all episodes.
-
-    Args:
-        show: whether progress is shown.
 
     Returns:
         COLUMNS, and the name of the engine as the column ``engine``.
@@ -275,18 +264,14 @@ def run(parts: Sequence[Part], directory: Path, workers: int, show: bool = False
     Raises:
         UserError: a part failed. What is finished stays, and the same call goes on from there.
     """
-    tasks = [PartTask(part, directory) for part in parts]
+    tasks = [replace(part, directory=directory) for part in parts]
     there = [task.name for task in tasks if task.done()]
-    sizes = {task.name: float(len(task.part.episodes())) for task in tasks}
-    progress = ProgressDisplay(directory / "work", sizes, there, "parts") if show else None
     missing = [task for task in tasks if task.name not in there]
-    try:
+    sizes = {task.name: float(len(task.episodes())) for task in tasks}
+    with closing(ProgressDisplay(directory / "work", sizes, there, "parts")) as progress:
         failures = runner.run(missing, LocalExecutor(workers), workers, progress)
-    finally:
-        if progress:
-            progress.close()
     for name, reason in failures.items():
         log = directory / "work" / name / LOG
         raise UserError(f"{name} failed: {reason}; see {log}, and run the same command again to go on")
-    tables = [pd.read_parquet(directory / part.file).assign(engine=part.engine.name) for part in parts]
+    tables = [pd.read_parquet(directory / task.name).assign(engine=task.engine.name) for task in tasks]
     return pd.concat(tables, ignore_index=True)

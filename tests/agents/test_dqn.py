@@ -68,8 +68,7 @@ def test_updates_are_those_of_the_algorithm_written_in_the_usual_way(interval: i
         if (update + 1) % interval == 0:
             moved = (1 - tau) * torch.from_numpy(weights(target)) + tau * torch.from_numpy(weights(online))
             nn.utils.vector_to_parameters(moved, target.parameters())
-        agent.update()
-        assert agent.loss == pytest.approx(loss.item(), rel=1e-4)
+        assert agent.update().item() == pytest.approx(loss.item(), rel=1e-4)
     np.testing.assert_allclose(weights(agent.online), weights(online), atol=1e-5)
     np.testing.assert_allclose(weights(agent.target), weights(target), atol=1e-5)
     assert np.abs(weights(agent.online) - weights(make(config, seed=1).online)).max() > 1e-3
@@ -104,8 +103,7 @@ def test_the_first_update_is_that_of_stable_baselines3() -> None:
     model.replay_buffer.sample = lambda *_, **__: samples
     before = weights(agent.online)
     model.train(gradient_steps=1, batch_size=64)
-    agent.update()
-    assert agent.loss < 0.5  # within the square part of smooth L1
+    assert agent.update() < 0.5  # within the square part of smooth L1
     np.testing.assert_allclose(weights(agent.online), weights(model.q_net.q_net), atol=2e-6)
     assert np.abs(weights(agent.online) - before).max() > 4e-4
 

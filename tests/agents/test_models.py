@@ -115,7 +115,7 @@ def test_a_network_that_there_is_not_is_refused(tmp_path: Path) -> None:
     for name, message in (
         (f"{tmp_path}/mine.py:Other", "defines no Other"),
         (f"{tmp_path}/none.py:Mine", "no file"),
-        ("transformer", "choose attention, dueling or FILE:CLASS"),
+        ("transformer", "known are attention, dueling, FILE:NAME"),
         (f"{tmp_path}/wrong.py:Mine", "cannot be run: ZeroDivisionError"),
     ):
         with pytest.raises(ValueError, match=message):

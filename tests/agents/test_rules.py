@@ -59,7 +59,7 @@ def test_the_random_policy_is_uniform_and_repeats_with_its_seed() -> None:
 
 
 def test_unknown_names_and_missing_actions_are_refused() -> None:
-    with pytest.raises(ValueError, match=f"choose one of {', '.join(POLICIES)}"):
+    with pytest.raises(ValueError, match=f"known are {', '.join(POLICIES)}"):
         make_policy("brave", road())
     with pytest.raises(ValueError, match="needs the action FASTER"):
         make_policy("faster", road({0: "IDLE", 1: "SLOWER"}))

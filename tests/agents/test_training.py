@@ -193,7 +193,7 @@ def test_wrong_arguments_are_refused() -> None:
         train(gym.make("Pendulum-v1"), SMALL, 0)
     with pytest.raises(ValueError, match="checkpoint_interval"):
         train(road(), SMALL, 0, checkpoint_interval=0)
-    with pytest.raises(ValueError, match="Unknown network"):
+    with pytest.raises(ValueError, match="unknown network"):
         train(road(), replace(SMALL, network="none"), 0)
 
 

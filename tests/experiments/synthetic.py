@@ -14,9 +14,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from agents.rules import POLICIES
 from experiments.study.compute.evaluate import COLUMNS
 from experiments.study.design import grid
-from experiments.study.design.arms import ARMS, gate_traffics
+from experiments.study.design.arms import ARMS, EVERY_ARM, gate_traffics
 from experiments.study.design.experiment import Experiment
 from experiments.study.design.traffic import AT_A_DOSE, TRAFFICS
 from experiments.study.results.store import EPISODES, GATES, Store
@@ -53,7 +54,8 @@ def episodes(cell: grid.Cell, effect: float, spread: float, purpose: str = "test
         luck = generator(cell.task, cell.level, traffic, purpose).uniform(size=n)  # of all who are tested
         dose = AT_A_DOSE[traffic]
         chance = chance_to_crash + 0.05 * (cell.level - 1) + own + 0.15 * dose
-        chance += effect * cell.risk * dose + PENALTY * (cell.arm == "penalty")
+        risk = EVERY_ARM[cell.arm].traffic.dose if cell.arm else 0.0
+        chance += effect * risk * dose + PENALTY * (cell.arm == "penalty")
         crashed = luck + random.uniform(-0.3, 0.3, n) < chance
         length = np.where(crashed, random.integers(2, steps, n), steps)
         # Columns that are not set stay missing, as those of a crash where there is none; before there was `actions`.
@@ -97,7 +99,7 @@ def write(
     levels: Mapping[str, Sequence[int]],
     tests: int = 20,
     arms: Sequence[str] = ("control", "treatment"),
-    baselines: Sequence[str] = grid.BASELINES,
+    baselines: Sequence[str] = POLICIES,
     effect: float = -0.1,
     spread: float = 0.03,
     diverged: str = "",

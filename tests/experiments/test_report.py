@@ -23,7 +23,7 @@ from experiments.study.design.verdict import SCHEMA
 from experiments.study.results.store import load
 from experiments.support.errors import UserError
 from tests.experiments import synthetic
-from tests.processes import python
+from tests.processes import python_again
 
 VOID = {"meta", "br", "link", "hr", "img", "input"}
 
@@ -234,7 +234,7 @@ class TestCommand:
         assert (directory / "report.html").stat().st_mtime_ns == written
 
     def test_works_from_anywhere(self, directory, tmp_path):
-        printed = python(report.__file__, directory, cwd=tmp_path)
+        printed = python_again(report.__file__, directory, cwd=tmp_path)
         assert str(directory / "report.html") in printed
         text = (directory / "report.md").read_text().replace("**", "")
         assert text.partition("\n\n")[2].startswith(printed[:200])

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.processes import ROOT, ended, python
+from tests.processes import ROOT, ended, python, python_again
 
 PRELUDE = "import tests.experiments.ramp as ramp\n"
 COMMANDS = sorted(
@@ -28,7 +28,7 @@ for command in {commands}:
 
 def called(*commands: str, arguments: tuple[str, ...]) -> str:
     """What commands print, in one process."""
-    return python("-c", PRELUDE + CALL.format(commands=commands, arguments=arguments))
+    return python_again("-c", PRELUDE + CALL.format(commands=commands, arguments=arguments))
 
 
 def test_every_command_starts() -> None:
@@ -77,7 +77,7 @@ print("as they were")
 
 
 def test_published_hashes_claims_and_names_do_not_move() -> None:
-    assert "as they were" in python("-c", PRELUDE + UNMOVED)
+    assert "as they were" in python_again("-c", PRELUDE + UNMOVED)
 
 
 LACKING = """
@@ -92,7 +92,7 @@ for asked in ({"backend": "replica"}, {"test_on": ("highway-env",)}):
 
 
 def test_a_backend_that_lacks_it_says_so() -> None:
-    said = python("-c", PRELUDE + LACKING).splitlines()
+    said = python_again("-c", PRELUDE + LACKING).splitlines()
     lacks = "the backend {} has no task on-ramp: it has highway, two-way, roundabout, intersection, u-turn"
     assert said == [lacks.format("replica"), lacks.format("highway-env")]
 

@@ -29,7 +29,7 @@ from experiments.support.errors import UserError
 from experiments.sweep import Options, cells_of, sweep
 from tests.experiments.computed import TINY, compute, fingerprint, tasks_of
 from tests.experiments.fake_env import make_env
-from tests.processes import ROOT, children, is_alive, python, started, wait_for
+from tests.processes import ROOT, children, is_alive, python, python_again, started, wait_for
 
 
 @pytest.fixture(autouse=True, scope="module")
@@ -152,7 +152,7 @@ def command(directory: Path, **options) -> tuple[object, ...]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize("victim", ["worker", "sweep"])
-def test_what_is_killed_goes_on_where_it_was(reference, tmp_path, victim):
+def test_what_is_killed_goes_on_where_it_was(reference, tmp_path, victim, here):
     directory = tmp_path / "results"
     process = started(*command(directory))
     wait_for(lambda: len(list(directory.glob("work/*/lock"))) == 2, 300)  # both workers compute
@@ -301,7 +301,9 @@ def test_a_damaged_cell_is_named_put_aside_and_computed_again(reference, tmp_pat
 
 def test_the_command_works_from_any_directory(tmp_path):
     arguments = ("--preset", "paper", "--dry-run", "--tasks", "highway,u-turn")
-    assert "140 agents and 42 baselines" in python(ROOT / "experiments/sweep.py", *arguments, cwd=tmp_path)
+    assert "140 agents and 42 baselines" in python_again(
+        ROOT / "experiments/sweep.py", *arguments, cwd=tmp_path
+    )
     assert not list(tmp_path.iterdir())
 
 

@@ -36,9 +36,15 @@ def moved(fault: Fault) -> list[str]:
 
 def copy_tree(target: Path) -> None:
     """Copy the tree; the published results are only linked."""
-    shutil.copytree(
-        ROOT, target, symlinks=True, ignore=shutil.ignore_patterns(".*", "results", "__pycache__")
-    )
+
+    def left_out(folder: str, names: list[str]) -> set[str]:
+        return {
+            name
+            for name in names
+            if name.startswith(".") or name == "__pycache__" or Path(folder, name) == ROOT / "results"
+        }
+
+    shutil.copytree(ROOT, target, symlinks=True, ignore=left_out)
     (target / "results").symlink_to(ROOT / "results")
 
 

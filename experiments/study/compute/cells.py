@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Sequence
+from contextlib import closing
 from pathlib import Path
 
 from experiments import backends
@@ -37,15 +38,13 @@ def compute(
     # highway-env's tasks change class attributes of each other
     simulators = {name for cell in cells for name in (cell.backend, cell.runs_on)}
     per_process = 1 if "highway-env" in simulators else TASKS_PER_PROCESS
-    progress = ProgressDisplay(store.work, {cell.name: seconds(cell) for cell in cells}, there)
+    sizes = {cell.name: seconds(cell) for cell in cells}
     failures: dict[str, str] = {}
-    try:
+    with closing(ProgressDisplay(store.work, sizes, there)) as progress:
         for kinds in (("agent", "baseline"), ("test",)):  # agents are tested elsewhere once all are trained
             batch = [task for name, task in tasks.items() if name not in there and task.cell.kind in kinds]
             if kinds == ("test",):
                 batch = [task for task in batch if store.weights(task.cell.parent.name)]
             if batch:
                 failures |= run(batch, *open_executor(executor, workers, directory, per_process), progress)
-    finally:
-        progress.close()
     return failures

@@ -15,21 +15,19 @@ from agents.rules import make_policy
 from experiments.study.compute.wrappers import observed
 from experiments.study.design.grid import learner_of
 from experiments.study.design.rules import TrainingRules
-from experiments.support.errors import UserError
+from experiments.support.errors import UserError, in_words
 
 
 def check(source: str, profile: Mapping[str, Any]) -> None:
-    """Raise UserError unless the user's file is the one that the cell was named by."""
-    try:
-        _, digits = foreign(source)
-    except ValueError as error:
-        raise UserError(str(error)) from None
+    """Raise UserError unless the user's file is the one that the cell was named by, ValueError without a file."""
+    _, digits = foreign(source)
     if digits not in (profile.get(f"{part}_sha256") for part in ("learner", "network", "policy")):
         raise UserError(
             f"{source} is not the file of the cell, or has changed since: its SHA-256 is another one"
         )
 
 
+@in_words((ValueError, CheckpointError))
 def driver(
     key: Mapping[str, Any], source: str | None, env: gym.Env[Any, Any], weights: Path | None = None
 ) -> tuple[gym.Env[Any, Any], Policy]:
@@ -44,11 +42,8 @@ def driver(
     """
     if source is not None:
         check(source, key["profile"])
-    try:
-        if weights is None:
-            return env, foreign_policy(source, env) if source else make_policy(key["policy"], env)
-        env = observed(env, TrainingRules.of(key["profile"]))
-        learner, settings = learner_of(key, source)
-        return env, learner.load(weights, settings, env)
-    except (ValueError, CheckpointError) as error:
-        raise UserError(str(error)) from None
+    if weights is None:
+        return env, foreign_policy(source, env) if source else make_policy(key["policy"], env)
+    env = observed(env, TrainingRules.of(key["profile"]))
+    learner, settings = learner_of(key, source)
+    return env, learner.load(weights, settings, env)

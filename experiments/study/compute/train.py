@@ -19,7 +19,7 @@ from experiments.study.compute.policies import check
 from experiments.study.compute.wrappers import TrainingEnv, observed
 from experiments.study.design.arms import EVERY_ARM, training_seed
 from experiments.study.design.grid import Cell, learner_of
-from experiments.support.errors import UserError
+from experiments.support.errors import UserError, in_words
 
 CHECKPOINT = "checkpoint.npz"
 CURVE = 20  # parts of a learning curve
@@ -45,23 +45,20 @@ def train_cell(
         OSError: the checkpoint cannot be written.
     """
     learner, settings = learner_of(cell.key(), cell.source)
-    if cell.source is not None:
-        check(cell.source, cell.profile)
     seed = training_seed(cell.task, cell.level, cell.seed or 0)
-    with ExitStack() as opened:
-        try:
-            for name, digits in files_of(settings).items():
-                if digits != cell.profile[f"{name}_sha256"]:
-                    raise ValueError(f"the file of the setting {name} has changed: run the sweep again")
-            trained = learner.train(
-                partial(environments, cell, make_env, seed, opened),
-                settings,
-                seed,
-                checkpoint=directory / CHECKPOINT,
-                progress=progress,
-            )
-        except ValueError as error:
-            raise UserError(str(error)) from None
+    with ExitStack() as opened, in_words():
+        if cell.source is not None:
+            check(cell.source, cell.profile)
+        for name, digits in files_of(settings).items():
+            if digits != cell.profile[f"{name}_sha256"]:
+                raise UserError(f"the file of the setting {name} has changed: run the sweep again")
+        trained = learner.train(
+            partial(environments, cell, make_env, seed, opened),
+            settings,
+            seed,
+            checkpoint=directory / CHECKPOINT,
+            progress=progress,
+        )
     episodes = pd.DataFrame(trained.episodes)
     traffic = EVERY_ARM[str(cell.arm)].traffic
     if traffic.drawn:
@@ -117,11 +114,9 @@ def learning_curve(episodes: Mapping[str, Any]) -> dict[str, list[Any]]:
     steps = np.asarray(episodes["step"])
     edges = np.linspace(0, steps[-1] if len(steps) else 0, CURVE + 1)
     part = np.clip(np.searchsorted(edges, steps) - 1, 0, CURVE - 1)
-
-    def mean(name: str) -> list[float | None]:
-        values = np.asarray(episodes[name], dtype=float)
-        return [
-            round(float(values[part == k].mean()), 6) if (part == k).any() else None for k in range(CURVE)
-        ]
-
-    return {"step": edges[1:].round().tolist(), "return": mean("return"), "crashed": mean("crashed")}
+    curve = pd.DataFrame({name: episodes[name] for name in ("return", "crashed")}, dtype=float)
+    curve = curve.groupby(part).mean().reindex(range(CURVE)).round(6)
+    return {
+        "step": edges[1:].round().tolist(),
+        **curve.astype(object).where(curve.notna(), None).to_dict("list"),
+    }

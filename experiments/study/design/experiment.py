@@ -12,12 +12,11 @@ from typing import Annotated, Any
 import tyro
 
 from agents.plugins import foreign
-from agents.rules import CAUTIONS
+from agents.rules import CAUTIONS, POLICIES
 from experiments.backends import BACKENDS
 from experiments.study.design.arms import ARMS, DOSE_ARMS, EVERY_ARM
 from experiments.study.design.fingerprint import dynamics
 from experiments.study.design.grid import (
-    BASELINES,
     LEARNER,
     Cell,
     choose_levels,
@@ -28,7 +27,7 @@ from experiments.study.design.grid import (
 from experiments.study.design.rules import RULES, TrainingRules
 from experiments.study.design.sheet import GRID
 from experiments.study.design.traffic import BETWEEN, TRAFFICS, unseen_traffics
-from experiments.support.errors import UserError, unknown
+from experiments.support.errors import UserError, in_words, unknown
 
 TRANSFER_EPISODES = {"highway-env": 20}  # in each traffic on another simulator at most: it is slow
 Dynamics = Callable[[str, str], str]
@@ -97,6 +96,7 @@ class Experiment:
     first_seed: Annotated[int, *PRESETS_ALONE] = 0
     first_scenario: Annotated[int, *PRESETS_ALONE] = 0
 
+    @in_words()
     def cells(self, dynamics: Dynamics = dynamics) -> list[Cell]:
         """All of its cells: on each task and level the agents, their further tests, and the baselines.
 
@@ -112,8 +112,8 @@ class Experiment:
                 raise unknown("backend", name, BACKENDS)
         tasks = choose_tasks(self.tasks or tuple(GRID))
         levels = choose_levels(tasks, self.levels or None)
-        policies = {label: (source, digits) for source in self.policy for label, digits in [_foreign(source)]}
-        drivers = dict.fromkeys((*BASELINES, *(CAUTIONS if self.frontier else ())))
+        policies = {label: (source, digits) for source in self.policy for label, digits in [foreign(source)]}
+        drivers = dict.fromkeys((*POLICIES, *(CAUTIONS if self.frontier else ())))
         cells: list[Cell] = []
         for task, level in ((task, level) for task, numbers in levels.items() for level in numbers):
             common = self._common(task, level, dynamics)
@@ -198,8 +198,7 @@ class Experiment:
     def profile(self, task: str) -> dict[str, Any]:
         """Every setting of the learner on a task and the rules of its training, as plain values.
 
-        Raises:
-            UserError: a name that there is not, or a value that makes no sense.
+        Raises ValueError for a name that there is not, or a value that makes no sense.
         """
         from agents.dqn import DQNConfig  # here: not every command needs the learner
         from agents.learner import files_of, settings_of
@@ -214,22 +213,19 @@ class Experiment:
             rules = replace(rules, crash_reward=self.crash_reward)
         asked = {"updates": self.updates, "network": self.network}
         files = {}
-        try:
-            if self.learner != LEARNER:  # of the preset's settings, the number of steps is everybody's
-                said = {"steps": settings_of(DQNConfig, said, f"the learner {LEARNER}").steps}
-            said |= {name: value for name, value in asked.items() if value is not None}
-            said |= _assignments(self.settings, "--settings", "gamma=0.9")
-            if self._own_network:
-                said["network"], files["network_sha256"] = _foreign(self._own_network)
-            if self._own_learner:
-                files["learner_sha256"] = self._own_learner[1]
-            chosen = learner(self.learner)
-            settings = settings_of(chosen.Settings, said, f"the learner {self.learner}")
-            if not self._own_network and hasattr(settings, "network"):
-                network_class(settings.network)
-            files |= {f"{name}_sha256": digits for name, digits in files_of(settings).items()}
-        except ValueError as error:
-            raise UserError(str(error)) from None
+        if self.learner != LEARNER:  # of the preset's settings, the number of steps is everybody's
+            said = {"steps": settings_of(DQNConfig, said, f"the learner {LEARNER}").steps}
+        said |= {name: value for name, value in asked.items() if value is not None}
+        said |= _assignments(self.settings, "--settings", "gamma=0.9")
+        if self._own_network:
+            said["network"], files["network_sha256"] = foreign(self._own_network)
+        if self._own_learner:
+            files["learner_sha256"] = self._own_learner[1]
+        chosen = learner(self.learner)
+        settings = settings_of(chosen.Settings, said, f"the learner {self.learner}")
+        if not self._own_network and hasattr(settings, "network"):
+            network_class(settings.network)
+        files |= {f"{name}_sha256": digits for name, digits in files_of(settings).items()}
         values = {k: str(v) if isinstance(v, Path) else v for k, v in asdict(settings).items()}
         return {**values, **rules.entries(), **files}
 
@@ -241,20 +237,12 @@ class Experiment:
     @property
     def _own_learner(self) -> tuple[str, str] | None:
         """Label and fingerprint of a learner of the user's own."""
-        return _foreign(self.learner) if ":" in self.learner else None
+        return foreign(self.learner) if ":" in self.learner else None
 
     @property
     def _changes(self) -> dict[str, Any]:
         """Of config=("collision_reward=-2", "risk_law=linear")."""
         return _assignments(self.config, "--config", "collision_reward=-2")
-
-
-def _foreign(name: str) -> tuple[str, str]:
-    """Label and fingerprint of a user's file, see `agents.plugins.foreign`. Raises UserError where there is none."""
-    try:
-        return foreign(name)
-    except ValueError as error:
-        raise UserError(str(error)) from None
 
 
 def _assignments(texts: Sequence[str], option: str, example: str) -> dict[str, Any]:

@@ -13,22 +13,20 @@ from dataclasses import dataclass, fields, replace
 from functools import cache
 from typing import TYPE_CHECKING, Any
 
-from agents.rules import POLICIES
 from experiments.backends import SIMULATORS
-from experiments.study.design.arms import EVERY_ARM, gate_traffics
+from experiments.study.design.arms import gate_traffics
 from experiments.study.design.rules import TrainingRules
 from experiments.study.design.sheet import sheet
 from experiments.study.design.traffic import BETWEEN, TRAFFICS
-from experiments.support.errors import UserError, unknown
+from experiments.support.errors import UserError, in_words, unknown
 from experiments.support.files import canonical_json, sha256_bytes
-from sumo_env.config import ConfigError, resolve
+from sumo_env.config import resolve
 from sumo_env.tasks import TASKS
 
 if TYPE_CHECKING:
     from agents.learner import Learner
 
 RESULT_SCHEMA = 4  # raise it with every change that makes stored results mean, or be, something else
-BASELINES = POLICIES
 LEARNER = "dqn"  # of the published studies
 # highway-env's own time step, and drivers that see along their path (see `backends.highway_env`).
 HIGHWAY_ENV = {"simulation_frequency": 15, "variant": "path"}
@@ -113,11 +111,6 @@ class Cell:
         return slug(self.key())
 
     @property
-    def risk(self) -> float:
-        """Dose of risk in the cell's training traffic (0 for baselines)."""
-        return EVERY_ARM[self.arm].traffic.dose if self.arm else 0.0
-
-    @property
     def rules(self) -> TrainingRules:
         """The rules of its training."""
         return TrainingRules.of(self.profile)
@@ -152,6 +145,7 @@ class Cell:
         return len(self.tested["traffics"]) * int(self.tested["episodes"]) + gates
 
 
+@in_words()
 def learner_of(key: Mapping[str, Any], source: str | None) -> tuple[Learner, Any]:
     """The learner of an agent's cell, and its settings.
 
@@ -177,10 +171,7 @@ def learner_of(key: Mapping[str, Any], source: str | None) -> tuple[Learner, Any
         return source
 
     profile = key["profile"]
-    try:
-        found = learner(here(key["policy"]))
-    except ValueError as error:
-        raise UserError(str(error)) from None
+    found = learner(here(key["policy"]))
     names = {field.name for field in fields(found.Settings)}
     values = {name: value for name, value in profile.items() if name in names}
     if "network" in values:
@@ -260,7 +251,7 @@ def env_config(
     Defaults are written out, so that a changed default makes other cells. changes: keys that are set to other values.
 
     Raises:
-        UserError: an unknown key or a wrong value.
+        UserError: a key of another backend, or that cannot be set. ConfigError: an unknown key or a wrong value.
     """
     names = level_names(task)
     common = dict(changes or {})
@@ -271,10 +262,7 @@ def env_config(
         raise UserError(
             f"{', '.join(sorted(free))} cannot be set for an experiment: it is drawn or has no meaning there"
         )
-    try:
-        config = resolve(task, TASKS[task].defaults, TASKS[task].levels[names[level - 1]], IN_NAMES, common)
-    except ConfigError as error:
-        raise UserError(str(error)) from None
+    config = resolve(task, TASKS[task].defaults, TASKS[task].levels[names[level - 1]], IN_NAMES, common)
     config = {name: value for name, value in config.items() if name not in FREE}
     return {**config, **({} if backend == "sumo" else HIGHWAY_ENV), **own}
 

@@ -11,6 +11,7 @@ import pandas as pd
 import pytest
 from scipy import stats
 
+from agents.rules import POLICIES
 from experiments.analysis.analysis import Analysis, analyse
 from experiments.analysis.cells import comparable
 from experiments.analysis.claims import claims
@@ -29,7 +30,6 @@ from experiments.analysis.plan import (
     Plan,
     as_data,
 )
-from experiments.study.design.grid import BASELINES
 from experiments.study.design.sheet import SHEETS
 from experiments.study.results.store import Results, load
 from experiments.support.files import canonical_json, sha256_bytes
@@ -290,7 +290,7 @@ def test_baselines_of_another_test_are_left_out(tmp_path: Any) -> None:
     synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=2, tests=10, arms=())
     synthetic.write(tmp_path, {"u-turn": (1,)}, seeds=2, tests=20, baselines=())
     _, left_out = comparable(load(tmp_path))
-    assert len(left_out) == len(BASELINES)
+    assert len(left_out) == len(POLICIES)
     assert all("episodes 10 instead of 20" in reason for reason in left_out.values())
 
 

@@ -33,7 +33,7 @@ def test_plan_leaves_out_what_cannot_differ() -> None:
     driven = {(p.engine.name, p.task) for p in planned}
     assert driven == {("path", "highway"), ("path", "u-turn"), ("v0", "u-turn")}
     assert sorted({p.scenarios for p in planned}, key=min) == [range(10), range(10, 20), range(20, 25)]
-    assert len({p.file for p in planned}) == len(planned)
+    assert len({p.name for p in planned}) == len(planned)
 
 
 def test_other_dynamics_or_settings_are_other_files(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -45,10 +45,10 @@ def test_other_dynamics_or_settings_are_other_files(monkeypatch: pytest.MonkeyPa
         Engine("sumo", "sumo", one_in=2),
         Engine("sumo", "replica"),
     ]
-    files = {Part(engine, "u-turn", 1, "regular", range(3)).file for engine in [SUMO, *others]}
+    files = {Part(engine, "u-turn", 1, "regular", range(3)).name for engine in [SUMO, *others]}
     assert len(files) == 1 + len(others)
     monkeypatch.setattr(episodes, "dynamics", lambda *_: "other")
-    assert Part(SUMO, "u-turn", 1, "regular", range(3)).file not in files
+    assert Part(SUMO, "u-turn", 1, "regular", range(3)).name not in files
 
 
 def test_episodes_are_measured() -> None:
@@ -79,6 +79,6 @@ def test_settings_of_drivers_and_risk_reach_the_simulator() -> None:
 def test_what_is_there_is_not_driven_again(tmp_path: Path) -> None:
     planned = plan([Engine("sumo", "sumo", egos=("idle",))], {"u-turn": [1]}, ["regular"], range(4), 2)
     run(planned[:1], tmp_path, 1)
-    written = (tmp_path / planned[0].file).stat().st_mtime_ns
+    written = (tmp_path / planned[0].name).stat().st_mtime_ns
     assert run(planned, tmp_path, 2)["scenario"].tolist() == [0, 1, 2, 3]
-    assert (tmp_path / planned[0].file).stat().st_mtime_ns == written
+    assert (tmp_path / planned[0].name).stat().st_mtime_ns == written

@@ -11,9 +11,8 @@ import highway_env  # noqa: F401  (registers its environments)
 import numpy as np
 import pytest
 
-from agents.rules import make_policy
+from agents.rules import POLICIES, make_policy
 from experiments.backends import make_env
-from experiments.study.design.grid import BASELINES
 from sumo_env.tasks import TASKS
 from tests.sumo_env.rollout import leaves
 
@@ -41,7 +40,7 @@ def cases(task: str, count: int, seed: int = 0) -> list[Case]:
     """This many episodes, spread evenly over variants, levels, doses of risk and egos."""
     joined = task not in ("highway", "two-way")  # the variants differ at the ends of lanes alone
     variants = ("path", "connected", "v0") if joined else ("path",)
-    every = list(product(variants, TASKS[task].levels, (0.0, 1.0), BASELINES))
+    every = list(product(variants, TASKS[task].levels, (0.0, 1.0), POLICIES))
     order = np.random.default_rng(seed).permutation(len(every)).tolist()
     chosen = [every[order[k % len(every)]] for k in range(count)]
     return [

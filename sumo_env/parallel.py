@@ -53,15 +53,12 @@ class FleetTask(NetworkTask):
                 "learning cars are either vehicles=[ids of the files] or vehicle_type='a type of the files' with "
                 "max_cars, at most how many there are in an episode"
             )
-        self.vehicles, self.vehicle_type, self.max_cars = (
-            tuple(vehicles),
-            vehicle_type,
-            max_cars or len(vehicles),
-        )
+        self.ids, self.vehicle_type = tuple(vehicles), vehicle_type
+        self.max_cars = max_cars or len(vehicles)
         super().__init__(network, routes, additional=additional)
-        for vehicle in self.vehicles:
+        for vehicle in self.ids:
             self._contents.check_vehicle(vehicle)
-        self.ego_id = self.vehicles[0] if self.vehicles else self.ego_id
+        self.ego_id = self.ids[0] if self.ids else self.ego_id
 
     def _take_ego(self, *arguments: Any) -> tuple[Origin, ...]:
         return (Origin(),)
@@ -224,4 +221,4 @@ def parallel_env(
         made: DrivingEnv = make(env, config, render_mode, **keywords)
         return made
 
-    return ParallelDrivingEnv(Cars(one, given.config, given.count, render_mode), render_mode, remove_crashed)
+    return ParallelDrivingEnv(Cars(one, given.config, given.cars, render_mode), render_mode, remove_crashed)

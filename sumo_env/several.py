@@ -29,7 +29,7 @@ class Asked(NamedTuple):
     """What a configuration of several learning cars says."""
 
     config: Config  # of each car
-    count: int  # of cars
+    cars: int
     shared: dict[str, bool]  # whether actions, and observations, are tuples
 
 
@@ -134,7 +134,7 @@ class Cars:
 
     def _let_see(self, env: DrivingEnv, name: str) -> None:
         """Show the environment of a car the simulator's state, where it reads more than scenes."""
-        simulator = self.first._simulator
+        simulator: Any = self.first._simulator
         if env is not self.first and hasattr(simulator, "seen_by"):
             vars(env)["replica"] = simulator.seen_by(name)
 
@@ -164,7 +164,7 @@ class TupleEnv(gym.Env[Any, Any]):
                 "several learning cars need the action type 'MultiAgentAction' with an 'action_config', whose actions "
                 "are tuples; sumo_env.parallel_env makes PettingZoo's environments (docs/several-cars.md)"
             )
-        self.cars = Cars(make, given.config, given.count, render_mode)
+        self.cars = Cars(make, given.config, given.cars, render_mode)
         self.render_mode, self._sees_all, self._per_car = render_mode, given.shared["observation"], per_car
         self._set_spaces()
 
@@ -195,7 +195,7 @@ class TupleEnv(gym.Env[Any, Any]):
         given, count = dict(options or {}), len(self.cars.envs)
         if "config" in given:
             changed = asked(given["config"], count)
-            if changed.count != count:
+            if changed.cars != count:
                 raise ConfigError("reset cannot change 'controlled_vehicles': make another environment")
             given["config"] = changed.config
         seen = self.cars.reset(seed, given)
@@ -275,7 +275,7 @@ def make(
         keywords: of that environment.
     """
     given = asked(config, cars)
-    if given.count == 1 and not any(given.shared.values()):
+    if given.cars == 1 and not any(given.shared.values()):
         return on(task, config, render_mode, **keywords)
 
     def one(config: Config, render_mode: str | None) -> DrivingEnv:

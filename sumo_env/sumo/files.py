@@ -248,7 +248,8 @@ class FileSimulator(SumoSimulator):
         ]
         return Scene(
             *(ids, x, y, speed, heading, crashed, round(self._time, 6), acting, sizes),
-            *(seen[0] if seen else (NO_LIGHT, None)),
+            light=seen[0][0] if seen else NO_LIGHT,
+            place=seen[0][1] if seen else None,
             cars=len(cars),
             further=dict(zip(ids[1:], seen[1:], strict=False)),
         )

@@ -335,7 +335,8 @@ class SumoSimulator:
         lights = [(self._session.next_light(name), None) for name in cars]
         return Scene(
             *(ids, x, y, speed, heading, crashed, round(self._time, 6), self._events.acting, sizes),
-            *(lights[0] if lights else (NO_LIGHT, None)),
+            light=lights[0][0] if lights else NO_LIGHT,
+            place=lights[0][1] if lights else None,
             cars=len(cars),
             further=dict(zip(ids[1:], lights[1:], strict=False)),
         )

@@ -198,7 +198,9 @@ class TupleEnv(gym.Env[Any, Any]):
             if changed.cars != count:
                 raise ConfigError("reset cannot change 'controlled_vehicles': make another environment")
             given["config"] = changed.config
+        super().reset(seed=seed)
         seen = self.cars.reset(seed, given)
+        self._np_random = self.cars.first._np_random
         self._set_spaces()
         return self._observed(seen), self._informed(seen[0][1])
 

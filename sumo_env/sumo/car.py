@@ -67,8 +67,9 @@ class Car(Generic[Driven]):
             )
             if crash is not None and not ego.crashed:
                 ego.crashed, found = True, crash
-        if not ego.crashed and around.near:
-            self._least_ttc = min(self._least_ttc, around.time_to_collision(min(self._least_ttc, HORIZON)))
+        if around.near and not ego.crashed:
+            least = self._least_ttc
+            self._least_ttc = min(least, around.time_to_collision(min(least, HORIZON)))
         return found
 
     def be_hit(self, other: Car[Driven], crash: CrashRecord) -> None:

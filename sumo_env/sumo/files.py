@@ -167,7 +167,8 @@ class FileSimulator(SumoSimulator):
             for car in driving:
                 if car.ego.ended not in GONE:
                     car.distance += car.ego.settle(self._dt)
-                    self._look(car, reported)
+                    if (crash := car.look(self._time, self._dt, reported)) is not None:
+                        self._hit(car, crash)
             self._take_wheels()
             if trace:
                 scenes.append(self._read())

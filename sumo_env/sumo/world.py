@@ -15,7 +15,7 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from sumo_env.contacts.crash import is_confirmed
+from sumo_env.contacts.crash import CrashRecord, is_confirmed
 from sumo_env.contacts.rectangles import State
 from sumo_env.networks.files import is_file
 from sumo_env.scene import NO_LIGHT, Scene
@@ -203,7 +203,8 @@ class SumoSimulator:
             reported = self._advance()
             for car in self._cars.values():
                 car.distance += car.ego.settle()
-                self._look(car, reported)
+                if (crash := car.look(self._time, self._dt, reported)) is not None:
+                    self._hit(car, crash)
             if reported:
                 self._note_crashes(reported)
             if trace:
@@ -244,14 +245,12 @@ class SumoSimulator:
         self._time += self._dt
         return self._session.step()
 
-    def _look(self, car: Car[Any], reported: Sequence[tuple[str, str]]) -> None:
-        """After a sub-step: who is near a learning car, and who has crashed."""
-        crash = car.look(self._time, self._dt, reported)
-        if crash is not None:
-            if crash.other in self._cars:
-                self._cars[crash.other].be_hit(car, crash)
-            else:
-                self._crash(crash.other)
+    def _hit(self, car: Car[Any], crash: CrashRecord) -> None:
+        """A learning car has crashed, and the other vehicle too."""
+        if crash.other in self._cars:
+            self._cars[crash.other].be_hit(car, crash)
+        else:
+            self._crash(crash.other)
 
     def _note_crashes(self, reported: Sequence[tuple[str, str]]) -> None:
         """Crashes of the other traffic are those that SUMO reports; the first one of a learning car is its own."""
@@ -326,7 +325,8 @@ class SumoSimulator:
         states |= self._session.read([name for name in ids if name not in states])
         x, y, speed, heading = map(np.array, zip(*[states[name] for name in ids], strict=True))
         crashed = np.zeros(len(ids), np.bool_)
-        crashed[: len(cars)] = [car.ego.crashed for car in cars.values()]
+        for row, car in enumerate(cars.values()):
+            crashed[row] = car.ego.crashed
         if self._crashed:
             for row, name in enumerate(ids):
                 if name in self._crashed:  # a commanded speed, as the ego's

@@ -194,14 +194,14 @@ class SumoSimulator:
         self._steps_done += 1
         self._session.check()
         self._obey(commands)
-        scenes = []
+        scenes, cars = [], self._cars.values()  # a view: a car may leave the road in between
         for _ in range(self._substeps):
             self._events.act(self._time, self._dt)
-            for car in self._cars.values():
+            for car in cars:
                 x, y, _, _ = car.around.ego
                 car.distance += car.ego.drive(x, y, self._dt)
             reported = self._advance()
-            for car in self._cars.values():
+            for car in cars:
                 car.distance += car.ego.settle()
                 if (crash := car.look(self._time, self._dt, reported)) is not None:
                     self._hit(car, crash)
@@ -214,13 +214,14 @@ class SumoSimulator:
 
     def _obey(self, commands: Commands) -> None:
         """Begin a policy step of the learning cars: who has no command is SUMO's."""
-        if unknown := commands.keys() - self._cars.keys():
-            raise SimulatorError(
-                f"the learning car {sorted(unknown)[0]!r} is not on the road ({', '.join(self._cars) or 'no car is'}): "
-                "was it removed through libsumo? Call reset() to begin another episode."
-            )
-        for name in [name for name, command in commands.items() if command is None]:
-            self._remove(name)
+        for name, command in commands.items():
+            if name not in self._cars:
+                raise SimulatorError(
+                    f"the learning car {name!r} is not on the road ({', '.join(self._cars) or 'no car is'}): was it "
+                    "removed through libsumo? Call reset() to begin another episode."
+                )
+            if command is None:
+                self._remove(name)
         for name, car in self._cars.items():
             car.obey(commands.get(name))
 
@@ -256,7 +257,7 @@ class SumoSimulator:
         """Crashes of the other traffic are those that SUMO reports; the first one of a learning car is its own."""
         cars = self._cars
         for pair in reported:
-            if any(name in cars and not cars[name].ego.crashed for name in pair):
+            if not all(cars[name].ego.crashed for name in pair if name in cars):
                 continue
             if all(name in cars or name in self._crashed for name in pair):
                 continue
@@ -321,7 +322,10 @@ class SumoSimulator:
         states: dict[str, State] = {}
         for car in cars.values():
             states |= car.around.near
-        states |= {name: car.around.ego for name, car in cars.items()}
+        lights = []
+        for name, car in cars.items():
+            states[name] = car.around.ego
+            lights.append(self._session.next_light(name))
         states |= self._session.read([name for name in ids if name not in states])
         x, y, speed, heading = map(np.array, zip(*[states[name] for name in ids], strict=True))
         crashed = np.zeros(len(ids), np.bool_)
@@ -332,13 +336,10 @@ class SumoSimulator:
                 if name in self._crashed:  # a commanded speed, as the ego's
                     crashed[row], speed[row] = True, self._crashed[name]
         sizes = {name: size for name, size in self._session.sizes.items() if name in ids}
-        lights = [(self._session.next_light(name), None) for name in cars]
         return Scene(
             *(ids, x, y, speed, heading, crashed, round(self._time, 6), self._events.acting, sizes),
-            light=lights[0][0] if lights else NO_LIGHT,
-            place=lights[0][1] if lights else None,
-            cars=len(cars),
-            further=dict(zip(ids[1:], lights[1:], strict=False)),
+            *(lights[0] if lights else NO_LIGHT, None, len(cars)),
+            {name: (light, None) for name, light in zip(cars, lights, strict=True) if name != ids[0]},
         )
 
 

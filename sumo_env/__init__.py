@@ -1,17 +1,24 @@
 """highway-env's five driving tasks on the traffic simulator SUMO, as gymnasium environments.
 
 ``import sumo_env`` registers ``sumo/highway-v0``, ``sumo/two-way-v0``, ``sumo/roundabout-v0``,
-``sumo/intersection-v0`` and ``sumo/u-turn-v0``; ``gym.make("sumo_env:sumo/highway-v0")`` needs no import. The same
-tasks on highway-env's own physics, compiled, are ``replica/highway-v0`` and so on, with ``replica/highway-fast-v0``
-and the later versions that highway-env has, such as ``replica/u-turn-v1`` (extra ``[replica]``).
+``sumo/intersection-v0`` and ``sumo/u-turn-v0``, and ``sumo/highway-fast-v0``, the highway with highway-env's defaults
+for that id; ``gym.make("sumo_env:sumo/highway-v0")`` needs no import. The same tasks on highway-env's own physics,
+compiled, are ``replica/highway-v0`` and so on, with ``replica/highway-fast-v0`` and the later versions that highway-env
+has, such as ``replica/u-turn-v1`` (extra ``[replica]``).
 """
 
 from __future__ import annotations
 
+from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import gymnasium as gym
+
+if TYPE_CHECKING:
+    from sumo_env.env import DrivingEnv as DrivingEnv
+    from sumo_env.env import SumoDrivingEnv as SumoDrivingEnv
+    from sumo_env.tasks.base import Task as Task
 
 _HERE = Path(__file__).parent
 if not (
@@ -26,6 +33,7 @@ IDS = tuple(f"sumo/{task}-v0" for task in _TASKS)
 REPLICA_IDS = tuple(f"replica/{task}-v0" for task in _TASKS)
 
 FAST_ID = "replica/highway-fast-v0"  # highway-env's faster variant of its highway
+SUMO_FAST_ID = "sumo/highway-fast-v0"  # the highway with the defaults of that
 # highway-env's later versions: with connected lanes, and intersection-v1 with steering
 LATER_IDS = tuple(
     f"replica/{id}" for id in ("roundabout-v1", "intersection-v1", "intersection-v2", "u-turn-v1")
@@ -75,7 +83,21 @@ def parallel_env(env: Any, config: Any = None, **keywords: Any) -> Any:
     return parallel_env(env, config, **keywords)
 
 
-for _id in IDS:
+# Classes that are imported when they are asked for, so that ``import sumo_env`` takes no time.
+_CLASSES = {"DrivingEnv": "sumo_env.env", "SumoDrivingEnv": "sumo_env.env", "Task": "sumo_env.tasks.base"}
+
+
+def __getattr__(name: str) -> Any:
+    if name in _CLASSES:
+        return getattr(import_module(_CLASSES[name]), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}", name=name)
+
+
+def __dir__() -> list[str]:
+    return [*globals(), *_CLASSES]
+
+
+for _id in (*IDS, SUMO_FAST_ID):
     register(_id, task_of(_id))
 for _id in (*REPLICA_IDS, FAST_ID, *LATER_IDS):
     gym.register(

@@ -6,9 +6,14 @@ import copy
 import difflib
 import math
 from collections.abc import Iterable, Mapping
+from functools import cache
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
+
+from sumo_env.hints import TYPES as NOT_HERE
+from sumo_env.hints import highway_env, page
 
 Config = dict[str, Any]
 
@@ -21,6 +26,8 @@ COMMON: Config = {
     "scaling": 5.5,  # [px/m]
     "centering_position": [0.3, 0.5],
 }
+
+STOCK_FREQUENCY = 15  # [Hz] highway-env's ``simulation_frequency``
 
 DISCRETE_META_ACTION: Config = {"type": "DiscreteMetaAction", "longitudinal": True, "lateral": True}
 CONTINUOUS_ACTION: Config = {
@@ -110,7 +117,7 @@ FIXED: dict[str, tuple[Any, str]] = {
     "obey_traffic_lights": (False, "this road has no traffic lights"),
     "other_vehicles_type": (
         "highway_env.vehicle.behavior.IDMVehicle",
-        "SUMO drives the other vehicles of sumo/* (docs/own-parts.md brings drivers of your own), and replica/* has "
+        f"SUMO drives the other vehicles of sumo/* ({page('own-parts')} brings drivers of your own), and replica/* has "
         "IDMVehicle compiled; 'risk' makes both risky",
     ),
 }
@@ -170,6 +177,7 @@ def resolve(task: str, defaults: Config, *overrides: Mapping[str, Any] | None) -
     """
     known = {**COMMON, **defaults}
     config = copy.deepcopy(known)
+    ignored = highway_env()["ignored"].get(task, ())
     for override in overrides:
         if not isinstance(override, Mapping | None):
             raise ConfigError(
@@ -184,11 +192,39 @@ def resolve(task: str, defaults: Config, *overrides: Mapping[str, Any] | None) -
                 expected, reason = FIXED[key]
                 if value != expected:
                     raise ConfigError(f"config key {key!r} can only be {expected!r}, not {value!r}: {reason}")
+            elif key in ignored:
+                ignore(task, str(key), _meant(str(key), known))
             elif key not in WITHOUT_EFFECT:
                 raise ConfigError(f"unknown config key {key!r} for task {task!r}: {_meant(str(key), known)}")
             config[key] = value
+    frequency, given = "simulation_frequency", (overrides[-1] if overrides else None) or {}
+    if task in highway_env()["ignored"] and frequency not in given and config[frequency] == known[frequency]:
+        policy = config["policy_frequency"]
+        if _is_number(policy) and policy > known[frequency]:  # nobody has asked for the default
+            config[frequency] = max(known[frequency], STOCK_FREQUENCY)
     _check(config, known)
     return config
+
+
+def refuse_misplaced(keywords: Mapping[str, Any]) -> None:
+    """An error about arguments of ``gym.make`` that an environment does not have; most are keys of `config`."""
+    for key, value in keywords.items():
+        raise TypeError(
+            f"{key!r} is no argument of the environment. A key of the configuration is set by "
+            f"gym.make(..., config={{{key!r}: {value!r}}})"
+        )
+
+
+def pace(simulation_frequency: int, policy_frequency: int) -> float:
+    """Policy steps in a second of simulated time [Hz]; one has a whole number of simulation steps."""
+    return simulation_frequency / (simulation_frequency // policy_frequency)
+
+
+@cache
+def ignore(task: str, key: str, hint: str) -> None:
+    """Warn, once, that a key has no effect; a list of all keys is no hint."""
+    told = f"config key {key!r} has no effect on the task {task!r}, as in highway-env"
+    gym.logger.warn(told if hint.startswith("known:") else f"{told}; {hint}")
 
 
 def simulated_frequency(config: Config) -> int:
@@ -228,10 +264,10 @@ def _check(config: Config, defaults: Config) -> None:
     speeds = config.get("reward_speed_range")
     if speeds is not None and speeds[0] == speeds[1]:
         raise ConfigError(f"config key 'reward_speed_range' must be two different speeds, not {speeds!r}")
-    if config["simulation_frequency"] % config["policy_frequency"]:
+    if config["simulation_frequency"] < config["policy_frequency"]:
         raise ConfigError(
-            f"'simulation_frequency' ({config['simulation_frequency']}) must be a multiple of 'policy_frequency' "
-            f"({config['policy_frequency']})"
+            f"'simulation_frequency' ({config['simulation_frequency']}) must be at least 'policy_frequency' "
+            f"({config['policy_frequency']}): otherwise no time passes in a step"
         )
     for group, types in TYPES.items():
         _check_type(group, config[group], {known["type"]: known for known in types})
@@ -241,6 +277,11 @@ def _check_type(group: str, given: Config, types: Mapping[str, Config]) -> None:
     """That the entry for the observation or the action has a known type, and keys and values of that type."""
     if "type" not in given:
         raise ConfigError(f"config[{group!r}] needs a 'type': {', '.join(types)}")
+    if str(given["type"]) in NOT_HERE:
+        raise ConfigError(
+            f"the {group} type {given['type']!r} of highway-env is not here: {NOT_HERE[given['type']]} "
+            f"({page('from-highway-env')}); known: {', '.join(types)}"
+        )
     defaults = types[one_of(f"{group} type", given["type"], tuple(types))]
     for key, value in given.items():
         if key not in defaults:

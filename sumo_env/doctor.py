@@ -1,4 +1,4 @@
-"""Checks the installation: ``python -m sumo_env.doctor``, a few seconds.
+"""Check the installation: python -m sumo_env.doctor, or python -m sumo_env. It takes a few seconds.
 
 Prints one line per check, and what to do if one fails. Exits with 0 if all is well, 1 if there is a problem. Nothing is
 changed on the machine.
@@ -6,12 +6,14 @@ changed on the machine.
 
 from __future__ import annotations
 
+import argparse
 import platform
 import sys
 import time
 from collections.abc import Callable, Sequence
 from contextlib import closing
 from functools import partial
+from pathlib import Path
 from typing import TextIO
 
 import gymnasium as gym
@@ -19,10 +21,20 @@ import numpy as np
 
 import sumo_env
 
+GYMNASIUM = (1, 1)  # the oldest version
 SUMO_VERSION = "1.28.0"  # that the drivers were calibrated on
 STEPS = 100  # of the speed measurement
 
 Check = tuple[str, Callable[[], str]]  # name, and a function that returns details or raises an exception
+
+
+def gymnasium() -> str:
+    """gymnasium is new enough; with an older one, later checks would fail for reasons that mislead."""
+    found = gym.__version__
+    if tuple(int(part) for part in found.split(".")[:2]) < GYMNASIUM:
+        least = ".".join(map(str, GYMNASIUM))
+        raise RuntimeError(f"version {found} is too old: pip install 'gymnasium>={least}'")
+    return found
 
 
 def sumo() -> str:
@@ -79,6 +91,7 @@ def workers() -> str:
 
 
 CHECKS: tuple[Check, ...] = (
+    ("gymnasium", gymnasium),
     ("SUMO", sumo),
     *((sumo_env.task_of(id), partial(task, id)) for id in sumo_env.IDS),
     ("pictures", pictures),
@@ -92,7 +105,7 @@ def examine(checks: Sequence[Check], out: TextIO) -> int:
     Later checks rest on earlier ones, so one cause is reported once.
     """
     on = f"Python {platform.python_version()}, {platform.platform()}"
-    print(f"sumo_env {sumo_env.__version__} on {on}", file=out)
+    print(f"sumo_env {sumo_env.__version__} in {Path(sumo_env.__file__).parent} on {on}", file=out)
     for name, check in checks:
         try:
             print(f"  ok    {name:14}{check()}", file=out, flush=True)
@@ -107,5 +120,14 @@ def examine(checks: Sequence[Check], out: TextIO) -> int:
     return 0
 
 
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Make all checks; returns the exit status."""
+    parser = argparse.ArgumentParser(
+        "python -m sumo_env.doctor", description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
+    parser.parse_args(arguments)
+    return examine(CHECKS, sys.stdout)
+
+
 if __name__ == "__main__":
-    sys.exit(examine(CHECKS, sys.stdout))
+    sys.exit(main())

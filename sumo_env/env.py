@@ -14,9 +14,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sumo_env.actions import Moment, PlainAction, ego_route
-from sumo_env.config import COMMON, Config, ConfigError, resolve
+from sumo_env.as_highway_env import ReadAsHighwayEnv, class_or_instance, configuring
+from sumo_env.config import COMMON, Config, ConfigError, pace, refuse_misplaced, resolve
 from sumo_env.contacts.rectangles import state_of
-from sumo_env.interface import information, interface, on_its_way
+from sumo_env.interface import ending, information, interface, on_its_way
 from sumo_env.neighbours import LeadersFollowers
 from sumo_env.networks.roads import LaneIndex
 from sumo_env.observation import TimeToCollision
@@ -31,7 +32,6 @@ from sumo_env.tasks import get_task
 from sumo_env.tasks.base import EgoState, Task, nearest_index
 from sumo_env.tasks.network import NetworkTask
 from sumo_env.traffic.scenario import Scenario
-from sumo_env.views import ReadAsHighwayEnv
 
 Observation = NDArray[np.float32]
 VARIED = ("risk_rates", "risk_ranges", "calibration")  # parts of a task that `reset` may change
@@ -69,7 +69,9 @@ class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
         render_mode: str | None = None,
         simulator: Simulator | None = None,
         sumo_options: Sequence[str] = (),
+        **misplaced: Any,
     ) -> None:
+        refuse_misplaced(misplaced)
         if simulator is not None and sumo_options:
             raise ValueError(
                 "sumo_options are for SUMO, which this environment starts itself: leave out `simulator`"
@@ -88,26 +90,38 @@ class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
 
     # -- configuration -------------------------------------------------------------------------------------
 
+    @class_or_instance
     def default_config(self) -> Config:
-        """Every key with its default. A subclass may change defaults and add keys for a reward of its own."""
-        return copy.deepcopy({**COMMON, **self.task.defaults})
+        """Every key with its default. A subclass may change defaults and add keys for a reward of its own.
+
+        Of an environment, or of a class, as in highway-env: ``HighwayEnv.default_config()``.
+        """
+        task = getattr(self, "task", None)  # a class may have none
+        return copy.deepcopy({**COMMON, **(task.defaults if task else {})})
 
     def configure(self, config: Mapping[str, Any] | None) -> None:
         """Change these keys of the configuration; they take effect at the next reset."""
-        changed = resolve(self.task.name, self.default_config(), getattr(self, "config", None), config)
+        with configuring(self):
+            defaults = self.default_config()
+        changed = resolve(self.task.name, defaults, getattr(self, "config", None), config)
         if changed.get("manual_control") and self.render_mode != "human":
             raise ConfigError("'manual_control' needs render_mode='human': keys are pressed in its window")
         offered = interface(self.task, changed, self.steers)
         if offered.actions:
             self._refuse_backwards("'target_speeds'", offered.target_speeds[0])
         self._refuse_backwards("'initial_speed'", changed.get("initial_speed") or 0.0)
-        self._action_type, self.observation_type = offered
-        self.actions, self.target_speeds = offered.actions, offered.target_speeds
-        self.config: Config = changed  # assigned last: an error leaves the environment as it was
+        self._offered = offered
+        self.config: Config = changed  # after all checks: an error leaves the environment as it was
         self._configured = copy.deepcopy(changed)
-        self.observation_space = self.observation_type.space
-        self.action_space = self._action_type.space
+        self.define_spaces()
         self._set_frame_rate()
+
+    def define_spaces(self) -> None:
+        """Set the types and spaces of observation and action, whenever the configuration changes."""
+        self._action_type, self._observation_type = self._offered
+        self.actions, self.target_speeds = self._offered.actions, self._offered.target_speeds
+        self._own_observation = None
+        self.observation_space, self.action_space = self._observation_type.space, self._action_type.space
 
     def _refuse_backwards(self, what: str, speed: float) -> None:
         """An error if SUMO would have to drive at a negative speed [m/s]."""
@@ -182,6 +196,7 @@ class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
             self._find_route()
         self._speed_index = nearest_index(speed, self.target_speeds)
         self.steps, self._handed_over, self._is_closed = 0, False, False
+        self._ending = self._action_name = ""
         self._last = EgoStep(self._target_lane, None, math.inf, 0.0)
         self.ego_state = self._ego_state(None)
         self._film((self.scene,))
@@ -194,8 +209,9 @@ class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
         Returns:
             observation, reward, terminated (crash, arrival), truncated (time is up), info.
             ``info`` has the same keys after every step and reset: speed [m/s], crashed, arrived, on_road, action (-1 at
-            a reset), rewards (the raw terms), cost (1 at a crash), crash (a `CrashRecord` as a dict, with empty strings
-            and zeros without a crash), density (vehicles within 200 m), min_ttc [s] (0 at a contact, inf where nothing
+            a reset), rewards (the raw terms), cost (1 at a crash), crash (a `CrashRecord` as a dict, empty without a
+            crash), ending ("" while the episode goes on, then crash, arrived, missed turn, time and others, see
+            `interface.ending`), density (vehicles within 200 m), min_ttc [s] (0 at a contact, inf where nothing
             is near), min_ttc_before_contact, near_miss, distance [m] of this step, traffic_light (the next one on
             the ego's way: 0 red, 1 yellow, 2 green, -1 without one), traffic_light_distance [m] (inf without one).
 
@@ -250,7 +266,10 @@ class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
         self.ego_state = self._ego_state(plain)
         observation = self._observe()
         reward = float(self._reward(action))
-        terminated, truncated = bool(self._is_terminated()), bool(self._is_truncated()) or self._is_closed
+        terminated, truncated = bool(self._is_terminated()), bool(self._is_truncated())
+        self._ending = ending(self.ego_state, self.task.arrived(self.ego_state), terminated, truncated)
+        if self._is_closed:
+            truncated, self._ending = True, self._ending or "window closed"
         return observation, reward, terminated, truncated, self._info(observation, action)
 
     def _follow_up(self) -> None:
@@ -307,7 +326,9 @@ class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
 
     def _ego_state(self, action: PlainAction | None) -> EgoState:
         lane, s, lateral, on_road = self._ego_place()
-        scene, frequency = self.scene, self.config["policy_frequency"]
+        assert self.scenario is not None
+        scene = self.scene
+        frequency = pace(self.scenario.simulation_frequency, self.scenario.policy_frequency)
         last = None if action is None else self.ego_state
         acceleration = (scene.speed.item(0) - last.speed) * frequency if last else 0.0
         return EgoState(
@@ -338,7 +359,9 @@ class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
         return index, s, lateral, lane.covers(s, lateral)
 
     def _observe(self) -> Observation:
-        kind, seen = self.observation_type, (self.scene, self._road, self.ego_state)
+        if self._own_observation is not None:
+            return self._own_observation.observe()
+        kind, seen = self._observation_type, (self.scene, self._road, self.ego_state)
         if isinstance(kind, TimeToCollision):
             return kind.observe(*seen, self.target_speeds, self._route)
         if isinstance(kind, LeadersFollowers):
@@ -377,6 +400,7 @@ class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
             on_road=state.on_road,
             rewards=self._rewards(action),
             action=self._action_type.no_action if action is None else action,
+            ending=self._ending,
         )
         info |= {"acceleration": state.acceleration, "jerk": state.jerk}
         return info if place is None else info | on_its_way(place)

@@ -6,7 +6,7 @@ Separate from the environment because the backend highway-env of the experiments
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import asdict, fields
+from dataclasses import asdict
 from typing import Any, NamedTuple
 
 from sumo_env.actions import ActionType, action_type
@@ -17,13 +17,8 @@ from sumo_env.neighbours import LeadersFollowers
 from sumo_env.observation import Kinematics, TimeToCollision
 from sumo_env.occupancy import OccupancyGrid
 from sumo_env.scene import Place, Scene
-from sumo_env.tasks.base import Task
+from sumo_env.tasks.base import EgoState, Task
 from sumo_env.tasks.network import NetworkTask
-
-NO_CRASH: dict[str, Any] = {
-    field.name: "" if field.name in ("other", "type", "detected_by") else 0.0 for field in fields(CrashRecord)
-}
-
 
 ObservationType = Kinematics | TimeToCollision | OccupancyGrid | LeadersFollowers
 
@@ -61,21 +56,22 @@ def interface(task: Task, config: Config, steers: bool = False) -> Interface:
         )
     road = task.road(config)
     observation: ObservationType
-    if config["observation"]["type"] == "Kinematics":
-        observation = Kinematics(
-            config["observation"], road.count(*task.ego_road), on_its_way=isinstance(task, NetworkTask)
-        )
-    elif config["observation"]["type"] == "OccupancyGrid":
-        observation = OccupancyGrid(config["observation"])
-    elif config["observation"]["type"] == "LeadersFollowers":
-        observation = LeadersFollowers(config["observation"], on_its_way=isinstance(task, NetworkTask))
+    given, of_network = config["observation"], isinstance(task, NetworkTask)
+    if of_network and given["type"] == task.defaults["observation"]["type"]:
+        given = {**task.defaults["observation"], **given}  # its ranges are made of the network
+    if given["type"] == "Kinematics":
+        observation = Kinematics(given, road.count(*task.ego_road), on_its_way=of_network)
+    elif given["type"] == "OccupancyGrid":
+        observation = OccupancyGrid(given)
+    elif given["type"] == "LeadersFollowers":
+        observation = LeadersFollowers(given, on_its_way=of_network)
     elif not kind.names:
         raise ConfigError(
             f"observation type 'TimeToCollision' needs target speeds, which {config['action']['type']!r} does not have "
             "(nor in highway-env): choose 'Kinematics'"
         )
     else:
-        observation = TimeToCollision(config["observation"], config["policy_frequency"])
+        observation = TimeToCollision(given, config["policy_frequency"])
     return Interface(kind, observation)
 
 
@@ -89,11 +85,13 @@ def information(
     on_road: bool,
     rewards: Mapping[str, float],
     action: Any,
+    ending: str,
 ) -> dict[str, Any]:
     """The ``info`` of a step, or of a reset with the action type's `no_action`; see `DrivingEnv.step`.
 
     The same keys with values of the same types always, none of them None or NaN, so that libraries can store and merge
-    it. `min_ttc` is the least time to collision before a contact [s].
+    it: without a crash its record is empty, because gymnasium cannot merge None and a record. `min_ttc` is the least
+    time to collision before a contact [s].
     """
     crashed = bool(scene.crashed[0])
     return {
@@ -104,7 +102,8 @@ def information(
         "action": action,
         "rewards": {name: float(value) for name, value in rewards.items()},
         "cost": float(crashed),
-        "crash": dict(NO_CRASH) if crash is None else asdict(crash),
+        "crash": {} if crash is None else asdict(crash),
+        "ending": ending,
         "density": density(scene.x, scene.y),
         "min_ttc": 0.0 if crashed else float(min_ttc),
         "min_ttc_before_contact": float(min_ttc),
@@ -113,6 +112,19 @@ def information(
         "traffic_light": int(scene.light.state),
         "traffic_light_distance": float(scene.light.distance),
     }
+
+
+def ending(ego: EgoState, arrived: bool, terminated: bool, truncated: bool) -> str:
+    """How an episode has ended, for ``info["ending"]``; "" while it goes on.
+
+    "crash", "arrived", "missed turn", "removed" (by SUMO), "off road", "own rule" (of a subclass), or "time".
+    """
+    if not terminated:
+        return "time" if truncated else ""
+    if ego.crashed or arrived:
+        return "crash" if ego.crashed else "arrived"
+    place = ego.scene.place if ego.scene is not None else None
+    return (place.ended if place is not None else "") or ("own rule" if ego.on_road else "off road")
 
 
 def on_its_way(place: Place) -> dict[str, Any]:

@@ -173,7 +173,7 @@ class Kinematics:
             # the ego knows its own destination; those of the others are observed only with observe_intentions
             columns["cos_d"], columns["sin_d"] = zip(
                 *[
-                    _direction(scene, road, row, specs.get(scene.ids[row]))
+                    destination_direction(scene, road, row, specs.get(scene.ids[row]))
                     if row == 0 or self.observe_intentions
                     else (0.0, 0.0)
                     for row in rows
@@ -242,7 +242,9 @@ def ranges_of(given: Any) -> dict[str, tuple[float, float]]:
     )
 
 
-def _direction(scene: Scene, road: Road, row: int, spec: VehicleSpec | None) -> tuple[float, float]:
+def destination_direction(
+    scene: Scene, road: Road, row: int, spec: VehicleSpec | None
+) -> tuple[float, float]:
     """Unit vector from a vehicle to the end of its route (``Vehicle.destination_direction``).
 
     The end is that of the last road's left lane, or of the lane where a vehicle started that was on that road

@@ -35,6 +35,7 @@ class OnScreen:
     _renderer: Renderer | None = None
     _video: RecordVideo[Any, Any] | None = None
     _window: Window | None = None  # of render mode "human"
+    _action_name = ""  # of the last meta-action of this episode
     _is_closed = False  # whether the user has closed the window in this episode
 
     def render(self) -> NDArray[np.uint8] | None:
@@ -51,7 +52,12 @@ class OnScreen:
             from sumo_env.rendering import Renderer  # Pillow is imported when the first picture is drawn
 
             self._renderer = Renderer()
-        picture = self._renderer.draw(self.scene, self.task.road(self.config), self.config)
+        road, time = self.task.road(self.config), self.scene.time
+        begun = [event for event in self.scenario.events if event.time <= time]
+        kinds: dict[str, str] = {event.vehicle: "cut-in" for event in begun if event.kind == "cut-in"}
+        # a vehicle that brakes or surges may cut in as well
+        kinds |= {event.vehicle: event.kind for event in begun if time < event.time + event.duration}
+        picture = self._renderer.draw(self.scene, road, self.config, self._action_name, kinds)
         if self.render_mode != "human":
             return picture
         if self._window is not None and not self._window.show(
@@ -80,9 +86,11 @@ class OnScreen:
 
     def _chosen(self, action: Any) -> Any:
         """The action, or under ``manual_control`` that of the keys."""
-        if not self.config.get("manual_control") or self._window is None:
-            return action
-        return self._window.action(self._action_type)
+        if self.config.get("manual_control") and self._window is not None:
+            action = self._window.action(self._action_type)
+        if np.ndim(action) == 0 and self.render_mode is not None:
+            self._action_name = self._action_type.names.get(action, "")
+        return action
 
     def set_record_video_wrapper(self, wrapper: RecordVideo[Any, Any]) -> None:
         """Make a `gymnasium.wrappers.RecordVideo` film every simulation step, in real time, as in highway-env.

@@ -17,6 +17,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode, SyncVectorEnv
 from numpy.typing import NDArray
 
+from sumo_env.config import refuse_misplaced
 from sumo_env.env import DrivingEnv
 from sumo_env.sumo.process import SimulatorDied, SumoProcess
 from sumo_env.tasks.base import Task
@@ -48,7 +49,9 @@ class SumoVectorEnv(SyncVectorEnv):
         config: Mapping[str, Any] | None = None,
         render_mode: str | None = None,
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
+        **misplaced: Any,
     ) -> None:
+        refuse_misplaced(misplaced)
         if num_envs < 1:
             raise ValueError(f"num_envs must be at least 1, not {num_envs}")
         self._pool = ThreadPoolExecutor(num_envs, thread_name_prefix="sumo_env")

@@ -6,32 +6,29 @@ present scene: a simulator drives the vehicles, so nothing can be changed throug
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from math import cos, sin
-from typing import TYPE_CHECKING, Any, NamedTuple, NoReturn
+from typing import Any, ClassVar, NoReturn
 
 import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
 from sumo_env.actions import ActionType as Kind
-from sumo_env.networks.lanes import Lane
+from sumo_env.hints import missing, page
+from sumo_env.networks.lanes import Lane, wrap_to_pi
 from sumo_env.networks.roads import LaneIndex, Road
+from sumo_env.observation import destination_direction
 from sumo_env.scene import Floats, Scene
-from sumo_env.tasks.base import EgoState
-
-PAGE = "docs/from-highway-env.md says what to use"
-# Methods of highway-env's environments that subclasses override there and that would never be called here.
-NEVER_CALLED = (
-    *("_make_road", "_create_road", "_make_vehicles", "_create_vehicles", "_spawn_vehicle"),
-    *("_clear_vehicles", "_reset", "_simulate", "define_spaces", "has_arrived"),
-    *("_agent_reward", "_agent_rewards"),
-)
+from sumo_env.traffic.scenario import VehicleSpec
 
 
 class _View:
-    """Values that can only be read; an error about another one says which there are."""
+    """Values that can only be read; an error about another one says what to use instead."""
+
+    kind: ClassVar[str]  # a key of `hints.OTHERWISE`
+    _of: object = None  # what has the public attributes that the view itself lacks
 
     def __init__(self, **values: Any) -> None:
         vars(self).update(values)
@@ -39,37 +36,114 @@ class _View:
     def __setattr__(self, name: str, value: object) -> NoReturn:
         raise AttributeError(
             f"{name!r} can only be read: the simulator drives the vehicles. To change traffic use a task or drivers "
-            "of your own, or reset(options={'scenario': ...}) (docs/own-parts.md)"
+            f"of your own, or reset(options={{'scenario': ...}}) ({page('own-parts')})"
         )
+
+    def __getattr__(self, name: str) -> Any:
+        if not name.startswith("_") and hasattr(self._of, name):
+            return getattr(self._of, name)
+        raise missing(f"the {self.kind.replace('_', ' ')}", self.kind, name, dir(self))
+
+
+class LaneView(_View):
+    """A lane, as ``highway_env.road.lane.AbstractLane`` is read.
+
+    A place in the world is a position (x, y) [m], or x and y.
+    """
+
+    kind = "lane"
+    _of: Lane
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, LaneView) and self._of == other._of
+
+    def __hash__(self) -> int:
+        return hash(self._of)
+
+    def __repr__(self) -> str:
+        return repr(self._of)
+
+    def position(self, longitudinal: float, lateral: float) -> Floats:
+        """The place (x, y) of a point of the lane [m]."""
+        return np.array(self._of.position(float(longitudinal), float(lateral)))
+
+    def local_coordinates(self, *place: Any) -> tuple[float, float]:
+        """How far along the lane, and to the right of its centre line, a place is [m]."""
+        return self._of.local_coordinates(*_at(place))
+
+    def width_at(self, longitudinal: float) -> float:
+        """[m]."""
+        return self._of.width
+
+    def local_angle(self, heading: float, longitudinal: float) -> float:
+        """A heading relative to the lane's, in [-pi, pi)."""
+        return wrap_to_pi(heading - self._of.heading_at(float(longitudinal)))
+
+    def on_lane(self, *place: Any, margin: float = 0.0) -> bool:
+        """Whether a place is on the lane, widened by a margin [m] on both sides."""
+        return self._of.on_lane(*_at(place), margin)
+
+    def is_reachable_from(self, *place: Any) -> bool:
+        """Whether a vehicle at this place may change to the lane."""
+        return self._of.is_reachable_from(*_at(place))
+
+    def after_end(self, *place: Any) -> bool:
+        """Whether a vehicle at this place has to take its next lane."""
+        return self._of.after_end(*_at(place))
+
+    def distance(self, *place: Any) -> float:
+        """L1 distance of a place to the lane [m]."""
+        return self._of.distance(*_at(place))
+
+    def distance_with_heading(self, position: Any, heading: float | None) -> float:
+        """The same, and 1 m for each radian between the headings."""
+        return self._of.distance(*_at((position,)), heading)
+
+
+def _at(place: tuple[Any, ...]) -> tuple[float, float]:
+    """x and y [m] of a position, or of x and y themselves."""
+    x, y = place[0] if np.ndim(place[0]) else place[:2]
+    return float(x), float(y)
 
 
 class Vehicle(_View):
     """A vehicle of the scene, as ``highway_env.vehicle.kinematics.Vehicle`` is read."""
 
+    kind = "vehicle"
     id: str  # its name, "ego" for the ego
     position: Floats  # centre (x, y) [m]
     speed: float  # [m/s]
     heading: float  # [rad]
     crashed: bool
+    target_speed: float  # that its driver wants, or the ego approaches [m/s]
     LENGTH: float  # [m]
     WIDTH: float  # [m]
-    _road: Road
+    road: RoadView  # the road and all vehicles
+
+    def __repr__(self) -> str:
+        x, y = self.position
+        return f"{type(self).__name__} {self.id!r} at ({x:.1f}, {y:.1f}) m, {self.speed:.1f} m/s, on {self.lane_index}"
 
     @cached_property
     def lane_index(self) -> LaneIndex:
         """Index of the closest lane."""
-        x, y = self.position.tolist()
-        return self._road.closest_lane(x, y, self.heading)
+        return self.road.network.get_closest_lane_index(self.position, self.heading)
 
     @property
-    def lane(self) -> Lane:
-        """The closest lane; its methods take x and y."""
-        return self._road.lane(self.lane_index)
+    def lane(self) -> LaneView:
+        """The closest lane."""
+        return self.road.network.get_lane(self.lane_index)
+
+    @property
+    def lane_offset(self) -> Floats:
+        """Longitudinal and lateral place in the closest lane [m], and the angle to it [rad]."""
+        s, lateral = self.lane.local_coordinates(self.position)
+        return np.array([s, lateral, self.lane.local_angle(self.heading, s)])
 
     @property
     def on_road(self) -> bool:
         """Whether the centre is on the closest lane."""
-        return self.lane.on_lane(*self.position.tolist())
+        return self.lane.on_lane(self.position)
 
     @property
     def direction(self) -> Floats:
@@ -77,9 +151,53 @@ class Vehicle(_View):
         return np.array([cos(self.heading), sin(self.heading)])
 
     @property
+    def destination_direction(self) -> Floats:
+        """Unit vector to the end of its route; zeros without a route."""
+        view = self.road
+        row = view.scene.ids.index(self.id)
+        return np.array(destination_direction(view.scene, view.network.road, row, view.specs.get(self.id)))
+
+    @property
     def velocity(self) -> Floats:
         """[m/s]."""
         return self.speed * self.direction
+
+    def lane_distance_to(self, other: Vehicle | None, lane: LaneView | None = None) -> float:
+        """How far ahead another vehicle is along a lane, by default the own one [m]; NaN without another vehicle."""
+        if other is None:
+            return float("nan")
+        along = lane or self.lane
+        return along.local_coordinates(other.position)[0] - along.local_coordinates(self.position)[0]
+
+    def front_distance_to(self, other: Vehicle) -> float:
+        """How far ahead another vehicle is along the own heading [m]."""
+        return float(self.direction.dot(other.position - self.position))
+
+    def to_dict(
+        self, origin_vehicle: Vehicle | None = None, observe_intentions: bool = True
+    ) -> dict[str, float]:
+        """The features of `Kinematics` [m, m/s, rad]; places and velocities relative to another vehicle, if given."""
+        names = (
+            "x",
+            "y",
+            "vx",
+            "vy",
+            "heading",
+            "cos_h",
+            "sin_h",
+            "cos_d",
+            "sin_d",
+            "long_off",
+            "lat_off",
+            "ang_off",
+        )
+        goal = self.destination_direction if observe_intentions else np.zeros(2)
+        own = (self.velocity, [self.heading], self.direction, goal, self.lane_offset)
+        values = np.concatenate((self.position, *own)).tolist()
+        if origin_vehicle is not None:
+            origin = np.concatenate((origin_vehicle.position, origin_vehicle.velocity))
+            values[:4] = (np.array(values[:4]) - origin).tolist()
+        return {"presence": 1, **dict(zip(names, values, strict=True))}
 
 
 class Ego(Vehicle):
@@ -87,18 +205,37 @@ class Ego(Vehicle):
 
     target_lane_index: LaneIndex  # that it steers for
     speed_index: int  # of its target speed
-    target_speed: float  # that it approaches [m/s]
     target_speeds: NDArray[np.float64]  # that it can be commanded [m/s]
 
 
 class RoadNetwork(_View):
     """The lanes, as ``highway_env.road.road.RoadNetwork`` is asked for them; `road` has the rest."""
 
+    kind = "network"
     road: Road
 
-    def get_lane(self, index: LaneIndex) -> Lane:
+    def __repr__(self) -> str:
+        return repr(self.road)
+
+    @cached_property
+    def graph(self) -> dict[str, dict[str, list[LaneView]]]:
+        """The lanes by the nodes where they begin and end."""
+        graph: dict[str, dict[str, list[LaneView]]] = {}
+        for (start, end, _), lane in self.lanes_dict().items():
+            graph.setdefault(start, {}).setdefault(end, []).append(lane)
+        return graph
+
+    def lanes_dict(self) -> dict[LaneIndex, LaneView]:
+        """All lanes by their index."""
+        return {index: LaneView(_of=lane) for index, lane in self.road.lanes.items()}
+
+    def lanes_list(self) -> list[LaneView]:
+        """All lanes."""
+        return list(self.lanes_dict().values())
+
+    def get_lane(self, index: LaneIndex) -> LaneView:
         """The lane of an index."""
-        return self.road.lane(index)
+        return LaneView(_of=self.road.lane((*index[:2], index[2] or 0)))
 
     def side_lanes(self, index: LaneIndex) -> list[LaneIndex]:
         """Lanes beside one, the left one first."""
@@ -116,19 +253,88 @@ class RoadNetwork(_View):
 class RoadView(_View):
     """Road and traffic of a scene, as ``highway_env.road.road.Road`` is read."""
 
+    kind = "road"
     network: RoadNetwork  # the lanes
     vehicles: tuple[Vehicle, ...]  # all of the scene, the ego first
+    objects: tuple[Vehicle, ...] = ()  # there are no obstacles
     scene: Scene  # places and speeds of all vehicles as arrays
+    specs: Mapping[str, VehicleSpec]  # what vehicles were made from, by id
+    neighbour_vehicles_connected_lanes: bool  # whether neighbours are looked for on the next lanes too
+
+    def __repr__(self) -> str:
+        return repr(self.vehicles)
+
+    def neighbour_vehicles(
+        self, vehicle: Vehicle, lane_index: LaneIndex | None = None
+    ) -> tuple[Vehicle | None, Vehicle | None]:
+        """The nearest vehicles ahead and behind on a lane, by default the vehicle's own; None where there is none."""
+        index = lane_index or vehicle.lane_index
+        lanes = [(self.network.get_lane(index), 0.0), *self._connected(index)]
+        here = lanes[0][0].local_coordinates(vehicle.position)[0]
+        places: list[tuple[float, Vehicle]] = []
+        for other in self.vehicles:
+            on = [each for each in lanes if each[0].on_lane(other.position, margin=1.0)]
+            if other is not vehicle and on:
+                lane, offset = on[0]
+                places.append((lane.local_coordinates(other.position)[0] + offset - here, other))
+        # of two at the same place, highway-env takes the later one ahead and the earlier one behind
+        ahead = min(reversed([each for each in places if each[0] >= 0.0]), key=_place, default=(0.0, None))
+        behind = max((each for each in places if each[0] < 0.0), key=_place, default=(0.0, None))
+        return ahead[1], behind[1]
+
+    def _connected(self, index: LaneIndex) -> list[tuple[LaneView, float]]:
+        """The lanes before and after one, each with its distance along that one [m]."""
+        if not self.neighbour_vehicles_connected_lanes:
+            return []
+        (start, end, number), graph = index, self.network.graph
+
+        def beside(lanes: Sequence[LaneView]) -> LaneView:
+            return lanes[number] if number < len(lanes) else lanes[0]
+
+        length = graph[start][end][number].length
+        after = [(beside(lanes), length) for lanes in graph.get(end, {}).values()]
+        before = [beside(ends[start]) for ends in graph.values() if start in ends]
+        return [*after, *((lane, -lane.length) for lane in before)]
+
+    def close_vehicles_to(
+        self,
+        vehicle: Vehicle,
+        distance: float,
+        count: int | None = None,
+        see_behind: bool = True,
+        sort: bool = True,
+    ) -> list[Vehicle]:
+        """The other vehicles within a distance [m], the nearest along the lane first."""
+        close = [
+            other
+            for other in self.vehicles
+            if other is not vehicle
+            and np.linalg.norm(other.position - vehicle.position) < distance
+            and (see_behind or vehicle.lane_distance_to(other) > -2 * vehicle.LENGTH)
+        ]
+        if sort:
+            close.sort(key=lambda other: abs(vehicle.lane_distance_to(other)))
+        return close[:count] if count else close
 
 
-def road_view(scene: Scene, road: Road, **ego: Any) -> RoadView:
+def _place(item: tuple[float, Vehicle | None]) -> float:
+    return item[0]
+
+
+def road_view(
+    scene: Scene, road: Road, specs: Mapping[str, VehicleSpec], connected: bool = False, **ego: Any
+) -> RoadView:
     """A scene as highway-env's road; `ego`: the further attributes of the ego."""
     positions = np.column_stack((scene.x, scene.y))
     positions.flags.writeable = False
+    view = RoadView(
+        network=RoadNetwork(road=road), scene=scene, specs=specs, neighbour_vehicles_connected_lanes=connected
+    )
     vehicles = []
     for row, name in enumerate(scene.ids):
         length, width = scene.size(name)
-        make, further = (Vehicle, {}) if row else (Ego, ego)
+        spec = specs.get(name)
+        make, further = (Vehicle, {"target_speed": spec.target_speed} if spec else {}) if row else (Ego, ego)
         vehicles.append(
             make(
                 id=name,
@@ -138,86 +344,29 @@ def road_view(scene: Scene, road: Road, **ego: Any) -> RoadView:
                 crashed=scene.crashed.item(row),
                 LENGTH=length,
                 WIDTH=width,
-                _road=road,
+                road=view,
                 **further,
             )
         )
-    return RoadView(network=RoadNetwork(road=road), vehicles=tuple(vehicles), scene=scene)
+    vars(view)["vehicles"] = tuple(vehicles)
+    return view
 
 
-class ActionType(NamedTuple):
-    """The meta-actions, as ``highway_env.envs.common.action.DiscreteMetaAction`` is read."""
+class ActionType(_View):
+    """The actions, as ``highway_env.envs.common.action`` has them: of meta-actions these attributes."""
 
+    kind = "action_type"
+    _of: Kind
+    space: Callable[[], gym.Space[Any]]
     actions: dict[int, str]  # names by index
     actions_indexes: dict[str, int]  # indices by name
     target_speeds: NDArray[np.float64]  # [m/s]
     get_available_actions: Callable[[], list[int]]  # `ReadAsHighwayEnv.get_available_actions`
 
 
-class ReadAsHighwayEnv(gym.Env[NDArray[np.float32], Any]):
-    """The part of `DrivingEnv` that scripts and subclasses written for highway-env meet."""
+class Observed(_View):
+    """The type of observation, as ``highway_env.envs.common.observation`` has it."""
 
-    scene: Scene
-    ego_state: EgoState
-    actions: dict[int, str]
-    target_speeds: tuple[float, ...]
-    _action_type: Kind
-    _road: Road
-    _target_lane: LaneIndex
-    _speed_index: int
-    _view: RoadView | None = None
-
-    def __init_subclass__(cls, **kwargs: Any) -> None:
-        super().__init_subclass__(**kwargs)
-        for name in NEVER_CALLED:
-            if name in vars(cls):
-                raise TypeError(f"{cls.__name__}.{name} would never be called; {PAGE}")
-
-    if not TYPE_CHECKING:
-
-        def __getattr__(self, name: str) -> NoReturn:
-            hint = "call reset() first" if name in ("vehicle", "road", "scene") else PAGE
-            raise AttributeError(f"{type(self).__name__!r} has no attribute {name!r}: {hint}")
-
-    @property
-    def road(self) -> RoadView:
-        """The lanes (`road.network`) and the vehicles (`road.vehicles`) of the present scene."""
-        if self._view is None or self._view.scene is not self.scene:
-            targets = {
-                "target_lane_index": self._target_lane,
-                "speed_index": self._speed_index,
-                "target_speed": self.target_speeds[self._speed_index],
-                "target_speeds": np.array(self.target_speeds),
-            }
-            self._view = road_view(self.scene, self._road, **(targets if self.actions else {}))
-        return self._view
-
-    @property
-    def vehicle(self) -> Vehicle:
-        """The ego: position, speed, heading, lane_index, crashed, ..."""
-        return self.road.vehicles[0]
-
-    @property
-    def action_type(self) -> Any:
-        """The meta-actions: actions, actions_indexes, target_speeds, get_available_actions(); or `ContinuousAction`."""
-        if not self.actions:
-            return self._action_type
-        indexes = {name: index for index, name in self.actions.items()}
-        return ActionType(self.actions, indexes, np.array(self.target_speeds), self.get_available_actions)
-
-    def get_available_actions(self) -> list[int]:
-        """Indices of the actions that would change something now, and of IDLE."""
-        x, y, lane, road = self.scene.x.item(0), self.scene.y.item(0), self.ego_state.lane, self._road
-        beside = {
-            other[2] - lane[2] for other in road.side_lanes(lane) if road.lane(other).is_reachable_from(x, y)
-        }
-        possible = {
-            "IDLE": True,
-            "LANE_LEFT": -1 in beside,
-            "LANE_RIGHT": 1 in beside,
-            "FASTER": self._speed_index < len(self.target_speeds) - 1,
-            "SLOWER": self._speed_index > 0,
-        }
-        if (place := self.scene.place) is not None:
-            possible |= {"LANE_LEFT": place.left, "LANE_RIGHT": place.right}
-        return [index for index, name in self.actions.items() if possible[name]]
+    kind = "observation_type"
+    space: Callable[[], gym.Space[Any]]
+    observe: Callable[[], NDArray[np.float32]]  # the present observation

@@ -21,7 +21,8 @@ class Window:
             import pygame
         except ImportError as error:
             raise ImportError(
-                "render_mode='human' needs pygame: pip install 'sumo-risky-driving[window]', or pygame-ce"
+                "render_mode='human' needs pygame: pip install pygame-ce (or, in a clone of this project, "
+                "pip install '.[window]')"
             ) from error
         self._pygame: Any = pygame
         self._clock: Any = pygame.time.Clock()

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import ast
 import json
 from pathlib import Path
+from statistics import median
 
 import pytest
 
@@ -42,13 +44,55 @@ def test_a_script_runs(name: str, tmp_path: Path) -> None:
     assert expected in python_again(EXAMPLES / name, *arguments, cwd=tmp_path)
 
 
+def test_the_table_of_arrivals_is_what_was_measured() -> None:
+    """Arrivals at risk 0 / at risk 1 in `arrive.json`; of agents the median of the trainings, of constants the most."""
+    lines = json.loads((EXAMPLES / "arrive.json").read_text(encoding="utf-8"))
+    page = (ROOT / "docs" / "scenarios.md").read_text(encoding="utf-8")
+    title, _, *table = page.partition("| driver |")[2].partition("\n\n")[0].splitlines()
+    scenarios = dict(zip(title.replace("|", " ").split(), ("ramp", "grid", "town"), strict=True))
+    constants = ("LANE_LEFT", "IDLE", "LANE_RIGHT", "FASTER", "SLOWER")
+    drivers = {
+        **{
+            "double DQN of this project": ("dqn",),
+            "DQN of Stable-Baselines3": ("sb3-dqn",),
+            "SUMO": ("SUMO",),
+        },
+        **{"careful driver of `agents/rules`": ("careful",), "always IDLE": ("IDLE",)},
+        "the best constant action": constants,
+    }
+    cells = 0
+    for row in table:
+        driver, *shown = [cell.strip() for cell in row.strip("|").split("|")]
+        names = drivers.pop(driver)
+        several = max if names == constants else median
+        for scenario, cell in zip(scenarios.values(), shown, strict=True):
+            of = [
+                lines[key] for key in lines for name in names if f"{key}/".startswith(f"{scenario}/{name}/")
+            ]
+            counts = [[line[f"risk {risk}"].get("arrived", 0) for line in of] for risk in (0, 1)]
+            assert cell == (" / ".join(f"{several(arrived):g}" for arrived in counts) if of else "")
+            cells += bool(of)
+    assert not drivers and cells >= 17  # in Braunschweig one of the two learners was trained
+
+
 def test_the_notebook_runs(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
     notebook = json.loads((EXAMPLES / "tour.ipynb").read_text(encoding="utf-8"))
     shared: dict[str, object] = {}
     for cell in notebook["cells"]:
         if cell["cell_type"] == "code":
-            assert cell["outputs"] == []
-            code = "".join(cell["source"]).replace("EPISODES = 20", "EPISODES = 1")
+            assert cell["outputs"]
+            code = "".join(cell["source"]).replace("EPISODES = 30", "EPISODES = 1")
             exec(compile(code, cell["id"], "exec"), shared)
     assert (tmp_path / "episode" / "episode.sumocfg").is_file()
+
+
+def test_the_notebook_shows_what_risk_does() -> None:
+    """Its stored outputs, as a code host shows them: crash rates rise with the dose; the file is small."""
+    file = EXAMPLES / "tour.ipynb"
+    cells = json.loads(file.read_text(encoding="utf-8"))["cells"]
+    (risk,) = [cell for cell in cells if "EPISODES" in "".join(cell["source"])]
+    rates = ast.literal_eval("".join(risk["outputs"][-1]["data"]["text/plain"]))
+    assert len(rates) == 2 and all(rate[0] < rate[1] < rate[2] for rate in rates.values())
+    assert any("image/png" in output.get("data", {}) for cell in cells for output in cell.get("outputs", []))
+    assert file.stat().st_size < 200_000

@@ -68,8 +68,9 @@ def test_imports_point_one_way() -> None:
 # The parts of two packages, the lowest first: a part uses those below it alone. What is not listed is above them all.
 FLOORS = {
     "sumo_env": """
-        networks < scene streams config < contacts < traffic < tasks simulator < actions
-        < observation rendering views export window < occupancy neighbours < interface < sumo < own_sumo screen < env
+        networks < scene streams hints < config < contacts < traffic < tasks simulator < actions
+        < observation rendering export window < occupancy neighbours views < interface as_highway_env < sumo
+        < own_sumo screen < env < doctor
     """,
     "experiments": """
         support < backends < study < analysis < reporting < validation

@@ -158,7 +158,14 @@ class ScenarioEnv(AbstractEnv):
             on_road=self.vehicle.on_road,
             rewards=self._rewards(action),
             action=self._offered.action_type.no_action if action is None else action,
+            ending=self._ending(),
         )
+
+    def _ending(self) -> str:
+        """As `sumo_env.interface.ending`."""
+        if self.vehicle.crashed or self._arrived():
+            return "crash" if self.vehicle.crashed else "arrived"
+        return "time" if self.steps and self._is_truncated() else ""
 
     def _arrived(self) -> bool:
         return False

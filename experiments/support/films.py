@@ -1,4 +1,4 @@
-"""Episodes as animated pictures: recorded at every other simulation step, put side by side, saved as GIF."""
+"""Episodes as animated pictures: recorded at every other simulation step, put side by side, saved as GIF or MP4."""
 
 from __future__ import annotations
 
@@ -7,7 +7,10 @@ from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
+import numpy as np
 from PIL import Image, ImageDraw, ImageFont
+
+from experiments.support.errors import UserError
 
 FREQUENCY = 5  # pictures per second
 HOLD = 5  # pictures for which the last one stays
@@ -47,25 +50,51 @@ class Film:
         return Image.fromarray(self.env.render())
 
 
-def side_by_side(films: Sequence[tuple[str, Pictures]], columns: int | None = None) -> Pictures:
+def side_by_side(
+    films: Sequence[tuple[str, Pictures]], columns: int | None = None, caption: Sequence[str] = ()
+) -> Pictures:
     """Films of pictures of one size in one, each under its title, in one row or in so many columns.
 
-    The shorter ones stay at their end.
+    The shorter ones stay at their end. The lines of the caption stand below.
     """
     length, columns = max(len(pictures) for _, pictures in films), columns or len(films)
     width, height = films[0][1][0].size
     rows = -(-len(films) // columns)
     font, sheets = ImageFont.load_default(size=14), []
     for number in range(length):
-        size = (columns * (width + GAP) - GAP, rows * (height + TITLE))
+        size = (columns * (width + GAP) - GAP, rows * (height + TITLE) + len(caption) * TITLE)
         sheet = Image.new("RGB", size, "white")
         pen = ImageDraw.Draw(sheet)
         for place, (title, pictures) in enumerate(films):
             left, top = place % columns * (width + GAP), place // columns * (height + TITLE)
             pen.text((left + 4, top + 3), title, fill="black", font=font)
             sheet.paste(pictures[min(number, len(pictures) - 1)], (left, top + TITLE))
+        for line, text in enumerate(caption):
+            pen.text((4, rows * (height + TITLE) + line * TITLE + 3), text, fill="black", font=font)
         sheets.append(sheet)
     return sheets
+
+
+def save_film(pictures: Pictures, file: Path) -> None:
+    """Write a film, as a GIF or, where the file's name ends so, as an MP4.
+
+    Raises:
+        UserError: another kind of file, or moviepy is missing, which writes MP4.
+    """
+    if file.suffix == ".gif":
+        return save_gif(pictures, file)
+    if file.suffix != ".mp4":
+        raise UserError(f"{file}: a film is a .gif or an .mp4")
+    try:
+        from moviepy import ImageSequenceClip  # type: ignore[import-untyped]
+    except ImportError:
+        raise UserError("an .mp4 needs moviepy: pip install moviepy (a .gif does not)") from None
+    width, height = pictures[0].size
+    even = [
+        picture.crop((0, 0, width // 2 * 2, height // 2 * 2)) for picture in pictures
+    ]  # as H.264 asks for
+    frames = [np.asarray(picture) for picture in even + even[-1:] * HOLD]
+    ImageSequenceClip(frames, fps=FREQUENCY).write_videofile(str(file), logger=None)
 
 
 def save_gif(pictures: Pictures, file: Path) -> None:

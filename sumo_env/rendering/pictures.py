@@ -1,13 +1,15 @@
 """Pictures of a scene, drawn with Pillow: no display, no window, the same pixels on every machine.
 
 The camera follows the ego as highway-env's does. The colours are those of the report's films: the ego is blue, other
-cars are white, crashed ones red, and a car is yellow with a ring while a risk event acts on it.
+cars are white, crashed ones red, and a car is yellow with a ring while a risk event acts on it, whose kind is written
+beside it. In the corner are the time, the ego's speed and its last meta-action.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -32,7 +34,6 @@ GLASS: Colour = (70, 80, 90)
 HEADLIGHT: Colour = (255, 250, 200)
 
 SUPERSAMPLING = 2  # drawn this much larger, then averaged
-FONT = ImageFont.load_default(size=13)  # of the module: a font cannot be copied with its environment
 RING = 4.0  # [m] radius of the ring around a car in a risk event, and around a crashed ego
 
 _HALF = VEHICLE_LENGTH / 2, VEHICLE_WIDTH / 2
@@ -57,8 +58,23 @@ class Renderer:
         self._road: Road | None = None
         self._layers: tuple[_Layer, ...] = ()
 
-    def draw(self, scene: Scene, road: Road, config: Mapping[str, Any]) -> NDArray[np.uint8]:
-        """The picture of a scene, shape (screen_height, screen_width, 3)."""
+    def draw(
+        self,
+        scene: Scene,
+        road: Road,
+        config: Mapping[str, Any],
+        action: str = "",
+        kinds: Mapping[str, str] | None = None,
+    ) -> NDArray[np.uint8]:
+        """The picture of a scene, shape (screen_height, screen_width, 3).
+
+        Args:
+            scene: what is drawn.
+            road: the lanes.
+            config: sizes, zoom and camera.
+            action: name of the ego's last action, "" for none.
+            kinds: of the risk events that act now, by vehicle.
+        """
         width, height = int(config["screen_width"]), int(config["screen_height"])
         scale = float(config["scaling"]) * SUPERSAMPLING
         # The camera moves by whole drawn pixels, so that the road does not flicker.
@@ -69,6 +85,7 @@ class Renderer:
         canvas = Image.new("RGB", size, GROUND)
         pen = ImageDraw.Draw(canvas)
         self._draw_road(pen, road, scale, np.array([left, top]), np.array(size))
+        labels: list[tuple[float, float, str]] = []
         reach = max([VEHICLE_LENGTH, *(length for length, _ in scene.sizes.values())]) * scale
         for row in range(len(scene) - 1, -1, -1):  # the ego last, on top of the others
             x, y = float(scene.x[row]) * scale - left, float(scene.y[row]) * scale - top
@@ -77,10 +94,21 @@ class Renderer:
                 _draw_vehicle(pen, x, y, float(scene.heading[row]), scale, _colour(scene, row), extent)
                 if scene.ids[row] in scene.in_event:
                     _draw_ring(pen, x, y, scale)
+                    labels.append((x, y - RING * scale, (kinds or {}).get(scene.ids[row], "")))
                 if row == 0 and scene.crashed[0]:
                     _draw_ring(pen, x, y, scale, CRASHED)
         picture = canvas.reduce(SUPERSAMPLING)
-        self._write(picture, scene)
+        font = _font(9 if height < 100 else min(12 + height // 50, 20))
+        pen = ImageDraw.Draw(picture, "RGBA")
+        for x, y, kind in labels:
+            place = x / SUPERSAMPLING, y / SUPERSAMPLING
+            pen.text(place, kind, fill=IN_EVENT, font=font, anchor="mb", stroke_width=2, stroke_fill=OUTLINE)
+        text = f"{scene.time:.1f} s   {float(scene.speed[0]):.1f} m/s   {action}".rstrip()
+        if scene.crashed[0]:
+            text += "   crash"
+        _, _, right, bottom = pen.textbbox((8, 5), text, font=font)
+        pen.rectangle((0, 0, right + 8, bottom + 5), fill=(*OUTLINE, 200))
+        pen.text((8, 5), text, fill=WHITE, font=font)
         return np.array(picture)
 
     def _draw_road(
@@ -97,12 +125,11 @@ class Renderer:
             for polygon in layer.within(corner / scale, (corner + size) / scale):
                 pen.polygon(_pixels(polygon * scale - corner), fill=layer.colour)
 
-    def _write(self, picture: Image.Image, scene: Scene) -> None:
-        text = f"{scene.time:.1f} s    {float(scene.speed[0]):.1f} m/s"
-        if scene.crashed[0]:
-            text += "    crash"
-        pen = ImageDraw.Draw(picture)
-        pen.text((8, 5), text, fill=WHITE, font=FONT, stroke_width=1, stroke_fill=OUTLINE)
+
+@cache
+def _font(size: int) -> Any:
+    """Of the module: a font cannot be copied with its environment."""
+    return ImageFont.load_default(size=size)
 
 
 class _Layer:

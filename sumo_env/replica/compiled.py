@@ -27,7 +27,7 @@ try:
 except ModuleNotFoundError as error:
     raise ModuleNotFoundError(
         "the environments replica/* are compiled with numba, which is not installed: "
-        "pip install 'sumo-risky-driving[replica]'",
+        "pip install numba (or, in a clone of this project, pip install '.[replica]')",
         name=error.name,
     ) from None
 

@@ -8,7 +8,8 @@ from collections.abc import Mapping
 from functools import lru_cache
 from typing import Any
 
-from sumo_env.config import Config, ConfigError, one_of
+from sumo_env.as_highway_env import class_or_instance
+from sumo_env.config import STOCK_FREQUENCY, Config, ConfigError, ignore, one_of, refuse_misplaced
 from sumo_env.env import VARIED, DrivingEnv, Observation
 from sumo_env.networks.roads import LaneIndex
 from sumo_env.observation import OFFSETS, Kinematics
@@ -21,12 +22,10 @@ from sumo_env.replica.linear import draw as draw_linear
 from sumo_env.replica.sight import eyes_of
 from sumo_env.replica.simulator import Replica
 from sumo_env.scene import Scene
-from sumo_env.tasks import highway
 from sumo_env.tasks.base import Task
 from sumo_env.traffic.scenario import Scenario
 
 SCENARIOS = ("highway-env", "seeded")
-SIMULATION_FREQUENCY = 15  # [Hz] highway-env's
 # Policy steps of two-way-v0, which has no duration (``max_episode_steps`` of its registration).
 TIME_LIMIT = 15
 # highway-env's default observations where those of `sumo_env` differ.
@@ -87,6 +86,7 @@ class ReplicaEnv(DrivingEnv):
     """
 
     steers = True
+    is_stock, _is_fast, _versioned = True, False, Config()  # of the class, which has no arguments
 
     def __init__(
         self,
@@ -97,7 +97,9 @@ class ReplicaEnv(DrivingEnv):
         variant: str = "stock",
         risk_law: str = LAWS[0],
         version: int = 0,
+        **misplaced: Any,
     ) -> None:
+        refuse_misplaced(misplaced)
         if version and (task, version) not in VERSIONS:
             known = ", ".join(f"{name}-v{number}" for name, number in VERSIONS)
             raise ConfigError(f"there is no version {version} of {task!r}; later versions are {known}")
@@ -108,36 +110,50 @@ class ReplicaEnv(DrivingEnv):
             task == "highway-fast",
         )
         self.replica = Replica(variant, self._is_linear, ego_contacts=self._is_fast)
-        super().__init__("highway" if self._is_fast else task, config, render_mode, self.replica)
+        super().__init__(task, config, render_mode, self.replica)
 
     # -- configuration -------------------------------------------------------------------------------------
 
+    @class_or_instance
     def default_config(self) -> Config:
         """Every key with its default."""
-        defaults = {**super().default_config(), "simulation_frequency": SIMULATION_FREQUENCY}
+        defaults = super().default_config()
+        if not self._is_fast:
+            defaults["simulation_frequency"] = STOCK_FREQUENCY
         if self.is_stock:
             defaults["neighbour_vehicles_connected_lanes"] = False
             defaults["observation"] = dict(OBSERVATIONS.get(self.task.name, defaults["observation"]))
-        return {**defaults, **(highway.FAST if self._is_fast else {}), **copy.deepcopy(self._versioned)}
+        return {**defaults, **copy.deepcopy(self._versioned)}
 
     def configure(self, config: Mapping[str, Any] | None) -> None:
         """Change these keys of the configuration; they take effect at the next reset."""
         if self.is_stock:
-            self._refuse_ours({**getattr(self, "config", {}), **(config or {})})
+            config = self._without_ours(config or {})
         super().configure(config)
         if self.is_stock or self._versioned:
             self.replica.connected = bool(self.config.get("neighbour_vehicles_connected_lanes", False))
-        kinematics = self.observation_type
+        kinematics = self._observation_type
         self.eyes = eyes_of(kinematics) if isinstance(kinematics, Kinematics) else None
 
-    def _refuse_ours(self, config: Config) -> None:
-        defaults = self.default_config()
-        for key in ("risk", *OURS.get(self.task.name, ())):
-            if config.get(key, defaults[key]) != defaults[key]:
-                raise ConfigError(
-                    f"config key {key!r} can only be {defaults[key]!r}, not {config[key]!r}: highway-env's "
-                    f"{self.task.name}-v0 has no such key; {INSTEAD}"
-                )
+    def _without_ours(self, config: Mapping[str, Any]) -> Config:
+        """The configuration without keys that highway-env's task does not have, which it ignores.
+
+        Raises:
+            ConfigError: `risk`, which nobody wants to be ignored.
+        """
+        defaults, known = self.default_config(), {**getattr(self, "config", {}), **config}
+        if known.get("risk", 0.0) != 0.0:
+            raise ConfigError(
+                f"config key 'risk' can only be 0.0, not {known['risk']!r}: highway-env's "
+                f"{self.task.name}-v0 has no such key; {INSTEAD}"
+            )
+        ours = OURS.get(self.task.name, ())
+        for key in ours:
+            if known.get(key, defaults[key]) != defaults[key]:
+                ignore(self.task.name, key, INSTEAD)
+                if hasattr(self, "config"):
+                    self.config[key] = defaults[key]
+        return {key: value for key, value in config.items() if key not in ours}
 
     # -- gymnasium -----------------------------------------------------------------------------------------
 
@@ -193,9 +209,11 @@ class ReplicaEnv(DrivingEnv):
     def _observe(self) -> Observation:
         if self._action_type.steers:  # it follows no route
             self._spec_of[self.ego_id] = self._spec_of[self.ego_id]._replace(destination=None)
-        if isinstance(self.observation_type, OccupancyGrid):
+        if self._own_observation is not None:
+            return super()._observe()
+        if isinstance(self._observation_type, OccupancyGrid):
             before_ego = self.replica.before_ego()
-            return self.observation_type.observe(self.scene, self._road, self._spec_of, before_ego)
+            return self._observation_type.observe(self.scene, self._road, self._spec_of, before_ego)
         if self.eyes is None:
             return super()._observe()
         table = self.replica.table(self.eyes)

@@ -26,7 +26,7 @@ from sumo_env.replica.batch import AFRESH, NOTHING, OTHER, SIDES, SPEEDS, Law, S
 from sumo_env.replica.compiled import announced
 from sumo_env.replica.env import ReplicaEnv
 from sumo_env.replica.simulator import steered
-from sumo_env.tasks import TASKS
+from sumo_env.tasks import TASKS, VARIANTS
 from sumo_env.tasks.base import nearest_index
 
 RESULTS = kernels.OUTCOME.names or ()
@@ -56,7 +56,7 @@ def make(
 
 def is_compiled(env: ReplicaEnv) -> bool:
     """Whether the kernels compute all that this environment gives; rewards of a task of one's own they do not know."""
-    is_known = env.task is TASKS.get(env.task.name)
+    is_known = any(env.task is task for task in (*TASKS.values(), *VARIANTS.values()))
     return is_known and env.render_mode is None and env.eyes is not None and env.eyes.is_sorted
 
 
@@ -64,7 +64,7 @@ class ReplicaVectorEnv(VectorEnv):
     """`num_envs` environments that one compiled call steps.
 
     Each drives the episodes that the single environment drives with its seed, to the bit. ``infos`` has the entries of
-    its ``info``, as arrays, but for rewards, crash, traffic lights, acceleration and jerk.
+    its ``info``, as arrays, but for rewards, crash, ending, traffic lights, acceleration and jerk.
 
     Args:
         single: an environment, which draws the episodes of all.

@@ -13,7 +13,7 @@ from sumo_env.config import ConfigError
 REFUSED = (
     *("--configuration-file", "--net-file", "--route-files", "--begin", "--end", "--step-length"),
     *("--collision.action", "--collision.check-junctions", "--collision.mingap-factor", "--time-to-teleport"),
-    *("--lanechange.duration", "--lateral-resolution", "--load-state"),
+    *("--lanechange.duration", "--lateral-resolution", "--load-state", "--mesosim"),
     *("--remote-port", "--num-clients", "--gui", "--start"),
 )
 # Beginnings of the options that change what SUMO does with the vehicles of its own files: when they come, how they are
@@ -30,7 +30,7 @@ DESCRIPTORS = Path("/proc/self/fd")  # the files that this process has open, as 
 REFUSED_FOR_FILES = (
     *("--configuration-file", "--net-file", "--route-files", "--begin", "--end", "--step-length", "--seed"),
     *("--random", "--collision.action", "--collision.check-junctions", "--collision.mingap-factor"),
-    *("--load-state", "--output-prefix", "--remote-port", "--num-clients", "--gui", "--start"),
+    *("--load-state", "--mesosim", "--output-prefix", "--remote-port", "--num-clients", "--gui", "--start"),
 )
 OUTPUT_DIR = "--output-dir"  # no option of SUMO: the folder for its outputs
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from sumo_env.config import ConfigError, nearest
 from sumo_env.tasks.base import Task
-from sumo_env.tasks.highway import Highway
+from sumo_env.tasks.highway import FAST, Highway
 from sumo_env.tasks.intersection import Intersection
 from sumo_env.tasks.roundabout import Roundabout
 from sumo_env.tasks.two_way import TwoWay
@@ -14,9 +14,12 @@ TASKS: dict[str, Task] = {
     task.name: task for task in (Highway(), TwoWay(), Roundabout(), Intersection(), UTurn())
 }
 
+# Names that stand for a task with other defaults.
+VARIANTS: dict[str, Task] = {"highway-fast": Highway(FAST)}
+
 
 def get_task(name: str | Task) -> Task:
-    """The task of this name; a task stands for itself.
+    """The task of this name, highway-fast among them; a task stands for itself.
 
     Raises:
         ConfigError: there is none; the message names the nearest one.
@@ -25,6 +28,6 @@ def get_task(name: str | Task) -> Task:
         return name
     if isinstance(name, type):
         raise ConfigError(f"a task is needed, not its class: {name.__name__}()")
-    if name not in TASKS:
+    if name not in TASKS | VARIANTS:
         raise ConfigError(f"unknown task {name!r}: {nearest(name, list(TASKS))}")
-    return TASKS[name]
+    return (TASKS | VARIANTS)[name]

@@ -11,7 +11,7 @@ from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 
-from sumo_env.config import Config, ConfigError, simulated_frequency
+from sumo_env.config import Config, ConfigError, pace, simulated_frequency
 from sumo_env.networks import files
 from sumo_env.networks.roads import LaneIndex, Road
 from sumo_env.scene import Scene
@@ -179,7 +179,8 @@ class Task:
     ) -> tuple[RiskEvent, ...]:
         """What risky drivers among these vehicles do, by time."""
         lifetimes = [(spec.id, 0.0) for spec in vehicles]
-        lifetimes += [(spawn.vehicle.id, spawn.step / config["policy_frequency"]) for spawn in spawns]
+        policy_steps = pace(self.frequency(config), int(config["policy_frequency"]))
+        lifetimes += [(spawn.vehicle.id, spawn.step / policy_steps) for spawn in spawns]
         return draw_events(self.risk_rates, config["risk"], tuple(lifetimes), seed, config["duration"])
 
     def imagined(self, scenario: Scenario, config: Config, now: float, seed: int) -> Scenario:

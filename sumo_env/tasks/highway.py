@@ -54,6 +54,10 @@ class Highway(Task):
     calibration = Calibration(speed_gain=100.0, speed_gain_lookahead=35.0, assertive=0.9)
     risk_rates = RiskRates(cut_in=0.035, brake=0.02, brake_decel=3.0)
 
+    def __init__(self, changed: Config | None = None) -> None:
+        """The task, with some defaults changed."""
+        self.defaults = {**self.defaults, **(changed or {})}
+
     def road(self, config: Config) -> Road:
         return highway(lanes_count=int(config["lanes_count"]))
 

@@ -289,37 +289,22 @@ class NetworkTask(Task):
         kind(ego_driver(self), "ego")
         for name, edges in self._drawn:
             ElementTree.SubElement(root, "route", {"id": name, "edges": " ".join(edges)})
-        vehicles = []
+        vehicles: list[dict[str, str]] = []
+
+        def add(id: str, route: str, depart: float, speed: str, **where: str) -> None:
+            driver = drivers.next()
+            when = {"depart": f"{depart:.3f}", "departSpeed": speed}
+            vehicles.append({"id": id, "type": kind(driver, driver.type), "route": route, **when, **where})
+
         for number, place in enumerate(self._places(config, ego, road, rng)):
             route, edge, lane, front, speed = place
-            driver = drivers.next()
-            vehicles.append(
-                {
-                    **{
-                        "id": f"v{number}",
-                        "type": kind(driver, driver.type),
-                        "route": route,
-                        "depart": f"{begin:g}",
-                    },
-                    **{"departEdge": str(edge), "departLane": str(lane), "departPos": f"{front:.2f}"},
-                    **{"departSpeed": f"{speed:.2f}", "insertionChecks": "none"},
-                }
-            )
+            where = {"departEdge": str(edge), "departLane": str(lane), "departPos": f"{front:.2f}"}
+            add(f"v{number}", route, begin, f"{speed:.2f}", insertionChecks="none", **where)
         spawned, frequency = stream(seed, "spawns"), config["policy_frequency"]
         for step in range(1, math.ceil((config["duration"] + config["warm_up"]) * frequency) + 1):
             if spawned.random() < config["spawn_probability"] / frequency:
                 route = self._drawn[int(spawned.integers(len(self._drawn)))][0]
-                driver = drivers.next()
-                vehicles.append(
-                    {
-                        **{"id": f"s{step}", "type": kind(driver, driver.type), "route": route},
-                        **{
-                            "depart": f"{begin + step / frequency:.3f}",
-                            "departLane": "free",
-                            "departSpeed": "max",
-                        },
-                    }
-                )
+                add(f"s{step}", route, begin + step / frequency, "max", departLane="free")
         for attributes in vehicles:
             ElementTree.SubElement(root, "vehicle", attributes)
         return ElementTree.tostring(root, "unicode")

@@ -6,7 +6,7 @@ at any policy frequency.
 
 from __future__ import annotations
 
-from sumo_env.config import Config
+from sumo_env.config import Config, pace
 from sumo_env.tasks.base import EgoState
 
 TERMS: Config = {
@@ -29,7 +29,8 @@ def measures_energy(config: Config) -> bool:
 def terms(ego: EgoState, config: Config) -> dict[str, float]:
     """The raw terms of one policy step."""
     assert ego.scene is not None and ego.scene.place is not None
-    place, dt = ego.scene.place, 1.0 / config["policy_frequency"]
+    place = ego.scene.place
+    dt = 1.0 / pace(int(config["simulation_frequency"]), int(config["policy_frequency"]))
     follower, before = place.neighbours[3], {}
     if ego.before is not None and ego.before.place is not None:
         before = {neighbour.id: neighbour.speed for neighbour in ego.before.place.neighbours[1::2]}

@@ -144,8 +144,8 @@ class Scenario:
         spawns: attempts to add a vehicle later.
         events: of risky drivers, sorted by time.
         warm_up: time that the traffic drives before the ego is placed [s], see `Simulator.reset`.
-        simulation_frequency, policy_frequency: sub-steps and policy steps per second [Hz]; the former is a multiple of
-            the latter.
+        simulation_frequency, policy_frequency: sub-steps and policy steps per second [Hz]; a policy step has the whole
+            number of sub-steps that is not above their ratio.
         net: name of the road, or the file of a SUMO network.
         road_arguments: of `networks.roads.road`, beside the name of the road.
         routes: SUMO's edges of the routes on a SUMO network, by name.

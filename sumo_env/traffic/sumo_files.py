@@ -58,7 +58,7 @@ def configuration(file: Path) -> dict[str, str]:
     """The options of a .sumocfg, with the paths of its input files made absolute.
 
     Raises:
-        ConfigError: the file cannot be read, or is no configuration with a network.
+        ConfigError: the file cannot be read, is no configuration with a network, or asks for mesoscopic traffic.
     """
     root = _root(file)
     found: dict[str, str] = {}
@@ -76,6 +76,8 @@ def configuration(file: Path) -> dict[str, str]:
         raise ConfigError(
             f"{file} is no configuration of SUMO with a network: it has no <net-file value=.../>"
         )
+    if found.get("mesosim", "false") not in ("false", "0", "no", "off"):
+        raise ConfigError(f"{file}: with 'mesosim' SUMO moves queues and no single cars: take the option out")
     return {name: value for name, value in found.items() if name not in LEFT_OUT}
 
 

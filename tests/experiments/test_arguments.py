@@ -124,3 +124,15 @@ found = importlib.util.find_spec("test")
 assert found is None or Path(found.origin).parent.name != "experiments", found
 """
     python("-c", code)
+
+
+@pytest.mark.parametrize("command", ["train", "watch", "sweep"])
+def test_what_is_not_installed_is_told_in_a_line(command: str) -> None:
+    """After ``pip install .`` alone."""
+    code = (
+        "import runpy, sys; sys.modules['tyro'] = sys.modules['pandas'] = None; "
+        f"sys.argv = ['experiments/{command}.py']; runpy.run_path(sys.argv[0], run_name='__main__')"
+    )
+    done = ended("-c", code)
+    assert done.returncode == 2 and len(done.stderr.splitlines()) == 1, done.stderr
+    assert done.stderr.startswith("error: pandas, tyro not installed") and "make setup" in done.stderr

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -19,6 +20,7 @@ from experiments.study.compute.evaluate import drives, evaluate
 from experiments.study.design.presets import PRESETS
 from experiments.study.replaying import publish
 from experiments.study.results import store
+from experiments.support import films
 from experiments.support.errors import UserError
 from tests.experiments import synthetic
 
@@ -94,6 +96,32 @@ def test_it_is_filmed_at_both_risks(trained: Path, capsys) -> None:
     width: Any = watch.VIEW["screen_width"]
     assert film.size[0] > 2 * width
     assert film.n_frames > 5
+    assert "Crashes in test scenarios by traffic: risk 0 " in said and "chosen by hand" in said
+
+
+def test_two_agents_are_filmed_in_a_risky_scenario_that_one_survives(tmp_path: Path, capsys) -> None:
+    """By default the published agents, control beside treatment; MP4 too."""
+    published = Path(watch.__file__).resolve().parents[1] / "results" / "standard"
+    film = tmp_path / "film.mp4"
+    assert watch.watch(watch.Options(published, agent="u-turn-3-treatment", out=film)) == 0
+    said = capsys.readouterr().out
+    assert "treatment: no crash" in said and "near miss that the agent survives" in said
+    assert re.search(r"at risk 1: control \d+% of 100, treatment \d+% of 100", said)
+    assert film.stat().st_size > 1000
+    with pytest.raises(UserError, match=r"a \.gif or an \.mp4"):
+        films.save_film([], tmp_path / "film.avi")
+
+
+def test_the_scenario_is_chosen_by_a_rule_that_is_said() -> None:
+    columns = ("traffic", "scenario", "near_misses", "crashed")
+    rows = [("regular", 0, 3, False), ("risky", 0, 0, False), ("risky", 1, 2, True), ("risky", 2, 1, False)]
+    table = pd.DataFrame(rows, columns=columns)
+    here = Path()
+    assert watch.scenario_of(table, watch.Options(here)) == (2, watch.NEARLY)
+    assert watch.scenario_of(table, watch.Options(here, crash=True)) == (1, watch.CRASHES)
+    assert watch.scenario_of(table[:3], watch.Options(here))[0] == 0
+    assert watch.scenario_of(table[2:3], watch.Options(here)) == (1, watch.CRASHES)
+    assert watch.scenario_of(table, watch.Options(here, scenario=7)) == (7, "chosen by hand")
 
 
 def test_what_does_not_exist_is_said(trained: Path, tmp_path: Path) -> None:

@@ -13,9 +13,31 @@ from sumo_env import doctor
 from tests.processes import python
 
 
+def test_the_version_of_gymnasium_comes_first_and_the_folder_is_named(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """An old one makes later checks fail for reasons that mislead."""
+    monkeypatch.setattr(doctor.gym, "__version__", "0.29.1")
+    out = io.StringIO()
+    assert doctor.examine(doctor.CHECKS, out) == 1
+    first, second, *_ = out.getvalue().splitlines()
+    assert str(Path(sumo_env.__file__).parent) in first
+    assert "FAIL  gymnasium" in second and "pip install 'gymnasium>=1.1'" in second
+    declared = Path(__file__).resolve().parents[2] / "pyproject.toml"
+    assert f'"gymnasium>={".".join(map(str, doctor.GYMNASIUM))}"' in declared.read_text(encoding="utf-8")
+
+
+def test_help_and_unknown_arguments_check_nothing(capsys: pytest.CaptureFixture[str]) -> None:
+    for arguments, status in ((["--help"], 0), (["--nope"], 2)):
+        with pytest.raises(SystemExit) as ended:
+            doctor.main(arguments)
+        assert ended.value.code == status
+    assert "Check the installation" in capsys.readouterr().out
+
+
 @pytest.mark.slow
 def test_a_sound_installation_passes() -> None:
-    said = python("-m", "sumo_env.doctor")
+    said = python("-m", "sumo_env")  # the doctor
     assert "all is well" in said
     assert "FAIL" not in said
     for id in sumo_env.IDS:

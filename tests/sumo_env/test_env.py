@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import math
 import warnings
 from dataclasses import replace
 from typing import Any
@@ -15,8 +16,11 @@ import stable_baselines3.common.env_checker
 from gymnasium.utils.env_checker import check_env
 
 import sumo_env
-from sumo_env.config import COMMON, ConfigError
+from sumo_env.config import COMMON, ConfigError, _meant, ignore
 from sumo_env.env import DrivingEnv
+from sumo_env.hints import highway_env
+from sumo_env.interface import ending
+from sumo_env.scene import Place
 from sumo_env.tasks import TASKS
 from tests.sumo_env.rollout import drive, leaves
 
@@ -66,9 +70,7 @@ def test_an_episode_ends_within_its_duration(id: str) -> None:
     ("task", "config", "message"),
     [
         ("highway", {"vehicle_count": 3}, "did you mean 'vehicles_count'"),
-        ("highway", {"initial_vehicle_count": 3}, "did you mean 'vehicles_count'"),
-        ("intersection", {"vehicles_count": 3}, "did you mean 'initial_vehicle_count'"),
-        ("highway", {"initial_spacing": 2}, "did you mean 'ego_spacing'"),  # its former name
+        ("highway", {"vehicles_cout": 3}, "did you mean 'vehicles_count'"),
         ("highway", {3: 3}, "unknown config key 3"),
         ("highway", {"vehicles_count": "50"}, "must be a number"),
         ("highway", {"vehicles_count": 2.5}, "whole number"),
@@ -76,7 +78,8 @@ def test_an_episode_ends_within_its_duration(id: str) -> None:
         ("highway", {"lanes_count": 9}, "must be one of"),
         ("highway", {"initial_lane_id": 4}, "lane below 'lanes_count'"),
         ("highway", {"risk": 1.5}, "must lie in"),
-        ("highway", {"policy_frequency": 3}, "must be a multiple"),
+        ("highway", {"policy_frequency": 16}, "'simulation_frequency' .15. must be at least"),
+        ("highway", {"policy_frequency": 15, "simulation_frequency": 10}, "must be at least"),
         ("highway", {"normalize_reward": "yes"}, "True or False"),
         ("highway", {"centering_position": 0.3}, "a list of 2 numbers"),
         ("highway", {"observation": "Kinematics"}, "must be a dict"),
@@ -106,7 +109,9 @@ def test_an_episode_ends_within_its_duration(id: str) -> None:
             "'ContinuousAction'",
         ),
         ("highway", {"controlled_vehicles": 3}, "there is one ego"),
-        ("intersection", {"observation": {"type": "LidarObservation"}}, "known: Kinematics"),
+        ("intersection", {"observation": {"type": "LidarObservation"}}, "is not here: .*known: Kinematics"),
+        ("highway", {"observation": {"type": "GrayscaleObservation"}}, r"AddRenderObservation.*docs/from-hi"),
+        ("highway", {"action": {"type": "MultiAgentAction"}}, "there is one ego"),
         ("two-way", {"road_length": 5000.0}, "road_length"),
         ("two-way", {"vehicles_count": 500}, "do not fit"),
         ("u-turn", {"vehicles_count": 13}, "at most 12"),
@@ -136,10 +141,17 @@ def test_hints_do_not_mislead(task: str) -> None:
         "other_vehicles",
     }
     same = {"initial_vehicle_count", "vehicles_count"}  # what one task calls so, the others call otherwise
+    ignored = highway_env()["ignored"][task]
     for key in others | scripts | {"seed", "initial_speed", "action_reward", "reward", "max_speed"}:
-        with pytest.raises(ConfigError, match="unknown config key") as caught:
-            DrivingEnv(task, {key: 1})
-        assert ("did you mean" in str(caught.value)) == (key in same), caught.value
+        if key in ignored:
+            with pytest.warns(UserWarning, match=f"'{key}' has no effect") as warned:
+                ignore.__wrapped__(task, key, _meant(key, {**COMMON, **TASKS[task].defaults}))
+            said = str(warned[0].message)
+        else:
+            with pytest.raises(ConfigError, match="unknown config key") as caught:
+                DrivingEnv(task, {key: 1})
+            said = str(caught.value)
+        assert ("did you mean" in said) == (key in same), said
 
 
 @pytest.mark.parametrize("task", TASKS)
@@ -259,6 +271,43 @@ def test_an_episode_may_start_from_a_given_scenario() -> None:
     assert env.scenario != other
 
 
+@pytest.mark.parametrize(
+    ("task", "config", "action", "expected"),
+    [
+        ("highway", {"duration": 2, "vehicles_count": 1}, 1, "time"),
+        ("highway", {"vehicles_density": 4, "lanes_count": 1}, 3, "crash"),
+        ("intersection", {"initial_vehicle_count": 0, "spawn_probability": 0, "duration": 30}, 2, "arrived"),
+    ],
+)
+def test_info_says_how_an_episode_has_ended(
+    task: str, config: dict[str, Any], action: int, expected: str
+) -> None:
+    env = DrivingEnv(task, config)
+    _, info = env.reset(seed=1)
+    terminated = truncated = False
+    while not (terminated or truncated):
+        assert info["ending"] == ""
+        _, _, terminated, truncated, info = env.step(action)
+    assert info["ending"] == expected
+
+
+def test_endings_of_other_kinds() -> None:
+    env = DrivingEnv("highway", {"vehicles_count": 1})
+    env.reset(seed=0)
+    ego, place = env.ego_state, Place(("0", "1", 0), True, True, (), math.inf, ended="missed turn")
+    missed = ego._replace(scene=replace(env.scene, place=place))
+    assert ending(missed, False, True, False) == "missed turn"
+    assert ending(ego, False, True, False) == "own rule"
+    assert ending(ego._replace(on_road=False), False, True, True) == "off road"
+
+
+def test_keys_of_the_configuration_are_no_arguments() -> None:
+    for make in (gym.make, gym.make_vec):
+        for id in ("sumo/highway-v0", "replica/highway-v0"):
+            with pytest.raises(TypeError, match=r"config=\{'risk': 1\.0\}"):
+                make(id, risk=1.0)
+
+
 def test_info_holds_plain_values(highway: gym.Env[Any, Any]) -> None:
     """The same keys and types always, at a crash too, so that libraries can merge and store them."""
 
@@ -266,12 +315,16 @@ def test_info_holds_plain_values(highway: gym.Env[Any, Any]) -> None:
     for seed in range(3):
         infos.append(highway.reset(seed=seed)[1])
         infos += [result[4] for result in drive(highway, 3)]
+    assert all(bool(info["crash"]) == info["crashed"] for info in infos)  # a record, or an empty dictionary
+    crashes = [info.pop("crash") for info in infos]
     kinds = [[(where, type(value)) for where, value in leaves(info)] for info in infos]
     assert all(kind == kinds[0] for kind in kinds)
     assert all(value == value for info in infos for _, value in leaves(info))  # which NaN is not
     assert {info["crashed"] for info in infos} == {True, False}
-    for info in infos:
-        assert info["cost"] == float(info["crashed"]) and (info["crash"]["other"] != "") == info["crashed"]
+    for info, crash in zip(infos, crashes, strict=True):
+        assert info["cost"] == float(info["crashed"])
+        assert not crash or (crash["other"] and type(crash["time"]) is float)
+        assert info["ending"] == ("crash" if info["crashed"] else "")
         assert not info["crashed"] or info["min_ttc"] == 0.0
     assert infos[0]["action"] == -1
     highway.reset(seed=0)

@@ -181,16 +181,17 @@ def test_the_replica_is_highway_env_with_several_cars(case: str) -> None:
     gym.register_envs(highway_env)
     id, config = CASES[case]
     keywords: Any = {} if config is None else {"config": config}
-    theirs, ours = (
+    both: list[Any] = [
         gym.make(f"{room}{id}", disable_env_checker=True, **keywords) for room in ("", "replica/")
-    )
+    ]
+    ours = both[1]
     compared = 0
     for seed in range(4):
-        found: list[Any] = [env.reset(seed=seed) for env in (theirs, ours)]
+        found: list[Any] = [env.reset(seed=seed) for env in both]
         ours.action_space.seed(seed)
         is_over = False
         while not is_over:
-            cars: list[Any] = [env.unwrapped.controlled_vehicles for env in (theirs, ours)]
+            cars: list[Any] = [env.unwrapped.controlled_vehicles for env in both]
             if min(car.speed for car in cars[0]) < STANDING:
                 break
             there, here = ([car.position for car in one] for one in cars)
@@ -201,7 +202,7 @@ def test_the_replica_is_highway_env_with_several_cars(case: str) -> None:
                 if key in found[0][-1]:
                     assert found[0][-1][key] == pytest.approx(found[1][-1][key], abs=1e-6)
             action = ours.action_space.sample()
-            found = [env.step(action) for env in (theirs, ours)]
+            found = [env.step(action) for env in both]
             assert found[0][1] == pytest.approx(found[1][1], abs=1e-6)
             assert found[0][2:4] == found[1][2:4]
             is_over, compared = bool(np.all(found[0][2])) or found[0][3], compared + 1

@@ -102,13 +102,12 @@ def test_a_driven_episode_is_a_scenario_that_can_be_driven_again(tmp_path: Path)
         ({"scenarios": "stock"}, "unknown scenarios 'stock'"),
         ({"variant": "paths"}, "did you mean 'path'"),
         ({"risk_law": "lineal"}, "did you mean 'linear'"),
-        ({"config": {"vehicles_count": 10}}, 'scenarios="seeded"'),
         ({"config": {"risk": 1.0}}, 'scenarios="seeded"'),
         (
             {"config": {"observation": {"type": "LidarObservation"}}},
-            "unknown observation type 'LidarObservation'",
+            "'LidarObservation' of highway-env is not here",
         ),
-        ({"config": {"action": {"type": "MultiAgentAction"}}}, "unknown action type 'MultiAgentAction'"),
+        ({"config": {"action": {"type": "MultiAgentAction"}}}, "'MultiAgentAction' .* there is one ego"),
         ({"config": {"controlled_vehicles": 2}}, "there is one ego"),
     ],
 )
@@ -123,7 +122,7 @@ def test_what_is_refused_leaves_the_configuration_as_it_was() -> None:
     with pytest.raises(ConfigError, match='scenarios="seeded"'):
         env.reset(seed=0, options={"risk_rates": {"cut_in": 0.2}})
     with pytest.raises(ConfigError):
-        env.configure({"vehicles_count": 3})
+        env.configure({"risk": 1.0})
     assert env.config == before
 
 
@@ -151,4 +150,4 @@ def test_compilation_is_announced_once_and_kept(tmp_path: Path) -> None:
 
 def test_without_numba_the_error_says_what_to_install() -> None:
     code = "import sys; sys.modules['numba'] = None; import gymnasium as gym; gym.make('sumo_env:replica/highway-v0')"
-    assert "pip install 'sumo-risky-driving[replica]'" in ended("-c", code).stderr.splitlines()[-1]
+    assert "pip install numba" in ended("-c", code).stderr.splitlines()[-1]

@@ -6,7 +6,7 @@ import copy
 import shutil
 import tempfile
 import warnings
-from itertools import pairwise
+from itertools import groupby, pairwise
 from pathlib import Path
 from typing import Any
 
@@ -181,12 +181,20 @@ def test_the_type_of_the_ego_limits_what_it_can_do(town: Path, tmp_path: Path) -
             {"ego_vehicle": "ego", "config": {"traffic_scale": 2}},
             "'traffic_scale' must be a list of 2 numbers, not 2",
         ),
+        ({"ego_vehicle": "ego", "sumo_options": ["--mesosim"]}, "--mesosim is the environment's own"),
         ({"ego_route": [["A0A1", "C1C2"]]}, "no connection leads from edge 'A0A1' to edge 'C1C2'"),
     ],
 )
 def test_an_ego_that_cannot_be_is_named(town: Path, change: dict[str, Any], message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         SumoDrivingEnv(town, **change)
+
+
+def test_traffic_without_single_cars_is_refused(town: Path) -> None:
+    queues = town.with_name("mesoscopic.sumocfg")
+    queues.write_text(town.read_text().replace("</input>", '</input><mesosim value="true"/>'))
+    with pytest.raises(ConfigError, match="'mesosim'"):
+        SumoDrivingEnv(queues, ego_vehicle="ego")
 
 
 def test_a_trip_without_a_way_is_refused_when_the_environment_is_made(tmp_path: Path) -> None:
@@ -364,6 +372,20 @@ def test_the_shares_of_the_route_add_up_to_one_on_arrival(town: Path, frequency:
     env.close()
 
 
+def test_a_route_may_use_an_edge_twice(town: Path) -> None:
+    round_trip = ["A0A1", "A1B1", "B1B0", "B0A0", "A0A1", "A1A2"]
+    action = {"type": "DiscreteMetaAction", "longitudinal": "sumo", "lateral": "sumo"}
+    env = SumoDrivingEnv(town, ego_route=round_trip, config={"action": action, "duration": 300})
+    env.reset(seed=3)
+    shares, driven, over = [], [env.scene.place.ahead[0]], False
+    while not over:
+        *_, over, _, info = env.step(0)
+        shares.append(info["rewards"]["progress_reward"])
+        driven.append(env.scene.place.ahead[0])
+    assert info["arrived"] and sum(shares) == pytest.approx(1.0)
+    assert [edge for edge, _ in groupby(driven)] == round_trip
+
+
 def test_a_crash_costs_what_a_route_can_bring() -> None:
     weights = NetworkTask.defaults
     gain = weights["progress_reward"] + weights["arrived_reward"]
@@ -395,6 +417,36 @@ def test_the_ego_sees_the_end_of_its_lane_and_the_next_light(town: Path) -> None
     env.close()
     with pytest.raises(ConfigError, match="lane_end"):
         DrivingEnv("highway", {"observation": {"type": "Kinematics", "features": ["lane_end"]}})
+
+
+def test_distances_are_seen_as_far_as_five_seconds_at_the_limit(tmp_path: Path) -> None:
+    for limit, sight in ((30, 150), (5, 50)):
+        net = build(tmp_path, ("a 0 0,b 300 0", f"ab a b 1 {limit}"))
+        env = SumoDrivingEnv(net, ego_route=["ab"], config=QUIET)
+        ranges = env.default_config()["observation"]["features_range"]
+        ahead = ("x", "lane_end", "light_distance", "leader_gap")
+        assert [ranges[name][1] for name in ahead] == pytest.approx([sight] * 4)
+        assert ranges["vx"] == pytest.approx([-2 * limit, 2 * limit])
+
+
+def test_what_an_observation_leaves_out_is_the_network_s(town: Path) -> None:
+    some: tuple[dict[str, Any], ...] = (
+        {},
+        {"vehicles_count": 2},
+        {"features": ["vx", "light"], "vehicles_count": 1},
+    )
+    whole, less, other = (
+        SumoDrivingEnv(
+            town, ego_trips=[("B2B1", "A1A0")], config={"observation": {"type": "Kinematics", **given}}
+        )
+        for given in some
+    )
+    table = whole.reset(seed=1)[0]
+    assert less.reset(seed=1)[0].tolist() == table[:2].tolist()
+    columns = [whole.default_config()["observation"]["features"].index(name) for name in ("vx", "light")]
+    assert other.reset(seed=1)[0].tolist() == [table[0, columns].tolist()]
+    for env in (whole, less, other):
+        env.close()
 
 
 # -- SUMO of an environment --------------------------------------------------------------------------------

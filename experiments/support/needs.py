@@ -1,0 +1,23 @@
+"""Says what has to be installed, in place of a traceback; the commands import it before anything else."""
+
+import sys
+from importlib.util import find_spec
+
+NEEDED = (
+    "jinja2",
+    "matplotlib",
+    "pandas",
+    "pebble",
+    "pyarrow",
+    "rich",
+    "scipy",
+    "torch",
+    "tyro",
+)  # extra [study]
+
+if missing := [name for name in NEEDED if find_spec(name) is None]:
+    sys.stderr.write(
+        f"error: {', '.join(missing)} not installed for {sys.executable}: run make setup first, and then "
+        ". .venv/bin/activate (or pip install '.[study]')\n"
+    )
+    sys.exit(2)

@@ -1,0 +1,172 @@
+"""What scripts and subclasses that were written for highway-env meet of an environment."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
+from functools import update_wrapper
+from types import MethodType
+from typing import TYPE_CHECKING, Any, NoReturn
+
+import gymnasium as gym
+import numpy as np
+from numpy.typing import NDArray
+
+from sumo_env.actions import ActionType as Kind
+from sumo_env.config import Config
+from sumo_env.hints import missing, never_called, page
+from sumo_env.networks.roads import LaneIndex, Road
+from sumo_env.scene import PERCEPTION_DISTANCE, Scene
+from sumo_env.tasks.base import EgoState
+from sumo_env.traffic.scenario import VehicleSpec
+from sumo_env.views import ActionType, Observed, RoadView, Vehicle, road_view
+
+
+class _ClassOrInstance:
+    """A method of an environment, or of a class of environments where it is called on that, as in highway-env.
+
+    While an environment is configured, its classes stand for it: what a class method of a subclass gets by
+    ``super().default_config()`` are the defaults of that environment's task.
+    """
+
+    def __init__(self, function: Callable[[Any], Config]) -> None:
+        self._function = function
+        update_wrapper(self, function)  # type: ignore[arg-type]
+
+    def __get__(self, instance: object, owner: type) -> MethodType:
+        if instance is None and isinstance(_configured.get(), owner):
+            instance = _configured.get()
+        return MethodType(self._function, owner if instance is None else instance)
+
+
+class_or_instance: Any = _ClassOrInstance  # subclasses may write a method or a class method
+_configured: ContextVar[ReadAsHighwayEnv | None] = ContextVar("_configured", default=None)
+
+
+@contextmanager
+def configuring(env: ReadAsHighwayEnv) -> Iterator[None]:
+    """Within it, the classes of this environment stand for it, see `class_or_instance`."""
+    token = _configured.set(env)
+    try:
+        yield
+    finally:
+        _configured.reset(token)
+
+
+AFTER_RESET = ("vehicle", "controlled_vehicles", "road", "scene", "time", "steps")
+
+
+class ReadAsHighwayEnv(gym.Env[NDArray[np.float32], Any]):
+    """The part of `DrivingEnv` that scripts and subclasses written for highway-env meet."""
+
+    PERCEPTION_DISTANCE = PERCEPTION_DISTANCE  # [m]
+    scene: Scene
+    steps: int
+    config: dict[str, Any]
+    ego_state: EgoState
+    actions: dict[int, str]
+    target_speeds: tuple[float, ...]
+    _action_type: Kind
+    _observation_type: Any
+    _own_observation: Any = None  # a subclass's
+    _road: Road
+    _spec_of: dict[str, VehicleSpec]
+    _target_lane: LaneIndex
+    _speed_index: int
+    _view: RoadView | None = None
+
+    def __init_subclass__(cls, **kwargs: Any) -> None:
+        super().__init_subclass__(**kwargs)
+        theirs = {name: part for part in reversed(cls.__mro__) for name in vars(part)}
+        for name in sorted(never_called() & theirs.keys()):
+            if theirs[name] is not ReadAsHighwayEnv:
+                raise TypeError(
+                    f"{theirs[name].__name__}.{name} would never be called; "
+                    f"{page('from-highway-env', 'subclasses')} says what to use"
+                )
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> NoReturn:
+            owner = type(self).__name__
+            if name in AFTER_RESET:
+                raise AttributeError(f"{owner!r} has no attribute {name!r}: call reset() first", name=name)
+            raise missing(repr(owner), "env", name, dir(type(self)))
+
+    def _observe(self) -> NDArray[np.float32]:
+        raise NotImplementedError
+
+    @property
+    def time(self) -> float:
+        """Since the start of the episode [s]."""
+        return self.steps / float(self.config["policy_frequency"])
+
+    @property
+    def controlled_vehicles(self) -> list[Vehicle]:
+        """The ego."""
+        return [self.vehicle]
+
+    @property
+    def observation_type(self) -> Any:
+        """The type of observation; ``observe()`` is the present observation. A subclass may set one of its own."""
+        if self._own_observation is not None:
+            return self._own_observation
+        return Observed(
+            _of=self._observation_type, space=lambda: self.observation_space, observe=self._observe
+        )
+
+    @observation_type.setter
+    def observation_type(self, value: Any) -> None:
+        self._own_observation = value
+
+    @property
+    def road(self) -> RoadView:
+        """The lanes (`road.network`) and the vehicles (`road.vehicles`) of the present scene."""
+        if self._view is None or self._view.scene is not self.scene:
+            targets = {
+                "target_lane_index": self._target_lane,
+                "speed_index": self._speed_index,
+                "target_speed": self.target_speeds[self._speed_index],
+                "target_speeds": np.array(self.target_speeds),
+            }
+            connected = bool(self.config.get("neighbour_vehicles_connected_lanes"))
+            self._view = road_view(
+                self.scene, self._road, self._spec_of, connected, **(targets if self.actions else {})
+            )
+        return self._view
+
+    @property
+    def vehicle(self) -> Vehicle:
+        """The ego: position, speed, heading, lane_index, crashed, ..."""
+        return self.road.vehicles[0]
+
+    @property
+    def action_type(self) -> Any:
+        """The meta-actions: actions, actions_indexes, target_speeds, get_available_actions(); or those that steer."""
+        named: dict[str, Any] = {
+            "actions": self.actions,
+            "actions_indexes": {name: index for index, name in self.actions.items()},
+            "target_speeds": np.array(self.target_speeds),
+            "get_available_actions": self.get_available_actions,
+        }
+        return ActionType(
+            _of=self._action_type, space=lambda: self.action_space, **(named if self.actions else {})
+        )
+
+    def get_available_actions(self) -> list[int]:
+        """Indices of the actions that would change something now, and of IDLE."""
+        x, y, lane, road = self.scene.x.item(0), self.scene.y.item(0), self.ego_state.lane, self._road
+        beside = {
+            other[2] - lane[2] for other in road.side_lanes(lane) if road.lane(other).is_reachable_from(x, y)
+        }
+        possible = {
+            "IDLE": True,
+            "LANE_LEFT": -1 in beside,
+            "LANE_RIGHT": 1 in beside,
+            "FASTER": self._speed_index < len(self.target_speeds) - 1,
+            "SLOWER": self._speed_index > 0,
+        }
+        if (place := self.scene.place) is not None:
+            possible |= {"LANE_LEFT": place.left, "LANE_RIGHT": place.right}
+        return [index for index, name in self.actions.items() if possible[name]]

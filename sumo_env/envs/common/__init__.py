@@ -1,0 +1,1 @@
+"""What highway-env's environments share, under highway-env's names."""

@@ -1,0 +1,329 @@
+"""Keys, names and methods of highway-env: what is here is as in highway-env, and of the rest it is said why not."""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any, ClassVar
+
+import gymnasium as gym
+import highway_env  # noqa: F401  (registers)
+import numpy as np
+import pytest
+
+import sumo_env
+from docs import highway_env_names
+from sumo_env import hints
+from sumo_env.config import ConfigError, ignore
+from sumo_env.env import DrivingEnv
+from sumo_env.envs import HighwayEnv, HighwayEnvFast, IntersectionEnv, RoundaboutEnv, TwoWayEnv, UTurnEnv
+from sumo_env.envs.common.abstract import AbstractEnv
+from sumo_env.tasks import TASKS
+
+CLASSES = (HighwayEnv, TwoWayEnv, RoundaboutEnv, IntersectionEnv, UTurnEnv)
+
+
+def test_the_names_are_those_of_the_installed_highway_env() -> None:
+    """The file is what ``python docs/highway_env_names.py`` writes."""
+    assert highway_env_names.FILE.read_text(encoding="utf-8") == highway_env_names.text()
+
+
+# -- keys ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("id", ["sumo/highway-v0", "replica/highway-v0"])
+def test_a_key_that_highway_env_ignores_is_ignored_and_said_once(id: str) -> None:
+    ignore.cache_clear()
+    config = {"initial_spacing": 2, "speed_limit": 25, "road_length": 500.0, "vehicles_count": 5}
+    with pytest.warns(UserWarning, match="has no effect on the task 'highway', as in highway-env") as caught:
+        env: Any = gym.make(id, config=config).unwrapped
+    said = [str(warning.message) for warning in caught if "no effect" in str(warning.message)]
+    assert len(said) == 3 and "did you mean 'ego_spacing'" in said[0] and "mean" not in said[1]
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        env.configure({"initial_spacing": 3})
+    plain: Any = gym.make(id, config={"vehicles_count": 5}).unwrapped
+    assert np.array_equal(env.reset(seed=1)[0], plain.reset(seed=1)[0])
+
+
+def test_what_the_replica_ignores_is_what_highway_env_ignores() -> None:
+    """But for risk, which nobody wants to be ignored."""
+    ignore.cache_clear()
+    config = {"road_length": 500.0, "vehicles_count": 10}
+    with pytest.warns(UserWarning, match='has no effect .*scenarios="seeded"') as warned:
+        env: Any = gym.make("replica/two-way-v0", config=config).unwrapped
+    assert len([each for each in warned if "no effect" in str(each.message)]) == 2
+    assert (env.config["road_length"], env.config["vehicles_count"]) == (800.0, 3)
+    with pytest.raises(ConfigError, match="'risk' can only be"):
+        gym.make("replica/two-way-v0", config={"risk": 1.0})
+
+
+@pytest.mark.parametrize(
+    ("id", "config", "frames", "frequency"),
+    [
+        ("sumo/highway-v0", {"policy_frequency": 2, "simulation_frequency": 15}, 7, 15),
+        ("sumo/highway-v0", {"policy_frequency": 15}, 1, 15),
+        ("sumo/highway-v0", {"policy_frequency": 3}, 3, 10),
+        ("sumo/highway-fast-v0", {"policy_frequency": 2}, 2, 5),
+        ("replica/highway-v0", {"policy_frequency": 2}, 7, 15),
+    ],
+)
+def test_a_policy_step_has_highway_envs_number_of_simulation_steps(
+    id: str, config: dict[str, Any], frames: int, frequency: int
+) -> None:
+    """``int(simulation_frequency // policy_frequency)``; the time limit counts policy steps."""
+    env: Any = gym.make(id, config={**config, "vehicles_count": 3, "duration": 2}).unwrapped
+    env.reset(seed=0)
+    before, info, steps, truncated = env.vehicle.speed, {}, 0, False
+    while not truncated:
+        _, _, _, truncated, info = env.step(3)
+        steps += 1
+        assert env.scene.time == pytest.approx(steps * frames / frequency, abs=1e-5)
+        assert info["acceleration"] == pytest.approx((info["speed"] - before) * frequency / frames)
+        before = info["speed"]
+    assert steps == 2 * config["policy_frequency"] and env.time == pytest.approx(2.0)
+    if frequency == 15:  # of a later change, the frequency that was chosen stays
+        env.configure({"lanes_count": 3})
+        assert env.config["simulation_frequency"] == 15
+
+
+def test_the_fast_highway_is_the_highway_with_other_defaults() -> None:
+    env: Any = gym.make(sumo_env.SUMO_FAST_ID).unwrapped
+    theirs = gym.make("highway-fast-v0").unwrapped.config  # type: ignore[attr-defined]
+    assert env.task.name == "highway" and "highway-fast" not in TASKS
+    assert {key for key in theirs.keys() & env.config.keys() if env.config[key] != theirs[key]} <= {
+        "action", "offscreen_rendering",
+    }  # fmt: skip
+    assert env.config == HighwayEnvFast().config
+    envs = gym.make_vec(sumo_env.SUMO_FAST_ID, num_envs=1)
+    assert np.array_equal(envs.reset(seed=3)[0][0], env.reset(seed=3)[0])
+    envs.close()
+
+
+# -- subclasses ----------------------------------------------------------------------------------------------
+
+
+class ByTheClass(HighwayEnv):
+    """In highway-env's own form."""
+
+    @classmethod
+    def default_config(cls) -> dict[str, Any]:
+        config = super().default_config()
+        config.update({"lanes_count": 3, "vehicles_count": 4, "bonus": 5.0})
+        return config
+
+    def _reward(self, action: int) -> float:
+        return super()._reward(action) + self.config["bonus"]
+
+
+class OfNoTask(DrivingEnv):
+    """Whose class does not know its task."""
+
+    def __init__(self) -> None:
+        super().__init__("u-turn")
+
+    @classmethod
+    def default_config(cls) -> dict[str, Any]:
+        config = super().default_config()
+        config["duration"] *= 2
+        return config
+
+
+class ByTheInstance(UTurnEnv):
+    def default_config(self) -> dict[str, Any]:
+        return {**super().default_config(), "duration": 7}
+
+
+def test_default_config_is_a_class_method_or_a_method() -> None:
+    for made, task in zip(CLASSES, TASKS, strict=True):
+        assert made.default_config() == made().default_config() == DrivingEnv(task).default_config()
+        assert made().task is TASKS[task] and issubclass(made, AbstractEnv)
+    assert ByTheClass.default_config()["bonus"] == 5.0 and ByTheClass({"bonus": 1}).config["bonus"] == 1
+    assert OfNoTask().config["duration"] == 20 and OfNoTask().config["screen_width"] == 790
+    assert ByTheInstance().config["duration"] == 7
+    gym.register("test/by-the-class-v0", entry_point=ByTheClass)
+    env = gym.make("test/by-the-class-v0", config={"bonus": 2.0})
+    env.reset(seed=0)
+    assert 2.0 <= float(env.step(1)[1]) <= 3.0
+    env.close()
+
+
+class OwnSpaces(HighwayEnv):
+    """Whose observation is the speed alone, and whose info has more."""
+
+    class Speed:
+        def __init__(self, env: HighwayEnv) -> None:
+            self.env = env
+
+        def space(self) -> gym.Space[Any]:
+            return gym.spaces.Box(0.0, 40.0, (1,), np.float32)
+
+        def observe(self) -> np.ndarray:
+            return np.array([self.env.vehicle.speed], np.float32)
+
+    def define_spaces(self) -> None:
+        super().define_spaces()
+        self.observation_type = self.Speed(self)
+        self.observation_space = self.observation_type.space()
+
+    def _info(self, obs: Any, action: Any = None) -> dict[str, Any]:
+        return {**super()._info(obs, action), "lane": self.vehicle.lane_index[2]}
+
+
+def test_spaces_and_info_can_be_overridden() -> None:
+    env = OwnSpaces({"vehicles_count": 3})
+    observation, info = env.reset(seed=0)
+    assert observation in env.observation_space and observation == pytest.approx([25.0])
+    assert info["lane"] == env.step(1)[4]["lane"] == env.vehicle.lane_index[2]
+
+
+def test_what_would_never_be_called_is_refused_with_its_page() -> None:
+    theirs = set(hints.highway_env()["methods"])
+    assert {"_make_road", "_simulate", "to_finite_mdp", "PERCEPTION_DISTANCE"} <= hints.never_called()
+    assert theirs | {"metadata"} >= hints.CALLED
+    for name in sorted(hints.never_called()):
+        with pytest.raises(TypeError, match=rf"Mine\.{name} .*docs/from-highway-env\.md#subclasses"):
+            type("Mine", (HighwayEnv,), {name: None})
+    mixin = type("Mixin", (), {"_create_vehicles": lambda self: None})
+    with pytest.raises(TypeError, match=r"Mixin\._create_vehicles"):
+        type("Mine", (mixin, HighwayEnv), {})
+
+
+# -- what is read --------------------------------------------------------------------------------------------
+
+VERSIONS = {"u-turn": 1, "roundabout": 1}  # with connected lanes
+
+
+@pytest.mark.parametrize("task", TASKS)
+def test_what_is_read_of_the_replica_is_what_is_read_of_highway_env(task: str) -> None:
+    id = f"{task}-v{VERSIONS.get(task, 0)}"
+    # highway-env adds vehicles to its intersection after the observation, the replica before the next one
+    config: dict[str, Any] = {
+        "highway": {"vehicles_count": 12},
+        "intersection": {"spawn_probability": 0},
+    }.get(task, {})
+    theirs: Any = gym.make(id, config=config).unwrapped
+    ours: Any = gym.make(f"replica/{id}", config=config).unwrapped
+    theirs.reset(seed=4), ours.reset(seed=4)
+    for action in (1, 2, 0, 1):
+        alike(ours, theirs)
+        if ours.step(action)[2] | theirs.step(action)[2]:
+            break
+    alike(ours, theirs)
+
+
+def alike(ours: Any, theirs: Any) -> None:
+    """Compare everything that can be read of two environments in the same state."""
+    assert ours.time == pytest.approx(theirs.time)
+    assert np.allclose(ours.observation_type.observe(), theirs.observation_type.observe(), atol=1e-5)
+    assert ours.observation_type.space() == theirs.observation_type.space()
+    assert ours.action_type.space() == theirs.action_type.space()
+    mine, yours = ours.road.network, theirs.road.network
+    assert {a: {b: len(lanes) for b, lanes in ends.items()} for a, ends in mine.graph.items()} == {
+        a: {b: len(lanes) for b, lanes in ends.items()} for a, ends in yours.graph.items()
+    }
+    assert list(mine.lanes_dict()) == list(yours.lanes_dict()) and len(mine.lanes_list()) == len(
+        yours.lanes_list()
+    )
+    place, heading = theirs.vehicle.position, theirs.vehicle.heading
+    for a, b in zip(mine.lanes_list(), yours.lanes_list(), strict=True):
+        for name in ("local_coordinates", "distance", "on_lane", "is_reachable_from", "after_end"):
+            expected = getattr(b, name)(place)
+            assert getattr(a, name)(place) == pytest.approx(expected, abs=1e-6), name
+            assert getattr(a, name)(*place) == pytest.approx(expected, abs=1e-6), name
+        assert a.distance_with_heading(place, heading) == pytest.approx(
+            b.distance_with_heading(place, heading)
+        )
+        assert a.position(3.0, 0.5) == pytest.approx(b.position(3.0, 0.5))
+        assert (a.length, a.width_at(0), a.heading_at(2.0)) == pytest.approx(
+            (b.length, b.width_at(0), b.heading_at(2.0))
+        )
+    here = {tuple(np.round(vehicle.position, 4)): vehicle for vehicle in ours.road.vehicles}
+    pairs = {id(vehicle): here[tuple(np.round(vehicle.position, 4))] for vehicle in theirs.road.vehicles}
+    pairs[id(None)] = None
+    assert pairs[id(theirs.controlled_vehicles[0])] is ours.controlled_vehicles[0] is ours.vehicle
+    for vehicle in theirs.road.vehicles:
+        own = pairs[id(vehicle)]
+        assert own.road is ours.road and own.lane == mine.get_lane(own.lane_index)
+        assert own.lane_index == vehicle.lane_index
+        assert own.target_speed == pytest.approx(vehicle.target_speed)
+        assert own.lane_offset == pytest.approx(vehicle.lane_offset, abs=1e-6)
+        assert own.to_dict(ours.vehicle) == pytest.approx(vehicle.to_dict(theirs.vehicle), abs=1e-5)
+        assert own.lane_distance_to(ours.vehicle) == pytest.approx(
+            vehicle.lane_distance_to(theirs.vehicle), abs=1e-6
+        )
+        for index in yours.all_side_lanes(vehicle.lane_index):
+            expected = [pairs[id(each)] for each in theirs.road.neighbour_vehicles(vehicle, index)]
+            assert list(ours.road.neighbour_vehicles(own, index)) == expected
+        close = [pairs[id(each)] for each in theirs.road.close_vehicles_to(vehicle, 60.0, see_behind=False)]
+        mine_too = ours.road.close_vehicles_to(own, 60.0, see_behind=False)
+        assert set(mine_too) == set(close)  # two at the same distance may come in either order
+        assert [abs(own.lane_distance_to(each)) for each in mine_too] == pytest.approx(
+            [abs(own.lane_distance_to(each)) for each in close], abs=1e-6
+        )
+        assert ours.road.close_vehicles_to(own, 60.0, 2, see_behind=False) == mine_too[:2]
+
+
+class TestHints:
+    env: ClassVar[Any] = None
+
+    @pytest.fixture(autouse=True)
+    def one(self) -> None:
+        if self.env is None:
+            env: Any = gym.make("sumo/highway-v0", config={"vehicles_count": 2}).unwrapped
+            env.reset(seed=0)
+            type(self).env = env
+
+    def test_every_name_of_highway_env_can_be_read_or_says_why_not(self) -> None:
+        env = self.env
+        views = {
+            "env": env, "vehicle": env.vehicle, "road": env.road, "network": env.road.network,
+            "lane": env.vehicle.lane, "observation_type": env.observation_type, "action_type": env.action_type,
+        }  # fmt: skip
+        assert views.keys() == hints.highway_env()["names"].keys() == hints.OTHERWISE.keys()
+        there = dict.fromkeys(views, 0)
+        for kind, names in hints.highway_env()["names"].items():
+            for name in names:
+                try:
+                    getattr(views[kind], name)
+                    there[kind] += 1
+                except AttributeError as error:
+                    said = str(error)
+                    assert "which highway-env has: " in said and "(docs/from-highway-env.md)" in said, said
+                    assert error.obj is None  # so that Python adds no guess
+        assert there["env"] >= 20 and there["vehicle"] >= 18, there
+
+    @pytest.mark.parametrize(
+        ("name", "message"),
+        [
+            ("vehicle.positon", "the vehicle has no attribute 'positon': did you mean 'position'"),
+            ("road.vehicels", "the road has no attribute 'vehicels': did you mean 'vehicles'"),
+            ("road.network.nothing", "and highway-env has none either"),
+            ("controled_vehicles", "did you mean 'controlled_vehicles'"),
+        ],
+    )
+    def test_a_typo_is_told_from_what_is_missing(self, name: str, message: str) -> None:
+        *way, last = name.split(".")
+        part = self.env
+        for each in way:
+            part = getattr(part, each)
+        with pytest.raises(AttributeError, match=message):
+            getattr(part, last)
+
+    def test_reasons_are_about_names_of_highway_env(self) -> None:
+        known = hints.highway_env()
+        assert hints.REASONS.keys() <= {name for names in known["names"].values() for name in names}
+        assert hints.TYPES.keys() <= {name for names in known["types"].values() for name in names}
+
+    def test_what_is_printed_says_where_a_vehicle_is(self) -> None:
+        ego = self.env.vehicle
+        assert (
+            repr(ego)
+            == f"Ego 'ego' at ({ego.position[0]:.1f}, {ego.position[1]:.1f}) m, 25.0 m/s, on {ego.lane_index}"
+        )
+        assert repr(self.env.road).startswith("(Ego 'ego' at")
+
+
+def test_the_site_replaces_the_files_of_the_repository(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert hints.page("limits", "risk") == "docs/limits.md#risk"
+    monkeypatch.setattr(hints, "DOCUMENTATION", "https://example.org/sumo")
+    assert hints.page("limits", "risk") == "https://example.org/sumo/limits/#risk"

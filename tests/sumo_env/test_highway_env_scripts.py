@@ -1,0 +1,241 @@
+"""Scripts as users of highway-env publish them, written anew in a few lines each, with ``sumo/`` before the id.
+
+Each test is one kind of script that was found in public repositories. What is checked is that it runs to its end.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+import pytest
+from gymnasium.wrappers import AddRenderObservation, FlattenObservation, RecordVideo
+
+import sumo_env  # noqa: F401  (in place of highway_env)
+from sumo_env.envs import HighwayEnv, IntersectionEnv
+
+FEW = {"vehicles_count": 6, "duration": 4}
+
+
+@pytest.fixture(autouse=True)
+def _closed(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Scripts leave their environments open; here they are closed."""
+    made: list[Any] = []
+    make = gym.make
+
+    def remembered(*args: Any, **keywords: Any) -> Any:
+        made.append(make(*args, **keywords))
+        return made[-1]
+
+    monkeypatch.setattr(gym, "make", remembered)
+    yield
+    for env in made:
+        env.close()
+
+
+def test_the_quickstart_trains_a_dqn_on_the_fast_highway(tmp_path: Path) -> None:
+    dqn = pytest.importorskip("stable_baselines3").DQN
+    env = gym.make("sumo/highway-fast-v0")
+    model = dqn(
+        "MlpPolicy", env, policy_kwargs={"net_arch": [32, 32]}, learning_starts=10, batch_size=8, verbose=0
+    )
+    model.learn(30)
+    model.save(tmp_path / "model")
+    model = dqn.load(tmp_path / "model")
+    env = gym.make("sumo/highway-fast-v0", render_mode="rgb_array", config={"duration": 3})
+    done = truncated = False
+    obs, _ = env.reset()
+    while not (done or truncated):
+        action, _ = model.predict(obs, deterministic=True)
+        obs, reward, done, truncated, _ = env.step(action)
+        env.render()
+    assert 0.0 <= float(reward) <= 1.0
+
+
+def test_ppo_trains_on_several_environments_with_a_whole_configuration() -> None:
+    pytest.importorskip("stable_baselines3")
+    from stable_baselines3 import PPO
+    from stable_baselines3.common.env_util import make_vec_env
+
+    config = {
+        "observation": {"type": "Kinematics", "vehicles_count": 5, "features": ["presence", "x", "y", "vx", "vy"]},
+        "action": {"type": "DiscreteMetaAction"},
+        "lanes_count": 3, "vehicles_count": 8, "duration": 20, "initial_spacing": 2, "collision_reward": -1,
+        "reward_speed_range": [20, 30], "simulation_frequency": 15, "policy_frequency": 2,
+        "other_vehicles_type": "highway_env.vehicle.behavior.IDMVehicle", "screen_width": 600, "screen_height": 150,
+        "centering_position": [0.3, 0.5], "scaling": 5.5, "show_trajectories": False, "render_agent": True,
+        "offscreen_rendering": False,
+    }  # fmt: skip
+    envs = make_vec_env("sumo/highway-v0", n_envs=2, env_kwargs={"config": config})
+    model = PPO("MlpPolicy", envs, n_steps=8, batch_size=8, n_epochs=1)
+    model.learn(16)
+    envs.close()
+
+
+class OwnReward(HighwayEnv):
+    """A reward of one's own, with its weights in the configuration."""
+
+    @classmethod
+    def default_config(cls) -> dict[str, Any]:
+        config = super().default_config()
+        config.update({**FEW, "lanes_count": 3, "gap_reward": 0.3, "tailgating_reward": -0.5})
+        return config
+
+    def _rewards(self, action: int | None) -> dict[str, float]:
+        front, _ = self.road.neighbour_vehicles(self.vehicle, self.vehicle.lane_index)
+        gap = self.vehicle.lane_distance_to(front) if front else 100.0
+        return {
+            **super()._rewards(action),
+            "gap_reward": float(np.clip(gap / 100.0, 0, 1)),
+            "tailgating_reward": float(gap < 10.0),
+        }
+
+    def _reward(self, action: int) -> float:
+        return sum(self.config.get(name, 0) * reward for name, reward in self._rewards(action).items())
+
+    def _is_terminated(self) -> bool:
+        return self.vehicle.crashed or not self.vehicle.on_road
+
+    def _is_truncated(self) -> bool:
+        return self.time >= self.config["duration"]
+
+
+def test_a_subclass_has_its_own_reward_and_id() -> None:
+    gym.register(id="own-reward-v0", entry_point=f"{__name__}:OwnReward")
+    env: Any = gym.make("own-reward-v0")
+    env.reset(seed=1)
+    truncated = False
+    for _ in range(4):
+        _, _, _, truncated, info = env.step(env.unwrapped.action_type.actions_indexes["IDLE"])
+        assert info["rewards"].keys() >= {"gap_reward", "tailgating_reward", "collision_reward"}
+    assert truncated
+
+
+class LeftLane(gym.Wrapper[Any, Any, Any, Any]):
+    """Pays for the left lane and for overtaking."""
+
+    def step(self, action: Any) -> Any:
+        obs, reward, terminated, truncated, info = self.env.step(action)
+        inner: Any = self.env.unwrapped
+        lanes = inner.road.network.all_side_lanes(inner.vehicle.lane_index)
+        reward += 0.5 * (1 - inner.vehicle.lane_index[2] / max(len(lanes) - 1, 1))
+        behind = [
+            v for v in inner.road.vehicles if v is not inner.vehicle and inner.vehicle.lane_distance_to(v) < 0
+        ]
+        return obs, reward + 0.1 * len(behind), terminated, truncated, {**info, "overtaken": len(behind)}
+
+
+def test_a_wrapper_shapes_the_reward_by_what_it_reads() -> None:
+    env = LeftLane(gym.make("sumo/highway-v0", config=FEW))
+    env.reset(seed=0)
+    assert env.step(0)[1] > env.step(2)[1] - 0.5
+
+
+def test_a_film_is_recorded_with_every_simulation_step(tmp_path: Path) -> None:
+    pytest.importorskip("moviepy")
+    env: Any = gym.make("sumo/highway-fast-v0", render_mode="rgb_array")
+    env.unwrapped.config["simulation_frequency"] = 15
+    env.unwrapped.config["duration"] = 2
+    env = RecordVideo(env, video_folder=str(tmp_path), episode_trigger=lambda e: True)
+    env.unwrapped.set_record_video_wrapper(env)
+    env.reset()
+    while not any(env.step(3)[2:4]):
+        pass
+    env.close()
+    assert list(tmp_path.glob("*.mp4"))
+
+
+def test_rules_of_distance_and_lane_drive() -> None:
+    """As a driver of fixed rules reads highway-env: leaders and followers in its lane and in those beside it."""
+    env: Any = gym.make("sumo/highway-v0", config={**FEW, "policy_frequency": 5}).unwrapped
+    env.reset(seed=3)
+    names = env.action_type.actions_indexes
+    for _ in range(12):
+        ego, road = env.controlled_vehicles[0], env.road
+        front, _ = road.neighbour_vehicles(ego)
+        action = names["FASTER"]
+        if front is not None and ego.lane_distance_to(front) < 10 + 1.5 * ego.speed:
+            action = names["SLOWER"]
+            for side in road.network.side_lanes(ego.lane_index):
+                lane = road.network.get_lane(side)
+                ahead, behind = road.neighbour_vehicles(ego, side)
+                is_free = all(
+                    other is None or abs(ego.lane_distance_to(other, lane)) > 15.0
+                    for other in (ahead, behind)
+                )
+                if is_free and lane.is_reachable_from(ego.position):
+                    action = names["LANE_LEFT"] if side[2] < ego.lane_index[2] else names["LANE_RIGHT"]
+        if action not in env.get_available_actions():
+            action = names["IDLE"]
+        _, _, terminated, truncated, info = env.step(action)
+        if terminated or truncated:
+            break
+    assert not info["crashed"]
+
+
+def test_vehicles_are_logged_to_a_table() -> None:
+    env: Any = gym.make("sumo/roundabout-v0").unwrapped
+    env.reset(seed=2)
+    rows = []
+    for _ in range(3):
+        env.step(env.action_space.sample())
+        for vehicle in [
+            env.vehicle,
+            *env.road.close_vehicles_to(env.vehicle, env.config["duration"] * 10.0, count=4),
+        ]:
+            s, lateral = vehicle.lane.local_coordinates(vehicle.position)
+            rows.append(
+                {"time": env.time, "id": id(vehicle), "s": s, "lateral": lateral, **vehicle.to_dict()}
+            )
+    assert len(rows) > 6 and all(np.isfinite(list(row.values())).all() for row in rows)
+
+
+def test_a_shield_predicts_with_a_copy_and_refuses_actions() -> None:
+    env = gym.make("sumo/intersection-v0", config={"policy_frequency": 15, "duration": 1})
+    assert env.unwrapped.config["simulation_frequency"] == 15  # type: ignore[attr-defined]
+    env.reset(seed=5)
+    for _ in range(2):
+        safe = []
+        for action in env.unwrapped.get_available_actions():  # type: ignore[attr-defined]
+            twin = copy.deepcopy(env)
+            if not twin.step(action)[4]["crashed"]:
+                safe.append(action)
+            twin.close()
+        env.step(safe[0])
+
+
+class Arrival(IntersectionEnv):
+    """A copy of the idea of goals: the observation is flat, and `info` counts."""
+
+    def define_spaces(self) -> None:
+        super().define_spaces()
+        self.action_space = gym.spaces.Discrete(3)
+
+    def _info(self, obs: Any, action: Any = None) -> dict[str, Any]:
+        near = self.road.close_vehicles_to(self.vehicle, 20.0, see_behind=True)
+        return {
+            **super()._info(obs, action),
+            "near": len(near),
+            "is_success": self.task.arrived(self.ego_state),
+        }
+
+
+def test_a_subclass_of_the_intersection_tells_more() -> None:
+    env = FlattenObservation(Arrival({"observation": {"type": "OccupancyGrid"}, "duration": 3}))
+    observation, info = env.reset(seed=0)
+    assert observation.ndim == 1 and info["near"] >= 0
+    assert not env.step(1)[4]["is_success"]
+    env.close()
+
+
+def test_pictures_are_observed() -> None:
+    """In place of ``GrayscaleObservation``."""
+    config = {**FEW, "screen_width": 128, "screen_height": 64}
+    env = AddRenderObservation(gym.make("sumo/highway-v0", render_mode="rgb_array", config=config))
+    grey = gym.wrappers.GrayscaleObservation(env)
+    stacked = gym.wrappers.FrameStackObservation(grey, 4)
+    assert stacked.reset(seed=0)[0].shape == (4, 64, 128) and stacked.step(1)[0].dtype == np.uint8

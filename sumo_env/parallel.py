@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from pkgutil import resolve_name
 from typing import Any
 
 import gymnasium as gym
@@ -12,7 +13,7 @@ import gymnasium as gym
 from sumo_env.config import Config, ConfigError
 from sumo_env.env import VARIED, DrivingEnv
 from sumo_env.networks import files
-from sumo_env.several import Cars, Seen, asked
+from sumo_env.several import REPLICA, Cars, Seen, asked
 from sumo_env.tasks import TASKS
 from sumo_env.tasks.base import Task
 from sumo_env.tasks.network import NetworkTask
@@ -212,7 +213,7 @@ def parallel_env(
         keywords = {**{key: value for key, value in spec.kwargs.items() if key != "per_car"}, **keywords}
         env = keywords.pop("task")
         if spec.entry_point == "sumo_env.several:make_replica":
-            from sumo_env.replica.env import ReplicaEnv as make
+            make = resolve_name(REPLICA)
     if make is not DrivingEnv and remove_crashed:
         raise ConfigError("remove_crashed: crashed cars stay on the road on highway-env's physics")
     given = asked(config, keywords.pop("cars", 1))

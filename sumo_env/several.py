@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from pkgutil import resolve_name
 from typing import Any, NamedTuple
 
 import gymnasium as gym
@@ -22,6 +23,7 @@ from sumo_env.traffic.scenario import Scenario
 Make = Callable[[Config, str | None], DrivingEnv]  # of a configuration and a render mode
 Seen = tuple[Any, dict[str, Any]]  # what `DrivingEnv.reset` returns
 Result = tuple[Any, float, bool, bool, dict[str, Any]]  # what `DrivingEnv.step` returns
+REPLICA = "sumo_env.replica.env:ReplicaEnv"
 SHARED = {"action": "MultiAgentAction", "observation": "MultiAgentObservation"}  # highway-env's types
 
 
@@ -264,7 +266,7 @@ def make(
     *,
     cars: int = 1,
     per_car: bool = False,
-    on: Callable[..., DrivingEnv] = DrivingEnv,
+    on: str = "sumo_env.env:DrivingEnv",
     **keywords: Any,
 ) -> DrivingEnv | TupleEnv:
     """What ``gymnasium.make`` makes of an id: the environment of one car, or of several by the configuration.
@@ -273,24 +275,24 @@ def make(
         task, config, render_mode: as of `DrivingEnv`.
         cars: learning cars, unless the configuration says how many; if there are more, actions are tuples.
         per_car: see `TupleEnv`.
-        on: makes the environment of a car.
+        on: class of the environment of a car.
         keywords: of that environment.
     """
-    given = asked(config, cars)
+    given, make_one = asked(config, cars), resolve_name(on)
     if given.cars == 1 and not any(given.shared.values()):
-        return on(task, config, render_mode, **keywords)
+        alone: DrivingEnv = make_one(task, config, render_mode, **keywords)
+        return alone
 
     def one(config: Config, render_mode: str | None) -> DrivingEnv:
-        return on(task, config, render_mode, **keywords)
+        made: DrivingEnv = make_one(task, config, render_mode, **keywords)
+        return made
 
     return TupleEnv(one, given, render_mode, per_car)
 
 
 def make_replica(*arguments: Any, **keywords: Any) -> DrivingEnv | TupleEnv:
     """Likewise on highway-env's physics."""
-    from sumo_env.replica.env import ReplicaEnv
-
-    return make(*arguments, on=ReplicaEnv, **keywords)
+    return make(*arguments, on=REPLICA, **keywords)
 
 
 make.metadata = make_replica.metadata = DrivingEnv.metadata  # type: ignore[attr-defined]

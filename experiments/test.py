@@ -23,14 +23,14 @@ from typing import Annotated, Any
 
 import pandas as pd
 import tyro
-from scipy.stats import binomtest
 
+from experiments.study.compute.evaluate import driving
 from experiments.study.design import grid
 from experiments.study.design.traffic import ALL, TRAFFICS
 from experiments.study.results.store import EPISODES, Store
 from experiments.support.errors import UserError, run_command
 
-Z = 1.96  # normal quantile of a 95 % interval
+SHOWN = {"crash rate": "crash_rate", "return": "return", "speed [m/s]": "speed"}
 PUBLISHED = Path(__file__).resolve().parents[1] / "results" / "standard"  # its lightest settings have weights
 
 
@@ -42,18 +42,11 @@ class Options:
     """Directory of train.py or sweep.py."""
 
 
-def share(happened: pd.Series) -> str:
-    """A share of some episodes in per cent, with Wilson's 95 % interval over them: " 10% [4, 21]"."""
-    interval = binomtest(int(happened.sum()), len(happened)).proportion_ci(method="wilson")
-    return f"{happened.mean():4.0%} [{100 * interval.low:.0f}, {100 * interval.high:.0f}]"
-
-
-def mean(values: pd.Series) -> str:
-    """A mean with its interval."""
-    return f"{values.mean():6.2f} ± {Z * float(values.sem()):.2f}"
-
-
-SHOWN = (("crash rate", "crashed", share), ("return", "return", mean), ("speed [m/s]", "mean_speed", mean))
+def words(name: str, value: float, low: float, high: float) -> str:
+    """A number of `driving` with its interval: " 10% [4, 21]"."""
+    if name == "crash_rate":
+        return f"{value:4.0%} [{100 * low:.0f}, {100 * high:.0f}]"
+    return f"{value:6.2f} ± {high - value:.2f}"
 
 
 def test(options: Options) -> int:
@@ -93,10 +86,11 @@ def compared(directory: Path, setting: str) -> tuple[pd.DataFrame, int]:
         raise UserError(f"{setting} in {directory}: its agents were tested in different scenarios")
     found = {}
     for number, (label, table) in enumerate(rows):
-        parts = dict(iter(table[table["scenario"].isin(common)].groupby("traffic")))
+        parts = table[table["scenario"].isin(common)].groupby("traffic")
+        numbers = {traffic: driving(parts.get_group(traffic)) for traffic in TRAFFICS}
         found[number, label.removeprefix(f"{setting}-")] = {
-            f"{title}, risk {ALL[traffic].dose:g}": words(parts[traffic][column])
-            for title, column, words in SHOWN
+            f"{title}, risk {ALL[traffic].dose:g}": words(name, *numbers[traffic][name])
+            for title, name in SHOWN.items()
             for traffic in TRAFFICS
         }
     return pd.DataFrame.from_dict(found, orient="index").droplevel(0), len(common)

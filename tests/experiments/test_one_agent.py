@@ -16,7 +16,7 @@ from PIL import Image
 import agents
 from experiments import report, test, train, watch
 from experiments.backends import make_env
-from experiments.study.compute.evaluate import drives, evaluate
+from experiments.study.compute.evaluate import drives, driving, evaluate
 from experiments.study.design.presets import PRESETS
 from experiments.study.replaying import publish
 from experiments.study.results import store
@@ -69,8 +69,10 @@ def test_other_policies_are_tested_beside_it(trained: Path, capsys) -> None:
 
 
 def test_intervals() -> None:
-    assert test.share(pd.Series([True] * 5 + [False] * 45)) == " 10% [4, 21]"  # Wilson
-    assert test.mean(pd.Series([1.0, 2.0, 3.0])) == "  2.00 ± 1.13"
+    crashed = [True] * 5 + [False] * 45
+    found = driving(pd.DataFrame({"crashed": crashed, "return": 1.0, "mean_speed": [1.0, 3.0] * 25}))
+    assert test.words("crash_rate", *found["crash_rate"]) == " 10% [4, 21]"  # Wilson
+    assert test.words("speed", *found["speed"]) == "  2.00 ± 0.29"  # Student: 2.0096 x 1.0102 / sqrt(50)
 
 
 def test_trainings_of_one_slug_are_told_apart_and_the_published_study_need_not_be_there(

@@ -14,38 +14,19 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-import pandas as pd
 import tyro
 
 from agents import pretrained
 from agents.greedy import Greedy, Timed
 from experiments.backends import make_env
-from experiments.study.compute.evaluate import drives, evaluate
+from experiments.study.compute.evaluate import drives, driving, evaluate
 from experiments.study.compute.policies import driver
 from experiments.study.compute.wrappers import TimeObserved
 from experiments.study.design.grid import LEARNER, tested_on
-from experiments.study.design.traffic import TRAFFICS
 from experiments.study.results.store import EPISODES, Store
 from sumo_env.tasks import TASKS
 
 COMPARED = 25  # test scenarios of each traffic
-
-
-def driving(episodes: pd.DataFrame) -> dict[str, Any]:
-    """How an agent drives in its test, per traffic: values with the ends of their 95 % intervals over scenarios."""
-    from scipy import stats
-
-    found: dict[str, Any] = {}
-    for traffic in TRAFFICS:
-        rows = episodes[episodes["traffic"] == traffic]
-        crashes = stats.binomtest(int(rows["crashed"].sum()), len(rows))
-        rate = [crashes.statistic, *crashes.proportion_ci(method="wilson")]
-        found[traffic] = {"episodes": len(rows), "crash_rate": [round(float(value), 4) for value in rate]}
-        for name, column in (("return", "return"), ("speed", "mean_speed")):
-            values = rows[column]
-            mean = [values.mean(), *stats.t.interval(0.95, len(values) - 1, values.mean(), stats.sem(values))]
-            found[traffic][name] = [round(float(value), 4) for value in mean]
-    return found
 
 
 def halved(policy: Greedy) -> Greedy:
@@ -82,7 +63,7 @@ def published(directory: Path, name: str, command: str) -> tuple[dict[str, Any],
             for greedy in (policy, halved(policy))
         ]
         actions: Any = env.action_space
-    about = {
+    about: dict[str, Any] = {
         "cell": name,
         "command": f"{command} --cell {name}",
         "commit": record["provenance"]["git"],
@@ -93,8 +74,10 @@ def published(directory: Path, name: str, command: str) -> tuple[dict[str, Any],
         "actions": int(actions.n),
         "time_observed": steps,
         "precision": "float16" if np.array_equal(*returns) else "float32",
-        **driving(store.tables(name)[EPISODES]),
     }
+    for traffic, rows in store.tables(name)[EPISODES].groupby("traffic"):
+        values = {part: [round(value, 4) for value in found] for part, found in driving(rows).items()}
+        about[str(traffic)] = {"episodes": len(rows), **values}
     return about, policy
 
 

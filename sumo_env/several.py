@@ -50,6 +50,10 @@ def asked(config: Mapping[str, Any] | None, cars: int = 1) -> Asked:
         entry = plain.get(key)
         shared[key] = cars > 1 if entry is None else isinstance(entry, Mapping) and entry.get("type") == kind
         if entry is not None and shared[key]:
+            if f"{key}_config" not in entry:
+                raise ConfigError(
+                    f"the {key} type {kind!r} needs '{key}_config', the {key} of each car, not {entry!r}"
+                )
             plain[key] = entry[f"{key}_config"]
     return Asked(plain, count, shared)
 

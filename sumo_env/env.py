@@ -25,8 +25,15 @@ from sumo_env.occupancy import OccupancyGrid
 from sumo_env.own_sumo import OwnSumo
 from sumo_env.scene import Scene
 from sumo_env.screen import OnScreen
-from sumo_env.simulator import Command, Commands, EgoCommand, EgoStep, Simulator, Step
-from sumo_env.sumo.options import OUTPUT_DIR, REFUSED, REFUSED_FOR_FILES, check_effect, check_options
+from sumo_env.simulator import Command, Commands, EgoCommand, EgoStep, Simulator, Step, WindowClosed
+from sumo_env.sumo.options import (
+    OUTPUT_DIR,
+    REFUSED,
+    REFUSED_FOR_FILES,
+    check_effect,
+    check_live,
+    check_options,
+)
 from sumo_env.sumo.process import SumoProcess
 from sumo_env.tasks import get_task
 from sumo_env.tasks.base import EgoState, Task, nearest_index
@@ -50,9 +57,10 @@ class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
     Args:
         task: highway, two-way, roundabout, intersection or u-turn, or a task of your own (docs/own-parts.md).
         config: configuration keys to change; the defaults are `config.COMMON` and the task's `defaults`.
-        render_mode: None, ``"rgb_array"`` or ``"human"``, a window (docs/first-steps.md).
+        render_mode: None, ``"rgb_array"`` or ``"human"``, a window (docs/windows.md).
         simulator: the simulator that drives the traffic; None for SUMO. The environment closes it.
         sumo_options: further options of SUMO, such as ``["--tripinfo-output", "trips.xml"]`` (docs/own-parts.md).
+        live: None or ``"sumo-gui"``, SUMO's own window (docs/windows.md).
 
     Raises:
         ConfigError: unknown task or key, wrong value.
@@ -69,13 +77,15 @@ class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
         render_mode: str | None = None,
         simulator: Simulator | None = None,
         sumo_options: Sequence[str] = (),
+        live: str | None = None,
         **misplaced: Any,
     ) -> None:
         refuse_misplaced(misplaced)
-        if simulator is not None and sumo_options:
+        if simulator is not None and (sumo_options or live):
             raise ValueError(
-                "sumo_options are for SUMO, which this environment starts itself: leave out `simulator`"
+                "sumo_options and live are for SUMO, which this environment starts itself: leave out `simulator`"
             )
+        self._live = check_live(live)
         self.task: Task = get_task(task)
         self._open(render_mode)
         self._given = self._simulator = simulator
@@ -180,7 +190,7 @@ class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
         self._refuse_backwards("the ego at the start", ego.speed)
         self.scenario = scenario
         if self._simulator is None:
-            self._simulator = SumoProcess(options=self._options, here=True)
+            self._simulator = SumoProcess(options=self._options, here=True, live=self._live)
         self._commands: list[Commands] = []
         return scenario, self._simulator.reset(scenario)
 
@@ -241,7 +251,11 @@ class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
         """A policy step of the simulator."""
         assert self._simulator is not None
         self._commands.append(commands)
-        step = self._simulator.step(commands, trace=self._is_watched)
+        try:
+            step = self._simulator.step(commands, trace=self._is_watched)
+        except WindowClosed:  # the episode ends where it was
+            self._is_closed = True
+            step = Step(self.scene, dict.fromkeys(commands, self._last._replace(distance=0.0)))
         self._film(step.trace)
         return step
 

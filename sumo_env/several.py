@@ -75,6 +75,7 @@ class Cars:
         self.numbers: dict[str, int] = {}
         self.steps = 0
         self._scenario: Scenario
+        self._scene: Scene  # all cars
         self._here: set[str] = set()  # cars that have come
         self._leaving: list[str] = []
 
@@ -88,7 +89,8 @@ class Cars:
         by_type = scenario.traffic is not None and scenario.traffic.car_type
         known = () if by_type else (scenario.ego.id, *scenario.further)
         self.numbers = {name: number for number, name in enumerate(known)}
-        self._here, self._leaving, self.steps, self.first.scene = set(), [], 0, scene
+        self._here, self._leaving, self.steps = set(), [], 0
+        self._scene = self.first.scene = scene
         return self._newcomers(scene)
 
     def step(self, actions: Mapping[int, Any]) -> tuple[dict[int, Result], dict[int, Seen]]:
@@ -102,8 +104,9 @@ class Cars:
         ids = {number: name for name, number in self.numbers.items()}
         commands = {number: self.envs[number]._command(action) for number, action in actions.items()}
         leaving, self._leaving = dict.fromkeys(self._leaving), []
+        self.first.scene = self._scene
         step = self.first._drive({ids[number]: command for number, command in commands.items()} | leaving)
-        self.steps += 1
+        self.steps, self._scene = self.steps + 1, step.scene
         results = {}
         for number, command in commands.items():
             name, env = ids[number], self.envs[number]

@@ -21,6 +21,10 @@ class SimulatorError(RuntimeError):
     """A simulator cannot continue an episode; `reset` starts another one."""
 
 
+class WindowClosed(SimulatorError):
+    """The user has closed SUMO's own window, and the simulation with it."""
+
+
 class EgoCommand(NamedTuple):
     """The ego's command for one policy step, after the meta-action was applied (``MDPVehicle.act``).
 

@@ -12,6 +12,8 @@ import pytest
 from tests.processes import ROOT, python_again
 
 EXAMPLES = ROOT / "examples"
+SCENARIOS = EXAMPLES / "scenarios"
+NAMES = sorted(path.stem for path in SCENARIOS.glob("*.py") if path.stem not in ("build", "train"))
 SCRIPTS = {
     "sb3_dqn.py": (["--steps", "120"], "risk 1: return"),
     "sb3_ppo.py": (
@@ -96,3 +98,19 @@ def test_the_notebook_shows_what_risk_does() -> None:
     assert len(rates) == 2 and all(rate[0] < rate[1] < rate[2] for rate in rates.values())
     assert any("image/png" in output.get("data", {}) for cell in cells for output in cell.get("outputs", []))
     assert file.stat().st_size < 200_000
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_scenario_is_short_and_can_be_trained(name: str, tmp_path: Path) -> None:
+    script = SCENARIOS / f"{name}.py"
+    assert len(script.read_text(encoding="utf-8").splitlines()) <= 40
+    assert (SCENARIOS / "networks" / f"{name}.net.xml").is_file()
+    python_again(script, "--steps", "20", "--episodes", "2", "--picture", "a.png", cwd=tmp_path)
+    rows = json.loads((tmp_path / "results.json").read_text())
+    assert rows[name]["episodes"] == 2 and (tmp_path / "a.png").is_file()
+
+
+def test_the_page_has_what_the_scenarios_gave() -> None:
+    results = json.loads((SCENARIOS / "results.json").read_text())
+    assert set(results) <= set(NAMES) and all(row["episodes"] == 100 for row in results.values())
+    assert python_again(SCENARIOS / "train.py") in (ROOT / "docs" / "examples.md").read_text(encoding="utf-8")

@@ -19,17 +19,13 @@ from sumo_env.contacts.crash import CrashRecord, is_confirmed
 from sumo_env.contacts.rectangles import State
 from sumo_env.networks.files import is_file
 from sumo_env.scene import NO_LIGHT, Scene
-from sumo_env.simulator import Commands, SimulatorError, Step
+from sumo_env.simulator import Commands, SimulatorError, Step, WindowClosed
 from sumo_env.sumo.car import Car
 from sumo_env.sumo.ego import Ego, coast
+from sumo_env.sumo.engine import LIBSUMO, window
 from sumo_env.sumo.events import Events, modes
-from sumo_env.sumo.options import check_options
-from sumo_env.sumo.session import (
-    ALL_CHECKS_OFF,
-    COMMANDED_LANE_CHANGES,
-    Session,
-    SumoErrors,
-)
+from sumo_env.sumo.options import LIVE, check_options
+from sumo_env.sumo.session import ALL_CHECKS_OFF, COMMANDED_LANE_CHANGES, Session
 from sumo_env.sumo.settings import Settings, placed_settings
 from sumo_env.traffic.drivers import Calibration, Driver, DriverPool, vehicle_type
 from sumo_env.traffic.scenario import EGO, EGO_DISTANCE, Scenario, VehicleSpec, fits
@@ -43,12 +39,12 @@ class SumoSimulator:
     """SUMO as a `Simulator`; a process may hold one of them (`SumoProcess` cares for that).
 
     Args:
-        options: further options of SUMO, such as ``("--tripinfo-output", "trips.xml")``.
+        options: further options of SUMO, such as ``("--tripinfo-output", "trips.xml")``; `LIVE` for its own window.
     """
 
     def __init__(self, options: tuple[str, ...] = ()) -> None:
-        self._session = Session()
-        self._options = check_options(options)
+        self._session = Session(window() if LIVE in options else LIBSUMO)
+        self._options = check_options([option for option in options if option != LIVE])
         self._drivers: dict[str, Driver] = {}  # whose vehicle types are loaded
         self._kept: dict[str, Driver] = {}  # those of them that stay loaded
         self._pools: tuple[DriverPool, ...] = ()  # of the episode before
@@ -61,9 +57,12 @@ class SumoSimulator:
         """Place a scenario, drive its warm-up, and return the first scene."""
         for _ in range(2):  # SUMO may have been closed, or loaded with something else, behind our back
             try:
-                return self._begin(scenario)
-            except SumoErrors as error:
+                scene = self._begin(scenario)
+                self._session.follow(scene.ids[0])
+                return scene
+            except self._session.errors as error:
                 self._session.forget()
+                self._check_window(error)
                 refusal = error
         raise SimulatorError(
             f"SUMO cannot begin this episode ({scenario.task}, seed {scenario.seed}): {_words(refusal)} What it says "
@@ -74,13 +73,19 @@ class SumoSimulator:
         """Drive one policy step."""
         try:
             return self._step(commands, trace)
-        except SumoErrors as error:
+        except self._session.errors as error:
             self._session.forget()
+            self._check_window(error)
             raise SimulatorError(
                 f"SUMO cannot go on with this episode ({self._scenario.task}, seed {self._scenario.seed}, "
                 f"{self._time:.1f} s): {_words(error)} Was libsumo called from elsewhere in this process? "
                 "Call reset() to begin another episode."
             ) from error
+
+    def _check_window(self, error: Exception) -> None:
+        """An error if SUMO's window is gone."""
+        if isinstance(error, self._session.gone):
+            raise WindowClosed("SUMO's window was closed: this episode ends") from error
 
     def imagine(self, scenario: Scenario) -> None:
         """Go on with the risk events of this scenario that have not begun."""

@@ -207,10 +207,13 @@ def resolve(task: str, defaults: Config, *overrides: Mapping[str, Any] | None) -
 
 
 def refuse_misplaced(keywords: Mapping[str, Any]) -> None:
-    """An error about arguments of ``gym.make`` that an environment does not have; most are keys of `config`."""
+    """An error about arguments of ``gym.make`` that an environment does not have; most are keys of `config`.
+
+    It begins as Python's own, which TorchRL looks for.
+    """
     for key, value in keywords.items():
         raise TypeError(
-            f"{key!r} is no argument of the environment. A key of the configuration is set by "
+            f"__init__() got an unexpected keyword argument {key!r}; a key of the configuration is set by "
             f"gym.make(..., config={{{key!r}: {value!r}}})"
         )
 

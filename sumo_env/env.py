@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sumo_env.actions import Moment, PlainAction, ego_route
-from sumo_env.as_highway_env import ReadAsHighwayEnv, class_or_instance, configuring
+from sumo_env.as_highway_env import ReadAsHighwayEnv, class_or_instance
 from sumo_env.config import COMMON, Config, ConfigError, pace, refuse_misplaced, resolve
 from sumo_env.contacts.rectangles import state_of
 from sumo_env.interface import ending, information, interface, on_its_way
@@ -111,9 +111,7 @@ class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
 
     def configure(self, config: Mapping[str, Any] | None) -> None:
         """Change these keys of the configuration; they take effect at the next reset."""
-        with configuring(self):
-            defaults = self.default_config()
-        changed = resolve(self.task.name, defaults, getattr(self, "config", None), config)
+        changed = resolve(self.task.name, self._defaults(), getattr(self, "config", None), config)
         if changed.get("manual_control") and self.render_mode != "human":
             raise ConfigError("'manual_control' needs render_mode='human': keys are pressed in its window")
         offered = interface(self.task, changed, self.steers)

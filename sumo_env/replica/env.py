@@ -122,7 +122,9 @@ class ReplicaEnv(DrivingEnv):
             defaults["simulation_frequency"] = STOCK_FREQUENCY
         if self.is_stock:
             defaults["neighbour_vehicles_connected_lanes"] = False
-            defaults["observation"] = dict(OBSERVATIONS.get(self.task.name, defaults["observation"]))
+            name = getattr(getattr(self, "task", None), "name", "")  # the class has no task
+            if name in OBSERVATIONS:
+                defaults["observation"] = dict(OBSERVATIONS[name])
         return {**defaults, **copy.deepcopy(self._versioned)}
 
     def configure(self, config: Mapping[str, Any] | None) -> None:
@@ -141,7 +143,7 @@ class ReplicaEnv(DrivingEnv):
         Raises:
             ConfigError: `risk`, which nobody wants to be ignored.
         """
-        defaults, known = self.default_config(), {**getattr(self, "config", {}), **config}
+        defaults, known = self._defaults(), {**getattr(self, "config", {}), **config}
         if known.get("risk", 0.0) != 0.0:
             raise ConfigError(
                 f"config key 'risk' can only be 0.0, not {known['risk']!r}: highway-env's "

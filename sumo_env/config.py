@@ -109,7 +109,11 @@ WITHOUT_EFFECT = {
 }
 FIXED: dict[str, tuple[Any, str]] = {
     "traffic_model": ("sumo", "SUMO's own drivers are the only ones"),  # stored configurations have it
-    "controlled_vehicles": (1, "there is one ego"),
+    "controlled_vehicles": (
+        1,
+        "gymnasium.make with this key, or sumo_env.parallel_env, makes environments of several learning cars "
+        "(docs/several-cars.md)",
+    ),
     "obey_traffic_lights": (False, "this road has no traffic lights"),
     "other_vehicles_type": (
         "highway_env.vehicle.behavior.IDMVehicle",

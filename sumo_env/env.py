@@ -25,7 +25,7 @@ from sumo_env.occupancy import OccupancyGrid
 from sumo_env.own_sumo import OwnSumo
 from sumo_env.scene import Scene
 from sumo_env.screen import OnScreen
-from sumo_env.simulator import Command, EgoCommand, Simulator, Step, WindowClosed
+from sumo_env.simulator import Command, Commands, EgoCommand, EgoStep, Simulator, Step, WindowClosed
 from sumo_env.sumo.options import (
     OUTPUT_DIR,
     REFUSED,
@@ -38,6 +38,7 @@ from sumo_env.sumo.process import SumoProcess
 from sumo_env.tasks import get_task
 from sumo_env.tasks.base import EgoState, Task, nearest_index
 from sumo_env.tasks.network import NetworkTask
+from sumo_env.traffic.foreign import check_outputs
 from sumo_env.traffic.scenario import Scenario
 
 Observation = NDArray[np.float32]
@@ -66,6 +67,7 @@ class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
         ConfigError: unknown task or key, wrong value.
     """
 
+    cars = 1  # learning cars of the scenario, of which this environment sees one
     steers: ClassVar[bool] = False  # whether the simulator can obey a `SteeringCommand`
     metadata: dict[str, Any] = {"render_modes": ["rgb_array", "human"], "render_fps": 5}  # noqa: RUF012 (gymnasium's way)
 
@@ -157,6 +159,10 @@ class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
         Raises:
             ConfigError: an unknown option, key or name, a wrong value.
         """
+        return self._begin(*self._start(seed, options))
+
+    def _start(self, seed: int | None, options: dict[str, Any] | None) -> tuple[Scenario, Scene]:
+        """Draw the traffic of an episode and let it drive until the ego is there, see `reset`."""
         super().reset(seed=seed)
         options = options or {}
         unknown = options.keys() - {"config", "scenario", *VARIED}
@@ -182,21 +188,25 @@ class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
             raise ConfigError(str(error)) from error
         self._refuse_backwards("the ego at the start", ego.speed)
         self.scenario = scenario
+        if self._simulator is None:
+            self._simulator = SumoProcess(options=self._options, here=True, live=self._live)
+        self._commands: list[Commands] = []
+        return scenario, self._simulator.reset(scenario)
+
+    def _begin(self, scenario: Scenario, scene: Scene) -> tuple[Observation, dict[str, Any]]:
+        """The ego is on the road: its first observation and ``info``."""
+        self.scenario, self.scene = scenario, scene
         self._road, self._route = scenario.road, ego_route(scenario.road, scenario.ego)
         self._spec_of = {spec.id: spec for spec in scenario.specs}
         self._spec_of |= {spawn.vehicle.id: spawn.vehicle for spawn in scenario.spawns}
         self._target_lane, speed = scenario.ego.lane, scenario.ego.speed
-        if self._simulator is None:
-            self._simulator = SumoProcess(options=self._options, here=True, live=self._live)
-        self.scene: Scene = self._simulator.reset(scenario)
         if self.scene.place is not None:  # SUMO has found a place for the ego
             self._target_lane, speed = self.scene.place.lane, self.scene.speed.item(0)
             self._find_route()
         self._speed_index = nearest_index(speed, self.target_speeds)
         self.steps, self._handed_over, self._is_closed = 0, False, False
         self._ending = self._action_name = ""
-        self._commands: list[Command] = []
-        self._last = Step(self.scene, self._target_lane, None, math.inf, 0.0)
+        self._last = EgoStep(self._target_lane, None, math.inf, 0.0)
         self.ego_state = self._ego_state(None)
         self._film((self.scene,))
         observation = self._observe()
@@ -221,21 +231,38 @@ class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
         if self._simulator is None or self.scenario is None:
             raise gym.error.ResetNeeded("call reset() before step()")
         action = self._chosen(action)
+        command = self._command(action)
+        step = self._drive({self.ego_id: command})
+        result = self._after(action, command, step.scene, step.ego)
+        self._follow_up()
+        return result
+
+    def _command(self, action: Any) -> Command:
+        """What an action commands the ego."""
         here = self.scene.x.item(0), self.scene.y.item(0), self.scene.speed.item(0)
         moment = Moment(
             self._road, self._route, self._target_lane, self._speed_index, *here, self.scene.place
         )
         command = self._action_type.command(action, moment)
-        if self._handed_over:
-            command = EgoCommand(None, None)
-        self._commands.append(command)
+        return EgoCommand(None, None) if self._handed_over else command
+
+    def _drive(self, commands: Commands) -> Step:
+        """A policy step of the simulator."""
+        assert self._simulator is not None
+        self._commands.append(commands)
         try:
-            step = self._simulator.step(command, trace=self._is_watched)
+            step = self._simulator.step(commands, trace=self._is_watched)
         except WindowClosed:  # the episode ends where it was
-            self._is_closed, step = True, replace(self._last, distance=0.0, trace=())
-        self._last = step
+            self._is_closed = True
+            step = Step(self.scene, dict.fromkeys(commands, self._last._replace(distance=0.0)))
         self._film(step.trace)
-        self.scene, self._target_lane = step.scene, step.target_lane
+        return step
+
+    def _after(
+        self, action: Any, command: Command, scene: Scene, ego: EgoStep
+    ) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """What `step` returns after an action that meant this command."""
+        self.scene, self._last, self._target_lane = scene, ego, ego.target_lane
         if self.scene.place is not None:
             self._find_route()
         self.steps += 1
@@ -257,6 +284,9 @@ class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
         if self._is_closed:
             truncated, self._ending = True, self._ending or "window closed"
         return observation, reward, terminated, truncated, self._info(observation, action)
+
+    def _follow_up(self) -> None:
+        """What happens between two steps."""
 
     def hand_over(self, to_sumo: bool = True) -> None:
         """Let SUMO drive the ego from the next step on, whatever the actions are, or take it back; also in a copy.
@@ -298,7 +328,12 @@ class DrivingEnv(OnScreen, OwnSumo, ReadAsHighwayEnv):
 
     def _draw(self, task: Task) -> Scenario:
         """The traffic of an episode, drawn with the environment's generator."""
-        return task.scenario(self.config, int(self.np_random.integers(2**31)))
+        return task.scenario(self._law, int(self.np_random.integers(2**31)))
+
+    @property
+    def _law(self) -> Config:
+        """The configuration that traffic is drawn by; a single environment's has no number of learning cars."""
+        return {**self.config, "controlled_vehicles": self.cars} if self.cars > 1 else self.config
 
     # -- parts ---------------------------------------------------------------------------------------------
 
@@ -440,6 +475,7 @@ class SumoDrivingEnv(DrivingEnv):
             raise ConfigError(str(error)) from error
         super().__init__(task, config, **keywords)
         if output_dir is not None:
+            check_outputs(task.outputs)
             outputs = [f"--{name}={value}" for name, value in task.outputs]
             self._options = (*outputs, *self._options, f"{OUTPUT_DIR}={Path(output_dir).resolve()}")
         elif task.outputs:

@@ -29,7 +29,7 @@ import numpy as np
 from gymnasium import logger
 
 from sumo_env.scene import Scene
-from sumo_env.simulator import EgoCommand, SimulatorError, Step, WindowClosed
+from sumo_env.simulator import Commands, SimulatorError, Step, WindowClosed
 from sumo_env.sumo import link
 from sumo_env.sumo.options import LIVE, check_copyable
 from sumo_env.sumo.worker import make
@@ -111,13 +111,13 @@ class SumoProcess:
         )
         return scene
 
-    def step(self, command: EgoCommand, trace: bool = False) -> Step:
+    def step(self, commands: Commands, trace: bool = False) -> Step:
         """Drive one policy step.
 
         Raises:
             SimulatorDied: the worker has died, or has not answered in time.
         """
-        step: Step = self._ask("step", command, trace)
+        step: Step = self._ask("step", commands, trace)
         self._scene = step.scene
         return step
 

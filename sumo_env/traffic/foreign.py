@@ -53,9 +53,10 @@ def check_files(options: Mapping[str, str]) -> None:
         ConfigError: the file and the line, what is there, and why it is refused.
     """
     for option in set(INPUTS).intersection(options):
-        for name in options[option].split(","):
+        is_network = option == "net-file"  # one file, whose name may have commas; lists have links without
+        for name in [options[option]] if is_network else options[option].split(","):
             if name:
-                _check(Path(name), option == "net-file", ())
+                _check(Path(name), is_network, ())
 
 
 def check_outputs(outputs: Iterable[tuple[str, str]]) -> None:
